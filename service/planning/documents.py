@@ -25,12 +25,14 @@ class MadeFor(BaseModel):
     """The machine for which a plan was made.
 
     `confirmed`: names of a robot or cell that is not the machine's, which a person typed; `by`: that person, if known.
+    `narrowed`: limits of the drive profile that are narrower than those of the robot, which the plan keeps; "" if none.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     machine: str
     confirmed: dict[str, str] = {}  # by "robot" and "cell"
     by: str = ""
+    narrowed: str = ""
 
 
 class PlanRequest(BaseModel):

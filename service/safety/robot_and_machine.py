@@ -149,6 +149,10 @@ COMPARED = (
 )
 
 
+def _unit(side: _Side) -> str:
+    return "m" if side.robot.chain.joints[side.index].kind == "prismatic" else "rad"
+
+
 def on_machine(robot: Robot, axes: Sequence[DriveAxis]) -> Robot:
     """The robot with those limits of the drives that are narrower than its own.
 
@@ -179,6 +183,7 @@ def narrowed(robot: Robot, axes: Sequence[DriveAxis]) -> str:
         if axis.joint not in robot.joints:
             continue
         side = _Side(robot, robot.index(axis.joint), axis)
+        unit = _unit(side)
         for row in COMPARED:
             ours, theirs = row.robot(side), row.drive(side)
             if (
@@ -187,7 +192,7 @@ def narrowed(robot: Robot, axes: Sequence[DriveAxis]) -> str:
                 and theirs is not None
                 and not math.isclose(ours, theirs, rel_tol=1e-3)
             ):
-                found.append(f"{axis.joint} {row.what} {theirs:.6g} instead of {ours:.6g}")
+                found.append(f"{axis.joint} {row.what} {theirs:.6g} instead of {ours:.6g} {row.unit(unit)}")
     return "; ".join(found)
 
 
@@ -204,9 +209,8 @@ def differences(
         return f"joints: {robot_place} has {', '.join(robot.joints)}; {drive_place} has {', '.join(joints)}"
     found: list[str] = []
     for axis in axes:
-        index = robot.index(axis.joint)
-        side = _Side(robot, index, axis)
-        unit = "m" if robot.chain.joints[index].kind == "prismatic" else "rad"
+        side = _Side(robot, robot.index(axis.joint), axis)
+        unit = _unit(side)
         if axis.unit not in (None, unit):
             found.append(f"{axis.joint} unit: {robot_place} has {unit}, {drive_place} has {axis.unit}")
             continue

@@ -1,6 +1,5 @@
 """Plans: the sweeps, their poses and their order. A plan that leaves the safety envelope is refused."""
 
-import logging
 from typing import Annotated, cast
 
 from fastapi import APIRouter, Request, Response
@@ -30,8 +29,6 @@ from service.results.analysis import Analyses
 from service.results.stored_json import JsonOf
 from service.safety.robot_and_machine import narrowed, on_machine
 from service.store.documents import PlanRecord
-
-logger = logging.getLogger(__name__)
 
 
 def _kind(body: object) -> str:
@@ -92,10 +89,8 @@ def add_plan(
     cell = read_cell(application.settings.cells_dir / f"{wanted.cell}.yaml")
     made_for = None
     if not elsewhere:
-        made_for = setup.confirmed(origin, wanted.cell, typed, who_asks(request, application))
-        narrower = narrowed(robot, setup.axes)
-        if narrower:
-            logger.info("the plan keeps narrower limits of drive profile %s: %s", application.settings.drive, narrower)
+        confirmed = setup.confirmed(origin, wanted.cell, typed, who_asks(request, application))
+        made_for = confirmed.model_copy(update={"narrowed": narrowed(robot, setup.axes)})
         robot = on_machine(robot, setup.axes)
     if isinstance(wanted, AnalysisRequest):
         document = build_analysis_plan(robot, _with_excitation(wanted, application), cell)

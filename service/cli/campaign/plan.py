@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from service.cli.address import DEFAULT_URL, Url
-from service.cli.campaign.planned import ConfirmCell, ConfirmRobot, robot_number, subject_of
+from service.cli.campaign.planned import ConfirmCell, ConfirmRobot, robot_number, tell_subject
 from service.cli.progress_indicator import waiting
 from service.client import Json, ServiceClient
 from service.errors import BadInput
@@ -124,7 +124,7 @@ def plan(
                 confirm_robot=confirm_robot,
                 confirm_cell=confirm_cell,
             )
-    sys.stderr.write(f"{subject_of(planned)}\n")
+    tell_subject(planned)
     _tell(planned["document"], planned["expected_time"])
     if out is not None:
         _write(out, planned)

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from service.cli.address import DEFAULT_URL, Url
-from service.cli.campaign.planned import ConfirmCell, ConfirmRobot, robot_number, subject_of
+from service.cli.campaign.planned import ConfirmCell, ConfirmRobot, robot_number, tell_subject
 from service.cli.progress_indicator import waiting
 from service.client import Json, ServiceClient
 
@@ -57,7 +57,7 @@ def plan_trajectories(
             planned = client.add_plan(
                 request | {"robot_id": number}, confirm_robot=confirm_robot, confirm_cell=confirm_cell
             )
-    sys.stderr.write(f"{subject_of(planned)}\n")
+    tell_subject(planned)
     document = planned["document"]
     conditions = ", ".join(f"{condition:.0f}" for condition in document["condition"])
     sys.stderr.write(f"condition numbers {conditions}; {planned['expected_time'] / 60:.0f} min\n")

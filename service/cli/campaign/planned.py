@@ -1,5 +1,6 @@
 """Robot, cell and machine of a plan, for the commands that plan."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -30,6 +31,9 @@ def robot_number(client: ServiceClient, side_file: Path | None) -> int:
     return int(here["robot_id"])
 
 
-def subject_of(planned: Json) -> str:
-    """Robot, cell and machine of a plan of the service, in one line."""
-    return plan_subject(planned["robot_id"], planned["document"]).sentence
+def tell_subject(planned: Json) -> None:
+    """Robot, cell and machine of a plan of the service, and which limits its drive profile narrows, to stderr."""
+    sys.stderr.write(f"{plan_subject(planned['robot_id'], planned['document']).sentence}\n")
+    made_for: Json | None = planned["document"]["made_for"]
+    if made_for is not None and made_for["narrowed"]:
+        sys.stderr.write(f"narrower limits of the drive profile, which the plan keeps: {made_for['narrowed']}\n")

@@ -83,6 +83,7 @@ async def test_one_robot_and_one_cell_that_fit_need_no_setting(opened: Opened) -
         assert made.status_code == 201, made.text
         document = made.json()["document"]
         assert (document["robot"], document["request"]["cell"]) == ("max100-class", "workshop")
+        assert document["made_for"].pop("narrowed").startswith("joint_1 velocity limit 1 instead of 1.9 rad/s; ")
         assert document["made_for"] == {"machine": "machine", "confirmed": {}, "by": ""}
 
 

@@ -76,6 +76,8 @@ def test_a_plan_keeps_a_lower_limit_of_the_drive(tmp_path: Path, profile: Path) 
             wanted = AXES | {"robot_id": robot, "poses": 1}
             plan = http.post("/plans", params={"elsewhere": elsewhere}, json=wanted).json()["document"]
             assert [sweep["effort_limit"] for sweep in plan["sweeps"]] == [limit]
+            narrowed = "" if elsewhere else plan["made_for"]["narrowed"]
+            assert ("joint_2 effort limit 6000 instead of 7000 N m" in narrowed.split("; ")) is not elsewhere
 
 
 def test_a_mesh_that_the_service_does_not_have_is_told(http: httpx.Client) -> None:

@@ -166,7 +166,9 @@ def test_narrower_position_limits_of_a_profile_are_the_limits_and_are_told(robot
     joint = on_machine(robot, axes).chain.joints[5]
     assert (joint.lower, joint.upper) == (-3.0, robot.chain.joints[5].upper)
     one = DriveAxis(joint="joint_6", position_limits=(-3.0, 6.28), effort_limit=90.0)
-    assert narrowed(robot, [one]) == ("joint_6 lower limit -3 instead of -6.28; joint_6 effort limit 90 instead of 700")
+    assert narrowed(robot, [one]) == (
+        "joint_6 lower limit -3 instead of -6.28 rad; joint_6 effort limit 90 instead of 700 N m"
+    )
     assert narrowed(robot, [DriveAxis(joint="joint_6", position_limits=(-6.28, 6.28))]) == ""
 
 
