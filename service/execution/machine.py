@@ -232,7 +232,8 @@ class Machine:
     def seize(self, by: str, why: str, press: str = "", source: str = "") -> Hold:
         """Block motion and send the stop to every axis; `confirm` must follow. From any thread.
 
-        A repetition by the same press, or from the same `source` a moment ago, is the same stop.
+        A repetition by the same press, or from the same `source` a moment ago, is the same stop. It begins an epoch all
+        the same: a command may have been given since the first, and the person who presses again wants it to end.
         """
         hold = self._holds.take(by, why, press, source)  # before it is sent: a motion about to start finds it
         self.epochs.begin(_stopped(hold.document))
