@@ -5,8 +5,11 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
-from contextlib import suppress
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, suppress
+from http.client import HTTPConnection
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -31,6 +34,9 @@ from tests.system.rest_bench import (
 
 NODES = range(1, 7)
 JOINTS = {f"joint_{number}" for number in NODES}
+FLOOD = 1000  # stops
+ANSWERED = 1.2  # s
+KEPT = 4900  # bytes that each stop kept before repeated ones were merged
 
 
 @pytest.fixture(autouse=True)
@@ -142,6 +148,42 @@ def test_a_press_that_comes_by_both_ways_is_one_stop_and_both_answers_are_good(
     assert len(client.stops()) == 1
     until(lambda: client.campaign(campaign)["state"] == "paused", "campaign paused")
     assert client.drives()["connected"]
+
+
+def test_a_flood_at_the_open_port_is_bounded_and_delays_no_other_stop(
+    service: Service, machine: VirtualMachine, client: ServiceClient
+) -> None:
+    url = stop_url(service)
+    moving(client, machine)
+    process = service_process(service)
+    (beside,) = (each for each in process.children() if "service.stop_process" in each.cmdline())
+
+    def stopped(port: int | None, path: str, by: str, wait: int) -> int:
+        """Without the certificates that a client of httpx reads."""
+        with closing(HTTPConnection("127.0.0.1", port, timeout=PATIENCE)) as connection:
+            connection.request("POST", f"{path}by={by}&wait={wait}")
+            return connection.getresponse().status
+
+    def flood(times: int) -> None:
+        port = urlsplit(url).port
+        with ThreadPoolExecutor(4) as senders:
+            presses = (f"/stop?press={number}&" for number in range(times * FLOOD))
+            assert set(senders.map(lambda path: stopped(port, path, "nobody", 0), presses)) <= {200, 202, 503}
+
+    flood(1)  # what each process needs once
+    before = [each.memory_info().rss for each in (process, beside)]
+    with ThreadPoolExecutor(1) as apart:
+        flooding = apart.submit(flood, 3)
+        begun = time.monotonic()
+        status = stopped(urlsplit(service.url).port, "/api/v1/stop?", "Ada", 1)
+        took = time.monotonic() - begun
+        flooding.result()
+    assert status in (200, 503)  # a busy computer may confirm it later, and says so in time
+    assert took <= ANSWERED
+    grown = [each.memory_info().rss - was for each, was in zip((process, beside), before, strict=True)]
+    assert max(grown) < 3 * FLOOD * KEPT / 2
+    assert machine.stands()
+    assert [stop["by"] for stop in client.stops()] == ["nobody", "Ada"]
 
 
 def test_drives_that_hear_and_do_not_answer_are_told_all_the_same_and_named(
