@@ -111,6 +111,7 @@ def _pages(page: Page, service: Service, machine: VirtualMachine, poses: int, ta
         client.diagnosed(int(client.add_diagnosis([campaign], AXES[:1])["id"]))
         page.goto(f"{service.url}/diagnosis", wait_until="commit")
         expect(page.locator("#diagnoses tr, table tbody tr").first).to_be_visible()
+        expect(page.locator("#pictures .main-svg").last).to_be_visible()
         take("page-diagnosis")
         page.goto(f"{service.url}/fleet", wait_until="commit")
         expect(page.locator("#robots tbody tr").first).to_be_visible()
