@@ -29,8 +29,9 @@ _CHUNK = 100  # cycles of the plant in one call while nothing can look at it
 _CAREFUL = 10
 _STALE = 8  # cycles by which the plant may lag behind a look at it; in real time it lags by 4 to 16
 ANSWER = 1e-3  # s that a drive takes to answer a request (SDO)
-_BUS_OFF, _SDO_ANSWER, _HEARTBEAT = 0x40, 0x580, 0x700
+_BUS_OFF, _SDO_ANSWER = 0x40, 0x580
 _ERROR_FLAG = 0x20000000  # linux/can.h
+_CAN = {"AF_CAN": 29, "CAN_RAW": 1, "SOL_CAN_RAW": 101, "CAN_RAW_FILTER": 1}  # linux/can.h; not every platform has it
 _CAN_FRAME = struct.Struct("=IB3x8s")  # linux/can.h
 
 
@@ -195,8 +196,8 @@ class Wire:
 class Host:
     """One connection of a program to the bus; it closes with its process."""
 
-    def __init__(self, wire: Wire, only: int | None = None) -> None:
-        """`only`: a filter of the kernel for data frames, an identifier without its node."""
+    def __init__(self, wire: Wire, only: frozenset[int] = frozenset()) -> None:
+        """`only`: a filter of the kernel for data frames, identifiers without their node; empty: all."""
         self.only = only
         self.inbox = SimpleQueue()  # (identifier, data, whether it is an error frame), or None: the interface is gone
         self._wire = wire
@@ -205,7 +206,7 @@ class Host:
         primitives.world.current.process.at_end.append(self.close)
 
     def hear(self, identifier: int, data: bytes, delay: float, error: bool = False) -> None:
-        if self.only is not None and identifier & ~0x7F != self.only and not error:
+        if self.only and identifier & ~0x7F not in self.only and not error:
             return
         self._last = max(self._last, primitives.world.now + delay)
         primitives.world.at(self._last, lambda: self.inbox.put_nowait((identifier, data, error)))
@@ -267,19 +268,21 @@ class VirtualCan(can.BusABC):
 
 
 class RawSocket:
-    """What the stop process opens: a CAN_RAW socket that receives heartbeats and error frames."""
+    """What the stop process opens: a CAN_RAW socket with a filter; it receives error frames in any case."""
 
     def __init__(self, *_: object) -> None:
         self._host: Host | None = None
+        self._only: frozenset[int] = frozenset()
 
-    def setsockopt(self, *_: object) -> None:
-        pass
+    def setsockopt(self, _level: int, option: int, value: object) -> None:
+        if option == _CAN["CAN_RAW_FILTER"] and isinstance(value, bytes):
+            self._only = frozenset(identifier for identifier, _mask in struct.iter_unpack("=II", value))
 
     def settimeout(self, _: float) -> None:
         pass
 
     def bind(self, address: tuple[str]) -> None:
-        self._host = Host(_wire(address[0]), _HEARTBEAT)
+        self._host = Host(_wire(address[0]), self._only)
 
     def sendall(self, data: bytes) -> None:
         identifier, length, content = _CAN_FRAME.unpack(data)
@@ -324,6 +327,5 @@ def install() -> None:
     backends["socketcan"] = (__name__, VirtualCan.__name__)
     sender: Any = drivers.canopen.stop_sender
     names = {name: getattr(real_socket, name) for name in dir(real_socket) if name.isupper()}
-    missing = {"AF_CAN": 29, "CAN_RAW": 1, "SOL_CAN_RAW": 101, "CAN_RAW_FILTER": 1}  # where the platform has no CAN
-    sender.socket = SimpleNamespace(**missing | names, socket=RawSocket, create_connection=None)
+    sender.socket = SimpleNamespace(**names | _CAN, socket=RawSocket, create_connection=None)
     sender.select = SimpleNamespace(select=_select)

@@ -6,6 +6,7 @@ their `os`, `subprocess` and `sys` are those of this module, and the port of the
 """
 
 import itertools
+import queue
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -14,8 +15,9 @@ from types import SimpleNamespace
 from typing import Any
 
 from service.stop_process import __main__ as stop_process
-from service.stop_process import handle
-from service.stop_process.listener import Answer, Request
+from service.stop_process import handle, telling
+from service.stop_process.answers import Answer, Request
+from service.stop_process.listener import BEAT, Answered
 from tests.virtual_time import primitives
 from tests.virtual_time.primitives import SimpleQueue
 from tests.virtual_time.scheduler import Process
@@ -105,21 +107,36 @@ class Popen:
 
 
 class Listener:
-    """The port of the stop process: a request after the other."""
+    """The port of the stop process: a request after the other; their answers come later."""
 
     def __init__(
-        self, host: str, port: int, stop: Callable[[Request], Answer], status: Callable[[], Answer], tls: object
+        self,
+        host: str,
+        port: int,
+        stop: Callable[[Request, Answered], None],
+        status: Callable[[], Answer],
+        tls: object,
+        alive: Callable[[], None],
     ) -> None:
         del host, tls
         self.port = port
-        self._stop, self._status = stop, status
+        self._stop, self._status, self._alive = stop, status, alive
         self._inbox = SimpleQueue()
         LISTENERS[port] = self
 
     def serve(self) -> None:
+        beat = primitives.monotonic()
         while True:
-            request, answer = self._inbox.get()
-            answer.put(self._status() if request is None else self._stop(request))
+            try:
+                request, answer = self._inbox.get(timeout=max(0.0, beat - primitives.monotonic()))
+            except queue.Empty:
+                beat = primitives.monotonic() + BEAT
+                self._alive()
+                continue
+            if request is None:
+                answer.put(self._status())
+            else:
+                self._stop(request, answer.put)
 
     def ask(self, request: Request | None) -> SimpleQueue:
         """Where the answer comes; None asks for the status."""
@@ -151,9 +168,12 @@ def install() -> None:
     own_side: Any = stop_process
     own_side.os = SimpleNamespace(
         read=lambda _number, _most: _mine().stdin.read(),
-        write=lambda _number, data: _mine().stdout.write(data),
         getpid=lambda: id(_mine()),
         _exit=_exit,
     )
     own_side.sys = _Sys()
+    output: Any = telling
+    output.os = SimpleNamespace(
+        write=lambda _number, data: _mine().stdout.write(data), set_blocking=lambda _number, _blocking: None
+    )
     own_side.Listener = Listener

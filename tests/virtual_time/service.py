@@ -27,7 +27,7 @@ from service.app import create_app, end_motion, end_streams
 from service.client import ServiceClient
 from service.settings import Settings
 from service.stop_process.handle import StopProcess
-from service.stop_process.listener import Request
+from service.stop_process.answers import Request
 from service.store.engines.kind import BUSY_TIMEOUT, PATIENCE, WRITE
 from service.worker import Worker
 from service.worker.jobs import Answer, Work

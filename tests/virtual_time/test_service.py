@@ -23,7 +23,7 @@ def test_the_stop_process_stops_what_moves(service: VirtualService, machine: Vir
     service.client.start(add_campaign(service))
     clock.wait_until(lambda: abs(machine.axes()["joint_1"]["velocity"]) > 0.01, "moves")
     status, answer = service.press_stop().get()
-    assert (status, answer["doubtful"]) == (200, {})
+    assert (status, answer["unconfirmed"]) == (200, {})
     assert clock.wait_until(machine.stands, "stands") < 1.0
     clock.wait_until(lambda: service.client.stops(), "latched")
     release(service.client)
