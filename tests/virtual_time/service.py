@@ -26,8 +26,8 @@ import service.store.engines.sqlite
 from service.app import create_app, end_motion, end_streams
 from service.client import ServiceClient
 from service.settings import Settings
-from service.stop_process.handle import StopProcess
 from service.stop_process.answers import Request
+from service.stop_process.handle import StopProcess
 from service.store.engines.kind import BUSY_TIMEOUT, PATIENCE, WRITE
 from service.worker import Worker
 from service.worker.jobs import Answer, Work
