@@ -25,8 +25,8 @@ from tests.virtual_time.primitives import SimpleQueue
 WIRE = 120e-6  # s that a frame takes on the wire at 1 Mbit/s
 LATE = 2e-3  # s by which a frame may reach a program later than that; drawn on a logarithmic scale
 _LEAST_STEP = 20e-6  # s between two times at which the cabinet looks at its timers
-_CHUNK = 100  # cycles of the plant in one call while nothing can look at it
-_CAREFUL = 10
+CHUNK = 100  # cycles of the plant in one call while nothing can look at it
+CAREFUL = 10
 _STALE = 8  # cycles by which the plant may lag behind a look at it; in real time it lags by 4 to 16
 ANSWER = 1e-3  # s that a drive takes to answer a request (SDO)
 _BUS_OFF, _SDO_ANSWER = 0x40, 0x580
@@ -42,18 +42,24 @@ class EventDrivenCabinet(Cabinet):
     is an event, before which the plant is advanced to this moment, but for less than `_STALE` cycles.
     """
 
+    careful = CAREFUL
+    """Cycles of the plant in one call while an axis moves: more if only energy matters, not where it stops."""
     _plant_time: float | None = None
 
     def __init__(self, machine: Machine, eds: Path, speed_factor: float, send: Callable[[Frame], None]) -> None:
         self.energy: list[tuple[float, str, bool]] = []
         """When an axis got energy or lost it: the truth that a test judges by."""
+        self.changed: Callable[[str, bool], None] = lambda _joint, _on: None
+        """Called at each such moment; it must not wait."""
         super().__init__(machine, eds, speed_factor, send)
 
     def switch(self) -> None:
         before = {info.joint for info, _ in self._axes if self._machine.energised(info.joint)}
         super().switch()
         after = {info.joint for info, _ in self._axes if self._machine.energised(info.joint)}
-        self.energy += [(primitives.world.now, joint, joint in after) for joint in sorted(before ^ after)]
+        for joint in sorted(before ^ after):
+            self.energy.append((primitives.world.now, joint, joint in after))
+            self.changed(joint, joint in after)
 
     def run(self, now: float) -> None:
         pace, _ = self._pace()
@@ -82,7 +88,7 @@ class EventDrivenCabinet(Cabinet):
         """A move, a ramp and the rest after them end by what the plant does: only then in small steps."""
         axes = [axis for _, axis in self._axes if axis.energised]
         careful = any(axis.settling or (axis.moving and not axis.measuring.driving) for axis in axes)
-        return _CAREFUL if careful else _CHUNK
+        return self.careful if careful else CHUNK
 
 
 class Wire:

@@ -15,7 +15,7 @@ import signal
 import time
 import traceback
 from collections.abc import Awaitable, Callable, Coroutine, Iterable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from tests.virtual_time import primitives, world
@@ -68,11 +68,11 @@ Step = Callable[[int], object | Awaitable[object]]
 class Explorer:
     """The fixture `explore`: `await explore.run(step, 100)`, or `explore.run_now(step, 100)` without an event loop."""
 
-    def __init__(self, test: str, only: int, factor: float) -> None:
+    def __init__(self, test: str, only: int, factor: float, log: str = "") -> None:
         """`test`: its node id. `only`: one seed, 0: all. `factor`: how many times as many seeds as the test asks for;
-        with more than 1, failures are stored.
+        with more than 1, failures are stored. `log`: file that gets each outcome, "" for none.
         """
-        self._test, self._only, self._factor = test, only, factor
+        self._test, self._only, self._factor, self._log = test, only, factor, log
         name = test.rpartition("/")[2].replace(".py::", ".").replace("/", "-")
         self._stored = SEEDS / f"{name}.json"
 
@@ -89,13 +89,19 @@ class Explorer:
         """
         new = range(1, max(1, round(seeds * self._factor)) + 1)
         wanted = [self._only] if self._only else [*self.stored, *(seed for seed in new if seed not in self.stored)]
-        found = await explored(step, wanted, budget * self._factor, restore)
+        found = await explored(step, wanted, budget * self._factor, restore, self._note)
         if self._factor > 1 and found.failed:
             SEEDS.mkdir(exist_ok=True)
             every = sorted({*self.stored, *(outcome.seed for outcome in found.failed)})
             self._stored.write_text(json.dumps(every) + "\n")
         found.check(f"python -m pytest {self._test}")
         return found
+
+    def _note(self, outcome: Outcome) -> bool:
+        if self._log:
+            with Path(self._log).open("a") as log:
+                log.write(json.dumps({"test": self._test} | asdict(outcome)) + "\n")
+        return False
 
     def run_now(
         self, step: Step, seeds: int, budget: float = float("inf"), restore: Callable[[], None] | None = None

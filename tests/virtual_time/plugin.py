@@ -23,6 +23,7 @@ _COPY = pytest.StashKey[bool]()
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--seed", type=int, default=0, help="the interleaving of tests in virtual time; 0: in order")
     parser.addoption("--explore", type=float, default=1.0, help="so many times as many seeds; failing ones are stored")
+    parser.addoption("--explore-log", default="", help="file that gets a line for each interleaving as soon as it ends")
 
 
 def in_virtual_time(item: pytest.Item) -> bool:
@@ -75,7 +76,12 @@ def clock() -> Clock:
 def explore(clock: Clock, request: pytest.FixtureRequest) -> Explorer:
     """Many interleavings of a test, from a snapshot."""
     config: Any = request.config
-    return Explorer(request.node.nodeid, int(config.getoption("seed")), float(config.getoption("explore")))
+    return Explorer(
+        request.node.nodeid,
+        int(config.getoption("seed")),
+        float(config.getoption("explore")),
+        str(config.getoption("explore_log")),
+    )
 
 
 @pytest.fixture

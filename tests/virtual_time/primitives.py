@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any, Self
 
-from tests.virtual_time.scheduler import TICK, WALL, Scheduler, SimThread
+from tests.virtual_time.scheduler import TICK, WALL, Process, Scheduler, SimThread
 
 REAL_IDENT = threading.get_ident
 REAL_ALIVE, REAL_JOIN = threading.Thread.is_alive, threading.Thread.join
@@ -63,16 +63,17 @@ def sleep(seconds: float) -> None:
 
 
 class Lock:
-    """threading.Lock."""
+    """threading.Lock. Those of a killed process are free: the next process would have its own."""
 
     def __init__(self) -> None:
         self._locked = False
+        self._process: Process | None = None  # which took it
         self._waiting: deque[SimThread] = deque()
 
     def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
         world.point()
         deadline = None if timeout < 0 else world.now + timeout
-        while self._locked:
+        while self.locked():
             if not blocking:
                 return False
             me = world.current
@@ -80,9 +81,9 @@ class Lock:
             if not world.wait("a lock", deadline):
                 if me in self._waiting:
                     self._waiting.remove(me)
-                if self._locked:
+                if self.locked():
                     return False
-        self._locked = True
+        self._locked, self._process = True, world.current.process
         return True
 
     def release(self) -> None:
@@ -97,7 +98,7 @@ class Lock:
         world.point()
 
     def locked(self) -> bool:
-        return self._locked
+        return self._locked and not (self._process is not None and self._process.killed)
 
     def __enter__(self) -> Self:
         self.acquire()
@@ -143,7 +144,7 @@ class RLock:
         self.release()
 
     def _is_owned(self) -> bool:
-        return self._owner == get_ident()
+        return self._owner == get_ident() and self._lock.locked()
 
     def _release_save(self) -> tuple[int, int | None]:
         saved, self._depth, self._owner = (self._depth, self._owner), 0, None

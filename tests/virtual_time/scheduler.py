@@ -89,6 +89,8 @@ class Scheduler:
         self._ready: list[SimThread] = []  # first come first
         self._timers: list[tuple[float, int, SimThread | Callable[[], None], int]] = []
         self._count = itertools.count(1)
+        self._atomic = False  # points are none
+        self._interrupt: tuple[int, Callable[[], None]] | None = None
         self._abandoned: list[SimThread] = []  # kept, or their `finally` would run
         self.digest = blake2b(digest_size=8)
         self.seed_with(seed)
@@ -146,12 +148,21 @@ class Scheduler:
 
     def point(self) -> None:
         """A place where another thread may run first."""
+        if self._atomic:
+            return
         self.points += 1
+        if self._interrupt is not None and self.points >= self._interrupt[0]:
+            (_, call), self._interrupt = self._interrupt, None
+            call()
         if self._preemptions and self.points >= self._preemptions[-1]:
             self._preemptions.pop()
             self.let_others(lowest=True)
         elif self.seed and any(other.priority > self.current.priority for other in self._ready):
             self.let_others()
+
+    def interrupt(self, points: int, call: Callable[[], None]) -> None:
+        """`call` after so many points, in whatever thread is there; replaces an earlier one that is still to come."""
+        self._interrupt = self.points + points, call
 
     def let_others(self, lowest: bool = False) -> None:
         """The running thread goes to the end of those that can run; with `lowest` it also falls below all others."""
@@ -178,8 +189,12 @@ class Scheduler:
 
     def kill(self, process: Process) -> None:
         """SIGKILL: none of its threads runs another instruction; if the caller is one of them, this never returns."""
-        process.killed = True
         self.trace(f"kill {process.name}")
+        self._atomic = True  # what the operating system does, no thread sees half of
+        for close in process.at_end:
+            close()
+        self._atomic = False
+        process.killed = True
         dead = [thread for thread in self.threads.values() if thread.process is process]
         for thread in dead:
             del self.threads[thread.number]
@@ -188,8 +203,6 @@ class Scheduler:
                 self.wake(joiner)
         self._abandoned += dead
         self._ready = [thread for thread in self._ready if not thread.process.killed]
-        for close in process.at_end:
-            close()
         if self.current.process is process:
             self._switch_to(self._next())
 

@@ -1,225 +1,358 @@
-"""Random sequences of what persons, drives and computers do to a machine, and the oracle after each step.
+"""Random sequences of what persons, drives and computers do to a machine; `oracle` judges them.
 
-The oracle reads the truth from the virtual machine, never from the service: **no axis has energy without a lease, with
-a stop older than the reaction time of the drives, or without a person's command younger than the last stop; no sweep is
-lost or counted twice.**
+A person may command without waiting for the answer, and what happens to the computer happens while other things go on:
+a host that is suspended, a bus that is cut, a database that is blocked and a kill that comes at a switch of threads are
+begun by a step and end during later ones.
 """
 
-from collections.abc import Callable
+import sqlite3
+import threading
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import asdict
 from random import Random
-from typing import Any
 
 import httpx
 
+from tests.virtual_time import primitives
 from tests.virtual_time.clock import Clock
 from tests.virtual_time.machine import VirtualMachine
+from tests.virtual_time.oracle import BY_THEMSELVES, IN_FLIGHT, REACTION, Oracle
 from tests.virtual_time.service import VirtualService
 
-REACTION = 4.5  # s from a stop until no axis has energy: `host_timeout` of the drives (3 s) and their ramp
-PATIENCE = 120.0  # s for an answer
-BETWEEN = (1e-3, 20.0)  # s between two steps, on a logarithmic scale
-GAP = (1e-3, 60.0)  # s
-KEPT = ("recorded", "identified")
+PATIENCE = 60.0  # s for an answer that a person waits for
+PORT_ANSWERS = 1.25  # s within which the port of the stop process has answered
+BETWEEN = (2e-3, 2.0)  # s between two steps, on a logarithmic scale
+STEPS = (3, 8)
+GAP = (1.0, 60.0)  # s
+CUT = (0.05, 8.0)  # s
+BLOCKED = (0.01, 8.0)  # s
+SWITCHES = (1, 20_000)  # points of the scheduler until a kill
+LEASE = 6.0  # s, `lease_time`
+LEASE_NOTICED = 0.8 * LEASE  # s without renewal after which the machine stands for certain
+LEASE_EARLIEST = 0.25 * LEASE  # s of a blocked database before which the lease cannot be late
+AXES = ("joint_1", "joint_2")
 
 
-@dataclass
-class Intentions:
-    """What the persons of a sequence have wanted so far, s on the clock."""
-
-    stopped: float = float("inf")  # the last stop, gap, kill or restart; before all commands: nothing was commanded
-    commanded: float = float("-inf")  # the last start or resume that was sent
-    stops: list[tuple[float, str]] = field(default_factory=list[tuple[float, str]])
-
-
-class Sequence:
-    """One machine, one service, one campaign, and persons who do anything at any time."""
+class Session:
+    """One machine, one service, some campaigns, and persons who do anything at any time."""
 
     def __init__(
-        self, service: VirtualService, machine: VirtualMachine, clock: Clock, campaign: int, seed: int, pending: bool
+        self, service: VirtualService, machine: VirtualMachine, clock: Clock, campaigns: Sequence[int], seed: int
     ) -> None:
-        """`pending`: a person does not wait for the answer of a start before the next thing happens."""
-        self.service, self.machine, self.clock, self.campaign = service, machine, clock, campaign
-        self.chance, self.pending = Random(f"sequence {seed}"), pending
-        self.wanted = Intentions()
-        self.did: list[str] = []
-        self.kept: dict[int, str] = {}  # sweeps whose recording is stored, by number: for ever
-        self._seen = len(machine.wire.cabinet.energy)
+        self.service, self.machine, self.clock, self.campaigns = service, machine, clock, campaigns
+        self.chance = Random(f"sequence {seed}")
+        self.oracle = Oracle(service, machine)
+        self.awake = self.mended = self.clock.now  # s, when the host is awake and the bus whole again
+        self._blocking: threading.Thread | None = None
+        self.stolen = False
 
-    def run(self, steps: int) -> str:
-        """What was done. AssertionError."""
-        for number in range(steps):
-            action = self.chance.choices([each for each, _ in ACTIONS], [weight for _, weight in ACTIONS])[0]
-            if number == 0:
-                action = start
-            self.did.append(f"{self.clock.now:.3f} {action.__name__}")
+    def run(self) -> dict[str, int]:
+        """How often which thing happened. AssertionError."""
+        for number in range(self.chance.randint(*STEPS)):
+            wanted = [(each, weight) for each, weight in ACTIONS if number or each in FIRST]
+            action = self.chance.choices([each for each, _ in wanted], [weight for _, weight in wanted])[0]
+            self.did(action.__name__)
             action(self)
-            self._judge()
-            low, high = BETWEEN
-            self.clock.sleep(low * (high / low) ** self.chance.random())
-            self._judge()
-        self.clock.sleep(REACTION)
-        self._judge()
-        self._judge_sweeps()
-        return f"{len(self.did)} steps, energy {self._seen} times, kept {len(self.kept)}"
+            self.look()
+            self.clock.sleep(self.draw(BETWEEN))
+            self.look()
+        self.end()
+        counts = self.oracle.counts
+        for command in self.oracle.commands:
+            if command.open or command.answer.exception() is not None:
+                continue
+            answer = command.answer.result()
+            counts.started += answer.status_code < 300
+            counts.refused += answer.status_code >= 300
+            counts.superseded += "superseded" in answer.text
+        return asdict(counts)
 
-    # -- what may happen
+    def end(self) -> None:
+        """A stop, and then nothing that nobody asked for."""
+        self.clock.sleep(max(0.0, self.awake - self.clock.now, self.mended - self.clock.now))
+        self.look()
+        self.did("the last stop")
+        stop_by_port(self)
+        self.clock.sleep(3 * REACTION)
+        self.look()
+        if self._blocking is not None:
+            self._blocking.join()
+        self.look()
 
-    def post(self, path: str, content: object = None, wait: bool = True) -> "Future[httpx.Response] | None":
+    # -- what every step does
+
+    def did(self, what: str) -> None:
+        self.oracle.did.append(f"{self.clock.now:.4f} {what}")
+
+    def draw(self, between: tuple[float, float]) -> float:
+        """On a logarithmic scale."""
+        low, high = between
+        return low * (high / low) ** self.chance.random()
+
+    def look(self) -> None:
+        self.oracle.judge()
+        if self.service.process.killed:
+            self.bury()
+            self.oracle.judge()
+
+    def bury(self) -> None:
+        """After a kill: the service is started again, on the files that it left."""
+        if self._blocking is not None:
+            self._blocking.join()
+        self.clock.sleep(self.draw((0.01, 5.0)))
+        self.oracle.judge()
+        self.service.bury()
+        for end in self.oracle.ends:
+            end.released = True  # what the database had not stored yet is forgotten; nobody knows from outside
+        self.oracle.lease_lost = float("inf")  # the second service does not renew: it is gone
+        self.service.start()
+        self.oracle.end("restart")
+        self.did("restarted")
+
+    def post(self, path: str, content: object = None) -> "Future[httpx.Response] | None":
         try:
-            answer = self.service.send("POST", path, content)
+            return self.service.send("POST", path, content)
         except httpx.ConnectError:
             return None
-        if wait:
+
+    def wait(self, answer: "Future[httpx.Response] | None") -> httpx.Response | None:
+        """A person waits for it, or does not."""
+        if answer is None or self.chance.random() < 0.4:
+            return None
+        try:
+            return answer.result(PATIENCE)
+        except (httpx.HTTPError, TimeoutError):
+            return None
+
+    def block(self, seconds: float, then: Callable[[sqlite3.Connection], None] = lambda _: None) -> None:
+        """Another program holds the database for so long, and does `then` at the end."""
+        if self._blocking is not None and self._blocking.is_alive():
+            return
+        other = sqlite3.connect(self.service.data / "sweepid.sqlite", timeout=0.0, isolation_level=None)
+        while True:
             try:
-                answer.result(PATIENCE)
-            except (httpx.HTTPError, TimeoutError):
-                return None
-        return answer
+                other.execute("BEGIN IMMEDIATE")
+                break
+            except sqlite3.OperationalError:  # the service writes
+                self.clock.sleep(0.01)
+        began = self.clock.now
 
-    def command(self, word: str, content: object) -> None:
-        self.wanted.commanded = self.clock.now
-        self.post(f"/campaigns/{self.campaign}/{word}", content, wait=not self.pending)
+        def hold() -> None:
+            if seconds > LEASE_NOTICED:
+                self.clock.sleep(LEASE_EARLIEST)
+                self.oracle.end("lease not renewed", known=began + LEASE_NOTICED, within=REACTION)
+            self.clock.sleep(began + seconds - self.clock.now)
+            then(other)
+            other.execute("COMMIT")
+            other.close()
 
-    def ended(self, why: str) -> None:
-        """From now on every earlier intention is over."""
-        self.wanted.stopped = self.clock.now
-        self.wanted.stops.append((self.clock.now, why))
-
-    def _judge(self) -> None:
-        """Every change of energy since the last look, and what has energy now."""
-        energy = self.machine.wire.cabinet.energy
-        for when, joint, on in energy[self._seen :]:
-            if on:
-                self._may(joint, when, "got energy")
-        self._seen = len(energy)
-        now = self.clock.now
-        for joint in self.machine.energised():
-            if self.wanted.commanded <= self.wanted.stopped:
-                assert now - self.wanted.stopped < REACTION, self._told(joint, now, "still has energy")
-            assert not self.service.process.killed or now - self.wanted.stopped < REACTION, self._told(
-                joint, now, "has energy without a service"
-            )
-
-    def _may(self, joint: str, when: float, what: str) -> None:
-        younger = self.wanted.commanded > self.wanted.stopped
-        before = not younger and when <= self.wanted.stopped and self.wanted.commanded > float("-inf")
-        assert younger or before, self._told(joint, when, what)
-
-    def _told(self, joint: str, when: float, what: str) -> str:
-        story = "\n".join(self.did)
-        log = "\n".join(self.service.log[-12:])
-        last = f"last stop {self.wanted.stops[-1:]}, last command {self.wanted.commanded:.3f}"
-        return f"{joint} {what} at {when:.3f}; {last}; what was done:\n{story}\nlog of the service:\n{log}"
-
-    def _judge_sweeps(self) -> None:
-        """A person puts all right; what was once stored is there, once."""
-        if self.service.process.killed:
-            self.service.start()
-        answer = self.service.send("GET", f"/campaigns/{self.campaign}/sweeps").result(PATIENCE)
-        sweeps: list[dict[str, Any]] = answer.json()
-        numbers = [sweep["number"] for sweep in sweeps]
-        assert numbers == [*range(1, len(numbers) + 1)], numbers
-        for sweep in sweeps:
-            if sweep["state"] in KEPT:
-                path = f"/campaigns/{self.campaign}/sweeps/{sweep['number']}/recording"
-                assert self.service.send("GET", path).result(PATIENCE).status_code == 200, sweep
-            elif sweep["number"] in self.kept:
-                raise AssertionError(f"lost: {sweep}, was {self.kept[sweep['number']]}")
-            if sweep["state"] in KEPT:
-                self.kept[sweep["number"]] = sweep["state"]
+        self._blocking = threading.Thread(target=hold, name="other program", daemon=True)
+        self._blocking.start()
 
 
-Action = Callable[[Sequence], None]
+Action = Callable[[Session], None]
 
 
-def start(it: Sequence) -> None:
-    it.command("start", {})
+def start(it: Session) -> None:
+    """Of a campaign that stands; the other word, which is refused, now and then."""
+    begun = {command.campaign for command in it.oracle.commands if not command.refused}
+    campaign = it.campaigns[it.chance.random() > 0.8]
+    word = "resume" if (campaign in begun) is (it.chance.random() < 0.9) else "start"
+    answer = it.post(f"/campaigns/{campaign}/{word}", {"repeat": True} if word == "resume" else {})
+    if answer is not None:
+        it.oracle.command(campaign, answer)
+        it.wait(answer)
 
 
-def resume(it: Sequence) -> None:
-    it.command("resume", {"repeat": it.chance.random() < 0.5})
+def pause(it: Session) -> None:
+    it.wait(it.post(f"/campaigns/{it.chance.choice(it.campaigns)}/pause"))
 
 
-def pause(it: Sequence) -> None:
-    it.post(f"/campaigns/{it.campaign}/pause")
+def pause_taken_back(it: Session) -> None:
+    campaign = it.chance.choice(it.campaigns)
+    it.wait(it.post(f"/campaigns/{campaign}/pause"))
+    answer = it.post(f"/campaigns/{campaign}/resume", {})
+    if answer is not None:
+        it.oracle.command(campaign, answer)
+        it.wait(answer)
 
 
-def stop_by_api(it: Sequence) -> None:
-    it.post("/stop", {"by": "Ada", "why": "test"}, wait=it.chance.random() < 0.7)
-    it.ended("stop by the API")
+def abort(it: Session) -> None:
+    it.wait(it.post(f"/campaigns/{it.chance.choice(it.campaigns)}/abort", {"why": "test"}))
 
 
-def stop_by_port(it: Sequence) -> None:
-    it.service.press_stop().get()
-    it.ended("stop by the port")
+def approve(it: Session) -> None:
+    """Of the plan of the second campaign; that of the first is approved."""
+    path = f"/plans/{it.service.plans[-1]}/approvals"
+    try:
+        found = it.service.send("GET", path).result(PATIENCE).json()
+    except (httpx.HTTPError, TimeoutError):
+        return
+    it.wait(it.post(path, {"sha256": found["sha256"], "approved_by": "Ada"}))
 
 
-def release(it: Sequence) -> None:
+def stop_by_api(it: Session) -> None:
+    answer = it.post("/stop?by=Ada&why=test")
+    if answer is None:
+        return
+    it.oracle.counts.stops += 1
+    it.oracle.end("stop by the API", max(it.clock.now, it.awake), latches=True, within=REACTION)
+    response = it.wait(answer)
+    if response is not None and response.status_code == 200 and it.machine.energised():
+        it.oracle.trouble.append("the API confirmed a stop, and an axis has energy")
+
+
+def stop_by_port(it: Session) -> None:
+    if it.service.process.killed:
+        return
+    it.oracle.counts.stops += 1
+    answer = it.service.press_stop()
+    it.oracle.end("stop by the port", max(it.clock.now, it.awake), latches=True)
+    primitives.world.at(it.clock.now + REACTION, _reacted_to_port(it, it.clock.now))
+    asked = it.clock.now
+    status, _ = answer.get(timeout=PORT_ANSWERS)
+    if status == 200 and it.machine.energised():
+        it.oracle.trouble.append("the port confirmed a stop, and an axis has energy")
+    assert it.clock.now - asked <= PORT_ANSWERS
+
+
+def _reacted_to_port(it: Session, asked: float) -> Callable[[], None]:
+    """The stop process works while the service sleeps, but not over a bus that is cut."""
+    return lambda: it.oracle._has_reacted("stop by the port", asked, REACTION)  # pyright: ignore[reportPrivateUsage]
+
+
+def release(it: Session) -> None:
+    """A person looks, and releases what he saw, but nothing younger."""
+    seen = it.clock.now
     try:
         stops = it.service.send("GET", "/stop").result(PATIENCE).json()
     except (httpx.HTTPError, TimeoutError):
         return
-    numbers = [stop["id"] for stop in stops.get("stops", [])]
+    seen = it.clock.now
+    numbers = [stop["id"] for stop in stops["stops"]]
     if numbers:
-        it.post("/stop/reset", {"by": "Ada", "stops": numbers})
+        it.oracle.released(seen)
+        it.wait(it.post("/stop/reset", {"by": "Ada", "stops": numbers}))
 
 
-def connect(it: Sequence) -> None:
-    it.post("/drives/connect")
+def connect(it: Session) -> None:
+    it.wait(it.post("/drives/connect"))
 
 
-def acknowledge(it: Sequence) -> None:
-    for joint in ("joint_1", "joint_2"):
-        it.post(f"/drives/{joint}/acknowledge")
+def acknowledge(it: Session) -> None:
+    for joint in AXES:
+        it.wait(it.post(f"/drives/{joint}/acknowledge"))
 
 
-def put_right(it: Sequence) -> None:
-    """A person looks, releases, connects, acknowledges and resumes."""
-    for action in (release, connect, acknowledge, resume):
+def put_right(it: Session) -> None:
+    """A person looks, releases, connects, acknowledges and starts or resumes."""
+    for action in (release, connect, acknowledge, start):
         action(it)
 
 
-def host_gap(it: Sequence) -> None:
-    low, high = GAP
-    gap = low * (high / low) ** it.chance.random()
+def host_gap(it: Session) -> None:
+    if it.service.process.killed or it.service.process.suspended:
+        return
+    gap = it.draw(GAP)
+    it.did(f"the host is suspended for {gap:.3f} s")
+    it.oracle.counts.gaps += 1
     it.clock.suspend(it.service.process, gap)
-    it.clock.sleep(gap)
-    if gap > it.machine.host_timeout * 1.1:
-        it.ended(f"gap of {gap:.2f} s")
+    _asleep(it, gap)
 
 
-def drive_fault(it: Sequence) -> None:
-    it.machine.order("fault", joint=it.chance.choice(("joint_1", "joint_2")), code=0x2310)
+def _asleep(it: Session, gap: float) -> None:
+    it.awake = it.clock.now + gap
+    if gap > it.machine.host_timeout:
+        began, world = it.clock.now, primitives.world
+        gone = it.service.process
+
+        def over() -> None:
+            if not gone.killed:
+                it.oracle.end(f"gap of {gap:.2f} s", latches=True)
+
+        world.at(it.awake, over)
+        if gap > BY_THEMSELVES:
+            reacted = it.oracle._has_reacted  # pyright: ignore[reportPrivateUsage]
+            world.at(began + BY_THEMSELVES, lambda: reacted("the host is suspended", began, BY_THEMSELVES))
 
 
-def blocked_database(it: Sequence) -> None:
-    with it.service.blocked_database():
-        it.clock.sleep(0.01 * 1000 ** it.chance.random())
+def drive_fault(it: Session) -> None:
+    it.machine.order("fault", joint=it.chance.choice(AXES), code=0x2310)
 
 
-def kill(it: Sequence) -> None:
-    if not it.service.process.killed:
-        it.service.kill()
-        it.ended("kill")
-        it.clock.sleep(it.chance.random() * 5.0)
-        it.service.start()
-        it.ended("restart")
+def cut_bus(it: Session) -> None:
+    wire = it.machine.wire
+    if wire.gone:
+        return
+    seconds = it.draw(CUT)
+    it.mended = it.clock.now + seconds
+    it.oracle.troubled.append((it.clock.now, it.mended + BY_THEMSELVES))
+    it.did(f"the bus is cut for {seconds:.3f} s")
+    wire.cut()
+    primitives.world.at(it.mended, wire.mend)
+
+
+def blocked_database(it: Session) -> None:
+    it.block(it.draw(BLOCKED))
+
+
+def second_service(it: Session) -> None:
+    """Nobody renews the lease for its time: another service takes the machine. Only a restart brings it back."""
+    if it.service.process.killed or it.service.process.suspended or it.oracle.lease_lost < float("inf"):
+        return
+
+    def take(database: sqlite3.Connection) -> None:
+        database.execute("UPDATE lease SET owner = 'another service', renewals = renewals + 1")
+        it.oracle.lease_is_lost()
+
+    if it.chance.random() < 0.5:
+        _asleep(it, LEASE + 2.0)
+        it.clock.suspend(it.service.process, LEASE + 2.0)
+        it.clock.sleep(LEASE)
+        it.block(0.01, take)
+    else:
+        it.block(LEASE + 0.1, take)
+
+
+def kill(it: Session) -> None:
+    """SIGKILL, now or at a switch of threads within the next moments."""
+    if it.service.process.killed:
+        return
+    it.oracle.counts.kills += 1
+    if it.chance.random() < 0.3:
+        primitives.world.kill(it.service.process)
+        it.oracle.end("kill", within=REACTION)
+        return
+    doomed = it.service.process
+
+    def die() -> None:
+        if not doomed.killed:
+            it.did("killed")
+            it.oracle.end("kill", within=REACTION)
+            primitives.world.kill(doomed)
+
+    primitives.world.interrupt(round(it.draw(SWITCHES)), die)
 
 
 ACTIONS: list[tuple[Action, float]] = [
-    (start, 1.0),
-    (resume, 2.0),
-    (put_right, 5.0),
-    (pause, 1.0),
-    (stop_by_api, 2.0),
-    (stop_by_port, 2.0),
-    (release, 3.0),
-    (connect, 1.0),
-    (acknowledge, 1.0),
+    (start, 4.0),
+    (put_right, 8.0),
+    (pause, 0.7),
+    (pause_taken_back, 1.0),
+    (abort, 0.5),
+    (approve, 0.7),
+    (stop_by_api, 1.2),
+    (stop_by_port, 1.2),
+    (release, 2.5),
+    (connect, 0.7),
+    (acknowledge, 0.7),
     (host_gap, 1.0),
-    (drive_fault, 1.0),
-    (blocked_database, 1.0),
+    (drive_fault, 0.7),
+    (cut_bus, 1.0),
+    (blocked_database, 1.5),
+    (second_service, 0.3),
     (kill, 0.5),
 ]
+FIRST = (start, host_gap, cut_bus, blocked_database)
+assert IN_FLIGHT < REACTION

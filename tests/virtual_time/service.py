@@ -25,6 +25,7 @@ import service.application
 import service.store.engines.sqlite
 from service.app import create_app, end_motion, end_streams
 from service.client import ServiceClient
+from service.execution.machine import Machine
 from service.settings import Settings
 from service.stop_process.answers import Request
 from service.stop_process.handle import StopProcess
@@ -52,7 +53,10 @@ class VirtualService:
     def __init__(self, folder: Path, machine: VirtualMachine, clock: Clock, **settings: Any) -> None:
         self.data = folder / "data"
         self.log: list[str] = []
-        self._clock, self._graves = clock, 0
+        self.job = JOB
+        """s that a job of the worker takes."""
+        self.plans: list[int] = []
+        self._clock, self._graves, self._snapshots = clock, 0, 0
         own: dict[str, Any] = {
             "data_dir": self.data,
             "drive": machine.profile,
@@ -98,6 +102,10 @@ class VirtualService:
     def kill(self) -> None:
         """SIGKILL; its files stay as they are, with what it had not written missing."""
         primitives.world.kill(self.process)
+        self.bury()
+
+    def bury(self) -> None:
+        """After it was killed, before it is started again."""
         # what the dead process still holds open in this one, locks included, is not the new service's
         self._graves += 1
         grave = self.data.with_name(f"data.killed-{self._graves}")
@@ -128,7 +136,8 @@ class VirtualService:
             while engine.pool.checkedout():  # pyright: ignore[reportAttributeAccessIssue]
                 self._clock.sleep(0.01)
             engine.dispose()
-        pristine = self.data.with_name("data.snapshot")
+        self._snapshots += 1
+        pristine = self.data.with_name(f"data.snapshot-{self._snapshots}")
         shutil.copytree(self.data, pristine)
 
         def restore() -> None:
@@ -137,6 +146,16 @@ class VirtualService:
             shutil.copytree(pristine, self.data)
 
         return restore
+
+    @property
+    def machine_inside(self) -> Machine | None:
+        """What the service says of its machine, if anybody could ask it now; its clock may be read from anywhere."""
+        if self._app is None or self.process.suspended or self.process.killed:
+            return None
+        machine: Machine = self._app.state.application.machine
+        reports: Any = machine._reports  # pyright: ignore[reportPrivateUsage]
+        reports._clock = lambda: primitives.world.now
+        return machine
 
     # -- requests
 
@@ -211,6 +230,7 @@ def add_campaign(service: VirtualService, poses: int = 1, modes: str = "drive_si
     (robot,) = (each for each in service.client.robots() if each["name"] == "max100-class")
     wanted = {"axes": ["joint_1", "joint_2"], "varied": ["joint_2", "joint_3"], "step": 30.0, "poses": poses}
     plan = service.client.add_plan({"robot_id": robot["id"], "move_velocity": 0.5, "modes": modes} | wanted)
+    service.plans.append(plan["id"])
     return int(service.client.add_campaign(plan["id"])["id"])
 
 
@@ -256,10 +276,13 @@ async def _call(app: FastAPI, request: httpx.Request, body: bytes, answer: "Futu
 
 
 class WorkerInProcess(Worker):
-    """A job takes `JOB` s of virtual time; it is done at once, in one call, in a thread."""
+    """A job takes virtual time; it is done at once, in one call, in a thread."""
+
+    def __init__(self, service: VirtualService) -> None:
+        self._service = service
 
     async def run(self, job: Work[Answer]) -> Answer:
-        await asyncio.sleep(JOB)
+        await asyncio.sleep(self._service.job)
         return await asyncio.to_thread(job)
 
     async def processes(self) -> tuple[int, ...]:
@@ -267,11 +290,6 @@ class WorkerInProcess(Worker):
 
     async def close(self) -> None:
         pass
-
-
-@asynccontextmanager
-async def _open_worker(*_: object) -> AsyncIterator[Worker]:
-    yield WorkerInProcess()
 
 
 def _begin(connection: Connection) -> None:
@@ -293,8 +311,13 @@ def _begin(connection: Connection) -> None:
 def _install(service_of_tests: VirtualService) -> None:
     """For this process of the computer."""
     operating_system.install()
+
+    @asynccontextmanager
+    async def open_worker(*_: object) -> AsyncIterator[Worker]:
+        yield WorkerInProcess(service_of_tests)
+
     application: Any = service.application
-    application.open_worker = _open_worker
+    application.open_worker = open_worker
     sqlite: Any = service.store.engines.sqlite
     sqlite._begin = _begin
 
