@@ -80,6 +80,8 @@ class Oracle:
     machine: VirtualMachine
     commands: list[Command] = field(default_factory=list[Command])
     ends: list[End] = field(default_factory=list[End])
+    approved: set[int] = field(default_factory=set[int])
+    """Campaigns whose plan somebody has approved, or has asked to."""
     lease_lost: float = float("inf")  # another service has it since
     troubled: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])  # the bus was cut
     trouble: list[str] = field(default_factory=list[str])
@@ -89,6 +91,7 @@ class Oracle:
     def __post_init__(self) -> None:
         self.on: dict[str, float] = dict.fromkeys(self.machine.energised(), primitives.world.now)
         """Since when an axis has had energy."""
+        self._idle: float | None = None  # since when no command can excuse any energy
         self._kept: dict[tuple[int, int], str] = {}  # hash of each recording, by campaign and sweep: for ever
         self.machine.wire.cabinet.changed = self.energy_changed
 
@@ -139,12 +142,12 @@ class Oracle:
         self.judge_statement()
 
     def _excuses(self, command: Command, at: float) -> bool:
-        if command.latched or command.refused or command.over:
+        if command.latched or command.refused or command.over or command.campaign not in self.approved:
             return False
         return all(command.given > end.given for end in self.ends if end.known <= at)
 
     def _has_reacted(self, why: str, known: float, within: float) -> None:
-        if within < BY_THEMSELVES and any(start <= known + within and end >= known for start, end in self.troubled):
+        if within < BY_THEMSELVES and self._bus_troubled(known, known + within):
             primitives.world.at(known + BY_THEMSELVES, lambda: self._has_reacted(why, known, BY_THEMSELVES))
             return
         for joint, since in self.on.items():
@@ -165,6 +168,7 @@ class Oracle:
         """Between two steps. AssertionError with all that was wrong since the last time."""
         self.judge_statement()
         self._judge_store()
+        self._judge_idle()
         if self.trouble:
             story, log = "\n".join(self.did), "\n".join(self.service.log[-12:])
             ends = "\n".join(str(end) for end in self.ends[-4:])
@@ -176,6 +180,20 @@ class Oracle:
                 f"{'; '.join(self.trouble)}\nwhat was done:\n{story}\ncommands:\n{wanted}\nends:\n{ends}\n"
                 f"log of the service:\n{log}"
             )
+
+    def _judge_idle(self) -> None:
+        """A machine that nobody has a use for gives its energy up, whatever ended the use."""
+        now = primitives.world.now
+        if any(not command.refused and not command.over for command in self.commands):
+            self._idle = None
+            return
+        self._idle = now if self._idle is None else self._idle
+        if now - self._idle > (BY_THEMSELVES if self._bus_troubled(self._idle, now) else REACTION):
+            for joint, since in self.on.items():
+                self._wrong(joint, f"has energy since {since:.4f}, and no campaign runs since {self._idle:.4f}")
+
+    def _bus_troubled(self, start: float, end: float) -> bool:
+        return any(began <= end and over >= start for began, over in self.troubled)
 
     def _judge_store(self) -> None:
         """Nothing is lost, nothing is counted twice; a campaign that is over excuses nothing any more."""

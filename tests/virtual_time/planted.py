@@ -1,21 +1,62 @@
-"""Planted faults: small changes of the product, made in a copy of this process, that the exploration must find."""
+"""Planted faults: small changes of the product, made in a copy of this process, that the exploration must find.
+
+Each has a budget, s of processor time, and what of a sequence it is searched with: the whole distribution finds it as
+well, later. Not in the list, because nothing that anybody could observe changes:
+
+- one of the checks of the epoch removed while another follows before the energy (before the drives are connected; in
+  the transaction of a start; before or after enabling): a later one refuses. All of one kind together are in the list.
+- `HostWatch.check` alone: `halt` and the beat of the event loop find the same gap.
+- the latch in the database alone, without a restart: the one in memory holds.
+- the service's own stop sequence alone while the drives get the stop by the stop process, and the reverse while the
+  service runs: each is found only where the other cannot act, so both are planted there.
+"""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+from drivers.canopen.stop_sender import CanopenStopSender
 from drivers.cia402.axis import Axis
+from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
+from service.execution.approvals import Approvals
+from service.execution.epoch import Epochs, Intention
 from service.execution.machine import Machine
 from service.execution.motion import Motion
+from service.execution.runner import Runner
+from service.execution.state.latched_stops import LatchedStops
+from service.execution.state.stop_sequences import StopSequences
+from service.execution.statement import Reports
+from service.stop_process.bus import Bus, Outcome
+from service.store.guards import MachineLease
+from service.store.store import Store
+from tests.virtual_time import sequences as s
 
 Plant = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """`budget`: s of processor time. `only`: what happens in the sequences; (): everything."""
+
+    plant: Plant
+    only: Sequence[s.Action] = ()
+    budget: float = 10.0
 
 
 def _set(owner: Any, name: str, value: Any) -> Plant:
     def plant() -> None:
         assert hasattr(owner, name), f"{owner} has no {name}: the fault is out of date"
         setattr(owner, name, value)
+
+    return plant
+
+
+def _all(*plants: Plant) -> Plant:
+    def plant() -> None:
+        for each in plants:
+            each()
 
     return plant
 
@@ -35,6 +76,8 @@ async def _stop_that_waits(self: Any) -> tuple[str, ...]:
 
 _REAL_STOP = Cia402Machine.stop
 _REAL_BRING_DOWN = Cia402Machine._bring_down  # pyright: ignore[reportPrivateUsage]
+_REAL_CHECK_MACHINE = Runner._check_machine  # pyright: ignore[reportPrivateUsage]
+_REAL_END_SWEEP = Store.end_sweep
 
 
 async def _only_first(self: Any, link: Any, axes: Any) -> None:
@@ -49,10 +92,98 @@ DRIVES: dict[str, Plant] = {
     "the stop sequence disables nothing": _set(Cia402Machine, "_bring_down", _nothing_async),
     "an axis is not disabled": _set(Axis, "disable", _nothing),
 }
-"""Found by a stop at any moment."""
+"""Found by a stop at any moment, each within 30 s of processor time."""
 
-SERVICE: dict[str, Plant] = {
-    "the gate forgets lease and latch": _set(Motion, "_may_move", _nothing),
-    "the machine never refuses": _set(Machine, "check_may_move", _nothing),
+
+async def _takes_the_present_epoch(self: Any, intention: Intention) -> None:
+    await self._machine.reach()
+    object.__setattr__(intention, "epoch", self._machine.epochs.now)
+    await _REAL_CHECK_MACHINE(self, intention)
+
+
+def _recorded_twice(self: Any, campaign: int, number: int, move: Any, *more: Any, **named: Any) -> Any:
+    ended = _REAL_END_SWEEP(self, campaign, number, move, *more, **named)
+    if (recording := named.get("recording")) is not None:
+        self.add_recording(campaign, number, ended.attempt, recording)
+    return ended
+
+
+def _lost(self: Any, campaign: int, number: int, move: Any, *more: Any, **named: Any) -> Any:
+    return _REAL_END_SWEEP(self, campaign, number, move, *more, **named | {"recording": None})
+
+
+_HOLD = LatchedStops.take
+
+
+def _not_latched(self: Any, *given: Any) -> Any:
+    hold = _HOLD(self, *given)
+    self._holds.clear()
+    return hold
+
+
+def _silent(self: Any) -> Outcome:
+    return Outcome(dict.fromkeys(self._joints, ""))
+
+
+async def _confirms_at_once(self: Any) -> tuple[str, ...]:
+    return self._port.joints
+
+
+async def _does_not_end(self: Any, _why: str) -> None:
+    await asyncio.sleep(0.0)
+
+
+RUNS = (s.start, s.put_right)
+PENDING = (s.change_of_mind,)
+
+SERVICE: dict[str, Fault] = {
+    "the gate forgets lease, latch and epoch": Fault(
+        _set(Motion, "_may_move", _nothing), (s.start, s.stop_by_port, s.abort), 20.0
+    ),
+    "the machine never refuses": Fault(_set(Machine, "check_may_move", _nothing), (s.start, s.stop_by_port), 20.0),
+    "no epoch is ever checked": Fault(_set(Epochs, "check", _nothing), PENDING, 60.0),
+    "a command takes the epoch of its execution": Fault(
+        _set(Runner, "_check_machine", _takes_the_present_epoch), PENDING, 60.0
+    ),
+    "a stop begins no epoch": Fault(_set(Epochs, "begin", _nothing), PENDING, 60.0),
+    "stops are not latched": Fault(_set(LatchedStops, "take", _not_latched), (s.start, s.stop_by_port), 10.0),
+    "a gap of the host is not noticed": Fault(
+        _all(_set(HostWatch, "look", _nothing), _set(HostWatch, "reason", "")), (s.start, s.connect, s.host_gap), 20.0
+    ),
+    "the end of motion is empty": Fault(_set(Motion, "end", _nothing_async), (s.start, s.abort, s.pause), 20.0),
+    "an abort does not end what runs": Fault(
+        _set(Runner, "_end_task", _does_not_end), (s.start, s.abort, s.acknowledge), 20.0
+    ),
+    "the stop process is silent": Fault(_set(Bus, "stop", _silent), (s.start, s.kill, s.host_gap), 20.0),
+    "the stop process does not insist, and its stop is not sent": Fault(
+        _all(_set(Bus, "_send", _nothing), _set(Bus, "insist", _nothing)), (s.start, s.kill), 20.0
+    ),
+    "the port confirms what it did not hear": Fault(
+        _set(CanopenStopSender, "confirm", lambda self, _: dict.fromkeys(self._joints.values(), "")),
+        (s.start, s.stop_by_port),
+        10.0,
+    ),
+    "the API confirms what it did not wait for": Fault(
+        _set(StopSequences, "confirmed", _confirms_at_once), (s.start, s.stop_by_api), 20.0
+    ),
+    "the lease is never missed": Fault(
+        _set(Machine, "_stop_quietly", _nothing_async), (s.start, s.second_service), 20.0
+    ),
+    "a lease that another has counts as renewed": Fault(
+        _all(_set(MachineLease, "renew", _nothing)), (s.start, s.put_right, s.second_service), 60.0
+    ),
+    "what gets energy is stated to stand": Fault(_set(Reports, "gets_energy", _nothing), RUNS, 10.0),
+    "plans need no approval": Fault(_set(Approvals, "check", _nothing), RUNS, 10.0),
+    "a sweep is counted twice": Fault(_set(Store, "end_sweep", _recorded_twice), (s.start, s.let_run), 30.0),
+    "a recording is lost": Fault(_set(Store, "end_sweep", _lost), (s.start, s.let_run), 30.0),
+    "no stop is sent": Fault(
+        _all(
+            _set(Cia402Machine, "halt", _nothing),
+            _set(Cia402Machine, "stop", _nothing_async),
+            _set(Bus, "stop", _silent),
+        ),
+        (s.start, s.stop_by_api, s.stop_by_port),
+        10.0,
+    ),
 }
 """Found by random sequences."""

@@ -14,6 +14,7 @@ from _pytest.runner import runtestprotocol
 from tests.virtual_time import primitives, world
 from tests.virtual_time.clock import Clock
 from tests.virtual_time.explore import Explorer
+from tests.virtual_time.factory import Factory, open_factory
 from tests.virtual_time.machine import VirtualMachine
 from tests.virtual_time.service import VirtualService
 
@@ -89,6 +90,14 @@ def machine(clock: Clock, tmp_path: Path) -> VirtualMachine:
     """The virtual machine of the house, its power on."""
     del clock
     return VirtualMachine(tmp_path)
+
+
+@pytest.fixture
+def factory(clock: Clock, tmp_path: Path) -> Iterator[Factory]:
+    """Where random sequences begin."""
+    factory, close = open_factory(tmp_path, clock)
+    yield factory
+    close()
 
 
 @pytest.fixture

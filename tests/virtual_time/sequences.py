@@ -25,6 +25,7 @@ PORT_ANSWERS = 1.25  # s within which the port of the stop process has answered
 BETWEEN = (2e-3, 2.0)  # s between two steps, on a logarithmic scale
 STEPS = (3, 8)
 GAP = (1.0, 60.0)  # s
+LONG = (2.0, 12.0)  # s
 CUT = (0.05, 8.0)  # s
 BLOCKED = (0.01, 8.0)  # s
 SWITCHES = (1, 20_000)  # points of the scheduler until a kill
@@ -38,11 +39,19 @@ class Session:
     """One machine, one service, some campaigns, and persons who do anything at any time."""
 
     def __init__(
-        self, service: VirtualService, machine: VirtualMachine, clock: Clock, campaigns: Sequence[int], seed: int
+        self,
+        service: VirtualService,
+        machine: VirtualMachine,
+        clock: Clock,
+        campaigns: Sequence[int],
+        seed: int,
+        only: Sequence["Action"] = (),
     ) -> None:
+        """The plan of the first campaign is approved. `only`: nothing else happens; (): everything may."""
         self.service, self.machine, self.clock, self.campaigns = service, machine, clock, campaigns
         self.chance = Random(f"sequence {seed}")
-        self.oracle = Oracle(service, machine)
+        self.oracle = Oracle(service, machine, approved={campaigns[0]})
+        self._actions = [(each, weight) for each, weight in ACTIONS if each in only or not only]
         self.awake = self.mended = self.clock.now  # s, when the host is awake and the bus whole again
         self._blocking: threading.Thread | None = None
         self.stolen = False
@@ -50,7 +59,7 @@ class Session:
     def run(self) -> dict[str, int]:
         """How often which thing happened. AssertionError."""
         for number in range(self.chance.randint(*STEPS)):
-            wanted = [(each, weight) for each, weight in ACTIONS if number or each in FIRST]
+            wanted = [(each, weight) for each, weight in self._actions if number or each in FIRST]
             action = self.chance.choices([each for each, _ in wanted], [weight for _, weight in wanted])[0]
             self.did(action.__name__)
             action(self)
@@ -125,6 +134,15 @@ class Session:
         except (httpx.HTTPError, TimeoutError):
             return None
 
+    def cut(self, seconds: float) -> None:
+        """The bus, for so long."""
+        wire = self.machine.wire
+        self.mended = self.clock.now + seconds
+        self.oracle.troubled.append((self.clock.now, self.mended + BY_THEMSELVES))
+        self.did(f"the bus is cut for {seconds:.3f} s")
+        wire.cut()
+        primitives.world.at(self.mended, wire.mend)
+
     def block(self, seconds: float, then: Callable[[sqlite3.Connection], None] = lambda _: None) -> None:
         """Another program holds the database for so long, and does `then` at the end."""
         if self._blocking is not None and self._blocking.is_alive():
@@ -156,13 +174,35 @@ Action = Callable[[Session], None]
 
 def start(it: Session) -> None:
     """Of a campaign that stands; the other word, which is refused, now and then."""
+    it.wait(begin(it))
+
+
+def begin(it: Session) -> "Future[httpx.Response] | None":
     begun = {command.campaign for command in it.oracle.commands if not command.refused}
     campaign = it.campaigns[it.chance.random() > 0.8]
     word = "resume" if (campaign in begun) is (it.chance.random() < 0.9) else "start"
     answer = it.post(f"/campaigns/{campaign}/{word}", {"repeat": True} if word == "resume" else {})
     if answer is not None:
         it.oracle.command(campaign, answer)
-        it.wait(answer)
+    return answer
+
+
+def change_of_mind(it: Session) -> None:
+    """A person starts, stops before the answer came, and releases; the start may wait for drives that connect, or for
+    the database.
+    """
+    wire, what = it.machine.wire, it.chance.random()
+    if what < 0.4 and not wire.gone:
+        it.cut(0.05)
+        it.clock.sleep(0.1)
+    elif what < 0.8:
+        it.block(it.draw((0.2, 3.0)))
+    begin(it)
+    it.clock.sleep(it.draw((1e-3, 1.0)))
+    it.chance.choice((stop_by_api, stop_by_port))(it)
+    it.clock.sleep(it.draw((0.01, 1.0)))
+    release(it)
+    it.clock.sleep(it.draw((0.1, 2.0)))
 
 
 def pause(it: Session) -> None:
@@ -189,6 +229,7 @@ def approve(it: Session) -> None:
         found = it.service.send("GET", path).result(PATIENCE).json()
     except (httpx.HTTPError, TimeoutError):
         return
+    it.oracle.approved.add(it.campaigns[-1])
     it.wait(it.post(path, {"sha256": found["sha256"], "approved_by": "Ada"}))
 
 
@@ -251,6 +292,11 @@ def put_right(it: Session) -> None:
         action(it)
 
 
+def let_run(it: Session) -> None:
+    """Until a sweep is recorded, if one can be."""
+    it.clock.sleep(it.draw(LONG))
+
+
 def host_gap(it: Session) -> None:
     if it.service.process.killed or it.service.process.suspended:
         return
@@ -282,15 +328,8 @@ def drive_fault(it: Session) -> None:
 
 
 def cut_bus(it: Session) -> None:
-    wire = it.machine.wire
-    if wire.gone:
-        return
-    seconds = it.draw(CUT)
-    it.mended = it.clock.now + seconds
-    it.oracle.troubled.append((it.clock.now, it.mended + BY_THEMSELVES))
-    it.did(f"the bus is cut for {seconds:.3f} s")
-    wire.cut()
-    primitives.world.at(it.mended, wire.mend)
+    if not it.machine.wire.gone:
+        it.cut(it.draw(CUT))
 
 
 def blocked_database(it: Session) -> None:
@@ -338,6 +377,8 @@ def kill(it: Session) -> None:
 ACTIONS: list[tuple[Action, float]] = [
     (start, 4.0),
     (put_right, 8.0),
+    (change_of_mind, 1.5),
+    (let_run, 0.5),
     (pause, 0.7),
     (pause_taken_back, 1.0),
     (abort, 0.5),
@@ -354,5 +395,5 @@ ACTIONS: list[tuple[Action, float]] = [
     (second_service, 0.3),
     (kill, 0.5),
 ]
-FIRST = (start, host_gap, cut_bus, blocked_database)
+FIRST = (start, change_of_mind, host_gap, cut_bus, blocked_database)
 assert IN_FLIGHT < REACTION
