@@ -10,6 +10,7 @@ machine was stopped, and was not refused.** A command whose answer is still open
 known from outside is decided in favour of the service; each such place says so.
 """
 
+import itertools
 import sqlite3
 from concurrent.futures import Future
 from dataclasses import dataclass, field
@@ -31,6 +32,7 @@ OVER = ("planned", "paused", "measured", "completed", "aborted")  # a campaign i
 class Command:
     """A start or resume. `latched`: it was given while the machine was stopped for certain, so it excuses nothing."""
 
+    order: int  # among all commands and ends
     campaign: int
     given: float
     latched: bool
@@ -48,10 +50,11 @@ class Command:
 
 @dataclass(eq=False)
 class End:
-    """What ends every intention given before `given`; the service can know it since `known`. `latches`: until a person
+    """What ends every intention of a lower order; the service can know it since `known`. `latches`: until a person
     releases it.
     """
 
+    order: int
     why: str
     given: float
     known: float
@@ -89,6 +92,7 @@ class Oracle:
     did: list[str] = field(default_factory=list[str])
 
     def __post_init__(self) -> None:
+        self._order = itertools.count()
         self.on: dict[str, float] = dict.fromkeys(self.machine.energised(), primitives.world.now)
         """Since when an axis has had energy."""
         self._idle: float | None = None  # since when no command can excuse any energy
@@ -98,13 +102,15 @@ class Oracle:
     # -- what happened
 
     def command(self, campaign: int, answer: "Future[httpx.Response]") -> None:
-        self.commands.append(Command(campaign, primitives.world.now, self.stopped(primitives.world.now), answer))
+        self.commands.append(
+            Command(next(self._order), campaign, primitives.world.now, self.stopped(primitives.world.now), answer)
+        )
 
     def end(self, why: str, known: float | None = None, latches: bool = False, within: float | None = None) -> None:
         """All that was wanted before now is over; `within`, s after it is known: no axis has the energy it had."""
         now = primitives.world.now
         known = now if known is None else known
-        self.ends.append(End(why, now, known, latches))
+        self.ends.append(End(next(self._order), why, now, known, latches))
         if within is not None:
             primitives.world.at(known + within, lambda: self._has_reacted(why, known, within))
 
@@ -144,7 +150,7 @@ class Oracle:
     def _excuses(self, command: Command, at: float) -> bool:
         if command.latched or command.refused or command.over or command.campaign not in self.approved:
             return False
-        return all(command.given > end.given for end in self.ends if end.known <= at)
+        return all(command.order > end.order for end in self.ends if end.known <= at)
 
     def _has_reacted(self, why: str, known: float, within: float) -> None:
         if within < BY_THEMSELVES and self._bus_troubled(known, known + within):
@@ -203,7 +209,7 @@ class Oracle:
             sweeps = {(c, n): state for c, n, state in database.execute("SELECT campaign_id, number, state FROM sweep")}
             rows = database.execute(
                 "SELECT s.campaign_id, s.number, r.attempt, r.sha256, r.path FROM recording r JOIN sweep s ON "
-                "r.sweep_id = s.id WHERE r.state = 'COMPLETE'"
+                "r.sweep_id = s.id WHERE r.state = 'complete'"
             ).fetchall()
         finally:
             database.close()

@@ -141,22 +141,22 @@ SERVICE: dict[str, Fault] = {
         _set(Motion, "_may_move", _nothing), (s.start, s.stop_by_port, s.abort), 20.0
     ),
     "the machine never refuses": Fault(_set(Machine, "check_may_move", _nothing), (s.start, s.stop_by_port), 20.0),
-    "no epoch is ever checked": Fault(_set(Epochs, "check", _nothing), PENDING, 60.0),
+    "no epoch is ever checked": Fault(_set(Epochs, "check", _nothing), PENDING, 10.0),
     "a command takes the epoch of its execution": Fault(
-        _set(Runner, "_check_machine", _takes_the_present_epoch), PENDING, 60.0
+        _set(Runner, "_check_machine", _takes_the_present_epoch), PENDING, 10.0
     ),
-    "a stop begins no epoch": Fault(_set(Epochs, "begin", _nothing), PENDING, 60.0),
+    "a stop begins no epoch": Fault(_set(Epochs, "begin", _nothing), PENDING, 10.0),
     "stops are not latched": Fault(_set(LatchedStops, "take", _not_latched), (s.start, s.stop_by_port), 10.0),
     "a gap of the host is not noticed": Fault(
         _all(_set(HostWatch, "look", _nothing), _set(HostWatch, "reason", "")), (s.start, s.connect, s.host_gap), 20.0
     ),
-    "the end of motion is empty": Fault(_set(Motion, "end", _nothing_async), (s.start, s.abort, s.pause), 20.0),
+    "the end of motion is empty": Fault(_set(Motion, "end", _nothing_async), (s.start, s.abort), 60.0),
     "an abort does not end what runs": Fault(
-        _set(Runner, "_end_task", _does_not_end), (s.start, s.abort, s.acknowledge), 20.0
+        _set(Runner, "_end_task", _does_not_end), (s.start, s.abort, s.acknowledge), 30.0
     ),
-    "the stop process is silent": Fault(_set(Bus, "stop", _silent), (s.start, s.kill, s.host_gap), 20.0),
+    "the stop process is silent": Fault(_set(Bus, "stop", _silent), (s.start, s.kill), 40.0),
     "the stop process does not insist, and its stop is not sent": Fault(
-        _all(_set(Bus, "_send", _nothing), _set(Bus, "insist", _nothing)), (s.start, s.kill), 20.0
+        _all(_set(Bus, "_send", _nothing), _set(Bus, "insist", _nothing)), (s.start, s.kill), 40.0
     ),
     "the port confirms what it did not hear": Fault(
         _set(CanopenStopSender, "confirm", lambda self, _: dict.fromkeys(self._joints.values(), "")),
@@ -167,10 +167,10 @@ SERVICE: dict[str, Fault] = {
         _set(StopSequences, "confirmed", _confirms_at_once), (s.start, s.stop_by_api), 20.0
     ),
     "the lease is never missed": Fault(
-        _set(Machine, "_stop_quietly", _nothing_async), (s.start, s.second_service), 20.0
+        _set(Machine, "_stop_quietly", _nothing_async), (s.start, s.let_run, s.second_service), 60.0
     ),
     "a lease that another has counts as renewed": Fault(
-        _all(_set(MachineLease, "renew", _nothing)), (s.start, s.put_right, s.second_service), 60.0
+        _all(_set(MachineLease, "renew", _nothing)), (s.start, s.second_service), 60.0
     ),
     "what gets energy is stated to stand": Fault(_set(Reports, "gets_energy", _nothing), RUNS, 10.0),
     "plans need no approval": Fault(_set(Approvals, "check", _nothing), RUNS, 10.0),

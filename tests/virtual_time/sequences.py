@@ -25,7 +25,7 @@ PORT_ANSWERS = 1.25  # s within which the port of the stop process has answered
 BETWEEN = (2e-3, 2.0)  # s between two steps, on a logarithmic scale
 STEPS = (3, 8)
 GAP = (1.0, 60.0)  # s
-LONG = (2.0, 12.0)  # s
+LONG = (4.0, 14.0)  # s
 CUT = (0.05, 8.0)  # s
 BLOCKED = (0.01, 8.0)  # s
 SWITCHES = (1, 20_000)  # points of the scheduler until a kill
@@ -378,7 +378,7 @@ ACTIONS: list[tuple[Action, float]] = [
     (start, 4.0),
     (put_right, 8.0),
     (change_of_mind, 1.5),
-    (let_run, 0.5),
+    (let_run, 0.7),
     (pause, 0.7),
     (pause_taken_back, 1.0),
     (abort, 0.5),
