@@ -104,7 +104,7 @@ async def _takes_the_present_epoch(self: Any, intention: Intention) -> None:
 def _recorded_twice(self: Any, campaign: int, number: int, move: Any, *more: Any, **named: Any) -> Any:
     ended = _REAL_END_SWEEP(self, campaign, number, move, *more, **named)
     if (recording := named.get("recording")) is not None:
-        self.add_recording(campaign, number, ended.attempt, recording)
+        self.add_recording(campaign, number, ended.attempt + 1, recording)
     return ended
 
 
