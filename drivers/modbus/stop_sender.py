@@ -16,10 +16,12 @@ from drivers.modbus.profile import ModbusAxis, ModbusProfile, TcpLine
 from drivers.modbus.registers import RegisterMap
 from drivers.modbus.units import Gear
 
-CONNECT_TIMEOUT = 0.5  # s
+CONNECT_TIMEOUT = 0.3  # s
 ANSWER_TIMEOUT = 0.03  # s for a unit, before the stop is sent to the next
 LATE_ANSWER = 0.1  # s for a unit that did not answer then; the stop is sent again after all others
-INSISTENCE = 0.5  # s in total for such units
+SENDING = (
+    0.5  # s from the connection on in which the stop is sent again: some of the answer's 1.2 s are left to confirm
+)
 POLL = 0.01  # s
 _SILENT = "did not answer"
 _HEAD = struct.Struct(">HHHB")  # transaction, protocol 0, length of the rest, unit: Modbus messaging on TCP/IP V1.0b
@@ -58,21 +60,24 @@ class ModbusStopSender:
             with socket.create_connection((self._line.host, self._line.port), CONNECT_TIMEOUT) as line:
                 line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 answers = _Answers(line)
+                until = time.monotonic() + SENDING
                 for unit, request in self._requests.items():
                     line.sendall(request)
                     answers.wait_for([unit], ANSWER_TIMEOUT)
                 answers.wait_for(self._requests, LATE_ANSWER)
-                until = time.monotonic() + INSISTENCE
-                while time.monotonic() < until and (missing := self._requests.keys() - answers.words.keys()):
-                    for unit in missing:
-                        line.sendall(self._requests[unit])
-                        answers.wait_for([unit], LATE_ANSWER)
+                missing = itertools.cycle(self._requests)
+                while not answers.complete(self._requests) and time.monotonic() < until:
+                    unit = next(unit for unit in missing if unit not in answers.words)
+                    line.sendall(self._requests[unit])
+                    answers.wait_for([unit], LATE_ANSWER)
         except OSError as error:
             raise ConnectionFailed(f"Modbus {self._line.place}: {error}") from None
         return {joint: answers.words.get(unit, _SILENT) for unit, joint in self._joints.items()}
 
     def confirm(self, within: float) -> Mapping[str, str]:
         """Asks one unit after the other for statusword and velocity; those that did not answer last time come last."""
+        if within <= 0:
+            return dict.fromkeys(self._joints.values(), "no time was left to ask it")
         deadline = time.monotonic() + within
         doubts = dict.fromkeys(self._joints.values(), _SILENT)
         try:
@@ -84,7 +89,7 @@ class ModbusStopSender:
                     for axis in sorted(open_ones, key=lambda axis: doubts[axis.joint] == _SILENT):
                         doubts[axis.joint] = _doubt(readings, axis)
                     time.sleep(max(0.0, min(POLL, deadline - time.monotonic())))
-        except (OSError, ValueError) as error:  # ValueError: no time was left to connect
+        except OSError as error:
             why = f"Modbus {self._line.place}: {error}"
             return {joint: doubt and why for joint, doubt in doubts.items()}
         return doubts
@@ -156,12 +161,15 @@ class _Answers:
         self._line = line
         self._data = b""
 
+    def complete(self, units: Collection[int]) -> bool:
+        return self.words.keys() >= set(units)
+
     def wait_for(self, units: Collection[int], seconds: float) -> None:
         """Read until all of these units have answered or the time is over. Raises OSError if the drives close
         the line.
         """
         deadline = time.monotonic() + seconds
-        while not self.words.keys() >= set(units):
+        while not self.complete(units):
             left = deadline - time.monotonic()
             if left <= 0 or not select.select([self._line], [], [], left)[0]:
                 return

@@ -37,6 +37,7 @@ _SCRIPTS = (
     "picture",
     "plan",
     "plots",
+    "pressed",
     "record",
     "refresh",
     "results",

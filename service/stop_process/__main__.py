@@ -5,6 +5,8 @@ import signal
 import ssl
 import sys
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from service.stop_process import END, ORDER, TAKEN_OVER
@@ -15,16 +17,22 @@ from service.stop_process.telling import Telling
 
 _SIGNALS = tuple(bytes([getattr(signal, name)]) for name in ("SIGHUP", "SIGINT", "SIGTERM") if hasattr(signal, name))
 
+AT_ONCE = 16  # stops that are sent at once; others come after these, and are merged
+
 
 def main() -> None:
     profile, host, port, *tls = sys.argv[1:]
     telling = Telling(1)
+    stopping = ThreadPoolExecutor(AT_ONCE, "stop")  # the listener waits for no drive
 
     def stop(wanted: Request, answered: Answered) -> None:
+        stopping.submit(carry_out, wanted, time.monotonic() + wanted.wait, answered)
+
+    def carry_out(wanted: Request, until: float, answered: Answered) -> None:
         sent = bus.stop()
         telling.tell({"stop": wanted.words()})
         if wanted.wait:
-            bus.confirm(wanted.wait, lambda confirmed: answered(answer_to(wanted, sent, confirmed)))
+            bus.confirm(until, lambda confirmed: answered(answer_to(wanted, sent, confirmed)))
         else:
             answered(answer_to(wanted, sent, None))
 

@@ -41,7 +41,7 @@ class _Wish:
 
 
 class Bus:
-    """`stop` and `confirm` may be called from any thread; neither waits for the drives."""
+    """`stop` and `confirm` may be called from any thread; `stop` may wait for the drives as `StopSender.send` does."""
 
     def __init__(self, profile: Path, tell: Callable[[str], None]) -> None:
         """Opens the bus of the drive profile in the background; `tell` is called at each change of `trouble`."""
@@ -58,7 +58,8 @@ class Bus:
         self._wishes: queue.SimpleQueue[_Wish] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._keep, name="stop-bus", daemon=True)
         self._thread.start()
-        threading.Thread(target=self._follow, name="stop-confirm", daemon=True).start()
+        self._following = threading.Thread(target=self._follow, name="stop-confirm", daemon=True)
+        self._following.start()
 
     def stop(self) -> Outcome:
         """Send the stop for every axis; it is on the bus at return. Insists unless `taken_over` is called.
@@ -72,13 +73,15 @@ class Bus:
                 insisting.daemon = True
                 insisting.start()
                 self._send()
+                if self._owed:
+                    self._wanted.set()
             return self._last
 
-    def confirm(self, within: float, done: Callable[[Outcome], None]) -> None:
-        """After `stop`: `done` is called in another thread when every axis stands without energy, or after `within`
-        s.
+    def confirm(self, until: float, done: Callable[[Outcome], None]) -> None:
+        """After `stop`: `done` is called in another thread when every axis stands without energy, or at `until`, s on
+        the monotonic clock.
         """
-        self._wishes.put(_Wish(time.monotonic() + within, done))
+        self._wishes.put(_Wish(until, done))
 
     def taken_over(self) -> None:
         """The service handles the stops sent so far."""
@@ -95,7 +98,9 @@ class Bus:
     def close(self) -> None:
         self._closing.set()
         self._wanted.set()
+        self.confirm(0.0, lambda _: None)  # wakes the thread
         self._thread.join(1.0)
+        self._following.join(1.0)
 
     def _insist_after(self, count: int) -> None:
         if self._taken_over < count:
@@ -113,13 +118,12 @@ class Bus:
             self._note(str(error))
         self._open.clear()
         self._owed = True
-        self._wanted.set()
         trouble = self.trouble or "not sent"
         self._last = Outcome(dict.fromkeys(self._joints, trouble), trouble)
 
     def _follow(self) -> None:
         pending: list[_Wish] = []
-        while True:
+        while not self._closing.is_set():
             if not pending:
                 pending.append(self._wishes.get())
             with suppress(queue.Empty):
@@ -165,10 +169,11 @@ class Bus:
                 with self._sending:
                     self._sender = sender
                     self._open.set()
-                    self._note("")
                     if self._owed:
                         self._send()
-                while not self._closing.is_set():
+                    if self._open.is_set():
+                        self._note("")
+                while self._open.is_set() and not self._closing.is_set():  # a stop that cannot be sent closes it
                     sender.listen(0.2)
             except DriveError as error:
                 self._open.clear()

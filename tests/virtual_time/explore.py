@@ -82,14 +82,20 @@ class Explorer:
         return json.loads(self._stored.read_text()) if self._stored.exists() else []
 
     async def run(
-        self, step: Step, seeds: int, budget: float = float("inf"), restore: Callable[[], None] | None = None
+        self,
+        step: Step,
+        seeds: int,
+        budget: float = float("inf"),
+        restore: Callable[[], None] | None = None,
+        among: Callable[[int], bool] = lambda _: True,
     ) -> Exploration:
         """`step` for seeds 1 to `seeds`, until the copies have taken `budget` s of processor time. AssertionError if
-        one fails. `restore` is called before each copy: puts back what lies outside of memory.
+        one fails. `restore` is called before each copy: puts back what lies outside of memory. `among`: which of the
+        seeds belong to this snapshot.
         """
         new = range(1, max(1, round(seeds * self._factor)) + 1)
         wanted = [self._only] if self._only else [*self.stored, *(seed for seed in new if seed not in self.stored)]
-        found = await explored(step, wanted, budget * self._factor, restore, self._note)
+        found = await explored(step, filter(among, wanted), budget * self._factor, restore, self._note)
         if self._factor > 1 and found.failed:
             SEEDS.mkdir(exist_ok=True)
             every = sorted({*self.stored, *(outcome.seed for outcome in found.failed)})
@@ -104,10 +110,15 @@ class Explorer:
         return False
 
     def run_now(
-        self, step: Step, seeds: int, budget: float = float("inf"), restore: Callable[[], None] | None = None
+        self,
+        step: Step,
+        seeds: int,
+        budget: float = float("inf"),
+        restore: Callable[[], None] | None = None,
+        among: Callable[[int], bool] = lambda _: True,
     ) -> Exploration:
         """As `run`, with a `step` that is no coroutine."""
-        return at_once(self.run(step, seeds, budget, restore))
+        return at_once(self.run(step, seeds, budget, restore, among))
 
 
 def at_once(work: Coroutine[object, None, Exploration]) -> Exploration:

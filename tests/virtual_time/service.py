@@ -127,6 +127,11 @@ class VirtualService:
             other.execute("ROLLBACK")
             other.close()
 
+    def block_loop(self, seconds: float) -> None:
+        """Its event loop does nothing else for so long; its other threads run."""
+        assert self._loop is not None
+        self._loop.call_soon_threadsafe(primitives.sleep, seconds)
+
     def snapshot(self) -> Callable[[], None]:
         """Before copies of this process are made: what puts the files back as they are now, for each copy.
 

@@ -4,14 +4,10 @@ import { address, authorization } from "./api.js";
 import { PRESSED } from "./causes.js";
 import { byId, tell } from "./elements.js";
 import { presser } from "./login.js";
+import { heard, LIMIT, pressed, told } from "./pressed.js";
 import { foreign, joined, parts, text } from "./words.js";
 
-const LIMIT = 1000; // ms until the page says that STOP is not confirmed
-
-/**
- * @typedef {{left: boolean, confirmed: boolean, late: boolean, unconfirmed: Record<string, string>, refusal: string, waiting: number, latched: boolean}} Press
- * @typedef {{status: number, content: {confirmed?: readonly string[], unconfirmed?: Record<string, string>, detail?: string}}} StopAnswer
- */
+/** @typedef {import("./pressed.js").Press} Press @typedef {import("./pressed.js").StopAnswer} StopAnswer */
 
 /** @type {Press | null} */
 let last = null; // what is known of the last press
@@ -21,8 +17,7 @@ let last = null; // what is known of the last press
 export async function stop(port) {
   const press = `${Date.now()}-${Math.random()}`; // the same by every way: one stop
   const words = `/stop?by=${encodeURIComponent(presser())}&why=${encodeURIComponent(PRESSED)}&press=${press}`;
-  /** @type {Press} */
-  const now = { left: false, confirmed: false, late: false, unconfirmed: {}, refusal: "", waiting: 0, latched: false };
+  const now = pressed(1);
   const ways = [toService(address(words), () => know(now, { left: true }))];
   if (port) ways.push(toProcess(`${location.protocol}//${location.hostname}:${port}${words}`));
   const { proxied } = byId("stop").dataset; // address of the stop process at the proxy
@@ -38,17 +33,6 @@ export async function stop(port) {
 function know(press, more) {
   Object.assign(press, more);
   if (press === last) showStop();
-}
-
-// a positive report counts by any way; axes without one are named
-/** @param {StopAnswer} answer @param {Press} press @returns {Partial<Press>} */
-function heard({ status, content: { confirmed, unconfirmed, detail } }, press) {
-  return {
-    left: true,
-    confirmed: press.confirmed || (status === 200 && confirmed !== undefined),
-    unconfirmed: { ...press.unconfirmed, ...unconfirmed },
-    refusal: unconfirmed || status < 400 ? press.refusal : detail,
-  };
 }
 
 // not `fetch`: only this tells when a request has left the browser. A page that is closed meanwhile sends it all the same
@@ -83,19 +67,16 @@ export function showStop() {
   const place = byId("stop-told");
   place.hidden = last === null;
   if (last === null) return;
-  tell("stop-told", inWords(last));
-  const over = last.late || last.waiting === 0;
-  place.className = `banner ${last.confirmed ? "confirmed" : over ? "" : "open"}`;
+  const now = told(last);
+  tell("stop-told", inWords(now));
+  place.className = `banner ${now.text === "stop.confirmed" ? "confirmed" : now.over ? "" : "open"}`;
 }
 
-/** @param {Press} press @returns {Content} */
-function inWords({ left, confirmed, late, unconfirmed, refusal, waiting }) {
-  if (confirmed) return text("stop.confirmed");
-  if (!late && waiting) return text(left ? "stop.sent" : "stop.sending");
-  if (!left) return text("stop.not-left");
-  const axes = Object.entries(unconfirmed).map(([joint, reason]) => [`${joint}: `, foreign(reason)]);
-  if (axes.length) return parts("stop.unconfirmed", { axes: joined(axes, "; ") });
-  return refusal ? parts("stop.refused", { why: foreign(refusal) }) : text("stop.late");
+/** @param {ReturnType<typeof told>} now @returns {Content} */
+function inWords({ text: key, axes, refusal }) {
+  if (key === "stop.refused") return parts(key, { why: foreign(refusal) });
+  if (key !== "stop.unconfirmed") return text(key);
+  return parts(key, { axes: joined(Object.entries(axes).map(([joint, reason]) => [`${joint}: `, foreign(reason)]), "; ") });
 }
 
 // latched: whether the machine is held. A person who released it has seen what became of the press

@@ -9,7 +9,7 @@ import yaml
 from drivers.errors import ConnectionFailed
 from drivers.modbus.profile import RtuLine, TcpLine, parse_profile
 from drivers.modbus.registers import RegisterMap, load_registers
-from drivers.modbus.stop_sender import ModbusStopSender
+from drivers.modbus.stop_sender import CONNECT_TIMEOUT, SENDING, ModbusStopSender
 from tests.unit.drivers.modbus_bank import Bank, Request, serving, tcp_frame
 from tests.unit.drivers.modbus_drive import HIGH, drive, following, profile_on, put
 
@@ -140,6 +140,18 @@ def test_a_line_that_leads_nowhere_confirms_nothing(root: Path) -> None:
     found = told.confirm(0.5)
     assert all(line.place in reason for reason in found.values())
     assert len(found) == len(UNITS)
+
+
+def test_units_that_are_all_silent_take_no_more_than_their_part_of_the_time(root: Path) -> None:
+    """The answer to a stop is due after 1.2 s, and before it is confirmation."""
+    with serving(Bank("tcp", {unit: dict(ANYTHING) for unit in UNITS}, lambda _request, _frame: None)) as line:
+        told = sender(root, line)
+        begun = time.monotonic()
+        assert set(told.send().values()) == {"did not answer"}
+        assert time.monotonic() - begun < CONNECT_TIMEOUT + SENDING
+        begun = time.monotonic()
+        assert set(told.confirm(0.0).values()) == {"no time was left to ask it"}
+        assert time.monotonic() - begun < CONNECT_TIMEOUT
 
 
 def test_no_answer_is_taken_for_that_of_another_unit_or_request(root: Path) -> None:
