@@ -16,6 +16,7 @@ from tests.virtual_time.service import VirtualService, add_campaign
 from tests.virtual_time.stops import CONDITIONS, WAYS, Stop, press_stop
 
 CELLS = [*product(CONDITIONS, WAYS)]
+SEEDS = 4  # of each cell
 PART, PARTS = 0.5, 16  # s of the campaign's first 8 s, each part with a snapshot of its own
 
 
@@ -31,7 +32,7 @@ def test_what_is_said_of_a_stop_is_the_truth(
     for part in range(PARTS):
         restore = service.snapshot()
         mine = partial(_in_part, part)
-        outcomes += explore.run_now(step, 2 * len(CELLS), restore=restore, among=mine).outcomes
+        outcomes += explore.run_now(step, SEEDS * len(CELLS), restore=restore, among=mine).outcomes
         restore()  # the original goes on with its own files
         clock.sleep(PART)
     stops = [outcome.told for outcome in outcomes if isinstance(outcome.told, Stop)]
