@@ -7,8 +7,8 @@ well, later. Not in the list, because nothing that anybody could observe changes
   the transaction of a start; before or after enabling): a later one refuses. All of one kind together are in the list.
 - `HostWatch.check` alone: `halt` and the beat of the event loop find the same gap.
 - the latch in the database alone, without a restart: the one in memory holds.
-- the service's own stop sequence alone while the drives get the stop by the stop process, and the reverse while the
-  service runs: each is found only where the other cannot act, so both are planted there.
+- the stop of the service alone while the stop process sends it, and the reverse while the service runs: each hides the
+  other; "no stop is sent" takes both away.
 """
 
 import asyncio
@@ -154,10 +154,6 @@ SERVICE: dict[str, Fault] = {
     "an abort does not end what runs": Fault(
         _set(Runner, "_end_task", _does_not_end), (s.start, s.abort, s.acknowledge), 30.0
     ),
-    "the stop process is silent": Fault(_set(Bus, "stop", _silent), (s.start, s.kill), 40.0),
-    "the stop process does not insist, and its stop is not sent": Fault(
-        _all(_set(Bus, "_send", _nothing), _set(Bus, "insist", _nothing)), (s.start, s.kill), 40.0
-    ),
     "the port confirms what it did not hear": Fault(
         _set(CanopenStopSender, "confirm", lambda self, _: dict.fromkeys(self._joints.values(), "")),
         (s.start, s.stop_by_port),
@@ -166,16 +162,13 @@ SERVICE: dict[str, Fault] = {
     "the API confirms what it did not wait for": Fault(
         _set(StopSequences, "confirmed", _confirms_at_once), (s.start, s.stop_by_api), 20.0
     ),
-    "the lease is never missed": Fault(
-        _set(Machine, "_stop_quietly", _nothing_async), (s.start, s.let_run, s.second_service), 60.0
-    ),
     "a lease that another has counts as renewed": Fault(
         _all(_set(MachineLease, "renew", _nothing)), (s.start, s.second_service), 60.0
     ),
     "what gets energy is stated to stand": Fault(_set(Reports, "gets_energy", _nothing), RUNS, 10.0),
     "plans need no approval": Fault(_set(Approvals, "check", _nothing), RUNS, 10.0),
-    "a sweep is counted twice": Fault(_set(Store, "end_sweep", _recorded_twice), (s.start, s.let_run), 30.0),
-    "a recording is lost": Fault(_set(Store, "end_sweep", _lost), (s.start, s.let_run), 30.0),
+    "a sweep is counted twice": Fault(_set(Store, "end_sweep", _recorded_twice), (s.start, s.let_run), 60.0),
+    "a recording is lost": Fault(_set(Store, "end_sweep", _lost), (s.start, s.let_run), 60.0),
     "no stop is sent": Fault(
         _all(
             _set(Cia402Machine, "halt", _nothing),

@@ -35,6 +35,7 @@ async def test_a_fault_of_the_drivers_is_found(machine: VirtualMachine, clock: C
     assert not missed(outcomes), missed(outcomes)
 
 
+@pytest.mark.slow
 def test_faults_of_the_service_are_found(factory: Factory) -> None:
     """All from one snapshot."""
     restore = factory.service.snapshot()
