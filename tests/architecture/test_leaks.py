@@ -50,7 +50,7 @@ def test_leaks_are_found(root: Path, tmp_path: Path) -> None:
     ran = subprocess.run(
         [sys.executable, "-m", "pytest", "-p", "conftest", "-o", "asyncio_mode=auto", "drivers/test_leak.py"],
         cwd=tmp_path,
-        env=outside | {"PYTHONPATH": f"{tmp_path}:{tmp_path / 'tests'}"},
+        env=outside | {"PYTHONPATH": f"{tmp_path}:{tmp_path / 'tests'}:{root}"},
         capture_output=True,
         text=True,
     )

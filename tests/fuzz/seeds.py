@@ -127,7 +127,7 @@ def estimate() -> bytes:
 @functools.cache
 def plan() -> bytes:
     """As `sweepid plan --out` writes it."""
-    request = PlanRequest(robot_id=1, axes=("joint_3",), varied=("joint_3",), step=30, poses=2)
+    request = PlanRequest(robot_id=1, cell="workshop", axes=("joint_3",), varied=("joint_3",), step=30, poses=2)
     document = build_plan(
         read_robot(CONFIG / "robots/max100-class.yaml"), request, read_cell(CONFIG / "cells/workshop.yaml")
     )

@@ -47,7 +47,9 @@ class Measured:
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory: pytest.TempPathFactory) -> Measured:
     robot, cell = read_robot(CONFIG / "robots/max100-class.yaml"), read_cell(CONFIG / "cells/workshop.yaml")
-    request = PlanRequest(robot_id=1, axes=("joint_1", "joint_3"), varied=("joint_2", "joint_3"), step=30, poses=3)
+    request = PlanRequest(
+        robot_id=1, cell=cell.name, axes=("joint_1", "joint_3"), varied=("joint_2", "joint_3"), step=30, poses=3
+    )
     plan = build_plan(robot, request, cell)
     folder = tmp_path_factory.mktemp("cnc") / "paths"
     export_paths(folder, plan, robot, cell, read_control(CONFIG / "controls/sinumerik.yaml", robot))

@@ -4,12 +4,11 @@ import asyncio
 import time
 from collections.abc import Awaitable, Coroutine
 from contextlib import suppress
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import structlog
 
 from drivers.errors import DriveError, StopNotConfirmed
-from drivers.ports import DrivePort
 from service.execution.state.latched_stops import Hold
 from service.tasks.background import Background
 
@@ -22,10 +21,21 @@ HALTED = 0.02  # s after a stop in which its repetition sends nothing: a flood m
 AT_ONCE = 2  # a second one does not wait for the first, whose drives may be silent
 
 
+class Stops(Protocol):
+    """Of `drivers.ports.DrivePort` what stops, and nothing that moves."""
+
+    @property
+    def joints(self) -> tuple[str, ...]: ...
+
+    def halt(self) -> None: ...
+
+    async def stop(self) -> tuple[str, ...]: ...
+
+
 class StopSequences:
     """The calls of `DrivePort.halt` and `stop` of one machine."""
 
-    def __init__(self, port: DrivePort) -> None:
+    def __init__(self, port: Stops) -> None:
         self._port = port
         self._running: set[asyncio.Task[tuple[str, ...]]] = set()
         self._next: asyncio.Task[tuple[str, ...]] | None = None  # not begun yet
