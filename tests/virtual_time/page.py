@@ -9,7 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from tests.npm import NODE
-from tests.virtual_time.stops import ANSWERED, HOLDING, Stop
+from tests.virtual_time.stops import ANSWERED, HEARD, Stop
 
 SCRIPT = Path(__file__).with_name("page.mjs")
 MODULE = Path(str(files("service.hmi"))) / "static" / "pressed.js"
@@ -32,5 +32,5 @@ def check_page(stops: Sequence[Stop], folder: Path) -> None:
             assert told["text"] != "stop.confirmed" or not moving, (told, stop)
         assert last["text"] in ("stop.confirmed", "stop.unconfirmed", "stop.late", "stop.refused"), (last, stop)
         assert last["text"] != "stop.unconfirmed" or moving <= {*last["axes"]}, (last, stop)
-        if stop.condition in ("nothing", *HOLDING):
+        if stop.condition in HEARD:
             assert last["text"] == "stop.confirmed", ("false alarm", last, stop)

@@ -80,8 +80,7 @@ class Stop:
             answer = next((each for each in self.said if each.way == way), None)
             held = way == "api" and self.condition in HOLDING
             self._check(held or answer is not None, f"{way}: no answer within {ANSWERED} s")
-            reachable = self.condition in ("nothing", *HOLDING)
-            if reachable and answer is not None and not held:
+            if self.condition in HEARD and answer is not None and not held:
                 self._check(answer.status == 200, f"{way}: false alarm: {answer.body}")
 
     def check_rest(self, pressed: float, energy: Sequence[tuple[float, str, bool]]) -> None:
@@ -179,6 +178,10 @@ CONDITIONS: dict[str, Begin] = {
 }
 HOLDING = ("suspended host", "busy loop")
 """The service does not answer, the drives do."""
+HEARD = ("nothing", "busy loop")
+"""The port has to confirm. Not with a suspended service: on CANopen the drives are made deaf after 0.1 s, and an axis
+that brakes longer than that reports its standstill to nobody.
+"""
 
 _SYNC = 0x080
 _REQUESTS = (0x000, 0x200, 0x300, 0x400, 0x500, 0x600)  # COB-IDs without node: NMT, RPDO, SDO
