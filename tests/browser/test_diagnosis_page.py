@@ -171,7 +171,7 @@ def test_nothing_moves_before_the_experiment_is_approved_and_the_stop_is_at_hand
 ) -> None:
     diagnose(page, ONE_WAY)
     expect(page.locator("#verdict")).to_contain_text("these sweeps do not tell whether")
-    page.get_by_label("Cell").fill("workshop")
+    page.get_by_role("textbox", name="Cell", exact=True).fill("workshop")
     page.get_by_role("button", name="Prepare").click()
     expect(page.locator("#motion")).to_contain_text("joint_2 is moved between")
     expect(page.locator("#intent")).to_contain_text("No motion is commanded")
@@ -221,7 +221,7 @@ def test_a_test_mass_is_told_with_its_place_in_units_of_the_shop(service: Servic
         page.route(f"**/api/v1/diagnoses/{diagnosis}", with_mass)
         page.goto(f"{service.url}/diagnosis#{diagnosis}", wait_until="commit")
         load_again(page)
-        page.get_by_label("Cell").fill("workshop")
+        page.get_by_role("textbox", name="Cell", exact=True).fill("workshop")
         page.get_by_role("button", name="Prepare").click()
         told = {"#mass-kg": "40", "#mass-x": "100", "#mass-y": "0", "#mass-z": "-12,5", "#approved-by": "Ada"}
         for field, text in told.items():
