@@ -20,14 +20,11 @@ from simulator.canopen.cabinet import Cabinet
 from simulator.canopen.node import Frame
 from simulator.machine import Machine
 from tests.virtual_time import primitives
+from tests.virtual_time.cabinets import EventDriven, Powered
 from tests.virtual_time.primitives import SimpleQueue
 
 WIRE = 120e-6  # s that a frame takes on the wire at 1 Mbit/s
 LATE = 2e-3  # s by which a frame may reach a program later than that; drawn on a logarithmic scale
-_LEAST_STEP = 20e-6  # s between two times at which the cabinet looks at its timers
-CHUNK = 100  # cycles of the plant in one call while nothing can look at it
-CAREFUL = 10
-_STALE = 8  # cycles by which the plant may lag behind a look at it; in real time it lags by 4 to 16
 ANSWER = 1e-3  # s that a drive takes to answer a request (SDO)
 _BUS_OFF, _SDO_ANSWER = 0x40, 0x580
 _ERROR_FLAG = 0x20000000  # linux/can.h
@@ -35,63 +32,11 @@ _CAN = {"AF_CAN": 29, "CAN_RAW": 1, "SOL_CAN_RAW": 101, "CAN_RAW_FILTER": 1}  # 
 _CAN_FRAME = struct.Struct("=IB3x8s")  # linux/can.h
 
 
-class EventDrivenCabinet(Cabinet):
-    """The cabinet of the simulator, whose plant runs to the next event in one call: a frame, a timer, an order.
-
-    On real time the plant runs in chunks of a few cycles, because somebody may look at it at any time. Here every look
-    is an event, before which the plant is advanced to this moment, but for less than `_STALE` cycles.
-    """
-
-    careful = CAREFUL
-    """Cycles of the plant in one call while an axis moves: more if only energy matters, not where it stops."""
-    _plant_time: float | None = None
-
-    def __init__(self, machine: Machine, eds: Path, speed_factor: float, send: Callable[[Frame], None]) -> None:
-        self.energy: list[tuple[float, str, bool]] = []
-        """When an axis got energy or lost it: the truth that a test judges by."""
-        self.changed: Callable[[str, bool], None] = lambda _joint, _on: None
-        """Called at each such moment; it must not wait."""
-        super().__init__(machine, eds, speed_factor, send)
-
-    def switch(self) -> None:
-        before = {info.joint for info, _ in self._axes if self._machine.energised(info.joint)}
-        super().switch()
-        after = {info.joint for info, _ in self._axes if self._machine.energised(info.joint)}
-        for joint in sorted(before ^ after):
-            self.energy.append((primitives.world.now, joint, joint in after))
-            self.changed(joint, joint in after)
-
-    def run(self, now: float) -> None:
-        pace, _ = self._pace()
-        if pace == 0.0 or self._plant_time is None:
-            self._plant_time = now
-        else:
-            cycle = self._machine.cycle / pace
-            while (cycles := min(int((now - self._plant_time) / cycle + 1e-6), self._chunk())) >= _STALE:
-                self._plant_time += cycles * cycle
-                self.advance(cycles)
-                if self._pace()[0] != pace:
-                    self._plant_time = now
-                    break
-        for node in self.nodes.values():
-            node.run(now)
-        self.switch()
-
-    def due(self, now: float) -> float:
-        pace, _ = self._pace()
-        chunk = float("inf")
-        if pace > 0.0:
-            chunk = (now if self._plant_time is None else self._plant_time) + self._chunk() * self._machine.cycle / pace
-        return max(min(chunk, *(node.due(now) for node in self.nodes.values())) - now, 0.0)
-
-    def _chunk(self) -> int:
-        """A move, a ramp and the rest after them end by what the plant does: only then in small steps."""
-        axes = [axis for _, axis in self._axes if axis.energised]
-        careful = any(axis.settling or (axis.moving and not axis.measuring.driving) for axis in axes)
-        return self.careful if careful else CHUNK
+class EventDrivenCabinet(EventDriven, Cabinet):
+    """See `EventDriven`."""
 
 
-class Wire:
+class Wire(Powered[EventDrivenCabinet]):
     """The bus, the cabinet on it, and its hosts. Frames from one sender reach each receiver in their order."""
 
     def __init__(self, channel: str, machine: Machine, eds: Path, speed_factor: float) -> None:
@@ -101,21 +46,18 @@ class Wire:
         self.lost: Callable[[int, bytes], bool] = lambda _identifier, _data: False
         """Which frames reach nobody."""
         self.hosts: list[Host] = []
-        self._world = primitives.world
-        self._off = self._closed = False
-        self._planned: float | None = None
         self._reaches_cabinet = 0.0
-        self.cabinet = EventDrivenCabinet(machine, eds, speed_factor, self._sent_by_cabinet)
-        self.cabinet.boot()
-        self._plan()
+        self.world = primitives.world
+        self.switched_off = False  # the nodes already say something while the base class boots them
+        super().__init__(EventDrivenCabinet(machine, eds, speed_factor, self._sent_by_cabinet))
 
     # -- what may go wrong
 
     def switch_off(self, *, off: bool) -> None:
         """Bus-off: an error frame, then nothing passes in either direction until it is switched on."""
-        if off and not self._off:
+        if off and not self.switched_off:
             self._to_hosts(_BUS_OFF, bytes(8), error=True)
-        self._off = off
+        super().switch_off(off=off)
 
     def cut(self) -> None:
         """The gateway is gone, until `mend`."""
@@ -128,75 +70,45 @@ class Wire:
         for host in [*self.hosts]:
             host.close()
 
-    def look(self) -> None:
-        """The plant as it is at this moment; call `acted` if anything was changed."""
-        self.cabinet.run(self._world.now)
-
-    def acted(self) -> None:
-        self.cabinet.run(self._world.now)
-        self._plan()
-
-    def close(self) -> None:
-        """Power off."""
-        self._closed = True
-
     # -- frames
 
     def send(self, identifier: int, data: bytes, sender: "Host") -> None:
         """A host sends a frame. OSError if the interface is gone."""
         if self.gone or sender not in self.hosts:
             raise OSError(errno.ENETDOWN, "the interface is down")
-        self._world.trace(f"> {identifier:03x} {data.hex()}")
-        if self._off or self.lost(identifier, data):
+        self.world.trace(f"> {identifier:03x} {data.hex()}")
+        if self.switched_off or self.lost(identifier, data):
             return
         for host in self.hosts:
             if host is not sender:
                 host.hear(identifier, data, self._delay())
         frame = Frame(identifier, data)
-        self._reaches_cabinet = max(self._reaches_cabinet, self._world.now + self._delay())
-        self._world.at(self._reaches_cabinet, lambda: self._arrives(frame))
-        self._world.point()
+        self._reaches_cabinet = max(self._reaches_cabinet, self.world.now + self._delay())
+        self.world.at(self._reaches_cabinet, lambda: self._arrives(frame))
+        self.world.point()
 
     def _arrives(self, frame: Frame) -> None:
-        if not self._closed and not self._off:
-            now = self._world.now
+        if not self._closed and not self.switched_off and not self.cabinet.frozen:
+            now = self.world.now
             self.cabinet.run(now)
             self.cabinet.receive(frame, now)
             self.cabinet.run(now)
             self._plan()
 
     def _sent_by_cabinet(self, frame: Frame) -> None:
-        if not self._off and not self.gone and not self.lost(frame.id, frame.data):
+        if not self.switched_off and not self.gone and not self.lost(frame.id, frame.data):
             self._to_hosts(frame.id, frame.data)
 
     def _to_hosts(self, identifier: int, data: bytes, error: bool = False) -> None:
-        self._world.trace(f"< {identifier:03x} {data.hex()}")
+        self.world.trace(f"< {identifier:03x} {data.hex()}")
         for host in self.hosts:
             host.hear(identifier, data, self._delay() + ANSWER * (identifier & ~0x7F == _SDO_ANSWER), error)
 
     def _delay(self) -> float:
-        chance = self._world.random
-        if not self._world.seed or chance.random() < 0.5:
+        chance = self.world.random
+        if not self.world.seed or chance.random() < 0.5:
             return WIRE
         return WIRE + LATE * 10 ** (-3 * chance.random())
-
-    def _plan(self) -> None:
-        """Look at the cabinet again when its timers are due."""
-        now = self._world.now
-        due = self.cabinet.due(now)
-        if self._closed or due == float("inf"):
-            self._planned = None
-            return
-        when = now + max(due, _LEAST_STEP)
-        if self._planned is None or self._planned <= now or when < self._planned - _LEAST_STEP / 2:
-            self._planned = when
-            self._world.at(when, lambda: self._tick(when))
-
-    def _tick(self, when: float) -> None:
-        if when == self._planned and not self._closed:
-            self._planned = None
-            self.cabinet.run(self._world.now)
-            self._plan()
 
 
 class Host:

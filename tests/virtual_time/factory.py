@@ -42,7 +42,7 @@ class Factory:
 
 def open_factory(folder: Path, clock: Clock) -> tuple[Factory, Callable[[], None]]:
     """And what closes it."""
-    machine = VirtualMachine(folder, RIGID)
+    machine = VirtualMachine(folder, scenario=RIGID)
     machine.wire.cabinet.careful = COARSE
     service = VirtualService(folder, machine, clock, approval=True)
     service.job = NEVER

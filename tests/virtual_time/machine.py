@@ -1,4 +1,4 @@
-"""The virtual machine of a scenario on a CAN bus in memory, as a test sees it."""
+"""The virtual machine of a scenario on a fieldbus in memory, as a test sees it."""
 
 import json
 from pathlib import Path
@@ -10,38 +10,63 @@ from drivers.ports import DrivePort
 from drivers.registry import open_profile
 from simulator.fault_orders import Plant, carry_out
 from simulator.machine import Machine
+from simulator.modbus.register_map import load_register_map
 from simulator.scenario import load_scenario
-from tests.virtual_time import canbus
+from tests.virtual_time import canbus, modbus
 from tests.virtual_time.canbus import Wire
+from tests.virtual_time.modbus import Gateway
 
 CONFIG = Path(__file__).parents[2] / "config"
 SCENARIO = CONFIG / "scenarios" / "max100-full.yaml"
 EDS = CONFIG / "eds" / "virtual-axis.eds"
+REGISTERS = CONFIG / "registers" / "virtual-high-first.yaml"
 CHANNEL = "can0"
+ADDRESS = ("192.0.2.1", 502)
 STANDS = 1e-6  # rad/s
 
 
 class VirtualMachine:
     """`wire` is its bus and what may go wrong there. The truth is read from the plant, whatever anybody believes."""
 
-    def __init__(self, folder: Path, scenario: Path = SCENARIO, speed_factor: float = 1.0, **bus: object) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        fieldbus: str = "canopen",
+        scenario: Path = SCENARIO,
+        speed_factor: float = 1.0,
+        **bus: object,
+    ) -> None:
         """`bus`: changes of this section of the profile. Its power is on."""
         canbus.install()
+        modbus.install()
+        self.fieldbus = fieldbus
         self._scenario, self._speed_factor = scenario, speed_factor
         self.power_on()
-        content: dict[str, Any] = yaml.safe_load((CONFIG / "drives" / "virtual-max100.yaml").read_text("utf-8"))
-        line = {"interface": "socketcan", "channel": CHANNEL, "sync_period": 0.008}
-        content["bus"] = {name: value for name, value in content["bus"].items() if name not in ("host", "port")}
-        content["bus"] |= line | bus
-        content["eds"] = str(EDS)
-        self.host_timeout = float(content["bus"]["host_timeout"])
+        name = "virtual-max100.yaml" if fieldbus == "canopen" else "virtual-max100-modbus-tcp.yaml"
+        content: dict[str, Any] = yaml.safe_load((CONFIG / "drives" / name).read_text("utf-8"))
+        if fieldbus == "canopen":
+            line = {"interface": "socketcan", "channel": CHANNEL, "sync_period": 0.008}
+            content["bus"] = {name: value for name, value in content["bus"].items() if name not in ("host", "port")}
+            content["bus"] |= line | bus
+            content["eds"] = str(EDS)
+            silence = content["bus"]["host_timeout"]
+        else:
+            content["line"] |= {"host": ADDRESS[0], "port": ADDRESS[1]} | bus
+            content["registers"] = str(REGISTERS)
+            silence = content["line"]["watchdog"]
+        self.host_timeout = float(silence)
         """s of silence of their host after which the drives stop by themselves."""
         self.profile = folder / "profile.yaml"
         self.profile.write_text(yaml.safe_dump(content), "utf-8")
 
     def power_on(self) -> None:
         machine = Machine(load_scenario(self._scenario), 1)
-        self.wire = canbus.WIRES[CHANNEL] = Wire(CHANNEL, machine, EDS, self._speed_factor)
+        self.wire: Wire | Gateway
+        if self.fieldbus == "canopen":
+            self.wire = canbus.WIRES[CHANNEL] = Wire(CHANNEL, machine, EDS, self._speed_factor)
+        else:
+            registers = load_register_map(REGISTERS)
+            self.wire = modbus.GATEWAYS[ADDRESS] = Gateway(ADDRESS, machine, EDS, registers, self._speed_factor)
 
     def power_off(self) -> None:
         """The drives say nothing more; the bus is there for its hosts."""

@@ -86,10 +86,10 @@ def explore(clock: Clock, request: pytest.FixtureRequest) -> Explorer:
 
 
 @pytest.fixture
-def machine(clock: Clock, tmp_path: Path) -> VirtualMachine:
-    """The virtual machine of the house, its power on."""
+def machine(clock: Clock, tmp_path: Path, request: pytest.FixtureRequest) -> VirtualMachine:
+    """The virtual machine of the house, its power on; with an indirect parameter on "modbus"."""
     del clock
-    return VirtualMachine(tmp_path)
+    return VirtualMachine(tmp_path, getattr(request, "param", "canopen"))
 
 
 @pytest.fixture

@@ -1,10 +1,12 @@
 """The drives of the machine in virtual time, without a service."""
 
-from drivers.ports import AxisState
+import pytest
+
 from tests.virtual_time.clock import Clock
 from tests.virtual_time.machine import VirtualMachine
 
 
+@pytest.mark.parametrize("machine", ["canopen", "modbus"], indirect=True)
 async def test_a_move_takes_the_time_that_its_speed_says(machine: VirtualMachine, clock: Clock) -> None:
     port = machine.open()
     await port.connect()
@@ -17,5 +19,3 @@ async def test_a_move_takes_the_time_that_its_speed_says(machine: VirtualMachine
     await port.disable("joint_1")
     assert machine.stands()
     await port.close()
-    print(clock.now, clock.scheduler.switches, clock.digest)
-    assert AxisState

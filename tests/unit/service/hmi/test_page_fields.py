@@ -47,6 +47,7 @@ NONE = {
     "events.js",
     "following.js",
     "plots.js",
+    "pressed.js",  # what the ways of STOP answer, in types of its own
     "refresh.js",
     "stream.js",
     "words.js",
