@@ -154,6 +154,7 @@ _PAGES = (  # public files without data
     "/picture.js",
     "/plan.js",
     "/plots.js",
+    "/pressed.js",
     "/record.js",
     "/refresh.js",
     "/results.js",

@@ -23,7 +23,7 @@ AT_ONCE = 16  # stops that are sent at once; others come after these, and are me
 def main() -> None:
     profile, host, port, *tls = sys.argv[1:]
     telling = Telling(1)
-    stopping = ThreadPoolExecutor(AT_ONCE, "stop")  # the listener waits for no drive
+    stopping = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="stop")  # the listener waits for no drive
 
     def stop(wanted: Request, answered: Answered) -> None:
         stopping.submit(carry_out, wanted, time.monotonic() + wanted.wait, answered)
