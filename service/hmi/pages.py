@@ -6,49 +6,12 @@ from html import escape
 from importlib.resources import files
 from pathlib import Path
 
-from fastapi import FastAPI
+from fastapi import FastAPI, Request
 from fastapi.responses import FileResponse, HTMLResponse, Response
+from fastapi.staticfiles import StaticFiles
 
 _Endpoint = Callable[[], Coroutine[None, None, Response]]
 
-_SCRIPTS = (
-    "api",
-    "app",
-    "approval",
-    "axes",
-    "causes",
-    "commands",
-    "diagnosis",
-    "drawing",
-    "elements",
-    "events",
-    "experiment",
-    "figures",
-    "findings",
-    "fleet",
-    "following",
-    "intent",
-    "live",
-    "login",
-    "machine",
-    "motion",
-    "moving",
-    "oidc",
-    "picture",
-    "plan",
-    "plots",
-    "pressed",
-    "record",
-    "refresh",
-    "results",
-    "statement",
-    "stop",
-    "stream",
-    "subject",
-    "verdicts",
-    "wayout",
-    "words",
-)
 _PAGES = {
     "/": "index.html",
     "/plan": "plan.html",
@@ -80,14 +43,8 @@ def add_pages(app: FastAPI, stop_port: int | None, behind_proxy: bool = False) -
     """
     stop = "" if stop_port is None else f" http://*:{stop_port} https://*:{stop_port}"
     headers = _HEADERS | {"Content-Security-Policy": f"{_POLICY}{stop}"}
-    plotly = Path(str(files("plotly").joinpath("package_data", "plotly.min.js")))
-    files_of_pages = {
-        **{f"/{name}.js": _STATIC / f"{name}.js" for name in _SCRIPTS},
-        "/style.css": _STATIC / "style.css",
-        "/plotly.min.js": plotly,
-    }
-    for url, path in files_of_pages.items():
-        app.add_api_route(url, _file(path, headers), response_class=FileResponse, include_in_schema=False)
+    plotly = str(files("plotly").joinpath("package_data", "plotly.min.js"))
+    app.add_api_route("/plotly.min.js", _file(plotly, headers), response_class=FileResponse, include_in_schema=False)
     words = texts()
     dead = " ".join(f'<span lang="{tag}">{escape(own["head.dead"])}</span>' for tag, own in words.items())
     head = (_STATIC / "head.html").read_text("utf-8").replace(_DEAD, dead)
@@ -96,6 +53,9 @@ def add_pages(app: FastAPI, stop_port: int | None, behind_proxy: bool = False) -
     for url, name in _PAGES.items():
         app.add_api_route(url, _page(url, name, head, headers), response_class=HTMLResponse, include_in_schema=False)
     app.add_api_route("/texts.js", _texts(words, headers), response_class=Response, include_in_schema=False)
+    for ending in ("js", "css"):
+        path = f"/{{name}}.{ending}"
+        app.add_api_route(path, _static(ending, headers), response_class=FileResponse, include_in_schema=False)
 
 
 def texts() -> dict[str, dict[str, str]]:
@@ -114,7 +74,18 @@ def _texts(words: Mapping[str, Mapping[str, str]], headers: Mapping[str, str]) -
     return module
 
 
-def _file(path: Path, headers: Mapping[str, str]) -> _Endpoint:
+def _static(ending: str, headers: Mapping[str, str]) -> Callable[[Request, str], Coroutine[None, None, Response]]:
+    folder = StaticFiles(directory=_STATIC)
+
+    async def file(request: Request, name: str) -> Response:
+        response = await folder.get_response(f"{name}.{ending}", request.scope)
+        response.headers.update(headers)
+        return response
+
+    return file
+
+
+def _file(path: str, headers: Mapping[str, str]) -> _Endpoint:
     async def file() -> FileResponse:
         return FileResponse(path, headers=headers)
 
