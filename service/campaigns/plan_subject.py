@@ -32,10 +32,18 @@ class PlanSubject(BaseModel):
         return f"; NOT the machine's, confirmed{by}: {names}" if names else ""
 
 
-class _MadeFor(BaseModel):
-    machine: str = ""
-    confirmed: dict[str, str] = {}
+class MadeFor(BaseModel):
+    """The machine for which a plan was made.
+
+    `confirmed`: names of a robot or cell that is not the machine's, which a person typed; `by`: that person, if known.
+    `narrowed`: limits of the drive profile that are narrower than those of the robot, which the plan keeps; "" if none.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    machine: str
+    confirmed: dict[str, str] = {}  # by "robot" and "cell"
     by: str = ""
+    narrowed: str = ""
 
 
 class _Request(BaseModel):
@@ -47,13 +55,13 @@ class _Document(BaseModel):
 
     robot: str = ""
     request: _Request = _Request()
-    made_for: _MadeFor | None = None
+    made_for: MadeFor | None = None
 
 
 def plan_subject(robot_id: int, document: object) -> PlanSubject:
     """`document`: of a stored plan of any kind."""
     found = _Document.model_validate(document)
-    made_for = found.made_for or _MadeFor()
+    made_for = found.made_for or MadeFor(machine="")
     return PlanSubject(
         robot_id=robot_id,
         robot=found.robot,

@@ -6,6 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from drivers.ports import Sine as PortSine
 from drivers.ports import SweepCommand, SweepMode
+from service.campaigns.plan_subject import MadeFor
 from service.errors import BadInput
 from service.identification.design.excitation import LINES
 from service.identification.design.pose_selection import Criterion
@@ -19,20 +20,6 @@ LARGEST_CHOICE = 1000  # poses
 USUAL_CHOICE = 24  # poses, without a budget
 BUDGETS = ("poses", "duration", "confidence")
 CELL_NAME = r"^([A-Za-z0-9][A-Za-z0-9_-]*)?$"
-
-
-class MadeFor(BaseModel):
-    """The machine for which a plan was made.
-
-    `confirmed`: names of a robot or cell that is not the machine's, which a person typed; `by`: that person, if known.
-    `narrowed`: limits of the drive profile that are narrower than those of the robot, which the plan keeps; "" if none.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-    machine: str
-    confirmed: dict[str, str] = {}  # by "robot" and "cell"
-    by: str = ""
-    narrowed: str = ""
 
 
 class PlanRequest(BaseModel):

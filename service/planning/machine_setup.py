@@ -10,9 +10,9 @@ from pathlib import Path
 
 import structlog
 
+from service.campaigns.plan_subject import MadeFor
 from service.errors import BadInput, Conflict
 from service.geometry.cell import read_cell
-from service.planning.documents import MadeFor
 from service.planning.motion_hash import machine_sha256
 from service.safety.robot_and_machine import DriveAxis, DriveProfile
 from service.settings import Settings

@@ -5,13 +5,13 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.ports import NoiseCommand, SweepMode
+from service.campaigns.plan_subject import MadeFor
 from service.identification.design.noise_excitation import HIGHEST
 from service.planning.documents import (
     CELL_NAME,
     MOVE_VELOCITY,
     SAMPLE_RATE,
     DroppedPose,
-    MadeFor,
     PlannedLeg,
     PlannedSweep,
     PlanRequest,

@@ -6,6 +6,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.ports import SweepMode
+from service.campaigns.plan_subject import MadeFor
 from service.diagnosis.sensitivity.design import BLOCKS, FAST, SLOW, WIDE, WIDE_LINES
 from service.errors import BadInput
 from service.identification.estimates.torque_gain import KnownMass
@@ -14,7 +15,6 @@ from service.planning.documents import (
     MOVE_VELOCITY,
     SAMPLE_RATE,
     DroppedPose,
-    MadeFor,
     PlannedSweep,
     PlanRequest,
 )
