@@ -11,9 +11,8 @@ if TYPE_CHECKING:
     from service.report.campaign import campaign_page
     from service.report.content import Axis, CampaignReport, Content, Drive, Revision, Row, axes_of
     from service.report.diagnosis import diagnosis_figures, diagnosis_page
-    from service.report.html import Form, Page
+    from service.report.html import Form, NoPdf, Page
     from service.report.page import analysis_page, estimate_page
-    from service.report.paper.pdf import NoPdf
     from service.report.plant.fleet import fleet_page
 
 _MODULES = {
@@ -22,7 +21,7 @@ _MODULES = {
     "Content": "content",
     "Drive": "content",
     "Form": "html",
-    "NoPdf": "paper.pdf",
+    "NoPdf": "html",
     "Page": "html",
     "Revision": "content",
     "Row": "content",

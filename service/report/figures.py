@@ -31,61 +31,29 @@ from service.robot import Robot
 Array = NDArray[np.float64]
 
 
-def surface(robot: Robot, axis: Axis) -> Figure:
-    """Inertia over the two joints that vary most: identified and reference surface, measured points (Fig. 2)."""
+def inertia_map(robot: Robot, axis: Axis) -> Figure:
+    """Inertia of the identified model over the two joints that vary most, and of each measured pose (Fig. 2)."""
     first, second = axis.varied[:2]
-    x, y, (identified, reference) = _mesh(
-        axis.workspace, first, second, (axis.identified_workspace, axis.reference_workspace)
-    )
-    titles = (position_title(robot, first), position_title(robot, second))
-    return figure(
-        [
-            {
-                "type": "surface",
-                "name": "identified model",
-                "x": positions(robot, first, x),
-                "y": positions(robot, second, y),
-                "z": rounded(identified),
-                "colorscale": [[0, "#bfdbfe"], [1, IDENTIFIED]],
-                "opacity": 0.9,
-                "contours": {"z": {"show": True, "color": "#1e3a8a", "width": 1}},
-                "showscale": False,
-                "showlegend": True,
-                "hovertemplate": _hover(titles, axis.unit, "identified"),
-            },
-            {
-                "type": "surface",
-                "name": "reference model (CAD)",
-                "x": positions(robot, first, x),
-                "y": positions(robot, second, y),
-                "z": rounded(reference),
-                "colorscale": [[0, REFERENCE], [1, REFERENCE]],
-                "opacity": 0.45,
-                "showscale": False,
-                "showlegend": True,
-                "hovertemplate": _hover(titles, axis.unit, "reference"),
-            },
-            {
-                "type": "scatter3d",
-                "mode": "markers",
-                "name": "measured",
-                "x": positions(robot, first, axis.poses[:, first]),
-                "y": positions(robot, second, axis.poses[:, second]),
-                "z": rounded(axis.measured),
-                "marker": {"size": 4.5, "color": MEASURED, "line": {"color": "white", "width": 1}},
-                "hovertemplate": _hover(titles, axis.unit, "measured"),
-            },
-        ],
+    values = np.concatenate((axis.identified_workspace, axis.measured))
+    ramp: Drawn = [[0, "#eff6ff"], [0.5, "#93c5fd"], [1, "#1e40af"]]
+    ends = {"zmin": float(np.nanmin(values)), "zmax": float(np.nanmax(values))}
+    measured = points("measured", positions(robot, first, axis.poses[:, first]), axis.measured, MEASURED, size=9)
+    return _map(
+        robot,
+        axis,
+        axis.identified_workspace,
+        {"colorscale": ramp, **ends, "colorbar": {"title": {"text": axis.unit}, "thickness": 12}},
         {
-            "height": 560,
-            "meta": {"width": 960},  # px; with less, the names of the axes are cut off
-            "margin": {"l": 0, "r": 0, "t": 10, "b": 0},
-            "scene": {
-                "xaxis": {"title": {"text": titles[0]}},
-                "yaxis": {"title": {"text": titles[1]}},
-                "zaxis": {"title": {"text": f"J in {axis.unit}"}},
-                "camera": {"eye": {"x": -1.15, "y": -1.45, "z": 0.62}, "center": {"x": 0, "y": 0, "z": -0.24}},
-                "aspectratio": {"x": 1.2, "y": 1.2, "z": 0.8},
+            **measured,
+            "name": "measured, in the same colours",
+            "y": positions(robot, second, axis.poses[:, second]),
+            "marker": {
+                "size": 9,
+                "color": rounded(axis.measured),
+                "colorscale": ramp,
+                "cmin": ends["zmin"],
+                "cmax": ends["zmax"],
+                "line": {"color": "#0f172a", "width": 1},
             },
         },
     )
@@ -95,50 +63,42 @@ def deviation_map(robot: Robot, axis: Axis) -> Figure:
     """Difference between identified model and reference over the workspace, and the measured poses."""
     first, second = axis.varied[:2]
     deviation = 100 * (axis.identified_workspace / axis.reference_workspace - 1)
-    x, y, (z,) = _mesh(axis.workspace, first, second, (deviation,))
-    low, high = min(0.0, float(deviation.min())), max(0.0, float(deviation.max()))
-    ramp = [[0, "#0f766e"], [0.5, "#f8fafc"], [1, "#c2410c"]]
+    low, high = float(deviation.min()), float(deviation.max())
     if low * high < 0:
         high = max(high, -low)
         low = -high
-    else:  # one sign only: colours from zero to the maximum
-        ramp = ramp[1:] if high > 0 else ramp[:2]
-        ramp = [[k, colour] for k, (_, colour) in enumerate(ramp)]
+        ramp = [[0, "#0f766e"], [0.5, "#f8fafc"], [1, "#c2410c"]]
+    else:  # one sign only: the colours tell where it is more; less than half a percent is one colour
+        middle, half = (low + high) / 2, max((high - low) / 2, 0.25)
+        low, high = middle - half, middle + half
+        ramp = [[0, "#fff7ed"], [1, "#c2410c"]] if middle > 0 else [[0, "#0f766e"], [1, "#f0fdfa"]]
+    return _map(
+        robot,
+        axis,
+        deviation,
+        {"colorscale": ramp, "zmin": low, "zmax": high, "colorbar": {"title": {"text": "%"}, "thickness": 12}},
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": "measured poses",
+            "x": positions(robot, first, axis.poses[:, first]),
+            "y": positions(robot, second, axis.poses[:, second]),
+            "marker": {"size": 8, "color": "#0f172a", "line": {"color": "white", "width": 1.5}},
+        },
+    )
+
+
+def _map(robot: Robot, axis: Axis, values: Array, look: Part, poses: Part) -> Figure:
+    """Values of the free poses of the workspace as a field with contour lines, and the measured poses."""
+    first, second = axis.varied[:2]
+    x, y, z = _mesh(axis.workspace, first, second, values)
+    field: Part = {"x": positions(robot, first, x), "y": positions(robot, second, y), "z": rounded(z)}
+    lines: Part = {"color": "#475569", "width": 0.8}
     return figure(
         [
-            {
-                "type": "heatmap",
-                "x": positions(robot, first, x),
-                "y": positions(robot, second, y),
-                "z": rounded(z),
-                "colorscale": ramp,
-                "zmin": low,
-                "zmax": high,
-                "hoverongaps": False,
-                "colorbar": {"title": {"text": "%"}, "thickness": 12},
-                "hovertemplate": "%{x:.0f}, %{y:.0f}: %{z:+.1f} %<extra></extra>",
-            },
-            {
-                "type": "contour",
-                "x": positions(robot, first, x),
-                "y": positions(robot, second, y),
-                "z": rounded(z),
-                "contours": {"coloring": "none", "showlabels": True, "labelfont": {"size": 11, "color": "#0f172a"}},
-                "line": {"color": "#475569", "width": 0.8},
-                "ncontours": 8,
-                "showlegend": False,
-                "showscale": False,
-                "hoverinfo": "skip",
-            },
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "name": "measured poses",
-                "x": positions(robot, first, axis.poses[:, first]),
-                "y": positions(robot, second, axis.poses[:, second]),
-                "marker": {"size": 8, "color": "#0f172a", "line": {"color": "white", "width": 1.5}},
-                "hoverinfo": "skip",
-            },
+            {"type": "heatmap", **field, **look},
+            {"type": "contour", **field, "line": lines, "ncontours": 8, "showlegend": False, "showscale": False},
+            poses,
         ],
         {
             "height": 430,
@@ -249,7 +209,7 @@ def convergence(revisions: Sequence[Revision], names: Sequence[str]) -> Figure:
         }
         traces += [
             {**band, "x": x, "y": rounded(value - 2 * std)},
-            {**band, "x": x, "y": rounded(value + 2 * std), "fill": "tonexty", "fillcolor": "rgba(29,78,216,0.18)"},
+            {**band, "x": x, "y": rounded(value + 2 * std), "fill": "tonexty", "fillcolor": "#1d4ed82e"},
             {
                 **line(name, x, value, IDENTIFIED),
                 "xaxis": f"x{number}",
@@ -357,20 +317,13 @@ def in_frequency(sweep: Sweep, *, linear: bool = False) -> Figure:
     )
 
 
-def _mesh(poses: Array, first: int, second: int, values: Sequence[Array]) -> tuple[Array, Array, list[Array]]:
-    """Values of scattered grid poses as matrices (y, x), NaN where the grid has no pose; first of equal poses."""
+def _mesh(poses: Array, first: int, second: int, values: Array) -> tuple[Array, Array, Array]:
+    """Values of scattered grid poses as a matrix (y, x), NaN where the grid has no pose; first of equal poses."""
     x, column = np.unique(np.round(poses[:, first], 9), return_inverse=True)
     y, row = np.unique(np.round(poses[:, second], 9), return_inverse=True)
-    matrices: list[Array] = []
-    for value in values:
-        matrix = np.full((len(y), len(x)), np.nan)
-        matrix[row[::-1], column[::-1]] = value[::-1]
-        matrices.append(matrix)
-    return x, y, matrices
-
-
-def _hover(titles: tuple[str, str], unit: str, what: str) -> str:
-    return f"{titles[0]}: %{{x:.1f}}<br>{titles[1]}: %{{y:.1f}}<br>{what}: %{{z:.1f}} {unit}<extra></extra>"
+    matrix = np.full((len(y), len(x)), np.nan)
+    matrix[row[::-1], column[::-1]] = values[::-1]
+    return x, y, matrix
 
 
 def parameter_unit(name: str) -> str:

@@ -1,13 +1,12 @@
-"""A report, written as one HTML file (figures drawn by the plotly.js of the installed wheel, inlined), as PDF
-(figures as SVG), or as its tables alone."""
+"""A report, written as one HTML file, as PDF (both with figures as SVG), or as its tables alone."""
 
 import json
 import re
 from collections.abc import Iterable, Sequence
 from html import escape, unescape
-from importlib.resources import files
 from typing import Literal, TypedDict
 
+from service.errors import SweepidError
 from service.report.drawing import Figure
 
 Form = Literal["html", "pdf", "json"]
@@ -40,7 +39,9 @@ table.properties th { color: #475569; font-weight: 600; width: 11em; vertical-al
 table.properties td { text-align: left; white-space: normal; overflow-wrap: anywhere; }
 td.name { font-size: 14px; max-width: 560px; overflow-wrap: anywhere; }
 .note { color: #64748b; font-size: 14px; }
-.printed { display: none; }
+figure { background: white; border: 1px solid #e2e8f0; border-radius: 10px; padding: 14px 18px; margin: 14px 0; }
+figure svg { display: block; width: 100%; height: auto; }
+figcaption { color: #64748b; font-size: 13.5px; margin-top: 6px; }
 @page {
   size: A4;
   margin: 15mm 15mm 18mm;
@@ -56,7 +57,7 @@ td.name { font-size: 14px; max-width: 560px; overflow-wrap: anywhere; }
   p { max-width: none; orphans: 3; widows: 3; }
   .card, .facts div { break-inside: avoid; border-color: #94a3b8; }
   .card { padding: 8px 10px; margin: 8px 0; }
-  .card:has(.js-plotly-plot) { padding: 0; border: 0; overflow: hidden; }
+  figure { padding: 0; border: 0; break-inside: avoid; }
   .facts { grid-template-columns: repeat(5, 1fr); gap: 6px; margin: 10px 0; }
   .facts div { padding: 6px 8px; }
   .facts b { font-size: 14pt; }
@@ -66,38 +67,12 @@ td.name { font-size: 14px; max-width: 560px; overflow-wrap: anywhere; }
   thead { display: table-header-group; }
   tr { break-inside: avoid; }
   th, td { padding: 3px 6px; white-space: normal; overflow-wrap: break-word; }
-  .printed { display: block; width: 100%; }
-  .printed + div { display: none; }
 }
 """
 
-# No mode bar, because it covers the legend; a double click resets the view.
-# Paper is narrower than a window (PAPER: width of A4 between the margins, px). A figure with a minimum width
-# (`meta.width`) would be cut, and a 3D figure, drawn by the graphics card, would print empty: these have an image
-# for printing. `data-drawn` shows automatic printing that the page is complete.
-_SCRIPT = """
-const figures = JSON.parse(document.getElementById("figures").textContent);
-const PAPER = 680;
-const flat = ([, { layout }]) => !layout.meta;
-async function draw([id, figure]) {
-  await Plotly.newPlot(id, figure.data, figure.layout, { displayModeBar: false, responsive: true });
-  if (flat([id, figure])) return;
-  const picture = new Image();
-  picture.className = "printed";
-  picture.alt = "";
-  const { scene, meta, height } = figure.layout;
-  const format = scene ? "png" : "svg";
-  picture.src = await Plotly.toImage(id, { format, width: meta.width, height, scale: scene ? 2 : 1 });
-  await picture.decode();
-  document.getElementById(id).before(picture);
-}
-const widths = (width) => {
-  for (const [id] of Object.entries(figures).filter(flat)) Plotly.relayout(id, { width, autosize: !width });
-};
-addEventListener("beforeprint", () => widths(PAPER));
-addEventListener("afterprint", () => widths(undefined));
-Promise.all(Object.entries(figures).map(draw)).then(() => { document.documentElement.dataset.drawn = ""; });
-"""
+
+class NoPdf(SweepidError):
+    """The libraries for PDF are not installed."""
 
 
 class _Table(TypedDict):
@@ -181,36 +156,24 @@ class Page:
                 return json.dumps({"title": self._title, "tables": self._tables}, indent=2, ensure_ascii=False)
 
     def html(self) -> str:
-        """The file; about 5 MB, nearly all of it plotly.js."""
-        figures: dict[str, Figure] = {}
-        body: list[str] = []
-        for part in self._parts:
-            if isinstance(part, str):
-                body.append(part)
-                continue
-            name = f"figure-{len(figures) + 1}"
-            figures[name] = part
-            body.append(f'<div class="card"><div id="{name}" style="height:{part["layout"]["height"]}px"></div></div>')
-        # "</" would end the script element early; JSON may escape the slash
-        data = json.dumps(figures, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
+        """The file; nothing in it is loaded or run."""
+        from service.report.paper import Setting  # draws figures
+        from service.report.plotting import WIDTH
+
         return "\n".join(
             (
                 "<!doctype html>",
                 '<html lang="en"><head><meta charset="utf-8">',
                 '<meta name="viewport" content="width=device-width, initial-scale=1">',
                 f"<title>{escape(self._title)}</title><style>{_STYLE}</style></head><body><main>",
-                *body,
-                "</main>",
-                f"<script>{plotly_js()}</script>",
-                f'<script type="application/json" id="figures">{data}</script>',
-                f"<script>{_SCRIPT}</script></body></html>",
+                *Setting(WIDTH).pieces(self._parts),
+                "</main></body></html>",
             )
         )
 
     def pdf(self) -> bytes:
         """A4, with table of contents and numbered figures; NoPdf if PDF is not available."""
-        from service.report.paper.document import paper_html  # only imported for PDF
-        from service.report.paper.pdf import pdf_of
+        from service.report.paper import paper_html, pdf_of
 
         return pdf_of(paper_html(self._title, self._parts[: self._first], self._parts[self._first :]))
 
@@ -221,8 +184,3 @@ class Page:
 
 def _plain(markup: str) -> str:
     return unescape(re.sub(r"<[^>]*>", "", markup))
-
-
-def plotly_js() -> str:
-    """plotly.js of the installed wheel."""
-    return files("plotly").joinpath("package_data", "plotly.min.js").read_text(encoding="utf-8")

@@ -98,8 +98,11 @@ def _inertias(page: Page, content: Content, axes: Sequence[Axis]) -> None:
         if len(axis.varied) < 2:
             page.figure(figures.curve(content.robot, axis))
             continue
-        page.add("<p>Surfaces: the model identified from all sweeps and the CAD model. Points: measured inertias.</p>")
-        page.figure(figures.surface(content.robot, axis))
+        page.add(
+            "<p>The model identified from all sweeps, over the free poses. Points: measured inertias, in the same "
+            "colours. White: not free.</p>"
+        )
+        page.figure(figures.inertia_map(content.robot, axis))
         page.add("<p>Where the robot differs from its CAD model: identified against reference. White: not free.</p>")
         page.figure(figures.deviation_map(content.robot, axis))
 

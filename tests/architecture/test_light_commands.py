@@ -9,7 +9,7 @@ import pytest
 
 pytestmark = pytest.mark.slow
 
-MATHEMATICS = {"dask", "distributed", "plotly", "pyarrow", "scipy"}
+MATHEMATICS = {"dask", "distributed", "matplotlib", "plotly", "pyarrow", "scipy"}
 SERVER = {"alembic", "fastapi", "sqlalchemy", "uvicorn"}
 PHYSICS = {"mujoco"}
 LOADED = """
@@ -62,7 +62,7 @@ def test_the_service_loads_nothing_that_only_its_worker_needs(root: Path) -> Non
     """Every start of the service would pay for it, and a service that starts late is a machine that stands."""
     found = modules(root, LOADED, "serve", "--help")
     worker = {"service.data_check", "service.diagnosis.diagnose", "service.report.campaign", "simulator"}
-    assert found & (worker | {"service.report.paper.document", "scipy.stats", "weasyprint", "dask", "s3fs"}) == set()
+    assert found & (worker | {"service.report.paper", "scipy.stats", "weasyprint", "dask", "s3fs"}) == set()
 
 
 def test_a_virtual_can_machine_loads_no_modbus(root: Path) -> None:

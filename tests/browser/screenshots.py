@@ -118,7 +118,7 @@ def _pages(page: Page, service: Service, machine: VirtualMachine, poses: int, ta
         take("page-fleet")
         (folder / "report.html").write_bytes(client.campaign_report(campaign))
         (folder / "report.pdf").write_bytes(client.campaign_report(campaign, "pdf"))
-        page.goto((folder / "report.html").absolute().as_uri(), timeout=300_000)  # 5 MB of plotly.js in one file
+        page.goto((folder / "report.html").absolute().as_uri())
         take("report-campaign")
         until(machine.stands, "standing axes")
 

@@ -62,5 +62,4 @@ def test_a_report(root: Path, tmp_path: Path) -> None:
     file = tmp_path / "report.html"
     file.write_text(estimate_page(content(robot, example=sweep())).html(), encoding="utf-8")
     with browsing(file.as_uri()) as page:
-        page.wait_for_function("'drawn' in document.documentElement.dataset")
         assert both_schemes(page) == []

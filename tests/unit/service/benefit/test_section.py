@@ -7,7 +7,7 @@ import pytest
 from service.benefit import Benefit, benefit, benefit_section, sentence
 from service.benefit.section import worth
 from service.report import Page
-from service.report.paper.plot import svg
+from service.report.plotting import svg
 from tests.unit.service.benefit import pair
 
 
@@ -59,14 +59,14 @@ def test_figure_and_table_of_the_report(found: Benefit) -> None:
     benefit_section(page, found)
     html = page.html()
     assert "What you gain" in html
-    assert html.count('id="figure-1"') == 1
+    assert html.count("<figure>") == 1
     assert "j1, estimate" in html
     bars = worth(found)["data"]
     assert [bar["y"] for bar in bars][:2] == [
         [found.axes["j1"].cad.left_percent],
         [found.axes["j1"].identified.left_percent],
     ]
-    assert "smallest force seen in N" in svg(worth(found), 1)
+    assert "smallest force seen in N" in svg(worth(found), "worth")
 
 
 def test_what_is_not_judged_is_told_without_a_figure() -> None:

@@ -1,7 +1,6 @@
 """Figures and page of a diagnosis, from a document worked out by hand."""
 
 import json
-import re
 from typing import Any
 
 import pytest
@@ -164,18 +163,17 @@ def test_without_an_effect_there_is_no_after() -> None:
 
 def test_the_page_says_it_in_words_and_loads_nothing() -> None:
     page = diagnosis_page(document(), "Robot <1>", "campaign 3").html()
-    markup = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
-    assert not re.search(r"\b(src|href)\s*=", markup)
-    assert "Robot &lt;1&gt;" in markup
+    assert "<script" not in page
+    assert "Robot &lt;1&gt;" in page
     assert (
         "joint_2: the model lacks Coulomb friction. With it the gap on sweeps that took no part in naming or fit "
-        "falls from 30 N m" in markup
+        "falls from 30 N m" in page
     )
-    assert "tau = Fc sign(v) &lt;/script&gt;" in markup
-    assert "<td>50</td><td>0.5</td><td>N m</td>" in markup
-    assert "inertia at +0.50" in markup
-    assert "Friction temperature drift</td><td>revisit forward slow, revisit backward slow</td>" in markup
-    assert page.count('class="card"><div id="figure-') == 5
+    assert "tau = Fc sign(v) &lt;/script&gt;" in page
+    assert "<td>50</td><td>0.5</td><td>N m</td>" in page
+    assert "inertia at +0.50" in page
+    assert "Friction temperature drift</td><td>revisit forward slow, revisit backward slow</td>" in page
+    assert page.count("<figure>") == 5
 
 
 def test_the_page_tells_what_to_measure_next() -> None:
@@ -255,15 +253,15 @@ def test_what_the_model_has_stands_beside_what_it_is_now() -> None:
 
 
 def test_the_rigid_model_stands_beside_cad() -> None:
-    markup = diagnosis_page(document(), "t").html()
+    page = diagnosis_page(document(), "t").html()
     for text in ("The rigid model", "Izz2 + 0.3 m3", ">60<", ">61.25<", ">0.5<", "left by the simulator"):
-        assert text in markup
+        assert text in page
 
 
 def test_the_rigid_model_stands_beside_the_estimate_that_it_started_from() -> None:
-    markup = diagnosis_page(document(started_from="campaign 3, revision 7"), "t").html()
-    assert "<th>estimate</th>" in markup
-    assert "Started from an estimate: campaign 3, revision 7." in markup
+    page = diagnosis_page(document(started_from="campaign 3, revision 7"), "t").html()
+    assert "<th>estimate</th>" in page
+    assert "Started from an estimate: campaign 3, revision 7." in page
     assert "<th>CAD</th>" in diagnosis_page(document(), "t").html()
 
 
@@ -274,27 +272,27 @@ def test_findings_of_the_data_come_first_and_once() -> None:
         found | {"severity": "wrong", "sentence": "Torque has the wrong sign.", "action": "Turn it round."},
     ]
     sentences = [*(one["sentence"] for one in findings), "joint_2 leaves 30 N m."]
-    markup = diagnosis_page(document(data=findings, sentences=sentences), "t").html()
-    assert "<b>wrong:</b> Torque has the wrong sign. Turn it round." in markup
-    assert markup.index("Torque has the wrong sign") < markup.index("Repeats differ") < markup.index("leaves 30 N m")
-    assert markup.count("Repeats differ.") == 1
+    page = diagnosis_page(document(data=findings, sentences=sentences), "t").html()
+    assert "<b>wrong:</b> Torque has the wrong sign. Turn it round." in page
+    assert page.index("Torque has the wrong sign") < page.index("Repeats differ") < page.index("leaves 30 N m")
+    assert page.count("Repeats differ.") == 1
     assert "Check of the data" not in diagnosis_page(document(), "t").html()
 
 
 def test_what_is_known_in_part_stands_beside_the_unknown() -> None:
     part = [{**axis()["effects"][0], "effect": "hose_spring", "parameters": {}}]
     part[0]["parameters"] = {"stiffness": {"value": 76.5, "std": 1.0, "unit": "N m/rad"}}
-    markup = diagnosis_page(document(verdict="unknown", effects=[], part=part), "t").html()
-    assert "Known in part" in markup
-    assert "76.5" in markup
+    page = diagnosis_page(document(verdict="unknown", effects=[], part=part), "t").html()
+    assert "Known in part" in page
+    assert "76.5" in page
     assert "Known in part" not in diagnosis_page(document(), "t").html()
 
 
 def test_a_gap_without_a_pose_held_back_says_how_it_was_judged() -> None:
     gap = {**axis()["gap"], "held_out_sweeps": 0}
     assert "the gap (cross-validated) falls" in diagnosis_page(document(gap=gap), "t").html()
-    markup = diagnosis_page(document(gap={**gap, "cross_validated": False}), "t").html()
-    assert "nothing could be held out" in markup
+    page = diagnosis_page(document(gap={**gap, "cross_validated": False}), "t").html()
+    assert "nothing could be held out" in page
 
 
 def test_the_summary_of_the_unknown_tells_what_is_known_in_part_or_that_the_data_are_wrong() -> None:

@@ -4,25 +4,27 @@ import io
 import re
 import sys
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from pypdf import PdfReader
 
 from service.configuration import read_robot
-from service.report import NoPdf, axes_of, campaign_page, diagnosis_page, estimate_page
-from service.report.drawing import DECADES, Figure, figure, line, points, scale
-from service.report.figures import convergence, deviation_map, in_frequency, in_time
-from service.report.paper.plot import svg
-from service.report.paper.scales import round_steps, scale_of
-from service.report.paper.schema import Axis
+from service.report import NoPdf, campaign_page, diagnosis_figures, diagnosis_page, estimate_page
+from service.report.drawing import Figure, Part, figure, line, points, scale
+from service.report.initial_analysis import amplitude_responses, ideal_frequencies
+from service.report.plotting import PAPER, WIDTH, drawn, svg
 from service.results.diagnosis import Diagnosis
 from service.robot import Robot
 from tests.programs import needs
 from tests.stored.documents import stored
+from tests.unit.service.identification.test_ideal_frequency import analysis
 from tests.unit.service.report.test_campaign_report import report
-from tests.unit.service.report.test_report import content, sweep
+from tests.unit.service.report.test_report import content, figures, sweep
 
 pytestmark = pytest.mark.slow
 
@@ -101,72 +103,58 @@ def test_tables_alone(max100: Robot) -> None:
     assert page.written("html") == page.html()
 
 
-def drawn(described: Figure) -> ET.Element:
-    return ET.fromstring(svg(described, 1))
+def every_figure(max100: Robot) -> Iterator[Figure]:
+    pages = [estimate_page(content(max100, example=sweep()))]
+    yield from (part for page in pages for part in figures(page))
+    for name in ("diagnosis-named", "diagnosis-open"):
+        for by_name in diagnosis_figures(Diagnosis.read(stored(name), name)).values():
+            yield from by_name.values()
+    found = analysis(noise=1e-5)
+    yield from (amplitude_responses(found), ideal_frequencies(found))
 
 
-def names(root: ET.Element, tag: str) -> list[ET.Element]:
-    return list(root.iter(f"{{http://www.w3.org/2000/svg}}{tag}"))
+@pytest.mark.parametrize("width", [WIDTH, PAPER])
+def test_every_figure_is_drawn_whole_with_all_its_words(max100: Robot, width: float) -> None:
+    for described in every_figure(max100):
+        layout: Any = described["layout"]
+        canvas = drawn(described, width)
+        wide, high = canvas.get_size_inches()
+        box = canvas.get_tightbbox()
+        assert 0 <= box.x0 <= box.x1 <= wide
+        assert 0 <= box.y0 <= box.y1 <= high
+        shown = svg(described, "title", width)
+        titles = {axis["title"]["text"] for key, axis in layout.items() if key[1:5] == "axis"} - {""}
+        names = {str(trace.get("name", "")) for trace in described["data"] if trace.get("showlegend", True)} - {""}
+        for word in titles | (names if layout.get("showlegend", True) else set()):
+            assert escape(str(word), quote=False) in shown
+        assert "nan" not in shown
+        ET.fromstring(shown)
 
 
-def test_a_point_lies_where_its_scales_say() -> None:
-    axes = {"height": 300, "xaxis": {**scale("x"), "range": [0, 4]}, "yaxis": {**scale("y"), "range": [0, 2]}}
-    root = drawn(figure([points("one", [1.0, 3.0], np.array([0.5, 1.5]), "#000000")], axes))
-    first, second = names(root, "circle")[1:]  # the first stands in the legend
-    labels = {label.text: label for label in names(root, "text")}
-    for number, circle in (("1", first), ("3", second)):
-        assert float(circle.attrib["cx"]) == pytest.approx(float(labels[number].attrib["x"]), abs=0.1)
-    assert float(first.attrib["cy"]) > float(second.attrib["cy"])  # px grow downwards
+AXES = {"height": 300, "xaxis": scale("x"), "yaxis": scale("y")}
+POINTS = points("one", [1.0], np.array([0.5]), "#000000")
 
 
 def test_lines_of_one_panel_differ_by_more_than_colour() -> None:
-    axes = {"height": 300, "xaxis": scale("x"), "yaxis": scale("y")}
     y = np.array([1.0, 2.0])
-    root = drawn(figure([line("a", [0, 1], y, "#112233"), line("b", [0, 1], 2 * y, "#445566")], axes))
-    dashes = {e.attrib["stroke"]: e.attrib.get("stroke-dasharray") for e in names(root, "path") if "stroke" in e.attrib}
-    assert dashes["#112233"] != dashes["#445566"]
+    (axes,) = drawn(figure([line("a", [0, 1], y, "#112233"), line("b", [0, 1], 2 * y, "#445566")], AXES)).axes
+    first, second = axes.get_lines()
+    assert first.get_linestyle() != second.get_linestyle()
 
 
-def test_what_is_missing_leaves_a_gap_and_no_word() -> None:
-    axes = {"height": 300, "xaxis": scale("x"), "yaxis": {**scale("y"), **DECADES}}
-    root = drawn(figure([line("a", [0, 1, 2, 3, 4], np.array([1.0, 10.0, np.nan, 100.0, 50.0]), "#112233")], axes))
-    (curve,) = [e for e in names(root, "path") if e.attrib.get("stroke") == "#112233" and e.attrib["d"].count("M") > 1]
-    assert curve.attrib["d"].count("M") == 2
-    assert "nan" not in ET.tostring(root, "unicode")
-
-
-def test_the_figures_of_a_sweep_are_drawn_whole() -> None:
-    for described in (in_time(sweep()), in_frequency(sweep()), convergence((), ())):
-        if described["data"]:
-            width, height = (float(v) for v in drawn(described).attrib["viewBox"].split()[2:])
-            for words in names(drawn(described), "text"):
-                assert 0 <= float(words.attrib["x"]) <= width
-                assert 0 <= float(words.attrib["y"]) <= height
+def test_what_is_missing_leaves_a_gap() -> None:
+    shown = svg(figure([line("a", [0, 1, 2, 3, 4], np.array([1, 10, np.nan, 9, 5.0]), "#112233")], AXES), "")
+    curves = re.findall(r'<path d="([^"]*)"[^>]*stroke: #112233', shown)
+    assert max(curve.count("M") for curve in curves) == 2
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "most", "steps"),
-    [(0, 10, 5, [0, 2, 4, 6, 8, 10]), (-1.2, 0.9, 4, [-1, -0.5, 0, 0.5]), (0.11, 0.19, 4, [0.12, 0.14, 0.16, 0.18])],
+    "trace", [{"type": "pie"}, {**POINTS, "marker": {"symbol": "bowtie", "size": 1, "color": "red"}}]
 )
-def test_round_steps(low: float, high: float, most: int, steps: list[float]) -> None:
-    assert round_steps(low, high, most) == pytest.approx(steps)
+def test_a_figure_in_unknown_words_is_refused(trace: Part) -> None:
+    with pytest.raises(KeyError):
+        drawn(figure([{"x": [1.0], "y": [1.0], **trace}], AXES))
 
 
-def test_scales_of_values_that_are_all_alike_or_none() -> None:
-    for values in ([2.0, 2.0], [0.0], []):
-        found = scale_of(Axis(), values, False, 0.0, 100.0)
-        assert all(0 <= (found.at(value) or 0.0) <= 100 for value in values)
-        assert found.high > found.low
-
-
-def test_a_map_shows_the_marks_of_its_outer_poses_whole(max100: Robot) -> None:
-    report_content = content(max100)
-    axis = next(one for one in axes_of(report_content) if len(one.varied) >= 2)
-    drawn = ET.fromstring(svg(deviation_map(max100, axis), 1))
-    cells = [one for one in drawn.iter() if one.tag.endswith("rect") and one.get("stroke-width") == "0.4"]
-    left = min(float(one.get("x", "nan")) for one in cells)
-    right = max(float(one.get("x", "nan")) + float(one.get("width", "nan")) for one in cells)
-    _, *marks = [float(one.get("cx", "nan")) for one in drawn.iter() if one.tag.endswith("circle")]  # the first: legend
-    assert left + 5 < min(marks) < max(marks) < right - 5
-    (area,) = next(one for one in drawn.iter() if one.tag.endswith("clipPath"))
-    assert float(area.get("x", "nan")) <= left + 1
+def test_a_report_opens_light(max100: Robot) -> None:
+    assert len(estimate_page(content(max100, example=sweep())).html()) < 800_000

@@ -1,12 +1,18 @@
-"""A report for paper: first page, contents with page numbers, numbered figures; one HTML text for WeasyPrint."""
+"""A report for paper: first page, contents with page numbers, numbered figures.
+
+WeasyPrint sets it, an optional dependency that needs the system library Pango.
+"""
 
 import re
 from collections.abc import Iterator, Sequence
-from html import escape
+from html import escape, unescape
+from importlib import import_module
 from itertools import zip_longest
+from typing import Protocol
 
 from service.report.drawing import Figure
-from service.report.paper.plot import svg
+from service.report.html import NoPdf
+from service.report.plotting import PAPER, svg
 
 STYLE = """
 @page {
@@ -60,7 +66,7 @@ _HEADING = re.compile(r"<(h[23])>(.*)</\1>", re.DOTALL)
 
 def paper_html(title: str, first: Sequence[str | Figure], parts: Sequence[str | Figure]) -> str:
     """Markup and figures in order; the table of contents is between `first` and the rest."""
-    setting = _Setting()
+    setting = Setting(PAPER)
     body = [*setting.pieces(first), ""]
     rest = list(setting.pieces(parts))
     body[-1] = setting.contents()
@@ -75,10 +81,11 @@ def paper_html(title: str, first: Sequence[str | Figure], parts: Sequence[str | 
     )
 
 
-class _Setting:
-    """Numbers figures and headings in order."""
+class Setting:
+    """Numbers figures and headings in order; figures are `width` px wide."""
 
-    def __init__(self) -> None:
+    def __init__(self, width: float) -> None:
+        self._width = width
         self._headings: list[tuple[str, str]] = []
         self._figures = 0
         self._section = self._part = ""
@@ -113,7 +120,27 @@ class _Setting:
 
     def _figure(self, figure: Figure) -> str:
         self._figures += 1
-        return (
-            f"<figure>{svg(figure, self._figures)}"
-            f"<figcaption>Figure {self._figures}. {self._section}{self._part}</figcaption></figure>"
-        )
+        caption = f"Figure {self._figures}. {self._section}{self._part}"
+        return f"<figure>{svg(figure, unescape(caption), self._width)}<figcaption>{caption}</figcaption></figure>"
+
+
+class _Set(Protocol):
+    def write_pdf(self) -> bytes: ...
+
+
+class _Setter(Protocol):
+    """The used part of WeasyPrint's `HTML`."""
+
+    def __call__(self, *, string: str) -> _Set: ...
+
+
+def pdf_of(html: str) -> bytes:
+    """The PDF of a page without external references; NoPdf says what must be installed."""
+    try:
+        setter: _Setter = import_module("weasyprint").HTML  # only imported for PDF
+    except (ImportError, OSError) as error:  # OSError: no Pango
+        raise NoPdf(
+            f"no PDF can be made here ({error}): install sweepid[pdf] and the system's Pango (Debian: "
+            "libpango-1.0-0 libpangoft2-1.0-0 libharfbuzz-subset0 fonts-dejavu-core), or print the HTML"
+        ) from None
+    return setter(string=html).write_pdf()
