@@ -68,6 +68,12 @@ class EventDriven(Cabinet[Any]):
             chunk = (now if self._plant_time is None else self._plant_time) + self._chunk() * self._machine.cycle / pace
         return max(min(chunk, *(node.due(now) for node in self.nodes.values())) - now, 0.0)
 
+    @property
+    def resting(self) -> bool:
+        """An axis has energy, and none moves."""
+        axes = [axis for _, axis in self._axes if axis.energised]
+        return bool(axes) and not any(axis.settling or axis.moving for axis in axes)
+
     def _chunk(self) -> int:
         """A move, a ramp and the rest after them end by what the plant does: only then in small steps."""
         axes = [axis for _, axis in self._axes if axis.energised]

@@ -1,6 +1,6 @@
 """Where random sequences begin: a machine without elasticity, and a service that wants plans approved."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +9,7 @@ import httpx
 
 from tests.virtual_time.clock import Clock
 from tests.virtual_time.machine import CONFIG, VirtualMachine
-from tests.virtual_time.sequences import Action, Session
+from tests.virtual_time.sequences import STEPS, Action, Session
 from tests.virtual_time.service import VirtualService, add_campaign
 
 RIGID = CONFIG / "scenarios" / "max100-rigid.yaml"
@@ -32,9 +32,9 @@ class Factory:
         self.begun = self.service.send("POST", f"/campaigns/{self.campaigns[0]}/start", {})
         self.clock.wait_until(self.machine.energised, "energised")
 
-    def sequence(self, seed: int, only: tuple[Action, ...] = ()) -> dict[str, int]:
+    def sequence(self, seed: int, only: Sequence[Action] = (), steps: tuple[int, int] = STEPS) -> dict[str, int]:
         """One random sequence from here."""
-        session = Session(self.service, self.machine, self.clock, self.campaigns, seed, only)
+        session = Session(self.service, self.machine, self.clock, self.campaigns, seed, only, steps)
         if self.begun is not None:
             session.oracle.command(self.campaigns[0], self.begun)
         return session.run()

@@ -38,11 +38,12 @@ Plant = Callable[[], None]
 
 @dataclass(frozen=True)
 class Fault:
-    """`budget`: s of processor time. `only`: what happens in the sequences; (): everything."""
+    """`budget`: s of processor time. `only`: what happens in the sequences; (): everything. `steps`: how many times."""
 
     plant: Plant
     only: Sequence[s.Action] = ()
     budget: float = 10.0
+    steps: tuple[int, int] = s.STEPS
 
 
 def _set(owner: Any, name: str, value: Any) -> Plant:
@@ -134,6 +135,7 @@ async def _does_not_end(self: Any, _why: str) -> None:
 
 
 RUNS = (s.start, s.put_right)
+ONCE = 1, 1
 PENDING = (s.change_of_mind,)
 
 SERVICE: dict[str, Fault] = {
@@ -150,7 +152,7 @@ SERVICE: dict[str, Fault] = {
     "a gap of the host is not noticed": Fault(
         _all(_set(HostWatch, "look", _nothing), _set(HostWatch, "reason", "")), (s.start, s.connect, s.host_gap), 20.0
     ),
-    "the end of motion is empty": Fault(_set(Motion, "end", _nothing_async), (s.start, s.abort), 60.0),
+    "the end of motion is empty": Fault(_set(Motion, "end", _nothing_async), (s.broken_off,), 20.0, ONCE),
     "an abort does not end what runs": Fault(
         _set(Runner, "_end_task", _does_not_end), (s.start, s.abort, s.acknowledge), 30.0
     ),

@@ -29,6 +29,9 @@ LONG = (8.0, 20.0)  # s
 CUT = (0.05, 8.0)  # s
 BLOCKED = (0.01, 8.0)  # s
 SWITCHES = (1, 20_000)  # points of the scheduler until a kill
+RESTS = 3  # rests of an axis with energy from a start to the end of the first check move
+REST = 0.15  # s into such a rest
+LOOK = 5e-3  # s
 LEASE = 6.0  # s, `lease_time`
 LEASE_NOTICED = 0.8 * LEASE  # s without renewal after which the machine stands for certain
 LEASE_EARLIEST = 0.25 * LEASE  # s of a blocked database before which the lease cannot be late
@@ -46,11 +49,13 @@ class Session:
         campaigns: Sequence[int],
         seed: int,
         only: Sequence["Action"] = (),
+        steps: tuple[int, int] = STEPS,
     ) -> None:
         """The plan of the first campaign is approved. `only`: nothing else happens; (): everything may."""
         self.service, self.machine, self.clock, self.campaigns = service, machine, clock, campaigns
         self.chance = Random(f"sequence {seed}")
         self.oracle = Oracle(service, machine, approved={campaigns[0]})
+        self._steps = steps
         self._actions = [(each, weight) for each, weight in ACTIONS if each in only or not only]
         self.awake = self.mended = self.clock.now  # s, when the host is awake and the bus whole again
         self._blocking: threading.Thread | None = None
@@ -58,7 +63,7 @@ class Session:
 
     def run(self) -> dict[str, int]:
         """How often which thing happened. AssertionError."""
-        for number in range(self.chance.randint(*STEPS)):
+        for number in range(self.chance.randint(*self._steps)):
             wanted = [(each, weight) for each, weight in self._actions if number or each in FIRST]
             action = self.chance.choices([each for each, _ in wanted], [weight for _, weight in wanted])[0]
             self.did(action.__name__)
@@ -203,6 +208,26 @@ def change_of_mind(it: Session) -> None:
     it.clock.sleep(it.draw((0.01, 1.0)))
     release(it)
     it.clock.sleep(it.draw((0.1, 2.0)))
+
+
+def broken_off(it: Session) -> None:
+    """A person starts, and aborts while an axis has energy and rests: it is about to move, or it is between two moves,
+    where nothing but the end of the motion takes its energy away.
+    """
+    begun, answer = it.clock.now, begin(it)
+    cabinet = it.machine.wire.cabinet
+    for _ in range(it.chance.randint(1, RESTS)):
+        for resting in (False, True):
+            while cabinet.resting is not resting and it.clock.now - begun < LONG[0]:
+                if answer is None or (answer.done() and (answer.exception() or answer.result().status_code >= 300)):
+                    return
+                it.clock.sleep(LOOK)
+    it.clock.sleep(REST * it.chance.random())
+    for campaign in it.campaigns:
+        it.post(f"/campaigns/{campaign}/abort", {"why": "test"})
+    for _ in range(3):
+        it.clock.sleep(0.4 * REACTION)
+        it.look()
 
 
 def pause(it: Session) -> None:
@@ -378,6 +403,7 @@ ACTIONS: list[tuple[Action, float]] = [
     (start, 4.0),
     (put_right, 8.0),
     (change_of_mind, 1.5),
+    (broken_off, 1.0),
     (let_run, 0.7),
     (pause, 0.7),
     (pause_taken_back, 1.0),
@@ -395,5 +421,5 @@ ACTIONS: list[tuple[Action, float]] = [
     (second_service, 0.3),
     (kill, 0.5),
 ]
-FIRST = (start, change_of_mind, host_gap, cut_bus, blocked_database)
+FIRST = (start, change_of_mind, broken_off, host_gap, cut_bus, blocked_database)
 assert IN_FLIGHT < REACTION

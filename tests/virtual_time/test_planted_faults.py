@@ -52,7 +52,7 @@ def test_faults_of_the_service_are_found(factory: Factory) -> None:
 
 def with_fault(factory: Factory, fault: Fault, seed: int) -> dict[str, int]:
     fault.plant()
-    return factory.sequence(seed, tuple(fault.only))
+    return factory.sequence(seed, fault.only, fault.steps)
 
 
 def _first(outcomes: Exploration) -> str:
