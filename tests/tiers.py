@@ -80,9 +80,6 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/contract/test_canopen.py[canopen-virtual": 4,
     "tests/contract/test_noise.py[canopen-virtual": 4,
     "tests/contract/test_other_makers.py": 10,
-    # in real time, with plant and service in one interpreter, what tests/virtual_time/test_stop_truth.py shows
-    "tests/contract/test_stop_truth.py::test_what_is_said_of_a_stop_is_the_truth": 20,
-    "tests/contract/test_stop_truth.py::test_a_suspended_service_is_no_obstacle_either": 3,
     **{
         f"tests/contract/test_death.py::{function}[{bench}": cost
         for function, cost in (

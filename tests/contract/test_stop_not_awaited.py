@@ -1,0 +1,35 @@
+"""A stop by the API whose confirmation nobody waits for; all others are in tests/virtual_time/test_stop_truth.py."""
+
+import json
+from pathlib import Path
+
+import httpx
+
+from drivers.contract.bench import eventually
+from service.app import create_app
+from service.settings import Settings
+from service.stop_process.handle import StopProcess
+from tests.contract.bench import BENCHES, EDS, ROOT
+
+STOP = "http://127.0.0.1/api/v1/stop"
+
+
+async def test_a_stop_that_is_not_waited_for_says_only_that_it_was_sent(tmp_path: Path) -> None:
+    bench, path = BENCHES["canopen-socketcand"], tmp_path / "drive.yaml"
+    with bench.machine(bench) as virtual:
+        path.write_text(json.dumps({**virtual.profile, "eds": str(EDS)}), "utf-8")
+        folders = {"robots_dir": ROOT / "config/robots", "cells_dir": ROOT / "config/cells"}
+        settings = Settings(data_dir=tmp_path / "data", drive=path, lease_time=60.0, **folders)
+        with StopProcess(path, "127.0.0.1", 0) as process:
+            app = create_app(settings, stop_process=process)
+            async with app.router.lifespan_context(app):
+                machine = app.state.application.machine
+                await eventually(lambda: process.trouble == "" and machine.connected)
+                async with httpx.AsyncClient(transport=httpx.ASGITransport(app=app), timeout=10) as http:
+                    heard = await http.post(STOP, params={"by": "Ada"})
+                    answer = await http.post(STOP, params={"by": "Ada", "wait": "0"})
+                await machine.close()
+    assert (heard.status_code, answer.status_code) == (200, 202)
+    sent = answer.json()
+    assert set(sent["sent"]) == {f"joint_{number}" for number in range(1, 7)}
+    assert (sent["confirmed"], sent["unconfirmed"]) == ([], {})
