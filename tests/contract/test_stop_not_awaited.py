@@ -18,8 +18,9 @@ async def test_a_stop_that_is_not_waited_for_says_only_that_it_was_sent(tmp_path
     bench, path = BENCHES["canopen-socketcand"], tmp_path / "drive.yaml"
     with bench.machine(bench) as virtual:
         path.write_text(json.dumps({**virtual.profile, "eds": str(EDS)}), "utf-8")
-        folders = {"robots_dir": ROOT / "config/robots", "cells_dir": ROOT / "config/cells"}
-        settings = Settings(data_dir=tmp_path / "data", drive=path, lease_time=60.0, **folders)
+        settings = Settings(
+            data_dir=tmp_path / "data", drive=path, robots_dir=ROOT / "config/robots", cells_dir=ROOT / "config/cells"
+        )
         with StopProcess(path, "127.0.0.1", 0) as process:
             app = create_app(settings, stop_process=process)
             async with app.router.lifespan_context(app):

@@ -182,21 +182,6 @@ def test_identification_and_constant(host: Host) -> None:
     assert host.get("rated_torque") == pytest.approx(17.544)
 
 
-def test_a_move(host: Host) -> None:
-    host.enable()
-    start = host.get("position")
-    host.set(target_position=start + 2.0, profile_velocity=300.0, profile_acceleration=3000.0)
-    host.set(profile_deceleration=3000.0, controlword=0x1F)
-    assert int(host.get("statusword")) & 0x1000
-    host.set(controlword=0x0F)
-    until(lambda: int(host.get("statusword")) & 0x400)
-    assert host.get("position") == pytest.approx(start + 2.0, abs=2e-3)
-    assert host.truth["position"] == pytest.approx(host.get("position") / GEAR * math.tau, abs=1e-4)
-    host.set(controlword=0x06)
-    until(lambda: int(host.get("statusword")) & 0x6F == 0x21)
-    assert not host.truth["energised"]
-
-
 def test_a_sweep_and_its_trace(host: Host) -> None:
     host.enable()
     offset = 0.1 * GEAR
@@ -225,20 +210,6 @@ def test_a_sweep_and_its_trace(host: Host) -> None:
     assert host.client.read_holding_registers(host.map["trace"]["page"]["address"], count=2).registers == [0, 0]
 
 
-def test_a_sweep_that_is_broken_off(host: Host) -> None:
-    host.enable()
-    sweep(host, periods=500)
-    assert host.put("measuring_command", 1) == 4  # it runs already
-    until(lambda: host.get("samples_recorded") > 100)
-    host.set(measuring_command=2)
-    until(lambda: host.get("measuring_state") == 3)
-    assert int(host.get("statusword")) & 0x6F == 0x27
-    assert len(host.trace()) == host.truth["samples"] > 100
-    host.set(controlword=0)
-    sweep(host, periods=1)
-    assert (host.get("measuring_state"), host.get("measuring_reason")) == (4, 1)
-
-
 def test_watchdog_of_a_host_that_falls_silent(host: Host) -> None:
     host.enable()
     sweep(host, periods=500)
@@ -252,67 +223,6 @@ def test_watchdog_of_a_host_that_falls_silent(host: Host) -> None:
     host.set(controlword=0)
     host.set(controlword=0x80)
     assert int(host.get("statusword")) & 0x6F == 0x40
-
-
-def test_a_silent_unit_lives_on(host: Host) -> None:
-    host.enable()
-    sweep(host, periods=500)
-    assert host.order("silence", joint=JOINT, on=True)["ok"]
-    host.reconnect(0.3)
-    try:
-        with pytest.raises(ModbusIOException):
-            host.get("statusword")
-        with pytest.raises(ModbusIOException):
-            host.client.read_device_information(device_id=1)
-        with pytest.raises(ModbusIOException):
-            host.get("statusword", unit=9)
-    finally:
-        host.reconnect(PATIENCE)
-    assert host.get("serial", unit=2) == 1002
-    before = host.truth["samples"]
-    until(lambda: host.truth["samples"] > before)
-    assert host.order("silence", joint=JOINT, on=False)["ok"]
-    assert host.get("measuring_state") == 1
-
-
-def test_what_is_refused(host: Host) -> None:
-    client, wide = host.client, host.signal("target_position")["address"]
-    reads = [(0xFFF0, 1, 2), (wide, 1, 2), (wide + 1, 2, 2), (0xFFFF, 2, 2)]
-    if host.map["max_read"] < 125:
-        reads.append((host.map["trace"]["page"]["address"], host.map["max_read"] + 1, 3))
-    for address, count, code in reads:
-        assert client.read_holding_registers(address, count=count).exception_code == code, address
-    assert client.write_register(wide, 1).exception_code == 2
-    assert client.write_registers(wide + 1, [1]).exception_code == 2
-    assert host.put("statusword", 1) == 2
-    assert host.put("mode", 9) == 3
-    assert host.put("sines", 17) == 3
-    assert client.read_coils(0, count=1).exception_code == 1
-    assert client.diag_query_data(b"\0\1").exception_code == 1
-    assert host.get("mode_display") == 0
-
-
-def test_single_registers_by_function_6(host: Host) -> None:
-    if host.signal("halt_option")["type"] != "i16":
-        assert host.client.write_register(host.signal("halt_option")["address"], 2).exception_code == 2
-        return
-    assert not host.client.write_register(host.signal("halt_option")["address"], 2).isError()
-    assert host.get("halt_option") == 2
-
-
-def test_faults_to_order_are_told_by_the_registers(host: Host) -> None:
-    host.enable()
-    assert host.order("fault", joint=JOINT, code=0x7305, at_sample=100)["ok"]
-    sweep(host, periods=50)
-    until(lambda: int(host.get("statusword")) & 0x6F == 0x08)
-    assert (host.get("error_code"), host.get("measuring_state")) == (0x7305, 3)
-    assert host.order("identity", joint=JOINT, product=7)["ok"]
-    try:
-        assert host.get("product") == 7
-        answer: Any = host.client.read_device_information(read_code=1)
-        assert answer.information[1] == b"00000007"
-    finally:
-        assert host.order("identity", joint=JOINT, product=0x0402)["ok"]
 
 
 def test_hostile_bytes_leave_the_machine_alone(host: Host) -> None:
@@ -337,19 +247,3 @@ def answers(host: Host) -> bool:
         return host.get("serial") == 1001
     except ModbusIOException:
         return False
-
-
-@pytest.mark.parametrize(
-    ("options", "reason"),
-    [
-        (["--fieldbus", "modbus-tcp", "--registers", "nowhere.yaml"], "nowhere.yaml: cannot be read"),
-        (["--fieldbus", "modbus-rtu", "--device", "/dev/no-such-line"], "no-such-line"),
-    ],
-)
-def test_bad_arguments_end_with_one_line(options: list[str], reason: str) -> None:
-    command = [sys.executable, "-c", "from service.cli import main; main()", "drive", *options]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
-    assert done.returncode == 2
-    assert reason in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
-    assert done.stdout == ""

@@ -1,5 +1,6 @@
 """The virtual drive on its buses, in this process: socketcand and python-can's own virtual bus."""
 
+import json
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -88,10 +89,27 @@ def test_another_channel_is_refused(machine: Machine) -> None:
             assert client.recv(64) == b""
 
 
+def order(drive: VirtualDrive, name: str) -> None:
+    with socket.create_connection(("127.0.0.1", drive.control_port), timeout=PATIENCE) as client:
+        client.sendall(f'{{"order": "{name}"}}\n'.encode())
+        assert json.loads(client.makefile().readline()) == {"ok": True}
+
+
 @pytest.mark.slow
-def test_any_python_can_interface(machine: Machine) -> None:
+def test_any_python_can_interface_and_its_bus_off(machine: Machine) -> None:
+    read_serial = can.Message(arbitration_id=0x601, data=[0x40, 0x18, 0x10, 4, 0, 0, 0, 0], is_extended_id=False)
     with running(VirtualDrive(machine, EDS, bus="virtual", channel="test buses")) as drive:
         assert drive.port is None
         with can.Bus(interface="virtual", channel="test buses") as bus:
             bus.send(READ_STATUSWORD)
             assert wait_for(bus, 0x581)[:4] == b"\x4b\x41\x60\x00"
+            for _ in range(2):  # told once
+                order(drive, "bus_off")
+            bus.send(READ_STATUSWORD)
+            message = bus.recv(PATIENCE)
+            assert message is not None
+            assert (message.arbitration_id, message.is_error_frame) == (0x40, True)
+            assert bus.recv(0.3) is None
+            order(drive, "bus_on")
+            bus.send(read_serial)
+            assert wait_for(bus, 0x581)[:4] == b"\x43\x18\x10\x04"

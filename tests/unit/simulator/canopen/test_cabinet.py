@@ -1,17 +1,24 @@
 """Nodes and machine on one clock: frames and times in, frames out. The machine is the real (rigid) one."""
 
+import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from simulator import Scenario
 from simulator.canopen.cabinet import Cabinet
 from simulator.canopen.node import Frame
+from simulator.fault_orders import Plant, carry_out
 from simulator.machine import Machine
 
 EDS = Path(__file__).parents[4] / "config/eds/virtual-axis.eds"
+TRACE = np.dtype(
+    [("cycle", "<u4"), ("torque", "<f4"), ("command", "<f4"), ("speed", "<f4"), ("enc", "<f8"), ("enc2", "<f8")]
+)
+GEAR = 171.0  # of joint_1
 
 
 class Bench:
@@ -53,8 +60,56 @@ class Bench:
             frames += self.take()
         return frames
 
-    def axis(self, joint: str) -> dict[str, object]:
+    def axis(self, joint: str = "joint_1") -> dict[str, object]:
         return self.cabinet.status()["axes"][joint]  # type: ignore[index]
+
+    def held(self, index: int, subindex: int = 0, joint: str = "joint_1") -> float:
+        """The value of an object."""
+        return float(self.cabinet.nodes[joint].dictionary[index, subindex])
+
+    def state(self) -> tuple[object, object]:
+        return self.axis()["state"], self.axis()["energised"]
+
+    def order(self, order: str, joint: str | None = "joint_1", **fields: object) -> None:
+        request = {"order": order, **fields} | ({} if joint is None else {"joint": joint})
+        assert carry_out(Plant(self.cabinet, None), json.dumps(request).encode()) == {"ok": True}
+
+    def move(self, node: int, revolutions: float) -> None:
+        self.write(node, 0x607A, 0, "i", round(revolutions * 2**20))
+        self.write(node, 0x6040, 0, "H", 0x0F)
+        self.write(node, 0x6040, 0, "H", 0x1F)
+
+    def measure(self, periods: int = 2) -> None:
+        """joint_1 at 0.1 rad/s with two sines: one second beside the periods of one, 4 ms a sample."""
+        dictionary = self.cabinet.nodes["joint_1"].dictionary
+        for sub, value in {4: 0.1 * GEAR, 5: 0.25, 6: 0.5, 7: 1.0, 8: periods, 9: 2, 0x0A: 4}.items():
+            dictionary[0x2100, sub] = value
+        for sub, frequency in enumerate((2.0, 5.0), 1):
+            dictionary[0x2101, sub], dictionary[0x2102, sub] = frequency, 5.0
+        self.write(1, 0x2100, 1, "H", 1)
+
+    def reset_fault(self) -> object:
+        for controlword in (0, 0x80):
+            self.write(1, 0x6040, 0, "H", controlword)
+        return self.axis()["state"]
+
+    def counters(self, syncs: int) -> list[list[int]]:
+        """The sample counters of node 1 that come with each SYNC; a TPDO1 goes with each."""
+        told: list[list[int]] = []
+        for _ in range(syncs):
+            sent = self.frame(0x80)
+            told.append([struct.unpack_from("<I", frame.data, 4)[0] for frame in sent if frame.id == 0x281])
+            assert sum(frame.id == 0x181 for frame in sent) == len(told[-1])
+        return told
+
+    def stream(self, cycles: int, speed: int) -> list[tuple[int, int]]:
+        """Statusword and position of node 1 for each SYNC of mode 9."""
+        seen: list[tuple[int, int]] = []
+        for _ in range(cycles):
+            self.frame(0x201, struct.pack("<Hi", 0x0F, speed))
+            sent = {frame.id: frame.data for frame in self.frame(0x80)}
+            seen.append((struct.unpack_from("<H", sent[0x181])[0], struct.unpack_from("<i", sent[0x281])[0]))
+        return seen
 
 
 @pytest.fixture
@@ -164,3 +219,141 @@ def test_the_drive_is_described_by_robot_and_scenario(bench: Bench) -> None:
     assert dictionary[0x6076, 0] == round(info.rated_effort / info.gear_ratio * 1000)
     assert dictionary[0x6072, 0] == 2000
     assert dictionary[0x607D, 1] < 0 < dictionary[0x607D, 2]
+
+
+# -- faults to order
+
+
+def test_an_emergency_message_alone_is_no_fault(bench: Bench) -> None:
+    bench.enable(1, 1)
+    bench.order("emcy", code=0x4210)
+    assert Frame(0x81, struct.pack("<HB5x", 0x4210, 0)) in bench.wait(0.01)
+    assert bench.state() == ("operation_enabled", True)
+    assert bench.held(0x603F) == 0
+
+
+def test_doubled_late_lost_and_frozen_tpdos(bench: Bench) -> None:
+    bench.frame(0, b"\x01\x01")
+    assert bench.counters(1) == [[1]]
+    bench.order("duplicate_tpdos", count=2)
+    assert bench.counters(3) == [[2, 2], [3, 3], [4]]
+    bench.order("delay_tpdos", count=2, cycles=3)
+    assert bench.counters(6) == [[], [], [7], [5, 8], [6, 9], [10]]
+    bench.order("drop_tpdos", count=4)  # two TPDOs a SYNC
+    assert bench.counters(3) == [[], [], [13]]
+    bench.order("freeze_counter", on=True)
+    assert bench.counters(2) == [[13], [13]]
+
+
+def test_the_limit_switch_holds_the_fault_also_over_a_reset(bench: Bench) -> None:
+    bench.enable(1, 1)
+    bench.move(1, 70.0)
+    bench.wait(0.2)
+    assert float(str(bench.axis()["velocity"])) > 0.02
+    bench.order("limit", on=True)
+    assert Frame(0x81, struct.pack("<HB5x", 0xFF10, 0x21)) in bench.wait(0.5)
+    assert bench.state() == ("fault", False)
+    assert bench.reset_fault() == "fault"
+    bench.frame(0, bytes([129, 1]))
+    bench.wait(0.01)
+    assert bench.held(0x603F) == 0xFF10
+    assert bench.reset_fault() == "fault"
+    bench.order("limit", on=False)
+    assert bench.reset_fault() == "switch_on_disabled"
+
+
+def test_a_small_glitch_spoils_one_sample_unnoticed(bench: Bench) -> None:
+    bench.enable(1, 1)
+    bench.order("glitch", revolutions=0.25, at_sample=300)
+    bench.measure()
+    bench.wait(1.0)
+    assert bench.axis()["measuring"] == "done"
+    dictionary = bench.cabinet.nodes["joint_1"].dictionary
+    dictionary[0x2110, 1], dictionary[0x2110, 2] = 290, 20
+    rows = np.frombuffer(dictionary.upload(0x2110, 3), TRACE)
+    steps = np.diff(rows["enc"])
+    assert np.flatnonzero(np.abs(steps) > 0.1).tolist() == [9, 10]
+    assert steps[9] == pytest.approx(0.25, abs=0.01)
+    assert np.flatnonzero(np.abs(rows["speed"]) > 1000).tolist() == [10]  # 0.25 rev in 4 ms
+    assert np.abs(np.diff(rows["enc2"])).max() < 0.001
+    assert bench.state() == ("operation_enabled", True)
+
+
+def test_a_small_glitch_while_streaming(bench: Bench) -> None:
+    bench.enable(1, 9)
+    bench.frame(0, b"\x01\x01")
+    bench.stream(10, 1000)
+    bench.order("glitch", revolutions=-0.5)
+    seen = bench.stream(10, 1000)
+    steps = np.diff([position for _, position in seen]) / 2**20
+    assert np.flatnonzero(np.abs(steps) > 0.4).tolist() == [0, 1]
+    assert {status & 0x6F for status, _ in seen} == {0x27}
+
+
+def test_a_large_glitch_is_the_encoder_fault(bench: Bench) -> None:
+    bench.enable(1, 1)
+    bench.order("glitch", revolutions=1.5, at_sample=100)
+    bench.measure(periods=50)
+    assert Frame(0x81, struct.pack("<HB5x", 0x7305, 0x21)) in bench.wait(0.5)
+    assert bench.state() == ("fault", False)
+    assert bench.axis()["measuring"] == "aborted"
+
+
+def test_a_weak_power_section_cannot_hold_the_arm(bench: Bench) -> None:
+    bench.enable(2, 1)
+    bench.move(2, 4.0)  # leans forward: gravity must be held
+    bench.wait(1.0)
+    assert int(bench.held(0x6041, joint="joint_2")) & 0x1400 == 0x1400
+    bench.order("saturate", "joint_2", torque_permille=10)
+    assert Frame(0x82, struct.pack("<HB5x", 0x2310, 0x03)) in bench.wait(0.5)
+    assert not bench.axis("joint_2")["energised"]
+    bench.order("saturate", "joint_2", torque_permille=None)
+    for controlword in (0, 0x80):
+        bench.write(2, 0x6040, 0, "H", controlword)
+    bench.enable(2, 1)
+    bench.wait(0.5)
+    assert bench.axis("joint_2")["state"] == "operation_enabled"
+
+
+def test_a_reboot_forgets_everything_but_the_place(bench: Bench) -> None:
+    bench.write(1, 0x6085, 0, "I", 12345)
+    bench.write(1, 0x1017, 0, "H", 50)
+    bench.enable(1, 1)
+    bench.measure(periods=50)
+    bench.wait(0.3)
+    bench.order("reboot")
+    assert bench.take() == [Frame(0x701, b"\0")]
+    after = bench.axis()
+    assert (after["energised"], after["state"], after["measuring"]) == (False, "switch_on_disabled", "idle")
+    assert abs(float(str(after["position"]))) > 0
+    assert (bench.held(0x6085), bench.held(0x1017)) == (5_000_000, 0)
+    assert bench.held(0x6064) / 2**20 == pytest.approx(float(str(after["position"])) * GEAR / (2 * np.pi), abs=1e-5)
+
+
+def test_swapped_node_ids_lead_to_the_other_motor(bench: Bench) -> None:
+    bench.enable(1, 1)
+    bench.order("swap", **{"with": "joint_2"})
+    assert not bench.axis()["energised"]
+    assert [int(bench.held(0x1018, 4, joint)) for joint in ("joint_1", "joint_2")] == [1001, 1002]  # go with the drive
+    bench.enable(1, 1)
+    bench.move(1, 1.0)
+    bench.wait(1.0)
+    assert float(str(bench.axis("joint_2")["position"])) > 0.01
+    assert bench.axis()["position"] == pytest.approx(0.0, abs=1e-3)
+    bench.frame(0, b"\x01\x00")
+    sent = [frame.id for frame in bench.frame(0x80)]
+    assert [sent.count(0x181), sent.count(0x182)] == [1, 1]
+
+
+@pytest.mark.parametrize("doing", ["measures", "moves", "stands"])
+def test_safe_torque_off_in_the_middle_of_anything(bench: Bench, doing: str) -> None:
+    bench.enable(1, 1)
+    {"measures": lambda: bench.measure(50), "moves": lambda: bench.move(1, 20.0), "stands": lambda: None}[doing]()
+    bench.wait(0.1)
+    assert bench.state() == ("operation_enabled", True)
+    bench.order("emergency_stop", None, on=True)
+    assert bench.state() == ("fault", False)
+    assert bench.held(0x2130, 1) == 1
+    assert bench.reset_fault() == "fault"
+    bench.order("emergency_stop", None, on=False)
+    assert bench.reset_fault() == "switch_on_disabled"

@@ -262,6 +262,10 @@ def test_functions(bench: Bench) -> None:
         response = bench.ask(bad)
         assert isinstance(response, ExceptionResponse)
         assert response.exception_code == code
+    halt = bench.registers.signals["halt_option"]
+    response = bench.ask(WriteSingleRegisterRequest(address=halt.address, registers=[2]))
+    assert isinstance(response, ExceptionResponse) is (halt.registers > 1)
+    assert bench.get("halt_option") == (1 if halt.registers > 1 else 2)
 
 
 @pytest.mark.parametrize(
