@@ -1,7 +1,10 @@
 """A small CiA 402 servo without a wire, and a machine of some of them: for what the machine does around its drives."""
 
+import asyncio
 import threading
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,34 +16,20 @@ from drivers.cia402.connection import Run, capabilities
 from drivers.cia402.device import Abilities, MeasuringState, Mode, Motion
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
-from drivers.cia402.profile import AxisProfile, IdentityProfile
 from drivers.cia402.states import State
 from drivers.cia402.thread import DriveThread, P, T
 from drivers.errors import CommunicationLost
 from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SweepCommand
+from tests.unit.drivers.given import axis
 
 HOST_TIMEOUT = 60.0  # s
+PATIENCE = 20.0  # s
 SHOWN = {State.SWITCH_ON_DISABLED: 0x40, State.READY: 0x21, State.SWITCHED_ON: 0x23, State.OPERATION_ENABLED: 0x27}
 STEPS = {
     states.SHUTDOWN: State.READY,
     states.SWITCH_ON: State.SWITCHED_ON,
     states.ENABLE_OPERATION: State.OPERATION_ENABLED,
 }
-
-
-def profile(joint: str) -> AxisProfile:
-    return AxisProfile(
-        joint=joint,
-        identity=IdentityProfile(vendor=1, product=2, revision=3),
-        gear_ratio=100.0,
-        rated_torque=10.0,
-        position_limits=(-1.0, 1.0),
-        velocity_limit=1.0,
-        effort_limit=1000.0,
-        acceleration=20.0,
-        quick_stop_deceleration=50.0,
-        standstill_velocity=1e-3,
-    )
 
 
 @dataclass
@@ -62,7 +51,7 @@ class Servo:
     injector: None = None
 
     def __post_init__(self) -> None:
-        self.profile = profile(self.joint)
+        self.profile = axis(joint=self.joint)
         self.place = f"{self.joint} (small)"
         self.measuring = MeasuringState.IDLE
 
@@ -200,3 +189,41 @@ def machine(*servos: Servo) -> tuple[Cia402Machine, Link]:
     """Not connected yet."""
     link = Link(servos)
     return Cia402Machine([servo.profile for servo in servos], link), link  # pyright: ignore[reportArgumentType]
+
+
+@asynccontextmanager
+async def connected(*servos: Servo) -> AsyncIterator[tuple[Cia402Machine, Link]]:
+    port, link = machine(*servos)
+    await port.connect()
+    yield port, link
+    await port.close()
+
+
+class Gate:
+    """Holds a servo's exchange of a name, from `shut` on, until it is opened. Blocking, on the machine's thread."""
+
+    def __init__(self, exchange: str) -> None:
+        self._exchange = exchange
+        self._open, self._reached = threading.Event(), threading.Event()
+        self._shut = False
+
+    def shut(self) -> None:
+        self._shut = True
+
+    def open(self) -> None:
+        self._open.set()
+
+    async def reached(self) -> None:
+        assert await asyncio.to_thread(self._reached.wait, PATIENCE)
+
+    def __call__(self, exchange: str) -> None:
+        if self._shut and exchange == self._exchange:
+            self._reached.set()
+            assert self._open.wait(PATIENCE)
+
+
+async def eventually(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline
+        await asyncio.sleep(0.002)

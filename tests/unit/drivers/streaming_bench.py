@@ -6,18 +6,19 @@ import uuid
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
+from typing import Any
 
 import can
 
 from drivers.canopen import frames
 from drivers.canopen.bus import Bus
 from drivers.canopen.host_sweep import HostSweep
-from drivers.canopen.profile import BusProfile, CanopenAxis
+from drivers.canopen.profile import BusProfile
 from drivers.canopen.streamed_axis import StreamRequest
 from drivers.canopen.units import Codec
 from drivers.cia402.checks import Envelope
-from drivers.cia402.profile import IdentityProfile
-from drivers.ports import SampleBlock, Sine, SweepCommand, SweepMode
+from drivers.ports import SampleBlock, Sine, SweepMode
+from tests.unit.drivers import given
 
 ENABLED, SWITCHED_ON, OFF = 0x27, 0x23, 0x40
 PERIOD = 0.004
@@ -120,35 +121,28 @@ class Bench:
 
     def request(self, node: int, **changes: object) -> StreamRequest:
         """Revolutions are radians here: raw velocity is 10^-3 rev/s, raw position 10^-6 rev."""
-        axis = CanopenAxis(
+        axis = given.axis(
             joint=f"joint_{node}",
             node=node,
-            identity=IdentityProfile(vendor=1, product=2, revision=3),
             gear_ratio=6.283185307179586,
             rated_torque=100.0,
             position_limits=(-100.0, 100.0),
             velocity_limit=10.0,
-            effort_limit=1000.0,
-            acceleration=20.0,
-            quick_stop_deceleration=50.0,
-            standstill_velocity=1e-3,
         )
         codec = Codec(axis.gear_ratio, 0.0, 100.0, 1e6, 1e-3)
-        fields: dict[str, object] = {
+        fields: dict[str, Any] = {
             "joint": axis.joint,
             "mode": SweepMode.HOST_STREAMED,
             "offset_velocity": 0.5 * node,
-            "sines": (Sine(5.0, 0.1, 0.3),),
             "period": 0.2,
             "periods": 1,
             "ramp": 0.1,
             "settle": 0.1,
             "sample_rate": 1 / PERIOD,
             "velocity_limit": 5.0,
-            "effort_limit": 1000.0,
             "position_window": (-50.0, 50.0),
         }
-        command = SweepCommand(**(fields | changes))  # pyright: ignore[reportArgumentType]
+        command = given.sweep(Sine(5.0, 0.1, 0.3), **(fields | changes))
         envelope = Envelope(command.velocity_limit, command.effort_limit, command.position_window, "rad", "N m")
         drive = self.cabinet.drives.get(node)
         counter = COUNTER if drive is None or drive.counts else None

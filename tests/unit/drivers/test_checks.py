@@ -8,38 +8,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.cia402.checks import Envelope, check_move, check_sweep
-from drivers.cia402.profile import AxisProfile, IdentityProfile
 from drivers.errors import LimitExceeded, distinct
-from drivers.ports import Sine, SweepCommand, SweepMode
+from drivers.ports import Sine, SweepMode
+from tests.unit.drivers.given import axis, sweep
 
 ENVELOPE = Envelope(0.1, 200.0, (-1.0, 1.0), "rad", "N m")
 
-AXIS = AxisProfile(
-    joint="joint_1",
-    identity=IdentityProfile(vendor=1, product=2, revision=3),
-    gear_ratio=-100.0,
-    rated_torque=10.0,
-    position_limits=(-2.0, 2.0),
-    velocity_limit=0.5,
-    effort_limit=1000.0,
-    acceleration=1.0,
-    quick_stop_deceleration=4.0,
-    standstill_velocity=1e-3,
-)
+AXIS = axis(gear_ratio=-100.0, position_limits=(-2.0, 2.0), velocity_limit=0.5)
 
-SWEEP = SweepCommand(
-    joint="joint_1",
-    mode=SweepMode.DRIVE_SIDE,
+SWEEP = sweep(
+    Sine(2.0, 0.02, 0.0),
     offset_velocity=0.05,
-    sines=(Sine(2.0, 0.02, 0.0),),
-    period=1.0,
     periods=5,
     ramp=0.5,
     settle=0.5,
-    sample_rate=250.0,
     velocity_limit=0.1,
     effort_limit=500.0,
-    position_window=(-0.5, 0.5),
 )
 
 

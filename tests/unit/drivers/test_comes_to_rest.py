@@ -2,42 +2,13 @@
 
 import asyncio
 import threading
-import time
-from collections.abc import Callable
 
 import pytest
 
 from drivers.cia402.thread import DriveThread
 from drivers.errors import CommunicationLost, EnvelopeLeft, StopNotConfirmed, SweepInterrupted, WrongConfiguration
-from drivers.ports import Sine, SweepCommand, SweepMode
-from tests.unit.drivers.small_servo import Servo, machine
-
-PATIENCE = 20.0  # s
-
-
-class Gate:
-    """Holds a servo's exchange of a name, from `shut` on, until it is opened. Blocking, on the machine's thread."""
-
-    def __init__(self, exchange: str) -> None:
-        self._exchange = exchange
-        self._open = threading.Event()
-        self.reached = threading.Event()
-        self._shut = False
-
-    def shut(self) -> None:
-        self._shut = True
-
-    def open(self) -> None:
-        self._open.set()
-
-    def __call__(self, exchange: str) -> None:
-        if self._shut and exchange == self._exchange:
-            self.reached.set()
-            assert self._open.wait(PATIENCE)
-
-
-async def reached(gate: Gate) -> None:
-    assert await asyncio.to_thread(gate.reached.wait, PATIENCE)
+from tests.unit.drivers.given import sweep
+from tests.unit.drivers.small_servo import PATIENCE, Gate, Servo, connected, eventually, machine
 
 
 async def test_closed_twice_at_once_it_is_closed_once_and_both_wait() -> None:
@@ -48,7 +19,7 @@ async def test_closed_twice_at_once_it_is_closed_once_and_both_wait() -> None:
     await port.enable("joint_1")
     gate.shut()
     first, second = asyncio.create_task(port.close()), asyncio.create_task(port.close())
-    await reached(gate)
+    await gate.reached()
     stop = asyncio.create_task(port.stop())  # a stop while closing waits for it, too
     await asyncio.sleep(0)
     assert [task.done() for task in (first, second, stop)] == [False, False, False]
@@ -66,7 +37,7 @@ async def test_a_closing_that_is_cancelled_goes_on_to_its_end() -> None:
     await port.enable("joint_1")
     gate.shut()
     closing = asyncio.create_task(port.close())
-    await reached(gate)
+    await gate.reached()
     closing.cancel()
     with pytest.raises(asyncio.CancelledError):
         await closing
@@ -86,7 +57,7 @@ async def test_closing_survives_a_stop_that_failed_beside_it() -> None:
     await port.connect()
     gate.shut()
     stop = asyncio.create_task(port.stop())
-    await reached(gate)
+    await gate.reached()
     servo.before = lose
     closing = asyncio.create_task(port.close())
     await asyncio.sleep(0)
@@ -141,20 +112,18 @@ async def test_axes_enabled_together_all_lose_their_energy_when_one_cannot_be() 
 async def test_enabling_that_is_cancelled_leaves_no_axis_with_energy() -> None:
     gate = Gate("control 0F")
     silent, other = Servo("joint_1"), Servo("joint_2", before=gate)
-    port, _ = machine(silent, other)
-    await port.connect()
-    gate.shut()
-    enabling = asyncio.create_task(port.enable("joint_1", "joint_2"))
-    await reached(gate)
-    assert silent.energised
-    silent.before = lose
-    enabling.cancel()
-    gate.open()
-    with pytest.raises(asyncio.CancelledError):  # and not the trouble of the first axis
-        await asyncio.wait_for(enabling, PATIENCE)
-    assert not other.energised
-    assert silent.unheard
-    await port.close()
+    async with connected(silent, other) as (port, _):
+        gate.shut()
+        enabling = asyncio.create_task(port.enable("joint_1", "joint_2"))
+        await gate.reached()
+        assert silent.energised
+        silent.before = lose
+        enabling.cancel()
+        gate.open()
+        with pytest.raises(asyncio.CancelledError):  # and not the trouble of the first axis
+            await asyncio.wait_for(enabling, PATIENCE)
+        assert not other.energised
+        assert silent.unheard
 
 
 @pytest.mark.parametrize("refused", ["statusword", "motion", "control 02"])
@@ -164,36 +133,32 @@ async def test_a_refused_rung_does_not_keep_the_drive_from_the_next(refused: str
             raise WrongConfiguration(f"{exchange} refused")
 
     servo = Servo("joint_1")
-    port, _ = machine(servo)
-    await port.connect()
-    await port.enable("joint_1")
-    servo.velocity, servo.before = 0.5, refuse
-    missing = "statusword" if refused == "statusword" else "motion"  # what would confirm it
-    with pytest.raises(StopNotConfirmed, match=f"joint_1: {missing} refused"):
-        await port.stop()
-    assert servo.unheard
-    assert servo.told[-1] == 0
-    assert not servo.energised
-    servo.before = lambda _: None
-    await port.close()
+    async with connected(servo) as (port, _):
+        await port.enable("joint_1")
+        servo.velocity, servo.before = 0.5, refuse
+        missing = "statusword" if refused == "statusword" else "motion"  # what would confirm it
+        with pytest.raises(StopNotConfirmed, match=f"joint_1: {missing} refused"):
+            await port.stop()
+        assert servo.unheard
+        assert servo.told[-1] == 0
+        assert not servo.energised
+        servo.before = lambda _: None
 
 
 async def test_an_axis_that_turns_without_energy_is_not_confirmed() -> None:
     servo = Servo("joint_1")
-    port, _ = machine(servo)
-    await port.connect()
-    control = servo.control
+    async with connected(servo) as (port, _):
+        control = servo.control
 
-    def turning(controlword: int) -> None:  # under its weight, with its brake open
-        control(controlword)
-        servo.velocity = 0.5
+        def turning(controlword: int) -> None:  # under its weight, with its brake open
+            control(controlword)
+            servo.velocity = 0.5
 
-    servo.control, servo.velocity = turning, 0.5
-    with pytest.raises(StopNotConfirmed, match=r"turns at 0\.5 rad/s, standstill is at most 0\.001 rad/s"):
-        await port.stop()
-    servo.control = control
-    assert await port.stop() == ("joint_1",)
-    await port.close()
+        servo.control, servo.velocity = turning, 0.5
+        with pytest.raises(StopNotConfirmed, match=r"turns at 0\.5 rad/s, standstill is at most 0\.001 rad/s"):
+            await port.stop()
+        servo.control = control
+        assert await port.stop() == ("joint_1",)
 
 
 async def test_a_drive_that_refuses_to_be_disabled_is_told_by_what_needs_no_answer() -> None:
@@ -202,15 +167,13 @@ async def test_a_drive_that_refuses_to_be_disabled_is_told_by_what_needs_no_answ
             raise WrongConfiguration("refused")
 
     servo = Servo("joint_1")
-    port, _ = machine(servo)
-    await port.connect()
-    await port.enable("joint_1")
-    servo.before = refuse
-    with pytest.raises(StopNotConfirmed, match="joint_1: refused"):
-        await port.stop()
-    assert servo.unheard
-    assert not servo.energised
-    await port.close()
+    async with connected(servo) as (port, _):
+        await port.enable("joint_1")
+        servo.before = refuse
+        with pytest.raises(StopNotConfirmed, match="joint_1: refused"):
+            await port.stop()
+        assert servo.unheard
+        assert not servo.energised
 
 
 async def test_a_stop_does_not_wait_for_a_set_point_that_is_never_acknowledged(
@@ -218,47 +181,22 @@ async def test_a_stop_does_not_wait_for_a_set_point_that_is_never_acknowledged(
 ) -> None:
     monkeypatch.setattr("drivers.cia402.axis.TRANSITION_TIMEOUT", 2 * PATIENCE)
     servo = Servo("joint_1", acknowledges=False)
-    port, _ = machine(servo)
-    await port.connect()
-    await port.enable("joint_1")
-    moving = asyncio.create_task(port.move_to("joint_1", 0.5, 0.1))
-    await eventually(lambda: servo.told[-1] == 0x1F)
-    await asyncio.wait_for(port.stop(), PATIENCE)
-    assert not servo.energised
-    with pytest.raises(SweepInterrupted):
-        await asyncio.wait_for(moving, PATIENCE)
-    await port.close()
+    async with connected(servo) as (port, _):
+        await port.enable("joint_1")
+        moving = asyncio.create_task(port.move_to("joint_1", 0.5, 0.1))
+        await eventually(lambda: servo.told[-1] == 0x1F)
+        await asyncio.wait_for(port.stop(), PATIENCE)
+        assert not servo.energised
+        with pytest.raises(SweepInterrupted):
+            await asyncio.wait_for(moving, PATIENCE)
 
 
 async def test_a_drive_side_sweep_that_goes_on_and_on_is_stopped() -> None:
     servo = Servo("joint_1", samples_a_look=200)
-    port, _ = machine(servo)
-    await port.connect()
-    await port.enable("joint_1")
-    command = SweepCommand(
-        joint="joint_1",
-        mode=SweepMode.DRIVE_SIDE,
-        offset_velocity=0.0,
-        sines=(Sine(2.0, 0.1, 0.0),),
-        period=1.0,
-        periods=2,
-        ramp=0.2,
-        settle=0.2,
-        sample_rate=250.0,
-        velocity_limit=0.5,
-        effort_limit=1000.0,
-        position_window=(-0.5, 0.5),
-    )
-    with pytest.raises(EnvelopeLeft, match="samples"):
-        async for _ in port.run_sweep(command):
-            pass
-    assert not servo.energised
-    assert servo.recorded < 5000
-    await port.close()
-
-
-async def eventually(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < deadline
-        await asyncio.sleep(0.002)
+    async with connected(servo) as (port, _):
+        await port.enable("joint_1")
+        with pytest.raises(EnvelopeLeft, match="samples"):
+            async for _ in port.run_sweep(sweep()):
+                pass
+        assert not servo.energised
+        assert servo.recorded < 5000

@@ -13,24 +13,21 @@ from drivers.canopen.profile import parse_profile
 from drivers.cia402 import states
 from drivers.errors import CommunicationLost
 from drivers.registry import load_profile
-from tests.unit.drivers.small_servo import Servo, machine
-from tests.unit.drivers.test_comes_to_rest import PATIENCE, Gate, reached
+from tests.unit.drivers.small_servo import PATIENCE, Gate, Servo, connected
 
 DRIVES = Path(__file__).parents[3] / "config" / "drives"
 
 
 async def test_no_axis_waits_for_the_answer_of_another() -> None:
     gate = Gate("statusword")
-    port, link = machine(Servo("joint_1", before=gate), Servo("joint_2"))
-    await port.connect()
-    before = link.halted
-    gate.shut()
-    stop = asyncio.create_task(port.stop())
-    await reached(gate)  # the first drive was asked and has not answered
-    assert link.halted == before + 1
-    gate.open()
-    assert set(await asyncio.wait_for(stop, PATIENCE)) == {"joint_1", "joint_2"}
-    await port.close()
+    async with connected(Servo("joint_1", before=gate), Servo("joint_2")) as (port, link):
+        before = link.halted
+        gate.shut()
+        stop = asyncio.create_task(port.stop())
+        await gate.reached()  # the first drive was asked and has not answered
+        assert link.halted == before + 1
+        gate.open()
+        assert set(await asyncio.wait_for(stop, PATIENCE)) == {"joint_1", "joint_2"}
 
 
 def test_a_bus_on_which_nobody_is_heard_still_takes_the_stop() -> None:

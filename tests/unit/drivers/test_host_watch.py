@@ -10,25 +10,12 @@ from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
 from drivers.cia402.states import State
 from drivers.errors import MotionForbidden
-from drivers.ports import Sine, SweepCommand, SweepMode
-from tests.unit.drivers.small_servo import Servo, machine
-from tests.unit.drivers.test_idle_axes import eventually
+from drivers.ports import Sine
+from tests.unit.drivers.given import sweep
+from tests.unit.drivers.small_servo import Servo, connected, eventually, machine
 
 LIMIT = 0.05  # s
-COMMAND = SweepCommand(
-    joint="joint_1",
-    mode=SweepMode.DRIVE_SIDE,
-    offset_velocity=0.02,
-    sines=(Sine(2.0, 0.01, 0.0),),
-    period=0.5,
-    periods=2,
-    ramp=0.2,
-    settle=0.2,
-    sample_rate=250.0,
-    velocity_limit=0.5,
-    effort_limit=100.0,
-    position_window=(-0.5, 0.5),
-)
+COMMAND = sweep(Sine(2.0, 0.01, 0.0), offset_velocity=0.02, periods=2)
 
 
 def miss(watch: HostWatch) -> None:
@@ -98,49 +85,43 @@ async def enable_and_move(port: Cia402Machine) -> None:
 async def test_each_word_that_closes_the_loop_or_moves_is_asked_for(step: str) -> None:
     """The gap comes while the drive takes the word before it."""
     servo = Servo("joint_1")
-    port, link = machine(servo)
-    await port.connect()
+    async with connected(servo) as (port, link):
 
-    def wake(what: str) -> None:
-        if what == step:
-            link.watch.seen("the host was suspended")
+        def wake(what: str) -> None:
+            if what == step:
+                link.watch.seen("the host was suspended")
 
-    servo.before = wake
-    with pytest.raises(MotionForbidden):
-        await enable_and_move(port)
-    words = enabling(servo)
-    assert f"control {words[-1]:02X}" == step  # none after it
-    assert not servo.energised
-    with pytest.raises(MotionForbidden):
+        servo.before = wake
+        with pytest.raises(MotionForbidden):
+            await enable_and_move(port)
+        words = enabling(servo)
+        assert f"control {words[-1]:02X}" == step  # none after it
+        assert not servo.energised
+        with pytest.raises(MotionForbidden):
+            await port.enable("joint_1")
+        assert enabling(servo) == words
+        servo.before = lambda _: None
+        port.allow()
         await port.enable("joint_1")
-    assert enabling(servo) == words
-    servo.before = lambda _: None
-    port.allow()
-    await port.enable("joint_1")
-    await port.close()
 
 
 async def test_a_measuring_function_is_not_started_either() -> None:
     servo = Servo("joint_1")
-    port, link = machine(servo)
-    await port.connect()
-    await port.enable("joint_1")
-    link.watch.seen("the host was suspended")
-    with pytest.raises(MotionForbidden):
-        await anext(port.run_sweep(COMMAND))
-    assert servo.recorded == 0
-    assert not servo.energised
-    await port.close()
+    async with connected(servo) as (port, link):
+        await port.enable("joint_1")
+        link.watch.seen("the host was suspended")
+        with pytest.raises(MotionForbidden):
+            await anext(port.run_sweep(COMMAND))
+        assert servo.recorded == 0
+        assert not servo.energised
 
 
 async def test_a_machine_watches_over_the_time_of_its_own_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tests.unit.drivers.small_servo.HOST_TIMEOUT", LIMIT)
-    port, link = machine(Servo("joint_1"))
-    await port.connect()
-    miss(link.watch)
-    with pytest.raises(MotionForbidden, match="suspended"):
-        await port.enable("joint_1")
-    await port.close()
+    async with connected(Servo("joint_1")) as (port, link):
+        miss(link.watch)
+        with pytest.raises(MotionForbidden, match="suspended"):
+            await port.enable("joint_1")
 
 
 async def test_a_gap_before_the_first_connection_counts_and_no_connection_clears_it(
@@ -189,17 +170,15 @@ async def test_an_axis_that_nobody_here_enabled_is_told(state: State) -> None:
 
 async def test_energy_that_nobody_here_took_is_missed_in_a_move() -> None:
     servo = Servo("joint_1")
-    port, _ = machine(servo)
-    await port.connect()
-    await port.enable("joint_1")
-    moving = asyncio.create_task(port.move_to("joint_1", 0.5, 0.1))
-    await eventually(lambda: any(word & states.NEW_SET_POINT for word in servo.told))
-    servo.state = State.SWITCH_ON_DISABLED
-    with pytest.raises(MotionForbidden, match=LOST):
-        await moving
-    with pytest.raises(MotionForbidden, match=LOST):
+    async with connected(servo) as (port, _):
         await port.enable("joint_1")
-    await port.close()
+        moving = asyncio.create_task(port.move_to("joint_1", 0.5, 0.1))
+        await eventually(lambda: any(word & states.NEW_SET_POINT for word in servo.told))
+        servo.state = State.SWITCH_ON_DISABLED
+        with pytest.raises(MotionForbidden, match=LOST):
+            await moving
+        with pytest.raises(MotionForbidden, match=LOST):
+            await port.enable("joint_1")
 
 
 async def test_energy_that_nobody_here_took_is_missed_in_a_sweep() -> None:

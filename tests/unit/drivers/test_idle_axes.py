@@ -10,40 +10,24 @@ from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.idle_axes import Watched
 from drivers.cia402.thread import DriveThread
 from drivers.errors import CommunicationLost, DriveFault, SweepInterrupted
-from drivers.ports import Sine, SweepCommand, SweepMode
-from tests.unit.drivers.small_servo import Servo, machine
+from tests.unit.drivers.given import sweep
+from tests.unit.drivers.small_servo import Servo, connected, eventually
 from tests.unit.drivers.streaming_bench import OFF, Drive, bench
-from tests.unit.drivers.test_comes_to_rest import eventually
 
-COMMAND = SweepCommand(
-    joint="joint_1",
-    mode=SweepMode.DRIVE_SIDE,
-    offset_velocity=0.0,
-    sines=(Sine(2.0, 0.1, 0.0),),
-    period=1.0,
-    periods=1000,
-    ramp=0.2,
-    settle=0.2,
-    sample_rate=250.0,
-    velocity_limit=0.5,
-    effort_limit=1000.0,
-    position_window=(-0.5, 0.5),
-)
+COMMAND = sweep(periods=1000)
 
 
 async def test_a_drive_side_sweep_ends_while_its_consumer_hangs() -> None:
     moving, standing = Servo("joint_1", samples_a_look=5), Servo("joint_2")
-    port, _ = machine(moving, standing)
-    await port.connect()
-    await port.enable("joint_1")
-    run = port.run_sweep(COMMAND)
-    await anext(run)
-    standing.announced = 0x4310
-    await eventually(lambda: not moving.energised)
-    with pytest.raises(DriveFault, match=r"joint_2 \(small\): error 4310h"):
-        async for _ in run:
-            pass
-    await port.close()
+    async with connected(moving, standing) as (port, _):
+        await port.enable("joint_1")
+        run = port.run_sweep(COMMAND)
+        await anext(run)
+        standing.announced = 0x4310
+        await eventually(lambda: not moving.energised)
+        with pytest.raises(DriveFault, match=r"joint_2 \(small\): error 4310h"):
+            async for _ in run:
+                pass
 
 
 @pytest.mark.slow
@@ -69,17 +53,15 @@ async def test_a_streamed_sweep_ends_while_its_consumer_hangs() -> None:
 
 async def test_a_stop_by_a_person_stays_a_stop() -> None:
     moving, standing = Servo("joint_1", samples_a_look=5), Servo("joint_2")
-    port, _ = machine(moving, standing)
-    await port.connect()
-    await port.enable("joint_1")
-    run = port.run_sweep(COMMAND)
-    await anext(run)
-    await port.stop()
-    standing.announced = 0x4310
-    with pytest.raises(SweepInterrupted, match="sweep was stopped"):
-        async for _ in run:
-            pass
-    await port.close()
+    async with connected(moving, standing) as (port, _):
+        await port.enable("joint_1")
+        run = port.run_sweep(COMMAND)
+        await anext(run)
+        await port.stop()
+        standing.announced = 0x4310
+        with pytest.raises(SweepInterrupted, match="sweep was stopped"):
+            async for _ in run:
+                pass
 
 
 async def test_the_end_of_the_moving_axis_is_told_before_that_of_one_that_stands() -> None:

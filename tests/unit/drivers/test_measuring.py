@@ -7,26 +7,13 @@ import pytest
 
 from drivers.canopen import measuring
 from drivers.canopen.objects import Entry
-from drivers.canopen.profile import CanopenAxis
 from drivers.canopen.units import Codec
-from drivers.cia402.profile import IdentityProfile
 from drivers.errors import CommunicationLost
-from drivers.ports import NoiseCommand, Sine, SweepCommand, SweepMode
+from drivers.ports import NoiseCommand
+from tests.unit.drivers.given import axis, sweep
 
 CODEC = Codec(gear_ratio=-100.0, position_offset=0.0, rated_torque=20.0, increments=2.0**20, velocity_unit=1e-3 / 60)
-AXIS = CanopenAxis(
-    joint="q",
-    identity=IdentityProfile(vendor=1, product=2, revision=3),
-    gear_ratio=-100.0,
-    rated_torque=20.0,
-    position_limits=(-1.0, 1.0),
-    velocity_limit=1.0,
-    effort_limit=2000.0,
-    acceleration=1.0,
-    quick_stop_deceleration=4.0,
-    standstill_velocity=1e-3,
-    node=1,
-)
+AXIS = axis(joint="q", gear_ratio=-100.0, rated_torque=20.0)
 NOISE = NoiseCommand(
     joint="q",
     offset_velocity=math.tau / 6000,  # 1 rev/min of the motor
@@ -44,9 +31,7 @@ NOISE = NoiseCommand(
     effort_limit=1000.0,
     position_window=(-0.5, 0.5),
 )
-SWEEP = SweepCommand(
-    "q", SweepMode.DRIVE_SIDE, 0.01, (Sine(2.0, 0.002, 0.3),), 1.0, 2, 0.5, 1.0, 250.0, 0.1, 1000.0, (-0.5, 0.5)
-)
+SWEEP = sweep(joint="q")
 
 
 def settings(pairs: list[tuple[Entry, float]]) -> dict[tuple[int, int], float]:

@@ -9,7 +9,7 @@ from drivers.cia402 import states
 from drivers.cia402.device import Motion
 from drivers.cia402.positioning import MARGIN, move
 from drivers.errors import DriveError
-from tests.unit.drivers.small_servo import Servo, machine
+from tests.unit.drivers.small_servo import Servo, connected, machine
 
 TAIL = (0.2, 5e-4, -1.5e-3, -1.2e-3, -4e-4)  # rad/s at consecutive readings; 1e-3 is standstill
 
@@ -34,13 +34,11 @@ class Overshooting(Servo):
 @pytest.mark.parametrize("moves", [1, 3])
 async def test_a_move_ends_when_the_overshoot_is_over(moves: int) -> None:
     servo = Overshooting("joint_1")
-    port, _ = machine(servo)
-    await port.connect()
-    await port.enable("joint_1")
-    for _ in range(moves):
-        await port.move_to("joint_1", 0.0, 0.5)  # the next move is refused as long as the axis moves
-        assert servo.last == 0.0
-    await port.close()
+    async with connected(servo) as (port, _):
+        await port.enable("joint_1")
+        for _ in range(moves):
+            await port.move_to("joint_1", 0.0, 0.5)  # the next move is refused as long as the axis moves
+            assert servo.last == 0.0
 
 
 class Drive(Servo):

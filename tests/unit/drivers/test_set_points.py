@@ -1,5 +1,7 @@
 """Set-points as velocities and as positions, by integrals known in closed form."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -7,32 +9,20 @@ from drivers.canopen.set_points import Positions, Velocities
 from drivers.canopen.units import Codec
 from drivers.cia402.waveform import set_point
 from drivers.errors import LimitExceeded
-from drivers.ports import Sine, SweepCommand, SweepMode
+from drivers.ports import Sine, SweepCommand
+from tests.unit.drivers.given import sweep
 
 PERIOD, LAST, START = 0.008, 150, 5000  # s, cycles, increments
 CODEC = Codec(100.0, 0.25, 10.0, increments=1e6, velocity_unit=1e-3 / 60)
 STEP = 2 * np.pi / (100.0 * 1e6)  # rad, one increment
 
 
-def command(**changes: object) -> SweepCommand:
-    fields: dict[str, object] = {
-        "joint": "joint_1",
-        "mode": SweepMode.HOST_STREAMED,
-        "offset_velocity": 0.05,
-        "sines": (Sine(5.0, 0.02, 0.3),),
-        "period": 0.4,
-        "periods": 2,
-        "ramp": 0.15,
-        "settle": 0.1,
-        "sample_rate": 125.0,
-        "velocity_limit": 0.2,
-        "effort_limit": 100.0,
-        "position_window": (-1.0, 1.0),
-    }
-    return SweepCommand(**(fields | changes))  # pyright: ignore[reportArgumentType]
+def command(**changes: Any) -> SweepCommand:
+    slow = {"offset_velocity": 0.05, "sines": (Sine(5.0, 0.02, 0.3),), "period": 0.4, "ramp": 0.15, "settle": 0.1}
+    return sweep(**(slow | changes))
 
 
-def positions(**changes: object) -> Positions:
+def positions(**changes: Any) -> Positions:
     return Positions(CODEC, command(**changes), LAST, PERIOD, START, mode_bits=0x10)
 
 

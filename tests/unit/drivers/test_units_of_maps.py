@@ -3,37 +3,22 @@
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from drivers.canopen.device_map import load_device_map
-from drivers.canopen.profile import CanopenAxis
 from drivers.canopen.units import Codec, codec
-from drivers.cia402.profile import parse
+from tests.unit.drivers.given import axis
 
 DEVICES = Path(__file__).parents[3] / "config" / "devices"
 TURNS = 100 / math.tau  # motor revolutions in a radian behind a gear of 100
 
 
-def of(device: str, told: Mapping[str, float], **changes: object) -> Codec:
+def of(device: str, told: Mapping[str, float], **changes: float) -> Codec:
     """The codec of a drive that tells these objects."""
-    content: dict[str, Any] = {
-        "joint": "joint_1",
-        "node": 1,
-        "identity": {"vendor": 1, "product": 2, "revision": 3},
-        "gear_ratio": 100.0,
-        "rated_torque": 2.0,
-        "position_limits": (-3.0, 3.0),
-        "velocity_limit": 1.0,
-        "effort_limit": 400.0,
-        "acceleration": 1.0,
-        "quick_stop_deceleration": 4.0,
-        "standstill_velocity": 1e-3,
-    }
     device_map = load_device_map(DEVICES / f"{device}.yaml")
     missing = dict.fromkeys(device_map.missing, 1.0)
-    return codec(parse(CanopenAxis, content | changes), device_map.units, 2.0, lambda name: {**missing, **told}[name])
+    return codec(axis(rated_torque=2.0, **changes), device_map.units, 2.0, lambda name: {**missing, **told}[name])
 
 
 def test_plain_402() -> None:
@@ -73,15 +58,9 @@ def test_powerball_counts_behind_the_gear_whatever_the_gear() -> None:
 def test_a_current_becomes_a_torque_by_the_constant_of_the_profile(tmp_path: Path) -> None:
     path = tmp_path / "map.yaml"
     path.write_text("units: {effort: current}\n")
-    axis = {"node": 1, "torque_constant": 0.25}
     told = {"increments": 1000, "motor_revolutions": 1, "velocity_unit": 0x00B44700, "rated_current": 4000}
     device_map = load_device_map(path)
     plain = of("plain-402", told)
     assert plain.effort(1000) == pytest.approx(2.0 * 100)
-    one = codec(
-        CanopenAxis.model_construct(gear_ratio=100.0, position_offset=0.0, **axis),
-        device_map.units,
-        2.0,
-        told.__getitem__,
-    )
+    one = codec(axis(torque_constant=0.25), device_map.units, 2.0, told.__getitem__)
     assert one.effort(1000) == pytest.approx(4.0 * 0.25 * 100)  # 4 A, 0.25 N m/A

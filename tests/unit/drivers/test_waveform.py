@@ -1,29 +1,18 @@
 """The set-point of a sweep, by numbers computed by hand."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from drivers.cia402.waveform import envelope, set_point, travel
-from drivers.ports import Sine, SweepCommand, SweepMode
+from drivers.ports import Sine, SweepCommand
+from tests.unit.drivers.given import sweep
 
 
 def command(*sines: Sine, offset: float = 0.1) -> SweepCommand:
-    return SweepCommand(
-        joint="joint_1",
-        mode=SweepMode.HOST_STREAMED,
-        offset_velocity=offset,
-        sines=sines,
-        period=1.0,
-        periods=2,
-        ramp=0.5,
-        settle=0.25,
-        sample_rate=250.0,
-        velocity_limit=1.0,
-        effort_limit=1.0,
-        position_window=(-1.0, 1.0),
-    )
+    return replace(sweep(), sines=sines, offset_velocity=offset, ramp=0.5, settle=0.25)
 
 
 def test_envelope_by_hand() -> None:
