@@ -1,9 +1,9 @@
 """Requests over a real line, TCP and RTU, to units that answer well, badly, late or never."""
 
-import socket
 import time
 from collections.abc import Callable, Generator
 from contextlib import suppress
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -219,7 +219,7 @@ def test_the_silence_between_frames_is_kept() -> None:
         line.close()
 
 
-def test_a_line_that_cannot_be_opened_and_one_that_is_closed(bank: Bank, line: Line) -> None:
+def test_a_line_that_is_closed(bank: Bank, line: Line) -> None:
     line.close()
     line.close()
     with pytest.raises(CommunicationLost, match="closed"):
@@ -227,15 +227,25 @@ def test_a_line_that_cannot_be_opened_and_one_that_is_closed(bank: Bank, line: L
     with pytest.raises(CommunicationLost, match="closed"):
         line.tell(1, 0x10, [1], "x")
     assert bank.requests == []
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-    nowhere = [
-        TcpLine(transport="tcp", host="127.0.0.1", port=port, timeout=TIMEOUT),
-        RtuLine(transport="rtu", device="/dev/there-is-none", timeout=TIMEOUT),
-    ]
-    for profile in nowhere:
-        with pytest.raises(ConnectionFailed, match="could not be opened"):
-            Line(profile).open()
+
+
+REFUSED = {  # where the line leads, and what the operating system says
+    "nobody listens": ("127.0.0.1", r"127\.0\.0\.1:1 could not be opened: Connection refused"),
+    "the name is no host": ("cabinet.invalid", r"cabinet\.invalid:1 could not be opened: .*(resol|know|service)"),
+    "there is no such device": ("nowhere", "nowhere could not be opened: .*No such file or directory.*"),
+    "the device is no serial line": ("file", "file could not be opened: .*Inappropriate ioctl.*"),
+}
+
+
+@pytest.mark.parametrize(("place", "told"), REFUSED.values(), ids=REFUSED)
+def test_a_line_that_cannot_be_opened_says_why(place: str, told: str, tmp_path: Path) -> None:
+    """For whoever forgot to switch the machine on."""
+    (tmp_path / "file").touch()
+    line: TcpLine | RtuLine = RtuLine(transport="rtu", device=str(tmp_path / place), timeout=1.0, watchdog=4.0)
+    if "." in place:
+        line = TcpLine(transport="tcp", host=place, port=1, timeout=1.0, watchdog=4.0)
+    with pytest.raises(ConnectionFailed, match=f"{told}.*; check power, cable and address"):
+        Line(line).open()
 
 
 def test_a_server_that_goes_away_is_a_loss() -> None:
