@@ -1,6 +1,5 @@
 """A streamed sweep whose host fails in itself: the axes are told to stop, and the consumer is told why."""
 
-import asyncio
 import itertools
 import threading
 import time
@@ -15,6 +14,7 @@ from drivers.canopen.bcm import KernelRefused
 from drivers.canopen.host_sweep import HostSweep
 from drivers.canopen.streamed_axis import Ending, StreamedAxis
 from drivers.ports import SampleBlock
+from tests.unit.drivers.small_servo import eventually
 from tests.unit.drivers.streaming_bench import OFF, Drive, bench, run_to_end
 
 pytestmark = pytest.mark.slow
@@ -38,7 +38,7 @@ async def test_an_error_that_nobody_thought_of_stops_the_axes_before_the_consume
         with pytest.raises(ArithmeticError, match="unforeseen"):
             await run_to_end(run)
         drives = list(on.cabinet.drives.values())
-        await until(lambda: all(drive.statusword == OFF for drive in drives))
+        await eventually(lambda: all(drive.statusword == OFF for drive in drives))
         assert [drive.obeyed[-1] for drive in drives] == [(0x02, 0)] * 2
 
 
@@ -73,7 +73,7 @@ async def test_a_stop_that_came_first_is_a_stop_though_a_drive_says_nothing() ->
         await run_to_end(run)
         assert run.ending is Ending.STOPPED
         obeyed = on.cabinet.drives[1].obeyed
-        await until(lambda: (0x00, 0) in obeyed)
+        await eventually(lambda: (0x00, 0) in obeyed)
         assert {controlword for controlword, _ in obeyed} == {0x02, 0x00}
 
 
@@ -101,10 +101,3 @@ def slow_to_end() -> Iterator[Callable[[], None]]:
 
     yield lambda: threading.setprofile(pause)
     threading.setprofile(None)
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < deadline
-        await asyncio.sleep(0.002)

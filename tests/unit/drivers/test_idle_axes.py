@@ -4,7 +4,6 @@ import threading
 
 import pytest
 
-from drivers.canopen.fieldbus import StreamedSweep
 from drivers.cia402.axis import Axis
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.idle_axes import Watched
@@ -12,7 +11,6 @@ from drivers.cia402.thread import DriveThread
 from drivers.errors import CommunicationLost, DriveFault, SweepInterrupted
 from tests.unit.drivers.given import sweep
 from tests.unit.drivers.small_servo import Servo, connected, eventually
-from tests.unit.drivers.streaming_bench import OFF, Drive, bench
 
 COMMAND = sweep(periods=1000)
 
@@ -28,27 +26,6 @@ async def test_a_drive_side_sweep_ends_while_its_consumer_hangs() -> None:
         with pytest.raises(DriveFault, match=r"joint_2 \(small\): error 4310h"):
             async for _ in run:
                 pass
-
-
-@pytest.mark.slow
-async def test_a_streamed_sweep_ends_while_its_consumer_hangs() -> None:
-    drive, standing, stop = Drive(1), Servo("joint_2"), threading.Event()
-    thread, axis = DriveThread("test"), Axis(standing, HostWatch(60.0))
-    async with bench(drive) as streaming:
-        run = StreamedSweep(streaming.start(streaming.request(1, periods=10**4), stop=stop), thread, {})
-
-        async def hang() -> None:
-            async with Watched(thread, [axis], stop):
-                blocks = run.blocks()
-                await anext(blocks)
-                standing.announced = 0x4310
-                await eventually(lambda: drive.statusword == OFF)
-                async for _ in blocks:
-                    pass
-
-        with pytest.raises(DriveFault, match="4310h"):
-            await hang()
-    await thread.close()
 
 
 async def test_a_stop_by_a_person_stays_a_stop() -> None:
