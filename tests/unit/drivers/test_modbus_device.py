@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,14 +29,22 @@ from drivers.modbus.device import ModbusDevice
 from drivers.modbus.line import Line
 from drivers.modbus.profile import RtuLine
 from drivers.modbus.registers import RegisterMap, load_registers
-from drivers.ports import AxisState, Sine, SweepCommand, SweepMode
+from drivers.ports import AxisState, Sine
+from tests.unit.drivers.given import sweep
 from tests.unit.drivers.modbus_bank import Bank, serving
 from tests.unit.drivers.modbus_drive import HIGH, KINDS, LOW, MAPS, drive, following, get, nobody, profile_on, put
 
-SWEEP = SweepCommand(
-    "joint_1", SweepMode.DRIVE_SIDE, 0.0105, (Sine(2.0, 0.002, 0.3), Sine(4.0, 0.002, 1.1)), 1.0, 5, 0.5, 0.5, 250.0,
-    0.05, 5000.0, (-1.0, 1.0),
-)  # fmt: skip
+SWEEP = sweep(
+    Sine(2.0, 0.002, 0.3),
+    Sine(4.0, 0.002, 1.1),
+    offset_velocity=0.0105,
+    periods=5,
+    ramp=0.5,
+    settle=0.5,
+    velocity_limit=0.05,
+    effort_limit=5000.0,
+    position_window=(-1.0, 1.0),
+)
 
 
 @contextmanager
@@ -172,20 +181,6 @@ def test_enabling_takes_the_one_path_and_losing_the_drive_stops_it_unheard(
 
 
 @KINDS
-def test_motion_in_one_request(kind: str, registers: RegisterMap) -> None:
-    with connected(kind) as (bank, device):
-        put(bank, registers, 1, "position", 171 / 4)
-        put(bank, registers, 1, "velocity", -171.0)
-        put(bank, registers, 1, "torque", 500)
-        bank.requests.clear()
-        motion = device.motion()
-        assert motion.position == pytest.approx(math.pi / 2, abs=1e-6)
-        assert motion.velocity == pytest.approx(-math.tau / 60)
-        assert motion.effort == pytest.approx(0.5 * 17.544 * 171)
-        assert len(bank.requests) == 1
-
-
-@KINDS
 def test_a_turned_gear_turns_the_signs(kind: str, registers: RegisterMap) -> None:
     with connected(kind, gear_ratio=-171.0) as (bank, device):
         put(bank, registers, 1, "velocity", -171.0)
@@ -204,18 +199,6 @@ def test_mode_that_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
             device.set_mode(Mode.CYCLIC_VELOCITY)
 
 
-@KINDS
-def test_sweep_parameters(kind: str, registers: RegisterMap) -> None:
-    with connected(kind) as (bank, device):
-        device.prepare_measuring(SWEEP)
-        assert get(bank, registers, "offset_speed") == pytest.approx(0.0105 * 171 * 60 / math.tau, rel=1e-4)
-        assert get(bank, registers, "sines") == 2
-        assert get(bank, registers, "trace_cycle") == 4
-        frequencies = registers.signals["frequency"].elements()
-        words = [bank.registers[1][k] for k in range(frequencies[1].address, frequencies[1].end)]
-        assert frequencies[1].format.decode(words)[0] == pytest.approx(4.0)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -226,10 +209,9 @@ def test_sweep_parameters(kind: str, registers: RegisterMap) -> None:
     ],
 )
 def test_what_the_registers_cannot_hold_well_enough_is_refused(change: dict[str, Any], message: str) -> None:
-    fields = {name: getattr(SWEEP, name) for name in SweepCommand.__dataclass_fields__}
     with connected("rtu") as (bank, device):
         with pytest.raises(LimitExceeded, match=message):
-            device.prepare_measuring(SweepCommand(**(fields | change)))
+            device.prepare_measuring(replace(SWEEP, **change))
         assert LOW.signals["sines"].address not in {r.address for r in bank.requests if r.function == 16}
 
 

@@ -78,6 +78,13 @@ class Master:
         pdo.read()
         return pdo
 
+    def enabled(self, mode: int, target: int) -> "Cycle":
+        """In operation, at standstill where it is."""
+        cycle = Cycle(self, target)
+        self.write(0x6060, 0, mode, 1)
+        cycle.enable()
+        return cycle
+
     def settle(self, condition: Callable[[], bool]) -> None:
         """Wait for a condition."""
         deadline = time.monotonic() + PATIENCE

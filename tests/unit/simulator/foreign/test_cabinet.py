@@ -45,17 +45,13 @@ def cabinet() -> ForeignCabinet:
 
 def test_on_socketcand_it_is_the_same_drive() -> None:
     with bench(bus="socketcand", scenario=RIGID) as foreign, mastered(foreign) as master:
-        cycle = Cycle(master, VELOCITY)
-        master.write(0x6060, 0, 9, 1)
-        cycle.enable()
+        cycle = master.enabled(9, VELOCITY)
         assert cycle.run(ENABLE, 200_000, 100)[1] == pytest.approx(200_000, rel=0.05)
 
 
 def test_orders_reach_the_drives(master: Master) -> None:
     order = master.foreign.order
-    cycle = Cycle(master, VELOCITY)
-    master.write(0x6060, 0, 9, 1)
-    cycle.enable()
+    master.enabled(9, VELOCITY)
     order("emergency_stop", on=True)
     assert not master.truth()["energised"]
     assert master.number(0x603F) == 0x9000
@@ -95,9 +91,7 @@ def test_a_fault_comes_with_a_counted_sync(master: Master) -> None:
 
 
 def test_a_saturated_axis_gives_no_more_torque(master: Master) -> None:
-    cycle = Cycle(master, VELOCITY)
-    master.write(0x6060, 0, 9, 1)
-    cycle.enable()
+    cycle = master.enabled(9, VELOCITY)
     master.foreign.order("saturate", joint="joint_1", torque_permille=10)
     _, velocity, permille, _ = cycle.run(ENABLE, 200_000, 100)
     master.foreign.order("saturate", joint="joint_1", torque_permille=None)

@@ -38,9 +38,7 @@ def test_the_package_walks_the_states(master: Master) -> None:
 
 
 def test_a_fault_is_told_everywhere_and_reset_by_a_rising_edge_alone(master: Master) -> None:
-    cycle = Cycle(master, TARGET_VELOCITY)
-    master.write(0x6060, 0, CSV, 1)
-    cycle.enable()
+    cycle = master.enabled(CSV, TARGET_VELOCITY)
     master.foreign.order("fault", joint="joint_1", code=0x7305)
     master.settle(lambda: master.number(0x6041) & 0x4F == 0x08)
     assert master.emergencies == [0x7305]
@@ -79,8 +77,8 @@ def test_a_commanded_velocity_turns_the_axis_and_the_torque_is_the_true_one(mast
 
 def test_set_points_are_interpolated_over_60c2(master: Master) -> None:
     """With 60C2h = 100 SYNC periods a step is a ramp over as many; in half of its way friction is overcome."""
-    cycle = Cycle(master, TARGET_VELOCITY)
     master.write(0x1006, 0, PERIOD * 1000, 4)
+    cycle = Cycle(master, TARGET_VELOCITY)
     master.write(0x60C2, 2, -2, 1)
     master.write(0x60C2, 1, 10 * PERIOD, 1)
     master.write(0x6060, 0, CSV, 1)
@@ -147,10 +145,8 @@ def test_a_velocity_towards_the_position_limit_is_a_fault_before_it(master: Mast
 
 @pytest.mark.slow
 def test_speed_and_torque_stay_below_their_limits(master: Master) -> None:
-    cycle = Cycle(master, TARGET_VELOCITY)
     master.write(0x6080, 0, 60, 4)  # rev/min
-    master.write(0x6060, 0, CSV, 1)
-    cycle.enable()
+    cycle = master.enabled(CSV, TARGET_VELOCITY)
     word, velocity, *_ = cycle.run(ENABLE, SPEED, 100)
     assert word & 0x0800
     assert velocity == pytest.approx(INCREMENTS, rel=0.05)
@@ -169,10 +165,8 @@ def test_an_unknown_mode_is_not_shown(master: Master) -> None:
 
 @pytest.mark.parametrize(("option", "state"), [(0, 0x40), (2, 0x40), (6, 0x07)])
 def test_quick_stop_as_its_option_says(master: Master, option: int, state: int) -> None:
-    cycle = Cycle(master, TARGET_VELOCITY)
     master.write(0x605A, 0, option, 2)
-    master.write(0x6060, 0, CSV, 1)
-    cycle.enable()
+    cycle = master.enabled(CSV, TARGET_VELOCITY)
     cycle.run(ENABLE, SPEED, 50)
     cycle.run(QUICK_STOP, SPEED, 1)
     master.settle(lambda: abs(master.truth()["velocity"]) < 1e-5)
@@ -182,10 +176,8 @@ def test_quick_stop_as_its_option_says(master: Master, option: int, state: int) 
 
 @pytest.mark.slow
 def test_a_host_that_falls_silent_stops_the_axis(master: Master) -> None:
-    cycle = Cycle(master, TARGET_VELOCITY)
     master.write(0x1016, 1, 127 << 16 | 300, 4)
-    master.write(0x6060, 0, CSV, 1)
-    cycle.enable()
+    cycle = master.enabled(CSV, TARGET_VELOCITY)
     cycle.run(ENABLE, SPEED, 50)
     assert master.truth()["energised"]  # nobody is watched before the first heartbeat
     master.network.send_message(0x77F, bytes([Nmt.OPERATIONAL]))
@@ -213,9 +205,7 @@ def test_a_set_point_left_behind_counts(master: Master) -> None:
 
 
 def test_a_mode_changes_at_standstill(master: Master) -> None:
-    cycle = Cycle(master, TARGET_VELOCITY)
-    master.write(0x6060, 0, CSV, 1)
-    cycle.enable()
+    cycle = master.enabled(CSV, TARGET_VELOCITY)
     cycle.run(ENABLE, SPEED, 50)
     master.write(0x6060, 0, PV, 1)
     assert master.number(0x6061) == CSV
@@ -225,10 +215,8 @@ def test_a_mode_changes_at_standstill(master: Master) -> None:
 
 @pytest.mark.parametrize(("option", "state"), [(1, 0x08), (2, 0x40), (3, 0x40)])
 def test_nmt_stop_is_an_aborted_connection(master: Master, option: int, state: int) -> None:
-    cycle = Cycle(master, TARGET_VELOCITY)
     master.write(0x6007, 0, option, 2)
-    master.write(0x6060, 0, CSV, 1)
-    cycle.enable()
+    cycle = master.enabled(CSV, TARGET_VELOCITY)
     cycle.run(ENABLE, SPEED, 50)
     master.node.nmt.state = "STOPPED"
     master.settle(lambda: not master.truth()["energised"])
@@ -238,9 +226,7 @@ def test_nmt_stop_is_an_aborted_connection(master: Master, option: int, state: i
 
 def test_pre_operational_alone_stops_nothing(master: Master) -> None:
     """Nor does a SYNC that stays away: the axis turns on until somebody says otherwise."""
-    cycle = Cycle(master, TARGET_VELOCITY)
-    master.write(0x6060, 0, CSV, 1)
-    cycle.enable()
+    cycle = master.enabled(CSV, TARGET_VELOCITY)
     cycle.run(ENABLE, SPEED, 50)
     master.node.nmt.state = "PRE-OPERATIONAL"
     before = master.truth()["position"]
@@ -250,9 +236,7 @@ def test_pre_operational_alone_stops_nothing(master: Master) -> None:
 
 
 def test_a_halt_holds_and_its_end_goes_on(master: Master) -> None:
-    cycle = Cycle(master, TARGET_VELOCITY)
-    master.write(0x6060, 0, CSV, 1)
-    cycle.enable()
+    cycle = master.enabled(CSV, TARGET_VELOCITY)
     cycle.run(ENABLE, SPEED, 50)
     cycle.run(ENABLE | 0x100, SPEED, 1)
     master.settle(lambda: abs(master.truth()["velocity"]) < 1e-5)

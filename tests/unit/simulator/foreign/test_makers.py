@@ -128,9 +128,7 @@ def test_a_finer_unit_of_velocity_is_that_of_the_limits_too(master: Master) -> N
     master.refused(VALUE, 0x60A9, 0, 0x00B50300, 4)
     master.write(0x60A9, 0, 0xFDB44700, 4)
     assert master.number(0x6080) == fast
-    cycle = Cycle(master, VELOCITY)
-    master.write(0x6060, 0, 9, 1)
-    cycle.enable()
+    cycle = master.enabled(9, VELOCITY)
     assert cycle.run(ENABLE, 90_000, 20)[0] & 0x0800
     master.write(0x6080, 0, 1000 * fast, 4)
     assert cycle.run(ENABLE, 90_000, 250)[1] == pytest.approx(90_000, rel=0.02)
@@ -201,10 +199,8 @@ def test_identifiers_that_nobody_may_write(master: Master) -> None:
 
 @only("gold")
 def test_a_host_can_be_watched_though_the_file_limits_the_object_to_the_time(master: Master) -> None:
-    cycle = Cycle(master, VELOCITY)
     master.write(0x1016, 1, 127 << 16 | 300, 4)
-    master.write(0x6060, 0, 9, 1)
-    cycle.enable()
+    master.enabled(9, VELOCITY)
     master.network.send_message(0x77F, bytes([Nmt.OPERATIONAL]))
     master.settle(lambda: 0x8130 in master.emergencies)
     master.settle(lambda: not master.truth()["energised"])
@@ -231,9 +227,7 @@ def test_position_units_follow_the_feed_constant(master: Master) -> None:
 
 @only("epos4", "gold")
 def test_an_offset_of_velocity_is_added(master: Master) -> None:
-    cycle = Cycle(master, 0x60B10000)
-    master.write(0x6060, 0, 9, 1)
-    cycle.enable()
+    cycle = master.enabled(9, 0x60B10000)
     speed = 90 if master.number(0x1018, 1) == 0xFB else 98304
     cycle.run(ENABLE, speed, 250)
     assert master.truth()["velocity"] == pytest.approx(1.5 * math.tau / GEAR, rel=0.02)
@@ -243,9 +237,7 @@ def test_an_offset_of_velocity_is_added(master: Master) -> None:
 @only("epos4", "gold")
 def test_an_offset_of_torque_pushes_the_axis(master: Master) -> None:
     """A tenth of rated torque, more than friction, beside a speed controller that holds against it."""
-    cycle = Cycle(master, 0x60B20000)
-    master.write(0x6060, 0, 9, 1)
-    cycle.enable()
+    cycle = master.enabled(9, 0x60B20000)
     before = cycle.run(ENABLE, 0, 20)[2]
     pushed = [cycle.run(ENABLE, 100, 1)[2] for _ in range(3)]
     assert max(pushed) > before + 50
@@ -259,9 +251,7 @@ def test_drives_of_several_makers_share_one_machine(shared: object) -> None:
         f"joint_{k}": name for k, name in enumerate(["epos4", "gold", "powerball", "simpliq", "plain", "gold"], 1)
     }
     with bench(makers, scenario=RIGID) as foreign, mastered(foreign, "joint_2") as second:
-        cycle = Cycle(second, VELOCITY)
-        second.write(0x6060, 0, 9, 1)
-        cycle.enable()
+        cycle = second.enabled(9, VELOCITY)
         cycle.run(ENABLE, 0, 100)
         assert foreign.truth("joint_2")["maker"] == "Elmo Gold"
         assert foreign.truth("joint_3")["maker"] == "SCHUNK Powerball"
