@@ -107,14 +107,6 @@ async def test_drives_that_do_not_fit_the_profile(
             await port.connect()
 
 
-async def test_connect_disables_what_a_dead_host_left_enabled(port: DrivePort, virtual: Virtual) -> None:
-    await port.enable(AXIS)
-    await link_of(port).close()  # nobody misses it yet; a living one would ask its axes beside the second host
-    async with closing(virtual.open()) as second:
-        await second.connect()
-        assert virtual.energised() == []
-
-
 async def test_the_cycle_is_paced_and_its_lateness_told(port: DrivePort) -> None:
     await port.enable(AXIS)
     command = await sweep(port, SweepMode.HOST_STREAMED)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.contract.bench import column, consume
-from drivers.errors import BadProfile, DriveFault, EnvelopeLeft, LimitExceeded, NotReady, WrongIdentity
+from drivers.errors import DriveFault, EnvelopeLeft, LimitExceeded, NotReady
 from drivers.ports import AxisState, DrivePort, SampleBlock, SweepMode
 from drivers.registry import open_drive
 from tests.contract.bench import AXIS, BENCHES, DRIVES, EDS, Virtual, in_one_process, noise, sweep
@@ -88,19 +88,6 @@ async def test_a_drive_without_torque_noise_is_told_and_sweeps_all_the_same(rpm:
         await consume(port, await sweep(port, SweepMode.DRIVE_SIDE, periods=1))
 
 
-@pytest.mark.parametrize("mode", list(SweepMode), ids=lambda mode: mode.value)
-async def test_the_host_enforces_the_window_that_the_drive_does_not(bare: Virtual, mode: SweepMode) -> None:
-    async with connected(fitted(bare, str(BARE))) as port:
-        await port.enable(AXIS)
-        start = (await port.status())[AXIS].position
-        with pytest.raises(LimitExceeded, match=r"highest position .* is outside its window"):
-            await consume(port, await sweep(port, mode, position_window=(start - 0.001, start + 0.001)))
-        with pytest.raises(LimitExceeded, match=r"target position 3\.5 rad is outside -2\.96 to 2\.96 rad"):
-            await port.move_to(AXIS, 3.5, 0.1)
-        assert bare.truth()["position"] == pytest.approx(start, abs=1e-4)
-        await port.disable(AXIS)
-
-
 async def test_a_drive_that_counts_in_whole_rev_per_min_measures_by_itself(rpm: Virtual) -> None:
     profile = fitted(rpm, str(RPM), 0x0403, stop_options={"quick_stop": 6})
     async with connected(profile) as port:
@@ -129,15 +116,3 @@ async def test_a_drive_that_stays_in_quick_stop_loses_its_energy_all_the_same(rp
         with pytest.raises(DriveFault, match="7305h"):
             await port.enable(AXIS)
         await port.acknowledge(AXIS)
-
-
-async def test_an_eds_of_another_product_is_refused_before_the_bus_is_opened(rpm: Virtual) -> None:
-    with pytest.raises(BadProfile, match="product 00000403h; joint_1 is 00005357h, 00000402h"):
-        open_drive(fitted(rpm, str(RPM)), DRIVES)
-
-
-async def test_drives_that_are_not_those_of_the_eds_are_refused(rpm: Virtual) -> None:
-    port = open_drive(fitted(rpm, str(FULL)), DRIVES)
-    with pytest.raises(WrongIdentity, match="product is 00000403h, the profile says 00000402h"):
-        await port.connect()
-    assert rpm.energised() == []

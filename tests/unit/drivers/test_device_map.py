@@ -105,16 +105,6 @@ def test_a_wrong_map_is_refused_with_its_place(changes: dict[str, Any], message:
         a_map(**changes)
 
 
-def test_a_file_that_is_none_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "map.yaml"
-    with pytest.raises(BadProfile, match=r"map\.yaml: No such file"):
-        load_device_map(path)
-    for content, message in (("a: [", "not YAML"), ("- a", "must be a mapping"), ("colour: red", "map.yaml: colour: ")):
-        path.write_text(content)
-        with pytest.raises(BadProfile, match=message):
-            load_device_map(path)
-
-
 @pytest.mark.parametrize(
     ("content", "axis", "message"),
     [

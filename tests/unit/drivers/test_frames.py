@@ -1,8 +1,5 @@
 """Bytes -> events; nothing on the bus can break it."""
 
-import struct
-
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,7 +15,6 @@ from drivers.canopen.frames import (
     SetPoint,
     decode,
 )
-from drivers.canopen.measuring import SAMPLE
 
 
 def test_events_by_hand() -> None:
@@ -59,9 +55,3 @@ def test_error_frames_by_hand(classes: int, data: str, state: ControllerState | 
 def test_error_counters_are_told() -> None:
     event = decode(0x204, bytes.fromhex("0020 00000000 80 07"), error=True)
     assert str(event) == "error passive (transmit errors 128, receive errors 7)"
-
-
-def test_trace_sample_by_hand() -> None:
-    raw = struct.pack("<Ifffdd", 7, 1.5, 60.0, 59.5, 12.25, 0.125)
-    sample = np.frombuffer(raw, SAMPLE)[0]
-    assert sample.tolist() == (7, 1.5, 60.0, 59.5, 12.25, 0.125)

@@ -100,25 +100,6 @@ def test_every_rule() -> None:
             parse_registers(content)
 
 
-def test_files_are_named(tmp_path: Path) -> None:
-    bad = {
-        b"\xff\xfe": "not YAML",
-        b"a: [": "not YAML",
-        b"a: 2001-13-45": "not YAML",
-        b"a: !!int ''": "not YAML",
-        b"a: !!timestamp x": "not YAML",
-        b"a: " + b"[" * 3000: "not YAML: nested too deeply, limit 32 levels",
-        b" " * 2**20 + b"a": "is larger than",
-        b"- 1": "must be a mapping",
-    }
-    for content, message in bad.items():
-        (tmp_path / "map.yaml").write_bytes(content)
-        with pytest.raises(BadProfile, match=rf"map\.yaml: {message}"):
-            load_registers(tmp_path / "map.yaml")
-    with pytest.raises(BadProfile, match="No such file"):
-        load_registers(tmp_path / "none.yaml")
-
-
 JUNK = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),

@@ -90,14 +90,6 @@ def test_noise_and_steps_of_the_torque(scenario: Callable[[str], Scenario]) -> N
     np.testing.assert_allclose(samples.velocity[:, :3].std(axis=0), 5e-6, rtol=0.05)
 
 
-def test_the_seed_decides_the_noise(scenario: Callable[[str], Scenario]) -> None:
-    def effort(seed: int) -> np.ndarray:
-        return Machine(scenario("full"), seed).advance(np.zeros((50, 6))).effort
-
-    np.testing.assert_array_equal(effort(1), effort(1))
-    assert np.any(effort(1) != effort(2))
-
-
 def test_what_cannot_be_done_is_refused(scenario: Callable[[str], Scenario]) -> None:
     machine = Machine(scenario("full"), seed=1)
     assert [axis.locked for axis in machine.axes] == [False] * 3 + [True] * 3

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simulator import Measurement, NoiseRun, Scenario, ScenarioError, SweepRun, run_sweeps, true_inertia
+from simulator import NoiseRun, Scenario, ScenarioError, SweepRun, run_sweeps, true_inertia
 
 pytestmark = pytest.mark.slow
 
@@ -71,24 +71,6 @@ def test_cogging_appears_at_its_order(noise_free: Load) -> None:
     lines = {f: abs(line(columns, "effort", f, run)) for f in (3.0, 5.0, 7.0, 9.0, 11.0, 14.0)}
     assert min(lines[7.0], lines[14.0]) > 1.0
     assert max(lines[3.0], lines[5.0], lines[9.0], lines[11.0]) < 0.05
-
-
-def test_torque_noise_is_that_of_the_scenario(scenario: Load, noise_free: Load, sweep: Make) -> None:
-    noisy = run_sweeps(scenario("full"), [sweep("joint_1")], seed=3)[0]
-    clean = run_sweeps(noise_free("full"), [sweep("joint_1")], seed=3)[0]
-    assert np.std(noisy["effort"] - clean["effort"]) == pytest.approx(0.002 * 3000, rel=0.05)
-    assert np.std(noisy["velocity"] - clean["velocity"]) == pytest.approx(5e-6, rel=0.05)
-
-
-@pytest.mark.slow
-def test_effort_delay_shifts_the_torque_alone(noise_free: Load, sweep: Make) -> None:
-    rigid = noise_free("rigid")
-    late = rigid.model_copy(update={"measurement": Measurement(effort_delay=0.0005)})
-    run = sweep("joint_1")
-    (prompt,), (delayed,) = run_sweeps(rigid, [run], seed=1), run_sweeps(late, [run], seed=1)
-    np.testing.assert_array_equal(prompt["velocity"], delayed["velocity"])
-    turn = line(delayed, "effort", 5.0, run) / line(prompt, "effort", 5.0, run)
-    assert turn == pytest.approx(np.exp(-2j * np.pi * 5.0 * 0.0005), rel=1e-4)
 
 
 def test_no_sweep_gives_no_recording(scenario: Load) -> None:

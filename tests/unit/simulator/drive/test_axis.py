@@ -205,26 +205,6 @@ def test_staying_at_the_torque_limit_is_a_fault(dictionary: Dictionary, axis: Ax
     assert dictionary[0x603F, 0] == ErrorCode.TORQUE_LIMIT
 
 
-def test_safe_torque_off_is_latched(dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
-    enable(1)
-    target(dictionary, axis, 90.0)
-    turn(400)
-    axis.stop_safely(on=True)
-    assert axis.state is State.FAULT
-    assert not axis.energised
-    assert turn(80) == pytest.approx(np.zeros(80))
-    axis.control(0x80)
-    assert axis.state is State.FAULT
-    axis.reset()
-    assert axis.state is State.FAULT
-    assert dictionary[0x2130, 1] == 1
-    axis.stop_safely(on=False)
-    assert axis.state is State.FAULT
-    axis.control(0x00)
-    axis.control(0x80)
-    assert axis.state is State.SWITCH_ON_DISABLED
-
-
 @pytest.mark.parametrize("state", list(State))
 @pytest.mark.parametrize("rotating", [False, True])
 def test_safe_torque_off_in_every_state(
@@ -243,7 +223,10 @@ def test_safe_torque_off_in_every_state(
         axis.control(controlword)
         assert axis.state is State.FAULT
         assert turn(16) == pytest.approx(np.zeros(16))
+    axis.reset()
+    assert (axis.state, dictionary[0x2130, 1]) == (State.FAULT, 1)
     axis.stop_safely(on=False)
+    assert axis.state is State.FAULT
     axis.control(0x00)
     axis.control(0x80)
     assert axis.state is State.SWITCH_ON_DISABLED
