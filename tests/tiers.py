@@ -51,8 +51,6 @@ SHORT = (  # stays in the first tier although a line of LONG names it: file[::fu
     "tests/system/test_virtual_modbus.py::test_a_sweep_and_its_trace",
     "tests/system/test_virtual_modbus.py::test_watchdog_of_a_host_that_falls_silent",
     # hidden effects and faults of data, of each kind one
-    "tests/numeric/blind/test_blind.py::test_a_hidden_effect_is_found[coulomb_friction]",
-    "tests/numeric/blind/test_blind.py::test_a_hidden_effect_is_found[none]",
     "tests/numeric/second_plant/test_cases.py::test_a_fault_is_in_the_bundle[torque_sign]",
     "tests/numeric/second_plant/test_cases.py::test_a_large_effect_is_seen_and_no_monster[coulomb_friction]",
     "tests/numeric/second_plant/test_scoring.py::test_a_fair_sample_goes_through[00001",
@@ -177,8 +175,6 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/browser/test_page_truth.py::test_the_campaign_that_matters_is_shown_first": 9,
     "tests/browser/test_work_on_the_page.py::test_an_amount_that_is_no_number_is_told": 9,
     # further effects, faults, robots and seeds; statistics over many campaigns
-    "tests/numeric/blind/test_blind.py::test_a_hidden_effect_is_found": 33,
-    "tests/numeric/blind/test_scoring.py::test_a_hidden_effect_is_about_as_large_as_it_says": 11,
     "tests/numeric/second_plant/test_cases.py::test_a_fault_is_in_the_bundle": 9,
     "tests/numeric/second_plant/test_cases.py::test_a_large_effect_is_seen_and_no_monster": 20,
     "tests/numeric/second_plant/test_cases.py::test_what_is_random_comes_in_the_shares_that_are_said": 4,

@@ -12,7 +12,7 @@ import numpy as np
 from service.recording import Array, Sweep
 from service.robot import Robot, build_robot
 from service.store.files.bundle import Bundle
-from tests.numeric.check_bundles import Sound, changed
+from tests.numeric.check_bundles import Sound
 
 Random = np.random.Generator
 Break = Callable[[Random, Sound], Bundle]
@@ -38,7 +38,9 @@ def columns(change: Callable[[Random, Sound, Sweep], dict[str, Array]], *, some:
         return replace(
             sound.bundle,
             sweeps=tuple(
-                changed(sweep, **change(random, sound, sweep)) if sweep.spec.id in ids else sweep
+                replace(sweep, recording=replace(sweep.recording, **change(random, sound, sweep)))
+                if sweep.spec.id in ids
+                else sweep
                 for sweep in sound.bundle.sweeps
             ),
         )
@@ -127,7 +129,8 @@ def _clipped(random: Random, sound: Sound) -> Bundle:
 
 def _bits(name: str, whole: Callable[[Sound, Sweep], float]) -> Break:
     def change(_: Random, sound: Sound, sweep: Sweep) -> dict[str, Array]:
-        step = 2 * whole(sound, sweep) / 255
+        if not (step := 2 * whole(sound, sweep) / 255):
+            return {}  # it stands
         return {name: np.round(getattr(sweep.recording, name) / step) * step}
 
     return columns(change)
