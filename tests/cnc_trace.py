@@ -10,7 +10,8 @@ from service.identification.design.excitation import Excitation
 from service.identification.design.sweep_path import way
 from service.planning.plan import PlannedSweep
 from service.robot import Robot
-from simulator import Scenario, SweepRun, run_sweeps
+from simulator import Scenario, run_sweeps
+from tests.numeric.campaign import run_of
 
 Array = NDArray[np.float64]
 HEAD = ("CYCLE", "ENC_POS", "DES_POS", "CMD_SPEED", "TORQUE")
@@ -26,19 +27,7 @@ def excitation(planned: PlannedSweep) -> Excitation:
 
 def simulate(scenario: Scenario, sweeps: list[PlannedSweep], seed: int) -> list[dict[str, Array]]:
     """Columns of the sweeps at 1 kHz."""
-    runs = [
-        SweepRun(
-            axis=planned.spec.axis,
-            pose=planned.spec.pose,
-            offset_velocity=planned.spec.offset_velocity,
-            sines=tuple((sine.frequency, sine.amplitude, sine.phase) for sine in planned.spec.sines),
-            period=planned.spec.period or 0.0,
-            periods=planned.spec.periods or 0,
-            ramp=planned.ramp,
-            settle=planned.settle,
-        )
-        for planned in sweeps
-    ]
+    runs = [run_of(planned.spec, planned.ramp, planned.settle, sample_rate=1000.0) for planned in sweeps]
     return run_sweeps(scenario, runs, seed)
 
 

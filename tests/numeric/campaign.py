@@ -1,14 +1,15 @@
 """Simulated campaigns for the numeric tests: scenario -> sweeps -> spectra, with the truth kept apart."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 import yaml
 
 from service.identification import Spectrum, spectrum
-from service.identification.design.excitation import design_sweep
+from service.identification.design.excitation import Excitation, design_sweep
 from service.identification.model.regressor import inertia_rows, lock
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Robot, RobotDescription, build_robot
@@ -87,30 +88,43 @@ def planned_at(
             stiff = scenario.name.endswith("rigid")
             resonance = None if stiff else float(np.sqrt(STIFFNESS[joint] / load) / (2 * np.pi))
             sweep = design_sweep(robot, joint, pose, load_inertia=float(load), locked_rotor_frequency=resonance)
-            specs.append(
-                SweepSpec(
-                    id=f"{len(specs) + 1:04}",
-                    axis=joint,
-                    pose=tuple(pose.tolist()),
-                    offset_velocity=sweep.offset_velocity,
-                    sines=sweep.sines,
-                    period=sweep.period,
-                    periods=sweep.periods,
-                    measure_from=sweep.measure_from,
-                    sample_rate=sample_rate,
-                )
-            )
-            runs.append(
-                SweepRun(
-                    axis=joint,
-                    pose=specs[-1].pose,
-                    offset_velocity=sweep.offset_velocity,
-                    sines=tuple((sine.frequency, sine.amplitude, sine.phase) for sine in sweep.sines),
-                    period=sweep.period,
-                    periods=sweep.periods,
-                    ramp=sweep.ramp,
-                    settle=sweep.settle,
-                    sample_rate=sample_rate,
-                )
-            )
+            specs.append(spec_of(sweep, len(specs) + 1, joint, pose, sample_rate))
+            runs.append(run_of(specs[-1], sweep.ramp, sweep.settle))
     return specs, runs
+
+
+def spec_of(
+    sweep: Excitation, number: int, axis: str, pose: Iterable[float], sample_rate: float = 1000.0, **others: Any
+) -> SweepSpec:
+    """What a recording is said to be of a designed sweep."""
+    shape = {"offset_velocity": sweep.offset_velocity, "sines": sweep.sines, "measure_from": sweep.measure_from}
+    shape |= {"period": sweep.period, "periods": sweep.periods, "sample_rate": sample_rate}
+    place = {"id": f"{number:04}", "axis": axis, "pose": tuple(map(float, pose))}
+    return SweepSpec.model_validate(place | shape | others)
+
+
+def run_of(spec: SweepSpec, ramp: float, settle: float, **others: float) -> SweepRun:
+    """What a simulated machine needs of a sweep."""
+    sines = tuple((sine.frequency, sine.amplitude, sine.phase) for sine in spec.sines)
+    shape = (spec.axis, spec.pose, spec.offset_velocity, sines, spec.period or 0.0, spec.periods or 0, ramp, settle)
+    return SweepRun(*shape, **{"sample_rate": spec.sample_rate} | others)
+
+
+class Planned(Protocol):
+    """A sweep that a plan or a design has."""
+
+    @property
+    def spec(self) -> SweepSpec: ...
+    @property
+    def ramp(self) -> float: ...
+    @property
+    def settle(self) -> float: ...
+
+
+def run_plan(scenario: Scenario, planned: Sequence[Planned], seed: int, direct_encoder: bool = False) -> list[Sweep]:
+    """The sweeps of a plan, run by a simulated machine."""
+    columns = run_sweeps(scenario, [run_of(sweep.spec, sweep.ramp, sweep.settle) for sweep in planned], seed)
+    recordings = [Recording(**one) for one in columns]
+    if not direct_encoder:
+        recordings = [replace(one, load_position=None, load_velocity=None) for one in recordings]
+    return [Sweep(sweep.spec, recording) for sweep, recording in zip(planned, recordings, strict=True)]

@@ -20,7 +20,7 @@ from service.robot import Robot
 from service.urdf import read_chain
 from simulator import Scenario, SweepRun, run_sweeps, run_trajectories
 from simulator.rigid_body import real_urdf
-from tests.numeric.campaign import CONFIG
+from tests.numeric.campaign import CONFIG, run_of, spec_of
 
 # data-sheet stiffness of the gears, N m/rad: only the design of the sweeps uses it
 STIFFNESS = (7e5, 1.8e6, 4e5, 5e4, 4.5e4, 1.2e4)
@@ -55,29 +55,22 @@ def measure_trajectories(
     specs, runs = [], []
     for number, run in enumerate(trajectories):
         own = [
-            SweepSpec(
+            spec_of(
+                excitation,
+                axis,
+                joint,
+                run.start,
+                sample_rate,
                 id=f"T{number:02}-{axis}",
-                axis=joint,
-                pose=tuple(run.start.tolist()),
                 offset_velocity=0.0,
                 excitation="trajectory",
-                sines=excitation.sines,
-                period=excitation.period,
-                periods=excitation.periods,
-                measure_from=excitation.measure_from,
-                sample_rate=sample_rate,
                 started_at=100.0 * number,
                 block=f"trajectory {number}",
             )
             for axis, (joint, excitation) in enumerate(zip(robot.joints, run.excitations, strict=True))
         ]
         specs.append(own)
-        runs.append(
-            [
-                _run(spec, excitation.ramp, excitation.settle)
-                for spec, excitation in zip(own, run.excitations, strict=True)
-            ]
-        )
+        runs.append([run_of(spec, one.ramp, one.settle) for spec, one in zip(own, run.excitations, strict=True)])
     recordings = run_trajectories(scenario, runs, seed)
     return [
         [Sweep(spec, Recording(**columns)) for spec, columns in zip(own, recorded, strict=True)]
@@ -96,20 +89,8 @@ def measure_sweeps(
         for pose, load in zip(poses, loads, strict=True):
             resonance = float(np.sqrt(STIFFNESS[number] / load) / (2 * np.pi))
             sweep = design_sweep(robot, joint, pose, load_inertia=float(load), locked_rotor_frequency=resonance)
-            specs.append(
-                SweepSpec(
-                    id=f"{len(specs) + 1:04}",
-                    axis=joint,
-                    pose=tuple(pose.tolist()),
-                    offset_velocity=sweep.offset_velocity,
-                    sines=sweep.sines,
-                    period=sweep.period,
-                    periods=sweep.periods,
-                    measure_from=sweep.measure_from,
-                    sample_rate=sample_rate,
-                )
-            )
-            runs.append(_run(specs[-1], sweep.ramp, sweep.settle))
+            specs.append(spec_of(sweep, len(specs) + 1, joint, pose, sample_rate))
+            runs.append(run_of(specs[-1], sweep.ramp, sweep.settle))
     recordings = run_sweeps(scenario, runs, seed)
     sweeps = [Sweep(spec, Recording(**columns)) for spec, columns in zip(specs, recordings, strict=True)]
     return sweeps, [spectrum(robot, sweep) for sweep in sweeps]
@@ -155,17 +136,3 @@ def prediction(both: Combination, record: TrajectoryRecord, sweeps: Sequence[Swe
 
 def records(robot: Robot, measured: Sequence[Sequence[Sweep]]) -> list[TrajectoryRecord]:
     return [trajectory(robot, [axis_track(sweep) for sweep in sweeps]) for sweeps in measured]
-
-
-def _run(spec: SweepSpec, ramp: float, settle: float) -> SweepRun:
-    return SweepRun(
-        axis=spec.axis,
-        pose=spec.pose,
-        offset_velocity=spec.offset_velocity,
-        sines=tuple((sine.frequency, sine.amplitude, sine.phase) for sine in spec.sines),
-        period=spec.period or 0.0,
-        periods=spec.periods or 0,
-        ramp=ramp,
-        settle=settle,
-        sample_rate=spec.sample_rate,
-    )

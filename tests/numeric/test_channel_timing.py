@@ -13,10 +13,10 @@ from service.identification import identify, spectrum
 from service.identification.axis.channel_timing import ChannelLags, channel_lags
 from service.identification.design.excitation import LINES, design_sweep
 from service.identification.model.regressor import inertia_rows, lock
-from service.recording import Recording, Sweep, SweepSpec
+from service.recording import Recording, Sweep
 from service.robot import Robot
-from simulator import Scenario, SweepRun, load_scenario, run_sweeps, true_inertia
-from tests.numeric.campaign import AXES, CONFIG, max100
+from simulator import Scenario, run_sweeps, true_inertia
+from tests.numeric.campaign import AXES, max100, run_of, scenario_named, spec_of
 
 CALIBRATION = (2.0, 3.0, 4.0, 5.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0)
 MICRO = 1e6
@@ -34,7 +34,7 @@ CASES = {
 
 
 def lagging(case: str) -> Scenario:
-    scenario = load_scenario(CONFIG / "scenarios/max100-full.yaml")
+    scenario = scenario_named("max100-full")
     return scenario.model_copy(update={"measurement": scenario.measurement.model_copy(update=CASES[case])})
 
 
@@ -48,11 +48,8 @@ def swept(scenario: Scenario, robot: Robot, joint: str, lines: tuple[float, ...]
     specs, runs = [], []
     for number, (pose, load) in enumerate(zip(grid, loads, strict=True), 1):
         sweep = design_sweep(robot, joint, pose, load_inertia=float(load), lines=lines, velocity_limit=0.1)
-        shape = {"offset_velocity": sweep.offset_velocity, "period": sweep.period, "periods": sweep.periods}
-        place = {"axis": joint, "pose": tuple(pose.tolist()), "sample_rate": 1000.0}
-        specs.append(SweepSpec(id=f"{number:04}", sines=sweep.sines, measure_from=sweep.measure_from, **shape, **place))
-        sines = tuple((sine.frequency, sine.amplitude, sine.phase) for sine in sweep.sines)
-        runs.append(SweepRun(sines=sines, ramp=sweep.ramp, settle=sweep.settle, **shape, **place))
+        specs.append(spec_of(sweep, number, joint, pose))
+        runs.append(run_of(specs[-1], sweep.ramp, sweep.settle))
     recordings = [Recording(**columns) for columns in run_sweeps(scenario, runs, seed)]
     return list(map(Sweep, specs, recordings))
 

@@ -5,11 +5,11 @@ import pytest
 
 from service.identification import identify, spectrum
 from service.identification.axis.distortion import Distortion
-from service.identification.design.excitation import Excitation, design_sweep, realisations
+from service.identification.design.excitation import design_sweep, realisations
 from service.recording import Recording, Sweep, SweepSpec
 from simulator import Scenario, SweepRun, run_sweeps
 from simulator.scenario import Stribeck
-from tests.numeric.campaign import max100, scenario_named
+from tests.numeric.campaign import max100, run_of, scenario_named, spec_of
 
 JOINT, POSES, COUNT = "joint_2", 6, 4
 
@@ -23,30 +23,13 @@ def distortion(machine: Scenario) -> Distortion:
         pose = (0.0, *rng.uniform(-1.0, 1.0, 2).tolist(), 0.0, 0.0, 0.0)
         once = design_sweep(robot, JOINT, np.array(pose), load_inertia=250.0, locked_rotor_frequency=12.0)
         for one in realisations(once, COUNT, [number]):
-            specs.append(_spec(one, f"{len(specs) + 1:04}", pose))
-            sines = tuple((sine.frequency, sine.amplitude, sine.phase) for sine in one.sines)
-            runs.append(
-                SweepRun(JOINT, pose, one.offset_velocity, sines, one.period, one.periods, one.ramp, one.settle)
-            )
+            specs.append(spec_of(one, len(specs) + 1, JOINT, pose))
+            runs.append(run_of(specs[-1], one.ramp, one.settle))
     recordings = [Recording(**columns) for columns in run_sweeps(machine, runs, 8)]
     spectra = [spectrum(robot, Sweep(*pair)) for pair in zip(specs, recordings, strict=True)]
     (axis,) = identify(robot, spectra).axes
     assert axis.distortion is not None
     return axis.distortion
-
-
-def _spec(one: Excitation, name: str, pose: tuple[float, ...]) -> SweepSpec:
-    return SweepSpec(
-        id=name,
-        axis=JOINT,
-        pose=pose,
-        offset_velocity=one.offset_velocity,
-        sines=one.sines,
-        period=one.period,
-        periods=one.periods,
-        measure_from=one.measure_from,
-        sample_rate=1000.0,
-    )
 
 
 @pytest.mark.parametrize("falls", [False, True])

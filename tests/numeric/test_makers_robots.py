@@ -4,7 +4,6 @@
 """
 
 import xml.etree.ElementTree as ET
-from dataclasses import replace
 
 import coal
 import numpy as np
@@ -18,7 +17,7 @@ from service.identification.model.regressor import inertia_rows
 from service.maker_urdf.meshes import mesh_points
 from service.maker_urdf.packages import Packages
 from service.planning.plan import PlanDocument, PlanRequest, build_plan
-from service.recording import Recording, Sweep
+from service.recording import Sweep
 from service.robot import Robot
 from simulator import (
     DrivenAxis,
@@ -28,12 +27,11 @@ from simulator import (
     Measurement,
     Scenario,
     SpeedControl,
-    SweepRun,
-    run_sweeps,
     true_inertia,
 )
 from simulator.scenario import NominalRobot
 from tests.makers_robots import MAKERS, Maker, completed, share
+from tests.numeric.campaign import run_plan
 
 ROBOTS = share() / "example-robot-data" / "robots"
 POSES = 12
@@ -78,7 +76,7 @@ def test_from_a_makers_urdf_to_its_inertia(maker: Maker) -> None:
     plan = plan_of(maker, robot, cell, POSES)
     assert len(plan.sweeps) == 3 * POSES, [dropped.reason for dropped in plan.dropped]
     machine = machine_of(maker, robot)
-    sweeps = measured(machine, plan)
+    sweeps = run_plan(machine, plan.sweeps, seed=3)
     estimate = identify(robot, [spectrum(robot, sweep) for sweep in sweeps])
     for joint in maker.axes:
         error, std = errors(estimate, machine, sweeps, joint)
@@ -132,29 +130,6 @@ def machine_of(maker: Maker, robot: Robot) -> Scenario:
         axes=axes,
         measurement=Measurement(effort_noise=0.002, velocity_noise=2e-5, position_noise=1e-6),
     )
-
-
-def measured(machine: Scenario, plan: PlanDocument) -> list[Sweep]:
-    """The plan's sweeps on the machine, without a direct encoder."""
-    runs = [
-        SweepRun(
-            axis=sweep.spec.axis,
-            pose=sweep.spec.pose,
-            offset_velocity=sweep.spec.offset_velocity,
-            sines=tuple((sine.frequency, sine.amplitude, sine.phase) for sine in sweep.spec.sines),
-            period=sweep.spec.period or 0.0,
-            periods=sweep.spec.periods or 0,
-            ramp=sweep.ramp,
-            settle=sweep.settle,
-            sample_rate=sweep.spec.sample_rate,
-        )
-        for sweep in plan.sweeps
-    ]
-    recordings = [Recording(**columns) for columns in run_sweeps(machine, runs, seed=3)]
-    return [
-        Sweep(sweep.spec, replace(recording, load_position=None, load_velocity=None))
-        for sweep, recording in zip(plan.sweeps, recordings, strict=True)
-    ]
 
 
 def errors(estimate: Estimate, machine: Scenario, sweeps: list[Sweep], joint: str) -> tuple[np.ndarray, np.ndarray]:

@@ -1,6 +1,5 @@
 """The confidence that a plan predicts against the one that the estimate of its sweeps states."""
 
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -13,10 +12,9 @@ from service.geometry.cell import read_cell
 from service.identification import Spectrum, identify, spectrum
 from service.identification.design.pose_selection import Criterion
 from service.planning.plan import PlanDocument, PlanRequest, build_plan, workspace_grid
-from service.recording import Recording, Sweep
 from service.robot import Robot, build_robot
-from simulator import SweepRun, load_scenario, run_sweeps, true_inertia
-from tests.numeric.campaign import AXES, CONFIG, max100, measure_at, scenario_named
+from simulator import true_inertia
+from tests.numeric.campaign import AXES, CONFIG, max100, measure_at, run_plan, scenario_named
 
 CELL = read_cell(CONFIG / "cells/workshop.yaml")
 
@@ -69,26 +67,7 @@ def test_the_fewer_sweeps_know_inertia_as_well() -> None:
 
 def simulated(robot: Robot, plan: PlanDocument, seed: int, direct_encoder: bool = False) -> list[Spectrum]:
     """Spectra of the sweeps of a plan on the virtual machine."""
-    runs = [
-        SweepRun(
-            axis=sweep.spec.axis,
-            pose=sweep.spec.pose,
-            offset_velocity=sweep.spec.offset_velocity,
-            sines=tuple((sine.frequency, sine.amplitude, sine.phase) for sine in sweep.spec.sines),
-            period=sweep.spec.period or 0.0,
-            periods=sweep.spec.periods or 0,
-            ramp=sweep.ramp,
-            settle=sweep.settle,
-            sample_rate=sweep.spec.sample_rate,
-        )
-        for sweep in plan.sweeps
-    ]
-    recordings = [
-        Recording(**columns) for columns in run_sweeps(load_scenario(CONFIG / "scenarios/max100-full.yaml"), runs, seed)
-    ]
-    if not direct_encoder:
-        recordings = [replace(one, load_position=None, load_velocity=None) for one in recordings]
-    sweeps = [Sweep(planned.spec, recording) for planned, recording in zip(plan.sweeps, recordings, strict=True)]
+    sweeps = run_plan(scenario_named("max100-full"), plan.sweeps, seed, direct_encoder)
     return [spectrum(robot, sweep) for sweep in sweeps]
 
 

@@ -8,9 +8,8 @@ from service.identification import spectrum
 from service.identification.estimates.initial_analysis import analyse
 from service.planning.analysis.documents import AnalysisPlan, AnalysisRequest
 from service.planning.analysis.plan import build_analysis_plan
-from service.recording import Recording, Sweep
-from simulator import SweepRun, load_scenario, run_sweeps, true_inertia
-from tests.numeric.campaign import CONFIG, max100
+from simulator import true_inertia
+from tests.numeric.campaign import CONFIG, max100, run_plan, scenario_named
 
 
 def plan(joint: str) -> AnalysisPlan:
@@ -22,26 +21,9 @@ def plan(joint: str) -> AnalysisPlan:
 
 @pytest.mark.parametrize("joint", ["joint_1", "joint_2"])
 def test_resonance_and_stiffness(joint: str) -> None:
-    robot, scenario = max100(), load_scenario(CONFIG / "scenarios/max100-full.yaml")
-    planned = plan(joint).sweeps
-    runs = [
-        SweepRun(
-            axis=sweep.spec.axis,
-            pose=sweep.spec.pose,
-            offset_velocity=sweep.spec.offset_velocity,
-            sines=tuple((sine.frequency, sine.amplitude, sine.phase) for sine in sweep.spec.sines),
-            period=sweep.spec.period or 0.0,
-            periods=sweep.spec.periods or 0,
-            ramp=sweep.ramp,
-            settle=sweep.settle,
-            sample_rate=sweep.spec.sample_rate,
-        )
-        for sweep in planned
-    ]
-    recordings = [Recording(**columns) for columns in run_sweeps(scenario, runs, seed=3)]
-    spectra = [
-        spectrum(robot, Sweep(sweep.spec, recording)) for sweep, recording in zip(planned, recordings, strict=True)
-    ]
+    robot, scenario = max100(), scenario_named("max100-full")
+    sweeps = run_plan(scenario, plan(joint).sweeps, seed=3, direct_encoder=True)
+    spectra = [spectrum(robot, sweep) for sweep in sweeps]
     analysis = analyse(robot, [], spectra)[joint]
     train = scenario.driven(joint).train
     assert train.spring is not None

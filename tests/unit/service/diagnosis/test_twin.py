@@ -20,6 +20,7 @@ from service.diagnosis.sensitivity.design import DesignedSweep, full_design
 from service.recording import Recording, Sweep
 from service.robot import Robot
 from simulator import Measurement, SweepRun, run_sweeps
+from tests.numeric import campaign
 from tests.numeric.campaign import max100, scenario_named
 
 Array = NDArray[np.float64]
@@ -82,9 +83,7 @@ def measured(joint: str = JOINT) -> tuple[Robot, tuple[Sweep, ...], Tracks]:
 
 
 def run_of(design: DesignedSweep) -> SweepRun:
-    spec, lines = design.spec, tuple((s.frequency, s.amplitude, s.phase) for s in design.spec.sines)
-    turn = (spec.axis, spec.pose, spec.offset_velocity, lines, spec.period or 1.0, spec.periods or 1)
-    return SweepRun(*turn, design.ramp, design.settle, started_at=spec.started_at)
+    return campaign.run_of(design.spec, design.ramp, design.settle, started_at=design.spec.started_at)
 
 
 def model(joint: str = JOINT) -> Model:

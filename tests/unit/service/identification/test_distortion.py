@@ -20,8 +20,9 @@ from service.identification.design.excitation import CREST, Excitation, design_s
 from service.identification.estimates.document import as_document
 from service.identification.estimates.estimate import identify
 from service.identification.spectra.frequency_response import Spectrum, spectrum
-from service.recording import Recording, Sweep, SweepSpec
+from service.recording import Recording, Sweep
 from service.robot import Robot
+from tests.numeric.campaign import spec_of
 
 pytestmark = pytest.mark.slow
 
@@ -40,17 +41,7 @@ def sweep_of(robot: Robot, pose: float, seed: int, count: int) -> tuple[Excitati
 
 
 def recorded(robot: Robot, excitation: Excitation, number: int, pose: float, columns: Sequence[np.ndarray]) -> Spectrum:
-    spec = SweepSpec(
-        id=f"{number:04}",
-        axis="swing",
-        pose=(0.0, pose),
-        offset_velocity=excitation.offset_velocity,
-        sines=excitation.sines,
-        period=excitation.period,
-        periods=excitation.periods,
-        measure_from=excitation.measure_from,
-        sample_rate=RATE,
-    )
+    spec = spec_of(excitation, number, "swing", (0.0, pose), RATE)
     time, effort, velocity, position = columns
     return spectrum(robot, Sweep(spec, Recording(time, effort, velocity, position)))
 

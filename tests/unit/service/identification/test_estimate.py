@@ -14,8 +14,9 @@ from service.identification.design.excitation import design_sweep, velocity_setp
 from service.identification.estimates import estimate as estimates
 from service.identification.model import physical_consistency
 from service.identification.model.regressor import gravity_terms, inertia_rows
-from service.recording import Recording, Sweep, SweepSpec
+from service.recording import Recording, Sweep
 from service.robot import Robot
+from tests.numeric.campaign import spec_of
 
 
 def _spectra(robot: Robot, poses: list[tuple[float, float]]) -> list[Spectrum]:
@@ -38,17 +39,7 @@ def _spectra(robot: Robot, poses: list[tuple[float, float]]) -> list[Spectrum]:
                 + torque * np.cos(way)
                 + stiffness * np.sin(way)
             )
-            spec = SweepSpec(
-                id=f"{len(spectra) + 1:04}",
-                axis=joint,
-                pose=pose,
-                offset_velocity=excitation.offset_velocity,
-                sines=excitation.sines,
-                period=1.0,
-                periods=excitation.periods,
-                measure_from=excitation.measure_from,
-                sample_rate=1000.0,
-            )
+            spec = spec_of(excitation, len(spectra) + 1, joint, pose)
             spectra.append(spectrum(robot, Sweep(spec, Recording(time, effort, velocity, pose[k] + way))))
     return spectra
 

@@ -17,6 +17,7 @@ from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Robot
+from tests.numeric.campaign import spec_of
 
 pytestmark = pytest.mark.slow
 
@@ -57,17 +58,7 @@ def _measure(
     time = np.arange(round(excitation.duration * 4000)) / 4000
     _, out, _ = lsim((a, b, c, [[proportional], [0], [0]]), velocity_setpoint(excitation, time), time)
     effort, velocity, position = out[::4].T
-    spec = SweepSpec(
-        id=f"{number:04}",
-        axis="lift",
-        pose=(0.0, 0.0),
-        offset_velocity=excitation.offset_velocity,
-        sines=excitation.sines,
-        period=excitation.period,
-        periods=periods or excitation.periods,
-        measure_from=excitation.measure_from,
-        sample_rate=1000.0,
-    )
+    spec = spec_of(excitation, number, "lift", (0.0, 0.0), periods=periods or excitation.periods)
     effort = effort + rng.normal(0, noise, len(effort))
     return spectrum(robot, Sweep(spec, Recording(time[::4], effort, velocity, position)))
 
