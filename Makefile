@@ -73,7 +73,7 @@ explore: $(READY)  ## interleavings in virtual time, 80 times as many as in make
 	$(BIN)/python -m pytest --explore 80 tests/virtual_time
 
 bench: $(READY)  ## what it costs, beside what else could do the same: docs/reference/benchmarks.md; a quarter of an hour
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.benchmarks.bench $(BENCH)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m docs.benchmarks $(BENCH)
 
 fuzz: $(READY)  ## what no program wrote, given to every parser of files from outside; 600 s of CPU, fails on a finding
 	$(BIN)/python -m tests.fuzz $(FUZZ)

@@ -1,6 +1,6 @@
 """Six axes of the simulated machine, small: sweeps and one trajectory predict another one and find the true robot.
 
-The full size is `tests/benchmarks/six_axes.py`.
+The full size is told in docs/how-to/six-axes.md.
 """
 
 from dataclasses import dataclass

@@ -8,8 +8,8 @@ import pytest
 from drivers.contract.bench import column, consume, eventually
 from drivers.errors import CommunicationLost
 from drivers.ports import SweepMode
-from tests.benchmarks.streamed_run import stream, summary
 from tests.contract.bench import AXIS, BENCHES, Virtual, sweep
+from tests.contract.sweeps import POSE, command, compare, move, robot, run
 
 
 @pytest.fixture
@@ -51,7 +51,17 @@ async def test_an_interface_that_goes_down_in_a_sweep_is_lost_communication(virt
     await port.close()
 
 
-def test_a_streamed_run_loses_nothing_and_agrees_with_the_drives_own_sweeps() -> None:
-    result = stream("vcan", ["joint_1"], 10.0, 100.0, 0, thread=False)
-    assert result["set_points"]["source"] == "bcm"
-    assert result["passed"], summary(result)
+async def test_a_streamed_run_loses_nothing_and_agrees_with_the_drives_own_sweeps(virtual: Virtual) -> None:
+    port = virtual.open()
+    await port.connect()
+    await move(port, POSE)
+    runs = []
+    for mode in (SweepMode.DRIVE_SIDE, SweepMode.HOST_STREAMED, SweepMode.DRIVE_SIDE):
+        for forward in (True, False) * 2:
+            start = (await port.status())[AXIS].position
+            swept = command(robot(), AXIS, start, forward, mode, 1 / virtual.bench.sync_period)
+            runs.append(await run(port, robot(), [swept], POSE))
+    await port.close()
+    assert all(each.gapless for each in runs)
+    found = compare(robot(), runs, AXIS)
+    assert abs(found.z) < 3, f"J {found.streamed:.2f} streamed, {found.drive_side:.2f} drive-side, z {found.z:+.1f}"

@@ -39,7 +39,7 @@ from tests.numeric.second_plant.scoring import Score
 
 ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs/reference/diagnosis-scores.md"
-RESULTS = ROOT / "tests/benchmarks/results/second-plant.json"
+RESULTS = Path(__file__).with_name("results.json")
 SAID, SAID_OF_PAPER = "said", "said-of-paper"  # folders
 PAPER = ("forward_slow", 0)  # block and repeat: one direction, an offset and 2 to 5 Hz, once in every pose
 LEFT_OUT = ("example", "where")  # of a document: large, and nothing that is scored

@@ -8,7 +8,6 @@ from typing import Generic, TypeVar
 
 Mine = TypeVar("Mine")
 Theirs = TypeVar("Theirs")
-Clock = Callable[[], float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,44 +44,34 @@ class Timed(Generic[Mine, Theirs]):
     mine: Mine
     theirs: Theirs
 
-    @property
-    def spread(self) -> float:
-        return (max(self.ours) - min(self.ours)) / statistics.median(self.ours)
-
     def as_measured(
-        self, name: str, beside: str, *, amount: float = 1.0, unit: str = "s", best: bool = False, note: str = ""
+        self, name: str, beside: str, *, amount: float = 0.0, unit: str = "s", best: bool = False, note: str = ""
     ) -> Measured:
-        """Seconds; in another `unit` the `amount` done in each repeat by the second. `best`: of all repeats, else the
-        median."""
+        """Seconds; with an `amount` that each repeat does, that by the second. `best` of all repeats, or the median."""
         centre = min if best else statistics.median
-        ours, peer, less = centre(self.ours), centre(self.peer), unit == "s"
+        ours, peer = centre(self.ours), centre(self.peer)
         return Measured(
             name=name,
             unit=unit,
-            ours=ours if less else amount / ours,
-            peer=peer if less else amount / peer,
+            ours=amount / ours if amount else ours,
+            peer=amount / peer if amount else peer,
             beside=beside,
-            less=less,
+            less=not amount,
             repeats=len(self.ours),
-            spread=self.spread,
+            spread=(max(self.ours) - min(self.ours)) / statistics.median(self.ours),
             note=note,
         )
 
 
-def timed(work: Callable[[], Mine], clock: Clock = time.process_time) -> tuple[float, Mine]:
-    """s by this clock, the processor's unless said otherwise, and what came of it."""
-    began = clock()
+def timed(work: Callable[[], Mine]) -> tuple[float, Mine]:
+    """s of the processor, and what came of it."""
+    began = time.process_time()
     result = work()
-    return clock() - began, result
+    return time.process_time() - began, result
 
 
 def beside(
-    ours: Callable[[], Mine],
-    peer: Callable[[], Theirs],
-    repeats: int,
-    *,
-    peer_repeats: int | None = None,
-    clock: Clock = time.process_time,
+    ours: Callable[[], Mine], peer: Callable[[], Theirs], repeats: int, peer_repeats: int | None = None
 ) -> Timed[Mine, Theirs]:
     """Both, in turn; a slow peer may have fewer turns."""
     theirs = repeats if peer_repeats is None else peer_repeats
@@ -90,7 +79,7 @@ def beside(
     others: list[tuple[float, Theirs]] = []
     for turn in range(max(repeats, theirs)):
         if turn < repeats:
-            mine.append(timed(ours, clock))
+            mine.append(timed(ours))
         if turn < theirs:
-            others.append(timed(peer, clock))
+            others.append(timed(peer))
     return Timed(tuple(s for s, _ in mine), tuple(s for s, _ in others), mine[-1][1], others[-1][1])

@@ -1,4 +1,4 @@
-"""What the benchmarks do with a machine: sweeps of known lines, their sample indices, their inertias."""
+"""Sweeps of known lines on a machine, their sample indices, their inertias."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from drivers.ports import DrivePort, SampleBlock, SetPointTiming, Sine, SweepCommand, SweepMode
+from drivers.ports import DrivePort, SampleBlock, Sine, SweepCommand, SweepMode
 from service.identification import identify, spectrum
 from service.recording import Recording, Sweep, SweepSpec
 from service.recording import Sine as RecordedSine
@@ -32,29 +32,12 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Indices:
-    """What the drive's sample counter says of one axis' samples in one sweep."""
-
-    count: int
-    lost: int
-    doubled: int
-    misordered: int
-
-    @property
-    def gapless(self) -> bool:
-        return self.lost == self.doubled == self.misordered == 0
-
-
-@dataclass(frozen=True)
 class Run:
-    """One `run_sweep`: of each axis what was commanded and delivered; begin and end on the wall clock, s."""
+    """One `run_sweep`: of each axis what was commanded and delivered."""
 
     mode: SweepMode
     sweeps: Mapping[str, Sweep]
-    indices: Mapping[str, Indices]
-    timing: SetPointTiming | None
-    begin: float
-    end: float
+    gapless: bool  # the drive's sample counter was 0, 1, 2, ... on every axis
 
 
 @dataclass(frozen=True)
@@ -65,7 +48,6 @@ class Comparison:
     drive_side: float
     difference_std: float
     std: float  # of one streamed sweep, median
-    each: Array  # (n,) z of each streamed sweep against the mean of the drive-side ones
 
     @property
     def z(self) -> float:
@@ -75,18 +57,6 @@ class Comparison:
 def robot() -> Robot:
     description = RobotDescription.model_validate(yaml.safe_load(ROBOT.read_text("utf-8")))
     return build_robot(description, (ROBOT.parent / description.urdf).read_text("utf-8"))
-
-
-def count(index: NDArray[np.integer]) -> Indices:
-    """Judge the indices of one sweep, which must be 0, 1, 2, ..."""
-    steps = np.diff(index.astype(np.int64), prepend=-1)
-    distinct = len(np.unique(index))
-    return Indices(
-        count=len(index),
-        lost=int(index.max(initial=-1)) + 1 - distinct,
-        doubled=len(index) - distinct,
-        misordered=int(np.count_nonzero(steps < 0)),
-    )
 
 
 def command(robot: Robot, joint: str, start: float, forward: bool, mode: SweepMode, rate: float) -> SweepCommand:
@@ -120,30 +90,20 @@ def wide(robot: Robot, joint: str, start: float, mode: SweepMode, rate: float) -
     )
 
 
-def way(robot: Robot, joint: str) -> float:
-    """From start to end of a forward sweep, rad."""
-    return _offset(robot, joint, TRAVEL) * MOVING
-
-
 async def run(port: DrivePort, robot: Robot, commands: Sequence[SweepCommand], pose: Mapping[str, float]) -> Run:
     """Enable, sweep, disable. `pose`: where the joints are on the average of the sweep, rad."""
     blocks: dict[str, list[SampleBlock]] = {each.joint: [] for each in commands}
     await port.enable(*blocks)
-    begin = time.time()
+    name = f"{time.time():.3f}"
     async with aclosing(port.run_sweep(*commands)) as samples:
         async for block in samples:
             blocks[block.joint].append(block)
-    end = time.time()
-    timing = port.set_point_timing
     for joint in blocks:
         await port.disable(joint)
     return Run(
         mode=commands[0].mode,
-        sweeps={each.joint: _sweep(robot, each, blocks[each.joint], pose, f"{begin:.3f}") for each in commands},
-        indices={joint: count(np.concatenate([block.index for block in own])) for joint, own in blocks.items()},
-        timing=timing,
-        begin=begin,
-        end=end,
+        sweeps={each.joint: _sweep(robot, each, blocks[each.joint], pose, name) for each in commands},
+        gapless=all(np.array_equal(_index(own), np.arange(len(_index(own)))) for own in blocks.values()),
     )
 
 
@@ -162,14 +122,16 @@ def compare(robot: Robot, runs: Sequence[Run], joint: str) -> Comparison:
     values, covariance = np.array([sweep.value for sweep in axis.sweeps]), axis.covariance
     streamed = np.array([run.mode is SweepMode.HOST_STREAMED for run in mine])
     means = streamed / streamed.sum(), ~streamed / (~streamed).sum()
-    single = np.eye(len(mine))[streamed] - means[1]
     return Comparison(
         streamed=float(means[0] @ values),
         drive_side=float(means[1] @ values),
         difference_std=float(np.sqrt((means[0] - means[1]) @ covariance @ (means[0] - means[1]))),
         std=float(np.median(np.sqrt(np.diag(covariance)[streamed]))),
-        each=(single @ values) / np.sqrt(np.einsum("ij,jk,ik->i", single, covariance, single)),
     )
+
+
+def _index(blocks: Sequence[SampleBlock]) -> NDArray[np.integer]:
+    return np.concatenate([block.index for block in blocks])
 
 
 def _sines(joint: str, offset: float) -> tuple[Sine, ...]:

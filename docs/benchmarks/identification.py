@@ -1,0 +1,163 @@
+"""From sweeps to estimates and causes: a revision against the paper's way, the regressor against Pinocchio, the base
+parameters against column-pivoted QR, the diagnosis of an axis against the time in which its sweeps are measured."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+from scipy.linalg import qr, solve_triangular
+
+from docs.benchmarks.measured import Measured, beside, timed
+from docs.benchmarks.plant import random_poses
+from service.diagnosis import diagnose_axis
+from service.estimation import SweepSpectrum, estimate_document, sweep_spectrum
+from service.identification.estimates.estimate import moving_chain
+from service.identification.model.base_parameters import TOLERANCE, base_parameters, joint_ranges, reduce_columns
+from service.identification.model.regressor import axis_rows, inertia_rows, parameter_names
+from service.identification.spectra.frequency_response import window
+from service.recording import Sweep
+from service.robot import Robot
+from tests.numeric.campaign import SimulatedCampaign, max100, measure_at, scenario_named
+from tests.numeric.second_plant.cases import Kind, case, make
+
+Array = NDArray[np.float64]
+
+POSES = 300
+MOST_COMPUTE, MOST_CAMPAIGN = 0.010, 8.0  # s
+PEER, PEER_ONCE = "FRF and least squares of all, again", "FRF and least squares once"
+CASES = {
+    "nothing hidden": case(11, 1000, Kind.NONE, (), "none"),
+    "Coulomb friction": case(11, 20_000, Kind.SINGLE, ("coulomb_friction",)),
+    "elasticity": case(11, 21_000, Kind.SINGLE, ("joint_elasticity",)),
+    "cogging": case(11, 22_000, Kind.SINGLE, ("cogging_torque",)),
+}
+
+
+@cache
+def campaign(poses: int = POSES) -> SimulatedCampaign:
+    """Sweeps of axes 1 to 3 in random poses, as they would come: pose by pose."""
+    found = measure_at(scenario_named("max100-full"), 7, random_poses(poses))
+    return replace(found, sweeps=tuple(found.sweeps[axis * poses + k] for k in range(poses) for axis in range(3)))
+
+
+def spectra(found: SimulatedCampaign) -> list[SweepSpectrum]:
+    return [sweep_spectrum(found.robot, sweep) for sweep in found.sweeps]
+
+
+def anew(robot: Robot, sweeps: Sequence[Sweep]) -> Array:
+    """The paper's way, from nothing: FRF of each sweep, J by its formula, least squares in the base parameters."""
+    poses, axes = np.array([s.spec.pose for s in sweeps]), [robot.index(s.spec.axis) for s in sweeps]
+    values = np.array([_formula(sweep) for sweep in sweeps])
+    moved = sorted(set(axes))
+    chain, unlocked = moving_chain(robot, moved, poses)
+    base = base_parameters(chain, tuple(unlocked.index(number) for number in moved))
+    rows = np.empty((len(sweeps), len(base.columns)))
+    for number in moved:
+        own = np.flatnonzero(np.array(axes) == number)
+        rows[own] = base.rows(chain, unlocked.index(number), poses[own][:, list(unlocked)])
+    length = np.linalg.norm(rows, axis=0)
+    scale = np.where(length > 0, length, 1.0)
+    return np.linalg.lstsq(rows / scale, values, rcond=1e-9)[0] / scale
+
+
+def _formula(sweep: Sweep) -> float:
+    """Mean of |Im Z| / omega over the lines."""
+    first, count = window(sweep.spec, sweep.recording.time)
+    part = slice(first, first + count)
+    frequency = np.array([sine.frequency for sine in sweep.spec.sines])
+    bins = np.round(frequency * count / sweep.spec.sample_rate).astype(int)
+    effort, velocity = (np.fft.rfft(x[part])[bins] for x in (sweep.recording.effort, sweep.recording.velocity))
+    return float(np.mean(np.abs((effort / velocity).imag) / (2 * np.pi * frequency)))
+
+
+def revisions(found: SimulatedCampaign, told: list[SweepSpectrum], last: int, repeats: int) -> Callable[[], object]:
+    """Each call is the next revision of a campaign, `last` that of the last one: spectrum of the new sweep, estimate of
+    all. The fit of an axis whose sweeps did not change is kept from the revision before; that of the first was made
+    here."""
+    numbers = iter(range(last - repeats, last + 1))
+
+    def next_revision() -> object:
+        number = next(numbers)
+        new = sweep_spectrum(found.robot, found.sweeps[number - 1])
+        return estimate_document(found.robot, [*told[: number - 1], new]).as_json()
+
+    next_revision()
+    return next_revision
+
+
+def by_pinocchio(robot: Robot, poses: Array) -> Array:
+    """Rows (axes, m, 10 n): torque of a unit acceleration without gravity, a call an axis and pose."""
+    model = pin.buildModelFromXML(robot.urdf_text)
+    model.gravity.linear = np.zeros(3)
+    data, still, units = model.createData(), np.zeros(model.nv), np.eye(model.nv)
+    rows = np.empty((model.nv, len(poses), 10 * model.nv))
+    for m, pose in enumerate(poses):
+        for axis, unit in enumerate(units):
+            rows[axis, m] = pin.computeJointTorqueRegressor(model, data, pose, still, unit)[axis]
+    return rows
+
+
+def by_qr(rows: Array) -> tuple[list[int], Array]:
+    """Columns and regrouping by column-pivoted QR (Gautier 1991)."""
+    length = np.linalg.norm(rows, axis=0)
+    scaled = rows / np.where(length > TOLERANCE * length.max(), length, 1.0)
+    triangle, order = qr(scaled, mode="r", pivoting=True)
+    size = np.abs(np.diag(triangle))
+    rank = int(np.sum(size > 1e3 * TOLERANCE * size[0]))
+    return order[:rank].tolist(), solve_triangular(triangle[:rank, :rank], triangle[:rank, rank:])
+
+
+def rows_compared(poses: int, repeats: int, *, best: bool = False) -> Iterator[Measured]:
+    robot = max100()
+    lower, upper = joint_ranges(robot.chain)
+    at = np.random.default_rng(0).uniform(lower, upper, (poses, len(lower)))
+    found = beside(
+        lambda: np.stack([inertia_rows(robot.chain, axis, at) for axis in range(6)]),
+        lambda: by_pinocchio(robot, at),
+        repeats,
+    )
+    apart = float(np.abs(found.mine - found.theirs).max() / np.abs(found.theirs).max())
+    yield found.as_measured(
+        "regressor of six axes", "Pinocchio, one call per axis and pose", amount=6 * poses, unit="rows/s", best=best,
+        note=f"largest difference {apart:.0e}",
+    )  # fmt: skip
+    tall, names = np.vstack([axis_rows(robot.chain, axis, at) for axis in range(6)]), parameter_names(robot.chain)
+    base = beside(lambda: reduce_columns(tall, names), lambda: by_qr(tall), repeats)
+    yield base.as_measured(
+        f"base parameters of {len(tall)} x {tall.shape[1]}", "column-pivoted QR with its regrouping", best=best,
+        note=f"ranks {len(base.mine.columns)} and {len(base.theirs[0])}",
+    )  # fmt: skip
+
+
+def run() -> Iterator[Measured]:
+    found = campaign()
+    sweeps, robot, told = found.sweeps, found.robot, spectra(found)
+    revisions(found, told, 6, 1)()  # what is loaded once
+    for count in (24, 90, 300, 900):
+        at = beside(revisions(found, told, count, 5), lambda n=count: anew(robot, sweeps[:n]), 5)
+        of = at.as_measured(f"a revision, computing time only, sweep {count}", PEER)
+        yield replace(of, target=f"<= {MOST_COMPUTE * 1e3:g} ms", met=of.ours <= MOST_COMPUTE)
+    whole = beside(lambda: estimate_document(robot, spectra(found)), lambda: anew(robot, sweeps), 3)
+    of = whole.as_measured("900 sweeps identified again, all at once", PEER_ONCE)
+    yield replace(of, target=f"<= {MOST_CAMPAIGN:g} s", met=of.ours <= MOST_CAMPAIGN)
+    yield from rows_compared(10_000, 3)
+    for name, one in CASES.items():
+        robot, joint, sweeps, _ = make(one)
+        seconds, axis = timed(lambda robot=robot, joint=joint, sweeps=sweeps: diagnose_axis(robot, joint, sweeps))
+        machine = sum(float(sweep.recording.time[-1] - sweep.recording.time[0]) for sweep in sweeps)
+        yield Measured(
+            name=f"diagnosis of one axis, {name}", unit="s", ours=seconds, peer=machine,
+            beside="measuring its sweeps", note=f"{len(sweeps)} sweeps: {axis.verdict.value}",
+        )  # fmt: skip
+
+
+def quick() -> Iterator[Measured]:
+    """60 sweeps; 1,000 poses."""
+    found = campaign(20)
+    told = spectra(found)
+    at = beside(revisions(found, told, len(told), 9), lambda: anew(found.robot, found.sweeps), 9)
+    yield at.as_measured("a revision of 60 sweeps", PEER, best=True)
+    yield from rows_compared(1000, 5, best=True)
