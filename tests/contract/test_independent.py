@@ -14,8 +14,8 @@ from drivers.contract.bench import closing, column
 from drivers.ports import AxisState, DrivePort, SweepMode
 from drivers.registry import open_drive
 from service.identification import identify, spectrum
-from tests.contract.sweeps import POSE, move, robot, run, wide
 from tests.contract.bench import AXIS, BENCHES, SYNC_PERIOD
+from tests.contract.sweeps import POSE, move, robot, run, wide
 from tests.independent_bench import STACKS, IndependentMachine, machine
 
 WAYS = {

@@ -17,9 +17,9 @@ from drivers.errors import LimitExceeded, SweepInterrupted
 from drivers.ports import AxisState, DrivePort, SampleBlock, SweepCommand, SweepMode
 from drivers.registry import open_drive
 from service.robot import Robot
-from tests.contract.sweeps import LINES, POSE, Run, command, compare, move, robot, run, wide
 from tests.contract.bench import AXIS, BENCHES, DRIVES, SYNC_PERIOD, in_one_process
 from tests.contract.makers import profile
+from tests.contract.sweeps import LINES, POSE, Run, command, compare, move, robot, run, wide
 from tests.foreign_bench import bench
 
 STEP = float(np.radians(1e-3))  # rad, of a Powerball's position

@@ -11,11 +11,10 @@ from functools import partial
 from random import Random
 from typing import Any
 
-from tests.virtual_time.modbus import Gateway
-
 from tests.virtual_time.canbus import Wire
 from tests.virtual_time.clock import Clock
 from tests.virtual_time.machine import VirtualMachine
+from tests.virtual_time.modbus import Gateway
 from tests.virtual_time.service import VirtualService
 
 ANSWERED = 1.2  # s
