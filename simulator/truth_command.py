@@ -9,10 +9,6 @@ from typing import Annotated
 
 import typer
 
-from simulator.hidden import hide as hidden_in
-from simulator.scenario import ScenarioError, load_scenario
-from simulator.truth import truth as true_inertias
-
 
 def truth(
     scenario: Annotated[Path, typer.Argument(help="Scenario file (config/scenarios/*.yaml).")],
@@ -24,6 +20,10 @@ def truth(
     """Print {joint: [total inertia in kg m^2, one per pose]}, or for a seed the axis, effect and parameters that it
     hides.
     """
+    from simulator.hidden import hide as hidden_in
+    from simulator.scenario import ScenarioError, load_scenario
+    from simulator.truth import truth as true_inertias
+
     try:
         if hide is not None and poses is None:
             found: object = asdict(hidden_in(load_scenario(scenario), hide)[1])
@@ -41,6 +41,8 @@ def truth(
 
 
 def _read_poses(path: Path) -> list[list[float]]:
+    from simulator.scenario import ScenarioError
+
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
         return [[float(position) for position in pose] for pose in data]

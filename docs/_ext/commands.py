@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-import typer
 from markdown_table import cell, table
 from sphinx.application import Sphinx
 
@@ -19,16 +18,13 @@ def setup(app: Sphinx) -> Mapping[str, bool]:
 
 def _append(_app: Sphinx, document: str, source: list[str]) -> None:
     if document == PAGE:
-        source[0] += "\n".join(_told(typer.main.get_command(build([])), ""))
+        source[0] += "\n".join(
+            line for name, command in sorted(build().every(), key=lambda one: one[0]) for line in _told(command, name)
+        )
 
 
 def _told(command: Any, name: str) -> Iterator[str]:
-    """Of a command, or of all commands of a group. `Any`: typer has no public type of what it builds."""
-    parts: Mapping[str, Any] | None = getattr(command, "commands", None)
-    if parts is not None:
-        for word in sorted(parts):
-            yield from _told(parts[word], f"{name} {word}".strip())
-        return
+    """Of a command. `Any`: typer has no public type of what it builds."""
     yield f"\n## `sweepid {name}`\n\n{(command.help or '').strip()}\n"
     yield from table(("option", "default", "what it says"), map(_row, command.params))
 

@@ -1,25 +1,18 @@
 """`sweepid commission draft|check`: an unknown CANopen drive, from its dictionary to a signed sheet."""
 
-import asyncio
 import math
 import os
 import signal
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drivers.canopen.profile import CanopenAxis
-from drivers.cia402.profile import FILL_IN
-from drivers.commission.by_hand import named, turned
-from drivers.commission.dictionary import read_dictionary
-from drivers.commission.draft import map_text, profile_text, unfilled
-from drivers.commission.fitting import fitting
-from drivers.commission.moving import motion_text, moved
-from drivers.commission.sheet import Row
-from drivers.commission.survey import digests, load, survey
 from drivers.errors import BadProfile
-from drivers.registry import open_profile
+
+if TYPE_CHECKING:
+    from drivers.canopen.profile import CanopenAxis
+    from drivers.commission.sheet import Row
 
 commission = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="CANopen drives of other manufacturers.")
 
@@ -41,6 +34,11 @@ def draft(
     """Draft a drive profile, and a device map if none fits. Values that the file does not contain are marked and
     refused.
     """
+    from drivers.cia402.profile import FILL_IN
+    from drivers.commission.dictionary import read_dictionary
+    from drivers.commission.draft import map_text, profile_text, unfilled
+    from drivers.commission.fitting import fitting
+
     dictionary = read_dictionary(eds, 1)
     maps = fitting(dictionary, devices)
     profile, own = out / f"{eds.stem}.yaml", out / f"{eds.stem}-device.yaml"
@@ -76,6 +74,9 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document instead of the table.")] = False,
 ) -> None:
     """Compare every drive with its profile, without energy except for --move. Exit code 1 if anything differs."""
+    from drivers.commission.by_hand import named, turned
+    from drivers.commission.survey import digests, load, survey
+
     machine = load(profile)
     ways = [_way(each) for each in turn or []]
     rows: list[Row] = []
@@ -98,16 +99,23 @@ def check(
         raise typer.Exit(1)
 
 
-def _confirmed(axis: CanopenAxis) -> None:
+def _confirmed(axis: "CanopenAxis") -> None:
     """Raises BadProfile unless the name of the joint is typed."""
+    from drivers.commission.moving import motion_text
+
     typer.echo(f"A person is at the emergency stop. {motion_text(axis)}.", err=True)
     typed = typer.prompt(f"Type {axis.joint} to move it", default="", show_default=False, err=True)
     if typed.strip() != axis.joint:
         raise BadProfile(f"--move: {typed!r} was typed, not {axis.joint}; nothing moved")
 
 
-def _moved(profile: Path, axis: CanopenAxis) -> list[Row]:
+def _moved(profile: Path, axis: "CanopenAxis") -> list["Row"]:
     """Every signal that ends a program ends the motion first."""
+    import asyncio
+
+    from drivers.commission.moving import moved
+    from drivers.registry import open_profile
+
     numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     before = {number: signal.signal(number, signal.default_int_handler) for number in numbers}
     try:

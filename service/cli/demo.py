@@ -1,12 +1,10 @@
-"""`sweepid demo`: measure, identify, diagnose and report a virtual robot, end to end, with the real parts."""
+"""The demo on the terminal: its progress, and what was found."""
 
 import math
 import secrets
 import signal
 from pathlib import Path
-from typing import Annotated
 
-import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn
 from rich.table import Table
@@ -27,19 +25,8 @@ class Interrupted(SweepidError):
     """A person pressed Ctrl-C: the machine was stopped, all processes were ended."""
 
 
-def demo(
-    out: Annotated[Path, typer.Option(help="Folder for report, bundle, estimate and logs.")] = Path("demo-out"),
-    seed: Annotated[
-        int | None,
-        typer.Option(min=0, help="Of the virtual machines' noise and of what is hidden; else another a run."),
-    ] = None,
-    poses: Annotated[int, typer.Option(min=1, max=300, help="How many poses to measure.")] = 24,
-) -> None:
-    """Start a virtual machine and the service, measure a campaign, and show what came of it. Needs no hardware.
-
-    Then the same with a machine that hides an effect: diagnosed first, its truth told afterwards. A wrong name is no
-    failure of the demo (exit code 0): it is told as it is.
-    """
+def show_demo(out: Path, seed: int | None, poses: int) -> None:
+    """Run the demo with its progress on stderr, and print what was found. `seed` None: a random one."""
     seed = secrets.randbelow(SEEDS) if seed is None else seed
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     words = Console(stderr=True)

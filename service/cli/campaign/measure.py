@@ -1,16 +1,14 @@
-"""`sweepid measure PLAN`: run a plan through the service and watch it."""
+"""A campaign run through the service and watched on the terminal."""
 
 import sys
 from pathlib import Path
-from typing import Annotated, cast
+from typing import cast
 
-import typer
 from pydantic import BaseModel, ConfigDict
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from service.campaigns.plan_subject import PlanSubject
-from service.cli.address import DEFAULT_URL, Url
 from service.cli.termination_signals import TerminationSignals
 from service.client import Json, ServiceClient
 from service.errors import BadInput, SweepidError
@@ -27,14 +25,8 @@ class NotCompleted(SweepidError):
     """The campaign holds or was given up before all its sweeps were identified; the message says why."""
 
 
-def measure(
-    plan: Annotated[str, typer.Argument(help="Number of a plan, or the file that `sweepid plan --out` wrote.")],
-    url: Url = DEFAULT_URL,
-) -> None:
-    """Run a plan: move, measure, identify. Prints the number of the campaign.
-
-    Ctrl-C, SIGTERM and a terminal that goes away stop the machine.
-    """
+def run_plan(plan: str, url: str) -> int:
+    """Move, measure, identify; the number of the campaign. A signal that ends the program stops the machine first."""
     with ServiceClient(url) as client:
         campaign_id = int(client.add_campaign(plan_number(plan))["id"])
         with TerminationSignals() as signals:
@@ -45,7 +37,7 @@ def measure(
                 if not signals.by:
                     raise
                 raise _stopped(client, campaign_id, signals.by, url) from None
-    sys.stdout.write(f"{campaign_id}\n")
+    return campaign_id
 
 
 def tell_motion(client: ServiceClient, campaign_id: int) -> Json:

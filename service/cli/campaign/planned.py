@@ -2,21 +2,11 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from service.campaigns.plan_subject import plan_subject
 from service.client import Json, ServiceClient
 from service.configuration import read_robot
 from service.errors import BadInput
-
-ConfirmRobot = Annotated[
-    str | None, typer.Option(help="Type the name of the robot, if it is another one than the machine's.")
-]
-ConfirmCell = Annotated[
-    str | None, typer.Option(help="Type the name of the cell, if it is another one than the machine's.")
-]
 
 
 def robot_number(client: ServiceClient, side_file: Path | None) -> int:

@@ -1,54 +1,18 @@
-"""`sweepid check-sheet SHEET`: is the robot still the one of the sheet?"""
+"""A later measurement that is compared with a sheet."""
 
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import typer
 from numpy.typing import NDArray
 
-from service.cli.address import DEFAULT_URL, Url
-from service.cli.documents import JsonTo, put_json, read_document
-from service.cli.progress_indicator import waiting
 from service.cli.recordings.identify import identify_bundle
 from service.client import ServiceClient
-from service.errors import BadInput
-from service.export.sheets.same_robot import compare
 from service.results.estimate import Estimate
-from service.results.identified.sheet import Sheet
 from service.results.identified.sheet_check import AxisCheck, SheetCheck
 from service.robot import Robot, RobotDescription, build_robot
 from service.store.files.bundle import read_bundle
 
 Poses = dict[str, NDArray[np.float64]]
-DIFFERENT = 1
-
-
-def check_sheet(
-    sheet: Annotated[
-        Path, typer.Argument(help="JSON file of `sweepid export-sheet --json`.", metavar="SHEET", show_default=False)
-    ],
-    bundle: Annotated[Path | None, typer.Argument(help="Bundle that was measured later.", metavar="[BUNDLE]")] = None,
-    campaign: Annotated[
-        int | None, typer.Option(help="Number of a campaign that was measured later.", metavar="N", min=1)
-    ] = None,
-    url: Url = DEFAULT_URL,
-    json_to: JsonTo = None,
-) -> None:
-    """Compare a later measurement with a sheet, axis by axis, with significance. Exit code 1: the robot differs."""
-    stored = read_document(sheet, Sheet)
-    if (bundle is None) == (campaign is None):
-        raise BadInput("BUNDLE", "name either a bundle or a campaign (--campaign N) that was measured later")
-    with waiting("the comparison"):
-        if bundle is not None:
-            robot, estimate, poses = _of_bundle(bundle)
-        else:
-            robot, estimate, poses = _of_campaign(campaign or 0, url)
-        found = compare(stored, robot, estimate, poses, str(bundle or f"campaign {campaign}"))
-    if not put_json(found, json_to):
-        typer.echo(as_text(found))
-    if found.verdict != "the same":
-        raise typer.Exit(DIFFERENT)
 
 
 def as_text(found: SheetCheck) -> str:
@@ -69,14 +33,16 @@ def _line(axis: AxisCheck) -> str:
     )
 
 
-def _of_bundle(place: Path) -> tuple[Robot, Estimate, Poses]:
+def of_bundle(place: Path) -> tuple[Robot, Estimate, Poses]:
+    """Robot, estimate and the poses of each axis."""
     measured = read_bundle(place)
     specs = {sweep.spec.id: sweep.spec.pose for sweep in measured.sweeps}
     estimate = identify_bundle(measured, None, str(place))
     return measured.robot, estimate, _poses(estimate, specs)
 
 
-def _of_campaign(number: int, url: str) -> tuple[Robot, Estimate, Poses]:
+def of_campaign(number: int, url: str) -> tuple[Robot, Estimate, Poses]:
+    """The same of a campaign of the service."""
     with ServiceClient(url) as client:
         stored = client.robot(client.campaign(number)["robot_id"])
         estimate = Estimate.read(client.estimate(number)["document"], f"campaign {number}")

@@ -1,9 +1,6 @@
 """Where an export takes its estimate from: a bundle, or the file that `sweepid identify --json` wrote."""
 
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from service.cli.documents import LARGEST, read_document
 from service.cli.recordings.identify import identify_bundle
@@ -12,16 +9,6 @@ from service.errors import BadInput
 from service.results.estimate import Estimate
 from service.robot import Robot
 from service.store.files.bundle import Bundle, read_bundle
-
-Source = Annotated[
-    Path,
-    typer.Argument(
-        metavar="BUNDLE|ESTIMATE",
-        help="Directory of a bundle, or file of `sweepid identify --json`.",
-        show_default=False,
-    ),
-]
-SideFile = Annotated[Path | None, typer.Option("--robot", help="Side file of the robot, for an ESTIMATE.")]
 
 
 def read_estimate(source: Path, side_file: Path | None) -> tuple[Robot, Estimate, Bundle | None]:

@@ -1,10 +1,7 @@
-"""What the commands of `people` take: names, roles, passwords."""
+"""Names, roles, scopes and passwords as a person typed them."""
 
 import getpass
 import sys
-from typing import Annotated
-
-import typer
 
 from service.errors import BadInput
 from service.people.names import LONGEST_NAME, is_name
@@ -12,7 +9,6 @@ from service.people.permissions import Role
 from service.people.scopes import SCOPES
 
 ROLES = {role.word: role for role in Role}
-Name = Annotated[str, typer.Argument(metavar="NAME", help="A person or a program.")]
 
 
 def name_of(given: str) -> str:

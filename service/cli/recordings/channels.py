@@ -1,20 +1,13 @@
-"""`sweepid channels BUNDLE`: delay and smoothing of the channels, from calibration sweeps, for the drive profile."""
+"""Delay and smoothing of the channels, from calibration sweeps, for the drive profile."""
 
 import math
-from pathlib import Path
-from typing import Annotated
 
-import typer
-from rich.console import Console
-from rich.progress import track
-
-from service.cli.documents import JsonTo, put_json
-from service.cli.progress_indicator import waiting
+from service.cli.progress_indicator import counted
 from service.errors import BadInput
 from service.identification.axis.channel_timing import ChannelLags, Lag, channel_lags
 from service.results.analysis import Figure
 from service.results.part import Part
-from service.store.files.bundle import Bundle, read_bundle
+from service.store.files.bundle import Bundle
 
 
 class LagDocument(Part):
@@ -40,20 +33,6 @@ class Channels(Part):
     axes: dict[str, AxisChannels]
 
 
-def channels(
-    bundle: Annotated[Path, typer.Argument(help="Directory of the bundle.", show_default=False)],
-    axis: Annotated[str | None, typer.Option(help="Use the sweeps of this joint only.")] = None,
-    json_to: JsonTo = None,
-) -> None:
-    """Measure how far effort and velocity lag behind position. Prints the lines for the drive profile."""
-    with waiting("measuring delays"):
-        found = measure_channels(read_bundle(bundle), axis, str(bundle))
-    if put_json(Channels(axes={joint: as_document(lags) for joint, lags in found.items()}), json_to):
-        return
-    for joint, lags in found.items():
-        typer.echo(profile_lines(joint, lags))
-
-
 def measure_channels(bundle: Bundle, axis: str | None, place: str) -> dict[str, ChannelLags]:
     """By joint, of all axes that were swept or of one; BadInput where there is none."""
     if axis is not None:
@@ -62,11 +41,7 @@ def measure_channels(bundle: Bundle, axis: str | None, place: str) -> dict[str, 
     joints = [joint for joint in bundle.robot.joints if joint in swept and axis in (None, joint)]
     if not joints:
         raise BadInput(place, "has no sweep with sines" if axis is None else f"has no sweep with sines of joint {axis}")
-    console = Console(stderr=True)
-    return {
-        joint: channel_lags(bundle.robot, joint, bundle.sweeps)
-        for joint in track(joints, "Axes", console=console, transient=True, disable=not console.is_terminal)
-    }
+    return {joint: channel_lags(bundle.robot, joint, bundle.sweeps) for joint in counted(joints, "Axes")}
 
 
 def profile_lines(joint: str, lags: ChannelLags) -> str:

@@ -1,67 +1,26 @@
-"""`sweepid diagnose BUNDLE`: where model and measurement disagree, what is missing, and what to measure next."""
+"""The diagnosis of a bundle: where model and measurement disagree, what is missing, and what to measure next."""
 
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
 
-import typer
 import yaml
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
-from service.cli.documents import JsonTo, as_json, put_json, read_document, write_file
-from service.cli.progress_indicator import waiting
-from service.diagnosis import AxisDiagnosis, as_document, diagnose_axis, is_evidence, model_document, started_from
+from service.cli.documents import read_document, write_file
+from service.cli.progress_indicator import counted
+from service.diagnosis import AxisDiagnosis, as_document, diagnose_axis, is_evidence, started_from
 from service.diagnosis.start import CAD
 from service.errors import BadInput
-from service.report import diagnosis_page
 from service.report.gap_figures import measured, number
 from service.results.diagnosis import DiagnosedModel, Diagnosis, RigidParameter
 from service.results.effect import Effect
 from service.results.estimate import Estimate
-from service.results.revision import ModelRevision
 from service.robot import Robot
-from service.store.files.bundle import Bundle, read_bundle
+from service.store.files.bundle import Bundle
 
 _SIZES = ("before", "after", "noise floor", "twin")
-
-
-def diagnose(
-    bundle: Annotated[Path, typer.Argument(help="Directory of the bundle.", show_default=False)],
-    axis: Annotated[str | None, typer.Option(help="Diagnose this joint only.")] = None,
-    json_to: JsonTo = None,
-    known: Annotated[list[str] | None, typer.Option(help="Known effect of the axes; repeatable.")] = None,
-    estimate: Annotated[
-        Path | None,
-        typer.Option(
-            help="Start from this estimate (JSON file of `sweepid identify`) instead of the CAD model.", metavar="FILE"
-        ),
-    ] = None,
-    twin: Annotated[
-        bool, typer.Option(help="Run the simulator with the model found and print the remaining gap.")
-    ] = True,
-    model: Annotated[Path | None, typer.Option(help="Write the model with named effects here.", metavar="FILE")] = None,
-    scenario: Annotated[
-        Path | None,
-        typer.Option(help="Write the scenario of the twin to this file, with its robot next to it.", metavar="FILE"),
-    ] = None,
-    report: Annotated[Path | None, typer.Option(help="Write a page with figures here.", metavar="FILE")] = None,
-) -> None:
-    """Find where simulation and measurement disagree, and name the missing effect."""
-    with waiting("diagnosing"):
-        measured = read_bundle(bundle)
-        found = diagnose_bundle(measured, axis, str(bundle), known or (), estimate, twin=twin)
-    if model is not None:
-        write_file(model, as_json(ModelRevision.read(model_document(measured.robot, found.as_json()), str(bundle))))
-    if scenario is not None:
-        write_scenario(scenario, measured.robot, found.model)
-    if report is not None:
-        write_file(report, diagnosis_page(found, f"Diagnosis of the robot {found.model.robot}", str(bundle)).html())
-    if put_json(found, json_to):
-        return
-    print_diagnosis(found, Console())
 
 
 def write_scenario(path: Path, robot: Robot, model: DiagnosedModel) -> None:
@@ -100,10 +59,9 @@ def diagnose_bundle(
     joints = [joint for joint in bundle.robot.joints if joint in swept and axis in (None, joint)]
     if not joints:
         raise BadInput(place, "has no sweep that moves" + ("" if axis is None else f" joint {axis}"))
-    console = Console(stderr=True)
     found: list[AxisDiagnosis] = [
         diagnose_axis(robot, joint, bundle.sweeps, known={name: {} for name in known}, twin=twin)
-        for joint in track(joints, "Axes", console=console, transient=True, disable=not console.is_terminal)
+        for joint in counted(joints, "Axes")
     ]
     return Diagnosis.read(as_document(bundle.robot, found), place)
 

@@ -1,19 +1,14 @@
-"""`sweepid identify BUNDLE`: the paper's Table 1, the base parameters and their quality from recorded sweeps."""
+"""The estimate of a bundle: the paper's Table 1, the base parameters and their quality from recorded sweeps."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated
 
-import typer
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
-from service.cli.documents import JsonTo, put_json, read_document, write_file
-from service.cli.progress_indicator import waiting
-from service.cli.recordings.bundle_page import bundle_page
+from service.cli.documents import read_document
+from service.cli.progress_indicator import counted, waiting
 from service.cli.recordings.combination import print_combination
-from service.cli.recordings.gains_file import read_gains
 from service.errors import BadInput
 from service.estimation import SweepSpectrum, estimate_document, sweep_spectrum
 from service.identification.axis.ideal_frequency import Figure
@@ -29,40 +24,13 @@ from service.results.effect import Value
 from service.results.estimate import BaseParameter, Estimate, EstimatedAxis, Rmse
 from service.results.revision import KnownModel, ModelFile
 from service.robot import Robot
-from service.store.files.bundle import Bundle, read_bundle
+from service.store.files.bundle import Bundle
 
 _ROWS: tuple[tuple[str, Callable[[Rmse], float]], ...] = (
     ("reference - measurement", lambda rmse: rmse.reference_measured),
     ("identified - measurement", lambda rmse: rmse.identified_measured),
     ("reference - identified (workspace)", lambda rmse: rmse.reference_identified),
 )
-
-
-def identify(
-    bundle: Annotated[Path, typer.Argument(help="Directory of the bundle.", show_default=False)],
-    axis: Annotated[str | None, typer.Option(help="Use the sweeps of this joint only.")] = None,
-    json_to: JsonTo = None,
-    gains: Annotated[Path | None, typer.Option("--torque-gain", help="JSON file of `sweepid torque-gain`.")] = None,
-    model: Annotated[
-        Path | None, typer.Option(help="Known effects: JSON file of `sweepid diagnose --model`.", metavar="FILE")
-    ] = None,
-    report: Annotated[Path | None, typer.Option(help="Write the result with figures to this HTML file.")] = None,
-) -> None:
-    """Identify a robot from the sweeps of a bundle."""
-    with waiting("reading the bundle"):
-        measured = read_bundle(bundle)
-    found = identify_bundle(
-        measured,
-        axis,
-        str(bundle),
-        read_gains(gains) if gains else None,
-        read_effects(model, measured.robot) if model else None,
-    )
-    if report is not None:
-        write_file(report, bundle_page(measured, found, str(bundle)).html())
-    if put_json(found, json_to):
-        return
-    print_estimate(found, Console())
 
 
 def identify_bundle(
@@ -83,11 +51,7 @@ def identify_bundle(
     if not sweeps and not motions:
         of_joint = "" if axis is None else f" of joint {axis}"
         raise BadInput(place, f"has no sweep{of_joint} with sines, a trajectory or injected torque noise")
-    console = Console(stderr=True)
-    spectra: list[SweepSpectrum] = [
-        sweep_spectrum(bundle.robot, sweep)
-        for sweep in track(sweeps, "Sweeps", console=console, transient=True, disable=not console.is_terminal)
-    ]
+    spectra: list[SweepSpectrum] = [sweep_spectrum(bundle.robot, sweep) for sweep in counted(sweeps, "Sweeps")]
     with waiting("estimating"):
         return estimate_document(bundle.robot, spectra, gains=gains, known=known, motions=motions)
 

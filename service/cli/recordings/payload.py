@@ -1,34 +1,16 @@
-"""`sweepid payload BEFORE AFTER`: mass, centre and inertia of what was mounted on the last link in between."""
+"""Mass, centre and inertia of what was mounted on the last link in between."""
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
 from rich.console import Console
 from rich.table import Table
 
-from service.cli.documents import JsonTo, put_json
-from service.cli.progress_indicator import waiting
 from service.cli.recordings.gains_file import read_gains
 from service.errors import BadInput
 from service.identification.payloads.document import payload_document
 from service.identification.payloads.payload import payload
 from service.results.identified.payload import Payload
-from service.store.files.bundle import Bundle, read_bundle
-
-
-def payload_command(
-    before: Annotated[Path, typer.Argument(help="Bundle measured without the payload.", show_default=False)],
-    after: Annotated[Path, typer.Argument(help="Bundle of the same motions with it.", show_default=False)],
-    gains: Annotated[Path | None, typer.Option("--torque-gain", help="JSON file of `sweepid torque-gain`.")] = None,
-    json_to: JsonTo = None,
-) -> None:
-    """Identify a payload on the last link from the same motions with and without it."""
-    with waiting("identifying the payload"):
-        document = payload_of(read_bundle(before), read_bundle(after), str(after), gains)
-    if put_json(document, json_to):
-        return
-    _print(document, Console())
+from service.store.files.bundle import Bundle
 
 
 def payload_of(before: Bundle, after: Bundle, place: str, gains: Path | None = None) -> Payload:
@@ -39,7 +21,8 @@ def payload_of(before: Bundle, after: Bundle, place: str, gains: Path | None = N
     return payload_document(before.robot, found)
 
 
-def _print(document: Payload, console: Console) -> None:
+def print_payload(document: Payload, console: Console) -> None:
+    """The ten parameters, and what is not known, in words."""
     table = Table(title=f"Payload on {document.link}, in the frame of {document.frame}, SI")
     table.add_column("")
     for name in ("value", "std", "std with torque constants"):

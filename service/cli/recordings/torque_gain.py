@@ -1,52 +1,20 @@
-"""`sweepid torque-gain BEFORE AFTER`: the torque constants from a known mass, for `sweepid identify --torque-gain`."""
+"""The torque constants from a known mass, for `sweepid identify --torque-gain`."""
 
 import math
-from pathlib import Path
-from typing import Annotated, cast
 
-import typer
 from rich.console import Console
 from rich.table import Table
 
-from service.cli.documents import JsonTo, put_json
-from service.cli.progress_indicator import waiting
-from service.cli.recordings.gains_file import AxisGain, Gain, TorqueGains
 from service.errors import BadInput
 from service.identification import spectrum
 from service.identification.axis.nominal_priors import TorqueGain
 from service.identification.estimates.torque_gain import Calibration, KnownMass, torque_gains
 from service.robot import Robot
-from service.store.files.bundle import Bundle, read_bundle
+from service.store.files.bundle import Bundle
 
 SENSIBLE = (0.5, 2.0)  # gains of a drive whose motor is the one that it was told of
 SHOWN = 3.0  # standard deviations that the added inertia must be above nothing
 SMALLEST = 1.0  # m; also a lone axis without a length may carry a mass so far out
-
-
-def torque_gain(
-    before: Annotated[Path, typer.Argument(help="Bundle measured without the mass.", show_default=False)],
-    after: Annotated[Path, typer.Argument(help="Bundle of the same poses with the mass.", show_default=False)],
-    mass: Annotated[float, typer.Option(help="kg", show_default=False)],
-    center: Annotated[
-        str, typer.Option(help="x,y,z of its centre of mass in the last joint's frame, m", show_default=False)
-    ],
-    inertia: Annotated[str, typer.Option(help="Ixx,Ixy,Iyy,Ixz,Iyz,Izz about that centre, kg m^2")] = "0,0,0,0,0,0",
-    json_to: JsonTo = None,
-) -> None:
-    """Calibrate the torque constant of every axis with a known mass on the last link."""
-    place, shape = _numbers("--center", center, 3), _numbers("--inertia", inertia, 6)
-    body = KnownMass(
-        mass, cast(tuple[float, float, float], place), cast(tuple[float, float, float, float, float, float], shape)
-    )
-    with waiting("comparing the bundles"):
-        found = calibrate(read_bundle(before), read_bundle(after), body, str(after))
-    axes = {
-        joint: AxisGain(gain=Gain(value=one.gain.gain, std=one.gain.std), poses=one.poses, added_inertia=one.added)
-        for joint, one in found.items()
-    }
-    if put_json(TorqueGains(axes=axes), json_to):
-        return
-    _print(found)
 
 
 def calibrate(before: Bundle, after: Bundle, mass: KnownMass, place: str) -> dict[str, Calibration]:
@@ -95,17 +63,8 @@ def _check_shown(joint: str, gain: TorqueGain) -> None:
         )
 
 
-def _numbers(option: str, text: str, count: int) -> tuple[float, ...]:
-    try:
-        numbers = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        numbers = ()
-    if len(numbers) != count or not all(abs(number) < float("inf") for number in numbers):
-        raise BadInput(option, f"{text!r} is not {count} numbers separated by commas")
-    return numbers
-
-
-def _print(found: dict[str, Calibration]) -> None:
+def print_gains(found: dict[str, Calibration]) -> None:
+    """One row an axis."""
     table = Table(title="Torque reported by the drive over true torque")
     table.add_column("axis")
     for name in ("gain", "std", "poses", "added inertia, kg m^2"):

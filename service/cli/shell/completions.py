@@ -1,10 +1,5 @@
-"""Completions of the shell: the script (`sweepid --completions bash`), and the words that a shell asks for.
+"""Completions of the shell (`sweepid --completions bash`). Script and protocol are Typer's."""
 
-The script and the protocol are Typer's. A shell asks with the environment: `VARIABLE` says for which shell, and the
-line so far is in `COMP_WORDS` (bash) or `_TYPER_COMPLETE_ARGS` (zsh, fish).
-"""
-
-import os
 from typing import Literal
 
 # Typer has no other place from which a program may take them
@@ -22,13 +17,6 @@ def script(shell: Shell) -> str:
     return get_completion_script(prog_name="sweepid", complete_var=VARIABLE, shell=shell)
 
 
-def asked() -> list[str] | None:
-    """The whole words after the name of the program in the line that a shell wants to complete; None: none asks."""
-    if VARIABLE not in os.environ:
-        return None
+def prepare() -> None:
+    """Let Typer answer the shell that asks."""
     completion_init()
-    line = os.environ.get("COMP_WORDS", os.environ.get("_TYPER_COMPLETE_ARGS", ""))
-    words = line.split()[1:]
-    if line and not line[-1].isspace() and "COMP_CWORD" not in os.environ:
-        return words[:-1]
-    return words[: max(int(os.environ.get("COMP_CWORD", len(words) + 1)) - 1, 0)]

@@ -15,8 +15,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import service.cli.backup
-import service.cli.restore  # noqa: F401  once, not once a run
+import service.backup.making
+import service.backup.restoring
+import service.cli.settings_of
+import service.store.snapshot  # noqa: F401  once, not once a run
 from service.cli import main
 
 _NAMED = {"open", "os.mkdir", "os.rename", "os.rmdir", "sqlite3.connect", "shutil.rmtree"}

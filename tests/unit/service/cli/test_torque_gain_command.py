@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.cli.recordings.gains_file import read_gains
-from service.cli.recordings.torque_gain import torque_gain
+from service.cli.commands.estimate import torque_gain
 from service.errors import BadInput
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Axis, RobotDescription, build_robot

@@ -11,8 +11,8 @@ from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError
 from structlog.testing import capture_logs
 
-from service.cli.people.audit import export_audit
-from service.cli.people.people import add_key, list_people
+from service.cli.commands.audit import export_audit
+from service.cli.commands.people import add_key, list_people
 from service.errors import BadInput, Conflict
 from service.people.audit_chain import FIRST, AuditBroken, canonical, heads_in, read_head, sha256, verify
 from service.people.permissions import LOCAL

@@ -14,7 +14,7 @@ import httpx
 import pytest
 from sqlalchemy import text
 
-from service.cli.people.sessions import revoke_session, sessions
+from service.cli.commands.people import revoke_session, sessions
 from service.people.permissions import Role
 from service.store.database import Database, open_database
 from service.store.people.audit import AuditStore

@@ -3,7 +3,7 @@
 import json
 from datetime import UTC, datetime, timedelta
 
-from service.cli.plant.fleet import lines
+from service.cli.plant.lines import fleet_lines
 from service.fleet.document import Fleet
 from service.fleet.series import AxisMeasured, CampaignMeasured, in_pose, pose_key
 from service.fleet.survey import RobotMeasured, Rules, survey
@@ -53,11 +53,11 @@ def test_the_page_has_a_chart_and_escapes_names() -> None:
 
 
 def test_the_command_prints_a_line_for_each_robot() -> None:
-    head, *robots = lines(fleet())
+    head, *robots = fleet_lines(fleet())
     assert head == "arm & hand: 6 robots, 1 changed, 0 outliers, 6 due"
     assert len(robots) == 6
     (changed,) = (line for line in robots if "changed" in line)
     assert changed.startswith("  R1: measured 2026-06-04, 6 campaigns, due, joint_<2> changed by +")
     assert "(step at campaign 31)" in changed
     assert "  R9: never measured, 0 campaigns, due" in robots
-    assert lines(Fleet(made_at=AT, types=())) == ["no robot of this plant was measured yet"]
+    assert fleet_lines(Fleet(made_at=AT, types=())) == ["no robot of this plant was measured yet"]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from service.cli.recordings.control_file import import_control_file
-from service.cli.recordings.import_trace import import_trace
+from service.cli.commands.imports import import_trace
 from service.errors import BadInput
 from service.sinumerik.base85 import decode
 from service.sinumerik.document import Given, measurement_document, response_table, tuning_document

@@ -7,15 +7,9 @@ from typing import Annotated
 
 import typer
 
-from service.cli.documents import write_file
-from service.cli.people.open_database import Config, DataDir, audit_heads_file, opened
-from service.people.audit_chain import heads_in, read_head, verify
-from service.store.people.audit import AuditStore
-
-audit = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Who asked the service for what.")
+from service.cli.options import Config, DataDir
 
 
-@audit.command("verify")
 def verify_audit(
     head: Annotated[
         str | None,
@@ -30,6 +24,10 @@ def verify_audit(
     """Does each entry fit the one before it, and are all known heads in the chain? Prints the head as NUMBER:SHA256, or
     the first entry that does not fit.
     """
+    from service.cli.people.open_database import audit_heads_file, opened
+    from service.people.audit_chain import heads_in, read_head, verify
+    from service.store.people.audit import AuditStore
+
     file = Path(head) if head is not None else audit_heads_file(config, data_dir)
     if file.is_file():
         expected = heads_in(file.read_text("utf-8", errors="replace"), str(file))
@@ -44,13 +42,16 @@ def verify_audit(
     sys.stdout.write(f"{number}:{value}\n")
 
 
-@audit.command("export")
 def export_audit(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="JSON lines to write.")],
     config: Config = None,
     data_dir: DataDir = None,
 ) -> None:
     """Write all entries as JSON lines; `entry` is the text whose hash `sha256` goes over. Prints the file."""
+    from service.cli.documents import write_file
+    from service.cli.people.open_database import opened
+    from service.store.people.audit import AuditStore
+
     with opened(config, data_dir) as database:
         lines = [
             json.dumps({"number": number, "entry": entry, "sha256": value})

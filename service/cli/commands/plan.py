@@ -1,39 +1,28 @@
-"""`sweepid plan ROBOT`: let the service choose poses and sweeps."""
+"""`sweepid plan ROBOT`: let the service choose poses and sweeps, or trajectories that move several axes at once."""
 
 import json
 import math
 import sys
-from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from service.cli.address import DEFAULT_URL, Url
-from service.cli.campaign.planned import ConfirmCell, ConfirmRobot, robot_number, tell_subject
-from service.cli.progress_indicator import waiting
-from service.client import Json, ServiceClient
+from service.cli.options import DEFAULT_URL, CellName, ConfirmCell, ConfirmRobot, RobotFile, Url
 from service.errors import BadInput
-from service.identification.design.pose_selection import Criterion
+
+if TYPE_CHECKING:
+    from service.client import Json
 
 
-class Modes(Enum):
-    """Who generates the motion."""
-
-    DRIVE_SIDE = "drive_side"
-    HOST_STREAMED = "host_streamed"
-    ONE_HOST_STREAMED = "one_host_streamed"
+Criterion = Literal["d_optimal", "condition", "condition_and_travel"]
+Modes = Literal["drive_side", "host_streamed", "one_host_streamed"]  # who generates the motion
 
 
 def plan(
     axes: Annotated[str, typer.Option(help="Joints to measure, separated by commas.")],
     varied: Annotated[str, typer.Option(help="Joints whose positions make the grid of poses, separated by commas.")],
-    robot: Annotated[
-        Path | None,
-        typer.Argument(
-            help="Side file of the robot, e.g. config/robots/max100-class.yaml; default: that of the machine."
-        ),
-    ] = None,
+    robot: RobotFile = None,
     poses: Annotated[int | None, typer.Option(min=1, help="Budget: how many poses to choose (usually 24).")] = None,
     duration: Annotated[float | None, typer.Option(help="Budget: s for the whole campaign.")] = None,
     confidence: Annotated[
@@ -49,9 +38,7 @@ def plan(
         ),
     ] = None,
     step: Annotated[float | None, typer.Option(help="deg (cm) between grid positions.")] = None,
-    cell: Annotated[
-        str | None, typer.Option(help="Name of the cell around the robot; default: that of the machine.")
-    ] = None,
+    cell: CellName = None,
     modes: Annotated[Modes | None, typer.Option(help="Who generates the motion; the last: one sweep an axis.")] = None,
     lines: Annotated[str | None, typer.Option(help="Frequencies of the sines, whole Hz, separated by commas.")] = None,
     sample_rate: Annotated[float | None, typer.Option(help="Hz.")] = None,
@@ -89,6 +76,10 @@ def plan(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Plan a campaign. Nothing moves. Prints the number of the plan, and on stderr what the plan promises."""
+    from service.cli.campaign.planned import robot_number, tell_subject
+    from service.cli.progress_indicator import waiting
+    from service.client import ServiceClient
+
     numbers = {"--step": step, "--sample-rate": sample_rate, "--duration": duration, "--confidence": confidence}
     numbers["--warm-up"] = warm_up
     for name, number in numbers.items():
@@ -100,11 +91,11 @@ def plan(
         "poses": poses,
         "duration": duration,
         "confidence": confidence,
-        "criterion": None if criterion is None else criterion.value,
+        "criterion": criterion,
         "realisations": realisations,
         "step": step,
         "cell": cell,
-        "modes": None if modes is None else modes.value,
+        "modes": modes,
         "lines": None if lines is None else _frequencies(lines),
         "sample_rate": sample_rate,
         "warm_up": warm_up,
@@ -131,7 +122,56 @@ def plan(
     sys.stdout.write(f"{planned['id']}\n")
 
 
-def _tell(document: Json, seconds: float) -> None:
+def plan_trajectories(
+    axes: Annotated[str, typer.Option(help="Joints to move at once, separated by commas; the others stand at home.")],
+    robot: RobotFile = None,
+    trajectories: Annotated[int | None, typer.Option(help="How many (usually 3).")] = None,
+    period: Annotated[float | None, typer.Option(help="s, of the fundamental (usually 10).")] = None,
+    harmonics: Annotated[int | None, typer.Option(help="How many of the fundamental (usually 5).")] = None,
+    velocity: Annotated[
+        float | None, typer.Option(help="rad/s (m/s): largest sum of the amplitudes of an axis.")
+    ] = None,
+    acceleration: Annotated[float | None, typer.Option(help="rad/s^2 (m/s^2).")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the random trajectories.")] = None,
+    sweeps: Annotated[
+        int | None, typer.Option(help="Campaign whose sweeps are combined with the trajectories.")
+    ] = None,
+    cell: CellName = None,
+    confirm_robot: ConfirmRobot = None,
+    confirm_cell: ConfirmCell = None,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Plan exciting trajectories. Nothing moves. Prints the number of the plan."""
+    from service.cli.campaign.planned import robot_number, tell_subject
+    from service.cli.progress_indicator import waiting
+    from service.client import ServiceClient
+
+    options: Json = {
+        "trajectories": trajectories,
+        "period": period,
+        "harmonics": harmonics,
+        "velocity": velocity,
+        "acceleration": acceleration,
+        "seed": seed,
+        "sweeps": sweeps,
+        "cell": cell,
+    }
+    request: Json = {name: value for name, value in options.items() if value is not None}
+    request |= {"kind": "trajectory", "axes": [name.strip() for name in axes.split(",") if name.strip()]}
+    with ServiceClient(url) as client:
+        number = robot_number(client, robot)
+        with waiting("planning: trajectories and collision-free paths are computed"):
+            planned = client.add_plan(
+                request | {"robot_id": number}, confirm_robot=confirm_robot, confirm_cell=confirm_cell
+            )
+    tell_subject(planned)
+    document = planned["document"]
+    conditions = ", ".join(f"{condition:.0f}" for condition in document["condition"])
+    sys.stderr.write(f"condition numbers {conditions}; {planned['expected_time'] / 60:.0f} min\n")
+    sys.stdout.write(f"{planned['id']}\n")
+
+
+def _tell(document: "Json", seconds: float) -> None:
     """What a person wants to know of a plan before it is run."""
     for dropped in document["dropped"]:
         sys.stderr.write(f"pose {dropped['pose']} left out: {dropped['reason']}\n")
@@ -167,7 +207,7 @@ def _frequencies(text: str) -> list[float]:
         raise BadInput("--lines", f"{text} is not a list of numbers") from None
 
 
-def _write(path: Path, document: Json) -> None:
+def _write(path: Path, document: "Json") -> None:
     try:
         path.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
     except OSError as error:

@@ -1,4 +1,4 @@
-"""`sweepid drive`: a virtual machine tool in a process of its own."""
+"""The process of a virtual machine tool."""
 
 import simulator.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
@@ -11,7 +11,6 @@ import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
 
 import can
 import structlog
@@ -19,47 +18,30 @@ import typer
 
 from simulator.hidden import hide as hidden_in
 from simulator.machine import Machine
-from simulator.modbus.pty_pair import PTY
 from simulator.modbus.register_map import RegisterMapError, load_register_map
 from simulator.scenario import Scenario, ScenarioError, load_scenario
 from simulator.virtual_drive import Fieldbus, VirtualDrive
 
 
-def drive(
-    scenario: Annotated[Path, typer.Option(help="Scenario: true parameters of the machine.")] = Path(
-        "config/scenarios/max100-full.yaml"
-    ),
-    eds: Annotated[Path, typer.Option(help="Object dictionary of the axes.")] = Path("config/eds/virtual-axis.eds"),
-    foreign: Annotated[
-        list[str] | None,
-        typer.Option(help="CANopen: EDS or DCF of another drive, replaces --eds; JOINT=FILE for one axis."),
-    ] = None,
-    fieldbus: Annotated[Fieldbus, typer.Option(help="Fieldbus of the machine.")] = Fieldbus.CANOPEN,
-    bus: Annotated[
-        str, typer.Option(help="CANopen: socketcand (a server here) or a python-can interface.")
-    ] = "socketcand",
-    channel: Annotated[str, typer.Option(help="CANopen: channel of the bus.")] = "can0",
-    registers: Annotated[Path, typer.Option(help="Modbus: register map of the drives.")] = Path(
-        "config/registers/virtual-high-first.yaml"
-    ),
-    device: Annotated[
-        str, typer.Option(help=f"Modbus RTU: serial device; {PTY} = a pseudo-terminal, printed when ready.")
-    ] = PTY,
-    host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
-    port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port of the socketcand or Modbus TCP server; 0 = a free one.")
-    ] = 29536,
-    control_port: Annotated[int, typer.Option(min=0, max=65535, help="Port for fault injection; 0 = a free one.")] = 0,
-    speed_factor: Annotated[
-        float, typer.Option(min=0.01, help="Speed of moves and measuring function relative to real time.")
-    ] = 20.0,
-    seed: Annotated[int, typer.Option(help="Seed of the measurement noise.")] = 0,
-    hide: Annotated[
-        int | None, typer.Option(min=0, help="Seed of one effect to hide in the machine; shown by `sweepid truth`.")
-    ] = None,
-    start_pose: Annotated[str, typer.Option(help="Joint positions, rad, comma separated.")] = "",
+def run_drive(
+    scenario: Path,
+    eds: Path,
+    foreign: Sequence[str] | None,
+    fieldbus: Fieldbus,
+    *,
+    bus: str,
+    channel: str,
+    registers: Path,
+    device: str,
+    host: str,
+    port: int,
+    control_port: int,
+    speed_factor: float,
+    seed: int,
+    hide: int | None,
+    start_pose: str,
 ) -> None:
-    """Run a virtual machine: one CiA 402 drive per axis on CAN or Modbus. Ends on SIGTERM or Ctrl-C."""
+    """Run until SIGTERM or Ctrl-C; one JSON line on stdout when it is ready. typer.Exit(2) for bad input."""
     structlog.configure(
         wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
         logger_factory=structlog.PrintLoggerFactory(sys.stderr),

@@ -6,11 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from service.cli.address import DEFAULT_URL, Url
-from service.cli.campaign.tables import write_tables
-from service.cli.documents import write_file
-from service.cli.progress_indicator import waiting
-from service.client import ServiceClient
+from service.cli.options import DEFAULT_URL, Url
 from service.errors import BadInput
 
 Form = Literal["html", "pdf", "json"]
@@ -32,6 +28,10 @@ def report(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Write a report: verdict, origin, figures, tables and findings. Prints the files."""
+    from service.cli.campaign.tables import write_tables
+    from service.cli.documents import write_file
+    from service.cli.progress_indicator import waiting
+
     forms: tuple[Form, ...] = ("html", "pdf", "json")
     places = zip(forms, (file, pdf, tables), strict=True)
     wanted: list[tuple[Form, Path]] = [(form, path) for form, path in places if path is not None]
@@ -41,9 +41,7 @@ def report(
         if of.isdecimal():
             written = _of_service(int(of), diagnosis, [form for form, _ in wanted], url)
         else:
-            from service.cli.campaign.result_page import (
-                result_page,  # what reckons is loaded where there is something to
-            )
+            from service.cli.campaign.result_page import result_page
 
             page = result_page(Path(of))
             written = [page.written(form) for form, _ in wanted]
@@ -56,6 +54,8 @@ def report(
 
 
 def _of_service(number: int, diagnosis: bool, forms: list[Form], url: str) -> list[str | bytes]:
+    from service.client import ServiceClient
+
     with ServiceClient(url) as client:
         drawn = client.diagnosis_report if diagnosis else client.campaign_report
         return [drawn(number, form) for form in forms]

@@ -1,4 +1,4 @@
-"""`sweepid serve`: the process that owns the machine."""
+"""The process that owns the machine."""
 
 import asyncio
 import gc
@@ -6,13 +6,10 @@ import json
 import os
 import signal
 import sys
-from pathlib import Path
 from socket import socket
 from types import FrameType
-from typing import Annotated
 
 import structlog
-import typer
 import uvicorn
 from fastapi import FastAPI
 from starlette.types import Receive, Scope, Send
@@ -23,7 +20,7 @@ from service.cli.logs import HeldBack
 from service.errors import SweepidError
 from service.logs.lines import configure_logs
 from service.people.permissions import LOCAL
-from service.settings import Settings, load_settings
+from service.settings import Settings
 from service.stop_process.handle import StopNotStarted, StopProcess
 
 _log = structlog.get_logger(__name__)
@@ -34,23 +31,8 @@ _GRACE = 3  # s for requests under way when the service is told to end
 _SWITCH_INTERVAL = 1e-3  # s
 
 
-def serve(
-    config: Annotated[Path | None, typer.Option(help="Settings; default: config/service.yaml, if it exists.")] = None,
-    host: Annotated[str | None, typer.Option(help="Address to listen at.")] = None,
-    port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port to listen at; 0: any free one.")] = None,
-    data_dir: Annotated[Path | None, typer.Option(help="Database and recordings.")] = None,
-    drive: Annotated[Path | None, typer.Option(help="Drive profile of the machine.")] = None,
-    robot: Annotated[str | None, typer.Option(help="Robot of the machine: name of a file of robots_dir.")] = None,
-    cell: Annotated[str | None, typer.Option(help="Cell of the machine: name of a file of cells_dir.")] = None,
-    no_machine: Annotated[
-        bool, typer.Option("--no-machine", help="Own no machine: show the plant of a common database, read only.")
-    ] = False,
-) -> None:
-    """Serve the REST API and the operator's page; prints one JSON line with its address once it is ready."""
-    options = {"host": host, "port": port, "data_dir": data_dir, "drive": drive, "robot": robot, "cell": cell}
-    given = {name: value for name, value in options.items() if value is not None}
-    given |= {"no_machine": True} if no_machine else {}
-    settings = load_settings(config).model_copy(update=given)
+def run_service(settings: Settings) -> None:
+    """Serve until a signal ends it; one JSON line with the address on stdout once it is ready."""
     settings.check_tls()
     settings.check_reach()
     settings.check_oidc()

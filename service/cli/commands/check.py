@@ -1,0 +1,66 @@
+"""`sweepid check`: is the data fit for physics, and is the robot still the one of its sheet?"""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.cli.options import DEFAULT_URL, Bundle, JsonTo, Url
+from service.errors import BadInput
+
+
+def check(
+    bundle: Bundle,
+    json_to: JsonTo = None,
+) -> None:
+    """Tell what is wrong with recordings and robot file, before any physics."""
+    from rich.console import Console
+
+    from service.cli.documents import put_json
+    from service.cli.progress_indicator import waiting
+    from service.cli.recordings.check import print_findings
+    from service.data_check import check as check_data
+    from service.data_check import findings_document
+    from service.results.check import DataCheck
+    from service.store.files.bundle import read_bundle
+
+    with waiting("checking the data"):
+        measured = read_bundle(bundle)
+        findings = check_data(measured.robot, measured.sweeps)
+    document = findings_document(measured.robot, measured.sweeps, findings)
+    if put_json(DataCheck.read(document, str(bundle)), json_to):
+        return
+    print_findings(findings, len(measured.sweeps), Console())
+
+
+def check_sheet(
+    sheet: Annotated[
+        Path, typer.Argument(help="JSON file of `sweepid export-sheet --json`.", metavar="SHEET", show_default=False)
+    ],
+    bundle: Annotated[Path | None, typer.Argument(help="Bundle that was measured later.", metavar="[BUNDLE]")] = None,
+    campaign: Annotated[
+        int | None, typer.Option(help="Number of a campaign that was measured later.", metavar="N", min=1)
+    ] = None,
+    url: Url = DEFAULT_URL,
+    json_to: JsonTo = None,
+) -> None:
+    """Compare a later measurement with a sheet, axis by axis, with significance. Exit code 1: the robot differs."""
+    from service.cli.documents import put_json, read_document
+    from service.cli.exports.check_sheet import as_text, of_bundle, of_campaign
+    from service.cli.progress_indicator import waiting
+    from service.export.sheets.same_robot import compare
+    from service.results.identified.sheet import Sheet
+
+    stored = read_document(sheet, Sheet)
+    if (bundle is None) == (campaign is None):
+        raise BadInput("BUNDLE", "name either a bundle or a campaign (--campaign N) that was measured later")
+    with waiting("the comparison"):
+        if bundle is not None:
+            robot, estimate, poses = of_bundle(bundle)
+        else:
+            robot, estimate, poses = of_campaign(campaign or 0, url)
+        found = compare(stored, robot, estimate, poses, str(bundle or f"campaign {campaign}"))
+    if not put_json(found, json_to):
+        typer.echo(as_text(found))
+    if found.verdict != "the same":
+        raise typer.Exit(1)

@@ -1,0 +1,156 @@
+"""`sweepid export`: recordings and results for other programs and controls."""
+
+import sys
+import tempfile
+import zipfile
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.cli.options import DEFAULT_URL, Bundle, JsonTo, SideFile, Source, Url
+from service.errors import BadInput
+
+
+def campaign_number(text: str) -> int:
+    """The number of a campaign; an error tells the other commands that export."""
+    if text.isascii() and text.isdecimal() and int(text) >= 1:
+        return int(text)
+    raise typer.BadParameter(
+        f"{text!r} is not the number of a campaign. For the values of a control use `sweepid export-sheet`, "
+        "for URDF and MJCF `sweepid export-model`"
+    )
+
+
+def export_bundle(
+    campaign: Annotated[int, typer.Argument(parser=campaign_number, help="Number of a campaign.")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to write; must be empty or not exist.")],
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Write the recorded sweeps of a campaign as a bundle. Prints the folder."""
+    from service.cli.progress_indicator import waiting
+    from service.client import ServiceClient
+
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise BadInput(str(folder), "exists already and is not an empty folder")
+    with ServiceClient(url) as client, tempfile.TemporaryDirectory() as temporary:
+        archive = Path(temporary) / "bundle.zip"
+        with waiting("the service packs the recordings"):
+            client.export_bundle(campaign, archive)
+        with zipfile.ZipFile(archive) as content:
+            content.extractall(folder)
+    sys.stdout.write(f"{folder}\n")
+
+
+def export_model(
+    source: Source,
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to write; must be empty or not exist.")],
+    robot: SideFile = None,
+) -> None:
+    """Write the identified robot as model.urdf, model.xml (MJCF), model.yaml and robot.yaml (side file)."""
+    from service.cli.exports.estimates import read_estimate
+    from service.export import model_of, write_model
+
+    known, estimate, _ = read_estimate(source, robot)
+    model = model_of(known, estimate, str(source))
+    write_model(folder, model)
+    if model.deviation_in_std:
+        typer.echo(
+            "these base parameters are not physically possible; the model contains the nearest possible ones, "
+            f"{model.deviation_in_std:.2g} standard deviations away",
+            err=True,
+        )
+    typer.echo(str(folder))
+
+
+def export_sheet(
+    source: Source,
+    robot: SideFile = None,
+    payload: Annotated[
+        Path | None, typer.Option(help="Load for KUKA and ABB: JSON file of `sweepid payload`.", metavar="FILE")
+    ] = None,
+    kuka_upright: Annotated[
+        float | None,
+        typer.Option(
+            help="Position of the second joint in the URDF, deg, where a KUKA shows A2 = -90 deg (usually -90).",
+            metavar="DEG",
+        ),
+    ] = None,
+    json_to: JsonTo = None,
+) -> None:
+    """Tell the identified inertias as the values that controls take, with uncertainty and the place to type them."""
+    from service.cli.documents import put_json, read_document
+    from service.cli.exports.estimates import read_estimate
+    from service.export.sheets.load import load_of
+    from service.export.sheets.making import sheet
+    from service.export.sheets.supplementary import UPRIGHT
+    from service.export.sheets.text import as_markdown
+    from service.results.identified.payload import Payload
+
+    known, estimate, bundle = read_estimate(source, robot)
+    poses = None if bundle is None else {sweep.spec.id: sweep.spec.pose for sweep in bundle.sweeps}
+    made = sheet(known, estimate, str(source), poses, UPRIGHT if kuka_upright is None else kuka_upright)
+    load = None if payload is None else load_of(read_document(payload, Payload, "--payload"))
+    text = as_markdown(made, load)
+    if not put_json(made, json_to):
+        typer.echo(text)
+
+
+def export_path(
+    plan: Annotated[Path, typer.Argument(help="File that `sweepid plan --out` wrote.", show_default=False)],
+    robot: Annotated[Path, typer.Option(help="Side file of the plan's robot.", show_default=False)],
+    cell: Annotated[Path, typer.Option(help="File of the plan's cell.", show_default=False)],
+    control: Annotated[Path, typer.Option(help="File of the CNC: axes, cycle, trace.", show_default=False)],
+    out: Annotated[Path, typer.Option(help="Folder to write; must be empty or not exist.", show_default=False)],
+) -> None:
+    """Write every sweep of a plan as table (.csv) and Sinumerik part program (.MPF), and the mapping for the traces."""
+    from service.cli.exports.plan_file import read_plan
+    from service.configuration import read_robot
+    from service.geometry.cell import read_cell
+    from service.paths.control import read_control
+    from service.paths.export import export_paths
+
+    document = read_plan(plan)
+    known = read_robot(robot)
+    count = export_paths(out, document, known, read_cell(cell), read_control(control, known))
+    typer.echo(f"{out}: {count} sweep{'s' if count > 1 else ''} of {known.name}", err=True)
+
+
+def export_recording(
+    bundle: Bundle,
+    out: Annotated[
+        Path,
+        typer.Argument(
+            help="New file: .mf4 (MDF4), .h5 or .hdf5 (HDF5), .mcap (MCAP), .csv (one sweep); without suffix a bundle "
+            "whose samples are CSV.",
+            show_default=False,
+        ),
+    ],
+    sweep: Annotated[list[str] | None, typer.Option(help="Id of a sweep; repeatable. Default: all.")] = None,
+    began: Annotated[
+        str | None,
+        typer.Option(help="Start of the campaign, as 2026-11-24T08:00:00+01:00; a bundle does not contain it."),
+    ] = None,
+) -> None:
+    """Write recordings of a bundle as MDF4, HDF5, MCAP or CSV."""
+    from service.cli.progress_indicator import waiting
+    from service.export.recordings import write_recordings
+    from service.store.files.bundle import read_bundle
+
+    moment = None if began is None else _moment(began)
+    measured = read_bundle(bundle)
+    with waiting("writing"):
+        written = write_recordings(out, measured, sweep or (), moment)
+    typer.echo(f"{out}: {len(written)} sweep{'s' if len(written) > 1 else ''} of {measured.robot.name}", err=True)
+
+
+def _moment(text: str) -> datetime:
+    """BadInput unless it is a time with its zone, from 1970 on, where all formats can tell it."""
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise BadInput("--began", f"{text!r} is not a time: {error}") from None
+    if moment.tzinfo is None or moment < datetime.fromtimestamp(0, UTC):
+        raise BadInput("--began", f"{text!r} has no zone (as +01:00, or Z), or lies before 1970")
+    return moment

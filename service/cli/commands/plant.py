@@ -1,0 +1,103 @@
+"""A plant as a whole: many machines, robots and campaigns."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from service.cli.options import DEFAULT_URL, JsonTo, Url
+
+Form = Literal["html", "pdf", "json"]
+
+Job = Annotated[int, typer.Argument(metavar="JOB", help="Number of the job.", min=1, show_default=False)]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON lines.")]
+
+
+def fleet(
+    type_name: Annotated[
+        str | None, typer.Option("--type", help="Name of the robots; default: all types.", metavar="NAME")
+    ] = None,
+    json_to: JsonTo = None,
+    report: Annotated[Path | None, typer.Option(help="Write the report as HTML.", metavar="FILE")] = None,
+    pdf: Annotated[Path | None, typer.Option(help="Write the report as PDF (A4).", metavar="FILE")] = None,
+    tables: Annotated[Path | None, typer.Option(help="Write its tables here, CSV and JSON.", metavar="DIR")] = None,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Print a line for each robot of the plant: last measurement, changes, difference from robots of its type."""
+    from service.cli.campaign.tables import write_tables
+    from service.cli.documents import put_json, write_file
+    from service.cli.plant.lines import fleet_lines
+    from service.cli.progress_indicator import waiting
+    from service.client import ServiceClient
+    from service.fleet.document import Fleet
+
+    wanted: list[tuple[Form, Path | None]] = [("html", report), ("pdf", pdf), ("json", tables)]
+    with ServiceClient(url) as client, waiting("reading the estimates of the plant"):
+        found = Fleet.model_validate(client.fleet(type_name))
+        written = [(form, path, client.fleet_report(type_name, form)) for form, path in wanted if path is not None]
+    for form, path, content in written:
+        if form == "json":
+            write_tables(path, content)
+        else:
+            write_file(path, content)
+    if not put_json(found, json_to):
+        for line in fleet_lines(found):
+            typer.echo(line)
+
+
+def reidentify(
+    campaign: Annotated[list[int] | None, typer.Option(help="Only this one, again for more; default: all.")] = None,
+    wait: Annotated[bool, typer.Option("--wait", help="Return when it is over; Ctrl-C does not cancel it.")] = False,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Identify stored campaigns of the service's machine again; prints the job. Stored estimates stay as they are."""
+    from service.cli.plant.lines import job_line
+    from service.cli.progress_indicator import waiting
+    from service.client import ServiceClient
+    from service.store.plant.batches import BatchDocument
+
+    with ServiceClient(url) as client:
+        job = client.add_job(campaign)
+        if wait:
+            with waiting(f"job {job['id']}: {job['campaigns']} campaigns"):
+                job = client.job_over(int(job["id"]))
+    typer.echo(job_line(BatchDocument.model_validate(job)))
+
+
+def list_jobs(as_json: AsJson = False, url: Url = DEFAULT_URL) -> None:
+    """Print a line for each job of the plant, the oldest first."""
+    from service.cli.plant.lines import job_line
+    from service.client import ServiceClient
+    from service.store.plant.batches import BatchDocument
+
+    with ServiceClient(url) as client:
+        for job in client.jobs():
+            typer.echo(json.dumps(job) if as_json else job_line(BatchDocument.model_validate(job)))
+
+
+def show(job: Job, as_json: AsJson = False, url: Url = DEFAULT_URL) -> None:
+    """Print a job and a line for each campaign that is done: largest change of J, or why there is no result."""
+    from service.cli.plant.lines import job_line, result_line
+    from service.client import ServiceClient
+    from service.store.plant.batches import BatchDocument, BatchEntry
+
+    with ServiceClient(url) as client:
+        found, results = client.job(job), client.job_results(job)
+    if as_json:
+        sys.stdout.writelines(f"{json.dumps(one)}\n" for one in (found, *results))
+        return
+    typer.echo(job_line(BatchDocument.model_validate(found)))
+    for one in results:
+        typer.echo(result_line(BatchEntry.model_validate(one)))
+
+
+def cancel(job: Job, url: Url = DEFAULT_URL) -> None:
+    """Compute no more of a job; what was computed stays."""
+    from service.cli.plant.lines import job_line
+    from service.client import ServiceClient
+    from service.store.plant.batches import BatchDocument
+
+    with ServiceClient(url) as client:
+        typer.echo(job_line(BatchDocument.model_validate(client.cancel_job(job))))

@@ -1,0 +1,101 @@
+"""Commands that are imported when they are called, so that a help text or a completion costs no mathematics."""
+
+from collections.abc import Iterator, Mapping
+from importlib.metadata import EntryPoint
+from typing import Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+Places = Mapping[str, str]
+"""Where a command is, as ``module:function`` or ``module:Typer``, by its name: one word, or two for one in a group."""
+
+
+class Commands(TyperGroup):
+    """A group of commands. Two words together name a command as well, so `export` and `export sheet` both are."""
+
+    def __init__(self, *, places: Places, groups: Mapping[str, str] | None = None, **settings: Any) -> None:
+        """`groups`: what the commands of a group are for, by its word, of words that are no command themselves."""
+        loaded: Any = _Loaded(places, groups or {})  # a mapping, of which TyperGroup only reads
+        super().__init__(commands=loaded, no_args_is_help=True, rich_markup_mode=None, **settings)
+        self._places = places
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return list(self.commands)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
+        two = " ".join(args[:2])
+        if len(args) > 1 and two in self._places:
+            return two, load(two, self._places[two]), args[2:]
+        return super().resolve_command(ctx, args)
+
+    def every(self) -> Iterator[tuple[str, TyperCommand]]:
+        """All commands by name, those of `typer.Typer` groups included."""
+        for name, place in self._places.items():
+            yield from _each(name, load(name, place))
+
+
+class _Loaded(Mapping[str, TyperCommand | TyperGroup]):
+    """Commands and groups by their first word, each imported when it is asked for."""
+
+    def __init__(self, places: Places, groups: Mapping[str, str]) -> None:
+        self._places, self._groups = places, groups
+        self._words = tuple(dict.fromkeys(name.partition(" ")[0] for name in places))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._words)
+
+    def __len__(self) -> int:
+        return len(self._words)
+
+    def __getitem__(self, word: str) -> TyperCommand | TyperGroup:
+        members = {
+            name.removeprefix(f"{word} "): at for name, at in self._places.items() if name.startswith(f"{word} ")
+        }
+        if word in self._places:
+            command = load(word, self._places[word])
+            if isinstance(command, _Command):
+                command.members = Commands(name=word, places=members) if members else None
+            return command
+        if not members:
+            raise KeyError(word)
+        return Commands(name=word, places=members, help=self._groups.get(word))
+
+
+class _Command(TyperCommand):
+    """A command; if it is also the first word of others, its help and its completions name them."""
+
+    members: Commands | None = None
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        super().format_options(ctx, formatter)
+        if self.members is not None:
+            self.members.format_commands(ctx, formatter)
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        found = super().shell_complete(ctx, incomplete)
+        if self.members is None:
+            return found
+        with self.members.make_context(None, [], resilient_parsing=True) as inside:
+            return [*self.members.shell_complete(inside, incomplete), *found]
+
+
+def load(name: str, place: str) -> TyperCommand | TyperGroup:
+    """Import the command at a place."""
+    found: object = EntryPoint(name, place, "").load()
+    if isinstance(found, typer.Typer):
+        application = found
+    else:
+        application = typer.Typer(add_completion=False, rich_markup_mode=None)
+        application.command(name, cls=_Command)(EntryPoint(name, place, "").load())
+    command: Any = typer.main.get_command(application)
+    command.name = name
+    return command
+
+
+def _each(name: str, command: TyperCommand | TyperGroup) -> Iterator[tuple[str, TyperCommand]]:
+    if isinstance(command, TyperCommand):
+        yield name, command
+        return
+    for word, member in command.commands.items():
+        yield from _each(f"{name} {word}", member)  # pyright: ignore[reportArgumentType]
