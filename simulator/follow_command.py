@@ -1,4 +1,4 @@
-"""`sweepid follow SCENARIO PATH`: path error of a virtual machine with torque feed-forwards, as JSON."""
+"""`sweepid drive follow SCENARIO PATH`: path error of a virtual machine with torque feed-forwards, as JSON."""
 
 from pathlib import Path
 from typing import Annotated

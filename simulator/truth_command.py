@@ -1,4 +1,4 @@
-"""`sweepid truth SCENARIO`: true parameters of a virtual machine, as JSON on stdout: its inertias, or its hidden
+"""`sweepid drive truth SCENARIO`: true parameters of a virtual machine, as JSON on stdout: its inertias, or its hidden
 effect.
 """
 

@@ -97,8 +97,8 @@ def _copy_named(data_dir: Path, target: Path, path: str, sha256: str | None) -> 
     except ValueError as error:
         raise BadInput("database", f"names a file outside of the data folder: {error}") from None
     except FileNotFoundError:
-        raise BadInput(str(data_dir / path), "is missing; `sweepid doctor` lists all problems") from None
+        raise BadInput(str(data_dir / path), "is missing; `sweepid data doctor` lists all problems") from None
     if sha256 not in (None, stored.sha256):
-        reason = f"was changed, SHA-256 is not {sha256}; `sweepid doctor` lists all problems"
+        reason = f"was changed, SHA-256 is not {sha256}; `sweepid data doctor` lists all problems"
         raise BadInput(str(data_dir / path), reason)
     return stored

@@ -1,4 +1,4 @@
-"""The result of the comparison of CAD and estimate on held-out sweeps; `sweepid benefit --json` writes it."""
+"""The result of the comparison of CAD and estimate on held-out sweeps; `sweepid estimate benefit --json` writes it."""
 
 from collections.abc import Mapping
 

@@ -20,59 +20,76 @@ _COMPLETIONS = "--completions"
 _OWN = {
     "demo": "demo:demo",
     "serve": "serve:serve",
-    "backup": "data:backup",
-    "restore": "data:restore",
-    "doctor": "data:doctor",
-    "db copy": "data:copy",
-    "db prune": "data:prune",
-    "db hold": "data:hold",
-    "db release": "data:release",
-    "db holds": "data:holds",
+    "plan": "plan:plan",
+    "plan trajectories": "plan:plan_trajectories",
+    "measure": "measure:measure",
+    "import": "imports:import_bundle",
+    "import trace": "imports:import_trace",
+    "check": "check:check",
+    "check sheet": "check:check_sheet",
+    "identify": "identify:identify",
+    "diagnose": "diagnose:diagnose",
+    "estimate benefit": "estimate:benefit",
+    "estimate payload": "estimate:payload",
+    "estimate torque-gain": "estimate:torque_gain",
+    "estimate channels": "estimate:channels",
+    "report": "report:report",
+    "export": "export:export_bundle",
+    "export model": "export:export_model",
+    "export sheet": "export:export_sheet",
+    "export path": "export:export_path",
+    "export recording": "export:export_recording",
+    "robot check": "robot:check",
+    "plant fleet": "plant:fleet",
+    "plant reidentify": "plant:reidentify",
+    "plant jobs": "plant:list_jobs",
+    "plant job": "plant:show",
+    "plant cancel": "plant:cancel",
+    "data backup": "data:backup",
+    "data restore": "data:restore",
+    "data doctor": "data:doctor",
+    "data prune": "data:prune",
+    "data hold": "data:hold",
+    "data release": "data:release",
+    "data holds": "data:holds",
+    "data copy": "data:copy",
+    "people list": "people:list_people",
     "people add-user": "people:add_user",
     "people change-password": "people:change_password",
     "people disable-user": "people:disable_user",
     "people enable-user": "people:enable_user",
-    "people sessions": "people:sessions",
-    "people revoke-session": "people:revoke_session",
     "people add-key": "people:add_key",
     "people revoke-key": "people:revoke_key",
-    "people list": "people:list_people",
+    "people sessions": "people:sessions",
+    "people revoke-session": "people:revoke_session",
     "audit verify": "audit:verify_audit",
     "audit export": "audit:export_audit",
-    "robot check": "robot:check",
-    "plan": "plan:plan",
-    "plan-trajectories": "plan:plan_trajectories",
-    "measure": "measure:measure",
-    "import": "imports:import_bundle",
-    "export": "export:export_bundle",
-    "fleet": "plant:fleet",
-    "jobs reidentify": "plant:reidentify",
-    "jobs list": "plant:list_jobs",
-    "jobs show": "plant:show",
-    "jobs cancel": "plant:cancel",
-    "report": "report:report",
-    "check": "check:check",
-    "identify": "identify:identify",
-    "diagnose": "diagnose:diagnose",
-    "benefit": "estimate:benefit",
-    "torque-gain": "estimate:torque_gain",
-    "payload": "estimate:payload",
-    "channels": "estimate:channels",
-    "import-trace": "imports:import_trace",
-    "export-model": "export:export_model",
-    "export-sheet": "export:export_sheet",
-    "check-sheet": "check:check_sheet",
-    "export-path": "export:export_path",
-    "export-recording": "export:export_recording",
 }
-"""By name: module below `service.cli.commands`, and function."""
+"""By name: module below `service.cli.commands`, and function. A command may be the first word of others."""
 _GROUPS = {
     "audit": "Who asked the service for what.",
-    "db": "The database as a whole.",
-    "jobs": "Heavy computations over stored campaigns.",
+    "data": "Back up, restore, examine, prune and copy stored data.",
+    "estimate": "Payload, torque constants, delays, and the benefit.",
     "people": "Users and keys for the setting `login: true`.",
-    "robot": "Robots as their makers describe them.",
+    "plant": "Compare many robots; identify stored campaigns again.",
+    "robot": "Robots as their manufacturers describe them.",
 }
+_FORMER = {
+    **{f"export-{name}": f"export {name}" for name in ("model", "path", "recording", "sheet")},
+    **{name: f"estimate {name}" for name in ("benefit", "channels", "payload", "torque-gain")},
+    **{name: f"data {name}" for name in ("backup", "doctor", "restore")},
+    **{name: f"drive {name}" for name in ("follow", "truth")},
+    "check-sheet": "check sheet",
+    "db": "data",
+    "fleet": "plant fleet",
+    "import-trace": "import trace",
+    "jobs": "plant jobs",
+    "jobs cancel": "plant cancel",
+    "jobs reidentify": "plant reidentify",
+    "jobs show": "plant job",
+    "plan-trajectories": "plan trajectories",
+}
+"""Names of earlier versions. Nothing runs under them: scripts are to be changed once."""
 
 
 def main() -> None:
@@ -92,13 +109,23 @@ def main() -> None:
 
 
 def build() -> Commands:
-    """The commands: our own and those that installed packages bring by entry point; none is imported yet."""
+    """The commands: our own and those that installed packages bring by entry point; none is imported yet.
+
+    The name of an entry point is that of the command; `drive.truth` is `sweepid drive truth`.
+    """
     places = {name: f"service.cli.commands.{place}" for name, place in _OWN.items()}
-    places |= {entry.name: entry.value for entry in entry_points(group=GROUP)}
+    places |= {entry.name.replace(".", " "): entry.value for entry in entry_points(group=GROUP)}
     overview = typer.Typer(add_completion=False)
     overview.callback()(_overview)
     options = typer.main.get_group(overview)
-    return Commands(places=places, groups=_GROUPS, help=options.help, params=options.params, callback=options.callback)
+    return Commands(
+        places=places,
+        groups=_GROUPS,
+        former=_FORMER,
+        help=options.help,
+        params=options.params,
+        callback=options.callback,
+    )
 
 
 def _tell_version(wanted: bool) -> None:

@@ -7,6 +7,8 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from service.errors import BadInput
+
 Places = Mapping[str, str]
 """Where a command is, as ``module:function`` or ``module:Typer``, by its name: one word, or two for one in a group."""
 
@@ -14,11 +16,21 @@ Places = Mapping[str, str]
 class Commands(TyperGroup):
     """A group of commands. Two words together name a command as well, so `export` and `export sheet` both are."""
 
-    def __init__(self, *, places: Places, groups: Mapping[str, str] | None = None, **settings: Any) -> None:
-        """`groups`: what the commands of a group are for, by its word, of words that are no command themselves."""
+    def __init__(
+        self,
+        *,
+        places: Places,
+        groups: Mapping[str, str] | None = None,
+        former: Mapping[str, str] | None = None,
+        **settings: Any,
+    ) -> None:
+        """`groups`: what the commands of a group are for, by its word, of words that are no command themselves.
+
+        `former`: the present names of commands by those that they had.
+        """
         loaded: Any = _Loaded(places, groups or {})  # a mapping, of which TyperGroup only reads
         super().__init__(commands=loaded, no_args_is_help=True, rich_markup_mode=None, **settings)
-        self._places = places
+        self._places, self.former = places, former or {}
 
     def list_commands(self, ctx: Any) -> list[str]:
         return list(self.commands)
@@ -27,7 +39,13 @@ class Commands(TyperGroup):
         two = " ".join(args[:2])
         if len(args) > 1 and two in self._places:
             return two, load(two, self._places[two]), args[2:]
-        return super().resolve_command(ctx, args)
+        former = next((name for name in (two, args[0]) if name in self.former), None)
+        if former is not None and not ctx.resilient_parsing:
+            raise BadInput(former, f"is now `sweepid {self.former[former]}`")
+        name, command, rest = super().resolve_command(ctx, args)
+        if ctx.resilient_parsing and not rest and isinstance(command, _Command) and command.members is not None:
+            return name, command.members, rest  # a shell asks what may follow: a member, or an option of the command
+        return name, command, rest
 
     def every(self) -> Iterator[tuple[str, TyperCommand]]:
         """All commands by name, those of `typer.Typer` groups included."""
@@ -55,7 +73,8 @@ class _Loaded(Mapping[str, TyperCommand | TyperGroup]):
         if word in self._places:
             command = load(word, self._places[word])
             if isinstance(command, _Command):
-                command.members = Commands(name=word, places=members) if members else None
+                options = [one for one in command.params if one.param_type_name == "option"]
+                command.members = Commands(name=word, places=members, params=options) if members else None
             return command
         if not members:
             raise KeyError(word)
@@ -63,7 +82,7 @@ class _Loaded(Mapping[str, TyperCommand | TyperGroup]):
 
 
 class _Command(TyperCommand):
-    """A command; if it is also the first word of others, its help and its completions name them."""
+    """A command; if it is also the first word of others, its help names them, and completions offer them."""
 
     members: Commands | None = None
 
@@ -71,13 +90,6 @@ class _Command(TyperCommand):
         super().format_options(ctx, formatter)
         if self.members is not None:
             self.members.format_commands(ctx, formatter)
-
-    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
-        found = super().shell_complete(ctx, incomplete)
-        if self.members is None:
-            return found
-        with self.members.make_context(None, [], resilient_parsing=True) as inside:
-            return [*self.members.shell_complete(inside, incomplete), *found]
 
 
 def load(name: str, place: str) -> TyperCommand | TyperGroup:

@@ -35,7 +35,7 @@ _TIMEOUT = 120.0  # s
 
 @dataclass(frozen=True)
 class Found:
-    """`document` of the last diagnosis from the API; `hidden` is the later output of `sweepid truth`."""
+    """`document` of the last diagnosis from the API; `hidden` is the later output of `sweepid drive truth`."""
 
     joint: str
     document: Json
@@ -170,9 +170,9 @@ def _accepted(client: ServiceClient, diagnosis: Json, joint: str) -> int | None:
 
 
 def _truth(seed: int) -> Json:
-    arguments = command("truth", str(SCENARIO), "--hide", str(seed))
+    arguments = command("drive", "truth", str(SCENARIO), "--hide", str(seed))
     answer = subprocess.run(arguments, capture_output=True, text=True, env=environment(), timeout=_TIMEOUT, check=False)
     if answer.returncode:
-        raise SweepidError(f"sweepid truth: {answer.stderr.strip()}")
+        raise SweepidError(f"sweepid drive truth: {answer.stderr.strip()}")
     found: Json = json.loads(answer.stdout)
     return found

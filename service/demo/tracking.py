@@ -23,7 +23,7 @@ class _Answer(BaseModel):
 
 
 def drive_path(measured: Bundle, scenario: Path, scratch: Path) -> Tracking:
-    """Run the command `sweepid follow`; `scratch` is a file for the path, removed afterwards."""
+    """Run the command `sweepid drive follow`; `scratch` is a file for the path, removed afterwards."""
     wanted = feed_forward(measured.robot, measured.sweeps)
     motion = wanted.motion
     path = {
@@ -33,11 +33,11 @@ def drive_path(measured: Bundle, scenario: Path, scratch: Path) -> Tracking:
         "feed_forwards": {"cad": wanted.cad.tolist(), "identified": wanted.identified.tolist()},
     }
     scratch.write_text(json.dumps(path), encoding="utf-8")
-    arguments = command("follow", str(scenario), str(scratch))
+    arguments = command("drive", "follow", str(scenario), str(scratch))
     answer = subprocess.run(arguments, capture_output=True, text=True, env=environment(), timeout=_TIMEOUT, check=False)
     scratch.unlink()
     if answer.returncode:
-        raise SweepidError(f"sweepid follow: {answer.stderr.strip()}")
+        raise SweepidError(f"sweepid drive follow: {answer.stderr.strip()}")
     found = _Answer.model_validate_json(answer.stdout)
     moved = {sweep.spec.axis for sweep in measured.sweeps}
     return Tracking(

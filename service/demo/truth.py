@@ -20,13 +20,13 @@ _TIMEOUT = 120.0  # s
 
 
 def read_truth(scenario: Path, poses: Array, scratch: Path) -> dict[str, Array]:
-    """True inertia (m,) of every joint at poses (m, n), from the command `sweepid truth`."""
+    """True inertia (m,) of every joint at poses (m, n), from the command `sweepid drive truth`."""
     scratch.write_text(json.dumps(poses.tolist()), encoding="utf-8")
-    arguments = command("truth", str(scenario), "--poses", str(scratch))
+    arguments = command("drive", "truth", str(scenario), "--poses", str(scratch))
     answer = subprocess.run(arguments, capture_output=True, text=True, env=environment(), timeout=_TIMEOUT, check=False)
     scratch.unlink()
     if answer.returncode:
-        raise SweepidError(f"sweepid truth: {answer.stderr.strip()}")
+        raise SweepidError(f"sweepid drive truth: {answer.stderr.strip()}")
     return {joint: np.array(values, dtype=float) for joint, values in json.loads(answer.stdout).items()}
 
 

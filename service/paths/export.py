@@ -26,7 +26,7 @@ def export_paths(folder: Path, plan: PlanDocument, robot: Robot, cell: Cell, con
     """Write all sweeps of a plan to a new or empty folder; returns their number. BadInput, and nothing written, for the
     first sweep that leaves the envelope or does not fit into a part program.
 
-    ``SWEEP_0001.MPF`` and ``.csv`` for every sweep; ``mapping.yaml`` with robot and URDF for `sweepid import-trace`,
+    ``SWEEP_0001.MPF`` and ``.csv`` for every sweep; ``mapping.yaml`` with robot and URDF for `sweepid import trace`,
     which looks for the traces in ``traces/SWEEP_0001.csv`` and so on.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):

@@ -84,7 +84,7 @@ class Settings(BaseSettings):
     fleet_false_alarms: float = Field(default=0.01, gt=0, le=0.5)  # probability of at least one in `fleet_campaigns`
     fleet_campaigns: int = Field(default=12, ge=3, le=240)  # newest campaigns of each robot in the control chart
     keep_samples_days: float | None = Field(default=None, ge=1)  # of campaigns that are over; None: forever. Applied
-    keep_spectra_days: float | None = Field(default=None, ge=1)  # only by `sweepid db prune`
+    keep_spectra_days: float | None = Field(default=None, ge=1)  # only by `sweepid data prune`
     keep_estimates_days: float | None = Field(default=None, ge=1)  # revisions before the newest of each campaign
     live_rate: float = Field(default=100.0, gt=0)  # Hz, rate of the decimated samples for subscribers
     log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"

@@ -1,4 +1,4 @@
-"""Results from a file of the control as frozen models; `sweepid import-trace` writes their JSON."""
+"""Results from a file of the control as frozen models; `sweepid import trace` writes their JSON."""
 
 from service.results.part import Part
 

@@ -106,7 +106,7 @@ def test_a_help_text_is_there_at_once(root: Path) -> None:
         ("measure none", MATHEMATICS | SERVER | PHYSICS | {"numpy"}),
         ("report 1 none.html --url http://127.0.0.1:1", MATHEMATICS | SERVER | PHYSICS),
         ("export 1 none --url http://127.0.0.1:1", MATHEMATICS | SERVER | PHYSICS | {"numpy"}),
-        ("plan-trajectories none --axes a", MATHEMATICS | SERVER | PHYSICS),
+        ("plan trajectories none --axes a", MATHEMATICS | SERVER | PHYSICS),
         ("commission check none", MATHEMATICS | SERVER | PHYSICS),
         ("identify none", SERVER | {"dask", "distributed", "plotly", "rich.progress"}),
     ],

@@ -20,8 +20,8 @@ from drivers.modbus.registers import load_registers
 from drivers.registry import load_profile
 from service.backup.manifest import read_manifest
 from service.cli.campaign.measure import plan_number
-from service.cli.documents import read_document
 from service.cli.commands.export import export_path
+from service.cli.documents import read_document
 from service.cli.recordings.control_file import import_control_file
 from service.cli.recordings.gains_file import read_gains
 from service.cli.recordings.identify import read_effects

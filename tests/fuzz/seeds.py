@@ -135,7 +135,7 @@ def plan() -> bytes:
 
 
 def payload() -> bytes:
-    """As `sweepid payload --json` writes it."""
+    """As `sweepid estimate payload --json` writes it."""
     known = {"value": 12.0, "std": 0.1, "std_total": 0.3, "excited": True}
     inertia = {"Ixx": 0.3, "Ixy": 0.01, "Ixz": 0.0, "Iyy": 0.4, "Iyz": 0.0, "Izz": 0.2}
     document = {

@@ -95,7 +95,7 @@ def test_the_command_tells_the_payload(tmp_path: Path) -> None:
     for name, sweeps in zip(("before", "after"), before_and_after(truth, 234), strict=True):
         write_bundle(tmp_path / name, truth.robot, sweeps)
     pair = str(tmp_path / "before"), str(tmp_path / "after")
-    told = sweepid("payload", *pair, "--json", str(tmp_path / "payload.json"))
+    told = sweepid("estimate", "payload", *pair, "--json", str(tmp_path / "payload.json"))
     assert told.returncode == 0, told.stderr
     assert "Payload on link_3, in the frame of joint_3" in told.stdout
     document = json.loads((tmp_path / "payload.json").read_text())

@@ -52,7 +52,7 @@ def test_what_is_restored_tells_what_the_original_told(tmp_path: Path) -> None:
             for worker in service.workers():  # so that the backup has a sweep which nobody has identified yet
                 worker.suspend()
             until(lambda: in_state(client, campaign, "recorded") > 0 and moves(machine), "an axis moves")
-            command("backup", str(backup), "--data-dir", str(service.data))
+            command("data", "backup", str(backup), "--data-dir", str(service.data))
             assert client.campaign(campaign)["state"] == "running", "the backup was not taken while it measured"
             for worker in service.workers():
                 worker.resume()
@@ -61,8 +61,8 @@ def test_what_is_restored_tells_what_the_original_told(tmp_path: Path) -> None:
             until(lambda: in_state(client, campaign, "recorded") == 0, "all that was measured is identified")
             original = estimates(client, campaign)
 
-        command("restore", str(backup), "--data-dir", str(new / "data"))
-        assert command("doctor", "--data-dir", str(new / "data")) == ""
+        command("data", "restore", str(backup), "--data-dir", str(new / "data"))
+        assert command("data", "doctor", "--data-dir", str(new / "data")) == ""
         with closing(sqlite3.connect(new / "data" / "sweepid.sqlite")) as database:
             (identified,) = database.execute("SELECT count(*) FROM sweep WHERE state = 'identified'").fetchone()
         with serving(new, machine.profile, PATIENT_LEASE) as service, ServiceClient(service.url) as client:
@@ -76,4 +76,6 @@ def test_what_is_restored_tells_what_the_original_told(tmp_path: Path) -> None:
     assert list(restored) == list(range(1, measured + 1))
     # to the last digit: JSON has every float as it is
     assert restored == {revision: original[revision] for revision in restored}
-    assert command("doctor", "--data-dir", str(new / "data")) == ""  # what the restored service added fits as well
+    assert (
+        command("data", "doctor", "--data-dir", str(new / "data")) == ""
+    )  # what the restored service added fits as well

@@ -262,13 +262,13 @@ def test_the_sheet_tells_the_robot_from_one_with_another_load(
     """The sheet of the first night against every campaign since: the checks before the power cut and those after it."""
     assert run("export", heavier, str(folder / "night"), url=service.url).returncode == 0
     sheet = folder / "sheet.json"
-    assert run("export-sheet", str(folder / "night"), "--json", str(sheet), url=service.url).returncode == 0
+    assert run("export", "sheet", str(folder / "night"), "--json", str(sheet), url=service.url).returncode == 0
     later = [one["id"] for one in client.campaigns() if one["state"] == "completed" and one["id"] > int(heavier)]
     assert len(later) >= 3
     before, after = later[0], later[-1]  # the daily check of an unchanged machine, and that of the heavier one
-    same = run("check-sheet", str(sheet), "--campaign", str(before), url=service.url)
+    same = run("check", "sheet", str(sheet), "--campaign", str(before), url=service.url)
     assert "changed since the sheet" not in same.stdout.replace("perhaps changed", ""), same.stdout + same.stderr
-    changed = run("check-sheet", str(sheet), "--campaign", str(after), url=service.url)
+    changed = run("check", "sheet", str(sheet), "--campaign", str(after), url=service.url)
     assert (changed.returncode, "max100-class: changed since the sheet" in changed.stdout) == (1, True), changed.stdout
     assert "joint_3: " in changed.stdout
 

@@ -66,6 +66,6 @@ def test_the_hook_sees_who_does(tmp_path: Path, seal: Path) -> None:
     poses = tmp_path / "poses.json"
     poses.write_text(json.dumps([[0.0] * 6]), "utf-8")
     scenario = CONFIG / "scenarios" / "max100-full.yaml"
-    done = run("truth", str(scenario), "--poses", str(poses), url=os.environ.get("SWEEPID_URL", ""))
+    done = run("drive", "truth", str(scenario), "--poses", str(poses), url=os.environ.get("SWEEPID_URL", ""))
     assert done.returncode == 0, done.stderr
     assert f"opened {scenario}" in seal.read_text("utf-8").splitlines()

@@ -24,7 +24,7 @@ NEXT = "sweepid serve --data-dir {}; then after_a_stop.py"
 
 def main() -> int:
     parser = parser_of(__doc__)
-    parser.add_argument("backup", type=Path, help="folder that `sweepid backup` or back_up.py made")
+    parser.add_argument("backup", type=Path, help="folder that `sweepid data backup` or back_up.py made")
     parser.add_argument("data_dir", type=Path, help="folder to make; must be empty or not exist, its parent must exist")
     return run("restore", parser, restored)
 

@@ -35,7 +35,7 @@ def check(
 
 def check_sheet(
     sheet: Annotated[
-        Path, typer.Argument(help="JSON file of `sweepid export-sheet --json`.", metavar="SHEET", show_default=False)
+        Path, typer.Argument(help="JSON file of `sweepid export sheet --json`.", metavar="SHEET", show_default=False)
     ],
     bundle: Annotated[Path | None, typer.Argument(help="Bundle that was measured later.", metavar="[BUNDLE]")] = None,
     campaign: Annotated[

@@ -42,7 +42,7 @@ def backup(
 
 
 def restore(
-    backup: Annotated[Path, typer.Argument(help="Folder that `sweepid backup` made.", show_default=False)],
+    backup: Annotated[Path, typer.Argument(help="Folder that `sweepid data backup` made.", show_default=False)],
     data_dir: Annotated[Path, typer.Option(help="Folder to make; must be empty or not exist.", show_default=False)],
 ) -> None:
     """Check all of a backup, then make a data folder of it, on which the service can be started. Prints the folder."""

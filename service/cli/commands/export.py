@@ -18,8 +18,8 @@ def campaign_number(text: str) -> int:
     if text.isascii() and text.isdecimal() and int(text) >= 1:
         return int(text)
     raise typer.BadParameter(
-        f"{text!r} is not the number of a campaign. For the values of a control use `sweepid export-sheet`, "
-        "for URDF and MJCF `sweepid export-model`"
+        f"{text!r} is not the number of a campaign. For the values of a control use `sweepid export sheet`, "
+        "for URDF and MJCF `sweepid export model`"
     )
 
 
@@ -68,7 +68,8 @@ def export_sheet(
     source: Source,
     robot: SideFile = None,
     payload: Annotated[
-        Path | None, typer.Option(help="Load for KUKA and ABB: JSON file of `sweepid payload`.", metavar="FILE")
+        Path | None,
+        typer.Option(help="Load for KUKA and ABB: JSON file of `sweepid estimate payload`.", metavar="FILE"),
     ] = None,
     kuka_upright: Annotated[
         float | None,

@@ -28,7 +28,7 @@ class AxisChannels(Part):
 
 
 class Channels(Part):
-    """`sweepid channels --json`, by joint."""
+    """`sweepid estimate channels --json`, by joint."""
 
     axes: dict[str, AxisChannels]
 

@@ -1,4 +1,4 @@
-"""The file in which `sweepid torque-gain` hands calibrated torque constants to `sweepid identify`."""
+"""The file in which `sweepid estimate torque-gain` hands calibrated torque constants to `sweepid identify`."""
 
 from pathlib import Path
 
@@ -27,6 +27,6 @@ class TorqueGains(BaseModel):
 
 
 def read_gains(path: Path) -> dict[str, TorqueGain]:
-    """What `sweepid torque-gain --json` wrote, by joint."""
+    """What `sweepid estimate torque-gain --json` wrote, by joint."""
     found = read_yaml(path, TorqueGains)  # JSON is YAML, too
     return {joint: TorqueGain(axis.gain.value, axis.gain.std) for joint, axis in found.axes.items()}

@@ -6,8 +6,8 @@ including the motor as in the measurement. Standard deviations: of the model ove
 else the median of the sweeps, and that of the torque constant.
 
 An estimate of the robot does not contain mass, centre and inertia of a load, only combinations of the links'
-parameters. A load comes from `sweepid payload`; the supplementary loads of A1 to A3 are the smallest bodies that
-reproduce the difference from CAD (`supplementary`).
+parameters. A load comes from `sweepid estimate payload`; the supplementary loads of A1 to A3 are the smallest bodies
+that reproduce the difference from CAD (`supplementary`).
 """
 
 import hashlib

@@ -8,7 +8,7 @@ from service.results.identified.sheet import AxisSheet, Sheet, SheetBody, Supple
 
 _NO_LOAD = (
     "Payload: left out. An estimate of the robot contains only combinations of the parameters of its links, "
-    "not the mass, centre and inertia of a body on it. Measure the load with `sweepid payload` and "
+    "not the mass, centre and inertia of a body on it. Measure the load with `sweepid estimate payload` and "
     "give its file with `--payload`."
 )
 
@@ -51,7 +51,7 @@ def as_markdown(sheet: Sheet, load: Load | None = None) -> str:
         "## ABB",
         _NO_LOAD if load is None else _abb(load),
         "## ros2_control and MoveIt",
-        "Both read the URDF: `sweepid export-model` writes `model.urdf` with these parameters, and the motors' "
+        "Both read the URDF: `sweepid export model` writes `model.urdf` with these parameters, and the motors' "
         "inertia, for which URDF has no place, into `robot.yaml`.",
         "## MuJoCo",
         _mujoco(sheet),
@@ -183,7 +183,7 @@ def _mujoco(sheet: Sheet) -> str:
     return "\n\n".join(
         [
             "One physical robot with the identified base parameters, for the `body` and `joint` of each name (a whole "
-            "model: `sweepid export-model`, `model.xml`):",
+            "model: `sweepid export model`, `model.xml`):",
             f"```xml\n{lines}\n```",
         ]
     )

@@ -1,4 +1,4 @@
-"""A payload as the document that `sweepid payload --json` writes."""
+"""A payload as the document that `sweepid estimate payload --json` writes."""
 
 import numpy as np
 

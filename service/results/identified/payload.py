@@ -1,4 +1,4 @@
-"""A payload on the last link: `sweepid payload --json`."""
+"""A payload on the last link: `sweepid estimate payload --json`."""
 
 from pydantic import AliasChoices, ConfigDict, Field
 

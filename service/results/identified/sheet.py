@@ -1,4 +1,4 @@
-"""The values to enter into a control: `sweepid export-sheet --json`."""
+"""The values to enter into a control: `sweepid export sheet --json`."""
 
 from typing import Literal
 

@@ -1,4 +1,4 @@
-"""Whether a robot still agrees with a sheet: `sweepid check-sheet --json`."""
+"""Whether a robot still agrees with a sheet: `sweepid check sheet --json`."""
 
 from typing import Literal
 

@@ -85,7 +85,7 @@ class AuditStore:
 def _unreadable(error: SQLAlchemyError) -> AuditUnreadable:
     reason = " ".join(str(getattr(error, "orig", None) or type(error).__name__).split())
     return AuditUnreadable(
-        f"the audit cannot be read: {reason}; check it with `sweepid doctor`, and restore a backup if it is damaged"
+        f"the audit cannot be read: {reason}; check it with `sweepid data doctor`, restore a backup if it is damaged"
     )
 
 

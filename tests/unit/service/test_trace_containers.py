@@ -269,7 +269,7 @@ def test_the_command_tells_one_line(tmp_path: Path, capfd: pytest.CaptureFixture
     """Nothing of the reader's process beside it."""
     whole = write_mdf4(tmp_path / "a.mf4", [signal(name) for name in NAMED])
     whole.write_bytes(whole.read_bytes()[:2000])
-    done = sweepid("import-trace", str(mapping(tmp_path, "a.mf4", columns=NAMED)), "--out", str(tmp_path / "bundle"))
+    done = sweepid("import", "trace", str(mapping(tmp_path, "a.mf4", columns=NAMED)), "--out", str(tmp_path / "bundle"))
     assert (done.returncode, done.stdout, capfd.readouterr()) == (2, "", ("", ""))
     (line,) = done.stderr.splitlines()
     assert "a.mf4: cannot be read by asammdf: " in line

@@ -201,7 +201,7 @@ def test_emps_mass_from_the_command_line(root: Path, shared: Path, tmp_path: Pat
     """Published: M = 95.1089 kg, Fv = 203.5034, Fc = 20.3935, offset = -3.1648."""
     sweepid = [str(Path(sys.executable).with_name("sweepid"))]
     source = str(shared / "data/emps/DATA_EMPS.mat")
-    make = ["import-trace", str(root / "config/traces/emps.yaml"), "--source", source, "--out", str(tmp_path / "b")]
+    make = ["import", "trace", str(root / "config/traces/emps.yaml"), "--source", source, "--out", str(tmp_path / "b")]
     made = subprocess.run(sweepid + make, capture_output=True, text=True)
     assert (made.returncode, made.stdout) == (0, ""), made.stderr
     told = subprocess.run([*sweepid, "identify", str(tmp_path / "b"), "--json", "-"], capture_output=True, text=True)

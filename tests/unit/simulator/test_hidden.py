@@ -71,7 +71,7 @@ def test_a_machine_without_weight_hides_nothing() -> None:
 
 
 def test_the_truth_is_told_by_its_own_command() -> None:
-    told = sweepid("truth", str(MODELLED), "--hide", "3")
+    told = sweepid("drive", "truth", str(MODELLED), "--hide", "3")
     _, hidden = hide(load_scenario(MODELLED), 3)
     assert told.returncode == 0
     assert json.loads(told.stdout) == {
@@ -83,7 +83,7 @@ def test_the_truth_is_told_by_its_own_command() -> None:
 
 @pytest.mark.parametrize("options", [(), ("--hide", "3", "--poses", "poses.json")])
 def test_the_truth_is_asked_one_thing_at_a_time(options: tuple[str, ...]) -> None:
-    told = sweepid("truth", str(MODELLED), *options)
+    told = sweepid("drive", "truth", str(MODELLED), *options)
     assert (told.returncode, told.stdout) == (2, "")
     assert "exactly one of --poses and --hide" in told.stderr
 

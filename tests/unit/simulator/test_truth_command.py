@@ -1,4 +1,4 @@
-"""`sweepid truth`: JSON on stdout, one line on stderr and exit code 2 for bad input."""
+"""`sweepid drive truth`: JSON on stdout, one line on stderr and exit code 2 for bad input."""
 
 import json
 from pathlib import Path

@@ -51,7 +51,7 @@ def test_the_report_is_a_page_and_its_tables(http: httpx.Client, campaigns: list
 
 def test_the_command_prints_and_writes(url: str, campaigns: list[int], tmp_path: Path) -> None:
     printed = sweepid(
-        *("fleet", "--url", url, "--type", TYPE),
+        *("plant", "fleet", "--url", url, "--type", TYPE),
         *("--report", str(tmp_path / "fleet.html"), "--tables", str(tmp_path / "tables")),
     )
     assert printed.returncode == 0, printed.stderr
@@ -60,7 +60,7 @@ def test_the_command_prints_and_writes(url: str, campaigns: list[int], tmp_path:
     assert robot.startswith("  machine machine: measured ")
     assert (tmp_path / "fleet.html").read_text("utf-8").startswith("<!doctype html>")
     assert json.loads((tmp_path / "tables" / "tables.json").read_text("utf-8"))["title"] == "Robots of the plant"
-    found = json.loads(sweepid("fleet", "--url", url, "--type", TYPE, "--json", "-").stdout)
+    found = json.loads(sweepid("plant", "fleet", "--url", url, "--type", TYPE, "--json", "-").stdout)
     assert found["types"][0]["robots"][0]["machine"] == "machine"
     assert campaigns
 

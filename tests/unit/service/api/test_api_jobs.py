@@ -55,13 +55,13 @@ def test_what_cannot_be_is_refused(url: str, http: httpx.Client, campaigns: list
 
 
 def test_the_command(url: str, campaigns: list[int]) -> None:
-    done = sweepid("jobs", "reidentify", "--campaign", str(campaigns[1]), "--wait", "--url", url)
+    done = sweepid("plant", "reidentify", "--campaign", str(campaigns[1]), "--wait", "--url", url)
     assert done.returncode == 0, done.stderr
     number = done.stdout.split()[1]
     assert done.stdout == f"job {number} (reidentify, machine): done, 1 of 1 campaigns, 3 sweeps\n"
-    shown = sweepid("jobs", "show", number, "--url", url).stdout.splitlines()
+    shown = sweepid("plant", "job", number, "--url", url).stdout.splitlines()
     assert shown[1].startswith(f"  campaign {campaigns[1]}: 3 sweeps, J changed by ")
-    assert json.loads(sweepid("jobs", "show", number, "--json", "--url", url).stdout.splitlines()[1])["sweeps"] == 3
-    assert done.stdout.strip() in sweepid("jobs", "list", "--url", url).stdout.splitlines()
-    again = sweepid("jobs", "cancel", number, "--url", url)
+    assert json.loads(sweepid("plant", "job", number, "--json", "--url", url).stdout.splitlines()[1])["sweeps"] == 3
+    assert done.stdout.strip() in sweepid("plant", "jobs", "--url", url).stdout.splitlines()
+    again = sweepid("plant", "cancel", number, "--url", url)
     assert again.stdout == done.stdout  # it is over

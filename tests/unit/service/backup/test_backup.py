@@ -70,12 +70,12 @@ def test_streams_under_way_are_left_out_and_told(data: Path, tmp_path: Path, for
     RecordingFiles(data).stream(Run(2, 1, 1)).write_bytes(b"samples")
     settings = tmp_path / "settings.yaml"
     settings.write_text(json.dumps({"data_dir": str(data)}), "utf-8")
-    done = forks({"words": ["backup", str(tmp_path / "backup"), "--config", str(settings)]})
+    done = forks({"words": ["data", "backup", str(tmp_path / "backup"), "--config", str(settings)]})
     assert done["out"].startswith(f"{tmp_path / 'backup'}: 8 files, ")
     stream = "recordings/campaign-000002/0001-1.arrows"
     assert done["err"] == f"left out, still being written: {stream}\n"
     assert read_manifest(tmp_path / "backup").streams_left_out == (stream,)
-    told = sweepid("restore", str(tmp_path / "backup"), "--data-dir", str(tmp_path / "restored"))
+    told = sweepid("data", "restore", str(tmp_path / "backup"), "--data-dir", str(tmp_path / "restored"))
     assert (told.returncode, told.stdout) == (0, f"{tmp_path / 'restored'}\n")
     assert stream in told.stderr
     assert list((tmp_path / "restored").rglob("*.arrows")) == []
@@ -88,16 +88,16 @@ def test_a_database_elsewhere_comes_back_into_its_folder(data: Path, tmp_path: P
     settings.write_text(json.dumps({"data_dir": str(data), "database_url": url, "least_free_disk": 0}), "utf-8")
     make_backup(sqlite_file(load_settings(settings).url), data, tmp_path / "backup")
     restore(tmp_path / "backup", tmp_path / "restored")
-    assert sweepid("doctor", "--config", str(settings)).returncode == 0
+    assert sweepid("data", "doctor", "--config", str(settings)).returncode == 0
     settings.write_text(json.dumps({"data_dir": str(tmp_path / "restored"), "least_free_disk": 0}), "utf-8")
-    assert sweepid("doctor", "--config", str(settings)).returncode == 0
+    assert sweepid("data", "doctor", "--config", str(settings)).returncode == 0
     settings.write_text(json.dumps({"database_url": "postgresql://me:secret@db/sweepid"}), "utf-8")
-    told = sweepid("doctor", "--config", str(settings))
+    told = sweepid("data", "doctor", "--config", str(settings))
     assert (told.returncode, told.stderr.count("\n")) == (2, 1)
     assert "contains a password" in told.stderr
     assert "secret" not in told.stderr
     settings.write_text(json.dumps({"database_url": "postgresql+psycopg://me@db/sweepid"}), "utf-8")
-    told = sweepid("backup", str(tmp_path / "another"), "--config", str(settings))
+    told = sweepid("data", "backup", str(tmp_path / "another"), "--config", str(settings))
     assert (told.returncode, "with pg_dump, then copy the data folder" in told.stderr) == (2, True)
     assert "secret" not in told.stderr
 

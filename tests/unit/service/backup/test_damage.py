@@ -53,7 +53,7 @@ def test_a_damaged_file_is_found_and_refused(
     with pytest.raises(BadInput, match=place.name):
         restore(backup, tmp_path / "restored")
     assert contents(tmp_path) == before
-    told = sweepid("doctor", "--data-dir", str(data))
+    told = sweepid("data", "doctor", "--data-dir", str(data))
     assert (told.returncode, told.stdout.count("\n"), told.stderr) == (1, 1, "")
     assert f"copy data/{place.as_posix()} of a backup there" in told.stdout
 
@@ -61,7 +61,7 @@ def test_a_damaged_file_is_found_and_refused(
 def test_a_whole_folder_has_no_findings_and_is_not_touched(data: Path, findings: Findings) -> None:
     before = contents(data)
     assert findings() == []
-    told = sweepid("doctor", "--data-dir", str(data))
+    told = sweepid("data", "doctor", "--data-dir", str(data))
     assert (told.returncode, told.stdout, told.stderr) == (0, "", "")
     assert contents(data) == before
 
@@ -135,11 +135,11 @@ def test_a_lost_or_foreign_database_is_found(data: Path, findings: Findings) -> 
 
 
 def test_a_full_disk_is_found(data: Path) -> None:
-    told = sweepid("doctor", "--data-dir", str(data))
+    told = sweepid("data", "doctor", "--data-dir", str(data))
     assert told.returncode == 0
     settings = data.parent / "settings.yaml"
     settings.write_text(json.dumps({"data_dir": str(data), "least_free_disk": 10**18}), "utf-8")
-    told = sweepid("doctor", "--config", str(settings))
+    told = sweepid("data", "doctor", "--config", str(settings))
     assert (told.returncode, told.stdout.count("\n")) == (1, 1)
     assert "limit 1000000000000000000 bytes; make room" in told.stdout
 

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 
 def test_a_killed_backup_is_none(data: Path, tmp_path: Path, forks: Forks) -> None:
     before = contents(data)
-    words = ["backup", str(tmp_path / "backup-N"), "--data-dir", str(data)]
+    words = ["data", "backup", str(tmp_path / "backup-N"), "--data-dir", str(data)]
     ended = forks({"words": words, "killed": "backup-N"})["ended"]
     *killed, last = ended
     files = len(before) + 1  # and the manifest
@@ -39,7 +39,7 @@ def test_a_killed_backup_is_none(data: Path, tmp_path: Path, forks: Forks) -> No
 
 def test_a_killed_restore_leaves_no_data_folder(data: Path, tmp_path: Path, forks: Forks) -> None:
     make_backup(data / "sweepid.sqlite", data, tmp_path / "backup")
-    words = ["restore", str(tmp_path / "backup"), "--data-dir", str(tmp_path / "data-N")]
+    words = ["data", "restore", str(tmp_path / "backup"), "--data-dir", str(tmp_path / "data-N")]
     ended = forks({"words": words, "killed": "data-N"})["ended"]
     assert len(ended) > len(contents(data))
     assert [number for number in range(1, len(ended) + 1) if (tmp_path / f"data-{number}").exists()] == [len(ended)]
@@ -55,10 +55,10 @@ def test_a_full_disk_is_one_error_and_leaves_nothing(
     database, recording = (min(path.stat().st_size for path in data.rglob(name)) for name in ("*.sqlite", "*.parquet"))
     assert database < recording
     limit = {"sweepid.sqlite": database, "*.parquet": recording}[full_at] - 1
-    words = ["backup", str(tmp_path / "new"), "--data-dir", str(data)]
+    words = ["data", "backup", str(tmp_path / "new"), "--data-dir", str(data)]
     if command == "restore":
         make_backup(data / "sweepid.sqlite", data, tmp_path / "backup")
-        words = ["restore", str(tmp_path / "backup"), "--data-dir", str(tmp_path / "new")]
+        words = ["data", "restore", str(tmp_path / "backup"), "--data-dir", str(tmp_path / "new")]
     before = contents(tmp_path)
     told = forks({"words": words, "limit": limit})
     assert (told["ended"], told["out"], told["err"].count("\n")) == ([1], "", 1)

@@ -1,4 +1,4 @@
-"""`sweepid benefit` as a person calls it."""
+"""`sweepid estimate benefit` as a person calls it."""
 
 import json
 from pathlib import Path
@@ -28,7 +28,7 @@ def side_file(folder: Path, text: str) -> Path:
 
 
 def test_a_table_for_people(bundle: Path) -> None:
-    done = sweepid("benefit", str(bundle))
+    done = sweepid("estimate", "benefit", str(bundle))
     assert done.returncode == 0, done.stderr
     told = " ".join(done.stdout.split())
     for words in ("CAD", "estimate", "j1: 2 sweeps in 2 of 8 poses held out (every 4th)", "one false alarm in 8 h"):
@@ -36,14 +36,14 @@ def test_a_table_for_people(bundle: Path) -> None:
 
 
 def test_the_table_fits_80_columns_without_a_shortened_word(bundle: Path) -> None:
-    told = sweepid("benefit", str(bundle)).stdout
+    told = sweepid("estimate", "benefit", str(bundle)).stdout
     assert max(len(line) for line in told.splitlines()) <= 80
     assert "…" not in told
     assert "times less" not in told
 
 
 def test_json_alone_on_stdout(bundle: Path) -> None:
-    done = sweepid("benefit", str(bundle), "--json", "-")
+    done = sweepid("estimate", "benefit", str(bundle), "--json", "-")
     assert done.returncode == 0, done.stderr
     found = Benefit.read(json.loads(done.stdout), "benefit")
     assert found.axes["j1"].held_out == ("0004", "0008")
@@ -55,20 +55,20 @@ def test_cad_may_come_from_a_file(bundle: Path, tmp_path: Path) -> None:
     right = pair.URDF.replace(
         '<link name="slide">\n    <inertial><mass value="1"/>', '<link name="slide">\n    <inertial><mass value="2"/>'
     )
-    done = sweepid("benefit", str(bundle), "--robot", str(side_file(tmp_path, right)), "--json", "-")
+    done = sweepid("estimate", "benefit", str(bundle), "--robot", str(side_file(tmp_path, right)), "--json", "-")
     assert done.returncode == 0, done.stderr
     assert Benefit.read(json.loads(done.stdout), "benefit").axes["j1"].cad.inertia_percent.value < 0.05
 
 
 def test_cad_of_another_robot_is_refused(bundle: Path, root: Path) -> None:
-    done = sweepid("benefit", str(bundle), "--robot", str(root / "config/robots/emps.yaml"))
+    done = sweepid("estimate", "benefit", str(bundle), "--robot", str(root / "config/robots/emps.yaml"))
     assert done.returncode == 2
     assert "emps.yaml: has joints slide, but the robot of the bundle has j1, j2" in done.stderr
 
 
 def test_too_few_poses_are_told(tmp_path: Path) -> None:
     write_bundle(tmp_path / "bundle", pair.robot(), pair.sweeps([0.0, 0.3, 0.6]))
-    done = sweepid("benefit", str(tmp_path / "bundle"))
+    done = sweepid("estimate", "benefit", str(tmp_path / "bundle"))
     assert done.returncode == 2
     assert "has no axis that can be evaluated: j1 has sweeps in 3 poses; every 4th is held out" in done.stderr
     assert done.stdout == ""

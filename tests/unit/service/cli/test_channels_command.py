@@ -1,4 +1,4 @@
-"""`sweepid channels` as a person calls it: YAML for the drive profile or JSON, exit code 2 for bad input."""
+"""`sweepid estimate channels` as a person calls it: YAML for the drive profile or JSON, exit code 2 for bad input."""
 
 import json
 import math
@@ -26,7 +26,7 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_lines_for_the_profile_and_the_document_say_the_same(bundle: Path, tmp_path: Path) -> None:
     target = tmp_path / "channels.json"
-    done = sweepid("channels", str(bundle), "--axis", "joint_1", "--json", str(target))
+    done = sweepid("estimate", "channels", str(bundle), "--axis", "joint_1", "--json", str(target))
     assert (done.returncode, done.stderr) == (0, "")
     effort = json.loads(target.read_text())["axes"]["joint_1"]["effort"]
     assert effort["apart"] is True
@@ -39,12 +39,12 @@ def test_the_lines_for_the_profile_and_the_document_say_the_same(bundle: Path, t
 
 
 def test_json_is_all_there_is_on_stdout(bundle: Path) -> None:
-    done = sweepid("channels", str(bundle), "--json", "-")
+    done = sweepid("estimate", "channels", str(bundle), "--json", "-")
     assert list(json.loads(done.stdout)["axes"]) == ["joint_1"]
 
 
 def test_an_axis_without_sweeps_is_bad_input(bundle: Path) -> None:
-    done = sweepid("channels", str(bundle), "--axis", "joint_2")
+    done = sweepid("estimate", "channels", str(bundle), "--axis", "joint_2")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"sweepid: {bundle}: has no sweep with sines of joint joint_2\n"
 

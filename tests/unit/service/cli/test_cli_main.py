@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from service.cli import build
 from service.errors import BadInput
 from service.geometry.cell import read_cell
 from tests.command import sweepid
@@ -147,8 +148,36 @@ def test_who_waits_at_a_terminal_sees_for_what() -> None:
 def test_the_overview_lists_own_and_installed_commands() -> None:
     done = run("--help")
     assert done.returncode == 0
-    for name in ("demo", "serve", "plan", "measure", "import", "export", "identify", "import-trace", "drive", "truth"):
+    for name in ("demo", "serve", "plan", "measure", "import", "export", "identify", "estimate", "drive"):
         assert f"  {name} " in done.stdout
+    for name in ("export", "drive"):  # commands that are the first word of others
+        assert "Commands:" in run(name, "--help").stdout
+
+
+@pytest.mark.parametrize(
+    ("former", "now"),
+    [
+        ("export-sheet", "export sheet"),
+        ("import-trace", "import trace"),
+        ("payload", "estimate payload"),
+        ("jobs show", "plant job"),
+        ("jobs list", "plant jobs"),
+        ("db prune", "data"),
+        ("truth", "drive truth"),
+    ],
+)
+def test_a_former_name_tells_the_present_one_and_runs_nothing(former: str, now: str, tmp_path: Path) -> None:
+    done = sweepid(*former.split(), str(tmp_path / "none"))
+    assert (done.returncode, done.stdout) == (2, "")
+    (line,) = done.stderr.splitlines()
+    assert line.endswith(f": is now `sweepid {now}`")
+
+
+def test_each_former_name_leads_to_a_command() -> None:
+    commands, former = build(), build().former
+    names = {name for name, _ in commands.every()}
+    assert set(former.values()) <= names | {name.partition(" ")[0] for name in names}
+    assert not set(former) & names
 
 
 def test_algebra_runs_on_one_thread() -> None:

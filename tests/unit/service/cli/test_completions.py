@@ -32,11 +32,13 @@ def test_a_shell_that_there_is_not() -> None:
 @pytest.mark.parametrize(
     ("line", "expected", "unexpected"),
     [
-        ("sweepid export-s", {"export-sheet"}, {"plan", "check-sheet"}),
-        ("sweepid check", {"check", "check-sheet"}, {"plan"}),
+        ("sweepid ex", {"export"}, {"plan"}),
+        ("sweepid export s", {"sheet"}, {"model", "plan"}),
+        ("sweepid check --j", {"--json"}, {"--url"}),
+        ("sweepid estimate pay", {"payload"}, {"benefit"}),
         ("sweepid drive", {"drive"}, {"plan"}),  # of another package, by entry point
-        ("sweepid export-sheet --kuka", {"--kuka-upright"}, {"--robot"}),
-        ("sweepid check-sheet --c", {"--campaign"}, {"--url"}),
+        ("sweepid export sheet --kuka", {"--kuka-upright"}, {"--robot"}),
+        ("sweepid check sheet --c", {"--campaign"}, {"--url"}),
         ("sweepid people add", {"add-key", "add-user"}, {"revoke-key"}),
     ],
 )
@@ -64,11 +66,11 @@ def test_zsh_and_fish_ask_with_the_whole_line() -> None:
     for shell in ("zsh", "fish"):
         environment = os.environ | {
             "_SWEEPID_COMPLETE": f"complete_{shell}",
-            "_TYPER_COMPLETE_ARGS": "sweepid export-s",
+            "_TYPER_COMPLETE_ARGS": "sweepid export s",
             "_TYPER_COMPLETE_FISH_ACTION": "get-args",
         }
         done = subprocess.run([str(SWEEPID)], capture_output=True, text=True, timeout=120, check=False, env=environment)
-        assert "export-sheet" in done.stdout, done.stderr
+        assert "sheet" in done.stdout, done.stderr
         assert "payload" not in done.stdout
 
 
@@ -81,6 +83,6 @@ def test_command_names_load_no_command() -> None:
         "PYTHONPROFILEIMPORTTIME": "1",
     }
     done = subprocess.run([str(SWEEPID)], capture_output=True, text=True, timeout=120, check=False, env=environment)
-    assert "export-model" in done.stdout
+    assert "export" in done.stdout
     assert "| typer" in done.stderr  # what is imported is told
     assert "| numpy" not in done.stderr

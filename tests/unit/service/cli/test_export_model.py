@@ -1,4 +1,4 @@
-"""`sweepid export-model` as a person calls it: from a bundle or an estimate to files that other tools load."""
+"""`sweepid export model` as a person calls it: from a bundle or an estimate to files that other tools load."""
 
 import json
 from pathlib import Path
@@ -28,7 +28,7 @@ def side_file(bundle: Path, tmp_path: Path) -> Path:
 
 
 def test_from_a_bundle(bundle: Path, tmp_path: Path) -> None:
-    done = sweepid("export-model", str(bundle), str(tmp_path / "out"))
+    done = sweepid("export", "model", str(bundle), str(tmp_path / "out"))
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"{tmp_path / 'out'}\n"
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
@@ -41,8 +41,8 @@ def test_from_a_bundle(bundle: Path, tmp_path: Path) -> None:
 def test_from_an_estimate(bundle: Path, side_file: Path, tmp_path: Path) -> None:
     estimate = tmp_path / "estimate.json"
     assert sweepid("identify", str(bundle), "--json", str(estimate)).returncode == 0
-    assert sweepid("export-model", str(bundle), str(tmp_path / "one")).returncode == 0
-    done = sweepid("export-model", str(estimate), str(tmp_path / "two"), "--robot", str(side_file))
+    assert sweepid("export", "model", str(bundle), str(tmp_path / "one")).returncode == 0
+    done = sweepid("export", "model", str(estimate), str(tmp_path / "two"), "--robot", str(side_file))
     assert done.returncode == 0, done.stderr
     for name in FILES:
         assert (tmp_path / "one" / name).read_text() == (tmp_path / "two" / name).read_text()
@@ -59,7 +59,7 @@ def test_what_cannot_be_exported_is_told(bundle: Path, side_file: Path, tmp_path
         ([str(bundle), "."], "exists already and is not an empty folder"),
     ):
         places = [str(tmp_path / part) if part.endswith((".json", "out", ".")) else part for part in arguments[:2]]
-        done = sweepid("export-model", *places, *arguments[2:])
+        done = sweepid("export", "model", *places, *arguments[2:])
         assert (done.returncode, done.stdout) == (2, "")
         assert reason in done.stderr.splitlines()[-1]
         assert not (tmp_path / "out").exists()

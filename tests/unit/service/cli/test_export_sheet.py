@@ -1,4 +1,4 @@
-"""`sweepid export-sheet`: the values a control takes, from known truth, with what they are worth."""
+"""`sweepid export sheet`: the values a control takes, from known truth, with what they are worth."""
 
 import json
 import re
@@ -31,7 +31,7 @@ GEAR = 100.0
 @pytest.fixture
 def made(bundle: Path, tmp_path: Path) -> tuple[Sheet, str]:
     path = tmp_path / "sheet.json"
-    done = sweepid("export-sheet", str(bundle), "--json", str(path))
+    done = sweepid("export", "sheet", str(bundle), "--json", str(path))
     assert (done.returncode, done.stderr) == (0, "")
     return read(path), done.stdout
 
@@ -109,7 +109,7 @@ TENSOR = np.array([[0.3, 0.02, 0.0], [0.02, 0.25, 0.01], [0.0, 0.01, 0.2]])
 
 
 def payload() -> dict:
-    """As `sweepid payload --json` writes it."""
+    """As `sweepid estimate payload --json` writes it."""
 
     def known(value: float) -> dict:
         return {"value": value, "std": 0.1, "std_total": 0.3, "excited": True}
@@ -140,7 +140,7 @@ def read(path: Path) -> Sheet:
 
 
 def test_a_load_is_read_by_name_whatever_the_order(made: tuple[Sheet, str]) -> None:
-    """`sweepid payload` writes xx, xy, yy, xz, yz, zz."""
+    """`sweepid estimate payload` writes xx, xy, yy, xz, yz, zz."""
     turned = payload()
     near = turned["physical"]["nearest"]
     near["inertia"] = {name: near["inertia"][name] for name in ("Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")}
@@ -168,7 +168,7 @@ def test_the_fingerprint_is_that_of_the_result_and_tells_what_was_altered(
     check_sheet(sheet, "sheet")
     estimate, again = tmp_path / "estimate.json", tmp_path / "again.json"
     assert sweepid("identify", str(bundle), "--json", str(estimate)).returncode == 0
-    done = sweepid("export-sheet", str(estimate), "--robot", str(side_file), "--json", str(again))
+    done = sweepid("export", "sheet", str(estimate), "--robot", str(side_file), "--json", str(again))
     assert done.returncode == 0, done.stderr
     assert fingerprint(read(again)) == sheet.fingerprint
     assert "make the sheet from the bundle" in done.stdout  # for its poses
@@ -186,21 +186,21 @@ def test_what_no_body_can_have_and_what_is_hardly_known_is_not_for_use(
     estimate = json.loads(path.read_text("utf-8"))
     estimate["axes"]["j1"]["confidence_percent"] = 40.0
     path.write_text(json.dumps(estimate), encoding="utf-8")
-    done = sweepid("export-sheet", str(path), "--robot", str(side_file))
+    done = sweepid("export", "sheet", str(path), "--robot", str(side_file))
     assert "Left out: j1, uncertainty 40 %, limit 25 %." in done.stdout
     assert "(no value)" in done.stdout
     estimate["standard_parameters"]["links"]["one"]["m"] = -1.0
     path.write_text(json.dumps(estimate), encoding="utf-8")
-    done = sweepid("export-sheet", str(path), "--robot", str(side_file))
+    done = sweepid("export", "sheet", str(path), "--robot", str(side_file))
     assert (done.returncode, done.stdout) == (2, "")
     assert "not physically possible for one" in done.stderr
-    done = sweepid("export-sheet", str(path))
+    done = sweepid("export", "sheet", str(path))
     assert "--robot: is required with an estimate" in done.stderr
 
 
 def test_a_later_bundle_is_compared_with_the_sheet(made: tuple[Sheet, str], bundle: Path, tmp_path: Path) -> None:
     sheet, out = tmp_path / "sheet.json", tmp_path / "check.json"
-    done = sweepid("check-sheet", str(sheet), str(bundle))
+    done = sweepid("check", "sheet", str(sheet), str(bundle))
     assert done.returncode == 0, done.stderr
     assert f"the same as the sheet {made[0].fingerprint}" in done.stdout
     assert "j1: " in done.stdout
@@ -212,7 +212,7 @@ def test_a_later_bundle_is_compared_with_the_sheet(made: tuple[Sheet, str], bund
     changed = Sheet.read(light, "sheet")
     light["fingerprint"] = fingerprint(changed)
     (tmp_path / "light.json").write_text(json.dumps(light), "utf-8")
-    done = sweepid("check-sheet", str(tmp_path / "light.json"), str(bundle), "--json", str(out))
+    done = sweepid("check", "sheet", str(tmp_path / "light.json"), str(bundle), "--json", str(out))
     assert done.returncode == 1, done.stderr
     found = json.loads(out.read_text("utf-8"))
     assert (found["verdict"], found["axes"][0]["joint"]) == ("changed", "j1")
@@ -230,13 +230,13 @@ def test_a_later_bundle_is_compared_with_the_sheet(made: tuple[Sheet, str], bund
 def test_what_cannot_be_compared_is_told(
     made: tuple[Sheet, str], tmp_path: Path, arguments: tuple[str, ...], reason: str
 ) -> None:
-    done = sweepid("check-sheet", str(tmp_path / "sheet.json"), *arguments)
+    done = sweepid("check", "sheet", str(tmp_path / "sheet.json"), *arguments)
     assert (done.returncode > 0, done.stdout) == (True, "")
     assert reason in done.stderr
 
 
 def test_a_source_that_does_not_exist_is_named() -> None:
-    done = sweepid("export-sheet", "bundel")
+    done = sweepid("export", "sheet", "bundel")
     assert done.returncode == 2
     assert "bundel: cannot be read: No such file" in done.stderr
 
@@ -244,4 +244,4 @@ def test_a_source_that_does_not_exist_is_named() -> None:
 def test_export_sheet_in_two_words_tells_the_command() -> None:
     done = sweepid("export", "sheet", "bundle")
     assert done.returncode == 2
-    assert "sweepid export-sheet" in " ".join(done.stderr.split())
+    assert "sweepid export sheet" in " ".join(done.stderr.split())

@@ -1,4 +1,4 @@
-"""`sweepid torque-gain`: two bundles and a known mass give the constants that `identify --torque-gain` takes out."""
+"""`sweepid estimate torque-gain`: two bundles and a known mass give what `identify --torque-gain` takes out."""
 
 import json
 from pathlib import Path
@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.cli.recordings.gains_file import read_gains
 from service.cli.commands.estimate import torque_gain
+from service.cli.recordings.gains_file import read_gains
 from service.errors import BadInput
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Axis, RobotDescription, build_robot
@@ -61,7 +61,7 @@ def _bundle(folder: Path, inertia: float, height: float = 0.2, ratio: float = 10
 def test_a_mass_gives_the_gain_and_the_gain_the_inertia(tmp_path: Path) -> None:
     before, after = _bundle(tmp_path / "a", INERTIA), _bundle(tmp_path / "b", INERTIA + MASS * ARM**2)
     mass = ["--mass", str(MASS), "--center", f"0,{ARM},0"]
-    done = sweepid("torque-gain", str(before), str(after), *mass, "--json", str(tmp_path / "gains.json"))
+    done = sweepid("estimate", "torque-gain", str(before), str(after), *mass, "--json", str(tmp_path / "gains.json"))
     assert done.returncode == 0, done.stderr
     assert "j1" in done.stdout
     axis = json.loads((tmp_path / "gains.json").read_text())["axes"]["j1"]
@@ -105,7 +105,9 @@ def test_bundles_that_do_not_belong_together(tmp_path: Path) -> None:
 
 def test_a_mass_that_does_not_show_is_refused(tmp_path: Path) -> None:
     before = _bundle(tmp_path / "a", INERTIA)
-    forgotten = sweepid("torque-gain", str(before), str(before), "--mass", str(MASS), "--center", f"0,{ARM},0")
+    forgotten = sweepid(
+        "estimate", "torque-gain", str(before), str(before), "--mass", str(MASS), "--center", f"0,{ARM},0"
+    )
     assert (forgotten.returncode, forgotten.stdout) == (2, "")
     assert "j1: the second campaign shows no added inertia beyond its uncertainty" in forgotten.stderr
     assert "check that the mass was mounted, and its units (kg, m)" in forgotten.stderr

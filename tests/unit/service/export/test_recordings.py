@@ -41,12 +41,12 @@ def test_what_goes_out_comes_back_bit_by_bit(tmp_path: Path, suffix: str) -> Non
     """The contract: bundle, file, import, bundle; through the commands, the reader in a process of its own."""
     first = bundle()
     write_bundle(tmp_path / "first", first.robot, first.sweeps)
-    done = sweepid("export-recording", str(tmp_path / "first"), str(tmp_path / f"out{suffix}"))
+    done = sweepid("export", "recording", str(tmp_path / "first"), str(tmp_path / f"out{suffix}"))
     assert (done.returncode, done.stdout) == (0, "")
     ids = [sweep.spec.id for sweep in first.sweeps]
     groups = dict(zip(ids, ids if suffix == ".mf4" else ("sweeps/0001", "sweeps/0002"), strict=True))
     file = mapping(tmp_path / "mapping.yaml", f"out{suffix}", groups)
-    done = sweepid("import-trace", str(file), "--out", str(tmp_path / "second"))
+    done = sweepid("import", "trace", str(file), "--out", str(tmp_path / "second"))
     assert done.returncode == 0, done.stderr
     second = read_bundle(tmp_path / "second")
     assert (second.robot.axes, second.robot.urdf_text) == (first.robot.axes, first.robot.urdf_text)
@@ -173,7 +173,7 @@ def test_refusals_leave_nothing(tmp_path: Path, arguments: tuple[str, ...], reas
     (tmp_path / "there.mf4").write_text("x")
     before = sorted(tmp_path.rglob("*"))
     out, *options = arguments
-    done = sweepid("export-recording", str(tmp_path / "bundle"), str(tmp_path / out), *options)
+    done = sweepid("export", "recording", str(tmp_path / "bundle"), str(tmp_path / out), *options)
     assert (done.returncode, done.stdout) == (2, "")
     assert reason in done.stderr
     assert sorted(tmp_path.rglob("*")) == before

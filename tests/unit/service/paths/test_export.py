@@ -143,7 +143,7 @@ def test_every_example_control_is_one() -> None:
 def command(plan_file: Path, out: Path) -> list[str]:
     sweepid = str(Path(sys.executable).with_name("sweepid"))
     files = ["--robot", str(ROBOT), "--cell", str(CELL), "--control", str(CONTROL), "--out", str(out)]
-    return [sweepid, "export-path", str(plan_file), *files]
+    return [sweepid, "export", "path", str(plan_file), *files]
 
 
 @pytest.mark.slow

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.cli.recordings.control_file import import_control_file
 from service.cli.commands.imports import import_trace
+from service.cli.recordings.control_file import import_control_file
 from service.errors import BadInput
 from service.sinumerik.base85 import decode
 from service.sinumerik.document import Given, measurement_document, response_table, tuning_document
@@ -255,7 +255,7 @@ def test_the_spectra_of_the_control_are_those_of_its_series(shared: Path) -> Non
 def test_from_the_command_line(tmp_path: Path) -> None:
     path, out = tmp_path / "loop.xml", tmp_path / "tables"
     path.write_text(Loop().xml(), encoding="latin-1")
-    command = [str(Path(sys.executable).with_name("sweepid")), "import-trace", str(path), "--speed-gain", str(GAIN)]
+    command = [str(Path(sys.executable).with_name("sweepid")), "import", "trace", str(path), "--speed-gain", str(GAIN)]
     told = subprocess.run([*command, "--out", str(out), "--json", "-"], capture_output=True, text=True, timeout=120)
     assert told.returncode == 0, told.stderr
     document = json.loads(told.stdout)

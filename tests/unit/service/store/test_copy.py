@@ -1,4 +1,4 @@
-"""`sweepid db copy`: SQLite to PostgreSQL and back, every row as it was; what is in the way is refused."""
+"""`sweepid data copy`: SQLite to PostgreSQL and back, every row as it was; what is in the way is refused."""
 
 import threading
 from collections.abc import Iterator
@@ -63,7 +63,7 @@ def test_there_and_back_nothing_changes(
     back = f"sqlite:///{tmp_path / 'back.sqlite'}"
     with open_database(sqlite_url) as database:
         fill(database, robot, specs[0])
-    told = sweepid("db", "copy", "--from", sqlite_url, "--to", postgresql_url)
+    told = sweepid("data", "copy", "--from", sqlite_url, "--to", postgresql_url)
     assert told.returncode == 0, told.stderr
     with two(postgresql_url, back) as (source, target):
         assert f"{copy_rows(source, target, LEASE_TIME, quiet)} rows\n" == told.stdout
@@ -92,7 +92,7 @@ def test_what_is_in_the_way_is_refused(sqlite_url: str, postgresql_url: str) -> 
         with pytest.raises(BadInput, match="is the database to copy from"):
             copy_rows(source, source, LEASE_TIME, quiet)
         MachineLease(source, LEASE_TIME).acquire(wait=_must_not_wait)  # it was released each time
-    gone = sweepid("db", "copy", "--from", f"{sqlite_url}.none", "--to", postgresql_url)
+    gone = sweepid("data", "copy", "--from", f"{sqlite_url}.none", "--to", postgresql_url)
     assert (gone.returncode, "does not exist" in gone.stderr) == (2, True)
 
 
@@ -122,7 +122,7 @@ def test_a_database_of_the_first_release_comes_along(sqlite_url: str, postgresql
         connection.execute(text("INSERT INTO plan VALUES (3, 7, '{}', '2026-01-02 03:04:05.000006')"))
         connection.execute(text("INSERT INTO event VALUES (9, NULL, 'stop', '{}', '2026-01-02 03:04:05.000006')"))
     engine.dispose()
-    told = sweepid("db", "copy", "--from", sqlite_url, "--to", postgresql_url)
+    told = sweepid("data", "copy", "--from", sqlite_url, "--to", postgresql_url)
     assert told.returncode == 0, told.stderr
     with open_database(postgresql_url) as database:
         plan = Store(database).plan(3)

@@ -242,21 +242,21 @@ def test_the_command(plant: Plant, specs: tuple[SweepSpec, ...], monkeypatch: py
         for row in session.query(t.RecordingRow):
             row.created_at = t.now() - LATER
     folder = ("--data-dir", str(plant.data))
-    refused = sweepid("db", "prune", *folder)
+    refused = sweepid("data", "prune", *folder)
     assert (refused.returncode, refused.stdout) == (2, "")
     assert "keep_samples_days" in refused.stderr
     monkeypatch.setenv("SWEEPID_KEEP_SAMPLES_DAYS", "30")
-    placed = sweepid("db", "hold", str(held), "--why", "report signed by Ada", *folder)
+    placed = sweepid("data", "hold", str(held), "--why", "report signed by Ada", *folder)
     assert placed.stdout.endswith(": report signed by Ada\n")
-    assert json.loads(sweepid("db", "holds", *folder).stdout)["campaign_id"] == held
-    dry = sweepid("db", "prune", "--dry-run", *folder)
+    assert json.loads(sweepid("data", "holds", *folder).stdout)["campaign_id"] == held
+    dry = sweepid("data", "prune", "--dry-run", *folder)
     assert dry.stdout.splitlines()[0] == f"campaign {number}: 3 recordings, 0 spectra, 0 estimates"
     assert dry.stdout.splitlines()[1].startswith(
         "would be removed: 3 recordings, 0 spectra, 0 estimates of 1 campaigns"
     )
     assert f"campaign {held} is kept: held by " in dry.stderr
     assert plant.on_disk() == 6
-    assert sweepid("db", "prune", *folder).stdout.splitlines()[1].startswith("removed: 3 recordings")
+    assert sweepid("data", "prune", *folder).stdout.splitlines()[1].startswith("removed: 3 recordings")
     assert plant.on_disk() == 3
-    assert sweepid("doctor", *folder).stdout == ""  # what was removed by rule is not missing
-    assert sweepid("db", "release", str(held), *folder).returncode == 0
+    assert sweepid("data", "doctor", *folder).stdout == ""  # what was removed by rule is not missing
+    assert sweepid("data", "release", str(held), *folder).returncode == 0
