@@ -38,7 +38,7 @@ def drive(
     ] = 20.0,
     seed: Annotated[int, typer.Option(help="Seed of the measurement noise.")] = 0,
     hide: Annotated[
-        int | None, typer.Option(min=0, help="Seed of one effect to hide in the machine; shown by `sweepid drive truth`.")
+        int | None, typer.Option(min=0, help="Seed of one effect to hide; shown by `sweepid drive truth`.")
     ] = None,
     start_pose: Annotated[str, typer.Option(help="Joint positions, rad, comma separated.")] = "",
 ) -> None:

@@ -1,0 +1,68 @@
+"""How large the house is: ``python -m tests.architecture.size``. Figures to look at, no test."""
+
+import ast
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PRODUCT = ("service", "drivers", "simulator", "sweepid")
+APART = ("sinumerik", "maker_urdf", "traces", "paths", "export", "fleet", "backup", "publishing", "jobs")
+"""Rooms of the service outside of the core: formats, plant, publishing."""
+
+
+def files(*folders: str) -> Iterator[Path]:
+    for folder in folders:
+        yield from sorted((ROOT / folder).rglob("*.py"))
+
+
+def lines(found: Iterator[Path]) -> int:
+    return sum(path.read_text("utf-8").count("\n") for path in found)
+
+
+def is_core(path: Path) -> bool:
+    room = path.relative_to(ROOT).parts
+    return room[0] != "simulator" and not (room[0] == "service" and room[1].removesuffix(".py") in APART)
+
+
+def figures() -> Iterator[tuple[str, int | str]]:
+    """Name and value."""
+    product = list(files(*PRODUCT))
+    trees = {path: ast.parse(path.read_text("utf-8")) for path in product}
+    total = lines(iter(product))
+    yield "lines of the product", total
+    yield "of these in the core", lines(path for path in product if is_core(path))
+    for folder in (*PRODUCT, "tests", "docs"):
+        yield f"lines in {folder}", lines(files(folder))
+    yield "rooms of the service", len({path.relative_to(ROOT).parts[1] for path in files("service")})
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"]["contracts"]
+    yield "layers of the service", len(next(one["layers"] for one in contracts if one["id"] == "floors"))
+    nodes = [node for tree in trees.values() for node in ast.walk(tree)]
+    imports = sum(isinstance(node, ast.Import | ast.ImportFrom) for node in nodes)
+    yield "import statements per 1,000 lines", round(1000 * imports / total)
+    classes = Counter(node.name for node in nodes if isinstance(node, ast.ClassDef))
+    yield "class names defined twice or more", sum(count > 1 for count in classes.values())
+    yield "the most frequent", ", ".join(f"{name} {count}" for name, count in classes.most_common(8))
+    yield "constants of modules", sum(len(constants(tree)) for tree in trees.values())
+    loose = re.compile(r"dict\[str, Any\]|\bJsonValue\b")
+    yield "dict[str, Any] and JsonValue", sum(len(loose.findall(path.read_text("utf-8"))) for path in product)
+    yield "words of the documents", sum(len(path.read_text("utf-8").split()) for path in ROOT.glob("docs/**/*.md"))
+
+
+def constants(tree: ast.Module) -> list[str]:
+    """Names in capitals that a module assigns."""
+    targets = [
+        target
+        for node in tree.body
+        if isinstance(node, ast.Assign | ast.AnnAssign)
+        for target in (node.targets if isinstance(node, ast.Assign) else [node.target])
+    ]
+    named = [name for target in targets for name in ast.walk(target) if isinstance(name, ast.Name)]
+    return [name.id for name in named if re.fullmatch(r"_?[A-Z][A-Z0-9_]*", name.id)]
+
+
+if __name__ == "__main__":
+    for name, value in figures():
+        print(f"{value:>12,}  {name}" if isinstance(value, int) else f"{name}: {value}")
