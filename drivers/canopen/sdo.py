@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import can
 from canopen.sdo.client import BlockUploadStream, SdoClient
@@ -11,6 +11,9 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 from drivers.canopen.objects import Entry
 from drivers.errors import CommunicationLost, WrongConfiguration
 
+T = TypeVar("T")
+
+NO_ANSWER = "No SDO response received"  # canopen's words for a time-out
 ABSENT = frozenset({0x06020000, 0x06090011})  # object, sub-index does not exist
 
 
@@ -59,7 +62,8 @@ class Sdo:
         """Errors as `read`; the value is not read back."""
         self._check_alive()
         try:
-            self.client.download(entry.index, entry.sub, entry.pack(value))
+            packed = entry.pack(value)
+            self._asked(lambda: self.client.download(entry.index, entry.sub, packed))
         except (SdoAbortedError, SdoCommunicationError, can.CanError, OSError) as error:
             raise self._explain(entry, error, f" = {value:g}") from None
         except struct.error as error:
@@ -89,7 +93,20 @@ class Sdo:
             raise self._explain(entry, error) from None
 
     def _answer(self, entry: Entry) -> bytes:
-        return self.client.upload(entry.index, entry.sub)
+        return self._asked(lambda: self.client.upload(entry.index, entry.sub))
+
+    def _asked(self, ask: Callable[[], T]) -> T:
+        """Once more after an answer to another question: the stop process also asks a node for its state, and a node
+        sends its answers to everybody.
+        """
+        try:
+            return ask()
+        except SdoAbortedError:
+            raise
+        except SdoCommunicationError as error:
+            if str(error) == NO_ANSWER:
+                raise
+            return ask()
 
     def _explain(self, entry: Entry, error: Exception, value: str = "") -> WrongConfiguration | CommunicationLost:
         if not isinstance(error, SdoAbortedError):

@@ -5,6 +5,7 @@ a host that is suspended, a bus that is cut, a database that is blocked and a ki
 begun by a step and end during later ones.
 """
 
+import queue
 import sqlite3
 import threading
 from collections.abc import Callable, Sequence
@@ -277,7 +278,11 @@ def stop_by_port(it: Session) -> None:
     it.oracle.end("stop by the port", max(it.clock.now, it.awake), latches=True)
     primitives.world.at(it.clock.now + REACTION, _reacted_to_port(it, it.clock.now))
     asked = it.clock.now
-    status, _ = answer.get(timeout=PORT_ANSWERS)
+    try:
+        status, _ = answer.get(timeout=PORT_ANSWERS)
+    except queue.Empty:
+        assert it.service.process.killed, f"the port did not answer within {PORT_ANSWERS} s"
+        return  # its process ends with the service, after a stop of its own
     if status == 200 and it.machine.energised():
         it.oracle.trouble.append("the port confirmed a stop, and an axis has energy")
     assert it.clock.now - asked <= PORT_ANSWERS

@@ -102,3 +102,14 @@ def test_any_answer_ends_in_a_value_or_an_error_of_ours(desk: Desk, request_name
     desk.client.RESPONSE_TIMEOUT = PATIENT
     desk.answers.put(bytes.fromhex("4364600007000000"))
     assert desk.sdo.read(objects.POSITION) == 7
+
+
+@pytest.mark.parametrize(("request_name", "answer"), [("read", "4364600007000000"), ("write", "6040600000000000")])
+def test_an_answer_that_the_stop_process_asked_for_is_no_lost_communication(
+    desk: Desk, request_name: str, answer: str
+) -> None:
+    """Two clients ask one node: found by a stop in virtual time, whose axis was then not confirmed."""
+    desk.client.RESPONSE_TIMEOUT = PATIENT
+    for each in ("4b41600050020000", answer):  # the statusword, at first
+        desk.answers.put(bytes.fromhex(each))
+    assert REQUESTS[request_name](desk.sdo) == {"read": 7, "write": None}[request_name]
