@@ -49,7 +49,6 @@ SHORT = (  # stays in the first tier although a line of LONG names it: file[::fu
     # the serial line
     "tests/system/test_virtual_modbus.py::test_identification_and_constant",
     "tests/system/test_virtual_modbus.py::test_a_sweep_and_its_trace",
-    "tests/system/test_virtual_modbus.py::test_watchdog_of_a_host_that_falls_silent",
     # hidden effects and faults of data, of each kind one
     "tests/numeric/second_plant/test_cases.py::test_a_fault_is_in_the_bundle[torque_sign]",
     "tests/numeric/second_plant/test_cases.py::test_a_large_effect_is_seen_and_no_monster[coulomb_friction]",
@@ -149,7 +148,7 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/system/test_stops_in_the_audit.py::test_a_lease_that_another_has_taken": 7,
     "tests/system/test_stops_in_the_audit.py::test_the_end_of_a_service_that_moves_nothing_is_no_stop": 7,
     "tests/system/test_two_cells.py::test_two_cells_measure_at_once_and_one_is_killed[sqlite": 30,
-    "tests/system/test_virtual_modbus.py[modbus-rtu": 12,
+    "tests/system/test_virtual_modbus.py[modbus-rtu": 2,
     # further states of the page
     "tests/browser/test_accessibility.py::test_a_report": 9,
     "tests/browser/test_accessibility.py::test_who_is_not_logged_in": 9,

@@ -7,6 +7,8 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import cast
 
 import pytest
@@ -43,6 +45,16 @@ asyncio.run(main())
 """
 
 
+@contextmanager
+def moving_host(profile: Mapping[str, object], how: str) -> Iterator["subprocess.Popen[bytes]"]:
+    """A process whose axis moves."""
+    command = [sys.executable, "-c", HOST, json.dumps(profile), str(DRIVES), how]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT) as host:
+        assert host.stdout is not None
+        assert host.stdout.readline() == b"moving\n"
+        yield host
+
+
 def wait_until_off(virtual: Virtual) -> None:
     deadline = time.monotonic() + 60.0
     while virtual.energised():
@@ -51,10 +63,7 @@ def wait_until_off(virtual: Virtual) -> None:
 
 
 def test_axes_stand_after_the_host_was_killed(mortal: Virtual, mode: SweepMode) -> None:
-    command = [sys.executable, "-c", HOST, json.dumps(mortal.profile), str(DRIVES), mode.value]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT) as host:
-        assert host.stdout is not None
-        assert host.stdout.readline() == b"moving\n"
+    with moving_host(mortal.profile, mode.value) as host:
         assert mortal.energised() == [AXIS]
         host.send_signal(signal.SIGKILL)
     wait_until_off(mortal)
@@ -63,10 +72,7 @@ def test_axes_stand_after_the_host_was_killed(mortal: Virtual, mode: SweepMode) 
 
 @needs(injects=True)
 def test_the_drive_restores_its_speed_control_after_the_host_was_killed_in_a_noise_run(mortal: Virtual) -> None:
-    command = [sys.executable, "-c", HOST, json.dumps(mortal.profile), str(DRIVES), "noise"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT) as host:
-        assert host.stdout is not None
-        assert host.stdout.readline() == b"moving\n"
+    with moving_host(mortal.profile, "noise") as host:
         before = mortal.truth()
         host.send_signal(signal.SIGKILL)
     assert (before["energised"], before["softened"]) == (True, True)
@@ -83,10 +89,7 @@ def test_connect_restores_the_speed_control_that_a_killed_host_left_soft(
     """The next host is there before the drive misses the first one: the drive itself has noticed nothing."""
     bus = {**cast("dict[str, object]", mortal.profile["bus"]), "host_timeout": 60.0}
     profile = {**mortal.profile, "bus": bus, "travel_limits": {"rad": 1e3}}
-    command = [sys.executable, "-c", HOST, json.dumps(profile), str(DRIVES), "noise"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT) as host:
-        assert host.stdout is not None
-        assert host.stdout.readline() == b"moving\n"
+    with moving_host(profile, "noise") as host:
         host.send_signal(signal.SIGKILL)
     assert mortal.truth()["softened"] is True
     assert mortal.energised() == [AXIS]
@@ -102,10 +105,7 @@ def test_connect_restores_the_speed_control_that_a_killed_host_left_soft(
 
 
 def test_axes_stand_after_the_host_hung_and_nothing_resumes(mortal: Virtual, mode: SweepMode) -> None:
-    command = [sys.executable, "-c", HOST, json.dumps(mortal.profile), str(DRIVES), mode.value]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT) as host:
-        assert host.stdout is not None
-        assert host.stdout.readline() == b"moving\n"
+    with moving_host(mortal.profile, mode.value) as host:
         host.send_signal(signal.SIGSTOP)
         wait_until_off(mortal)
         host.send_signal(signal.SIGCONT)
@@ -141,10 +141,7 @@ def test_a_busy_moment_of_the_machine_or_the_host_ends_no_streamed_sweep(mortal:
     Where the kernel sends the set-points that the host planned, a host that plans no more ends the sweep, as it must.
     """
     assert mortal.process is not None
-    command = [sys.executable, "-c", HOST, json.dumps(mortal.profile), str(DRIVES), SweepMode.HOST_STREAMED.value]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT) as host:
-        assert host.stdout is not None
-        assert host.stdout.readline() == b"moving\n"
+    with moving_host(mortal.profile, SweepMode.HOST_STREAMED.value) as host:
         for busy, seconds in ((mortal.process, 0.3), *(() if mortal.bench.vcan else ((host, 0.6),))):
             before = mortal.order("status")["sync_counter"]
             busy.send_signal(signal.SIGSTOP)

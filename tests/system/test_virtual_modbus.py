@@ -210,21 +210,6 @@ def test_a_sweep_and_its_trace(host: Host) -> None:
     assert host.client.read_holding_registers(host.map["trace"]["page"]["address"], count=2).registers == [0, 0]
 
 
-def test_watchdog_of_a_host_that_falls_silent(host: Host) -> None:
-    host.enable()
-    sweep(host, periods=500)
-    assert host.get("measuring_state") == 1
-    host.set(watchdog=300)
-    until(lambda: host.truth["state"] == "fault")
-    truth = host.truth
-    assert (truth["fault"], truth["measuring"], truth["energised"]) == (0x8130, "aborted", False)
-    assert int(host.get("error_code")) == 0x8130
-    assert int(host.get("statusword")) & 0x6F == 0x08
-    host.set(controlword=0)
-    host.set(controlword=0x80)
-    assert int(host.get("statusword")) & 0x6F == 0x40
-
-
 def test_hostile_bytes_leave_the_machine_alone(host: Host) -> None:
     host.enable()
     cut, unknown = b"\0\1\0\0\0\6\1\x2b\x0e\1\0", b"\0\1\0\0\0\2\1\x64"

@@ -21,8 +21,7 @@ REFUSED = {
     b"axes: " + b"[" * 33 + b"]" * 33: "not YAML: nested too deeply, limit 32 levels",
     b"&a {axes: *a}": r"not YAML: alias \*a is inside of its own anchor",
     b"axes: &a [{identity: *a}]": r"not YAML: alias \*a is inside of its own anchor",
-    b"a: &a %s\nb: [%s]"
-    % (b"n" * 100_000, b", ".join([b"*a"] * 100)): "aliases stand for more than 4194304 ",
+    b"a: &a %s\nb: [%s]" % (b"n" * 100_000, b", ".join([b"*a"] * 100)): "aliases stand for more than 4194304 ",
     b" " * 2**20 + b"a": "is larger than",
     b"- 1": "must be a mapping",
 }

@@ -72,30 +72,26 @@ def test_a_run_from_start_to_page(ready: Dictionary, axis: Axis, turn: Turn, ena
 
 
 @pytest.mark.parametrize(
-    ("sub", "value", "reason"),
+    ("key", "value", "reason"),
     [
-        (1, -1.0, Rejection.PARAMETERS),
-        (1, float("nan"), Rejection.PARAMETERS),
-        (1, 20.0, Rejection.TORQUE),  # the rated torque, which 6072h allows: its peaks are above
-        (2, 40.5, Rejection.PARAMETERS),
-        (3, 501.0, Rejection.PARAMETERS),
-        (3, float("inf"), Rejection.PARAMETERS),
-        (3, 0.5, Rejection.PARAMETERS),
+        ((0x2104, 1), -1.0, Rejection.PARAMETERS),
+        ((0x2104, 1), float("nan"), Rejection.PARAMETERS),
+        ((0x2104, 1), 20.0, Rejection.TORQUE),  # the rated torque, which 6072h allows: its peaks are above
+        ((0x2104, 2), 40.5, Rejection.PARAMETERS),
+        ((0x2104, 3), 501.0, Rejection.PARAMETERS),
+        ((0x2104, 3), float("inf"), Rejection.PARAMETERS),
+        ((0x2104, 3), 0.5, Rejection.PARAMETERS),
+        ((0x2100, 7), 1.0005, Rejection.PARAMETERS),  # the period is not whole cycles
     ],
 )
-def test_rejections(ready: Dictionary, axis: Axis, enable: Enable, sub: int, value: float, reason: Rejection) -> None:
-    ready[0x2104, sub] = value
+def test_rejections(
+    ready: Dictionary, axis: Axis, enable: Enable, key: tuple[int, int], value: float, reason: Rejection
+) -> None:
+    ready[key] = value
     enable(1)
     start(ready)
     assert (ready[0x2100, 2], ready[0x2100, 3]) == (Run.REJECTED, reason)
     assert axis.measuring.injection(8) == pytest.approx(np.zeros(8))
-
-
-def test_a_period_that_is_not_whole_cycles_is_rejected(ready: Dictionary, enable: Enable) -> None:
-    ready[0x2100, 7] = 1.0005
-    enable(1)
-    start(ready)
-    assert ready[0x2100, 3] == Rejection.PARAMETERS
 
 
 def test_a_sweep_after_it_has_no_noise(ready: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
