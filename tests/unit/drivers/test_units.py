@@ -2,7 +2,6 @@
 
 import math
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -79,8 +78,3 @@ def test_round_trips(gear: float, offset: float, raw: int) -> None:
     assert one.raw_velocity(float(one.velocity(raw))) == raw
     assert abs(one.raw_position(float(one.position(raw))) - raw) <= 1
     assert one.motor_velocity(one.rev_per_min(0.1)) == pytest.approx(0.1)
-
-
-def test_arrays_keep_their_shape() -> None:
-    assert codec().position(np.arange(5.0)).shape == (5,)
-    assert codec().velocity(np.arange(5.0)).dtype == np.float64

@@ -232,14 +232,6 @@ def test_safe_torque_off_in_every_state(
     assert axis.state is State.SWITCH_ON_DISABLED
 
 
-def test_an_axis_without_power_section_cannot_be_enabled(dictionary: Dictionary) -> None:
-    axis = Axis(dictionary, 0.001, can_move=False)
-    for controlword in (0x06, 0x07, 0x0F):
-        axis.control(controlword)
-    assert axis.state is State.FAULT
-    assert dictionary[0x603F, 0] == ErrorCode.NO_POWER_SECTION
-
-
 def test_errors_are_told_and_remembered(dictionary: Dictionary, axis: Axis) -> None:
     axis.fail(0x7305)
     axis.fail(0x2310)

@@ -147,12 +147,6 @@ def test_no_block_upload_and_no_load_encoder() -> None:
     assert np.isnan(struct.unpack_from("<Ifffdd", d.upload(0x2110, 3))[5])
 
 
-def test_another_node_id_keeps_the_serial_number() -> None:
-    d = load("virtual-axis")
-    d.renumber(7)
-    assert (d[0x1018, 4], d[0x1800, 1]) == (1003, 0x40000187)
-
-
 def test_a_dictionary_of_one_object_drives_an_axis_by_the_defaults(tmp_path: Path) -> None:
     path = tmp_path / "minimal.eds"
     path.write_text(MINIMAL)

@@ -7,8 +7,10 @@ from typing import Any
 import canopen
 import pytest
 
-from tests.foreign_bench import Foreign
+from tests.foreign_bench import SCENARIO, Foreign, bench
 from tests.unit.simulator.foreign.master import Master
+
+RIGID = SCENARIO.with_stem("max100-rigid")
 
 
 @contextmanager
@@ -23,6 +25,13 @@ def mastered(foreign: Foreign, joint: str = "joint_1") -> Iterator[Master]:
         network.disconnect()
         foreign.order("emergency_stop", on=True)
         foreign.order("emergency_stop", on=False)
+
+
+@pytest.fixture(scope="module")
+def foreign() -> Iterator[Foreign]:
+    """One cabinet of plain drives for a module's tests, without noise and cogging."""
+    with bench(scenario=RIGID) as foreign:
+        yield foreign
 
 
 @pytest.fixture

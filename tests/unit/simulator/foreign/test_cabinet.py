@@ -6,7 +6,6 @@ import signal
 import struct
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,21 +17,14 @@ from simulator.fault_orders import Plant, carry_out
 from simulator.foreign.cabinet import ForeignCabinet
 from simulator.machine import Machine
 from simulator.scenario import ScenarioError, load_scenario
-from tests.foreign_bench import PLAIN, ROOT, SCENARIO, Foreign, bench, file_of
-from tests.unit.simulator.foreign.conftest import mastered
+from tests.foreign_bench import PLAIN, ROOT, Foreign, bench, file_of
+from tests.unit.simulator.foreign.conftest import RIGID, mastered
 from tests.unit.simulator.foreign.master import ENABLE, Cycle, Master
 
 pytestmark = pytest.mark.slow
 
 VELOCITY = 0x60FF0000
 OBJECTS = (0x1003, 0x1005, 0x1014, 0x1016, 0x1400, 0x1600, 0x1800, 0x1A00, 0x6060, 0x607A, 0x607D, 0x6085, 0x60C2)
-RIGID = SCENARIO.with_stem("max100-rigid")
-
-
-@pytest.fixture(scope="module")
-def foreign() -> Iterator[Foreign]:
-    with bench(scenario=RIGID) as foreign:
-        yield foreign
 
 
 @pytest.fixture

@@ -1,27 +1,18 @@
 """A plain CiA 402 drive, walked and driven by the `canopen` package: states, modes, faults, heartbeats."""
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 from simulator.canopen.node import Nmt
-from tests.foreign_bench import SCENARIO, Foreign, bench
 from tests.unit.simulator.foreign.master import ENABLE, PERIOD, QUICK_STOP, RESET, SHUT_DOWN, SWITCH_ON, Cycle, Master
 
 INCREMENTS, GEAR, RATED = 131072, 171, 17.544  # a motor revolution, of joint 1, N m
 JOINT = math.tau / GEAR / INCREMENTS  # rad (rad/s) of the joint in one increment (a second)
-RIGID = SCENARIO.with_stem("max100-rigid")  # without noise and cogging
 TARGET_VELOCITY, TARGET_POSITION = 0x60FF0000, 0x607A0000
 CSV, PV, PP = 9, 3, 1
 SPEED = 200_000  # increments a second
-
-
-@pytest.fixture(scope="module")
-def foreign() -> Iterator[Foreign]:
-    with bench(scenario=RIGID) as foreign:
-        yield foreign
 
 
 def test_the_package_walks_the_states(master: Master) -> None:

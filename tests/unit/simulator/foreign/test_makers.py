@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import pytest
 
 from simulator.canopen.node import Nmt
-from tests.foreign_bench import MAKERS, SCENARIO, Foreign, bench
-from tests.unit.simulator.foreign.conftest import mastered
+from tests.foreign_bench import MAKERS, Foreign, bench
+from tests.unit.simulator.foreign.conftest import RIGID, mastered
 from tests.unit.simulator.foreign.master import ENABLE, PERIOD, QUICK_STOP, Cycle, Master
 
 pytestmark = pytest.mark.slow
@@ -21,7 +21,6 @@ GEAR, RATED = 171, 17.544  # of joint 1; N m of the motor
 AMPERES = 10.0  # at rated torque, of every motor here
 VELOCITY, POSITION, INTERPOLATED = 0x60FF0000, 0x607A0000, 0x60C10100
 STATE, VALUE, READ_ONLY, NO_OBJECT = 0x08000022, 0x06090030, 0x06010002, 0x06020000
-RIGID = SCENARIO.with_stem("max100-rigid")  # without noise and cogging
 DRIVE, GO_ON = ENABLE, ENABLE | 0x10  # bit 4: interpolation active
 
 
@@ -142,18 +141,17 @@ def test_pdos_are_configured_in_pre_operational_alone(master: Master) -> None:
     master.refused(STATE, 0x1803, 1, 1 << 31 | 0x481, 4)
 
 
-@only("epos4", "gold", "simpliq")
-def test_a_mode_that_the_drive_does_not_have_is_refused(master: Master) -> None:
+@pytest.mark.parametrize(
+    ("foreign", "missing"),
+    [("epos4", (7,)), ("gold", (2,)), ("simpliq", (2, 8, 9))],
+    indirect=["foreign"],
+    scope="module",
+)
+def test_a_mode_that_the_drive_does_not_have_is_refused(master: Master, missing: tuple[int, ...]) -> None:
     master.write(0x6060, 0, 3, 1)
-    missing = {0xFB: 7, 0x9A: 2}[master.number(0x1018, 1)]
-    master.refused(VALUE, 0x6060, 0, missing, 1)
+    for mode in missing:
+        master.refused(VALUE, 0x6060, 0, mode, 1)
     assert master.number(0x6061) == 3
-
-
-@only("simpliq")
-def test_a_drive_without_cyclic_velocity_refuses_it(master: Master) -> None:
-    master.refused(VALUE, 0x6060, 0, 9, 1)
-    master.refused(VALUE, 0x6060, 0, 8, 1)
 
 
 @only("powerball")

@@ -1,20 +1,11 @@
 """PDOs of a foreign drive: the procedure of CiA 301 is enforced, and SYNC means what it means there."""
 
-from collections.abc import Iterator
-
 import pytest
 
-from tests.foreign_bench import Foreign, bench
 from tests.unit.simulator.foreign.master import PATIENCE, Cycle, Master
 
 INVALID = 1 << 31
 STATE, NOT_MAPPABLE, TOO_LONG, NO_OBJECT, VALUE = 0x08000022, 0x06040041, 0x06040042, 0x06020000, 0x06090030
-
-
-@pytest.fixture(scope="module")
-def foreign() -> Iterator[Foreign]:
-    with bench() as foreign:
-        yield foreign
 
 
 def test_a_valid_pdo_keeps_its_identifier_and_its_mapping(master: Master) -> None:

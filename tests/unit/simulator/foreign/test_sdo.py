@@ -1,19 +1,11 @@
 """The SDO server of a foreign drive, asked by the `canopen` package: what its file lacks is not there."""
 
 import math
-from collections.abc import Iterator
 
 import pytest
 from canopen.sdo.exceptions import SdoAbortedError
 
-from tests.foreign_bench import Foreign, bench
 from tests.unit.simulator.foreign.master import Master
-
-
-@pytest.fixture(scope="module")
-def foreign() -> Iterator[Foreign]:
-    with bench() as foreign:
-        yield foreign
 
 
 def test_every_object_of_the_file_can_be_read_and_no_other(master: Master) -> None:
