@@ -281,11 +281,19 @@ async def test_an_axis_that_does_not_come_to_standstill_is_stopped() -> None:
         assert {drive.statusword for drive in on.cabinet.drives.values()} == {OFF}
 
 
-async def test_more_missed_deadlines_than_allowed_end_the_sweep() -> None:
-    async with bench(Drive(1), missed_cycles=20, host_timeout=10.0) as on:
-        run = await late_once(on, 0.2)
+@pytest.mark.parametrize(
+    ("limits", "seconds", "reason"),
+    [
+        ({"missed_cycles": 20, "host_timeout": 10.0}, 0.2, "deadlines of 4 ms were missed, 20 are allowed; the worst"),
+        ({"host_timeout": 0.25}, 0.5, "s late, 0.25 s are the limit"),
+    ],
+    ids=["many", "one very late"],
+)
+async def test_a_host_that_is_too_late_ends_the_sweep(limits: dict[str, float], seconds: float, reason: str) -> None:
+    async with bench(Drive(1), **limits) as on:
+        run = await late_once(on, seconds)
         assert run.ending is Ending.LATE
-        assert "deadlines of 4 ms were missed, 20 are allowed; the worst set-point was" in run.reason
+        assert reason in run.reason
         assert on.cabinet.drives[1].statusword == OFF
 
 
