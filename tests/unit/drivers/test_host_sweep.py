@@ -6,6 +6,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -289,7 +290,7 @@ async def test_an_axis_that_does_not_come_to_standstill_is_stopped() -> None:
     ],
     ids=["many", "one very late"],
 )
-async def test_a_host_that_is_too_late_ends_the_sweep(limits: dict[str, float], seconds: float, reason: str) -> None:
+async def test_a_host_that_is_too_late_ends_the_sweep(limits: dict[str, Any], seconds: float, reason: str) -> None:
     async with bench(Drive(1), **limits) as on:
         run = await late_once(on, seconds)
         assert run.ending is Ending.LATE

@@ -1,10 +1,11 @@
 """The heartbeat of the connection, and what a wrong drive leaves; contract and deaths of hosts show the rest."""
 
 import asyncio
+import threading
 
 import pytest
 
-from drivers.errors import CommunicationLost, WrongIdentity
+from drivers.errors import CommunicationLost, NotReady, WrongIdentity
 from drivers.modbus import line as line_module
 from drivers.modbus.fieldbus import ModbusConnection, ModbusFieldbus
 from drivers.modbus.registers import RegisterMap
@@ -29,6 +30,8 @@ async def test_the_heartbeat_speaks_to_every_unit_and_notices_a_loss(
     with serving(bank, PATIENCE) as served:
         served = served.model_copy(update={"watchdog": 2 * PATIENCE})
         connection = await ModbusFieldbus(profile_on(served, kind, axes=2)).open()
+        with pytest.raises(NotReady, match="not possible through Modbus"):
+            await connection.stream([], threading.Event())
         bank.requests.clear()
         await eventually(lambda: all([r.unit for r in bank.requests].count(unit) > 3 for unit in (1, 2)))
         bank.spoil = lambda request, frame: None if request.unit == 2 else frame

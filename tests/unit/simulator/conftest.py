@@ -16,6 +16,14 @@ EDS = CONFIG / "eds" / "virtual-axis.eds"
 CYCLE = 0.001
 
 
+def line(columns: dict[str, np.ndarray], name: str, frequency: float, sweep: SweepRun) -> complex:
+    """Complex amplitude of one channel over the measured window."""
+    time = columns["time"]
+    start = sweep.waveform.measure_from
+    inside = (time >= start - 1e-9) & (time < start + sweep.period * sweep.periods - 1e-9)
+    return complex(2 * np.mean(columns[name][inside] * np.exp(-2j * np.pi * frequency * time[inside])))
+
+
 @pytest.fixture
 def scenario() -> Callable[[str], Scenario]:
     """Scenario by short name: full, rigid, misfit."""

@@ -7,6 +7,7 @@ import pytest
 
 from simulator import Measurement, Scenario, SweepRun, run_sweeps
 from simulator.channel import Channel
+from tests.unit.simulator.conftest import line
 
 STEP = 0.00025
 
@@ -40,12 +41,6 @@ def test_lines_are_turned_and_shrunk_as_the_formula_says(frequency: float) -> No
     response = 2 * np.mean(out * line[-4000:].conj())
     w = 2 * np.pi * frequency
     assert response == pytest.approx(np.exp(-1j * w * delay) / (1 + 1j * w * smoothing), abs=(w * STEP) ** 2 / 10)
-
-
-def line(columns: dict[str, np.ndarray], name: str, frequency: float, sweep: SweepRun) -> complex:
-    start = sweep.waveform.measure_from
-    inside = (columns["time"] >= start - 1e-9) & (columns["time"] < start + sweep.period * sweep.periods - 1e-9)
-    return complex(np.mean(columns[name][inside] * np.exp(-2j * np.pi * frequency * columns["time"][inside])))
 
 
 def test_only_the_smoothed_channels_of_a_sweep_change(

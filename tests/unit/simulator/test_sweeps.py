@@ -7,19 +7,12 @@ import numpy as np
 import pytest
 
 from simulator import NoiseRun, Scenario, ScenarioError, SweepRun, run_sweeps, true_inertia
+from tests.unit.simulator.conftest import line
 
 pytestmark = pytest.mark.slow
 
 Make = Callable[..., SweepRun]
 Load = Callable[[str], Scenario]
-
-
-def line(columns: dict[str, np.ndarray], name: str, frequency: float, sweep: SweepRun) -> complex:
-    """Complex amplitude of one channel over the measured window."""
-    time = columns["time"]
-    start = sweep.waveform.measure_from
-    inside = (time >= start - 1e-9) & (time < start + sweep.period * sweep.periods - 1e-9)
-    return complex(2 * np.mean(columns[name][inside] * np.exp(-2j * np.pi * frequency * time[inside])))
 
 
 def test_columns(scenario: Load, sweep: Make) -> None:
