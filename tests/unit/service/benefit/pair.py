@@ -6,8 +6,9 @@ believes in a slide of 1 kg.
 
 import numpy as np
 
-from service.recording import Recording, Sine, Sweep, SweepSpec
+from service.recording import Sweep
 from service.robot import Axis, Robot, RobotDescription, build_robot
+from tests.formula_sweep import Turning, by_formula, lines
 
 URDF = """<robot name="pair">
   <link name="base"/>
@@ -26,7 +27,7 @@ URDF = """<robot name="pair">
 </robot>
 """
 VISCOUS, DRY, NOISE = 4.0, 6.0, 1e-3
-SINES = tuple(Sine(frequency=f, amplitude=0.01, phase=f) for f in (2.0, 3.0, 4.0, 5.0))
+SINES = lines((2.0, 3.0, 4.0, 5.0), 0.01)
 RATE, OFFSET = 500.0, 0.1
 
 
@@ -42,10 +43,6 @@ def true_inertia(slide: float) -> float:
     return 5.0 + 2.0 * (1.0 + slide) ** 2
 
 
-def cad_inertia(slide: float) -> float:
-    return 5.0 + (1.0 + slide) ** 2
-
-
 def sweeps(slides: list[float]) -> tuple[Sweep, ...]:
     """One sweep a position of the slide, in turn."""
     random = np.random.default_rng(0)
@@ -53,24 +50,8 @@ def sweeps(slides: list[float]) -> tuple[Sweep, ...]:
 
 
 def _sweep(number: int, slide: float, random: np.random.Generator) -> Sweep:
-    time = np.arange(2500) / RATE
-    velocity, acceleration, position = np.full_like(time, OFFSET), np.zeros_like(time), OFFSET * time
-    for sine in SINES:
-        omega = 2 * np.pi * sine.frequency
-        angle = omega * time + sine.phase
-        velocity += sine.amplitude * np.sin(angle)
-        acceleration += sine.amplitude * omega * np.cos(angle)
-        position -= sine.amplitude / omega * np.cos(angle)
-    effort = true_inertia(slide) * acceleration + VISCOUS * velocity + DRY + random.normal(0, NOISE, len(time))
-    spec = SweepSpec(
-        id=f"{number:04}",
-        axis="j1",
-        pose=(0.0, slide),
-        offset_velocity=OFFSET,
-        sines=SINES,
-        period=1.0,
-        periods=5,
-        sample_rate=RATE,
-        started_at=10.0 * number,
-    )
-    return Sweep(spec, Recording(time, effort, velocity, position))
+    def effort(m: Turning) -> np.ndarray:
+        return true_inertia(slide) * m.acceleration + VISCOUS * m.velocity + DRY + random.normal(0, NOISE, len(m.time))
+
+    told = {"id": f"{number:04}", "axis": "j1", "pose": (0.0, slide), "offset_velocity": OFFSET, "sines": SINES}
+    return by_formula(effort, 5.0, **told, periods=5, sample_rate=RATE, started_at=10.0 * number)

@@ -1,5 +1,4 @@
-"""Noise and distortion apart: against the variance that theory gives for friction that is quadratic in speed, and on a
-speed loop with cubic friction that is written out here.
+"""Noise and distortion apart: against the variance that theory gives for friction that is quadratic in speed.
 
 Friction mu v + c (v - v0)^2 of v = v0 + sum a_i sin(w_i t + phi_i) has c a_i a_j at w_i +- w_j and c a_i^2 / 2 at 2 w_i
 beside its linear part. Of 2, 3, 4 and 5 Hz that falls onto
@@ -148,48 +147,6 @@ def test_standard_deviations_are_honest_under_distortion(robot: Robot) -> None:
     print(f"error of J over its standard deviation, RMS: {alone:.2f} of one realisation, {several:.2f} of four")
     assert 0.75 < several < 1.3
     assert alone < 0.6
-
-
-def test_cubic_friction_in_a_speed_loop(robot: Robot) -> None:
-    """PI speed loop at 4 kHz, all sweeps at once; J of each pose within its deviation, distortion at the lines seen."""
-    cubic, step = 2.5e6, 1 / 4000
-    jobs = [(pose, one) for place, pose in enumerate(POSES) for one in sweep_of(robot, pose, 50 + place, 4)]
-    inertia = np.array([truth(pose) for pose, _ in jobs])
-    count = round(jobs[0][1].duration / step)
-    time = np.asarray(step * np.arange(count), dtype=float)
-    wanted = np.stack([velocity_setpoint(one, time) for _, one in jobs], axis=1)
-    gain = 2 * np.pi * 15 * inertia
-    speed, place, integral = np.zeros((3, len(jobs)))
-    efforts, speeds, places = (np.empty_like(wanted) for _ in range(3))
-    for n in range(count):
-        error = wanted[n] - speed
-        effort = gain * error + integral
-        integral = integral + 10 * gain * error * step
-        # the middle of the step for speed and friction, so that effort and speed are of one instant
-        middle = speed + step / 2 * (effort - VISCOUS * speed - cubic * speed**3) / inertia
-        after = speed + step * (effort - VISCOUS * middle - cubic * middle**3) / inertia
-        efforts[n], speeds[n], places[n] = effort, (speed + after) / 2, place
-        place, speed = place + step * (speed + after) / 2, after
-    rng = np.random.default_rng(4)
-    block = round(1 / (step * RATE))
-    spectra = []
-    for k, (pose, one) in enumerate(jobs):
-        means = [column[:, k][: count // block * block].reshape(-1, block).mean(axis=1) for column in (efforts, speeds)]
-        position = places[:, k][: count // block * block].reshape(-1, block).mean(axis=1)
-        effort = means[0] + rng.normal(0, NOISE, len(means[0]))
-        columns = (np.arange(len(effort)) / RATE, effort, means[1], position)
-        spectra.append(recorded(robot, one, k, pose, columns))
-    axis = axis_of(robot, spectra)
-    assert axis.fit is not None
-    assert axis.distortion is not None
-    lines = np.isin(axis.distortion.frequency, (2.0, 3.0, 4.0, 5.0))
-    ratio = axis.distortion.distortion[lines] / axis.distortion.noise[lines]
-    error = (axis.fit.inertia - inertia) / np.sqrt(np.diag(axis.fit.covariance))
-    print(
-        f"distortion over noise at the lines {ratio.round(2)}, RMS of error over std {np.sqrt(np.mean(error**2)):.2f}"
-    )
-    assert ratio.max() > 2
-    assert np.sqrt(np.mean(error**2)) < 1.4
 
 
 def test_the_document_tells_both_parts(robot: Robot) -> None:

@@ -9,40 +9,27 @@ from service.identification import Spectrum, identify, spectrum
 from service.identification.model.base_parameters import joint_ranges
 from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.time_domain import fit_record
-from service.recording import Recording, Sweep, SweepSpec
+from service.recording import Sweep
 from service.robot import Axis, Robot, RobotDescription, build_robot
 from service.urdf import read_chain
+from tests.formula_sweep import Turning, by_formula, lines
 from tests.unit.service.identification.conftest import URDF
 
 LIFTS = (-1.0, -0.5, 0.1, 0.7, 1.2)
 
 
 def _sweep(
-    number: int, inertia: float, noise: float, lines: tuple[float, ...] = (2.0, 3.0, 5.0), **fields: object
+    number: int, inertia: float, noise: float, frequencies: tuple[float, ...] = (2.0, 3.0, 5.0), **fields: object
 ) -> Sweep:
     """`lift` by formula: effort = J dv/dt + 200 v + 90, no gravity (`_robot` has none)."""
-    spec = SweepSpec.model_validate(
-        {
-            "id": f"{number:04}",
-            "axis": "lift",
-            "pose": (0.0, LIFTS[number % len(LIFTS)]),
-            "offset_velocity": 0.02,
-            "sines": tuple({"frequency": f, "amplitude": 0.004, "phase": f} for f in lines),
-            "period": 1.0,
-            "periods": 3,
-            "sample_rate": 500.0,
-            **fields,
-        }
-    )
-    time = np.arange(1500) / 500
-    velocity, acceleration, position = np.full(1500, 0.02), np.zeros(1500), spec.pose[1] + 0.02 * time
-    for f in lines:
-        velocity += 0.004 * np.sin(2 * np.pi * f * time + f)
-        acceleration += 0.004 * 2 * np.pi * f * np.cos(2 * np.pi * f * time + f)
-        position -= 0.004 / (2 * np.pi * f) * np.cos(2 * np.pi * f * time + f)
-    effort = inertia * acceleration + 200 * velocity + 90
-    effort += np.random.default_rng(number).normal(0, noise, 1500)
-    return Sweep(spec, Recording(time, effort, velocity, position))
+
+    def effort(m: Turning) -> np.ndarray:
+        disturbed = 90 + np.random.default_rng(number).normal(0, noise, 1500)
+        return inertia * m.acceleration + 200 * m.velocity + disturbed
+
+    pose, sines = (0.0, LIFTS[number % len(LIFTS)]), lines(frequencies, 0.004)
+    own = {"id": f"{number:04}", "axis": "lift", "pose": pose, "offset_velocity": 0.02, "sines": sines, "periods": 3}
+    return by_formula(effort, 3.0, sines, pose[1], **own | fields)
 
 
 def _robot(**axis: float | None) -> Robot:

@@ -1,5 +1,6 @@
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,35 +10,17 @@ from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.identification.spectra.time_domain import fit_record
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Robot
+from tests.formula_sweep import Turning, by_formula
 
 RATE = 250.0
 
 
 def _sweep(**changes: object) -> Sweep:
     """2 and 5 Hz on an offset, three periods of 1 s; effort = 300 dv/dt + 40 v + 7 exactly."""
-    fields: dict[str, object] = {
-        "id": "0001",
-        "axis": "lift",
-        "pose": (0.0, 0.2),
-        "offset_velocity": 0.02,
-        "sines": (Sine(frequency=2, amplitude=0.004), Sine(frequency=5, amplitude=0.002, phase=1.0)),
-        "period": 1.0,
-        "periods": 3,
-        "measure_from": 0.4,
-        "sample_rate": RATE,
-        **changes,
-    }
-    spec = SweepSpec.model_validate(fields)
-    time = np.arange(int(4.4 * RATE)) / RATE
-    velocity = np.full_like(time, spec.offset_velocity)
-    acceleration, position = np.zeros_like(time), 0.2 + spec.offset_velocity * time
-    for sine in spec.sines:
-        w = 2 * np.pi * sine.frequency
-        angle = w * (time - spec.measure_from) + sine.phase
-        velocity += sine.amplitude * np.sin(angle)
-        acceleration += sine.amplitude * w * np.cos(angle)
-        position -= sine.amplitude / w * np.cos(angle)
-    return Sweep(spec, Recording(time, 300 * acceleration + 40 * velocity + 7, velocity, position))
+    sines = (Sine(frequency=2, amplitude=0.004), Sine(frequency=5, amplitude=0.002, phase=1.0))
+    window = {"sines": sines, "periods": 3, "measure_from": 0.4, "sample_rate": RATE}
+    fields: dict[str, Any] = {"axis": "lift", "pose": (0.0, 0.2), "offset_velocity": 0.02} | window | changes
+    return by_formula(lambda m: 300 * m.acceleration + 40 * m.velocity + 7, 4.4, place=0.2, **fields)
 
 
 def test_lines_carry_amplitude_phase_and_impedance(robot: Robot) -> None:
@@ -88,16 +71,15 @@ def test_what_cannot_be_analysed_is_refused(robot: Robot, changes: dict[str, obj
 
 
 def test_a_free_record_gives_inertia_and_friction_without_differentiation(robot: Robot) -> None:
-    rate, rng = 500.0, np.random.default_rng(4)
-    time = np.arange(int(8 * rate)) / rate
-    velocity = 0.3 * np.sin(2 * np.pi * 0.4 * time) + 0.1 * np.sin(2 * np.pi * 1.1 * time)
-    acceleration = 0.3 * 0.8 * np.pi * np.cos(0.8 * np.pi * time) + 0.1 * 2.2 * np.pi * np.cos(2.2 * np.pi * time)
-    position = -0.3 / (0.8 * np.pi) * np.cos(0.8 * np.pi * time) - 0.1 / (2.2 * np.pi) * np.cos(2.2 * np.pi * time)
-    effort = 250 * acceleration + 90 * velocity + 35 * np.sign(velocity) - 4 + rng.normal(0, 2.0, len(time))
-    spec = SweepSpec(
-        id="1", axis="swing", pose=(0.0, 0.0), offset_velocity=0, excitation="trajectory", sample_rate=rate
-    )
-    fit = fit_record(spectrum(robot, Sweep(spec, Recording(time, effort, velocity, position))))
+    rng = np.random.default_rng(4)
+    sines = (Sine(frequency=0.4, amplitude=0.3), Sine(frequency=1.1, amplitude=0.1))
+    free = {"axis": "swing", "pose": (0.0, 0.0), "excitation": "trajectory", "period": None}
+
+    def effort(m: Turning) -> np.ndarray:
+        dry = 35 * np.sign(m.velocity) - 4
+        return 250 * m.acceleration + 90 * m.velocity + dry + rng.normal(0, 2.0, len(m.time))
+
+    fit = fit_record(spectrum(robot, by_formula(effort, 8.0, sines, **free)))
     assert abs(fit.inertia - 250) < 4 * fit.inertia_std
     assert fit.inertia_std < 0.5
     for term, truth in (("viscous_friction", 90), ("coulomb_friction", 35)):

@@ -119,29 +119,31 @@ def test_documents_keep_the_prior_exactly() -> None:
     assert again.re == document["swing"].poses[0].frequency_response[5].re
 
 
-def test_too_few_lines_are_refused() -> None:
-    full = response(200.0, 0.01, np.random.default_rng(1))
-    few = Response(full.frequency[:3], full.effort[:3], full.velocity[:3], full.covariance[:3], full.coherence[:3])
-    prior = PosePrior(np.array([200.0, 0.0, 0.0]), np.array([100.0, 1.0, 1.0]))
-    with pytest.raises(BadInput, match="swing: 6 equations of its frequency responses for 7 unknowns"):
-        analyse_axis("swing", [(0.0, 0.0)], [few], PRIOR, [prior])
+def few(full: Response) -> Response:
+    """Of three lines."""
+    return Response(full.frequency[:3], full.effort[:3], full.velocity[:3], full.covariance[:3], full.coherence[:3])
 
 
-@pytest.mark.parametrize("spoilt", [np.nan, np.inf])
-def test_a_response_that_is_no_number_is_refused_with_its_pose(spoilt: float) -> None:
-    good = response(140.0, 0.01, np.random.default_rng(1))
-    effort = good.effort.copy()
-    effort[7] = spoilt
-    prior = PosePrior(np.array([140.0, 0.0, 0.0]), np.array([70.0, 1.0, 1.0]))
-    with pytest.raises(BadInput, match=r"^swing: \d+ of 61 values of its frequency response in pose 2 are not finite"):
-        analyse_axis("swing", [(0.0,), (1.0,)], [good, replace(good, effort=effort)], PRIOR, [prior, prior])
+def spoilt(full: Response, value: float) -> Response:
+    return replace(full, effort=np.where(np.arange(len(full.effort)) == 7, value, full.effort))
 
 
-def test_a_response_without_noise_has_no_weight() -> None:
-    """A weight of infinity; SciPy's error named no axis."""
-    exact = replace(response(140.0, 0.0, np.random.default_rng(1)), covariance=np.zeros((61, 2, 2), dtype=complex))
-    prior = PosePrior(np.array([140.0, 0.0, 0.0]), np.array([70.0, 1.0, 1.0]))
-    with pytest.raises(
-        BadInput, match=r"^swing: 61 of 61 values of the weight of its frequency response in pose 1 are not finite"
-    ):
-        analyse_axis("swing", [(0.0,)], [exact], PRIOR, [prior])
+GOOD = response(140.0, 0.01, np.random.default_rng(1))
+
+
+@pytest.mark.parametrize(
+    ("responses", "message"),
+    [
+        ([few(GOOD)], r"^swing: 6 equations of its frequency responses for 7 unknowns"),
+        ([GOOD, spoilt(GOOD, np.nan)], r"^swing: \d+ of 61 values of its frequency response in pose 2 are not finite"),
+        ([GOOD, spoilt(GOOD, np.inf)], r"^swing: \d+ of 61 values of its frequency response in pose 2 are not finite"),
+        (  # without noise: a weight of infinity, of which SciPy's error named no axis
+            [replace(GOOD, covariance=np.zeros((61, 2, 2), dtype=complex))],
+            r"^swing: 61 of 61 values of the weight of its frequency response in pose 1 are not finite",
+        ),
+    ],
+)
+def test_responses_that_tell_nothing_are_refused_with_their_pose(responses: list[Response], message: str) -> None:
+    priors = [PosePrior(np.array([140.0, 0.0, 0.0]), np.array([70.0, 1.0, 1.0]))] * len(responses)
+    with pytest.raises(BadInput, match=message):
+        analyse_axis("swing", [(float(k),) for k in range(len(responses))], responses, PRIOR, priors)

@@ -1,6 +1,7 @@
 """The joint fit on an exact linear two-mass plant (scipy's lsim, no code of ours), and its derivatives."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,8 +16,9 @@ from service.identification.axis.sweep_model import SHARED, direct_terms, effort
 from service.identification.design.excitation import design_sweep, velocity_setpoint
 from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Spectrum, spectrum
-from service.recording import Recording, Sine, Sweep, SweepSpec
+from service.recording import Recording, Sweep
 from service.robot import Robot
+from tests.formula_sweep import Turning, by_formula, lines
 from tests.numeric.campaign import spec_of
 
 pytestmark = pytest.mark.slow
@@ -63,6 +65,11 @@ def _measure(
     return spectrum(robot, Sweep(spec, Recording(time[::4], effort, velocity, position)))
 
 
+def _measured(robot: Robot, seed: int, noise: float = 6.0, periods: int | None = None) -> list[Spectrum]:
+    rng = np.random.default_rng(seed)
+    return [_measure(robot, number, load, noise, rng, periods) for number, load in enumerate(LOADS)]
+
+
 def _priors() -> tuple[SharedPrior, list[PosePrior]]:
     sigma = np.array([5.7, 100.0, 100.0, 1e-5, 2e-3])
     shared = SharedPrior(np.array([NOMINAL_MOTOR, 100.0, 100.0, 0.0, 1e-3]), np.diag(sigma**2))
@@ -71,8 +78,7 @@ def _priors() -> tuple[SharedPrior, list[PosePrior]]:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_recovers_the_inertia_of_an_elastic_axis(robot: Robot, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    spectra = [_measure(robot, number, load, 6.0, rng) for number, load in enumerate(LOADS)]
+    spectra = _measured(robot, seed)
     fit = fit_axis(spectra, *_priors(), noise_guess=6.0)
     truth = LOADS + TRAIN.motor_inertia
     error, std = fit.inertia / truth - 1, np.sqrt(np.diag(fit.covariance)) / truth
@@ -85,7 +91,7 @@ def test_recovers_the_inertia_of_an_elastic_axis(robot: Robot, seed: int) -> Non
 
 
 def test_without_noise_nothing_is_left(robot: Robot) -> None:
-    spectra = [_measure(robot, number, load, 0.0, np.random.default_rng(0)) for number, load in enumerate(LOADS)]
+    spectra = _measured(robot, 0, noise=0.0)
     fit = fit_axis(spectra, *_priors(), noise_guess=6.0)
     np.testing.assert_allclose(fit.inertia, LOADS + TRAIN.motor_inertia, rtol=2e-4)
 
@@ -112,8 +118,7 @@ def test_derivatives_equal_difference_quotients(robot: Robot) -> None:
 
 def test_a_single_period_still_gives_an_answer(robot: Robot) -> None:
     """A bundle written by hand may have one period only: few bins more than unknowns, priors carry the rest."""
-    rng = np.random.default_rng(3)
-    spectra = [_measure(robot, number, load, 2.0, rng, periods=1) for number, load in enumerate(LOADS)]
+    spectra = _measured(robot, 3, noise=2.0, periods=1)
     fit = fit_axis(spectra, *_priors(), noise_guess=2.0)
     error = fit.inertia / (LOADS + TRAIN.motor_inertia) - 1
     assert np.abs(error).max() < 0.1
@@ -122,25 +127,15 @@ def test_a_single_period_still_gives_an_answer(robot: Robot) -> None:
 
 def test_reversing_about_standstill_costs_dry_friction_not_inertia(robot: Robot) -> None:
     """Effort = J dv/dt + mu v + Fc sign(v) by formula: the sign is a regressor of its own."""
-    time = np.arange(5000) / 1000
-    lines = (2.0, 3.0, 5.0)
-    velocity = np.sum([0.01 * np.sin(2 * np.pi * f * time + f) for f in lines], axis=0)
-    acceleration = np.sum([0.01 * 2 * np.pi * f * np.cos(2 * np.pi * f * time + f) for f in lines], axis=0)
-    position = np.sum([-0.01 / (2 * np.pi * f) * np.cos(2 * np.pi * f * time + f) for f in lines], axis=0)
-    spectra = []
-    for number, load in enumerate(LOADS):
-        effort = (load + NOMINAL_MOTOR) * acceleration + 150 * velocity + 80 * np.sign(velocity)
-        spec = SweepSpec(
-            id=f"{number:04}",
-            axis="swing",
-            pose=(0.0, 0.0),
-            offset_velocity=0.0,
-            sines=tuple(Sine(frequency=f, amplitude=0.01, phase=f) for f in lines),
-            period=1.0,
-            periods=5,
-            sample_rate=1000.0,
-        )
-        spectra.append(spectrum(robot, Sweep(spec, Recording(time, effort, velocity, position))))
+    told = {"axis": "swing", "pose": (0.0, 0.0), "sines": lines((2.0, 3.0, 5.0), 0.01), "periods": 5}
+
+    def effort(m: Turning, load: float) -> np.ndarray:
+        return (load + NOMINAL_MOTOR) * m.acceleration + 150 * m.velocity + 80 * np.sign(m.velocity)
+
+    spectra = [
+        spectrum(robot, by_formula(partial(effort, load=load), 5.0, id=f"{number:04}", sample_rate=1000.0, **told))
+        for number, load in enumerate(LOADS)
+    ]
     fit = fit_axis(spectra, *_priors(), noise_guess=1.0)
     np.testing.assert_allclose(fit.inertia, LOADS + NOMINAL_MOTOR, rtol=2e-3)
 
@@ -181,8 +176,7 @@ def test_the_stacked_fit_is_the_least_of_the_plain_sum(robot: Robot) -> None:
 
 
 def test_the_noise_of_a_spoiled_sweep_is_its_own(robot: Robot) -> None:
-    rng = np.random.default_rng(6)
-    spectra = [_measure(robot, number, load, 6.0, rng) for number, load in enumerate(LOADS)]
+    spectra = _measured(robot, 6)
     sound = fit_axis(spectra, *_priors(), noise_guess=6.0)
     assert (sound.weight == 1).all()
     spike = np.exp(-2j * np.pi * spectra[3].frequency * 0.7)
@@ -197,8 +191,7 @@ def test_the_noise_of_a_spoiled_sweep_is_its_own(robot: Robot) -> None:
 
 def test_a_prior_may_be_correlated(robot: Robot) -> None:
     """Motor and load friction cannot be told apart by sweeps, but an analysis may know their sum."""
-    rng = np.random.default_rng(2)
-    spectra = [_measure(robot, number, load, 6.0, rng) for number, load in enumerate(LOADS)]
+    spectra = _measured(robot, 2)
     shared, poses = _priors()
     covariance = shared.covariance.copy()
     covariance[1, 2] = covariance[2, 1] = -0.9999 * covariance[1, 1]
@@ -208,8 +201,7 @@ def test_a_prior_may_be_correlated(robot: Robot) -> None:
 
 
 def test_what_is_no_number_is_refused_with_its_sweep(robot: Robot) -> None:
-    rng = np.random.default_rng(1)
-    spectra = [_measure(robot, number, load, 6.0, rng) for number, load in enumerate(LOADS)]
+    spectra = _measured(robot, 1)
     shared, poses = _priors()
     spoiled = [one if number != 3 else replace(one, effort=one.effort * np.nan) for number, one in enumerate(spectra)]
     with pytest.raises(BadInput, match=r"^sweep 0003 of lift: has no finite residual"):
@@ -217,8 +209,7 @@ def test_what_is_no_number_is_refused_with_its_sweep(robot: Robot) -> None:
 
 
 def test_a_fit_that_does_not_converge_tells_nothing(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(2)
-    spectra = [_measure(robot, number, load, 6.0, rng) for number, load in enumerate(LOADS)]
+    spectra = _measured(robot, 2)
     shared, poses = _priors()
     assert fit_axis(spectra, shared, poses, 6.0).ended in (Ended.CONVERGED, Ended.AT_REST)
     monkeypatch.setattr(joint_fit, "ITERATIONS", 1)
@@ -229,15 +220,13 @@ def test_a_fit_that_does_not_converge_tells_nothing(robot: Robot, monkeypatch: p
 
 def test_derivatives_that_overflow_are_refused_with_the_axis(robot: Robot) -> None:
     """Residuals in standard deviations of 1e-150 are numbers, their derivatives squared are not."""
-    rng = np.random.default_rng(1)
-    spectra = [_measure(robot, number, load, 6.0, rng) for number, load in enumerate(LOADS)]
+    spectra = _measured(robot, 1)
     shared, poses = _priors()
     with np.errstate(all="ignore"), pytest.raises(BadInput, match=r"^lift: has no finite residual or derivative"):
         fit_axis(spectra, shared, poses, 1e-146)
 
 
 def test_the_noise_has_settled_in_the_last_round(robot: Robot) -> None:
-    rng = np.random.default_rng(1)
-    spectra = [_measure(robot, number, load, 6.0, rng) for number, load in enumerate(LOADS)]
+    spectra = _measured(robot, 1)
     for guess in (0.6, 6.0, 600.0):
         assert fit_axis(spectra, *_priors(), guess).noise_change.max() < 1e-4

@@ -9,8 +9,9 @@ import pytest
 from service.identification.axis.known_effects import KnownAxis
 from service.identification.axis.known_torque import Corrected, Load, corrected, motion_of
 from service.identification.spectra.frequency_response import Spectrum, spectrum
-from service.recording import Recording, Sine, Sweep, SweepSpec
+from service.recording import Sine
 from service.robot import Robot
+from tests.formula_sweep import by_formula, turning
 from tests.unit.service.identification.known import Parameters, known
 
 RATE, START, INERTIA, VISCOUS = 1000.0, 1.0, 300.0, 40.0
@@ -21,40 +22,22 @@ Signal = Callable[[np.ndarray], np.ndarray]
 
 
 def velocity(time: np.ndarray) -> np.ndarray:
-    sines = [s.amplitude * np.sin(2 * np.pi * s.frequency * (time - START) + s.phase) for s in SINES]
-    return 0.012 + np.sum(sines, axis=0)
+    return turning(time, 0.012, SINES, START).velocity
 
 
 def acceleration(time: np.ndarray) -> np.ndarray:
-    sines = [
-        2 * np.pi * s.frequency * s.amplitude * np.cos(2 * np.pi * s.frequency * (time - START) + s.phase)
-        for s in SINES
-    ]
-    return np.sum(sines, axis=0)
+    return turning(time, 0.012, SINES, START).acceleration
 
 
 def way(time: np.ndarray) -> np.ndarray:
-    return 0.012 * time - sum(
-        s.amplitude / (2 * np.pi * s.frequency) * np.cos(2 * np.pi * s.frequency * (time - START) + s.phase)
-        for s in SINES
-    )
+    return turning(time, 0.012, SINES, START).position
 
 
 def measured(robot: Robot, effort: Signal) -> Spectrum:
     """A sweep of five periods whose effort is a formula of time."""
-    time = np.arange(int(6.5 * RATE)) / RATE
-    spec = SweepSpec(
-        id="0001",
-        axis="lift",
-        pose=(0.0, 0.0),
-        offset_velocity=0.012,
-        sines=SINES,
-        period=1.0,
-        periods=5,
-        measure_from=START,
-        sample_rate=RATE,
-    )
-    return spectrum(robot, Sweep(spec, Recording(time, effort(time), velocity(time), way(time))))
+    told = {"axis": "lift", "pose": (0.0, 0.0), "offset_velocity": 0.012, "sines": SINES, "periods": 5}
+    sweep = by_formula(lambda m: effort(m.time), 6.5, **told, measure_from=START, sample_rate=RATE)
+    return spectrum(robot, sweep)
 
 
 def rigid(time: np.ndarray) -> np.ndarray:

@@ -1,26 +1,27 @@
 """Sweeps of axes that moved at once never pass for sweeps of single axes."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from service.errors import BadInput
 from service.estimation import estimate_document
 from service.identification import Spectrum, identify, spectrum
-from service.recording import Recording, Sweep, SweepSpec
+from service.recording import Sine
 from service.robot import Robot
+from tests.formula_sweep import Turning, by_formula
 
 
 def free(robot: Robot, axis: str, **fields: object) -> Spectrum:
     """8 s to and fro, for which J = 250 kg m^2."""
-    time = np.arange(4000) / 500
-    turn, inertia = 2 * np.pi * np.array([0.4, 1.1]), 250.0
-    speed = np.sin(np.outer(time, turn)) @ [0.3, 0.1]
-    acceleration = np.cos(np.outer(time, turn)) @ ([0.3, 0.1] * turn)
-    way = -np.cos(np.outer(time, turn)) @ ([0.3, 0.1] / turn)
-    effort = inertia * acceleration + 90 * speed + np.random.default_rng(1).normal(0, 2.0, len(time))
-    told = {"id": axis, "axis": axis, "pose": (0.0, 0.0), "offset_velocity": 0.0, "excitation": "trajectory"}
-    spec = SweepSpec.model_validate({**told, "sample_rate": 500.0, **fields})
-    return spectrum(robot, Sweep(spec, Recording(time, effort, speed, way)))
+    sines = (Sine(frequency=0.4, amplitude=0.3), Sine(frequency=1.1, amplitude=0.1))
+
+    def effort(m: Turning) -> np.ndarray:
+        return 250.0 * m.acceleration + 90 * m.velocity + np.random.default_rng(1).normal(0, 2.0, len(m.time))
+
+    told: dict[str, Any] = {"id": axis, "axis": axis, "pose": (0.0, 0.0), "excitation": "trajectory", "period": None}
+    return spectrum(robot, by_formula(effort, 8.0, sines, **told | fields))
 
 
 def test_records_of_two_axes_at_once_are_refused(robot: Robot) -> None:

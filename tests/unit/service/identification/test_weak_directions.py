@@ -8,9 +8,11 @@ import pytest
 from service.estimation import estimate_document
 from service.identification import Spectrum, identify, spectrum
 from service.identification.model.least_squares import Information
-from service.recording import Recording, Sweep, SweepSpec
+from service.recording import Sine
 from service.robot import Robot, build_robot
+from tests.formula_sweep import Turning, by_formula
 
+SINES = tuple(Sine(frequency=f, amplitude=0.004) for f in (2.0, 3.0, 5.0))
 LIFTS = np.linspace(0.3, 0.34, 8)  # rad: too far apart to count as locked, too near to tell anything of the arm
 
 
@@ -20,26 +22,13 @@ def sweeps(robot: Robot, lifts: np.ndarray) -> list[Spectrum]:
     for number, lift in enumerate(lifts):
         inertia = 1.12 * (15 + 3 * np.sin(lift) ** 2 + 40 * np.cos(lift) ** 2 + 150 * (0.3 + 1.2 * np.cos(lift)) ** 2)
         inertia += 170.0**2 * 0.002
-        time = np.arange(1500) / 500
-        sines = tuple({"frequency": f, "amplitude": 0.004} for f in (2.0, 3.0, 5.0))
-        turn = 2 * np.pi * np.array([2.0, 3.0, 5.0])
-        speed = 0.02 + 0.004 * np.sin(np.outer(time, turn)).sum(1)
-        acceleration = 0.004 * np.cos(np.outer(time, turn)) @ turn
-        way = 0.02 * time - 0.004 * np.cos(np.outer(time, turn)) @ (1 / turn)
-        effort = inertia * acceleration + 200 * speed + np.random.default_rng(number).normal(0, 3.0, len(time))
-        spec = SweepSpec.model_validate(
-            {
-                "id": f"{number:04}",
-                "axis": "swing",
-                "pose": (0.0, lift),
-                "offset_velocity": 0.02,
-                "sines": sines,
-                "period": 1.0,
-                "periods": 3,
-                "sample_rate": 500.0,
-            }
-        )
-        found.append(spectrum(robot, Sweep(spec, Recording(time, effort, speed, way))))
+
+        def effort(m: Turning, inertia: float = inertia, number: int = number) -> np.ndarray:
+            noise = np.random.default_rng(number).normal(0, 3.0, len(m.time))
+            return inertia * m.acceleration + 200 * m.velocity + noise
+
+        fields = {"id": f"{number:04}", "axis": "swing", "pose": (0.0, lift), "offset_velocity": 0.02, "sines": SINES}
+        found.append(spectrum(robot, by_formula(effort, 3.0, **fields, periods=3)))
     return found
 
 
