@@ -6,7 +6,8 @@ READY := .venv/.ready
 
 unexport PYTHONDONTWRITEBYTECODE  # else every process that a test starts compiles the same modules again
 
-FUZZ ?=  # more words for the fuzzing, as: make fuzz FUZZ='--seed 7 --cpu 60 --parser trace'
+FUZZ ?=  # more words for the fuzzing, as: make fuzz FUZZ_CASES=100 FUZZ='--hypothesis-seed 7 -k trace'
+FUZZ_CASES ?= 600
 
 SOAK ?=  # more words for the soak, as: make soak SOAK="--seed 7 --minutes 30"
 
@@ -75,8 +76,8 @@ explore: $(READY)  ## interleavings in virtual time, 80 times as many as in make
 bench: $(READY)  ## what it costs, beside what else could do the same: docs/reference/benchmarks.md; a quarter of an hour
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m docs.benchmarks $(BENCH)
 
-fuzz: $(READY)  ## what no program wrote, given to every parser of files from outside; 600 s of CPU, fails on a finding
-	$(BIN)/python -m tests.fuzz $(FUZZ)
+fuzz: $(READY)  ## what no program wrote, given to every parser of files from outside; fails on a finding
+	FUZZ_CASES=$(FUZZ_CASES) $(PYTEST) tests/fuzz $(FUZZ)
 
 mutants: $(READY)  ## plant small errors: which do the unit tests of each room notice?
 	$(BIN)/python -m tests.mutants $(MUTANTS)

@@ -12,14 +12,14 @@ from service.errors import BadInput
 TIME = 5  # s of CPU that a copy may take; the product's process has its own limit
 
 
-def forked(task: Callable[[], object]) -> None:
-    """Do it in a copy. BadInput as the product tells it, also where the copy died; AssertionError for all else.
+def copied(task: Callable[[], object], seconds: int = TIME, memory: int | None = None) -> dict[str, object]:
+    """What a copy tells that does it: `done`, `place` and `reason` of BadInput, `other` error, or what it `died` of.
 
+    It may take so many seconds of CPU, and `memory` bytes of address space above what this process has.
     On Windows, which copies no process, it is done in this one.
     """
     if sys.platform == "win32":
-        task()
-        return
+        return _told(task)
     import resource
 
     ours, theirs = os.pipe()
@@ -27,7 +27,11 @@ def forked(task: Callable[[], object]) -> None:
     if child == 0:
         os.close(ours)
         try:
-            resource.setrlimit(resource.RLIMIT_CPU, (TIME, TIME))
+            resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+            if memory is not None:
+                with open("/proc/self/statm", encoding="ascii") as pages:
+                    most = int(pages.read().split()[0]) * resource.getpagesize() + memory
+                resource.setrlimit(resource.RLIMIT_AS, (most, most))
             os.write(theirs, json.dumps(_told(task)).encode()[:4000])
         finally:
             os._exit(0)
@@ -36,12 +40,19 @@ def forked(task: Callable[[], object]) -> None:
         answer = pipe.read()
     _, status = os.waitpid(child, 0)
     if os.WIFSIGNALED(status):
-        raise BadInput("file", f"the process that read it was ended by {signal.Signals(os.WTERMSIG(status)).name}")
-    match json.loads(answer or b"null"):
-        case {"place": str(place), "reason": str(reason)}:
-            raise BadInput(place, reason)
+        return {"died": signal.Signals(os.WTERMSIG(status)).name}
+    return json.loads(answer or b'{"other": "the copy told nothing"}')
+
+
+def forked(task: Callable[[], object]) -> None:
+    """Do it in a copy. BadInput as the product tells it, also where the copy died; AssertionError for all else."""
+    match copied(task):
         case {"done": True}:
             return
+        case {"died": by}:
+            raise BadInput("file", f"the process that read it was ended by {by}")
+        case {"place": str(place), "reason": str(reason)}:
+            raise BadInput(place, reason)
         case other:
             raise AssertionError(f"the copy tells {other}")
 

@@ -1,7 +1,6 @@
 """Everything of the product that reads files from outside, with what it starts from and which errors it may raise."""
 
 import json
-import shutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -165,10 +164,6 @@ def _settings() -> Iterable[Seed]:
     yield seeds.one("all.yaml", "data_dir: var\nhost: 0.0.0.0\nallowed_hosts: [cell]\nport: 1\nlease_time: 2.0\n")
 
 
-def _documents() -> Iterable[Seed]:
-    yield seeds.one("estimate.json", seeds.estimate())
-
-
 PARSERS: Mapping[str, Parser] = {
     "bundle": Parser(lambda: [seeds.bundle()], lambda path, work: read_from(path, work / "bundle")),
     "bundle zip": Parser(lambda: [seeds.packed(seeds.bundle())], lambda path, work: read_from(path, work / "bundle")),
@@ -211,20 +206,12 @@ PARSERS: Mapping[str, Parser] = {
     "sinumerik": Parser(
         lambda: list(seeds.controls()), lambda path, work: import_control_file(path, Given(0.8), work / "out", "-")
     ),
-    "estimate": Parser(_documents, _estimate),
+    "estimate": Parser(lambda: [seeds.one("estimate.json", seeds.estimate())], _estimate),
     "start of a diagnosis": Parser(
-        _documents, lambda path, _: started_from(_robot(), read_document(path, Estimate).as_json(), "x", str(path))
+        lambda: [seeds.one("estimate.json", seeds.estimate())],
+        lambda path, _: started_from(_robot(), read_document(path, Estimate).as_json(), "x", str(path)),
     ),
     "payload": Parser(lambda: [seeds.one("payload.json", seeds.payload())], _payload),
-    "model": Parser(lambda: [seeds.one("model.json", seeds.model())], lambda path, _: read_effects(path, _robot())),
+    "model": Parser(lambda: [seeds.stored("model")], lambda path, _: read_effects(path, _robot())),
     "plan": Parser(lambda: [seeds.one("plan.json", seeds.plan())], _paths),
 }
-
-
-def write_into(folder: Path, files: Mapping[str, bytes]) -> None:
-    """The files of a case, and nothing else, in a folder."""
-    shutil.rmtree(folder, ignore_errors=True)
-    for name, content in files.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)

@@ -5,9 +5,10 @@ import csv
 import functools
 import io
 import json
+import shutil
 import struct
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -42,6 +43,11 @@ class Seed:
     files: dict[str, bytes]
     entry: str
     targets: tuple[str, ...]
+
+
+def stored(name: str) -> Seed:
+    """A document as a command wrote it."""
+    return one(f"{name}.json", (ROOT / "tests/stored" / f"{name}.json").read_bytes())
 
 
 def of_config(entry: str, *others: str, targets: tuple[str, ...] = ()) -> Seed:
@@ -169,16 +175,6 @@ def manifest() -> str:
     ).model_dump_json()
 
 
-def model() -> bytes:
-    """As `sweepid diagnose --model` writes what is known of an axis."""
-    number = {"value": 3.5, "std": 0.2, "unit": "N m"}
-    effects = [
-        {"effect": "coulomb_friction", "parameters": {"coulomb": number}, "covariance": [[0.04]]},
-        {"effect": "asymmetric_friction", "parameters": {"coulomb": number, "viscous": number}},
-    ]
-    return json.dumps({"axes": {"joint_1": {"effects": effects, "fit": {"torques": "true"}}}}).encode()
-
-
 TRACE_MAPPING = """robot:
   {name: one, joint: c, kind: revolute, inertia: 4.0, lower: -3, upper: 3, velocity: 1, rated_effort: 50}
 axes: {c: {name: C1, direction: -1, zero: 90.0}}
@@ -279,3 +275,12 @@ def maker() -> Seed:
         "arm/d.dae": COLLADA.encode(),
     }
     return Seed(files, "arm/arm.urdf", ("arm/arm.urdf", *files))
+
+
+def write_into(folder: Path, files: Mapping[str, bytes]) -> None:
+    """The files of a case, and nothing else, in a folder."""
+    shutil.rmtree(folder, ignore_errors=True)
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
