@@ -23,8 +23,6 @@ PACKAGES = {  # by program; what stands in more than one package is one program 
     "linux.uml": ("user-mode-linux",),  # a kernel with CAN, where this one has none
     "mosquitto": ("mosquitto",),  # an MQTT broker
     "mosquitto_sub": ("mosquitto-clients",),
-    "node": ("nodejs",),  # node-opcua, an OPC UA client that is not ours
-    "npm": ("npm",),
     "openssl": ("openssl",),
     "pango": ("libpango-1.0-0", "libpangoft2-1.0-0", "libharfbuzz-subset0", "fonts-dejavu-core"),  # reports as PDF
     "prometheus": ("prometheus",),

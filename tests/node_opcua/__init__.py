@@ -1,16 +1,14 @@
 """An OPC UA client that is not ours and shares no code with the server: node-opcua, from the npm registry."""
 
-import fcntl
 import json
 import os
 import subprocess
 from pathlib import Path
 from typing import Any
 
-from tests.programs import require
+from tests.npm import NODE, installed
 
-PACKAGE = "node-opcua-client@2.186.4"
-_HERE = Path(__file__).parent
+_HERE = Path(__file__).resolve().parent
 _PATIENCE = 300.0  # s
 
 
@@ -18,12 +16,12 @@ class NodeClient:
     """Each order is a process of its own."""
 
     def __init__(self, modules: Path) -> None:
-        self._modules = modules
+        self._environment = os.environ | {"NODE_PATH": str(modules)}
 
     def start(self, **order: object) -> subprocess.Popen[str]:
         return subprocess.Popen(
-            ["node", str(_HERE / "client.cjs"), json.dumps(order)],
-            env=os.environ | {"NODE_PATH": str(self._modules)},
+            [NODE, _HERE / "client.cjs", json.dumps(order)],
+            env=self._environment,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -40,14 +38,5 @@ class NodeClient:
 
 
 def node_client() -> NodeClient:
-    """Installed once, beside the caches of others."""
-    require("node", "npm")
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sweepid" / PACKAGE.replace("@", "-")
-    cache.mkdir(parents=True, exist_ok=True)
-    with (cache / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # other processes of this run
-        if not (cache / "complete").exists():
-            command = ["npm", "install", "--prefix", str(cache), "--no-audit", "--no-fund", "--ignore-scripts", PACKAGE]
-            subprocess.run(command, check=True, capture_output=True, timeout=_PATIENCE)
-            (cache / "complete").touch()
-    return NodeClient(cache / "node_modules")
+    """With its packages installed, once for each environment."""
+    return NodeClient(installed(_HERE, (".npmrc",)))
