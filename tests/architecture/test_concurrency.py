@@ -66,17 +66,3 @@ def test_what_the_page_names_is_there(root: Path) -> None:
     assert named - found == by_callers
     texts = "".join(path.read_text() for path in sources(root))
     assert all(f'DriveThread("{name}")' in texts for name in ("can-sdo", "modbus"))
-
-
-@pytest.mark.parametrize(
-    ("source", "name"),
-    [
-        ("threading.Thread(target=work)", None),
-        ("asyncio.create_task(work())", None),
-        ('asyncio.create_task(work(), name=f"campaign {number}")', "campaign"),
-        ('ThreadPoolExecutor(1, thread_name_prefix="recorder")', "recorder"),
-        ('background.begin("lease", keep())', "lease"),
-    ],
-)
-def test_a_planted_one_is_found(source: str, name: str | None) -> None:
-    assert list(names_in(source)) == [(1, name)]

@@ -56,19 +56,6 @@ def test_the_measured_constants_still_have_a_value_that_was_measured() -> None:
     assert {name for name, values in measured.items() if float(code[name]) not in values} == set()
 
 
-def test_another_value_a_missing_row_and_a_stale_one_are_seen(page: dict[str, list[str]]) -> None:
-    key = "service/identification/axis joint_fit.CHANCE"
-    assert _value_is(page[key], "0.01")
-    assert _value_is(page[key], "1e-2")
-    assert not _value_is(page[key], "0.02")
-    text = PAGE.read_text("utf-8")
-    row = next(line for line in text.splitlines() if line.startswith("| `joint_fit.CHANCE`"))
-    assert key not in on_page(text.replace(row + "\n", ""))
-    assert on_page(text.replace("`joint_fit.CHANCE`", "`joint_fit.LUCK`")).keys() - in_code().keys() == {
-        key.replace("CHANCE", "LUCK")
-    }
-
-
 def _value_is(cells: list[str], code: str) -> bool:
     """The code of a row's value, before its unit, is the same expression."""
     found = re.match(r"`([^`]*)`", cells[0])

@@ -134,3 +134,19 @@ def test_every_picture_is_shown_with_words_and_small() -> None:
     assert set(pictures) == set(shown)
     assert {path.name: size for path, size in pictures.items() if size > LARGEST_PICTURE} == {}
     assert [path.name for path, words in shown.items() if len(words.split()) < 4] == []
+
+
+def test_decisions_have_number_date_and_status_and_are_in_the_list() -> None:
+    """A replaced one names the one that replaces it."""
+    folder = ROOT / "docs/explanation/decisions"
+    records = sorted(folder.glob("[0-9]*.md"))
+    form = re.compile(
+        r"# (\d{4}) .+\n\nDate: \d{4}-\d\d-\d\d\. Status: (?:in force\.|replaced( in part)?\b.*?\((\d{4})-)"
+    )
+    for number, record in enumerate(records, 1):
+        found = form.match(record.read_text("utf-8"))
+        assert found, f"{record.name} begins with: # NNNN Title, an empty line, Date: YYYY-MM-DD. Status: in force."
+        assert found[1] == record.name[:4] == f"{number:04}"
+        assert found[2] is None or 0 < int(found[2]) <= len(records)
+    listed = re.findall(r"^- \[\d{4} .+\]\((.+)\)$", (folder / "README.md").read_text("utf-8"), re.MULTILINE)
+    assert listed == [record.name for record in records]

@@ -39,15 +39,6 @@ def test_the_effect_of_the_guide_is_named(tmp_path: Path, root: Path) -> None:
     assert axis["gap"]["after_rms"] < 1.5 * axis["gap"]["noise_floor_rms"]
 
 
-@pytest.mark.parametrize("guide", ["write-an-effect.md", "write-a-drive-adapter.md"])
-def test_the_code_of_a_guide_keeps_our_rules(guide: str, tmp_path: Path, root: Path) -> None:
-    written(guide, tmp_path / "code")
-    for check in ("check", "format --check"):
-        command = f"ruff {check} --no-cache --config {root / 'pyproject.toml'} {tmp_path / 'code'}"
-        done = run(command, root, tmp_path)
-        assert done.returncode == 0, done.stdout
-
-
 @pytest.mark.slow
 def test_a_broken_effect_is_one_line_and_two(tmp_path: Path, root: Path) -> None:
     (tmp_path / "broken-1.0.dist-info").mkdir()

@@ -99,52 +99,39 @@ def _of_machine(node: ast.Attribute) -> bool:
     return name.endswith("machine") or name == "motion"
 
 
+def sources(root: Path) -> dict[str, str]:
+    service = root / "service"
+    return {path.relative_to(service).as_posix(): path.read_text() for path in sorted(service.rglob("*.py"))}
+
+
 @pytest.mark.slow
 def test_nothing_else_moves(root: Path) -> None:
-    service = root / "service"
-    found = [
-        line
-        for path in sorted(service.rglob("*.py"))
-        for line in violations(path.relative_to(service).as_posix(), path.read_text())
-    ]
-    assert found == []
-
-
-@pytest.mark.parametrize(
-    "source",
-    [
-        "await machine.port.stop()",
-        "await self._machine._port.enable('joint_1')",
-        "await port.move_to('joint_1', 0.0, 1.0)",
-        "from drivers.ports import DrivePort",
-        "from service.execution.motion import Motion",
-        "async for block in anything.run_sweep(command): pass",
-    ],
-)
-def test_a_planted_violation_is_found(source: str) -> None:
-    body = source if source.startswith("from") else f"async def f():\n    {source}"
-    assert list(violations("execution/runner.py", body))
+    assert [line for path, source in sources(root).items() for line in violations(path, source)] == []
 
 
 def test_an_intention_is_made_only_where_a_request_arrives(root: Path) -> None:
-    service = root / "service"
-    sources = {path.relative_to(service).as_posix(): path.read_text() for path in sorted(service.rglob("*.py"))}
-    found = [line for path, source in sources.items() if "Intention" in source for line in made_elsewhere(path, source)]
-    assert found == []
-    assert sources[ARRIVAL].count("Intention(") == 1
+    code = {path: source for path, source in sources(root).items() if "Intention" in source}
+    assert [line for path, source in code.items() for line in made_elsewhere(path, source)] == []
+    assert code[ARRIVAL].count("Intention(") == 1
     for path, names in GUARDED.items():
-        assert names - wanting(sources[path], "Intention") == set()
-    entries = [wanting(source, "IntentionOf") for path, source in sources.items() if path.startswith("api/")]
+        assert names - wanting(code[path], "Intention") == set()
+    entries = [wanting(source, "IntentionOf") for path, source in code.items() if path.startswith("api/")]
     assert set().union(*entries) == ENTRIES
 
 
 @pytest.mark.parametrize(
     "source",
     [
-        "async def heard(epochs, runner):\n    await runner.start(1, Intention(epochs.now))",
-        "async def heard(epochs, runner):\n    await runner.start(1, epoch.Intention(epochs.now))",
-        "async def heard(old, epochs):\n    return replace(old.intention, epoch=epochs.now)",
-        "async def heard(runner):\n    await runner.start(1, cast('Intention', None))",
+        "machine.port.stop()",
+        "self._machine._port.enable('joint_1')",
+        "port.move_to('joint_1', 0.0, 1.0)",
+        "from drivers.ports import DrivePort",
+        "from service.execution.motion import Motion",
+        "anything.run_sweep(command)",
+        "runner.start(1, Intention(epochs.now))",
+        "runner.start(1, epoch.Intention(epochs.now))",
+        "replace(old.intention, epoch=epochs.now)",
+        "runner.start(1, cast('Intention', None))",
         "async def start(self, intention: Intention | None) -> None: ...",
         "async def start(self, intention: Intention = NOBODYS) -> None: ...",
         "async def start(self, *, intention: 'Intention' = NOBODYS) -> None: ...",
@@ -152,13 +139,12 @@ def test_an_intention_is_made_only_where_a_request_arrives(root: Path) -> None:
         "class Always(Intention): ...",
     ],
 )
-def test_an_intention_that_is_made_up_is_found(source: str) -> None:
-    assert list(made_elsewhere("diagnosis_loop/experiments.py", source))
+def test_a_planted_violation_is_found(source: str) -> None:
+    path = "diagnosis_loop/experiments.py"
+    assert [*violations(path, source), *made_elsewhere(path, source)]
 
 
 PLANTED = """
-from collections.abc import AsyncIterable
-
 from fastapi import APIRouter
 
 from service.api.dependencies import ApplicationOf, IntentionOf
@@ -181,26 +167,13 @@ async def start(application: ApplicationOf) -> None:
     await application.runner.start(1)  # planted
 
 
-async def heard(events: AsyncIterable[int], runner: Runner) -> None:
-    async for event in events:
-        await runner.resume(event)  # planted
-
-
-async def alone(experiments: Experiments) -> None:
+async def others(runner: Runner, experiments: Experiments, epochs: Epochs, machine: Machine, bounds: Bounds) -> None:
+    await runner.resume(1)  # planted
     await experiments.approve(1, "joint_1", "nobody", None, None)  # planted
-
-
-async def by_its_epoch(runner: Runner, epochs: Epochs) -> None:
     await runner.start(1, epochs.now)  # planted
-
-
-async def by_nothing(runner: Runner) -> None:
     await runner.start(1, None)  # planted
-
-
-async def at_the_gate(machine: Machine, envelope: Bounds) -> None:
     with machine.used_by("a handler"):  # planted
-        async with machine.motion(envelope):  # planted
+        async with machine.motion(bounds):  # planted
             machine.check_may_move()  # planted
 """
 
