@@ -10,7 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 from rich.table import Table
 
 from service.benefit import sentence
-from service.cli.recordings.identify import print_estimate
+from service.cli.tables import print_result
 from service.client import Json
 from service.demo.hidden import Found, plain
 from service.demo.run import Outcome, run_demo
@@ -77,7 +77,7 @@ def _detail(campaign: Json) -> str:
 
 
 def _print_estimate(outcome: Outcome, console: Console) -> None:
-    print_estimate(outcome.content.estimate, console)
+    print_result(outcome.content.estimate, console)
     table = Table(title="Errors against the truth in percent: median (95th percentile)")
     table.add_column("")
     for joint in outcome.content.truth_columns:

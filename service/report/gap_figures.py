@@ -8,7 +8,6 @@ import numpy as np
 from service.report.drawing import IDENTIFIED, Drawn, Figure, Part, figure, line, rounded, scale
 from service.results.cell import Bin, Cell
 from service.results.diagnosis import AxisDiagnosis, Rival
-from service.results.effect import Value
 
 BEFORE, AFTER, FLOOR, QUIET = "#c2410c", IDENTIFIED, "#15803d", "#e0b8a2"
 RECORDED = "#64748b"
@@ -263,7 +262,7 @@ def parameters(axis: AxisDiagnosis) -> Figure | None:
                 "y": [name for name, _ in rows],
                 "marker": {"size": 9, "color": AFTER},
                 "error_x": {"array": rounded(np.array(interval)), "color": AFTER, "thickness": 2, "width": 6},
-                "text": [measured(value) for _, value in rows],
+                "text": [value.words for _, value in rows],
                 "hovertemplate": "%{y} = %{text}<extra></extra>",
             }
         ],
@@ -284,11 +283,6 @@ def effect_words(effect: str) -> str:
     """An effect's name in words."""
     words = effect.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
     return words[:1].upper() + words[1:]
-
-
-def measured(value: Value) -> str:
-    """Value, standard deviation and unit of a parameter."""
-    return f"{value.value:.4g} ± {number(value.std):.2g} {unit_words(value.unit)}".rstrip()
 
 
 def unit_words(unit: str) -> str:

@@ -1,9 +1,11 @@
 """The initial analysis of an axis: "analysis" of an estimate, by joint."""
 
+import math
 from collections.abc import Mapping
 
 from service.results.effect import Value
 from service.results.part import Document, Part
+from service.results.table import Column, Table
 
 
 class Figure(Part):
@@ -43,6 +45,14 @@ class AnalysedPose(Part):
     asymptotes: Ideal
     frequency_response: tuple[AnalysedLine, ...]
 
+    @property
+    def at_least(self) -> tuple[float, float] | None:
+        """Lower bounds of the locked-rotor and of the ideal frequency, Hz, if the fitted one is above the last line."""
+        last, locked, corner = self.frequency_response[-1].frequency, self.fit.locked_rotor, self.fit.corner
+        if locked.value is not None and locked.value <= last:
+            return None
+        return last, math.sqrt(last * (math.inf if corner.value is None else corner.value))
+
 
 class PoseClass(Part):
     """Similar poses: upper limit of inertia, kg m^2 (kg, null: none), locked rotor and lowest line of a sweep, Hz."""
@@ -61,6 +71,38 @@ class AxisAnalysis(Document):
     chi_squared: float
     classes: tuple[PoseClass, ...] = ()
     poses: tuple[AnalysedPose, ...]
+
+
+def analysis_table(analyses: "Analyses") -> Table:
+    """Pose by pose: where the load swings, where friction rules, and which frequency lies between them."""
+    rows = [
+        (joint, ", ".join(f"{position:.2f}" for position in pose.pose), *_pose(pose))
+        for joint, axis in analyses.items()
+        for pose in axis.poses
+    ]
+    names = ("axis", "pose in rad", "J", "locked rotor, Hz", "friction below, Hz", "ideal, Hz", "sweep, Hz")
+    columns = zip(names, zip(*rows, strict=True), strict=True)
+    return Table("Initial analysis; in brackets by asymptotes", tuple(Column(name, values) for name, values in columns))
+
+
+def _pose(pose: AnalysedPose) -> tuple[str, ...]:
+    fit, read = pose.fit, pose.asymptotes
+    locked_rotor, ideal = _both(fit.locked_rotor, read.locked_rotor), _both(fit.frequency, read.frequency)
+    if pose.at_least is not None:  # the asymptotes then end at a resonance that is none
+        locked_rotor, ideal = (f"above {bound:.4g}" for bound in pose.at_least)
+    return _with_std(fit.inertia), locked_rotor, _both(fit.corner, read.corner), ideal, f"{fit.sweep_frequency:g}"
+
+
+def _both(fit: Figure, read: Figure) -> str:
+    return f"{_with_std(fit)} ({_text(read.value)})"
+
+
+def _with_std(figure: Figure) -> str:
+    return f"{_text(figure.value)} ± {_text(figure.std)}"
+
+
+def _text(value: float | None) -> str:
+    return f"{math.inf if value is None else value:.4g}"
 
 
 Analyses = Mapping[str, AxisAnalysis]  # by joint

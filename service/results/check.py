@@ -1,8 +1,10 @@
 """The check of the data: do recordings, set-points and robot file fit together?"""
 
+from collections.abc import Sequence
 from typing import Literal
 
 from service.results.part import Document, Part
+from service.results.table import Column, Shown, Table
 
 
 class Finding(Part):
@@ -29,8 +31,29 @@ class CheckedAxis(Part):
     codes: tuple[str, ...]
 
 
-class DataCheck(Document):
+class DataCheck(Shown, Document):
     """Do recordings, set-points and robot file fit together?"""
 
     findings: tuple[Finding, ...]
     axes: dict[str, CheckedAxis]
+
+    @property
+    def _what(self) -> str:
+        count = sum(axis.sweeps for axis in self.axes.values())
+        return f"{count} sweep{'s' * (count > 1)}"
+
+    def table(self) -> Table:
+        """One row a finding: what was found and what to do."""
+        return Table(
+            f"Check of {self._what}",
+            (
+                Column("", tuple(one.severity for one in self.findings)),
+                Column("what", tuple(one.code for one in self.findings)),
+                Column("found", tuple(one.sentence for one in self.findings)),
+                Column("to do", tuple(one.action for one in self.findings)),
+            ),
+        )
+
+    def shown(self) -> Sequence[Table | str]:
+        """The findings, or that there is none."""
+        return (self.table(),) if self.findings else (f"Nothing found in {self._what}.",)

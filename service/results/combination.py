@@ -1,8 +1,11 @@
 """Joint estimate from sweeps and trajectories: "combination" of an estimate."""
 
+from collections.abc import Sequence
+
 from pydantic import Field
 
 from service.results.part import Part
+from service.results.table import Column, Shown, Table
 
 
 class CombinedParameter(Part):
@@ -44,7 +47,7 @@ class FreeMotionAxis(Part):
     warning: str = ""
 
 
-class Combination(Part):
+class Combination(Shown, Part):
     """The joint estimate; `became_identifiable`: parameters that neither sweeps nor trajectories identify alone."""
 
     base_parameters: tuple[CombinedParameter, ...]
@@ -53,3 +56,40 @@ class Combination(Part):
     noise: dict[str, EffortNoise] = Field(default={})
     free_motions: tuple[tuple[str, ...], ...] = ()
     free_motion_axes: dict[str, FreeMotionAxis] = Field(default={})
+
+    def table(self) -> Table:
+        """Every base parameter of the whole dynamics, what determines it, or why nothing does."""
+        runs, motions = len(self.trajectories), len(self.free_motions)
+        all_of = self.base_parameters
+        became = set(self.became_identifiable)
+        by = tuple(one.reason or one.source + (", only now" if one.name in became else "") for one in all_of)
+        return Table(
+            f"Sweeps, {runs} trajectories and {motions} free motions together, SI",
+            (
+                Column("parameter", tuple(one.name for one in all_of)),
+                Column("value", tuple(one.value for one in all_of)),
+                Column("std", tuple(one.std for one in all_of), ".3g"),
+                Column("std by sweeps", tuple(one.std_sweeps for one in all_of), ".3g"),
+                Column("by trajectories", tuple(one.std_trajectories for one in all_of), ".3g"),
+                Column("of the model", tuple(one.std_nominal for one in all_of), ".3g"),
+                Column("determined by", by),
+            ),
+        )
+
+    def shown(self) -> Sequence[Table | str]:
+        """Also how well efforts of free motions are predicted along parts that the fit has not seen."""
+        identified = sum(one.identified for one in self.base_parameters)
+        parts: list[Table | str] = [
+            self.table(),
+            f"{identified} of {len(self.base_parameters)} base parameters identified",
+        ]
+        if axes := self.free_motion_axes:
+            columns = (
+                Column("axis", tuple(axes)),
+                Column("left by the fit", tuple(axis.residual_rms for axis in axes.values()), ".3g"),
+                Column("held out", tuple(axis.held_out_rms for axis in axes.values()), ".3g"),
+                Column("% of rated", tuple(axis.held_out_percent for axis in axes.values()), ".3g"),
+                Column("noise floor", tuple(axis.noise_floor_rms for axis in axes.values()), ".3g"),
+            )
+            parts.append(Table("Free motions, effort below the band's end, RMS, SI", columns))
+        return parts

@@ -1,5 +1,6 @@
 """A diagnosis: the difference between model and measurement by axis, and the resulting model."""
 
+from collections.abc import Sequence
 from typing import Literal
 
 from pydantic import Field, JsonValue
@@ -9,6 +10,7 @@ from service.results.check import Finding
 from service.results.effect import AxisFit, Effect, Value
 from service.results.experiment import Experiment
 from service.results.part import Document, Part
+from service.results.table import Column, Shown, Table
 
 Verdict = Literal["none", "named", "ambiguous", "unknown", "untestable"]
 Standing = Literal["settled", "open", "unexplained"]
@@ -158,8 +160,64 @@ class DiagnosedModel(Part):
     notes: tuple[str, ...] = ()
 
 
-class Diagnosis(Document):
+class Diagnosis(Shown, Document):
     """All axes by joint, and the model with the named effects: `sweepid diagnose --json`."""
 
     axes: dict[str, AxisDiagnosis]
     model: DiagnosedModel
+
+    def table(self) -> Table:
+        """Verdict and gap of each axis. "twin" is what the simulator leaves with the model that is handed on."""
+        axes = self.axes.values()
+        return Table(
+            "Diagnosis; gap, RMS",
+            (
+                Column("axis", tuple(self.axes), whole=True),
+                Column("verdict", tuple(axis.verdict for axis in axes)),
+                Column("effects", tuple(_named(axis) for axis in axes), whole=True),
+                Column("before", tuple(axis.gap.before_rms for axis in axes), ".4g"),
+                Column("after", tuple(axis.gap.after_rms for axis in axes), ".4g"),
+                Column("noise floor", tuple(axis.gap.noise_floor_rms for axis in axes), ".4g"),
+                Column("twin", tuple(axis.gap.twin_rms for axis in axes), ".4g"),
+                Column("", tuple(axis.unit for axis in axes)),
+            ),
+        )
+
+    def shown(self) -> Sequence[Table | str]:
+        """Also the same in words, where the gap is, the parameters, and what to measure next."""
+        return [self.table(), *(part for joint, axis in self.axes.items() for part in _axis_shown(joint, axis))]
+
+
+def _named(axis: AxisDiagnosis) -> str:
+    names = axis.candidates or [effect.effect for effect in axis.effects]
+    return (" or " if axis.candidates else ", ").join(names) or "-"
+
+
+def _axis_shown(joint: str, axis: AxisDiagnosis) -> Sequence[Table | str]:
+    from_cad = axis.started_from == "cad"
+    parts: list[Table | str] = [axis.summary]
+    if not from_cad:
+        parts.append(f"  The rigid model started from {axis.started_from}.")
+    parts += [f"  {sentence}" for sentence in axis.sentences]
+    parts += [f"  Warning: {search.sentence} {search.action}" for search in axis.unfinished]
+    for effect in axis.effects:
+        parts += _effect_lines(effect, "If it is that: " if effect.effect in axis.candidates else "")
+    for effect in axis.part:
+        parts += _effect_lines(effect, "Part of it, in addition to an unknown effect: ")
+    columns = (
+        Column("parameter", tuple(one.name for one in axis.rigid_model)),
+        Column("CAD" if from_cad else "estimate", tuple(one.nominal for one in axis.rigid_model), ".4g"),
+        Column("found", tuple(one.value for one in axis.rigid_model), ".4g"),
+        Column("± std", tuple(one.std for one in axis.rigid_model), ".2g"),
+    )
+    parts.append(Table(f"{joint}: rigid model, base parameters", columns))
+    if axis.next_experiment is not None:
+        parts.append(f"{joint}: next, {axis.next_experiment.kind}. {axis.next_experiment.reason}")
+    return parts
+
+
+def _effect_lines(effect: Effect, before: str) -> list[str]:
+    return [
+        f"  {before}{effect.sentence}",
+        *(f"    {name} = {value.words}" for name, value in effect.parameters.items()),
+    ]

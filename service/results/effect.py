@@ -1,5 +1,6 @@
 """Effects of an axis, and its rigid model: in diagnoses and in the models that users accept from them."""
 
+import math
 from typing import Annotated, Literal
 
 from pydantic import Field, JsonValue, Strict
@@ -15,6 +16,12 @@ class Value(Part):
     value: Number
     std: Number | None
     unit: str = ""
+
+    @property
+    def words(self) -> str:
+        """Value, standard deviation and unit."""
+        std = math.nan if self.std is None else self.std
+        return f"{self.value:.4g} ± {std:.2g} {self.unit.replace('^2', '²')}".rstrip()
 
 
 class Effect(Part):

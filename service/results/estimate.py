@@ -1,14 +1,16 @@
 """An estimate: `sweepid identify --json`, and each revision of a campaign."""
 
+from collections.abc import Sequence
 from typing import Annotated
 
 from pydantic import Field
 
-from service.results.analysis import AxisAnalysis
+from service.results.analysis import AxisAnalysis, analysis_table
 from service.results.combination import Combination
 from service.results.effect import Value
 from service.results.part import Document, Part
 from service.results.revision import ModelSource
+from service.results.table import Column, Shown, Table
 
 LARGEST = 1e15  # of a value in SI, as in a URDF: above any robot; its square does not overflow
 Bounded = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
@@ -95,7 +97,7 @@ class TorqueGain(Part):
     std: float
 
 
-class EstimatedAxis(Part):
+class EstimatedAxis(Shown, Part):
     """The identified values of one axis; null: not determined by its sweeps."""
 
     inertia: tuple[SweepInertia, ...]
@@ -110,6 +112,21 @@ class EstimatedAxis(Part):
     reduced_chi_squared: float | None = None
     held_out: HeldOut | None = None
     cramer_rao: CramerRao | None = None
+
+    def table(self) -> Table:
+        """Total inertia about the axis in the pose of each sweep."""
+        sweeps = self.inertia
+        return Table(
+            "Inertia about the axis, kg m^2 (kg)",
+            (
+                Column("sweep", tuple(one.sweep for one in sweeps)),
+                Column("measured", tuple(one.value for one in sweeps)),
+                Column("std", tuple(one.std for one in sweeps), ".3g"),
+                Column("std_total", tuple(one.std_total for one in sweeps), ".3g"),
+                Column("reference", tuple(one.reference for one in sweeps)),
+                Column("identified", tuple(one.identified for one in sweeps)),
+            ),
+        )
 
 
 class BaseParameter(Part):
@@ -171,7 +188,7 @@ class UsedEffect(Part):
     how: str
 
 
-class Estimate(Document):
+class Estimate(Shown, Document):
     """Axes by joint, base parameters, the initial analysis and the combination with trajectories.
 
     `model`: the model that contains the effects, null if there are none.
@@ -189,3 +206,71 @@ class Estimate(Document):
     model: ModelSource | None = None
     analysis: dict[str, AxisAnalysis] = Field(default={})
     combination: Combination | None = None
+
+    def table(self) -> Table:
+        """The base parameters."""
+        return Table(
+            "Base parameters, SI, about the joints' axes",
+            (
+                Column("parameter", tuple(one.symbolic or one.name for one in self.base_parameters)),
+                Column("value", tuple(one.value for one in self.base_parameters)),
+                Column("std", tuple(one.std for one in self.base_parameters), ".3g"),
+            ),
+        )
+
+    def shown(self) -> Sequence[Table | str]:
+        """Initial analysis, Table 1 of the paper for this robot, base parameters, and what to know of them."""
+        parts: list[Table | str] = [analysis_table(self.analysis)] if self.analysis else []
+        if self.combination is not None:
+            parts += self.combination.shown()
+        if not self.axes:
+            return parts
+        parts += [self._rmse_table(), self.table()]
+        for one in self.base_parameters:
+            if one.reason:
+                parts.append(f"Not identified: {one.symbolic or one.name}: {one.reason}")
+        parts += [f"  {name} = {of.value:.5g} {of.unit}, {of.meaning}" for name, of in self.symbols.items()]
+        if any(sweep.terms for axis in self.axes.values() for sweep in axis.inertia):
+            parts.append(self._terms_table())
+        parts += [f"Suspect: sweep {one.sweep} of {one.axis}, {one.why}" for one in self.suspect]
+        for one in self.effects:
+            parts.append(f"{'Taken into account' if one.used else 'Left out'}: {one.effect} of {one.axis}, {one.how}")
+        condition = "undetermined" if self.condition_number is None else f"{self.condition_number:.3g}"
+        return [*parts, f"Condition number of the observation matrix: {condition}"]
+
+    def _rmse_table(self) -> Table:
+        rows = ("reference - measurement", "identified - measurement", "reference - identified (workspace)", "sweeps")
+        columns = [
+            Column(
+                joint,
+                (
+                    axis.rmse_percent.reference_measured,
+                    axis.rmse_percent.identified_measured,
+                    axis.rmse_percent.reference_identified,
+                    len(axis.inertia),
+                ),
+                ".2f",
+            )
+            for joint, axis in self.axes.items()
+        ]
+        return Table("RMSE of the axis inertias in percent", (Column("", rows), *columns))
+
+    def _terms_table(self) -> Table:
+        """What else was found in records without lines, which are fitted one by one."""
+        rows = [
+            (joint, sweep.sweep, name, term.value, term.std)
+            for joint, axis in self.axes.items()
+            for sweep in axis.inertia
+            if sweep.terms
+            for name, term in {"inertia": Value(value=sweep.value, std=sweep.std), **sweep.terms}.items()
+        ]
+        return Table(
+            "Records without lines, SI",
+            (
+                Column("axis", tuple(row[0] for row in rows)),
+                Column("sweep", tuple(row[1] for row in rows)),
+                Column("term", tuple(row[2] for row in rows)),
+                Column("value", tuple(row[3] for row in rows)),
+                Column("std", tuple(row[4] for row in rows), ".3g"),
+            ),
+        )

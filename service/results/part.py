@@ -1,6 +1,8 @@
 """The base of all models of results."""
 
+import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import ClassVar, Self, cast
 
 from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
@@ -16,6 +18,13 @@ class Part(BaseModel):
     def as_json(self) -> dict[str, JsonValue]:
         """The fields that were read or set; missing keys stay missing."""
         return self.model_dump(mode="json", exclude_unset=True)
+
+    def to_json(self, path: Path | str | None = None) -> str:
+        """The JSON that the commands write, indented; also into a file. OSError where that cannot be written."""
+        text = json.dumps(self.as_json(), indent=2, allow_nan=False)
+        if path is not None:
+            Path(path).write_bytes(f"{text}\n".encode())
+        return text
 
     def with_nonempty(self, **fields: object) -> Self:
         """A copy with the fields that are not empty; an empty one stays missing in the JSON."""

@@ -116,6 +116,11 @@ def test_a_light_command_loads_nothing_heavy(root: Path, command: str, heavy: se
     assert loaded(root, LOADED, *command.split()) & heavy == set()
 
 
+def test_the_public_face_is_imported_at_once(root: Path) -> None:
+    """In a notebook its functions import what they use when they are called."""
+    assert loaded(root, f"import sweepid, json, sys\n{TELL}") & (HEAVY | {"pydantic", "typer"}) == set()
+
+
 def test_the_stop_process_loads_nothing_heavy(root: Path) -> None:
     code = f"import service.stop_process.__main__, drivers.canopen, json, sys\n{TELL}"
     assert loaded(root, code) & (MATHEMATICS | SERVER | PHYSICS | {"httpx", "pydantic_settings"}) == set()

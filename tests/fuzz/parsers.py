@@ -20,10 +20,7 @@ from drivers.registry import load_profile
 from service.backup.manifest import read_manifest
 from service.cli.campaign.measure import plan_number
 from service.cli.commands.export import export_path
-from service.cli.documents import read_document
 from service.cli.recordings.control_file import import_control_file
-from service.cli.recordings.gains_file import read_gains
-from service.cli.recordings.identify import read_effects
 from service.configuration import read_robot, read_text
 from service.diagnosis.start import started_from
 from service.errors import BadInput
@@ -53,6 +50,7 @@ from simulator.drive.dictionary import Dictionary
 from simulator.foreign.dictionary import ForeignDictionary
 from simulator.modbus.register_map import RegisterMapError, load_register_map
 from simulator.scenario import ScenarioError, load_scenario
+from sweepid.files import read_document, read_effects, read_gains
 from tests.fuzz import measurement_files, seeds
 from tests.fuzz.seeds import CONFIG, Seed
 

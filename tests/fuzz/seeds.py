@@ -18,15 +18,15 @@ from typing import Any, cast
 import numpy as np
 import pyarrow as pa
 
+import sweepid
 from service.backup.manifest import Manifest, StoredFile
-from service.cli.recordings.identify import identify_bundle
 from service.configuration import read_robot
 from service.geometry.cell import read_cell
 from service.identification.design.excitation import Excitation
 from service.identification.design.sweep_path import way
 from service.planning.plan import PlanRequest, build_plan
 from service.recording import Sine, Sweep
-from service.store.files.bundle import read_bundle, write_bundle
+from service.store.files.bundle import write_bundle
 from tests.control_file import Loop, tuning_xml
 from tests.rigid_sweep import rigid_sweep
 
@@ -127,7 +127,7 @@ def estimate() -> bytes:
         write_bundle(
             Path(folder) / "b", read_robot(CONFIG / "robots/max100-class.yaml"), [sweep(number) for number in (1, 2, 3)]
         )
-        return json.dumps(identify_bundle(read_bundle(Path(folder) / "b"), None, "bundle").as_json()).encode()
+        return json.dumps(sweepid.identify(Path(folder) / "b").as_json()).encode()
 
 
 @functools.cache

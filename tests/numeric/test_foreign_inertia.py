@@ -10,11 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.cli.recordings.diagnose import diagnose_bundle
-from service.cli.recordings.identify import identify_bundle
-from service.diagnosis import model_document
-from service.identification.axis.known_effects import known_effects
-from service.results.revision import KnownModel, ModelFile
+import sweepid
 from service.store.files.bundle import read_bundle
 
 MEDIAN, MOST = 0.003, 0.01  # of J: error of a single sweep, median and 95th percentile
@@ -24,9 +20,7 @@ SCATTER = 1.3  # standard deviations, RMS
 @pytest.mark.parametrize("number", ["04", "10", "11"])
 def test_named_effects_mend_the_inertia(number: str, shared: Path) -> None:
     bundle = read_bundle(shared / "data/foreign" / number)
-    model = model_document(bundle.robot, diagnose_bundle(bundle, None, number, twin=False).as_json())
-    known = known_effects(KnownModel.read(model, "model"), bundle.robot.joints, ModelFile(file="model.json"))
-    found = identify_bundle(bundle, None, number, known=known)
+    found = sweepid.identify(bundle, effects=sweepid.diagnose(bundle, twin=False))
     assert all(effect.used for effect in found.effects)
     truth = json.loads((shared / "data/foreign/truth.json").read_text())[number]
     true = dict(zip((sweep.spec.id for sweep in bundle.sweeps), truth["J_true"], strict=True))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.cli.recordings.identify import identify_bundle
+import sweepid
 from service.errors import BadInput
 from service.identification.estimates.combination import AxisInertias, Combination, Source, combine
 from service.identification.model.inverse_dynamics import Motion
@@ -111,7 +111,7 @@ def test_a_bundle_of_free_motions_alone_is_identified(tmp_path: Path) -> None:
     truth = draw(160, 3)
     write_bundle(tmp_path / "b", truth.robot, logs(truth, 160))
     bundle = read_bundle(tmp_path / "b")
-    document: Any = identify_bundle(bundle, None, "b").as_json()
+    document: Any = sweepid.identify(bundle).as_json()
     assert document["axes"] == {}
     combination = document["combination"]
     assert [len(ids) for ids in combination["free_motions"]] == [3, 3]
@@ -124,7 +124,7 @@ def test_a_bundle_of_free_motions_alone_is_identified(tmp_path: Path) -> None:
         assert axis["held_out_percent"] < 2
         assert axis["noise_floor_rms"] is None
     with pytest.raises(BadInput, match="no sweep of joint joint_1"):
-        identify_bundle(Bundle(bundle.robot, bundle.sweeps), "joint_1", "b")
+        sweepid.identify(Bundle(bundle.robot, bundle.sweeps), "joint_1")
 
 
 def test_sweeps_and_free_motion_are_one_estimate() -> None:

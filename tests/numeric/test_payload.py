@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.cli.recordings.payload import payload_of
 from service.errors import BadInput
 from service.identification.estimates.torque_gain import KnownMass
 from service.identification.payloads.payload import Payload, body_of, payload
 from service.recording import Sweep
-from service.store.files.bundle import read_bundle, write_bundle
+from service.store.files.bundle import write_bundle
 from simulator import LinkDeviation
 from simulator.scenario import AddedBody
+from sweepid import payload as payload_of
 from tests.command import sweepid
 from tests.numeric.campaign import measure_at, scenario_named
 from tests.numeric.free_motion import PAYLOAD, Truth, draw, log, program, wander
@@ -141,7 +141,7 @@ def test_sweeps_tell_the_payload(tmp_path: Path) -> None:
     before, after = measure_at(bare, 3, poses), measure_at(loaded, 4, poses)
     for name, campaign in (("before", before), ("after", after)):
         write_bundle(tmp_path / name, campaign.robot, campaign.sweeps)
-    found = payload_of(read_bundle(tmp_path / "before"), read_bundle(tmp_path / "after"), "after")
+    found = payload_of(tmp_path / "before", tmp_path / "after")
     figures = [found.mass, *found.center.values(), *found.inertia.values()]
     for figure, value in zip(figures, true, strict=True):
         print(f"{figure.value} +- {figure.std}, true {value:.4f}")

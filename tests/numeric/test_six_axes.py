@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.cli.recordings.identify import identify_bundle
+import sweepid
 from service.identification import identify
 from service.identification.design.exciting_trajectory import Shape
 from service.identification.estimates.combination import Combination, combine, inertias_of
@@ -80,10 +80,10 @@ def test_a_bundle_with_trajectories_is_identified_by_both(measured: Measured, tm
     few = [sweep for sweep in measured.sweeps if sweep.spec.axis in ("joint_2", "joint_6")]
     write_bundle(tmp_path / "b", measured.robot, [*few, *measured.trajectories[0]])
     bundle = read_bundle(tmp_path / "b")
-    document: Any = identify_bundle(bundle, None, "b").as_json()
+    document: Any = sweepid.identify(bundle).as_json()
     assert set(document["axes"]) == {"joint_2", "joint_6"}
     assert [len(sweeps) for sweeps in document["combination"]["trajectories"]] == [6]
     found = {parameter["name"]: parameter for parameter in document["combination"]["base_parameters"]}
     assert found["Fc(joint_2)"]["value"] == pytest.approx(155, rel=0.02)
     assert found["Fc(joint_2)"]["source"] == "trajectories"
-    assert identify_bundle(bundle, "joint_2", "b").as_json()["combination"] is None
+    assert sweepid.identify(bundle, "joint_2").as_json()["combination"] is None

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+import sweepid
 from drivers.ports import AxisState
 from service.application import Application, open_application
-from service.cli.recordings.identify import identify_bundle
 from service.estimation import estimate_document
 from service.execution.epoch import Intention
 from service.geometry.cell import read_cell
@@ -219,7 +219,7 @@ async def test_axes_that_move_at_once_are_identified_together(application: Appli
     assert found["Fc(joint_5)"]["value"] == pytest.approx(23, rel=0.1)
     assert not found["Fc(joint_1)"]["identified"]
     await application.export_bundle(campaign.id, tmp_path / "bundle")
-    offline: Any = identify_bundle(read_bundle(tmp_path / "bundle"), None, "bundle").as_json()
+    offline: Any = sweepid.identify(tmp_path / "bundle").as_json()
     assert offline["axes"] == {}
     assert offline["combination"]["trajectories"] == estimate["combination"]["trajectories"] == [["0001", "0002"]]
     parts = {parameter["name"]: parameter for parameter in offline["combination"]["base_parameters"]}

@@ -12,11 +12,11 @@ from pathlib import Path
 from inertias import inertia_unit
 from runbook import Exit, Runbook, parser_of, run
 
-from service.cli.documents import as_json, write_file
-from service.cli.recordings.identify import identify_bundle
+import sweepid
+from service.cli.documents import write_file
 from service.data_check import check, findings_document
 from service.errors import BadInput
-from service.store.files.bundle import read_bundle, write_bundle
+from service.store.files.bundle import write_bundle
 from service.traces.trace_import import import_trace
 
 
@@ -42,9 +42,9 @@ def from_a_trace(book: Runbook) -> Exit:
         return Exit.DONE
     write_bundle(given.out, robot, sweeps)
     book.step("bundle", f"{given.out}")
-    document = identify_bundle(read_bundle(given.out), None, str(given.out), None, None)
+    document = sweepid.identify(given.out)
     estimate = given.out.with_name(f"{given.out.name}-estimate.json")
-    write_file(estimate, as_json(document))
+    write_file(estimate, document.to_json())
     for joint in axes:
         inertia = document.axes[joint].inertia if joint in document.axes else ()
         for sweep in inertia:

@@ -6,22 +6,21 @@ from pathlib import Path
 
 from pydantic import Field, JsonValue
 
-from service.cli.documents import read_document
+import sweepid
 from service.cli.recordings.bundle_page import bundle_page, made_now
-from service.cli.recordings.identify import identify_bundle
 from service.errors import BadInput
 from service.report import CampaignReport, Page, campaign_page, diagnosis_page
 from service.results.diagnosis import Diagnosis
 from service.results.estimate import Estimate
 from service.results.part import Document, Part
-from service.store.files.bundle import read_bundle
+from sweepid.files import read_document
 
 
 def result_page(path: Path) -> Page:
     """Of a bundle (then identified and checked), an estimate, an initial analysis or a diagnosis; BadInput if none."""
     if path.is_dir():
-        bundle = read_bundle(path)
-        return bundle_page(bundle, identify_bundle(bundle, None, str(path)), str(path))
+        bundle = sweepid.read_bundle(path)
+        return bundle_page(bundle, sweepid.identify(bundle), str(path))
     some = read_document(path, _Some)
     if any(axis.verdict is not None for axis in some.axes.values()):
         found = read_document(path, Diagnosis)

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+import sweepid
 from service.cli.options import DEFAULT_URL, Bundle, JsonTo, Url
 from service.errors import BadInput
 
@@ -18,19 +19,12 @@ def check(
 
     from service.cli.documents import put_json
     from service.cli.progress_indicator import waiting
-    from service.cli.recordings.check import print_findings
-    from service.data_check import check as check_data
-    from service.data_check import findings_document
-    from service.results.check import DataCheck
-    from service.store.files.bundle import read_bundle
+    from service.cli.tables import print_result
 
     with waiting("checking the data"):
-        measured = read_bundle(bundle)
-        findings = check_data(measured.robot, measured.sweeps)
-    document = findings_document(measured.robot, measured.sweeps, findings)
-    if put_json(DataCheck.read(document, str(bundle)), json_to):
-        return
-    print_findings(findings, len(measured.sweeps), Console())
+        found = sweepid.check(bundle)
+    if not put_json(found, json_to):
+        print_result(found, Console())
 
 
 def check_sheet(
@@ -45,11 +39,12 @@ def check_sheet(
     json_to: JsonTo = None,
 ) -> None:
     """Compare a later measurement with a sheet, axis by axis, with significance. Exit code 1: the robot differs."""
-    from service.cli.documents import put_json, read_document
+    from service.cli.documents import put_json
     from service.cli.exports.check_sheet import as_text, of_bundle, of_campaign
     from service.cli.progress_indicator import waiting
     from service.export.sheets.same_robot import compare
     from service.results.identified.sheet import Sheet
+    from sweepid.files import read_document
 
     stored = read_document(sheet, Sheet)
     if (bundle is None) == (campaign is None):

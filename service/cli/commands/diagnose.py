@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+import sweepid
 from service.cli.options import Bundle, JsonTo
 
 
@@ -32,24 +33,26 @@ def diagnose(
     """Find where simulation and measurement disagree, and name the missing effect."""
     from rich.console import Console
 
-    from service.cli.documents import as_json, put_json, write_file
-    from service.cli.progress_indicator import waiting
-    from service.cli.recordings.diagnose import diagnose_bundle, print_diagnosis, write_scenario
-    from service.diagnosis import model_document
-    from service.results.revision import ModelRevision
-    from service.store.files.bundle import read_bundle
+    from service.cli.documents import put_json, write_file
+    from service.cli.progress_indicator import counted, waiting
+    from service.cli.tables import print_result
 
     with waiting("diagnosing"):
-        measured = read_bundle(bundle)
-        found = diagnose_bundle(measured, axis, str(bundle), known or (), estimate, twin=twin)
+        measured = sweepid.read_bundle(bundle)
+        found = sweepid.diagnose(measured, axis, known=known or (), start=estimate, twin=twin, progress=counted)
     if model is not None:
-        write_file(model, as_json(ModelRevision.read(model_document(measured.robot, found.as_json()), str(bundle))))
+        from service.diagnosis import model_document
+        from service.results.revision import ModelRevision
+
+        revision = ModelRevision.read(model_document(measured.robot, found.as_json()), str(bundle))
+        write_file(model, revision.to_json())
     if scenario is not None:
+        from service.cli.recordings.scenario_file import write_scenario
+
         write_scenario(scenario, measured.robot, found.model)
     if report is not None:
         from service.report import diagnosis_page
 
         write_file(report, diagnosis_page(found, f"Diagnosis of the robot {found.model.robot}", str(bundle)).html())
-    if put_json(found, json_to):
-        return
-    print_diagnosis(found, Console())
+    if not put_json(found, json_to):
+        print_result(found, Console())

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
+import sweepid
 from service.cli.options import Bundle, Gains, JsonTo
 from service.errors import BadInput
 
@@ -44,10 +45,10 @@ def torque_gain(
     """Calibrate the torque constant of every axis with a known mass on the last link."""
     from service.cli.documents import put_json
     from service.cli.progress_indicator import waiting
-    from service.cli.recordings.gains_file import AxisGain, Gain, TorqueGains
     from service.cli.recordings.torque_gain import calibrate, print_gains
     from service.identification.estimates.torque_gain import KnownMass
     from service.store.files.bundle import read_bundle
+    from sweepid.files import AxisGain, Gain, TorqueGains
 
     place, shape = _numbers("--center", center, 3), _numbers("--inertia", inertia, 6)
     body = KnownMass(
@@ -85,14 +86,12 @@ def payload(
 
     from service.cli.documents import put_json
     from service.cli.progress_indicator import waiting
-    from service.cli.recordings.payload import payload_of, print_payload
-    from service.store.files.bundle import read_bundle
+    from service.cli.tables import print_result
 
     with waiting("identifying the payload"):
-        document = payload_of(read_bundle(before), read_bundle(after), str(after), gains)
-    if put_json(document, json_to):
-        return
-    print_payload(document, Console())
+        found = sweepid.payload(before, after, torque_gain=gains)
+    if not put_json(found, json_to):
+        print_result(found, Console())
 
 
 def benefit(

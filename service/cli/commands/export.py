@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+import sweepid
 from service.cli.options import DEFAULT_URL, Bundle, JsonTo, SideFile, Source, Url
 from service.errors import BadInput
 
@@ -50,11 +51,9 @@ def export_model(
 ) -> None:
     """Write the identified robot as model.urdf, model.xml (MJCF), model.yaml and robot.yaml (side file)."""
     from service.cli.exports.estimates import read_estimate
-    from service.export import model_of, write_model
 
     known, estimate, _ = read_estimate(source, robot)
-    model = model_of(known, estimate, str(source))
-    write_model(folder, model)
+    model = sweepid.export(known, estimate, folder, place=str(source))
     if model.deviation_in_std:
         typer.echo(
             "these base parameters are not physically possible; the model contains the nearest possible ones, "
@@ -81,13 +80,14 @@ def export_sheet(
     json_to: JsonTo = None,
 ) -> None:
     """Tell the identified inertias as the values that controls take, with uncertainty and the place to type them."""
-    from service.cli.documents import put_json, read_document
+    from service.cli.documents import put_json
     from service.cli.exports.estimates import read_estimate
     from service.export.sheets.load import load_of
     from service.export.sheets.making import sheet
     from service.export.sheets.supplementary import UPRIGHT
     from service.export.sheets.text import as_markdown
     from service.results.identified.payload import Payload
+    from sweepid.files import read_document
 
     known, estimate, bundle = read_estimate(source, robot)
     poses = None if bundle is None else {sweep.spec.id: sweep.spec.pose for sweep in bundle.sweeps}

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+import sweepid
 from service.cli.options import Bundle, Gains, JsonTo
 
 
@@ -22,24 +23,16 @@ def identify(
     from rich.console import Console
 
     from service.cli.documents import put_json, write_file
-    from service.cli.progress_indicator import waiting
-    from service.cli.recordings.gains_file import read_gains
-    from service.cli.recordings.identify import identify_bundle, print_estimate, read_effects
-    from service.store.files.bundle import read_bundle
+    from service.cli.progress_indicator import counted, waiting
+    from service.cli.tables import print_result
 
     with waiting("reading the bundle"):
-        measured = read_bundle(bundle)
-    found = identify_bundle(
-        measured,
-        axis,
-        str(bundle),
-        read_gains(gains) if gains else None,
-        read_effects(model, measured.robot) if model else None,
-    )
+        measured = sweepid.read_bundle(bundle)
+    with waiting("estimating"):
+        found = sweepid.identify(measured, axis, torque_gain=gains, effects=model, progress=counted)
     if report is not None:
         from service.cli.recordings.bundle_page import bundle_page
 
         write_file(report, bundle_page(measured, found, str(bundle)).html())
-    if put_json(found, json_to):
-        return
-    print_estimate(found, Console())
+    if not put_json(found, json_to):
+        print_result(found, Console())

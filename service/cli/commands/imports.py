@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+import sweepid
 from service.cli.options import DEFAULT_URL, Url
 from service.errors import BadInput
 
@@ -96,11 +97,9 @@ def import_trace(
     from service.cli.progress_indicator import waiting
     from service.cli.recordings.check import warn
     from service.data_check import check
-    from service.store.files.bundle import write_bundle
-    from service.traces import trace_import
 
     with waiting("reading the traces"):
-        robot, sweeps = trace_import.import_trace(mapping, source)
-    write_bundle(out, robot, sweeps)
-    warn(check(robot, sweeps))
-    typer.echo(f"{out}: {len(sweeps)} sweep{'s' if len(sweeps) > 1 else ''} of {robot.name}", err=True)
+        made = sweepid.import_trace(mapping, source, out)
+    warn(check(made.robot, made.sweeps))
+    count = len(made.sweeps)
+    typer.echo(f"{out}: {count} sweep{'s' if count > 1 else ''} of {made.robot.name}", err=True)

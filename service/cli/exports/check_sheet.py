@@ -5,12 +5,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from service.cli.recordings.identify import identify_bundle
+import sweepid
 from service.client import ServiceClient
 from service.results.estimate import Estimate
 from service.results.identified.sheet_check import AxisCheck, SheetCheck
 from service.robot import Robot, RobotDescription, build_robot
-from service.store.files.bundle import read_bundle
 
 Poses = dict[str, NDArray[np.float64]]
 
@@ -35,9 +34,9 @@ def _line(axis: AxisCheck) -> str:
 
 def of_bundle(place: Path) -> tuple[Robot, Estimate, Poses]:
     """Robot, estimate and the poses of each axis."""
-    measured = read_bundle(place)
+    measured = sweepid.read_bundle(place)
     specs = {sweep.spec.id: sweep.spec.pose for sweep in measured.sweeps}
-    estimate = identify_bundle(measured, None, str(place))
+    estimate = sweepid.identify(measured)
     return measured.robot, estimate, _poses(estimate, specs)
 
 

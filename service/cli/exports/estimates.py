@@ -2,24 +2,24 @@
 
 from pathlib import Path
 
-from service.cli.documents import LARGEST, read_document
-from service.cli.recordings.identify import identify_bundle
-from service.configuration import read_robot, read_text
+import sweepid
+from service.configuration import read_text
 from service.errors import BadInput
 from service.results.estimate import Estimate
 from service.robot import Robot
-from service.store.files.bundle import Bundle, read_bundle
+from service.store.files.bundle import Bundle
+from sweepid.files import LARGEST, read_document
 
 
 def read_estimate(source: Path, side_file: Path | None) -> tuple[Robot, Estimate, Bundle | None]:
     """Robot, estimate, and the bundle that it was made of here; None: it was read from a file."""
     if source.is_dir():
-        bundle = read_bundle(source)
-        return bundle.robot, identify_bundle(bundle, None, str(source)), bundle
+        bundle = sweepid.read_bundle(source)
+        return bundle.robot, sweepid.identify(bundle), bundle
     if side_file is None:
         if not source.exists():  # a misspelt name may be that of a bundle
             read_text(source, LARGEST)
         raise BadInput(
             "--robot", "is required with an estimate, which contains neither geometry nor gear ratios of the robot"
         )
-    return read_robot(side_file), read_document(source, Estimate), None
+    return sweepid.read_robot(side_file), read_document(source, Estimate), None

@@ -9,7 +9,7 @@ import typer
 from numpy.typing import NDArray
 from rich.console import Console
 
-from service.cli.documents import as_json, put_json
+from service.cli.documents import put_json
 from service.errors import BadInput
 from service.sinumerik import measurement, tuning
 from service.sinumerik.document import (
@@ -40,7 +40,7 @@ def import_control_file(path: Path, given: Given, out: Path | None, json_to: str
         document = measurement_document(found, given, str(path))
         tables = {"frequency_response": response_table(found), "recording": recording_table(found)}
     if out is not None:
-        _write(out, as_json(document), tables)
+        _write(out, document.to_json(), tables)
     if unread := document.unread:
         more = f" and {len(unread) - SOME} more (all in the JSON)" if len(unread) > SOME else ""
         typer.echo(f"{path}: members not read: {', '.join(unread[:SOME])}{more}", err=True)

@@ -1,9 +1,12 @@
 """A payload on the last link: `sweepid estimate payload --json`."""
 
+from collections.abc import Sequence
+
 from pydantic import AliasChoices, ConfigDict, Field
 
 from service.results.effect import Number
 from service.results.part import Document, Part
+from service.results.table import Column, Shown, Table
 
 
 class Figure(Part):
@@ -49,7 +52,7 @@ class Evidence(Part):
     source: str = Field(validation_alias=AliasChoices("from", "source"), serialization_alias="from")
 
 
-class Payload(Document):
+class Payload(Shown, Document):
     """SI, in the `frame` of the last joint; `center` and `inertia` about it by name. `sentences`: text for the user."""
 
     link: str
@@ -61,3 +64,22 @@ class Payload(Document):
     physical: Physical
     evidence: tuple[Evidence, ...]
     sentences: tuple[str, ...]
+
+    def table(self) -> Table:
+        """Mass, centre of mass and inertia about it."""
+        rows = {"mass": self.mass}
+        rows |= {f"center {name}": figure for name, figure in self.center.items()}
+        rows |= {f"{name} about the center": figure for name, figure in self.inertia.items()}
+        return Table(
+            f"Payload on {self.link}, in the frame of {self.frame}, SI",
+            (
+                Column("", tuple(rows)),
+                Column("value", tuple(one.value for one in rows.values()), ".4g"),
+                Column("std", tuple(one.std for one in rows.values()), ".4g"),
+                Column("std with torque constants", tuple(one.std_total for one in rows.values()), ".4g"),
+            ),
+        )
+
+    def shown(self) -> Sequence[Table | str]:
+        """Also what is not known, in words."""
+        return (self.table(), *self.sentences)

@@ -7,7 +7,7 @@ renamed when it is complete, so a bundle is always complete.
 
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 from uuid import uuid4
@@ -27,10 +27,11 @@ MOST_NUMBERS = 250_000_000  # all sweeps of a bundle are in memory together
 
 @dataclass(frozen=True, slots=True)
 class Bundle:
-    """A robot and its measured sweeps, in the order of bundle.json."""
+    """A robot and its measured sweeps, in the order of bundle.json; `place` is told in errors."""
 
     robot: Robot
     sweeps: tuple[Sweep, ...]
+    place: str = field(default="bundle", compare=False)
 
 
 class _Entry(SweepSpec):
@@ -68,7 +69,7 @@ def read_bundle(directory: Path) -> Bundle:
         check_possible(sweep.recording, here)
         check_clock(sweep, here)
         sweeps.append(sweep)
-    return Bundle(robot, tuple(sweeps))
+    return Bundle(robot, tuple(sweeps), str(directory))
 
 
 def write_bundle(

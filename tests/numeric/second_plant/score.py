@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.markdown import Markdown
 from rich.progress import track
 
-from service.cli.recordings.identify import identify_bundle
+import sweepid
 from service.diagnosis.diagnose import diagnose_axis
 from service.diagnosis.document import axis_document
 from service.store.files.bundle import Bundle
@@ -68,13 +68,13 @@ def diagnosed(path: Path, *, inertia: bool, paper: bool = False) -> dict[str, An
     said = {key: value for key, value in said.items() if key not in LEFT_OUT}
     said["seconds"] = time.process_time() - before
     if inertia:
-        said["inertia"] = _inertia(Bundle(robot, tuple(sweeps)), joint, path)
+        said["inertia"] = _inertia(Bundle(robot, tuple(sweeps), str(path)), joint)
     return said
 
 
-def _inertia(bundle: Bundle, joint: str, path: Path) -> list[dict[str, Any]]:
+def _inertia(bundle: Bundle, joint: str) -> list[dict[str, Any]]:
     try:
-        found = identify_bundle(bundle, joint, str(path)).as_json()["axes"][joint]["inertia"]
+        found = sweepid.identify(bundle, joint).as_json()["axes"][joint]["inertia"]
     except Exception as error:  # noqa: BLE001 - the same
         return [{"error": f"{type(error).__name__}: {error}"}]
     return [{key: one[key] for key in ("sweep", "value", "std")} for one in found]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from service.cli.recordings.identify import print_estimate
+from service.cli.tables import print_result
 from service.identification.estimates.analysis_document import analyses_document
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.results.estimate import Estimate
@@ -154,7 +154,7 @@ def test_a_locked_rotor_above_the_band_is_told_as_such() -> None:
     written = StringIO()
     analyses = analyses_document({"swing": analysis(train=STIFF)})
     found = Estimate.read(stored("analysis"), "estimate").model_copy(update={"analysis": analyses})
-    print_estimate(found, Console(file=written, width=200))
+    print_result(found, Console(file=written, width=200))
     rows = [line for line in written.getvalue().splitlines() if "swing" in line]
     assert len(rows) == 4
     for row in rows:

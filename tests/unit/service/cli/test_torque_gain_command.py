@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from service.cli.commands.estimate import torque_gain
-from service.cli.recordings.gains_file import read_gains
 from service.errors import BadInput
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Axis, RobotDescription, build_robot
 from service.store.files.bundle import write_bundle
+from sweepid.files import read_gains
 from tests.command import sweepid
 from tests.unit.service.cli.test_identify import URDF
 

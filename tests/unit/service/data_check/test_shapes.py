@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.cli.recordings.diagnose import diagnose_bundle
-from service.cli.recordings.identify import identify_bundle
+import sweepid
 from service.data_check import check, findings_document
 from service.errors import BadInput
 from service.recording import Recording, Sweep
@@ -24,9 +23,9 @@ pytestmark = pytest.mark.slow
 
 USES: dict[str, Callable[[Bundle], object]] = {
     "check": lambda bundle: findings_document(bundle.robot, bundle.sweeps, check(bundle.robot, bundle.sweeps)),
-    "identify": lambda bundle: identify_bundle(bundle, None, "bundle").as_json(),
-    "diagnose": lambda bundle: diagnose_bundle(bundle, None, "bundle", twin=False).as_json(),
-    "diagnose with its twin": lambda bundle: diagnose_bundle(bundle, None, "bundle").as_json(),
+    "identify": lambda bundle: sweepid.identify(bundle).as_json(),
+    "diagnose": lambda bundle: sweepid.diagnose(bundle, twin=False).as_json(),
+    "diagnose with its twin": lambda bundle: sweepid.diagnose(bundle).as_json(),
 }
 
 CHANGES: dict[str, Callable[[Recording], Recording]] = {

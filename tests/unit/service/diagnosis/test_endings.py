@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from rich.console import Console
 
-from service.cli.recordings.diagnose import print_diagnosis
+from service.cli.tables import print_result
 from service.diagnosis import axis_document, diagnose_axis, model_document
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.patch import Inexpressible
@@ -236,7 +236,7 @@ def test_command_and_report_show_it_and_older_documents_are_read() -> None:
         diagnosis_page(document, "t").html()
     )
     shown = io.StringIO()
-    print_diagnosis(document, Console(file=shown, width=200))
+    print_result(document, Console(file=shown, width=200))
     assert "Warning: joint_1: the search <1> used up its steps. Compare the gap." in shown.getvalue()
     older = diagnosis(joint_1=stored_axis())
     assert older.axes["joint_1"].unfinished == ()

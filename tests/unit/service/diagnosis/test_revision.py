@@ -7,7 +7,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from service.cli.recordings.diagnose import write_scenario
+from service.cli.recordings.scenario_file import write_scenario
 from service.diagnosis import model_document
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.patch import Patch
