@@ -40,7 +40,7 @@ test: check $(TESTS)  ## all checks, then the tests of the first tier; with PART
 
 # What computes, then what moves a machine in real time: such a test starves beside one that computes.
 test-computing: $(READY)
-	$(TIER) tests/architecture tests/benchmarks tests/fuzz tests/numeric tests/soak tests/unit tests/virtual_time
+	$(TIER) tests/architecture tests/benchmarks tests/fuzz tests/numeric tests/unit tests/virtual_time
 
 test-machines: $(READY)
 	$(TIER) tests/browser tests/contract tests/system

@@ -7,14 +7,10 @@ the first tier, `make test`, has each once. What docs/explanation/safety.md name
 from functools import cache
 from typing import NamedTuple
 
+from tests.faults import ADAPTERS, FAULTS
+
 PARTS = 10  # each `.ci/run` runs one of them
 
-FAULTS = (  # of tests/system/test_fault_table.py; an adapter has most of them
-    "drive fault", "fault of an axis that stands", "EMCY without a fault state", "lost PDO", "duplicated PDOs",
-    "late PDOs", "bus-off", "silent node that stands", "silent node", "frozen sample counter", "limit switch",
-    "emergency stop", "small encoder glitch", "large encoder glitch", "torque saturation", "reboot of the node",
-    "wrong identity", "swapped addresses",
-)  # fmt: skip
 _TABLE = "tests/system/test_fault_table.py::test_a_fault_ends_in_standstill_and_waits_for_a_person"
 _STOP = "tests/system/test_stop.py"
 _DIAGNOSIS = "tests/browser/test_diagnosis_page.py"
@@ -111,42 +107,30 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
         )
     },
     # faults, through the service at each adapter
-    **{
-        f"{_TABLE}[{adapter}-{fault}": 8
-        for adapter in ("CANopen, drive's own sweep", "CANopen, streamed sweep", "Modbus TCP")
-        for fault in FAULTS
-    },
-    # walks at random
-    "tests/system/test_any_order.py::test_nothing_moves_unasked_and_nothing_is_lost[canopen-streamed": 22,
-    "tests/system/test_any_order.py::test_nothing_moves_unasked_and_nothing_is_lost[canopen": 22,
-    "tests/system/test_any_order.py::test_nothing_moves_unasked_and_nothing_is_lost[modbus": 22,
+    **{f"{_TABLE}[{adapter.name}-{fault}": 8 for adapter in ADAPTERS for fault in FAULTS},
+    # a walk at random
+    "tests/system/test_any_order.py": 22,
     # what parts show by themselves, shown again by all processes together, or for a second way, drive or database
     "tests/system/test_attack.py": 30,
     "tests/system/test_backup_while_measuring.py": 22,
-    "tests/system/test_cabinet_restart.py": 17,
     "tests/system/test_campaign_in_process.py::test_both_ways_of_measuring_give_the_same_inertia": 12,
     "tests/system/test_demo.py::test_interrupted_demo_stops_the_machine_first": 18,
-    "tests/system/test_demo_operator.py::test_a_suspended_computer_is_released_and_the_campaign_ends": 9,
     "tests/system/test_diagnosis_campaign.py::test_the_other_blocks_run_and_none_spoils_the_inertia": 8,
-    "tests/system/test_diagnosis_loop.py::test_the_loop_runs_alone_on_a_virtual_machine": 12,
-    "tests/system/test_import_killed.py": 20,
+    "tests/system/test_diagnosis_campaign.py::test_the_loop_runs_alone_on_a_virtual_machine": 12,
     "tests/system/test_makers_campaign.py": 60,
-    "tests/system/test_runbook_diagnosis.py::test_from_a_campaign_to_the_accepted_model": 15,
+    "tests/system/test_diagnosis_campaign.py::test_the_runbook_goes_from_a_campaign_to_the_accepted_model": 15,
     "tests/system/test_runbooks.py::test_a_night_ends_with_the_confidence": 10,
     "tests/system/test_runbooks.py::test_an_unchanged_machine_passes_the_daily_check": 10,
     "tests/system/test_runbooks.py::test_another_load_is_a_change": 10,
     "tests/system/test_runbooks.py::test_another_load_is_red": 10,
     "tests/system/test_runbooks.py::test_sigterm_stops_the_machine_and_after_a_stop_leads_on": 15,
     "tests/system/test_runbooks.py::test_the_sheet_tells_the_robot_from_one_with_another_load": 10,
-    "tests/system/test_runbooks_concurrent.py::test_a_backup_is_restored_once_the_service_has_ended": 8,
-    "tests/system/test_runbooks_concurrent.py::test_a_damaged_backup_is_not_restored": 5,
-    "tests/system/test_runbooks_concurrent.py::test_a_trace_becomes_an_inertia": 8,
-    "tests/system/test_second_host.py::test_an_idle_machine_hears_it_as_well": 7,
-    "tests/system/test_second_host.py::test_words_of_a_stop_are_nobodys_trespass": 7,
-    f"{_STOP}::test_a_press_that_comes_by_both_ways_is_one_stop_and_both_answers_are_good[canopen-host": 8,
-    f"{_STOP}::test_measure_told_to_end_stops_the_machine[canopen-1-": 8,
-    "tests/system/test_stops_in_the_audit.py::test_a_lease_that_another_has_taken": 7,
-    "tests/system/test_stops_in_the_audit.py::test_the_end_of_a_service_that_moves_nothing_is_no_stop": 7,
+    "tests/system/test_runbooks.py::test_a_backup_is_restored_once_the_service_has_ended": 8,
+    "tests/system/test_runbooks.py::test_a_damaged_backup_is_not_restored": 5,
+    "tests/system/test_runbooks.py::test_a_trace_becomes_an_inertia": 8,
+    f"{_STOP}::test_measure_told_to_end_stops_the_machine[SIGHUP": 4,
+    f"{_STOP}::test_told_to_end_the_machine_comes_before_open_requests[SIGHUP": 8,
+    f"{_STOP}::test_told_to_end_the_machine_comes_before_open_requests[SIGINT": 8,
     "tests/system/test_two_cells.py::test_two_cells_measure_at_once_and_one_is_killed[sqlite": 30,
     "tests/system/test_virtual_modbus.py[modbus-rtu": 2,
     # further states of the page
@@ -188,7 +172,6 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/numeric/test_planned_confidence.py::test_the_fewer_sweeps_know_inertia_as_well": 5,
     # how much, not whether
     "tests/benchmarks/test_ratios.py::test_no_ratio_is_much_worse": 40,
-    "tests/soak/test_workers.py": 60,
 }
 
 

@@ -13,19 +13,16 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import httpx
 import psutil
 
 from service.client import ServiceClient, ServiceProblem, ServiceUnreachable
+from tests.faults import ADAPTERS, AXIS, FAULTS, Adapter, Order
 from tests.soak import data_faults
 from tests.system.rest_bench import PATIENCE, Service, VirtualMachine
-
-AXIS, OTHER = "joint_1", "joint_3"
-CAN, MODBUS = "CAN", "Modbus"
-EVERYWHERE = frozenset({CAN, MODBUS})
 
 
 class Bench(Protocol):
@@ -58,48 +55,37 @@ class Disturbance:
     undo: tuple[Act, ...] = ()
     ends: bool = True
     keeps: bool = True
-    only: frozenset[str] = field(default=EVERYWHERE)
+    adapters: tuple[Adapter, ...] = ADAPTERS
 
 
-def _order(name: str, **fields: object) -> Act:
+def _order(order: Order) -> Act:
     def act(bench: Bench) -> None:
-        reply = bench.machine.order(name, **fields)
+        reply = bench.machine.order(order[0], **order[1])
         assert reply["ok"], reply
 
     return act
 
 
-def _moving(bench: Bench) -> str:
-    """An axis that has energy, or the first."""
-    return next((joint for joint, axis in bench.machine.axes().items() if axis["energised"]), AXIS)
+def _fault(name: str, *, ends: bool) -> Disturbance:
+    """Of the table; one that nothing takes back comes to an axis that has energy, if one has."""
+    fault = FAULTS[name]
+    order, fields = fault.make
 
+    def make(bench: Bench) -> None:
+        if not fault.undo and fields.get("joint") == AXIS:
+            moving = next((joint for joint, axis in bench.machine.axes().items() if axis["energised"]), AXIS)
+            _order((order, fields | {"joint": moving}))(bench)
+        else:
+            _order(fault.make)(bench)
 
-def _drive_fault(bench: Bench) -> None:
-    _order("fault", joint=_moving(bench), code=0x7305)(bench)
-
-
-def _glitch(bench: Bench) -> None:
-    _order("glitch", joint=_moving(bench), revolutions=50.0)(bench)
-
-
-def _lost_pdo(bench: Bench) -> None:
-    _order("drop_tpdos", joint=AXIS, count=1)(bench)
-
-
-def _doubled_pdo(bench: Bench) -> None:
-    _order("duplicate_tpdos", joint=AXIS, count=20)(bench)
-
-
-def _no_more_drops(bench: Bench) -> None:
-    _order("drop_tpdos", joint=AXIS, count=0)(bench)
-    _order("duplicate_tpdos", joint=AXIS, count=0)(bench)
+    return Disturbance(name, make, tuple(map(_order, fault.undo)), ends, adapters=fault.adapters)
 
 
 def _other_drive(bench: Bench) -> None:
     """Power fails; when it returns another drive is in the cabinet."""
     bench.machine.power_off()
     bench.machine.power_on()
-    _order("identity", joint=AXIS, product=0x0999)(bench)
+    _order(FAULTS["wrong identity"].make)(bench)
     with suppress(ServiceProblem):
         bench.client.connect()
         raise AssertionError("a drive of another product was connected")
@@ -109,7 +95,7 @@ def _swapped(bench: Bench) -> None:
     """Power fails; when it returns two drives have changed places."""
     bench.machine.power_off()
     bench.machine.power_on()
-    _order("swap", joint=AXIS, **{"with": "joint_2"})(bench)
+    _order(FAULTS["swapped addresses"].make)(bench)
     with suppress(ServiceProblem):
         bench.client.connect()
         raise AssertionError("drives that have changed places were connected")
@@ -234,23 +220,21 @@ def _connected(bench: Bench) -> None:
 
 
 DISTURBANCES = (
-    Disturbance("drive fault", _drive_fault),
-    Disturbance("fault of another axis", _order("fault", joint=OTHER, code=0x4310)),
-    Disturbance("emergency stop", _order("emergency_stop", on=True), (_order("emergency_stop", on=False),)),
-    Disturbance(
-        "limit switch", _order("limit", joint=AXIS, on=True), (_order("limit", joint=AXIS, on=False),), ends=False
+    *(_fault(name, ends=True) for name in ("drive fault", "fault of an axis that stands", "emergency stop", "bus-off")),
+    *(
+        _fault(name, ends=False)
+        for name in (
+            "limit switch",
+            "large encoder glitch",
+            "silent node",
+            "reboot of the node",
+            "lost PDO",
+            "duplicated PDOs",
+        )
     ),
-    Disturbance("wrong position", _glitch, ends=False),
-    Disturbance(
-        "silent node", _order("silence", joint=AXIS, on=True), (_order("silence", joint=AXIS, on=False),), ends=False
-    ),
-    Disturbance("reboot of a node", _order("reboot", joint=AXIS), ends=False),
-    Disturbance("bus-off", _order("bus_off"), (_order("bus_on"),), only=frozenset({CAN})),
-    Disturbance("lost PDO", _lost_pdo, (_no_more_drops,), ends=False, only=frozenset({CAN})),
-    Disturbance("doubled PDO", _doubled_pdo, (_no_more_drops,), ends=False, only=frozenset({CAN})),
     Disturbance("power cut of the drives", _power_cut, (_power_on,)),
-    Disturbance("another drive after a power cut", _other_drive, (_order("identity", joint=AXIS, product=0x0402),)),
-    Disturbance("drives swapped in a power cut", _swapped, (_order("swap", joint=AXIS, **{"with": "joint_2"}),)),
+    Disturbance("another drive after a power cut", _other_drive, tuple(map(_order, FAULTS["wrong identity"].undo))),
+    Disturbance("drives swapped in a power cut", _swapped, tuple(map(_order, FAULTS["swapped addresses"].undo))),
     Disturbance("service killed", _killed, (_restart,)),
     Disturbance("service told to end", _ended_kindly, (_restart,)),
     Disturbance("service suspended", _suspended, ends=False),

@@ -25,7 +25,6 @@ from tests.postgresql_server import PostgresqlServer, running_server
 from tests.system.rest_bench import add_plan, differences, run, serving, until, virtual_machine
 from tests.unit.service.cluster import DaskProcesses, certificates
 
-RESULT = Path(__file__).parent / "results" / "plant.json"
 WORKERS = 4
 LEASE_TIME = 6.0  # s; half of it without a database, and the machine stands until a person resumes
 CALM = (2.0, 12.0)  # s between two disturbances
@@ -171,7 +170,6 @@ def main() -> int:
     given = wanted.parse_args()
     with tempfile.TemporaryDirectory(prefix="plant-soak-") as folder:
         found = soak(Path(folder), given.sweeps, given.seed)
-    RESULT.write_text(json.dumps(found, indent=1) + "\n", "utf-8")
     print(json.dumps(found, indent=1))
     wrong = found["not_identified"] or found["without_revision"] or found["counted_twice"]
     return int(bool(wrong) or found["largest_difference"] > NEAR)

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from service.client import Json, ServiceClient, ServiceProblem, ServiceUnreachable
-from tests.soak.disturbances import CAN, DISTURBANCES, MODBUS, Disturbance
+from tests.faults import MODBUS, OWN_SWEEP, STREAMED, Adapter
+from tests.soak.disturbances import DISTURBANCES, Disturbance
 from tests.soak.watch import Watch
 from tests.system.clock import Clock
 from tests.system.rest_bench import (
@@ -40,21 +41,16 @@ class Way:
     """How the machine is reached and moved."""
 
     name: str
-    fieldbus: Fieldbus
-    modes: str
+    adapter: Adapter
     speed_factor: float
-
-    @property
-    def line(self) -> str:
-        return MODBUS if self.fieldbus is Fieldbus.MODBUS_TCP else CAN
 
 
 WAYS = {
     way.name: way
     for way in (
-        Way("canopen", Fieldbus.CANOPEN, "drive_side", 3.0),
-        Way("canopen-streamed", Fieldbus.CANOPEN, "host_streamed", 10.0),
-        Way("modbus", Fieldbus.MODBUS_TCP, "drive_side", 3.0),
+        Way("canopen", OWN_SWEEP, 3.0),
+        Way("canopen-streamed", STREAMED, 10.0),
+        Way("modbus", MODBUS, 3.0),
     )
 }
 
@@ -108,7 +104,12 @@ class Walk:
         self.tally = Tally()
         self.campaign = 0
         self.plan = add_plan(
-            self.client, axes=["joint_1", "joint_2"], varied=["joint_2", "joint_3"], step=30.0, poses=6, modes=way.modes
+            self.client,
+            axes=["joint_1", "joint_2"],
+            varied=["joint_2", "joint_3"],
+            step=30.0,
+            poses=6,
+            modes=way.adapter.modes,
         )
         self._way, self._watch, self._say = way, watch, say
         self._campaigns: list[int] = []
@@ -238,7 +239,7 @@ class Walk:
     def _measured(self, campaign: Json, disturbance: str) -> Measured | None:
         """Of the sweep that a drive makes now by itself; a streamed one is counted by the host alone."""
         sweep = campaign["progress"]["current"]
-        if sweep is None or campaign["state"] != "running" or self._way.modes != "drive_side":
+        if sweep is None or campaign["state"] != "running" or self._way.adapter.modes != "drive_side":
             return None
         axis = self.machine.axes()[sweep["spec"]["axis"]]
         rate = float(sweep["spec"]["sample_rate"]) * self._way.speed_factor
@@ -307,7 +308,7 @@ class Walk:
 def walking(way: Way, folder: Path, seed: int, say: Callable[[str], None]) -> Iterator[tuple[Walk, Watch]]:
     """A machine, a service on it, and somebody who looks on."""
     with ExitStack() as stack:
-        machine = stack.enter_context(virtual_machine(folder, way.speed_factor, way.fieldbus))
+        machine = stack.enter_context(virtual_machine(folder, way.speed_factor, Fieldbus(way.adapter.fieldbus)))
         service = Service(folder, machine.profile, PATIENT_LEASE)
         service.clock = Clock(folder)
         service.start()
@@ -319,9 +320,4 @@ def walking(way: Way, folder: Path, seed: int, say: Callable[[str], None]) -> It
 
 def of(way: Way) -> list[Disturbance]:
     """Those that this way can meet."""
-    streamed = {"lost PDO", "doubled PDO"}
-    return [
-        each
-        for each in DISTURBANCES
-        if way.line in each.only and (each.name not in streamed or way.modes == "host_streamed")
-    ]
+    return [each for each in DISTURBANCES if way.adapter in each.adapters]

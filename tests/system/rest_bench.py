@@ -150,6 +150,11 @@ class Service:
             code = self.end()
             assert code == 0, self._log.read_text("utf-8")
 
+    @property
+    def runs(self) -> bool:
+        """Unless it was ended, and not started again."""
+        return self._process is not None
+
     def running(self) -> subprocess.Popen[bytes]:
         if self._process is None:
             raise RuntimeError("the service does not run")

@@ -16,7 +16,7 @@ import yaml
 
 from service.benefit import Benefit
 from service.store.files.bundle import read_bundle
-from tests.system.test_rest_campaign import INTERRUPTIBLE
+from tests.system.test_stop import INTERRUPTIBLE
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="interrupts by POSIX signals")
 

@@ -1,21 +1,23 @@
-"""A machine that hides an effect, measured by a campaign of a diagnosis over the wire: the effect is found by name."""
+"""A machine that hides an effect, diagnosed over the wire until it has a name: by a person, alone, by the runbook."""
 
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import yaml
 
-from service.client import ServiceClient
-from service.diagnosis import diagnose_axis
-from service.diagnosis.verdict import Verdict
-from service.store.files.bundle import read_bundle
+from service.client import Json, ServiceClient, ServiceProblem
 from tests.command import sweepid
-from tests.system.rest_bench import CONFIG, Service, VirtualMachine, add_plan, serving, virtual_machine
+from tests.system.rest_bench import CONFIG, Service, VirtualMachine, serving, until, virtual_machine
+from tests.system.test_runbooks import BAD_INPUT, DONE, FAILED, STOPPED, Books, results
 
 AXIS = "joint_1"
 COULOMB = 90.0  # N m, that nobody told the model of
+ROBOT = "max100-class"
+DIAGNOSE = ("diagnose_axis", ROBOT, AXIS)
+MEASURE = (*DIAGNOSE, "--varied", "joint_2", "--poses", "3")
+ROUNDS = 4
+PATIENCE = 300.0  # s for a campaign or a diagnosis on a busy computer
 
 
 def hiding(folder: Path) -> Path:
@@ -32,58 +34,155 @@ def hiding(folder: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def machine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[VirtualMachine]:
-    folder = tmp_path_factory.mktemp("machine")
-    with virtual_machine(folder, 100.0, scenario=hiding(folder)) as machine:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("diagnosis")
+
+
+@pytest.fixture(scope="module")
+def machine(folder: Path) -> Iterator[VirtualMachine]:
+    with virtual_machine(folder, 50.0, scenario=hiding(folder)) as machine:
         yield machine
 
 
 @pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory, machine: VirtualMachine) -> Iterator[Service]:
-    with serving(tmp_path_factory.mktemp("service"), machine.profile) as service:
+def service(folder: Path, machine: VirtualMachine) -> Iterator[Service]:
+    with serving(folder, machine.profile) as service:
         yield service
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def client(service: Service) -> Iterator[ServiceClient]:
     with ServiceClient(service.url) as client:
         yield client
+
+
+@pytest.fixture(scope="module")
+def books(folder: Path, service: Service) -> Books:
+    return Books(folder, service.url)
 
 
 def measured(client: ServiceClient, plan: int) -> int:
     """The campaign of a plan, run to its end."""
     campaign = int(client.add_campaign(plan)["id"])
     client.start(campaign)
-    for event in client.events(campaign):
-        if event["kind"] == "campaign" and event["data"]["state"] not in ("planned", "running", "measured"):
-            break
+    until(lambda: client.campaign(campaign)["state"] not in ("running", "measured"), "campaign over", PATIENCE)
     state = client.campaign(campaign)
     assert (state["state"], state["cause"]) == ("completed", "")
     return campaign
 
 
-def test_a_hidden_effect_is_found_over_the_wire(
-    service: Service, machine: VirtualMachine, client: ServiceClient, tmp_path: Path
-) -> None:
-    wanted = {"kind": "diagnosis", "axes": [AXIS], "varied": [AXIS, "joint_2"], "poses": 2, "move_velocity": 0.5}
-    plan = add_plan(client, **wanted, blocks=["forward_slow", "backward_slow"])
+@pytest.fixture(scope="module")
+def one_way(client: ServiceClient) -> int:
+    """A campaign as the paper runs it: one direction, offset and sines, once in each pose."""
+    robot = next(robot for robot in client.robots() if robot["name"] == ROBOT)
+    request: Json = {"kind": "diagnosis", "robot_id": robot["id"], "axes": [AXIS], "varied": ["joint_2"]}
+    plan = client.add_plan(request | {"poses": 3, "blocks": ["forward_slow"], "repeats": 1})["id"]
     campaign = measured(client, plan)
-    assert machine.stands()
-    specs = [sweep["spec"] for sweep in client.sweeps(campaign)]
-    assert Counter(spec["block"].removeprefix("revisit_") for spec in specs) == {"forward_slow": 6, "backward_slow": 6}
-    assert [spec["repeat"] for spec in specs] == [0, 1] * 6
-    assert len({tuple(spec["pose"]) for spec in specs}) == 2
-    starts = [spec["started_at"] for spec in specs]
+    starts = [sweep["spec"]["started_at"] for sweep in client.sweeps(campaign)]
     assert starts == sorted(starts)
     assert starts != [sweep["spec"]["started_at"] for sweep in client.plan(plan)["document"]["sweeps"]]  # as measured
+    return campaign
 
-    exported = sweepid("export", str(campaign), str(tmp_path / "bundle"), "--url", service.url)
-    assert exported.returncode == 0, exported.stderr
-    bundle = read_bundle(tmp_path / "bundle")
-    found = diagnose_axis(bundle.robot, AXIS, bundle.sweeps)
-    assert (found.verdict, [effect.name for effect in found.effects]) == (Verdict.NAMED, ["coulomb_friction"])
-    coulomb = found.effects[0].parameters["coulomb"]
-    assert abs(coulomb.value - COULOMB) < max(4 * coulomb.std, 0.02 * COULOMB)
+
+def continued(client: ServiceClient, diagnosis: Json) -> Json:
+    """The diagnosis that goes on with another's experiment."""
+    children: list[Json] = []
+
+    def born() -> bool:
+        children[:] = [one for one in client.diagnoses() if one["parent"] == diagnosis["id"]]
+        return bool(children)
+
+    until(born, "the diagnosis goes on", PATIENCE)
+    return client.diagnosed(children[0]["id"])
+
+
+def check_named(diagnosis: Json) -> None:
+    assert (diagnosis["state"], diagnosis["verdicts"]) == ("done", {AXIS: "named"}), diagnosis["cause"]
+    (effect,) = diagnosis["document"]["axes"][AXIS]["effects"]
+    coulomb = effect["parameters"]["coulomb"]
+    assert effect["effect"] == "coulomb_friction"
+    assert abs(coulomb["value"] - COULOMB) < max(4 * coulomb["std"], 0.02 * COULOMB)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        ((ROBOT, "joint_9", "--varied", "joint_2"), "has no joint joint_9; it has: joint_1"),
+        ((ROBOT, AXIS, "--campaigns", "first"), "first is not the number of a campaign"),
+    ],
+)
+def test_bad_input_is_reported_before_anything_moves(
+    books: Books, client: ServiceClient, arguments: tuple[str, ...], reason: str
+) -> None:
+    known = len(client.campaigns())
+    code, protocol, printed = books.run("diagnose_axis", *arguments, "--yes")
+    assert (code, reason in printed, reason in protocol["result"]) == (BAD_INPUT, True, True), printed
+    assert len(client.campaigns()) == known
+
+
+def test_a_dry_run_gives_the_ranges_and_moves_nothing(
+    books: Books, client: ServiceClient, machine: VirtualMachine
+) -> None:
+    known = len(client.campaigns())
+    code, protocol, printed = books.run(*MEASURE, "--dry-run")
+    assert code == DONE, printed
+    assert results(protocol, "motion").keys() >= {AXIS, "joint_2"}
+    assert (len(client.campaigns()), machine.stands()) == (known, True)
+
+
+def test_a_fault_ends_it_and_the_machine_stands(books: Books, client: ServiceClient, machine: VirtualMachine) -> None:
+    known = client.diagnoses()
+    machine.order("fault", joint=AXIS, code=0x4310, at_sample=50)
+    code, protocol, printed = books.run(*MEASURE, "--yes")
+    assert code == FAILED, printed
+    (paused,) = [step for step in protocol["steps"] if step.get("state") == "paused"]
+    assert "4310h" in paused["cause"]
+    assert client.diagnoses() == known
+    until(machine.stands, "the axes stand")
+    (faulty,) = [axis["joint"] for axis in client.drives()["axes"] if axis["fault"]]
+    client.acknowledge(faulty)
+    code, _, printed = books.run(*DIAGNOSE, "--campaigns", str(protocol["campaign"]))
+    assert (code, "it must be completed" in printed) == (BAD_INPUT, True), printed
+    client.abort(protocol["campaign"], "the test goes on")
+
+
+def test_a_person_approves_until_the_effect_has_a_name(
+    client: ServiceClient, machine: VirtualMachine, one_way: int
+) -> None:
+    found = client.diagnosed(client.add_diagnosis([one_way])["id"])
+    assert found["verdicts"] == {AXIS: "ambiguous"}, found["cause"]
+    assert "coulomb_friction" in found["document"]["axes"][AXIS]["candidates"]
+    campaigns = [one_way]
+    while found["verdicts"][AXIS] == "ambiguous" and len(campaigns) <= ROUNDS:
+        assert machine.stands()
+        campaign = client.approve_experiment(found["id"], AXIS, "Ada")
+        assert (campaign["state"], campaign["plan_id"] is not None) == ("running", True)
+        experiment = client.diagnosis(found["id"])["experiment"]
+        assert (experiment["campaign_id"], experiment["approved_by"]) == (campaign["id"], "Ada")
+        with pytest.raises(ServiceProblem, match="already has an experiment"):
+            client.approve_experiment(found["id"], AXIS, "Bob")
+        campaigns.append(campaign["id"])
+        found = continued(client, found)
+        assert found["campaigns"] == campaigns
+    check_named(found)
+
+    model = client.accept_model(found["id"], "Ada")
+    again = client.diagnosed(client.add_diagnosis(campaigns, model=model["id"])["id"])
+    assert (again["state"], again["verdicts"]) == ("done", {AXIS: "none"}), again["cause"]
+
+
+def test_the_loop_runs_alone_on_a_virtual_machine(client: ServiceClient, machine: VirtualMachine, one_way: int) -> None:
+    found = client.diagnosed(client.add_diagnosis([one_way], unattended=True)["id"])
+    rounds = 0
+    while found["verdicts"] == {AXIS: "ambiguous"}:
+        found, rounds = continued(client, found), rounds + 1
+        assert rounds <= ROUNDS
+        experiment = client.diagnosis(found["parent"])["experiment"]
+        assert experiment["approved_by"] == "unattended"
+    assert rounds >= 1
+    check_named(found)
+    until(lambda: not client.diagnosis(found["id"])["unattended"], "the loop is over")
+    assert machine.stands()
 
 
 def test_the_other_blocks_run_and_none_spoils_the_inertia(
@@ -104,3 +203,24 @@ def test_the_other_blocks_run_and_none_spoils_the_inertia(
     assert [each["sweep"] for each in used] == turning
     values = [each["value"] for each in used]
     assert max(values) < 1.02 * min(values)
+
+
+def test_the_runbook_goes_from_a_campaign_to_the_accepted_model(
+    books: Books, client: ServiceClient, machine: VirtualMachine, one_way: int
+) -> None:
+    known = len(client.campaigns())
+    code, protocol, printed = books.run(*DIAGNOSE, "--campaigns", str(one_way), typed="no\n")
+    assert code == STOPPED, printed
+    (undecided,) = results(protocol, "verdict").values()
+    assert undecided["verdict"] == "ambiguous"
+    assert results(protocol, "motion").keys() >= {AXIS}
+    assert (len(client.campaigns()), machine.stands()) == (known, True)
+
+    code, protocol, printed = books.run(*DIAGNOSE, "--campaigns", str(one_way), "--yes")
+    assert code == DONE, printed
+    verdicts = [step["verdict"] for step in protocol["steps"] if "verdict" in step]
+    assert (verdicts[0], verdicts[-1]) == ("ambiguous", "named")
+    assert any(step["step"].startswith("sweep ") for step in protocol["steps"])
+    assert [step["model"] for step in protocol["steps"] if "model" in step] == [client.models()[-1]["id"]]
+    check_named(client.diagnosis(client.diagnoses()[-1]["id"]))
+    assert machine.stands()

@@ -2,21 +2,20 @@
 
 One campaign of one sweep a fault; the fault comes in the middle of the sweep or before connecting. Whatever the fault,
 no axis keeps its energy, none gets it back before a person acts, samples so far are kept and marked, the cause is in
-the API and in the log, and after the person has acted the sweep is measured. What was seen is the row of
-`docs/reference/faults.md`; a difference fails. After a wanted change: ``pytest tests/system/test_fault_table.py
---write-fault-table``.
+the API and in the log, and after the person has acted the sweep is measured. What was seen is the cell of
+`docs/reference/faults.md`; a difference fails.
 """
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import httpx
 import pytest
 
 from service.client import Json, ServiceClient, ServiceProblem
+from tests.faults import ADAPTERS, AXIS, FAULTS, MODBUS, OWN_SWEEP, STREAMED, Adapter, Fault, Order
 from tests.system.rest_bench import (
     Fieldbus,
     Service,
@@ -29,88 +28,9 @@ from tests.system.rest_bench import (
 )
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "reference" / "faults.md"
-AXIS, OTHER = "joint_1", "joint_3"
-OWN_SWEEP = 1.5  # times real time: a sweep takes 3.7 s, an order falls into it on a busy computer too
-STREAMED_SWEEP = 20.0  # of the moves: a streamed sweep is in real time whatever this is
-
-
-@dataclass(frozen=True)
-class Adapter:
-    """A column of the table."""
-
-    name: str
-    fieldbus: Fieldbus
-    modes: str
-    speed_factor: float = OWN_SWEEP
-
-
-ADAPTERS = (
-    Adapter("CANopen, drive's own sweep", Fieldbus.CANOPEN, "drive_side"),
-    Adapter("CANopen, streamed sweep", Fieldbus.CANOPEN, "host_streamed", STREAMED_SWEEP),
-    Adapter("Modbus TCP", Fieldbus.MODBUS_TCP, "drive_side"),
-)
+SPEED = {OWN_SWEEP.name: 1.5, STREAMED.name: 20.0, MODBUS.name: 1.5}
+"""Times real time: an own sweep takes 3.7 s, an order falls into it on a busy computer too; a streamed one is in it."""
 OR = "<br>or "  # between the outcomes of a race, in a cell that a person has completed
-STREAMED = {ADAPTERS[1].name}
-ON_CAN = {ADAPTERS[0].name, ADAPTERS[1].name}
-EVERYWHERE = {adapter.name for adapter in ADAPTERS}
-
-Order = tuple[str, dict[str, object]]
-
-
-@dataclass(frozen=True)
-class Fault:
-    """A row of the table: orders that make it and take it back, and the adapters that can meet it."""
-
-    name: str
-    make: Order
-    undo: tuple[Order, ...] = ()
-    adapters: set[str] = field(default_factory=lambda: EVERYWHERE)
-    before_connecting: bool = False
-
-
-def _axis(name: str, **fields: object) -> Order:
-    return name, {"joint": AXIS, **fields}
-
-
-FAULTS = (
-    Fault("drive fault", _axis("fault", code=0x7305)),
-    Fault("fault of an axis that stands", ("fault", {"joint": OTHER, "code": 0x4310})),
-    Fault("EMCY without a fault state", _axis("emcy", code=0x4210), adapters=ON_CAN),
-    Fault("lost PDO", _axis("drop_tpdos", count=1), adapters=STREAMED),
-    Fault("duplicated PDOs", _axis("duplicate_tpdos", count=20), adapters=STREAMED),
-    Fault("late PDOs", _axis("delay_tpdos", count=3, cycles=2), adapters=STREAMED),
-    Fault("bus-off", ("bus_off", {}), undo=(("bus_on", {}),), adapters=ON_CAN),
-    Fault("silent node", _axis("silence", on=True), undo=(_axis("silence", on=False),)),
-    Fault(
-        "silent node that stands",
-        ("silence", {"joint": OTHER, "on": True}),
-        undo=(("silence", {"joint": OTHER, "on": False}),),
-    ),
-    Fault(
-        "frozen sample counter",
-        _axis("freeze_counter", on=True),
-        undo=(_axis("freeze_counter", on=False),),
-        adapters=STREAMED,
-    ),
-    Fault("limit switch", _axis("limit", on=True), undo=(_axis("limit", on=False),)),
-    Fault("emergency stop", ("emergency_stop", {"on": True}), undo=(("emergency_stop", {"on": False}),)),
-    Fault("small encoder glitch", _axis("glitch", revolutions=0.02)),
-    Fault("large encoder glitch", _axis("glitch", revolutions=50.0)),
-    Fault("torque saturation", _axis("saturate", torque_permille=5), undo=(_axis("saturate", torque_permille=None),)),
-    Fault("reboot of the node", _axis("reboot")),
-    Fault(
-        "wrong identity",
-        _axis("identity", product=0x0999),
-        undo=(_axis("identity", product=0x0402),),
-        before_connecting=True,
-    ),
-    Fault(
-        "swapped addresses",
-        _axis("swap", **{"with": "joint_2"}),
-        undo=(_axis("swap", **{"with": "joint_2"}),),
-        before_connecting=True,
-    ),
-)
 
 
 @dataclass
@@ -124,8 +44,7 @@ class Bench:
     plan: int
 
     def order(self, order: Order) -> None:
-        name, fields = order
-        reply = self.machine.order(name, **fields)
+        reply = self.machine.order(order[0], **order[1])
         assert reply["ok"], reply
 
     def into_a_sweep(self) -> int:
@@ -188,41 +107,19 @@ class Bench:
         return [*acts, "acknowledge"] if faulty else acts
 
 
-@contextmanager
-def bench_of(adapter: Adapter, folder: Path) -> Iterator[Bench]:
-    with ExitStack() as stack:
-        machine = stack.enter_context(virtual_machine(folder, adapter.speed_factor, adapter.fieldbus))
-        service = stack.enter_context(serving(folder, machine.profile))
-        client = stack.enter_context(ServiceClient(service.url))
+@pytest.fixture(scope="module")
+def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    adapter, folder = request.param, tmp_path_factory.mktemp("faults")
+    with (
+        virtual_machine(folder, SPEED[adapter.name], Fieldbus(adapter.fieldbus)) as machine,
+        serving(folder, machine.profile) as service,
+        ServiceClient(service.url) as client,
+    ):
         plan = add_plan(client, axes=[AXIS], varied=["joint_2"], step=60.0, poses=1, modes=adapter.modes)
         yield Bench(adapter, machine, service, client, plan)
 
 
-@pytest.fixture(scope="module")
-def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    with bench_of(request.param, tmp_path_factory.mktemp("faults")) as bench:
-        yield bench
-
-
 Table = dict[str, dict[str, str]]
-
-
-@pytest.fixture(scope="module")
-def table(request: pytest.FixtureRequest) -> Iterator[Callable[[Fault, Adapter, str], None]]:
-    """Compares a cell with the document's, or writes the document anew."""
-    writing = bool(request.config.getoption("--write-fault-table", default=False))
-    written = read_table()
-
-    def cell(fault: Fault, adapter: Adapter, seen: str) -> None:
-        documented = written.get(fault.name, {}).get(adapter.name, "").split(OR)
-        if not writing:
-            assert seen in documented
-        elif seen not in documented:
-            written.setdefault(fault.name, {})[adapter.name] = seen
-
-    yield cell
-    if writing:
-        write_table(written)
 
 
 def read_table() -> Table:
@@ -231,36 +128,26 @@ def read_table() -> Table:
     return {row[0]: dict(zip(cells[0][1:], row[1:], strict=True)) for row in cells[2:]}
 
 
-def write_table(table: Table) -> None:
-    before, _, after = DOCUMENT.read_text("utf-8").split("<!-- table -->\n")
-    names = [adapter.name for adapter in ADAPTERS]
-    lines = [["fault", *names], ["---"] * (1 + len(names))]
-    lines += [[fault.name, *(table.get(fault.name, {}).get(name, "–") for name in names)] for fault in FAULTS]
-    rows = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-    DOCUMENT.write_text(f"{before}<!-- table -->\n\n{rows}\n\n<!-- table -->\n{after}", "utf-8")
-
-
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    if {"bench", "fault"} <= set(metafunc.fixturenames):
+    if {"bench", "name"} <= set(metafunc.fixturenames):
         cells = [
-            pytest.param(adapter, fault, id=f"{adapter.name}-{fault.name}")
+            pytest.param(adapter, name, id=f"{adapter.name}-{name}")
             for adapter in ADAPTERS
-            for fault in FAULTS
-            if adapter.name in fault.adapters
+            for name, fault in FAULTS.items()
+            if adapter in fault.adapters
         ]
-        metafunc.parametrize(("bench", "fault"), cells, indirect=["bench"], scope="module")
+        metafunc.parametrize(("bench", "name"), cells, indirect=["bench"], scope="module")
 
 
-def test_a_fault_ends_in_standstill_and_waits_for_a_person(
-    bench: Bench, fault: Fault, table: Callable[[Fault, Adapter, str], None]
-) -> None:
+def test_a_fault_ends_in_standstill_and_waits_for_a_person(bench: Bench, name: str) -> None:
+    fault = FAULTS[name]
     try:
         seen = before_connecting(bench, fault) if fault.before_connecting else in_a_sweep(bench, fault)
     except BaseException:
         for order in fault.undo:  # the next fault comes alone
             bench.order(order)
         raise
-    table(fault, bench.adapter, seen)
+    assert seen in read_table()[name][bench.adapter.name].split(OR)
 
 
 def in_a_sweep(bench: Bench, fault: Fault) -> str:
@@ -325,8 +212,6 @@ def before_connecting(bench: Bench, fault: Fault) -> str:
 
 
 def test_the_table_has_a_row_for_every_fault_and_a_cell_for_every_adapter() -> None:
-    table = read_table()
-    assert list(table) == [fault.name for fault in FAULTS]
-    for fault in FAULTS:
-        for adapter in ADAPTERS:
-            assert (table[fault.name][adapter.name] != "–") == (adapter.name in fault.adapters)
+    met = {row: {name for name, cell in cells.items() if cell != "–"} for row, cells in read_table().items()}
+    assert met == {name: {adapter.name for adapter in fault.adapters} for name, fault in FAULTS.items()}
+    assert list(met) == list(FAULTS)

@@ -1,7 +1,6 @@
 """An initial analysis from the command line to the plan and the estimate that stand on it."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,24 +19,7 @@ from tests.system.rest_bench import (
     until,
     virtual_machine,
 )
-
-
-@pytest.fixture
-def machine(tmp_path: Path) -> Iterator[VirtualMachine]:
-    with virtual_machine(tmp_path) as machine:
-        yield machine
-
-
-@pytest.fixture
-def service(tmp_path: Path, machine: VirtualMachine) -> Iterator[Service]:
-    with serving(tmp_path, machine.profile) as service:
-        yield service
-
-
-@pytest.fixture
-def client(service: Service) -> Iterator[ServiceClient]:
-    with ServiceClient(service.url) as client:
-        yield client
+from tests.system.test_stop import JOINTS, moving, press, stop_url, suspended
 
 
 def measured(client: ServiceClient, plan: int) -> tuple[int, dict[str, Any]]:
@@ -50,9 +32,18 @@ def measured(client: ServiceClient, plan: int) -> tuple[int, dict[str, Any]]:
     return campaign, client.estimate(campaign)["document"]
 
 
-def test_noise_runs_become_plan_and_prior(
-    service: Service, machine: VirtualMachine, client: ServiceClient, tmp_path: Path
-) -> None:
+def test_noise_runs_become_plan_and_prior(tmp_path: Path) -> None:
+    with (
+        virtual_machine(tmp_path) as machine,
+        serving(tmp_path, machine.profile) as service,
+        ServiceClient(service.url) as client,
+    ):
+        with pytest.raises(BadInput, match="analysis"):
+            add_plan(client, axes=["joint_1"], poses=1, analysis=77)
+        becomes_plan_and_prior(service, machine, client, tmp_path)
+
+
+def becomes_plan_and_prior(service: Service, machine: VirtualMachine, client: ServiceClient, tmp_path: Path) -> None:
     options = ("--axes", "joint_1", "--varied", "joint_2,joint_3", "--poses", "2")
     planned = run("plan", str(ROBOT), "--initial-analysis", *options, url=service.url)
     assert planned.returncode == 0, planned.stderr
@@ -85,12 +76,8 @@ def test_noise_runs_become_plan_and_prior(
         assert 0 < std[0] <= std[1]
 
 
-def test_a_plan_cannot_stand_on_a_campaign_without_analysis(client: ServiceClient) -> None:
-    with pytest.raises(BadInput, match="analysis"):
-        add_plan(client, axes=["joint_1"], poses=1, analysis=77)
-
-
-def test_a_drive_that_cannot_inject_gets_a_stepped_sine(tmp_path: Path) -> None:
+def test_a_drive_that_cannot_inject_gets_a_stepped_sine_and_its_host_is_stopped(tmp_path: Path) -> None:
+    """On Modbus TCP; the stop process writes the registers by a connection of its own while the service is suspended"""
     with (
         virtual_machine(tmp_path, fieldbus=Fieldbus.MODBUS_TCP) as machine,
         serving(tmp_path, machine.profile) as service,
@@ -102,3 +89,11 @@ def test_a_drive_that_cannot_inject_gets_a_stepped_sine(tmp_path: Path) -> None:
         _, found = measured(client, plan)
         assert len(found["analysis"]["joint_1"]["poses"][0]["frequency_response"]) == 16
         assert machine.stands()
+        assert client.drives()["capabilities"]["hears_other_hosts"] is False
+        url = stop_url(service)
+        moving(client, machine)
+        with suspended(service):
+            answer = press(url, by="Ada", press="1")
+            assert (answer.status_code, set(answer.json()["confirmed"])) == (200, JOINTS), answer.text
+            assert machine.stands()
+        until(lambda: [stop["by"] for stop in client.stops()] == ["Ada"], "latched")

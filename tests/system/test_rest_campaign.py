@@ -1,20 +1,25 @@
-"""From a plan to an estimate: the command line over REST, a virtual machine over CAN, a worker that dies."""
+"""Campaigns of one service over REST, CAN and processes: stopped, a worker that dies, and what is seen of it elsewhere.
 
+An audit hook (PEP 578) in every Python process under test writes down each file of a scenarios folder that is opened:
+service and workers never open the file that says what the machine really is.
+"""
+
+import json
 import os
-import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import httpx
 import pytest
 
-from service.client import ServiceClient
+from service.client import Json, ServiceClient
 from service.estimation import estimate_document
 from service.identification import spectrum
 from service.store.files.bundle import read_bundle
+from tests.otlp_collector import Collector, Received, collecting
 from tests.system.rest_bench import (
-    ROBOT,
+    PATIENT_LEASE,
+    SCENARIO,
     Service,
     VirtualMachine,
     add_plan,
@@ -26,21 +31,55 @@ from tests.system.rest_bench import (
     virtual_machine,
 )
 
-# a background job of a shell hands an ignored Ctrl-C down; whoever tests it must have it
-INTERRUPTIBLE = (
-    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from service.cli import main; main()"
-)
+pytestmark = pytest.mark.slow
+
+CALLER = "0af7651916cd43dd8448eb211c80319c"  # a trace of the client's own
+HOOK = """
+import os, sys
+_log, _opening = os.open(os.environ["SEAL_LOG"], os.O_WRONLY | os.O_APPEND | os.O_CREAT), []
+os.write(_log, f"process {os.getpid()}\\n".encode())
+
+def _watch(event, arguments):
+    if event == "open" and not _opening and "scenarios" in str(arguments[0]):
+        _opening.append(1)
+        os.write(_log, f"opened {arguments[0]}\\n".encode())
+        _opening.clear()
+
+sys.addaudithook(_watch)
+"""
 
 
-@pytest.fixture
-def machine(tmp_path: Path, speed_factor: float) -> Iterator[VirtualMachine]:
-    with virtual_machine(tmp_path, speed_factor) as machine:
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[VirtualMachine]:
+    """It may read its scenario, so it is started before the hook is set."""
+    with virtual_machine(tmp_path_factory.mktemp("machine")) as machine:
         yield machine
 
 
-@pytest.fixture
-def service(tmp_path: Path, machine: VirtualMachine) -> Iterator[Service]:
-    with serving(tmp_path, machine.profile) as service:
+@pytest.fixture(scope="module")
+def seal(tmp_path_factory: pytest.TempPathFactory, machine: VirtualMachine) -> Iterator[Path]:
+    """Where the hook of the processes started from now on writes."""
+    folder = tmp_path_factory.mktemp("hook")
+    (folder / "sitecustomize.py").write_text(HOOK, "utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SEAL_LOG", str(folder / "seal.log"))
+        patch.setenv("PYTHONPATH", str(folder))
+        yield folder / "seal.log"
+
+
+@pytest.fixture(scope="module")
+def collector() -> Iterator[Collector]:
+    with collecting() as collector:
+        yield collector
+
+
+@pytest.fixture(scope="module")
+def service(
+    tmp_path_factory: pytest.TempPathFactory, machine: VirtualMachine, seal: Path, collector: Collector
+) -> Iterator[Service]:
+    """It logs at DEBUG: libraries speak too."""
+    settings = {"machine_name": "cell 7", "otel": {"endpoint": collector.endpoint}, "log_level": "DEBUG"}
+    with serving(tmp_path_factory.mktemp("service"), machine.profile, PATIENT_LEASE, **settings) as service:
         yield service
 
 
@@ -50,36 +89,47 @@ def client(service: Service) -> Iterator[ServiceClient]:
         yield client
 
 
-@pytest.mark.parametrize("speed_factor", [20.0])
-def test_a_worker_that_is_killed_in_the_middle_changes_nothing(
-    service: Service, machine: VirtualMachine, client: ServiceClient, tmp_path: Path
+def test_a_stop_and_a_worker_that_is_killed_change_nothing(
+    service: Service, machine: VirtualMachine, client: ServiceClient, seal: Path, tmp_path: Path
 ) -> None:
-    """6 sweeps; the estimate is the one that the exported bundle gives without the service."""
-    plan = add_plan(client, axes=["joint_1", "joint_2", "joint_3"], poses=2)
-    campaign = int(client.add_campaign(plan)["id"])
+    """The estimate is the one that the exported bundle gives without the service; each line of the log has its sweep"""
+    begun = len(service.log().splitlines())
+    campaign = int(client.add_campaign(add_plan(client, axes=["joint_1", "joint_2", "joint_3"], poses=2))["id"])
     client.start(campaign)
-    killed: list[int] = []
+    until(lambda: client.campaign(campaign)["progress"]["current"], "a sweep runs")
+    client.stop("Ada", "a test")
+    until(lambda: client.campaign(campaign)["state"] == "paused", "the campaign is paused")
+    until(machine.stands, "the machine stands")
+    release(client)
+    client.resume(campaign, repeat=True)
+    killed: set[int] = set()
     for event in client.events(campaign):
         if event["kind"] == "sweep" and event["data"] | {"number": 3, "state": "recorded"} == event["data"]:
             for worker in service.workers():
                 worker.kill()
-                killed.append(worker.pid)
+                killed.add(worker.pid)
         if event["kind"] == "campaign":
-            assert event["data"]["state"] in ("planned", "running", "measured", "completed"), event
-            if event["data"]["state"] == "completed":
-                break
+            now = client.campaign(campaign)
+            assert now["state"] != "paused", now["cause"]
+        if event["kind"] == "campaign" and event["data"]["state"] == "completed":
+            break
+    workers = {worker.pid for worker in service.workers()}
     assert killed
-    assert not set(killed) & {worker.pid for worker in service.workers()}
+    assert not killed & workers
     assert machine.stands()
     assert {sweep["state"] for sweep in client.sweeps(campaign)} == {"identified"}
     latest = client.estimate(campaign)
     assert latest["revision"] == 6
+    check_log([json.loads(line) for line in service.log().splitlines()[begun:]], campaign, 6)
+
+    words = seal.read_text("utf-8").splitlines()
+    assert killed | workers <= {int(word.split()[1]) for word in words if word.startswith("process")}
+    assert [word for word in words if word.startswith("opened")] == []
 
     written = run("report", str(campaign), str(tmp_path / "report.html"), url=service.url)
     assert (written.returncode, written.stderr) == (0, "")
-    drives = client.drives()["axes"]
     page = (tmp_path / "report.html").read_text("utf-8").partition("<main>")[2].partition("</main>")[0]
-    for drive in drives:
+    for drive in client.drives()["axes"]:
         row = [drive["joint"], drive["identity"]["address"], str(drive["identity"]["serial"])]
         assert all(f">{cell}</td>" in page for cell in row), row
     exported = run("export", str(campaign), str(tmp_path / "bundle"), url=service.url)
@@ -90,36 +140,74 @@ def test_a_worker_that_is_killed_in_the_middle_changes_nothing(
     assert worst[1] <= 1e-9, worst
 
 
-@pytest.mark.parametrize("speed_factor", [2.0])  # slow enough to be interrupted
-def test_the_command_line_measures_and_ctrl_c_stops_the_machine(
-    service: Service, machine: VirtualMachine, client: ServiceClient
-) -> None:
-    planned = run(
-        *("plan", str(ROBOT), "--axes", "joint_1", "--varied", "joint_2,joint_3", "--poses", "1"),
-        *("--step", "15"),
-        url=service.url,
-    )
-    assert planned.returncode == 0, planned.stderr
-    plan = planned.stdout.strip()
-    environment = os.environ | {"SWEEPID_URL": service.url}
-    known = len(client.campaigns())
-    command = [sys.executable, "-c", INTERRUPTIBLE, "measure", plan]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
-    ) as measuring:
-        until(lambda: len(client.campaigns()) > known, "campaign added")
-        campaign = client.campaigns()[-1]["id"]
-        until(lambda: machine.axes()["joint_1"]["velocity"] != 0, "joint_1 moves")
-        measuring.send_signal(signal.SIGINT)
-        out, err = measuring.communicate(timeout=60)
-    assert (measuring.returncode, out) == (1, ""), err
-    assert f"campaign {campaign}: machine stopped" in err.splitlines()[-1]
-    until(machine.stands, "the axes stand")
-    only_the_stop = ["stopped by sweepid measure: Ctrl-C"]  # once the end of the campaign is stored as well
-    until(lambda: client.ready()["causes"] == only_the_stop, f"of the causes {only_the_stop} alone is left")
-    until(lambda: client.campaign(campaign)["state"] == "paused", "campaign paused")
+def check_log(lines: list[Json], campaign: int, sweeps: int) -> None:
+    """Each line from the beginning of a sweep up to its end has its campaign and its sweep."""
+    found: list[Json] = []
+    inside = False
+    for line in lines:
+        inside = inside or line["event"] == "sweep_begun"
+        if inside:
+            found.append(line)
+        inside = inside and line["event"] not in ("recorded", "sweep_given_up")
+    assert {"sweep_begun", "check_move", "sweep_given_up", "recorded"} <= {line["event"] for line in found}
+    assert {"stop", "worker_replaced"} <= {line["event"] for line in lines}  # maybe after the sweep's end
+    numbers = range(1, sweeps + 1)
+    assert [line for line in found if line.get("campaign") != campaign or line.get("sweep") not in numbers] == []
+    assert {line["sweep"] for line in found} == set(numbers)
+    estimates = [line for line in lines if line["event"] == "estimate"]
+    assert [(line["campaign"], line["sweep"]) for line in estimates] == [(campaign, number) for number in numbers]
+    before = [line for line in lines[: lines.index(found[0])] if not line["logger"].startswith("urllib3")]  # of spans
+    assert [line for line in before if "sweep" in line] == []
 
-    release(client)
-    client.resume(campaign, repeat=True)
-    until(lambda: client.campaign(campaign)["state"] == "completed", "campaign completed")
-    assert client.estimate(campaign)["revision"] == 1
+
+def test_the_hook_sees_who_opens_a_scenario(tmp_path: Path, seal: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SEAL_LOG", str(tmp_path / "seal.log"))
+    poses = tmp_path / "poses.json"
+    poses.write_text(json.dumps([[0.0] * 6]), "utf-8")
+    done = run("truth", str(SCENARIO), "--poses", str(poses), url=os.environ.get("SWEEPID_URL", ""))
+    assert done.returncode == 0, done.stderr
+    assert f"opened {SCENARIO}" in (tmp_path / "seal.log").read_text("utf-8").splitlines()
+
+
+def test_one_trace_leads_from_request_to_estimate(
+    service: Service, client: ServiceClient, collector: Collector
+) -> None:
+    campaign = int(client.add_campaign(add_plan(client, axes=["joint_2", "joint_3"], poses=1))["id"])
+    headers = {"traceparent": f"00-{CALLER}-b7ad6b7169203331-01"}
+    url = f"{service.url}/api/v1/campaigns/{campaign}/start"
+    httpx.post(url, headers=headers, timeout=60, trust_env=False).raise_for_status()
+
+    def named(name: str) -> list[Received]:
+        return [span for span in collector.named(name) if span.trace == CALLER]
+
+    until(lambda: client.campaign(campaign)["state"] == "completed", "the campaign is over")
+    until(lambda: len(named("store estimate")) == 2, "the service's spans come")
+    until(lambda: len(named("Job")) == 2, "the worker's spans come")
+    until(lambda: named("campaign"), "the campaign's span comes")
+    spans = {span.span: span for span in tuple(collector.spans) if span.trace == CALLER}
+
+    def ancestors(span: Received) -> list[str]:
+        found = [span.name]
+        while span.parent in spans:
+            span = spans[span.parent]
+            found.append(span.name)
+        return found
+
+    (request,) = named("POST /api/v1/campaigns/{id}/start")
+    assert request.parent == "b7ad6b7169203331"
+    assert request.attributes["http.response.status_code"] == 200
+    way = ["identification", "sweep", "campaign", request.name]
+    for estimate in named("store estimate"):
+        assert ancestors(estimate) == ["store estimate", *way]
+    for job in named("Job"):
+        assert ancestors(job) == ["Job", *way]
+        assert (job.part, job.machine) == ("worker", "cell 7")
+    for part in ("approach", "record"):
+        assert [ancestors(span) for span in named(part)] == [[part, *way[1:]]] * 2
+    assert not any(span.failed for span in spans.values())
+    assert [span.attributes["sweepid.sweep"] for span in named("sweep")] == [1, 2]
+    assert all(span.attributes["sweepid.campaign"] == campaign for span in named("identification"))
+    for sweep in named("sweep"):
+        inside = [span for span in spans.values() if span.parent == sweep.span and span.name in ("approach", "record")]
+        assert all(sweep.begin <= span.begin <= span.end <= sweep.end for span in inside)
+    assert not [span for span in tuple(collector.spans) if span.name.startswith("GET")]

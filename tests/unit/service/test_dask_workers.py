@@ -63,9 +63,9 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Certificates:
     return certificates(tmp_path_factory.mktemp("authority"), "plant")
 
 
-@pytest.fixture
-def dask(tmp_path: Path, files: Certificates) -> Iterator[DaskProcesses]:
-    processes = DaskProcesses.at_free_port(tmp_path, files)
+@pytest.fixture(scope="module")
+def dask(tmp_path_factory: pytest.TempPathFactory, files: Certificates) -> Iterator[DaskProcesses]:
+    processes = DaskProcesses.at_free_port(tmp_path_factory.mktemp("dask"), files)
     processes.start_scheduler()
     processes.start_worker()
     yield processes

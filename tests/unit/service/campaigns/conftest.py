@@ -1,13 +1,15 @@
 """A runner on a real store and real files, in front of a machine whose samples come from a formula."""
 
 import asyncio
-from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
-from contextlib import AsyncExitStack, asynccontextmanager
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
+from sqlalchemy import text
 
 from drivers.ports import Sine, SweepCommand, SweepMode
 from service.campaigns.live import LiveHub
@@ -30,7 +32,7 @@ from service.store.database import Database, open_database
 from service.store.diagnosis.model_revisions import ModelStore
 from service.store.documents import CampaignDocument, NewSweep, SpectrumRecord, SweepDocument
 from service.store.files.recordings import RecordingFiles
-from service.store.guards import StopLatch
+from service.store.guards import MachineLease, StopLatch
 from service.store.store import Store
 from service.worker import Worker
 from service.worker.dask_workers import DaskWorkers
@@ -41,6 +43,7 @@ POSES = ((0.0, 0.0, 0.0), (0.4, 0.0, 0.0), (0.4, 0.3, 0.0), (0.0, 0.3, -0.2))
 SINES = ((2.0, 0.002, 0.3), (3.0, 0.0015, 1.1))
 OFFSET, PERIODS, RAMP, SETTLE, RATE = 0.0105, 5, 0.3, 0.7, 250.0
 TIMEOUT = 60.0  # s
+LEASE_TIME = 0.5  # s
 SPECTRUM = SpectrumRecord(path="s", sha256="0" * 64)  # where its content makes no difference
 REACHED = ("joint_1", "joint_2", "joint_3")
 
@@ -60,6 +63,8 @@ class Bench:
     campaign: CampaignDocument
     told: list[tuple[str, str]]
     """Way and why of the stops that latched nothing."""
+    tell: Callable[[str, str], None]
+    """Is told of them as well; a test may put another in its place."""
     compile_plan: Callable[[CampaignDocument], CompiledPlan]
     """What the runner asks; a test may put another in its place."""
 
@@ -67,6 +72,33 @@ class Bench:
     def intention(self) -> Intention:
         """Of a person who gives a command now."""
         return Intention(self.machine.epochs.now)
+
+    @property
+    def now(self) -> CampaignDocument:
+        return self.store.campaign(self.campaign.id)
+
+    async def start(self, **more: Any) -> CampaignDocument:
+        return await self.runner.start(self.campaign.id, self.intention, **more)
+
+    async def resume(self, **more: Any) -> CampaignDocument:
+        return await self.runner.resume(self.campaign.id, self.intention, **more)
+
+    async def in_a_sweep(self, block: int = 2, **more: Any) -> None:
+        """Started, and held before this block of the first sweep until it is stopped or goes on."""
+        self.drive.hold = block
+        await self.start(**more)
+        await asyncio.wait_for(self.drive.holding.wait(), TIMEOUT)
+
+    def go_on(self) -> None:
+        self.drive.hold = None
+        self.drive.go.set()
+
+    async def over(self) -> CampaignDocument:
+        """Nothing runs any more, and no axis has energy."""
+        await asyncio.wait_for(self.runner.finished(), TIMEOUT)
+        assert self.runner.running is None
+        assert self.drive.energised == set()
+        return self.now
 
 
 @pytest.fixture(scope="session")
@@ -122,7 +154,12 @@ async def open_bench(
         drive = FormulaDrive(REACHED)
         latch = StopLatch(database)
         told: list[tuple[str, str]] = []
-        machine = Machine(drive, latch, latch.latched(), tell=lambda way, why: told.append((way, why)))
+
+        def tell(way: str, why: str) -> None:
+            told.append((way, why))
+            bench.tell(way, why)
+
+        machine = Machine(drive, latch, latch.latched(), tell=tell)
         models = ModelStore(database)
         jobs = Taken(store, files, models) if worker is None else Jobs(store, files, worker, models)
         stack.push_async_callback(jobs.close)
@@ -142,7 +179,9 @@ async def open_bench(
             plan = store.add_plan(store.add_robot(robot).id, {})
             new = [NewSweep(spec=spec(n, pose), mode=SweepMode.DRIVE_SIDE) for n, pose in enumerate(POSES, 1)]
             campaigns = (store.add_campaign(plan.id, new),)
-        bench = Bench(store, database, files, drive, machine, jobs, runner, hub, campaigns[0], told, compile_plan)
+        bench = Bench(
+            store, database, files, drive, machine, jobs, runner, hub, campaigns[0], told, lambda *_: None, compile_plan
+        )
         yield bench
 
 
@@ -166,6 +205,27 @@ class Taken(Jobs):
 async def bench(tmp_path: Path, robot: Robot, envelope: Envelope) -> AsyncIterator[Bench]:
     async with open_bench(tmp_path, robot, envelope) as bench:
         yield bench
+
+
+@contextmanager
+def refusing(bench: Bench, what: str = "INSERT ON event") -> Generator[None]:
+    """The database refuses all events, or what is said."""
+    with bench.database.write(quiet=True) as session:
+        session.execute(text(f"CREATE TRIGGER full BEFORE {what} BEGIN SELECT RAISE(ABORT, 'disk is full'); END"))
+    yield
+    with bench.database.write(quiet=True) as session:
+        session.execute(text("DROP TRIGGER full"))
+
+
+@asynccontextmanager
+async def keeping(
+    bench: Bench, lease: MachineLease, lease_time: float = LEASE_TIME
+) -> AsyncGenerator[asyncio.Task[None]]:
+    """The machine's lease is renewed meanwhile."""
+    keeper = asyncio.create_task(bench.machine.keep_lease(lease, lease_time))
+    yield keeper
+    keeper.cancel()
+    await asyncio.wait([keeper])
 
 
 async def until_cancelled(campaign_id: int) -> None:

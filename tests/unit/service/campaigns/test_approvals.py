@@ -20,7 +20,7 @@ from service.settings import Settings
 from service.store.approvals import ApprovalStore
 from service.store.documents import CampaignState
 from service.store.guards import StopLatch
-from tests.unit.service.campaigns.conftest import ROOT, TIMEOUT, Bench, until
+from tests.unit.service.campaigns.conftest import ROOT, TIMEOUT, Bench, refusing, until
 
 HASH, OTHER = "a" * 64, "b" * 64
 HOURS = timedelta(hours=8)
@@ -52,7 +52,7 @@ async def test_a_start_and_a_resume_want_an_approval_that_holds(bench: Bench) ->
     asked, plan = Asked(bench), bench.campaign.plan_id or 0
     with pytest.raises(Conflict, match=rf"plan {plan} requires the approval of an engineer: not approved yet"):
         await asked.runner.start(bench.campaign.id, bench.intention)
-    assert (bench.drive.trace, bench.store.campaign(bench.campaign.id).state) == ([], CampaignState.PLANNED)
+    assert (bench.drive.trace, bench.now.state) == ([], CampaignState.PLANNED)
 
     asked.approvals.add(plan, HASH, HASH, "ada", still)
     await asked.runner.start(bench.campaign.id, bench.intention)
@@ -67,7 +67,7 @@ async def test_a_start_and_a_resume_want_an_approval_that_holds(bench: Bench) ->
     ):
         await asked.runner.resume(bench.campaign.id, bench.intention, repeat=True)
     assert bench.drive.trace == moved
-    assert bench.store.campaign(bench.campaign.id).state is CampaignState.PAUSED
+    assert bench.now.state is CampaignState.PAUSED
 
     asked.sha256 = HASH
     with pytest.raises(Conflict, match=rf"plan {plan} requires .* by ada of .* was ended by stop \d+ of the machine"):
@@ -76,7 +76,7 @@ async def test_a_start_and_a_resume_want_an_approval_that_holds(bench: Bench) ->
     asked.approvals.add(plan, HASH, HASH, "ada", still)
     await asked.runner.resume(bench.campaign.id, bench.intention, repeat=True)
     await asyncio.wait_for(asked.runner.finished(), TIMEOUT)
-    assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
+    assert bench.now.state is CampaignState.MEASURED
     await asked.runner.close()
     asked.close()
 
@@ -90,19 +90,19 @@ async def test_an_approval_that_expires_meanwhile_ends_no_motion_and_resumes_non
     with bench.database.write() as session:
         earlier = "UPDATE approval SET at = datetime(at, '-8 hours'), expires_at = datetime(expires_at, '-8 hours')"
         session.execute(text(earlier))
-    assert bench.store.campaign(bench.campaign.id).state is CampaignState.RUNNING
+    assert bench.now.state is CampaignState.RUNNING
     await asked.runner.pause(bench.campaign.id)
     await asyncio.wait_for(asked.runner.finished(), TIMEOUT)
     moved = list(bench.drive.trace)
     with pytest.raises(Conflict, match=rf"plan {plan} requires the approval of an engineer: .* expired at"):
         await asked.runner.resume(bench.campaign.id, bench.intention, repeat=True)
     assert bench.drive.trace == moved
-    assert bench.store.campaign(bench.campaign.id).state is CampaignState.PAUSED
+    assert bench.now.state is CampaignState.PAUSED
 
     asked.approvals.add(plan, HASH, HASH, "ada", still)
     await asked.runner.resume(bench.campaign.id, bench.intention, repeat=True)
     await asyncio.wait_for(asked.runner.finished(), TIMEOUT)
-    assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
+    assert bench.now.state is CampaignState.MEASURED
     await asked.runner.close()
     asked.close()
 
@@ -116,13 +116,10 @@ async def test_a_stop_ends_the_approvals_before_it_and_no_later_one(bench: Bench
     assert approvals.missing(plan, HASH) == ""
     await bench.machine.reset_stop("berta", [first.id])
     assert approvals.missing(plan, HASH) == ""  # a release ends nothing
-    with bench.database.write() as session:
-        session.execute(text("CREATE TRIGGER refuse BEFORE INSERT ON stop BEGIN SELECT RAISE(FAIL, 'full'); END"))
-    second = await bench.machine.stop("berta", "smoke")
-    with pytest.raises(NotNow):
-        await bench.machine.reset_stop("berta", [second.id])  # released and never stored, it would end nothing
-    with bench.database.write() as session:
-        session.execute(text("DROP TRIGGER refuse"))
+    with refusing(bench, "INSERT ON stop"):
+        second = await bench.machine.stop("berta", "smoke")
+        with pytest.raises(NotNow):
+            await bench.machine.reset_stop("berta", [second.id])  # released and never stored, it would end nothing
     await bench.machine.reset_stop("berta", [second.id])
     assert bench.machine.held == ""
     assert "was ended by stop" in approvals.missing(plan, HASH)

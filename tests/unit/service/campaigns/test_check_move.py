@@ -7,7 +7,6 @@ import pytest
 
 from drivers.errors import CommunicationLost, DriveFault, SweepInterrupted
 from drivers.ports import AxisState, AxisStatus
-from service.errors import EnvelopeViolation
 from service.execution.check_move import CheckMove, CheckMoveFailed
 from service.store.documents import CampaignState, EventKind, SweepState
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, until
@@ -67,24 +66,15 @@ def moves(bench: Bench) -> list[str]:
     return [entry for entry in bench.drive.trace if entry.startswith(("move", "sweep"))]
 
 
-async def run_out(bench: Bench) -> None:
-    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
-    assert bench.drive.energised == set()
-
-
 async def test_every_axis_is_checked_once_in_a_run_and_before_it_goes_far(bench: Bench) -> None:
-    bench.drive.hold = 2
-    await bench.runner.start(bench.campaign.id, bench.intention)
-    await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
+    await bench.in_a_sweep()
     await bench.runner.pause(bench.campaign.id)
-    bench.drive.hold = None
-    bench.drive.go.set()
-    await run_out(bench)
+    bench.go_on()
+    await bench.over()
     assert moves(bench) == ["move joint_1 0.00872665", "move joint_1 0", "sweep joint_1"]
     bench.drive.trace.clear()
-    await bench.runner.resume(bench.campaign.id, bench.intention)  # a new run: somebody may have worked at the machine
-    await run_out(bench)
-    assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
+    await bench.resume()  # a new run: somebody may have worked at the machine
+    assert (await bench.over()).state is CampaignState.MEASURED
     far = [entry for entry in moves(bench) if entry in ("move joint_1 0.4", "move joint_2 0.3", "move joint_3 -0.2")]
     assert [entry.split()[1] for entry in far] == ["joint_1", "joint_2", "joint_3"]
     for entry in far:
@@ -107,70 +97,12 @@ async def test_while_it_goes_a_person_is_told_which_axis_goes_which_way(bench: B
         await move_to(joint, position, velocity)
 
     bench.drive.move_to = watched
-    await bench.runner.start(bench.campaign.id, bench.intention)
-    await run_out(bench)
+    await bench.start()
+    await bench.over()
     assert seen[:2] == [("joint_1", pytest.approx(WAY))] * 2  # there and back
     far = moves(bench).index("move joint_1 0.4") - 1  # without the sweep before it
     assert seen[far] is None
     assert bench.runner.check_move is None
-
-
-async def failed(bench: Bench, cause: str) -> None:
-    """The campaign has come to its pause by this cause, and nothing but the check move moved."""
-    await run_out(bench)
-    sweep = bench.store.sweep(bench.campaign.id, 1)
-    assert sweep.state is SweepState.FAILED
-    assert cause in sweep.cause
-    campaign = bench.store.campaign(bench.campaign.id)
-    assert (campaign.state, campaign.cause) == (CampaignState.PAUSED, sweep.cause)
-    assert bench.drive.trace[-1] == "stop"
-    assert not any(entry.startswith("sweep") for entry in bench.drive.trace)
-
-
-async def test_an_axis_that_runs_the_wrong_way_is_stopped_early(bench: Bench) -> None:
-    async def runaway(joint, position, velocity):
-        while True:  # until it is stopped
-            bench.drive.position[joint] -= STEP
-            await asyncio.sleep(0.005)
-
-    bench.drive.move_to = runaway
-    await bench.runner.start(bench.campaign.id, bench.intention)
-    await failed(bench, "CheckMoveFailed: joint_1: moved by -")
-    assert bench.drive.position["joint_2"] == bench.drive.position["joint_3"] == 0.0
-
-
-async def test_a_joint_that_moves_along_stops_the_machine(bench: Bench) -> None:
-    async def coupled(joint, position, velocity):
-        while bench.drive.position[joint] < position:
-            bench.drive.position[joint] += STEP
-            bench.drive.position["joint_3"] += STEP / 2
-            await asyncio.sleep(0.005)
-
-    bench.drive.move_to = coupled
-    await bench.runner.start(bench.campaign.id, bench.intention)
-    await failed(bench, "CheckMoveFailed: joint_3: moved by +")
-    # a repeat is refused in the same way: nothing is remembered as checked
-    await bench.runner.resume(bench.campaign.id, bench.intention, repeat=True)
-    await run_out(bench)
-    assert "joint_3" in bench.store.sweep(bench.campaign.id, 1).cause
-
-
-async def test_an_axis_that_does_not_move_is_found(bench: Bench) -> None:
-    async def stuck(joint, position, velocity):
-        bench.drive.trace.append(f"move {joint}")
-
-    bench.drive.move_to = stuck
-    await bench.runner.start(bench.campaign.id, bench.intention)
-    await failed(bench, "target not reached; limit")
-
-
-async def test_a_fault_in_the_check_move_is_the_cause(bench: Bench) -> None:
-    async def faulty(joint, position, velocity):
-        raise DriveFault(f"{joint}: 0x8611 following error")
-
-    bench.drive.move_to = faulty
-    await bench.runner.start(bench.campaign.id, bench.intention)
-    await failed(bench, "DriveFault: joint_1: 0x8611 following error")
 
 
 async def test_a_stop_in_the_check_move_is_a_stop(bench: Bench) -> None:
@@ -182,55 +114,21 @@ async def test_a_stop_in_the_check_move_is_a_stop(bench: Bench) -> None:
         raise SweepInterrupted(f"{joint}: move was stopped")
 
     bench.drive.move_to = slow
-    await bench.runner.start(bench.campaign.id, bench.intention)
+    await bench.start()
     await asyncio.wait_for(moving.wait(), TIMEOUT)
     await bench.machine.stop("operator", "smoke")
-    await run_out(bench)
+    await bench.over()
     sweep = bench.store.sweep(bench.campaign.id, 1)
     assert (sweep.state, sweep.cause) == (SweepState.INTERRUPTED, "stopped by operator: smoke")
-
-
-async def test_a_check_move_outside_of_the_envelope_moves_nothing(bench: Bench) -> None:
-    def refuse(joint, pose, target, velocity):
-        raise EnvelopeViolation("no room")
-
-    envelope = bench.compile_plan(bench.campaign).envelope
-    check_move = envelope.check_move
-    envelope.check_move = refuse
-    try:
-        await bench.runner.start(bench.campaign.id, bench.intention)
-        await run_out(bench)
-    finally:
-        envelope.check_move = check_move
-    assert bench.drive.trace == ["close", "connect", "stop"]
-
-
-async def test_implausible_channels_fail_the_sweep_and_keep_it_partial(bench: Bench) -> None:
-    samples = bench.drive.samples
-
-    def reversed_effort(command):
-        block = samples(command)
-        block.effort[:] = -block.effort
-        return block
-
-    bench.drive.samples = reversed_effort
-    await bench.runner.start(bench.campaign.id, bench.intention)
-    await run_out(bench)
-    sweep = bench.store.sweep(bench.campaign.id, 1)
-    assert sweep.state is SweepState.FAILED
-    assert sweep.cause.startswith("ImplausibleChannels: joint_1: apparent inertia -")
-    assert bench.store.campaign(bench.campaign.id).state is CampaignState.PAUSED
-    recording = bench.store.recording(bench.campaign.id, 1)
-    assert (recording.state.value, recording.samples) == ("partial", round(6.3 * 250))
 
 
 async def test_a_stop_that_is_not_confirmed_is_told_wherever_a_person_looks(bench: Bench) -> None:
     """In the cause of campaign and sweep, and as the state of the machine: someone has to look at it."""
     bench.drive.fail[1] = DriveFault("joint_1: over-current")
     bench.drive.stop_error = CommunicationLost("node 1 is silent")
-    await bench.runner.start(bench.campaign.id, bench.intention)
-    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
+    await bench.start()
+    await bench.over()
     told = "the stop is not confirmed: node 1 is silent"
-    campaign, sweep = bench.store.campaign(bench.campaign.id), bench.store.sweep(bench.campaign.id, 1)
+    campaign, sweep = bench.now, bench.store.sweep(bench.campaign.id, 1)
     assert campaign.cause == sweep.cause == f"DriveFault: joint_1: over-current; {told}"
     assert (bench.machine.connected, bench.machine.trouble) == (False, told)

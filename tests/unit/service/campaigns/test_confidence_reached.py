@@ -1,6 +1,5 @@
 """A campaign that wants a confidence ends when its estimates have it, and measures all where they never do."""
 
-import asyncio
 import dataclasses
 
 import pytest
@@ -8,7 +7,7 @@ import pytest
 from service.campaigns.state_machine import SweepEvent, sweep_move
 from service.store.documents import CampaignState, SweepDocument, SweepState
 from tests.stored.documents import stored
-from tests.unit.service.campaigns.conftest import SPECTRUM, TIMEOUT, Bench
+from tests.unit.service.campaigns.conftest import SPECTRUM, Bench
 
 pytestmark = pytest.mark.slow
 
@@ -28,9 +27,8 @@ def wants_confidence(bench: Bench, reached: list[float | None]) -> None:
 
 async def test_a_campaign_ends_when_enough_is_known(bench: Bench) -> None:
     wants_confidence(bench, [None, 0.8])
-    await bench.runner.start(bench.campaign.id, bench.intention)
-    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
-    campaign = bench.store.campaign(bench.campaign.id)
+    await bench.start()
+    campaign = await bench.over()
     why = "confidence of 1 % reached: J is known to 0.8 % over the workspace"
     assert (campaign.state, campaign.cause) == (CampaignState.COMPLETED, why)
     assert campaign.sweeps == {SweepState.IDENTIFIED: 2, SweepState.SKIPPED: 2}
@@ -40,8 +38,7 @@ async def test_a_campaign_ends_when_enough_is_known(bench: Bench) -> None:
 
 async def test_a_campaign_that_does_not_know_enough_runs_to_its_end(bench: Bench) -> None:
     wants_confidence(bench, [None, 1.2, 1.1, 1.01])
-    await bench.runner.start(bench.campaign.id, bench.intention)
-    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
-    campaign = bench.store.campaign(bench.campaign.id)
+    await bench.start()
+    campaign = await bench.over()
     assert (campaign.state, campaign.cause) == (CampaignState.COMPLETED, "")
     assert campaign.sweeps == {SweepState.IDENTIFIED: 4}

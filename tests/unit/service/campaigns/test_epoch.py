@@ -6,7 +6,6 @@ from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any
 
 import pytest
-from sqlalchemy.exc import OperationalError
 
 from service.campaigns.live import EventFeed
 from service.errors import Superseded
@@ -15,10 +14,10 @@ from service.execution.epoch import Epochs, Intention
 from service.execution.external_stops import watching
 from service.store.approvals import ApprovalStore
 from service.store.documents import CampaignState
-from service.store.guards import MachineLease
-from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, until
+from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, keeping, until
 from tests.unit.service.campaigns.test_approvals import HASH, Asked
 from tests.unit.service.campaigns.test_experiments import Loop, loop  # noqa: F401
+from tests.unit.service.campaigns.test_machine_held import Ailing
 
 pytestmark = pytest.mark.slow
 
@@ -104,24 +103,13 @@ async def gap_and_release(bench: Bench) -> str:
     return f"stopped by {stop.by}: the host was suspended for 8.0 s"
 
 
-class Ailing(MachineLease):
-    """The database refuses it until `well`."""
-
-    well = False
-
-    def renew(self) -> None:
-        if not self.well:
-            raise OperationalError("UPDATE", {}, Exception("disk I/O error"))
-
-
 async def lease_trouble(bench: Bench) -> str:
     lease = Ailing(bench.database, LEASE_TIME)
-    keeper = asyncio.create_task(bench.machine.keep_lease(lease, LEASE_TIME))
-    await until(lambda: bench.machine.forbidden != "")
-    lease.well = True
-    await until(lambda: bench.machine.forbidden == "")
-    keeper.cancel()
-    await asyncio.wait([keeper])
+    lease.well = False
+    async with keeping(bench, lease, LEASE_TIME):
+        await until(lambda: bench.machine.forbidden != "")
+        lease.well = True
+        await until(lambda: bench.machine.forbidden == "")
     return "the machine's lease could not be renewed"
 
 
@@ -131,7 +119,7 @@ Command = Callable[[Loop], Coroutine[Any, Any, object]]
 
 
 async def start(bed: Loop) -> object:
-    return await bed.bench.runner.start(bed.bench.campaign.id, bed.bench.intention)
+    return await bed.bench.start()
 
 
 async def resume(bed: Loop) -> object:
@@ -182,7 +170,7 @@ async def test_nothing_moves_that_was_wanted_before_a_stop(
     barrier.opened.set()
     if wait in (for_sweep_to_begin, for_check_move):  # it was answered before; the campaign ends
         await waiting
-        await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
+        await bench.over()
         stopped = bench.store.campaigns()[-1]
         assert stopped.state is CampaignState.PAUSED
         assert reason in stopped.cause
@@ -198,7 +186,7 @@ async def test_nothing_moves_that_was_wanted_before_a_stop(
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
     assert energy(bench) != []  # it was the epoch, and nothing else
     await bench.machine.stop("ada", "enough seen")
-    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
+    await bench.over()
 
 
 @pytest.mark.parametrize("between", [stop_and_release, gap_and_release, lease_trouble])
@@ -225,15 +213,13 @@ async def test_an_approval_that_waits_for_the_database_is_not_stored(
 
 
 async def test_a_pause_is_not_taken_back_by_what_was_wanted_before_a_stop(bench: Bench) -> None:
-    bench.drive.hold = 2
-    await bench.runner.start(bench.campaign.id, bench.intention)
-    await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
+    await bench.in_a_sweep()
     await bench.runner.pause(bench.campaign.id)
     older = bench.intention
     bench.machine.epochs.begin("stopped by ada: smoke")
     with pytest.raises(Superseded, match="stopped by ada: smoke"):
         await bench.runner.resume(bench.campaign.id, older)
-    assert bench.store.campaign(bench.campaign.id).state is CampaignState.PAUSING
+    assert bench.now.state is CampaignState.PAUSING
     await bench.runner.close()
 
 

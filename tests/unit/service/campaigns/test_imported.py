@@ -27,11 +27,11 @@ from service.store.store import Store
 from service.worker import Worker, open_worker
 from tests.rigid_sweep import rigid_bundle
 from tests.unit.service.campaigns.conftest import spec, until
+from tests.unit.service.campaigns.diagnosis_bench import InProcess
 
 pytestmark = pytest.mark.slow
 
 SWEEPS = 7
-slow = pytest.mark.slow
 
 
 @dataclass
@@ -57,16 +57,16 @@ class Import:
 
 
 @asynccontextmanager
-async def opened(folder: Path, bundle: Bundle | None = None) -> AsyncGenerator[Import]:
+async def opened(folder: Path, bundle: Bundle | None = None, worker: Worker | None = None) -> AsyncGenerator[Import]:
     """The folder with a worker; `bundle` is imported first, and nothing is identified yet."""
     with open_database(f"sqlite:///{folder / 'sweepid.sqlite'}") as database:
         store, files = Store(database), RecordingFiles(folder)
         if bundle is not None:
             import_campaign(store, files, save_bundle(files, bundle))
-        async with open_worker(None) as worker:
-            jobs = Jobs(store, files, worker, ModelStore(database))
-            yield Import(store, files, jobs, worker, store.campaigns()[0].id)
-            await jobs.close()
+        worker = worker or InProcess()
+        jobs = Jobs(store, files, worker, ModelStore(database))
+        yield Import(store, files, jobs, worker, store.campaigns()[0].id)
+        await jobs.close()
 
 
 async def identified(folder: Path, bundle: Bundle) -> tuple[list[tuple[int, int]], dict[str, JsonValue]]:
@@ -99,7 +99,6 @@ def test_groups_are_the_same_where_a_part_is_done() -> None:
     assert part[1:] == whole[-len(part) + 1 :]
 
 
-@slow
 @pytest.mark.usefixtures("three_revisions")
 async def test_every_sweep_is_identified_once_and_some_have_a_revision(tmp_path: Path, robot: Robot) -> None:
     async with opened(tmp_path, rigid_bundle(robot, SWEEPS)) as there:
@@ -118,7 +117,6 @@ async def test_every_sweep_is_identified_once_and_some_have_a_revision(tmp_path:
         assert [tuple(row[:2]) for row in there.store.confidences(there.campaign, ["joint_1"])] == there.revisions()
 
 
-@slow
 async def test_shared_revisions_have_the_numbers_of_single_ones(
     tmp_path: Path, robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -131,14 +129,13 @@ async def test_shared_revisions_have_the_numbers_of_single_ones(
     assert shared == single
 
 
-@slow
 @pytest.mark.usefixtures("three_revisions")
 async def test_a_killed_worker_and_a_restart_lose_no_sweep_and_double_none(tmp_path: Path, robot: Robot) -> None:
     bundle = rigid_bundle(robot, SWEEPS)
     expected = await identified(tmp_path / "undisturbed", bundle)
     folder = _new(tmp_path / "disturbed")
-    async with opened(folder, bundle) as there:
-        (process,) = await there.worker.processes()
+    async with open_worker(None) as worker, opened(folder, bundle, worker) as there:
+        (process,) = await worker.processes()
         await there.jobs.submit_imported(there.campaign)
         os.kill(process, signal.SIGKILL)
         await until(lambda: bool(there.revisions()))
@@ -150,7 +147,6 @@ async def test_a_killed_worker_and_a_restart_lose_no_sweep_and_double_none(tmp_p
         assert (there.revisions(), there.store.estimate(there.campaign).document) == expected
 
 
-@slow
 @pytest.mark.usefixtures("three_revisions")
 async def test_only_the_sweep_with_a_fault_fails(tmp_path: Path, robot: Robot) -> None:
     """Of the first group one recording is changed on the disk; in the second a channel is dead."""

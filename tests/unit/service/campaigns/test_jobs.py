@@ -1,6 +1,5 @@
-"""From the recorded sweep to the estimate revision, with a real worker process."""
+"""From the recorded sweep to the estimate revision, once with a real worker process."""
 
-import asyncio
 import os
 import pickle
 import signal
@@ -26,25 +25,26 @@ from service.store.diagnosis_documents import NewDiagnosis
 from service.store.documents import CampaignState, SweepState
 from service.store.files.exchange import campaign_bundle
 from service.store.files.spectra import read_spectrum
-from service.worker import Result, Work, open_worker
+from service.worker import open_worker
 from tests.unit.service.campaigns.conftest import POSES, Bench, open_bench, until
+from tests.unit.service.campaigns.diagnosis_bench import InProcess
 from tests.unit.service.identification.known import model
 
 pytestmark = pytest.mark.slow
 
 
 async def completed(bench: Bench) -> None:
-    await until(lambda: bench.store.campaign(bench.campaign.id).state is CampaignState.COMPLETED)
+    await until(lambda: bench.now.state is CampaignState.COMPLETED)
 
 
 async def test_every_sweep_gives_one_revision_whatever_happens_to_the_worker(
     tmp_path: Path, robot: Robot, envelope: Envelope
 ) -> None:
     async with open_worker(None) as worker, open_bench(tmp_path, robot, envelope, worker) as bench:
-        await bench.runner.start(bench.campaign.id, bench.intention)
-        await until(lambda: bench.store.campaign(bench.campaign.id).sweeps.get(SweepState.IDENTIFIED, 0) >= 1)
+        await bench.start()
+        await until(lambda: bench.now.sweeps.get(SweepState.IDENTIFIED, 0) >= 1)
         os.kill((await worker.processes())[0], signal.SIGKILL)
-        await bench.runner.finished()
+        await bench.over()
         for sweep in bench.store.sweeps(bench.campaign.id):  # twice, as after a restart at the wrong moment
             bench.jobs.submit(sweep)
         await completed(bench)
@@ -61,12 +61,12 @@ async def test_the_newest_accepted_model_enters_new_estimates_and_is_told(
 ) -> None:
     """A delay that nobody has: effort is taken earlier by it, and friction that falls with frequency appears."""
     told = model(joint_1={"measurement_delay": {"delay": (2e-3, 1e-5)}})
-    async with open_worker(None) as worker, open_bench(tmp_path, robot, envelope, worker) as bench:
+    async with open_bench(tmp_path, robot, envelope, InProcess()) as bench:
         diagnoses, models = DiagnosisStore(bench.database), ModelStore(bench.database)
         new = NewDiagnosis(robot_id=bench.campaign.robot_id, campaigns=(bench.campaign.id,), axes=("joint_1",))
         accepted = models.add(diagnoses.add(new).id, "Ada", told, None)
-        await bench.runner.start(bench.campaign.id, bench.intention)
-        await bench.runner.finished()
+        await bench.start()
+        await bench.over()
         await completed(bench)
         document: Any = bench.store.estimates(bench.campaign.id)[-1].document
         bundle = campaign_bundle(bench.store, bench.files, bench.campaign.id)
@@ -85,10 +85,9 @@ async def test_what_is_recorded_and_not_identified_is_taken_up_by_the_next_proce
     tmp_path: Path, robot: Robot, envelope: Envelope
 ) -> None:
     async with open_bench(tmp_path, robot, envelope) as bench:
-        await bench.runner.start(bench.campaign.id, bench.intention)
-        await bench.runner.finished()
-        assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
-    async with open_worker(None) as worker, open_bench(tmp_path, robot, envelope, worker) as bench:
+        await bench.start()
+        assert (await bench.over()).state is CampaignState.MEASURED
+    async with open_bench(tmp_path, robot, envelope, InProcess()) as bench:
         recover(bench.store, bench.files)
         await bench.jobs.recover()
         await completed(bench)
@@ -99,17 +98,12 @@ async def test_a_job_names_the_spectra_of_earlier_sweeps_and_carries_none(
     tmp_path: Path, robot: Robot, envelope: Envelope
 ) -> None:
     """What a job weighs must not grow with what was measured before it."""
-    async with open_worker(None) as worker, open_bench(tmp_path, robot, envelope, worker) as bench:
-        weights: list[int] = []
-
-        async def weighed(job: Work[Result]) -> Result:
-            weights.append(len(pickle.dumps(job)))
-            return await run(job)
-
-        run, worker.run = worker.run, weighed
-        await bench.runner.start(bench.campaign.id, bench.intention)
+    worker = InProcess()
+    async with open_bench(tmp_path, robot, envelope, worker) as bench:
+        await bench.start()
         await completed(bench)
         (first, *_) = bench.store.spectra(bench.campaign.id)
+    weights = [len(pickle.dumps(job)) for job in worker.jobs]
     assert len(weights) == len(POSES)
     assert weights[-1] - weights[0] < 1000 * (len(POSES) - 1) < (tmp_path / first.path).stat().st_size
 
@@ -120,10 +114,9 @@ async def test_a_job_waits_while_the_database_is_locked(
     """For longer than a transaction waits for its turn. Who asks is told, and nothing is done twice."""
     monkeypatch.setattr("service.store.engines.sqlite.BUSY_TIMEOUT", 0.05)
     async with open_bench(tmp_path, robot, envelope) as bench:
-        await bench.runner.start(bench.campaign.id, bench.intention)
-        await bench.runner.finished()
-    async with open_worker(None) as worker, open_bench(tmp_path, robot, envelope, worker) as bench:
-        await worker.processes()
+        await bench.start()
+        await bench.over()
+    async with open_bench(tmp_path, robot, envelope, InProcess()) as bench:
         with closing(sqlite3.connect(tmp_path / "sweepid.sqlite", isolation_level=None)) as other:
             other.execute("BEGIN EXCLUSIVE")
             for sweep in bench.store.sweeps(bench.campaign.id):
@@ -139,8 +132,8 @@ async def test_a_job_waits_while_the_database_is_locked(
 async def test_spectra_from_before_there_were_files_are_moved_into_files(
     tmp_path: Path, robot: Robot, envelope: Envelope
 ) -> None:
-    async with open_worker(None) as worker, open_bench(tmp_path, robot, envelope, worker) as bench:
-        await bench.runner.start(bench.campaign.id, bench.intention)
+    async with open_bench(tmp_path, robot, envelope, InProcess()) as bench:
+        await bench.start()
         await completed(bench)
         records = bench.store.spectra(bench.campaign.id)
         documents = [read_spectrum(bench.files.spectrum(record)) for record in records]
@@ -159,11 +152,11 @@ async def test_a_sweep_whose_file_was_changed_fails_and_the_others_go_on(
     tmp_path: Path, robot: Robot, envelope: Envelope
 ) -> None:
     async with open_bench(tmp_path, robot, envelope) as bench:
-        await bench.runner.start(bench.campaign.id, bench.intention)
-        await bench.runner.finished()
+        await bench.start()
+        await bench.over()
         path = bench.files.path(bench.store.recording(bench.campaign.id, 2))
         path.write_bytes(path.read_bytes()[:-1])
-    async with open_worker(None) as worker, open_bench(tmp_path, robot, envelope, worker) as bench:
+    async with open_bench(tmp_path, robot, envelope, InProcess()) as bench:
         await bench.jobs.recover()
         await completed(bench)
         sweeps = bench.store.sweeps(bench.campaign.id)
@@ -175,8 +168,4 @@ async def test_a_sweep_whose_file_was_changed_fails_and_the_others_go_on(
         ]
         assert "recording file was changed" in sweeps[1].cause
         assert [e.number for e in bench.store.estimates(bench.campaign.id)] == [1, 3, 4]
-        await asyncio.wait_for(_idle(bench), 5)
-
-
-async def _idle(bench: Bench) -> None:
-    await until(lambda: bench.jobs.open == 0)
+        await until(lambda: bench.jobs.open == 0)

@@ -15,44 +15,41 @@ from service.execution.state.latched_stops import MOST
 from service.execution.state.stop_sequences import HALTED
 from service.store.documents import CampaignState, SweepState
 from service.store.guards import MachineLease
-from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, until
+from tests.unit.service.campaigns.conftest import LEASE_TIME, TIMEOUT, Bench, keeping, until
 
 pytestmark = pytest.mark.slow
 
-LEASE_TIME = 0.5  # s
 
-
-async def test_who_loses_the_lease_stops_and_moves_no_more(bench: Bench) -> None:
+async def test_who_loses_the_lease_stops_leaves_the_bus_and_does_not_come_back(bench: Bench) -> None:
     mine, other = MachineLease(bench.database, LEASE_TIME), MachineLease(bench.database, LEASE_TIME)
     mine.acquire()
-    bench.drive.hold = 2
-    await bench.runner.start(bench.campaign.id, bench.intention)
-    await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
+    await bench.in_a_sweep()
     await asyncio.to_thread(other.acquire)  # this service was silent: nobody renewed
     await asyncio.wait_for(bench.machine.keep_lease(mine, LEASE_TIME), TIMEOUT)
-    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
-    campaign = bench.store.campaign(bench.campaign.id)
-    assert (campaign.state, campaign.cause) == (
-        CampaignState.PAUSED,
-        "another service has taken the machine; restart this service",
-    )
+    campaign = await bench.over()
+    taken = "another service has taken the machine; restart this service"
+    assert (campaign.state, campaign.cause) == (CampaignState.PAUSED, taken)
     assert campaign.sweeps[SweepState.INTERRUPTED] == 1
-    assert bench.drive.energised == set()
     other.renew()
+    await until(lambda: "close" in bench.drive.trace[2:])
+    assert not bench.machine.connected
+    moved = list(bench.drive.trace)
+    for refused in (bench.machine.connect, bench.resume):
+        with pytest.raises(Conflict, match="another service has taken the machine"):
+            await refused()
+    assert bench.drive.trace == moved
 
 
 async def test_a_database_that_does_not_answer_stops_the_machine_until_it_does(bench: Bench) -> None:
     lease = MachineLease(bench.database, LEASE_TIME)
     lease.acquire()
-    keeper = asyncio.create_task(bench.machine.keep_lease(lease, LEASE_TIME))
-    with bench.database.write() as session:
-        session.connection()  # begins: the only writer's place is taken
-        await until(lambda: bench.machine.held != "")
-        assert "stop" in bench.drive.trace
-        assert "could not be renewed" in bench.machine.held
-    await until(lambda: bench.machine.held == "")
-    keeper.cancel()
-    await asyncio.wait([keeper])
+    async with keeping(bench, lease):
+        with bench.database.write() as session:
+            session.connection()  # begins: the only writer's place is taken
+            await until(lambda: bench.machine.held != "")
+            assert "stop" in bench.drive.trace
+            assert "could not be renewed" in bench.machine.held
+        await until(lambda: bench.machine.held == "")
 
 
 async def test_trouble_of_another_kind_with_the_database_does_not_end_the_watch_over_the_lease(bench: Bench) -> None:
@@ -62,13 +59,11 @@ async def test_trouble_of_another_kind_with_the_database_does_not_end_the_watch_
         def renew(self) -> None:
             raise PoolTimeout("QueuePool limit of size 5 overflow 10 reached")
 
-    keeper = asyncio.create_task(bench.machine.keep_lease(Crowded(bench.database, LEASE_TIME), LEASE_TIME))
-    await until(lambda: bench.machine.held != "" or keeper.done())
-    assert "could not be renewed" in bench.machine.held
-    assert "stop" in bench.drive.trace
-    assert not keeper.done()
-    keeper.cancel()
-    await asyncio.wait([keeper])
+    async with keeping(bench, Crowded(bench.database, LEASE_TIME)) as keeper:
+        await until(lambda: bench.machine.held != "" or keeper.done())
+        assert "could not be renewed" in bench.machine.held
+        assert "stop" in bench.drive.trace
+        assert not keeper.done()
 
 
 async def test_a_watch_over_the_lease_that_breaks_off_stops_the_machine(bench: Bench) -> None:
@@ -182,8 +177,8 @@ async def test_a_stop_that_reached_no_drive_is_no_confirmed_one(bench: Bench) ->
 async def test_a_cabinet_that_was_switched_off_and_on_meanwhile_is_connected_before_it_moves(bench: Bench) -> None:
     await bench.machine.connect()
     bench.drive.silent = True
-    await bench.runner.start(bench.campaign.id, bench.intention)
-    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
+    await bench.start()
+    await bench.over()
     assert [entry for entry in bench.drive.trace if entry != "standstill"][:5] == [
         "close", "connect", "close", "connect", "enable joint_1"
     ]  # fmt: skip
@@ -207,13 +202,12 @@ async def test_a_computer_that_comes_late_is_told_apart_from_a_database_that_doe
             asked.set()
             answer.wait(TIMEOUT)
 
-    keeper = asyncio.create_task(bench.machine.keep_lease(Slow(bench.database, LEASE_TIME), LEASE_TIME))
-    await until(asked.is_set)
-    asyncio.get_running_loop().call_soon(time.sleep, LEASE_TIME)  # something else has the processor
-    await until(lambda: bench.machine.held != "")
-    assert bench.machine.held.startswith("the machine's lease could not be renewed: this computer was delayed by 0.")
-    assert "stop" in bench.drive.trace  # who is late may have lost the machine all the same
-    answer.set()
-    await until(lambda: bench.machine.held == "")
-    keeper.cancel()
-    await asyncio.wait([keeper])
+    async with keeping(bench, Slow(bench.database, LEASE_TIME)):
+        await until(asked.is_set)
+        asyncio.get_running_loop().call_soon(time.sleep, LEASE_TIME)  # something else has the processor
+        await until(lambda: bench.machine.held != "")
+        late = "the machine's lease could not be renewed: this computer was delayed by 0."
+        assert bench.machine.held.startswith(late)
+        assert "stop" in bench.drive.trace  # who is late may have lost the machine all the same
+        answer.set()
+        await until(lambda: bench.machine.held == "")

@@ -98,22 +98,21 @@ def copy_of(store: Store, robot: RobotDocument, name: str) -> RobotDocument:
 
 async def test_a_resume_is_refused_if_an_axis_has_left_what_was_shown(bench: Bench) -> None:
     bench.drive.hold = 1
-    await bench.runner.start(bench.campaign.id, bench.intention)
+    await bench.start()
     await bench.drive.holding.wait()
     stop = await bench.machine.stop("berta", "enough")
-    await bench.runner.finished()
+    await bench.over()
     await bench.machine.reset_stop("berta", [stop.id])
     seen: dict[str, Range] = dict.fromkeys(REACHED, (-0.5, 0.5))
     bench.drive.position["joint_2"] = 0.6
     before = list(bench.drive.trace)
     with pytest.raises(Conflict, match=r"joint_2 stands at 0.6000 rad, outside of -0.5000 to 0.5000 rad"):
-        await bench.runner.resume(bench.campaign.id, bench.intention, repeat=True, seen=seen)
+        await bench.resume(repeat=True, seen=seen)
     assert bench.drive.trace == before
-    assert bench.store.campaign(bench.campaign.id).state is CampaignState.PAUSED
+    assert bench.now.state is CampaignState.PAUSED
     bench.drive.position["joint_2"], bench.drive.hold = 0.501, None  # within the tolerance of a pose
-    await bench.runner.resume(bench.campaign.id, bench.intention, repeat=True, seen=seen)
-    await bench.runner.finished()
-    assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
+    await bench.resume(repeat=True, seen=seen)
+    assert (await bench.over()).state is CampaignState.MEASURED
 
 
 def test_the_approach_itself_stays_in_what_was_shown(bench: Bench) -> None:

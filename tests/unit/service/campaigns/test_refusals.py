@@ -3,12 +3,10 @@
 import asyncio
 import os
 import threading
-from collections.abc import Generator, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import pytest
-from sqlalchemy import text
 from sqlalchemy.exc import SQLAlchemyError
 from structlog.testing import capture_logs
 
@@ -17,21 +15,11 @@ from service.errors import Conflict
 from service.execution import runner as runner_module
 from service.store.documents import CampaignState, RecordingState, SweepState
 from service.store.files.columns import read_columns
-from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, Taken, until, until_cancelled
+from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, Taken, refusing, until, until_cancelled
 
 pytestmark = pytest.mark.slow
 
 OVER_CURRENT = "DriveFault: joint_1: over-current"
-
-
-@contextmanager
-def refusing(bench: Bench, what: str = "INSERT ON event") -> Generator[None]:
-    """The database takes nothing; with `what` none of those."""
-    with bench.database.write(quiet=True) as session:
-        session.execute(text(f"CREATE TRIGGER full BEFORE {what} BEGIN SELECT RAISE(ABORT, 'disk is full'); END"))
-    yield
-    with bench.database.write(quiet=True) as session:
-        session.execute(text("DROP TRIGGER full"))
 
 
 @pytest.fixture
@@ -39,16 +27,10 @@ async def faulted(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Bench:
     """A campaign in its first sweep, of which the next block is a fault of the drive."""
     monkeypatch.setattr(runner_module, "RETRY", 0.05)
     bench.drive.hold, bench.drive.fail[3] = 2, DriveFault("joint_1: over-current")
-    await bench.runner.start(bench.campaign.id, bench.intention)
+    await bench.start()
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
     bench.drive.hold = None
     return bench
-
-
-async def ran_out(bench: Bench) -> None:
-    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
-    assert bench.runner.running is None
-    assert bench.drive.energised == set()
 
 
 async def test_what_a_database_refuses_is_stored_as_soon_as_it_takes_it(
@@ -70,7 +52,7 @@ async def test_what_a_database_refuses_is_stored_as_soon_as_it_takes_it(
         assert [log["event"] for log in logs] == ["sweep_given_up", "sweep_not_ended", "end_not_stored"]
         assert "stop" in faulted.drive.trace
         assert faulted.store.campaign(1).sweeps[SweepState.RUNNING] == 1
-    await ran_out(faulted)
+    await faulted.over()
     campaign, sweep = faulted.store.campaign(1), faulted.store.sweep(1, 1)
     assert (campaign.state, campaign.cause) == (CampaignState.PAUSED, OVER_CURRENT)
     assert (sweep.state, sweep.cause) == (SweepState.INTERRUPTED, OVER_CURRENT)
@@ -78,15 +60,15 @@ async def test_what_a_database_refuses_is_stored_as_soon_as_it_takes_it(
     assert (recording.state, recording.samples) == (RecordingState.PARTIAL, 750)
     assert faulted.files.streams() == {}
     faulted.drive.fail.clear()
-    await faulted.runner.resume(1, faulted.intention, repeat=True)
-    await ran_out(faulted)
+    await faulted.resume(repeat=True)
+    await faulted.over()
     assert faulted.store.campaign(1).sweeps == {SweepState.RECORDED: 4}
 
 
 async def test_one_refusal_leaves_no_sweep_running(faulted: Bench) -> None:
     with refusing(faulted, "UPDATE ON sweep WHEN NEW.state = 'failed'"):
         faulted.drive.go.set()
-        await ran_out(faulted)
+        await faulted.over()
     assert faulted.store.campaign(1).sweeps == {SweepState.INTERRUPTED: 1, SweepState.PLANNED: 3}
     assert faulted.store.campaign(1).cause == OVER_CURRENT
 
@@ -95,33 +77,27 @@ async def aborted_in_vain(bench: Bench) -> None:
     with refusing(bench):
         with pytest.raises(SQLAlchemyError):
             await asyncio.wait_for(bench.runner.abort(1, "enough"), TIMEOUT)
-        await ran_out(bench)
+        await bench.over()
         assert bench.store.campaign(1).state is CampaignState.RUNNING
 
 
-async def test_an_abort_that_was_refused_can_be_said_again(faulted: Bench) -> None:
-    await aborted_in_vain(faulted)
-    aborted = await faulted.runner.abort(1, "enough")
-    assert aborted.state is CampaignState.ABORTED
-    assert aborted.sweeps == {SweepState.INTERRUPTED: 1, SweepState.SKIPPED: 3}
-    assert faulted.store.sweep(1, 1).cause == "aborted: enough"
-
-
-@pytest.mark.parametrize("command", ["start", "pause"])
+@pytest.mark.parametrize("command", ["abort", "start", "pause", "resume"])
 async def test_the_next_command_stores_what_was_refused(faulted: Bench, command: str) -> None:
     await aborted_in_vain(faulted)
-    given = (1,) if command == "pause" else (1, faulted.intention)
-    with pytest.raises(Conflict, match="is not possible in state paused"):
-        await getattr(faulted.runner, command)(*given)
-    assert faulted.store.campaign(1).sweeps == {SweepState.INTERRUPTED: 1, SweepState.PLANNED: 3}
-
-
-async def test_a_campaign_whose_abort_was_refused_can_be_resumed(faulted: Bench) -> None:
-    await aborted_in_vain(faulted)
     faulted.drive.fail.clear()
-    await faulted.runner.resume(1, faulted.intention, repeat=True)
-    await ran_out(faulted)
-    assert faulted.store.campaign(1).sweeps == {SweepState.RECORDED: 4}
+    if command == "abort":
+        assert (await faulted.runner.abort(1, "enough")).state is CampaignState.ABORTED
+        assert faulted.store.sweep(1, 1).cause == "aborted: enough"
+    elif command == "resume":
+        await faulted.resume(repeat=True)
+        await faulted.over()
+    else:
+        with pytest.raises(Conflict, match="is not possible in state paused"):
+            await (faulted.start() if command == "start" else faulted.runner.pause(1))
+    assert faulted.now.sweeps == {
+        "abort": {SweepState.INTERRUPTED: 1, SweepState.SKIPPED: 3},
+        "resume": {SweepState.RECORDED: 4},
+    }.get(command, {SweepState.INTERRUPTED: 1, SweepState.PLANNED: 3})
 
 
 async def test_the_service_ends_while_the_database_refuses(faulted: Bench) -> None:
@@ -141,7 +117,7 @@ async def test_an_abort_while_the_end_of_a_sweep_is_stored_loses_no_result(bench
         return end(*args, **kwargs)
 
     bench.store.end_sweep = slow
-    await bench.runner.start(1, bench.intention)
+    await bench.start()
     await until(inside.is_set)
     aborting = asyncio.create_task(bench.runner.abort(1, "enough"))
     await until_cancelled(1)
@@ -186,12 +162,12 @@ async def test_samples_are_watched_while_the_disk_stalls(bench: Bench, disk: Dis
         return block
 
     bench.drive.samples = jolt
-    await bench.runner.start(1, bench.intention)
+    await bench.start()
     await until(disk.stalled.is_set)
     await until(lambda: "stop" in bench.drive.trace)
     assert bench.drive.energised == set()
     disk.go.set()
-    await ran_out(bench)
+    await bench.over()
     sweep = bench.store.sweep(1, 1)
     assert sweep.state is SweepState.FAILED
     assert sweep.cause.startswith("EnvelopeViolation: joint_1: velocity 0.5 rad/s is outside")
@@ -201,18 +177,16 @@ async def test_samples_are_watched_while_the_disk_stalls(bench: Bench, disk: Dis
 
 async def test_a_gap_ends_the_sweep_while_the_disk_stalls(bench: Bench, disk: Disk) -> None:
     bench.drive.skip, bench.drive.hold = 600, 4  # the drive has more samples, and waits with them
-    await bench.runner.start(1, bench.intention)
+    await bench.start()
     await until(lambda: "stop" in bench.drive.trace)
     disk.go.set()
-    await ran_out(bench)
+    await bench.over()
     assert bench.store.sweep(1, 1).cause == "SamplesMissing: joint_1: sample 601 received instead of 600"
     assert bench.store.recording(1, 1).samples == 500
 
 
 async def test_an_abort_while_the_disk_stalls_stops_the_drives_first(bench: Bench, disk: Disk) -> None:
-    bench.drive.hold = 3
-    await bench.runner.start(1, bench.intention)
-    await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
+    await bench.in_a_sweep(3)
     await until(disk.stalled.is_set)
     aborting = asyncio.create_task(bench.runner.abort(1, "enough"))
     await until(lambda: "stop" in bench.drive.trace)
@@ -220,22 +194,3 @@ async def test_an_abort_while_the_disk_stalls_stops_the_drives_first(bench: Benc
     disk.go.set()
     await aborting
     assert bench.store.recording(1, 1).samples == 750
-
-
-async def test_a_disk_that_refuses_late_fails_the_sweep_at_standstill(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    written, sync = list[int](), os.fsync
-
-    def refuse(file: int) -> None:
-        written.append(file)
-        if len(written) == 7:  # the last block
-            raise OSError(28, "No space left on device")
-        sync(file)
-
-    monkeypatch.setattr("service.store.files.stream.os.fsync", refuse)
-    await bench.runner.start(1, bench.intention)
-    await ran_out(bench)
-    assert bench.drive.trace[-1] == "stop"
-    assert (bench.store.sweep(1, 1).state, bench.store.campaign(1).state) == (SweepState.FAILED, CampaignState.PAUSED)
-    assert bench.store.sweep(1, 1).cause.startswith("OSError: [Errno 28] No space left on device")

@@ -35,8 +35,8 @@ async def test_origin_drives_and_one_sweep_come_from_what_was_recorded(bench: Be
         reporting(bench).job(99, "html")
     with pytest.raises(Conflict, match=r"campaign 1 \(planned\) has no identified sweep yet"):
         reporting(bench).job(1, "html")
-    await bench.runner.start(bench.campaign.id, bench.intention)
-    await bench.runner.finished()
+    await bench.start()
+    await bench.over()
     bundle = campaign_bundle(bench.store, bench.files, 1)
     document = estimate_document(robot, [spectrum(robot, sweep) for sweep in bundle.sweeps]).as_json()
     identify(bench, document)

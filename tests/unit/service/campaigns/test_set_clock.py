@@ -1,6 +1,5 @@
 """A wall clock that is set while a campaign holds: no sweep begins before one that was measured, or before time 0."""
 
-import asyncio
 from datetime import timedelta
 from pathlib import Path
 
@@ -18,14 +17,10 @@ SET_BY = (timedelta(hours=-1), timedelta(hours=1))
 
 
 async def pause_in_the_second_sweep(bench: Bench) -> None:
-    bench.drive.hold = 2
-    await bench.runner.start(bench.campaign.id, bench.intention)
-    await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
+    await bench.in_a_sweep()
     await bench.runner.pause(bench.campaign.id)
-    bench.drive.hold = None
-    bench.drive.go.set()
-    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
-    assert bench.store.campaign(bench.campaign.id).state is CampaignState.PAUSED
+    bench.go_on()
+    assert (await bench.over()).state is CampaignState.PAUSED
 
 
 def set_clock(bench: Bench, by: timedelta) -> None:
@@ -38,9 +33,9 @@ def set_clock(bench: Bench, by: timedelta) -> None:
 
 async def go_on(bench: Bench) -> list[float]:
     """When the sweeps began."""
-    await bench.runner.resume(bench.campaign.id, bench.intention)
-    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
-    await until(lambda: bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED)
+    await bench.resume()
+    await bench.over()
+    await until(lambda: bench.now.state is CampaignState.MEASURED)
     return [sweep.spec.started_at for sweep in bench.store.sweeps(bench.campaign.id)]
 
 

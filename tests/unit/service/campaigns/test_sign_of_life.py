@@ -7,7 +7,7 @@ import pytest
 from service.errors import Conflict
 from service.execution.sign_of_life import SignOfLife
 from service.store.documents import CampaignState, SweepState
-from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, until, until_cancelled
+from tests.unit.service.campaigns.conftest import Bench, until, until_cancelled
 from tests.unit.service.campaigns.test_machine_held import BetweenMotions
 
 SOON, LATE = 0.05, 3600.0  # s
@@ -15,7 +15,7 @@ SOON, LATE = 0.05, 3600.0  # s
 
 async def test_without_a_sign_of_life_it_is_paused_at_standstill(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     between = BetweenMotions(monkeypatch)
-    await bench.runner.start(bench.campaign.id, bench.intention, attended=LATE)
+    await bench.start(attended=LATE)
     await until(between.reached.is_set)
     attendance = bench.runner.attendance
     assert attendance is not None
@@ -24,28 +24,25 @@ async def test_without_a_sign_of_life_it_is_paused_at_standstill(bench: Bench, m
     await until(lambda: attendance.left == 0.0)
     await until_cancelled(bench.campaign.id)
     between.go.set()
-    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
-    campaign = bench.store.campaign(bench.campaign.id)
+    campaign = await bench.over()
     assert campaign.state is CampaignState.PAUSED
     assert campaign.cause.startswith("no sign of life within 0.05 s")
     assert bench.machine.stops == ()  # nothing is latched: the next start is a person's
     assert bench.drive.trace[-1] == "stop"
     assert bench.told == [(f"campaign {campaign.id}", campaign.cause)]
 
-    await bench.runner.resume(bench.campaign.id, bench.intention, repeat=True)
-    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
-    assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
+    await bench.resume(repeat=True)
+    assert (await bench.over()).state is CampaignState.MEASURED
 
 
 async def test_with_signs_of_life_it_is_measured(bench: Bench) -> None:
     with pytest.raises(Conflict, match="is not running"):
         bench.runner.sign_of_life(bench.campaign.id)
-    await bench.runner.start(bench.campaign.id, bench.intention, attended=LATE)
+    await bench.start(attended=LATE)
     attendance = bench.runner.sign_of_life(bench.campaign.id)
     assert attendance is not None
     assert attendance.left <= attendance.within == LATE
-    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
-    assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
+    assert (await bench.over()).state is CampaignState.MEASURED
     assert all(sweep.state is SweepState.RECORDED for sweep in bench.store.sweeps(bench.campaign.id))
     assert bench.runner.attendance is None
 
@@ -54,29 +51,26 @@ async def test_with_signs_of_life_it_is_measured(bench: Bench) -> None:
 async def test_a_pause_that_is_taken_back_keeps_the_sign_of_life_or_takes_that_of_the_resume(
     bench: Bench, first: float | None, second: float | None, kept: float
 ) -> None:
-    bench.drive.hold = 2
-    await bench.runner.start(bench.campaign.id, bench.intention, attended=first)
-    await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
+    await bench.in_a_sweep(2, attended=first)
     await bench.runner.pause(bench.campaign.id)
-    resumed = await bench.runner.resume(bench.campaign.id, bench.intention, attended=second)
+    resumed = await bench.resume(attended=second)
     assert resumed.state is CampaignState.RUNNING
     attendance = bench.runner.attendance
     assert attendance is not None
     assert attendance.within == kept
     attendance.within = SOON
     attendance.renew()
-    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)  # the sweep is held for ever: nothing else ends it
-    campaign = bench.store.campaign(bench.campaign.id)
+    await bench.over()  # the sweep is held for ever: nothing else ends it
+    campaign = bench.now
     assert campaign.state is CampaignState.PAUSED
     assert campaign.cause.startswith("no sign of life within 0.05 s")
     assert bench.drive.energised == set()
 
 
 async def test_who_wants_none_waits_for_none(bench: Bench) -> None:
-    await bench.runner.start(bench.campaign.id, bench.intention)
+    await bench.start()
     assert bench.runner.sign_of_life(bench.campaign.id) is None
-    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
-    assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
+    assert (await bench.over()).state is CampaignState.MEASURED
 
 
 async def test_each_sign_of_life_sets_the_time_anew_and_the_end_ends_it() -> None:

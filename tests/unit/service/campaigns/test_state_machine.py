@@ -2,6 +2,7 @@
 
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -46,24 +47,20 @@ SWEEP_EXPECTED = {
 }
 
 
-@pytest.mark.parametrize(("state", "event"), list(product(CampaignState, CampaignEvent)))
-def test_every_pair_of_a_campaign(state: CampaignState, event: CampaignEvent) -> None:
-    expected = CAMPAIGN_EXPECTED[state.value].get(event.value)
-    if expected is None:
+@pytest.mark.parametrize(
+    ("state", "event", "move", "expected"),
+    [
+        *((*pair, campaign_move, CAMPAIGN_EXPECTED) for pair in product(CampaignState, CampaignEvent)),
+        *((*pair, sweep_move, SWEEP_EXPECTED) for pair in product(SweepState, SweepEvent)),
+    ],
+)
+def test_every_pair_of_state_and_event(state: Any, event: Any, move: Any, expected: dict[str, dict[str, str]]) -> None:
+    after = expected[state.value].get(event.value)
+    if after is None:
         with pytest.raises(Conflict, match=f"{event.value} is not possible in state {state.value}"):
-            campaign_move(event)(state)
+            move(event)(state)
     else:
-        assert campaign_move(event)(state) is CampaignState(expected)
-
-
-@pytest.mark.parametrize(("state", "event"), list(product(SweepState, SweepEvent)))
-def test_every_pair_of_a_sweep(state: SweepState, event: SweepEvent) -> None:
-    expected = SWEEP_EXPECTED[state.value].get(event.value)
-    if expected is None:
-        with pytest.raises(Conflict, match=f"{event.value} is not possible in state {state.value}"):
-            sweep_move(event)(state)
-    else:
-        assert sweep_move(event)(state) is SweepState(expected)
+        assert move(event)(state) is type(state)(after)
 
 
 def test_only_a_person_makes_a_campaign_run() -> None:

@@ -248,8 +248,7 @@ async def test_a_trajectory_of_which_one_axis_was_identified_does_not_block_its_
     await runner.start(planned.id, bench.intention)
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
     await runner.pause(planned.id)
-    bench.drive.hold = None
-    bench.drive.go.set()
+    bench.go_on()
     await asyncio.wait_for(runner.finished(), TIMEOUT)
     store.add_estimate([(store.sweep(planned.id, 1), SPECTRUM)], identify, {})
     store.move_sweep(planned.id, 2, fail, "identification: no")
