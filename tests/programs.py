@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 PACKAGES = {  # by program; what stands in more than one package is one program here
     "bash": ("bash",),
-    "cc": ("gcc", "libc6-dev"),  # tests/system/clock.c, tests/vcan/xstate.c
+    "cc": ("gcc", "libc6-dev"),  # tests/vcan/xstate.c
     "chromium": ("chromium",),
     "docker-compose": ("docker-compose",),  # it checks docker-compose.yml
     "initdb": ("postgresql",),

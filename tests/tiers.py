@@ -131,7 +131,6 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     f"{_STOP}::test_measure_told_to_end_stops_the_machine[SIGHUP": 4,
     f"{_STOP}::test_told_to_end_the_machine_comes_before_open_requests[SIGHUP": 8,
     f"{_STOP}::test_told_to_end_the_machine_comes_before_open_requests[SIGINT": 8,
-    "tests/system/test_two_cells.py::test_two_cells_measure_at_once_and_one_is_killed[sqlite": 30,
     "tests/system/test_virtual_modbus.py[modbus-rtu": 2,
     # further states of the page
     "tests/browser/test_accessibility.py::test_a_report": 9,

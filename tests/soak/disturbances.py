@@ -1,7 +1,7 @@
 """What goes wrong on a shop floor, and what people do, each to be done at any moment of a campaign and undone.
 
-The twelve faults of a machine hall (bus-off, lost or doubled PDO, drive fault, suspended host, full disk, power cut,
-two clients, wrong axis or pose, emergency stop, step of the clock, identity of another drive, killed worker), data that
+The eleven faults of a machine hall (bus-off, lost or doubled PDO, drive fault, suspended host, full disk, power cut,
+two clients, wrong axis or pose, emergency stop, identity of another drive, killed worker), data that
 cannot be written, and commands that cross one another.
 """
 
@@ -166,12 +166,6 @@ def _locked(bench: Bench) -> None:
         other.execute("ROLLBACK")
 
 
-def _clock_set(bench: Bench) -> None:
-    """By hand or by NTP; the drives have no clock of the wall."""
-    assert bench.service.clock is not None
-    bench.service.clock.step(bench.chance.choice([-1, 1]) * bench.chance.choice([0.5, 20.0, 3600.0, 86400.0]))
-
-
 def _stopped(bench: Bench) -> None:
     """503 tells that a drive did not confirm; the stop holds all the same."""
     with suppress(ServiceProblem):
@@ -246,7 +240,6 @@ DISTURBANCES = (
     Disturbance("commits lost in a power cut", data_faults.lost_commits, (_restart,), keeps=False),
     Disturbance("damaged recording", data_faults.damaged_recording, ends=False),
     Disturbance("read-only folder", data_faults.locked_folder, ends=False),
-    Disturbance("clock set", _clock_set, ends=False),
     Disturbance("STOP", _stopped),
     Disturbance("pause", _paused, ends=False),  # what moves comes to its end first
     Disturbance("clients that cross one another", _crossing, ends=False),

@@ -17,7 +17,6 @@ from service.client import Json, ServiceClient, ServiceProblem, ServiceUnreachab
 from tests.faults import MODBUS, OWN_SWEEP, STREAMED, Adapter
 from tests.soak.disturbances import DISTURBANCES, Disturbance
 from tests.soak.watch import Watch
-from tests.system.clock import Clock
 from tests.system.rest_bench import (
     PATIENCE,
     PATIENT_LEASE,
@@ -310,7 +309,6 @@ def walking(way: Way, folder: Path, seed: int, say: Callable[[str], None]) -> It
     with ExitStack() as stack:
         machine = stack.enter_context(virtual_machine(folder, way.speed_factor, Fieldbus(way.adapter.fieldbus)))
         service = Service(folder, machine.profile, PATIENT_LEASE)
-        service.clock = Clock(folder)
         service.start()
         stack.callback(service.close)
         watch = stack.enter_context(Watch(machine))

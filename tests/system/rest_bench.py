@@ -17,7 +17,6 @@ import psutil
 import yaml
 
 from service.client import Json, ServiceClient, ServiceProblem
-from tests.system.clock import Clock
 
 CONFIG = Path(__file__).parents[2] / "config"
 ROBOT = CONFIG / "robots" / "max100-class.yaml"
@@ -91,9 +90,6 @@ class VirtualMachine:
 class Service:
     """`sweepid serve` on a data directory; may be killed and started again."""
 
-    clock: Clock | None = None
-    """What it sees, from its next start on, instead of the computer's."""
-
     def __init__(self, folder: Path, profile: Path, lease_time: float = PATIENT_LEASE, **settings_too: object) -> None:
         """`lease_time`: s that a busy disk may take; also what a service that follows on a killed one waits for."""
         self.data = folder / "data"
@@ -115,9 +111,8 @@ class Service:
     def start(self) -> str:
         """Start and wait until it is ready; its address."""
         command = [SWEEPID, "serve", "--config", str(self._settings), "--port", "0"]
-        environment = os.environ | (self.clock.environment if self.clock else {})
         with self._log.open("ab") as log:
-            self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, env=environment)
+            self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log)
         line = self._process.stdout.readline() if self._process.stdout else b""
         if not line:
             raise RuntimeError(self._log.read_text("utf-8"))

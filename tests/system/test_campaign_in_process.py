@@ -60,45 +60,23 @@ async def application(settings: Settings) -> AsyncIterator[Application]:
 
 async def campaign_of(application: Application, modes: str, **changes: object) -> CampaignDocument:
     """Two poses, three axes."""
+    wanted = {"axes": AXES, "varied": AXES[1:], "step": 30.0, "poses": 2, "modes": modes}
+    return await planned(application, PlanRequest, build_plan, wanted | changes)
+
+
+async def planned(application: Application, kind: Any, build: Any, wanted: dict[str, object]) -> CampaignDocument:
     robot = next(robot for robot in application.store.robots() if robot.name == "max100-class")
-    request = PlanRequest.model_validate(
-        {
-            "robot_id": robot.id,
-            "cell": "workshop",
-            "axes": AXES,
-            "varied": AXES[1:],
-            "step": 30.0,
-            "poses": 2,
-            "modes": modes,
-        }
-        | {"move_velocity": 0.5}
-        | changes
-    )
+    request = kind.model_validate({"robot_id": robot.id, "cell": "workshop", "move_velocity": 0.5} | wanted)
     cell = read_cell(application.settings.cells_dir / "workshop.yaml")
-    plan = await asyncio.to_thread(build_plan, robot.build(), request, cell)  # it may not hold up the watches
+    plan = await asyncio.to_thread(build, robot.build(), request, cell)  # it may not hold up the watches
     record = application.store.add_plan(robot.id, plan.model_dump(mode="json"))
     return await application.add_campaign(record.id)
 
 
 async def trajectory_of(application: Application, **changes: object) -> CampaignDocument:
     """One trajectory of two axes."""
-    robot = next(robot for robot in application.store.robots() if robot.name == "max100-class")
-    request = TrajectoryRequest.model_validate(
-        {
-            "kind": "trajectory",
-            "robot_id": robot.id,
-            "cell": "workshop",
-            "axes": ("joint_3", "joint_5"),
-            "trajectories": 1,
-            "period": 2.0,
-        }
-        | {"harmonics": 3, "move_velocity": 0.5}
-        | changes
-    )
-    cell = read_cell(application.settings.cells_dir / "workshop.yaml")
-    plan = await asyncio.to_thread(build_trajectory_plan, robot.build(), request, cell)
-    record = application.store.add_plan(robot.id, plan.model_dump(mode="json"))
-    return await application.add_campaign(record.id)
+    wanted = {"kind": "trajectory", "axes": ("joint_3", "joint_5"), "trajectories": 1, "period": 2.0, "harmonics": 3}
+    return await planned(application, TrajectoryRequest, build_trajectory_plan, wanted | changes)
 
 
 async def until(condition: Callable[[], bool]) -> None:

@@ -7,6 +7,7 @@ repair, another load.
 import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -273,26 +274,33 @@ def test_sigterm_stops_the_machine_and_after_a_stop_leads_on(
     assert protocol["steps"][-1]["step"] == "verdict"
 
 
-def test_a_backup_is_made_and_rehearsed(books: Books, service: Service, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def backup(books: Books, service: Service, folder: Path) -> tuple[Path, Json]:
+    """With the protocol of its making."""
+    code, protocol, printed = books.run("back_up", str(folder / "backup"), "--data-dir", str(service.data))
+    assert code == DONE, printed
+    return folder / "backup", protocol
+
+
+def test_a_backup_is_made_and_rehearsed(
+    books: Books, service: Service, backup: tuple[Path, Json], tmp_path: Path
+) -> None:
     target, data = tmp_path / "backup", ("--data-dir", str(service.data))
     code, _, printed = books.run("back_up", str(target), *data, "--dry-run")
     assert (code, target.exists(), "would be copied" in printed) == (DONE, False, True), printed
-    code, protocol, printed = books.run("back_up", str(target), *data)
-    assert code == DONE, printed
-    assert [step["step"] for step in protocol["steps"]] == [
+    assert [step["step"] for step in backup[1]["steps"]] == [
         *("data folder", "backup", "restored", "rehearsal", "rehearsal")
     ]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["backup"]  # the rehearsal is gone
-    code, _, printed = books.run("back_up", str(target), *data)
+    assert not list(backup[0].parent.glob("*rehears*"))  # it is gone
+    code, _, printed = books.run("back_up", str(backup[0]), *data)
     assert (code, "exists already; nothing is overwritten" in printed) == (BAD_INPUT, True), printed
     code, _, printed = books.run("back_up", str(tmp_path / "no-disk" / "backup"), *data)
     assert (code, "is the disk mounted?" in printed) == (BAD_INPUT, True), printed
 
 
-def test_damage_is_told_and_not_backed_up(books: Books, service: Service, tmp_path: Path) -> None:
-    restored, target = tmp_path / "damaged", tmp_path / "backup"
-    assert books.run("back_up", str(target), "--data-dir", str(service.data))[0] == DONE
-    (target / "data").rename(restored)
+def test_damage_is_told_and_not_backed_up(books: Books, backup: tuple[Path, Json], tmp_path: Path) -> None:
+    restored = tmp_path / "damaged"
+    shutil.copytree(backup[0] / "data", restored)
     recording = next(restored.rglob("*.parquet"))
     recording.write_bytes(recording.read_bytes()[:-1])
     code, protocol, printed = books.run("back_up", str(tmp_path / "second"), "--data-dir", str(restored))
@@ -302,19 +310,18 @@ def test_damage_is_told_and_not_backed_up(books: Books, service: Service, tmp_pa
 
 
 def test_a_backup_is_restored_once_the_service_has_ended(
-    books: Books, client: ServiceClient, service: Service, tmp_path: Path
+    books: Books, client: ServiceClient, backup: tuple[Path, Json], tmp_path: Path
 ) -> None:
-    backup, target = tmp_path / "backup", tmp_path / "restored"
-    assert books.run("back_up", str(backup), "--data-dir", str(service.data))[0] == DONE
+    made, target = backup[0], tmp_path / "restored"
     for arguments, typed, expected, reason in (
         (("--dry-run",), "", DONE, "would be restored into"),
         (("--yes",), "", FAILED, "two services would command one machine"),  # it still runs
         (NOBODY, "no\n", STOPPED, "restore: declined"),
         (NOBODY, "", STOPPED, "restore: declined"),  # nobody at the keyboard
     ):
-        code, _, printed = books.run("restore", str(backup), str(target), *arguments, typed=typed)
+        code, _, printed = books.run("restore", str(made), str(target), *arguments, typed=typed)
         assert (code, reason in printed, target.exists()) == (expected, True, False), printed
-    code, protocol, printed = books.run("restore", str(backup), str(target), *NOBODY, typed="ended\n")
+    code, protocol, printed = books.run("restore", str(made), str(target), *NOBODY, typed="ended\n")
     assert code == DONE, printed
     assert [step["step"] for step in protocol["steps"]] == [
         *("backup", "service", "restored", "check", "campaigns", "next")
@@ -322,20 +329,20 @@ def test_a_backup_is_restored_once_the_service_has_ended(
     states = [campaign["state"] for campaign in client.campaigns()]
     (campaigns,) = results(protocol, "campaigns").values()
     assert campaigns["campaigns"] == {state: states.count(state) for state in set(states)}
-    code, _, printed = books.run("restore", str(backup), str(target), *NOBODY, "--yes")
+    code, _, printed = books.run("restore", str(made), str(target), *NOBODY, "--yes")
     assert (code, "is not an empty folder" in printed) == (BAD_INPUT, True), printed
 
 
-def test_a_damaged_backup_is_not_restored(books: Books, service: Service, tmp_path: Path) -> None:
-    backup, target = tmp_path / "backup", tmp_path / "restored"
-    assert books.run("back_up", str(backup), "--data-dir", str(service.data))[0] == DONE
-    file = next(path for path in sorted((backup / "data").rglob("*")) if path.is_file())
+def test_a_damaged_backup_is_not_restored(books: Books, backup: tuple[Path, Json], tmp_path: Path) -> None:
+    made, target = tmp_path / "backup", tmp_path / "restored"
+    shutil.copytree(backup[0], made)
+    file = next(path for path in sorted((made / "data").rglob("*")) if path.is_file())
     file.write_bytes(file.read_bytes() + b" ")
-    code, _, printed = books.run("restore", str(backup), str(target), *NOBODY, "--yes")
+    code, _, printed = books.run("restore", str(made), str(target), *NOBODY, "--yes")
     assert (code, "the backup is not complete" in printed, target.exists()) == (BAD_INPUT, True, False), printed
     code, _, printed = books.run("restore", str(tmp_path / "none"), str(target), *NOBODY, "--yes")
     assert (code, "is not a complete backup" in printed, target.exists()) == (BAD_INPUT, True, False), printed
-    code, _, printed = books.run("restore", str(backup), str(tmp_path / "no-disk" / "data"), *NOBODY, "--yes")
+    code, _, printed = books.run("restore", str(made), str(tmp_path / "no-disk" / "data"), *NOBODY, "--yes")
     assert (code, "is the disk mounted?" in printed) == (BAD_INPUT, True), printed
 
 

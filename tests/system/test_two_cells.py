@@ -32,14 +32,11 @@ class Cell:
         return any(abs(axis["velocity"]) > 1e-3 for axis in self.machine.axes().values())
 
 
-@pytest.mark.parametrize("engine", ["sqlite", "postgresql"])
-def test_two_cells_measure_at_once_and_one_is_killed(tmp_path: Path, engine: str) -> None:
+def test_two_cells_measure_at_once_and_one_is_killed(tmp_path: Path) -> None:
     """A stop, a command to the wrong cell, a kill and a restart of one cell leave the other's campaign as it is."""
     with ExitStack() as stack:
-        settings: dict[str, str] = {"database_url": f"sqlite:///{tmp_path / 'plant.sqlite'}"}
-        if engine == "postgresql":
-            server = stack.enter_context(running_server())
-            settings = {"database_url": server.new_database(), "database_password_file": str(server.password_file)}
+        server = stack.enter_context(running_server())
+        settings = {"database_url": server.new_database(), "database_password_file": str(server.password_file)}
         cells: list[Cell] = []
         for name, lease in (("cell A", PATIENT_LEASE), ("cell B", SHORT_LEASE)):
             folder = tmp_path / name

@@ -81,32 +81,6 @@ async def test_a_start_and_a_resume_want_an_approval_that_holds(bench: Bench) ->
     asked.close()
 
 
-@pytest.mark.slow
-async def test_an_approval_that_expires_meanwhile_ends_no_motion_and_resumes_none(bench: Bench) -> None:
-    asked, plan = Asked(bench), bench.campaign.plan_id or 0
-    asked.approvals.add(plan, HASH, HASH, "ada", still)
-    await asked.runner.start(bench.campaign.id, bench.intention)
-    await until(lambda: bool(bench.drive.trace))
-    with bench.database.write() as session:
-        earlier = "UPDATE approval SET at = datetime(at, '-8 hours'), expires_at = datetime(expires_at, '-8 hours')"
-        session.execute(text(earlier))
-    assert bench.now.state is CampaignState.RUNNING
-    await asked.runner.pause(bench.campaign.id)
-    await asyncio.wait_for(asked.runner.finished(), TIMEOUT)
-    moved = list(bench.drive.trace)
-    with pytest.raises(Conflict, match=rf"plan {plan} requires the approval of an engineer: .* expired at"):
-        await asked.runner.resume(bench.campaign.id, bench.intention, repeat=True)
-    assert bench.drive.trace == moved
-    assert bench.now.state is CampaignState.PAUSED
-
-    asked.approvals.add(plan, HASH, HASH, "ada", still)
-    await asked.runner.resume(bench.campaign.id, bench.intention, repeat=True)
-    await asyncio.wait_for(asked.runner.finished(), TIMEOUT)
-    assert bench.now.state is CampaignState.MEASURED
-    await asked.runner.close()
-    asked.close()
-
-
 async def test_a_stop_ends_the_approvals_before_it_and_no_later_one(bench: Bench) -> None:
     """Whether it is stored, released or repeated meanwhile, and whatever the clock says."""
     approvals, plan = Asked(bench).approvals, bench.campaign.plan_id or 0

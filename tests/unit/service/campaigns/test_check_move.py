@@ -1,15 +1,14 @@
 """The check move: when it is made, what it finds, and that nothing else moves then."""
 
-import asyncio
 import math
 
 import pytest
 
-from drivers.errors import CommunicationLost, DriveFault, SweepInterrupted
+from drivers.errors import CommunicationLost, DriveFault
 from drivers.ports import AxisState, AxisStatus
 from service.execution.check_move import CheckMove, CheckMoveFailed
-from service.store.documents import CampaignState, EventKind, SweepState
-from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, until
+from service.store.documents import CampaignState, EventKind
+from tests.unit.service.campaigns.conftest import Bench
 
 WAY = math.radians(0.5)
 STEP = WAY / 20  # of the drives that do not do as they are told, every few milliseconds
@@ -103,23 +102,6 @@ async def test_while_it_goes_a_person_is_told_which_axis_goes_which_way(bench: B
     far = moves(bench).index("move joint_1 0.4") - 1  # without the sweep before it
     assert seen[far] is None
     assert bench.runner.check_move is None
-
-
-async def test_a_stop_in_the_check_move_is_a_stop(bench: Bench) -> None:
-    moving = asyncio.Event()
-
-    async def slow(joint, position, velocity):
-        moving.set()
-        await until(lambda: "stop" in bench.drive.trace)
-        raise SweepInterrupted(f"{joint}: move was stopped")
-
-    bench.drive.move_to = slow
-    await bench.start()
-    await asyncio.wait_for(moving.wait(), TIMEOUT)
-    await bench.machine.stop("operator", "smoke")
-    await bench.over()
-    sweep = bench.store.sweep(bench.campaign.id, 1)
-    assert (sweep.state, sweep.cause) == (SweepState.INTERRUPTED, "stopped by operator: smoke")
 
 
 async def test_a_stop_that_is_not_confirmed_is_told_wherever_a_person_looks(bench: Bench) -> None:

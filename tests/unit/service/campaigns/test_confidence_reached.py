@@ -1,15 +1,15 @@
-"""A campaign that wants a confidence ends when its estimates have it, and measures all where they never do."""
+"""When a campaign that wants a confidence ends before its last sweep; it measures all where that is not reached."""
 
 import dataclasses
 
 import pytest
 
 from service.campaigns.state_machine import SweepEvent, sweep_move
+from service.campaigns.stop_criterion import confidence_reached
+from service.results.estimate import BaseParameter, Estimate
 from service.store.documents import CampaignState, SweepDocument, SweepState
 from tests.stored.documents import stored
 from tests.unit.service.campaigns.conftest import SPECTRUM, Bench
-
-pytestmark = pytest.mark.slow
 
 
 def wants_confidence(bench: Bench, reached: list[float | None]) -> None:
@@ -25,6 +25,7 @@ def wants_confidence(bench: Bench, reached: list[float | None]) -> None:
     bench.jobs.submit = identify
 
 
+@pytest.mark.slow
 async def test_a_campaign_ends_when_enough_is_known(bench: Bench) -> None:
     wants_confidence(bench, [None, 0.8])
     await bench.start()
@@ -36,9 +37,34 @@ async def test_a_campaign_ends_when_enough_is_known(bench: Bench) -> None:
     assert sum(entry.startswith("sweep") for entry in bench.drive.trace) == 2
 
 
+@pytest.mark.slow
 async def test_a_campaign_that_does_not_know_enough_runs_to_its_end(bench: Bench) -> None:
     wants_confidence(bench, [None, 1.2, 1.1, 1.01])
     await bench.start()
     campaign = await bench.over()
     assert (campaign.state, campaign.cause) == (CampaignState.COMPLETED, "")
     assert campaign.sweeps == {SweepState.IDENTIFIED: 4}
+
+
+def known(*parameters: str, **percent: float | None) -> Estimate:
+    """An estimate of these base parameters, with these axes known so well."""
+    found = Estimate.read(stored("estimate"), "estimate")
+    axis = found.axes["joint_1"]
+    axes = {joint: axis.model_copy(update={"confidence_percent": value}) for joint, value in percent.items()}
+    base = tuple(BaseParameter(name=name, value=1.0, std=0.1) for name in parameters)
+    return found.model_copy(update={"axes": axes, "base_parameters": base})
+
+
+def test_enough_is_every_axis_and_nothing_open() -> None:
+    both = ("j1", "j2")
+    assert confidence_reached(known("a", "b", j1=0.9, j2=0.5), both, 2, 1.0).endswith(
+        "J is known to 0.9 % over the workspace"
+    )
+    assert confidence_reached(known("a", "b", j1=0.9, j2=1.1), both, 2, 1.0) == ""
+    assert confidence_reached(known("a", "b", j1=0.9, j2=None), both, 2, 1.0) == ""
+    assert confidence_reached(known("a", "b", j1=0.9), both, 2, 1.0) == ""
+    assert confidence_reached(known(), both, 2, 1.0) == ""
+
+
+def test_enough_is_not_what_is_known_before_every_joint_has_moved() -> None:
+    assert confidence_reached(known("Izz(link_2)", j2=1e-5), ("j2",), 4, 1.0) == ""

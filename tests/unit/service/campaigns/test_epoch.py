@@ -17,7 +17,7 @@ from service.store.documents import CampaignState
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, keeping, until
 from tests.unit.service.campaigns.test_approvals import HASH, Asked
 from tests.unit.service.campaigns.test_experiments import Loop, loop  # noqa: F401
-from tests.unit.service.campaigns.test_machine_held import Ailing
+from tests.unit.service.campaigns.test_machine import Ailing
 
 pytestmark = pytest.mark.slow
 

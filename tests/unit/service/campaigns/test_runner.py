@@ -103,24 +103,6 @@ async def test_stop_reaches_the_drives_first_and_holds_the_machine(bench: Bench)
     assert (await bench.over()).state is CampaignState.MEASURED
 
 
-async def test_a_stop_while_a_drive_is_being_enabled_leaves_no_energy(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    enable = bench.drive.enable
-
-    async def slow(joint):
-        stopping = asyncio.create_task(bench.machine.stop("operator", "now"))
-        await until(lambda: "stop" in bench.drive.trace)
-        await enable(joint)  # the drive's answer comes after the stop
-        await stopping
-
-    monkeypatch.setattr(bench.drive, "enable", slow)
-    await bench.start()
-    await bench.over()
-    assert not any(entry.startswith(("sweep", "move")) for entry in bench.drive.trace)
-    assert bench.store.sweep(bench.campaign.id, 1).state is SweepState.INTERRUPTED
-
-
 async def test_a_pause_holds_after_the_present_sweep_unless_it_is_taken_back(bench: Bench) -> None:
     await bench.in_a_sweep()
     assert (await bench.runner.pause(bench.campaign.id)).state is CampaignState.PAUSING

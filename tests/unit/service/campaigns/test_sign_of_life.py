@@ -8,7 +8,7 @@ from service.errors import Conflict
 from service.execution.sign_of_life import SignOfLife
 from service.store.documents import CampaignState, SweepState
 from tests.unit.service.campaigns.conftest import Bench, until, until_cancelled
-from tests.unit.service.campaigns.test_machine_held import BetweenMotions
+from tests.unit.service.campaigns.test_machine import BetweenMotions
 
 SOON, LATE = 0.05, 3600.0  # s
 

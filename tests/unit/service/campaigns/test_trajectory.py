@@ -227,18 +227,6 @@ async def test_trouble_with_one_axis_fails_all_and_all_are_repeated(
     assert [(sweep.state, sweep.attempt) for sweep in bench.store.sweeps(planned.id)] == [(SweepState.RECORDED, 2)] * 2
 
 
-async def test_a_stop_interrupts_all_axes(bench: Bench, campaign: tuple[Runner, CampaignDocument]) -> None:
-    runner, planned = campaign
-    bench.drive.hold = 2
-    await runner.start(planned.id, bench.intention)
-    await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
-    await bench.machine.stop("anna", "looks wrong")
-    await asyncio.wait_for(runner.finished(), TIMEOUT)
-    states = [(sweep.state, sweep.cause) for sweep in bench.store.sweeps(planned.id)]
-    assert states == [(SweepState.INTERRUPTED, "stopped by anna: looks wrong")] * 2
-    assert bench.drive.energised == set()
-
-
 async def test_a_trajectory_of_which_one_axis_was_identified_does_not_block_its_campaign(
     bench: Bench, campaign: tuple[Runner, CampaignDocument]
 ) -> None:

@@ -1,18 +1,144 @@
-"""The port of the stop process: the frames first, an answer when it is known, and every other connection meanwhile."""
+"""The stop process: its start, its bus lost while a stop is sent, its port, and the end of it that the service has.
 
+The port sends the frames first, answers when it is known, and serves every other connection meanwhile.
+"""
+
+import json
 import os
+import queue
+import signal
 import socket
+import sys
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, suppress
+from pathlib import Path
+from types import SimpleNamespace
 
 import httpx
 import pytest
 
+import drivers.registry
+from drivers.errors import ConnectionFailed
+from service.stop_process import __main__ as stop_process
+from service.stop_process import bus
 from service.stop_process.answers import Answer, Request, answer_to, waiting_time
-from service.stop_process.bus import Outcome
+from service.stop_process.bus import Bus, Outcome
+from service.stop_process.handle import StopProcess
 from service.stop_process.listener import MOST_CONNECTIONS, Answered, Listener
 from service.stop_process.telling import MOST, Telling
+from tests.system.rest_bench import until
+
+
+class BusWithNews:
+    """Its bus is open, or cannot be opened, before the constructor has returned."""
+
+    def __init__(self, profile: Path, tell: Callable[[str], None]) -> None:
+        del profile
+        tell("no such interface")
+
+
+def test_the_port_is_told_before_the_bus_has_news(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The service waits for the port: with any other line first it took the process for one that did not start."""
+    reading, writing = os.pipe()
+    monkeypatch.setattr(stop_process.sys, "argv", ["stop", "profile.yaml", "127.0.0.1", "0"])
+    monkeypatch.setattr(stop_process, "Telling", lambda _: Telling(writing))
+    monkeypatch.setattr(stop_process, "Bus", BusWithNews)
+    monkeypatch.setattr(stop_process, "_obey", lambda _: None)
+    monkeypatch.setattr(stop_process, "Listener", lambda *_: SimpleNamespace(port=1234, serve=lambda: None))
+    stop_process.main()
+    os.close(writing)
+    with os.fdopen(reading) as told:
+        first, second = (json.loads(line) for line in told)
+    assert first == {"port": 1234, "pid": os.getpid()}
+    assert second == {"trouble": "no such interface"}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no wake-up descriptor for signals")
+def test_signals_are_told_to_no_closed_pipe(root: Path) -> None:
+    with StopProcess(root / "config" / "drives" / "virtual-max100.yaml", "127.0.0.1", 0) as process:
+        process.watch_signals()
+        watched = signal.set_wakeup_fd(-1)
+        assert watched >= 0
+        process.watch_signals()
+    assert signal.set_wakeup_fd(-1) == -1
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot suspend a process by a signal")
+def test_a_stop_process_that_hangs_is_missed_until_it_goes_on(root: Path) -> None:
+    with StopProcess(root / "config" / "drives" / "virtual-max100.yaml", "127.0.0.1", 0) as process:
+        assert process.failed == ""
+        os.kill(process.pid, signal.SIGSTOP)
+        until(lambda: "the stop process has not answered for" in process.failed, "it is missed")
+        assert process.trouble == process.failed
+        os.kill(process.pid, signal.SIGCONT)
+        until(lambda: process.failed == "", "it is there again")
+
+
+JOINT = "joint_1"
+
+
+class Sender:
+    """As that of Modbus: it opens nothing, so only a stop notices that the gateway is gone."""
+
+    joints = (JOINT,)
+
+    def __init__(self) -> None:
+        self.gone = threading.Event()
+        self.sent: queue.SimpleQueue[float] = queue.SimpleQueue()
+
+    def stop_sender(self) -> "Sender":
+        return self
+
+    def open(self) -> None:
+        pass
+
+    def listen(self, within: float) -> None:
+        time.sleep(min(within, 0.01))
+
+    def send(self) -> Mapping[str, str]:
+        if self.gone.is_set():
+            raise ConnectionFailed("refused")
+        self.sent.put(time.monotonic())
+        return {JOINT: ""}
+
+    def confirm(self, within: float) -> Mapping[str, str]:
+        del within
+        return {JOINT: ""}
+
+    def insist(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def sender(monkeypatch: pytest.MonkeyPatch) -> Sender:
+    sender = Sender()
+    monkeypatch.setattr(drivers.registry, "open_profile", lambda _: ({}, sender))
+    monkeypatch.setattr(bus, "_AGAIN", 0.01)
+    return sender
+
+
+def test_a_stop_that_could_not_be_sent_is_sent_when_the_gateway_is_back_and_so_is_the_next(sender: Sender) -> None:
+    troubles: queue.SimpleQueue[str] = queue.SimpleQueue()
+    stopping = Bus(Path("profile.yaml"), troubles.put)
+    assert troubles.get(timeout=10) == ""
+    sender.gone.set()
+    assert stopping.stop() == Outcome({JOINT: "refused"}, "refused")
+    assert troubles.get(timeout=10) == "refused"
+    sender.gone.clear()
+    sender.sent.get(timeout=10)
+    assert troubles.get(timeout=10) == ""
+    time.sleep(2 * bus.MERGED)
+    assert stopping.stop() == Outcome({JOINT: ""})
+    sender.sent.get(timeout=10)
+    stopping.close()
+
 
 PATIENCE = 10.0  # s
 
