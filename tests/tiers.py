@@ -44,7 +44,6 @@ SHORT = (  # stays in the first tier although a line of LONG names it: file[::fu
     f"{_TABLE}[Modbus TCP-limit switch",
     # the serial line
     "tests/system/test_virtual_modbus.py::test_identification_and_constant",
-    "tests/system/test_virtual_modbus.py::test_a_sweep_and_its_trace",
     # hidden effects and faults of data, of each kind one
     "tests/numeric/second_plant/test_cases.py::test_a_fault_is_in_the_bundle[torque_sign]",
     "tests/numeric/second_plant/test_cases.py::test_a_large_effect_is_seen_and_no_monster[coulomb_friction]",

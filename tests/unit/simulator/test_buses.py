@@ -1,6 +1,6 @@
 """The virtual drive on its buses, in this process: socketcand and python-can's own virtual bus."""
 
-import json
+import selectors
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -11,6 +11,8 @@ import can
 import pytest
 
 from simulator import Scenario
+from simulator.can_bus import CanBus
+from simulator.canopen.node import Frame
 from simulator.machine import Machine
 from simulator.virtual_drive import VirtualDrive
 
@@ -89,27 +91,36 @@ def test_another_channel_is_refused(machine: Machine) -> None:
             assert client.recv(64) == b""
 
 
-def order(drive: VirtualDrive, name: str) -> None:
-    with socket.create_connection(("127.0.0.1", drive.control_port), timeout=PATIENCE) as client:
-        client.sendall(f'{{"order": "{name}"}}\n'.encode())
-        assert json.loads(client.makefile().readline()) == {"ok": True}
-
-
 @pytest.mark.slow
-def test_any_python_can_interface_and_its_bus_off(machine: Machine) -> None:
-    read_serial = can.Message(arbitration_id=0x601, data=[0x40, 0x18, 0x10, 4, 0, 0, 0, 0], is_extended_id=False)
+def test_any_python_can_interface(machine: Machine) -> None:
     with running(VirtualDrive(machine, EDS, bus="virtual", channel="test buses")) as drive:
         assert drive.port is None
         with can.Bus(interface="virtual", channel="test buses") as bus:
             bus.send(READ_STATUSWORD)
             assert wait_for(bus, 0x581)[:4] == b"\x4b\x41\x60\x00"
-            for _ in range(2):  # told once
-                order(drive, "bus_off")
-            bus.send(READ_STATUSWORD)
-            message = bus.recv(PATIENCE)
-            assert message is not None
-            assert (message.arbitration_id, message.is_error_frame) == (0x40, True)
-            assert bus.recv(0.3) is None
-            order(drive, "bus_on")
-            bus.send(read_serial)
-            assert wait_for(bus, 0x581)[:4] == b"\x43\x18\x10\x04"
+
+
+def test_a_bus_that_is_off_says_so_once_and_passes_nothing_either_way() -> None:
+    selector, received = selectors.SelectSelector(), list[Frame]()
+    bus = CanBus(selector, "virtual", "test bus-off", received.append)
+
+    def turn() -> None:
+        for key, _ in selector.select(PATIENCE):
+            key.data(0)
+
+    with can.Bus(interface="virtual", channel="test bus-off") as peer:
+        peer.send(READ_STATUSWORD)
+        turn()
+        assert [frame.id for frame in received] == [0x601]
+        for _ in range(2):
+            bus.switch_off(off=True)
+        bus.send(Frame(0x181, b"\1"))
+        peer.send(READ_STATUSWORD)
+        turn()
+        bus.switch_off(off=False)
+        bus.send(Frame(0x182, b"\2"))
+        heard = [peer.recv(PATIENCE) for _ in range(2)]
+        assert [(each.arbitration_id, each.is_error_frame) for each in heard if each] == [(0x40, True), (0x182, False)]
+    assert len(received) == 1
+    bus.close()
+    selector.close()

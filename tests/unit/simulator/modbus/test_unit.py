@@ -133,11 +133,12 @@ def test_every_writable_signal_comes_back_as_it_was_written(bench: Bench) -> Non
     assert d[0x2100, 4] == pytest.approx(-17.1)
 
 
-def test_arrays_in_one_request_or_in_parts(bench: Bench) -> None:
-    signal, order = bench.registers.signals["amplitude"], bench.registers.word_order
+@pytest.mark.parametrize(("name", "index"), [("frequency", 0x2101), ("amplitude", 0x2102), ("phase", 0x2103)])
+def test_arrays_in_one_request_or_in_parts(bench: Bench, name: str, index: int) -> None:
+    signal, order = bench.registers.signals[name], bench.registers.word_order
     words = [word for k in range(16) for word in signal.encode(0.5 * k, order)]
     bench.unit.write(signal.address, words)
-    assert [bench.unit.dictionary[0x2102, k] for k in range(1, 17)] == pytest.approx(list(np.arange(16) * 0.5))
+    assert [bench.unit.dictionary[index, k] for k in range(1, 17)] == pytest.approx(list(np.arange(16) * 0.5))
     assert bench.unit.read(signal.address + 6, 4) == words[6:10]
 
 
