@@ -4,6 +4,7 @@ import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -262,19 +263,24 @@ def test_the_limit_switch_holds_the_fault_also_over_a_reset(bench: Bench) -> Non
     assert bench.reset_fault() == "switch_on_disabled"
 
 
-def test_a_small_glitch_spoils_one_sample_unnoticed(bench: Bench) -> None:
+@pytest.mark.parametrize("at", [{"at_sample": 300}, {}], ids=["a sample", "the next"])
+def test_a_small_glitch_spoils_one_sample_unnoticed(bench: Bench, at: dict[str, Any]) -> None:
     bench.enable(1, 1)
-    bench.order("glitch", revolutions=0.25, at_sample=300)
     bench.measure()
+    bench.wait(0.2)
+    recorded = int(str(bench.axis()["samples"]))
+    assert 200 < recorded < 300
+    bench.order("glitch", revolutions=0.25, **at)
     bench.wait(1.0)
     assert bench.axis()["measuring"] == "done"
     dictionary = bench.cabinet.nodes["joint_1"].dictionary
-    dictionary[0x2110, 1], dictionary[0x2110, 2] = 290, 20
+    dictionary[0x2110, 1], dictionary[0x2110, 2] = 200, 512
     rows = np.frombuffer(dictionary.upload(0x2110, 3), TRACE)
     steps = np.diff(rows["enc"])
-    assert np.flatnonzero(np.abs(steps) > 0.1).tolist() == [9, 10]
-    assert steps[9] == pytest.approx(0.25, abs=0.01)
-    assert np.flatnonzero(np.abs(rows["speed"]) > 1000).tolist() == [10]  # 0.25 rev in 4 ms
+    (spoilt,) = np.flatnonzero(np.abs(rows["speed"]) > 1000)  # 0.25 rev in 4 ms
+    assert spoilt + 200 == 300 if at else recorded <= spoilt + 200 < recorded + 5
+    assert np.flatnonzero(np.abs(steps) > 0.1).tolist() == [spoilt - 1, spoilt]
+    assert steps[spoilt - 1] == pytest.approx(0.25, abs=0.01)
     assert np.abs(np.diff(rows["enc2"])).max() < 0.001
     assert bench.state() == ("operation_enabled", True)
 
