@@ -28,7 +28,6 @@ from tests.foreign_bench import ROOT, SCENARIO, Foreign, file_of
 DRIVES = ROOT / "config" / "drives"
 OWN = "virtual"  # the virtual drive's own dictionary
 PATIENCE = {"sdo_timeout": 10.0, "drive_timeout": 20.0, "host_heartbeat": 0.01}  # s
-CLOSES_LOOP = {0x07, 0x0F, 0x1F}
 
 Plant = Callable[["Cabinet"], None]
 

@@ -61,14 +61,6 @@ def enabled(cabinet: Cabinet) -> None:
         cabinet.dictionary().download(0x6040, 0, word.to_bytes(2, "little"))
 
 
-def all_of(*plants: Callable[[Cabinet], None]) -> Callable[[Cabinet], None]:
-    def plant(cabinet: Cabinet) -> None:
-        for each in plants:
-            each(cabinet)
-
-    return plant
-
-
 def swapped(cabinet: Cabinet) -> None:
     one, other = cabinet.node("joint_1"), cabinet.node("joint_2")
     first, second = one.number, other.number

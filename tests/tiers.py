@@ -45,7 +45,7 @@ SHORT = (  # stays in the first tier although a line of LONG names it: file[::fu
     # the serial line
     "tests/system/test_virtual_modbus.py::test_identification_and_constant",
     # hidden effects and faults of data, of each kind one
-    "tests/numeric/second_plant/test_cases.py::test_a_fault_is_in_the_bundle[torque_sign]",
+    "tests/numeric/test_data_check.py::test_a_fault_of_the_second_plant_is_told[torque_sign]",
     "tests/numeric/second_plant/test_cases.py::test_a_large_effect_is_seen_and_no_monster[coulomb_friction]",
     "tests/numeric/second_plant/test_scoring.py::test_a_fair_sample_goes_through[00001",
     "tests/numeric/second_plant/test_scoring.py::test_a_fair_sample_goes_through[01000",
@@ -156,9 +156,8 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/browser/test_page_truth.py::test_the_campaign_that_matters_is_shown_first": 9,
     "tests/browser/test_work_on_the_page.py::test_an_amount_that_is_no_number_is_told": 9,
     # further effects, faults, robots and seeds; statistics over many campaigns
-    "tests/numeric/second_plant/test_cases.py::test_a_fault_is_in_the_bundle": 9,
+    "tests/numeric/test_data_check.py::test_a_fault_of_the_second_plant_is_told": 9,
     "tests/numeric/second_plant/test_cases.py::test_a_large_effect_is_seen_and_no_monster": 20,
-    "tests/numeric/second_plant/test_cases.py::test_what_is_random_comes_in_the_shares_that_are_said": 4,
     "tests/numeric/second_plant/test_scoring.py::test_a_fair_sample_goes_through": 26,
     "tests/numeric/test_channel_timing.py::test_lags_are_found_within_their_uncertainty": 8,
     "tests/numeric/test_drift_in_stored_estimates.py::test_the_drift_is_found_and_the_other_seven_are_quiet": 13,

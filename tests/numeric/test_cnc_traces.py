@@ -87,43 +87,11 @@ def test_traces_give_the_inertia_of_the_fieldbus(measured: Measured, tmp_path: P
         assert trace.std == pytest.approx(bus.std, rel=0.1)
 
 
-def refused(measured: Measured, number: int, columns: dict[str, Array], tmp_path: Path) -> str:
-    """What import says when one of the traces is another one."""
-    folder = tmp_path / "paths"
-    folder.mkdir()
-    for path in measured.folder.glob("*.yaml"):
-        (folder / path.name).write_text(path.read_text())
-    (folder / "robot.urdf").write_text(measured.robot.urdf_text)
-    (folder / "traces").mkdir()
-    for other in range(len(measured.columns)):
-        target = folder / f"traces/SWEEP_{other + 1:04d}.csv"
-        if other == number:
-            write_trace(target, columns)
-        else:
-            target.write_text(measured.trace_file(other).read_text())
-    with pytest.raises(BadInput) as refusal:
-        import_trace(folder / "mapping.yaml")
-    return str(refusal.value)
-
-
-def test_the_trace_of_another_sweep_is_refused(measured: Measured, tmp_path: Path) -> None:
-    """Sweep 0003 is of the same axis in another pose, sweep 0002 of another axis."""
-    message = refused(measured, 0, measured.trace(1), tmp_path)
-    assert "SWEEP_0001.csv sweep 0001: the set position is not this sweep's path" in message
-
-
-def test_the_torque_of_another_axis_unit_or_sign_shows(measured: Measured, tmp_path: Path) -> None:
+def test_the_torque_of_another_axis_unit_or_sign_shows(measured: Measured) -> None:
     columns = measured.trace(0)
-    message = refused(measured, 0, columns | {"CMD_SPEED": -columns["CMD_SPEED"]}, tmp_path)
-    assert "sweep 0001: velocity_setpoint moves -1 times as far as the path" in message
-
-
-def test_a_trace_with_a_lost_sample_is_no_bundle(measured: Measured, tmp_path: Path) -> None:
-    columns = {name: np.delete(values, 700) for name, values in measured.trace(0).items()}
-    write_trace(measured.trace_file(0), columns)
+    write_trace(measured.trace_file(0), columns | {"CMD_SPEED": -columns["CMD_SPEED"]})
     try:
-        robot, sweeps = import_trace(measured.folder / "mapping.yaml")
-        with pytest.raises(BadInput, match="sweep 0001: gap in time"):
-            write_bundle(tmp_path / "bundle", robot, sweeps)
+        with pytest.raises(BadInput, match="sweep 0001: velocity_setpoint moves -1 times as far as the path"):
+            import_trace(measured.folder / "mapping.yaml")
     finally:
-        write_trace(measured.trace_file(0), measured.trace(0))
+        write_trace(measured.trace_file(0), columns)

@@ -12,6 +12,9 @@ from service.store.files.bundle import read_bundle
 from service.traces.trace_import import import_trace
 from tests.numeric.check_bundles import Sound, sound
 from tests.numeric.check_faults import FAULTS
+from tests.numeric.second_plant.cases import Case, Kind, make
+from tests.numeric.second_plant.faults import FAULTS as OF_THE_PLANT
+from tests.numeric.second_plant.scoring import told
 
 CLEAN = 8  # bundles
 CARRIER = 7  # of sound bundles: with holds and repeats, it carries all faults
@@ -31,9 +34,17 @@ def carrier() -> Sound:
 def test_a_fault_is_told_by_name(carrier: Sound, name: str) -> None:
     broken = FAULTS[name].apply(np.random.default_rng(1), carrier)
     findings = check(broken.robot, broken.sweeps)
-    told = {finding.code for finding in findings}
-    assert told & set(FAULTS[name].codes), told
+    codes = {finding.code for finding in findings}
+    assert codes & set(FAULTS[name].codes), codes
     assert all(finding.sentence and finding.action for finding in findings)
+
+
+@pytest.mark.parametrize("fault", OF_THE_PLANT)
+def test_a_fault_of_the_second_plant_is_told(fault: str) -> None:
+    robot, _, sweeps, truth = make(Case(51, 1, Kind.NOMINAL, (fault,)), small=True)
+    findings = check(robot, sweeps)
+    assert truth.fault == fault
+    assert told(fault, [finding.code for finding in findings]), findings
 
 
 def test_nothing_is_found_in_bundles_of_another_plant_but_a_shaking_floor(shared: Path) -> None:

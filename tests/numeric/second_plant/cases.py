@@ -1,10 +1,8 @@
 """Cases: what is hidden where, by seed; how one becomes a bundle, and its truth, which never lies beside it."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +10,6 @@ from numpy.typing import NDArray
 
 from service.recording import Recording, Sweep
 from service.robot import Robot
-from service.store.files.bundle import write_bundle
 from tests.numeric.second_plant.bodies import Rigid
 from tests.numeric.second_plant.build import Scene, Wanted, build
 from tests.numeric.second_plant.effects import CATALOGUE
@@ -163,17 +160,6 @@ def make(one: Case, *, small: bool = False, bare: bool = False) -> tuple[Robot, 
         draft.rated, plan.run_out == 0.0, plan.rate,
     )  # fmt: skip
     return robot, joint, tuple(sweeps), truth
-
-
-def write(one: Case, folder: Path, *, small: bool = False) -> Path:
-    """The bundle into `folder`/bundles/NNNNN, the truth into `folder`/truth/NNNNN.json; the bundle's place."""
-    robot, _, sweeps, truth = make(one, small=small)
-    place = folder / "bundles" / f"{one.number:05}"
-    write_bundle(place, robot, sweeps)
-    told = folder / "truth" / f"{one.number:05}.json"
-    told.parent.mkdir(parents=True, exist_ok=True)
-    told.write_text(json.dumps(truth.document(), indent=1) + "\n")
-    return place
 
 
 def _neighbour(scene: Scene, rows: int, random: np.random.Generator) -> Neighbour:

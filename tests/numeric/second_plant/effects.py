@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tests.numeric.second_plant.draft import Draft, Hidden, steady
 from tests.numeric.second_plant.dry import bristle, effect_of_warmth, sliders
 from tests.numeric.second_plant.friction import Level
-from tests.numeric.second_plant.laws import Hose, OfSpeed, Waves, Wobble
+from tests.numeric.second_plant.laws import Hose, Law, Waves, Wobble
 from tests.numeric.second_plant.machine import Spring
 from tests.numeric.second_plant.robots import Body, block, joined
 
@@ -36,7 +36,8 @@ def asymmetric_friction(draft: Draft) -> Hidden:
     unlike = float(draft.random.choice([0.0, 1.0]) * draft.random.uniform(-0.15, 0.15)) + 0.0
     draft.train.dry.append(bristle(draft, lambda now: np.where(now.velocity > 0, forward, backward), 2e-6))
     if unlike:
-        draft.train.on_motor.append(OfSpeed(np.abs, draft.even(unlike * draft.viscous)))
+        slope = unlike * draft.viscous
+        draft.train.on_motor.append(Law(lambda now: slope * np.abs(now.velocity)))
     return Hidden({"forward": forward, "backward": backward, "viscous_asymmetry": unlike}, DRY)
 
 
@@ -73,7 +74,7 @@ def nonlinear_viscous_friction(draft: Draft) -> Hidden:
     shape = laws[law](speeds)
     left = float(np.abs(shape - speeds * (shape @ speeds) / (speeds @ speeds)).max())
     torque = draft.size / left if draft.size_class == "small" else MORE * draft.size / float(shape[-1])
-    draft.train.on_motor.append(OfSpeed(laws[law], draft.even(torque)))
+    draft.train.on_motor.append(Law(lambda now: torque * laws[law](now.velocity)))
     return Hidden({"law": law, "torque": torque, "velocity": bend, "exponent": exponent if law == "power" else None})
 
 

@@ -13,34 +13,10 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class OfSpeed:
-    """Any odd or even law of the speed, scaled sweep by sweep."""
+class Law:
+    """Any law of where all sweeps are."""
 
-    law: Callable[[Array], Array]
-    scale: Array
-
-    def torque(self, now: Now) -> Array:
-        return self.scale * self.law(now.velocity)
-
-
-@dataclass(frozen=True)
-class OfPosition:
-    """Any law of the position."""
-
-    law: Callable[[Array], Array]
-
-    def torque(self, now: Now) -> Array:
-        return self.law(now.position)
-
-
-@dataclass(frozen=True)
-class OfTime:
-    """Any law of the time since the sweep began."""
-
-    law: Callable[[float], Array]
-
-    def torque(self, now: Now) -> Array:
-        return self.law(now.time)
+    torque: Callable[[Now], Array]
 
 
 @dataclass(frozen=True)

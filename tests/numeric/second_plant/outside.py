@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tests.numeric.second_plant.draft import Draft, Hidden
 from tests.numeric.second_plant.friction import Now
-from tests.numeric.second_plant.laws import OfPosition, OfTime
+from tests.numeric.second_plant.laws import Law
 
 Array = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ def floor_vibration(draft: Draft) -> Hidden:
     frequency += 0.25 if abs(frequency - round(frequency)) < 0.1 else 0.0
     phases = draft.random.uniform(0, 2 * np.pi, draft.sweeps)
     sizes = draft.size * draft.random.uniform(0.7, 1.3, draft.sweeps)
-    draft.train.on_load.append(OfTime(lambda t: sizes * np.sin(2 * np.pi * frequency * t + phases)))
+    draft.train.on_load.append(Law(lambda now: sizes * np.sin(2 * np.pi * frequency * now.time + phases)))
     return Hidden({"amplitude": draft.size, "frequency": frequency})
 
 
@@ -46,8 +46,14 @@ def dragging_brake(draft: Draft) -> Hidden:
         change = draft.random.random(draft.sweeps) < np.where(touching, 0.08, 0.04)
         touching = touching ^ change
         touches[n] = touching * draft.random.uniform(0.7, 1.3)
-    draft.train.on_motor.append(_Drag(2.0 * draft.size, touches))
-    return Hidden({"torque": 2.0 * draft.size})
+    there = 2.0 * draft.size
+
+    def drags(now: Now) -> Array:
+        row = touches[min(int(now.time * 100), times - 1)]  # one a hundredth of a second
+        return there * row * np.tanh(now.velocity / 1e-3)
+
+    draft.train.on_motor.append(Law(drags))
+    return Hidden({"torque": there})
 
 
 def loose_connection(draft: Draft) -> Hidden:
@@ -88,7 +94,7 @@ def counterbalance(draft: Draft) -> Hidden:
         return gas * crank * arm * np.sin(angle) / length
 
     force = 3.0 * draft.size / float(np.abs(shape(draft.starts)).max())
-    draft.train.on_load.append(OfPosition(lambda position: force * shape(position)))
+    draft.train.on_load.append(Law(lambda now: force * shape(now.position)))
     return Hidden({"force": force, "crank": crank, "arm": arm, "zero": at})
 
 
@@ -105,27 +111,12 @@ def dry_seal(draft: Draft) -> Hidden:
     """A seal that sticks after standing and loosens as it runs: extra drag that dies away within each sweep."""
     pace = draft.random.uniform(0.5, 1.5)
     extra = 3.0 * draft.size
-    draft.train.on_motor.append(_Loosening(extra, pace))
+
+    def loosens(now: Now) -> Array:
+        return extra * np.exp(-max(now.time - 0.7, 0.0) / pace) * np.tanh(now.velocity / 1e-3)
+
+    draft.train.on_motor.append(Law(loosens))
     return Hidden({"torque": extra, "time_constant": pace})
-
-
-@dataclass
-class _Drag:
-    torque_there: float
-    touches: Array  # (n, m), one row a hundredth of a second
-
-    def torque(self, now: Now) -> Array:
-        row = self.touches[min(int(now.time * 100), len(self.touches) - 1)]
-        return self.torque_there * row * np.tanh(now.velocity / 1e-3)
-
-
-@dataclass
-class _Loosening:
-    extra: float
-    pace: float
-
-    def torque(self, now: Now) -> Array:
-        return self.extra * np.exp(-max(now.time - 0.7, 0.0) / self.pace) * np.tanh(now.velocity / 1e-3)
 
 
 @dataclass

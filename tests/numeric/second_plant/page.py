@@ -33,8 +33,6 @@ ROWS: dict[str, tuple[str, str]] = {
     "gap_95th": ("... 95th percentile", "<= 1.5"),
     "parameters": ("stated parameters that exist in the truth", ""),
     "parameters_within_two_std": ("... truth within two standard deviations, %", "93 to 97"),
-    "inertias": ("inertias from the identification", ""),
-    "inertia_within_two_std": ("... truth within two standard deviations, %", ""),
     "experiment_proposed": ("neither `none` nor `named`: an experiment is proposed, %", ""),
     "errors": ("ended by an error", "0"),
     "seconds_median": ("processor time per axis, s, median", "<= 5"),

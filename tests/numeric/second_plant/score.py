@@ -28,10 +28,8 @@ from rich.console import Console
 from rich.markdown import Markdown
 from rich.progress import track
 
-import sweepid
 from service.diagnosis.diagnose import diagnose_axis
 from service.diagnosis.document import axis_document
-from service.store.files.bundle import Bundle
 from tests.numeric.second_plant.cases import Case, Kind, cases, make
 from tests.numeric.second_plant.kept import load, save
 from tests.numeric.second_plant.page import page, result
@@ -55,7 +53,7 @@ def prepare(one: Case, folder: Path, *, small: bool = False) -> None:
     save(sweeps, robot, joint, measured)
 
 
-def diagnosed(path: Path, *, inertia: bool, paper: bool = False) -> dict[str, Any]:
+def diagnosed(path: Path, *, paper: bool = False) -> dict[str, Any]:
     """What the service says of one file of sweeps, with its seconds of a processor; an exception is told as one."""
     robot, joint, sweeps = load(path)
     if paper:
@@ -67,38 +65,24 @@ def diagnosed(path: Path, *, inertia: bool, paper: bool = False) -> dict[str, An
         said = {"error": f"{type(error).__name__}: {error}"}
     said = {key: value for key, value in said.items() if key not in LEFT_OUT}
     said["seconds"] = time.process_time() - before
-    if inertia:
-        said["inertia"] = _inertia(Bundle(robot, tuple(sweeps), str(path)), joint)
     return said
 
 
-def _inertia(bundle: Bundle, joint: str) -> list[dict[str, Any]]:
-    try:
-        found = sweepid.identify(bundle, joint).as_json()["axes"][joint]["inertia"]
-    except Exception as error:  # noqa: BLE001 - the same
-        return [{"error": f"{type(error).__name__}: {error}"}]
-    return [{key: one[key] for key in ("sweep", "value", "std")} for one in found]
-
-
-def run(
-    one: Case, folder: Path, *, inertia: bool = False, again: bool = False, small: bool = False, paper: bool = False
-) -> int:
+def run(one: Case, folder: Path, *, again: bool = False, small: bool = False, paper: bool = False) -> int:
     """Make, diagnose, write down; its number."""
     prepare(one, folder, small=small)
     told = folder / (SAID_OF_PAPER if paper else SAID) / f"{one.number:05}.json"
     if again or not told.exists():
-        _write(told, diagnosed(folder / "sweeps" / f"{one.number:05}.npz", inertia=inertia, paper=paper))
+        _write(told, diagnosed(folder / "sweeps" / f"{one.number:05}.npz", paper=paper))
     return one.number
 
 
-def run_all(
-    wanted: Sequence[Case], folder: Path, processes: int, *, inertia: bool, again: bool, paper: bool = False
-) -> None:
+def run_all(wanted: Sequence[Case], folder: Path, processes: int, *, again: bool, paper: bool = False) -> None:
     """All cases, in so many processes of one thread each."""
     os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"), "1")
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, mp_context=context, initializer=_end_with_parent) as pool:
-        futures = [pool.submit(run, one, folder, inertia=inertia, again=again, paper=paper) for one in wanted]
+        futures = [pool.submit(run, one, folder, again=again, paper=paper) for one in wanted]
         shown = track(as_completed(futures), total=len(futures), description="cases", console=Console(stderr=True))
         for future in shown:
             future.result()
@@ -121,7 +105,7 @@ def scores(wanted: Sequence[Case], folder: Path, said_in: str = SAID) -> list[Sc
     result: list[Score] = []
     for one in wanted:
         truth, said = (json.loads((folder / f / f"{one.number:05}.json").read_text()) for f in ("truth", said_in))
-        result.append(Score(truth, said, [j for j in said.get("inertia", []) if "error" not in j]))
+        result.append(Score(truth, said))
     return result
 
 
@@ -142,7 +126,6 @@ def _arguments(given: Sequence[str] | None) -> argparse.Namespace:
         parser.add_argument(f"--{name}", type=int, default=0, help=text)
     parser.add_argument("--small", action="store_true", help="singles of 1 to 2 times the noise as well")
     parser.add_argument("--effects", nargs="+", help="only cases that hide one of these")
-    parser.add_argument("--inertia", action="store_true", help="identify the inertia of each case too")
     parser.add_argument("--paper", action="store_true", help="also from what the paper measures alone")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--keep", type=Path, help="folder for sweeps, truths and what was said")
@@ -162,11 +145,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         wanted = [one for one in wanted if set(given.effects) & set(one.names)]
     with tempfile.TemporaryDirectory() as scratch:
         folder = given.keep or Path(scratch)
-        run_all(wanted, folder, given.processes, inertia=given.inertia, again=given.again)
+        run_all(wanted, folder, given.processes, again=given.again)
         found = scores(wanted, folder)
         alone = [one for one in wanted if one.kind in (Kind.NONE, Kind.SINGLE) and one.size != "small"]
         if given.paper:
-            run_all(alone, folder, given.processes, inertia=False, again=given.again, paper=True)
+            run_all(alone, folder, given.processes, again=given.again, paper=True)
         by_paper = scores(alone, folder, SAID_OF_PAPER) if given.paper else []
     git = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False)
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
@@ -185,7 +168,7 @@ def _command(given: argparse.Namespace) -> str:
         f"--{name} {getattr(given, name)}"
         for name in ("seed", "singles", "pairs", "triples", "none", "outside", "nominal")
     )
-    flags = "".join(f" --{name}" for name in ("small", "inertia", "paper") if getattr(given, name))
+    flags = "".join(f" --{name}" for name in ("small", "paper") if getattr(given, name))
     return f"python -m tests.numeric.second_plant.score {counts}{flags} --write"
 
 

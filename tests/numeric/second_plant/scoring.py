@@ -3,7 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
@@ -53,11 +53,10 @@ class Outcome(Enum):
 
 @dataclass(frozen=True)
 class Score:
-    """One case. `said`: the axis' document, or {"error": text}, each with "seconds"; `inertia`: of `identify`."""
+    """One case. `said`: the axis' document, or {"error": text}, each with "seconds"."""
 
     truth: Document
     said: Document
-    inertia: list[Document] = field(default_factory=list)
 
     @property
     def kind(self) -> Kind:
@@ -156,14 +155,6 @@ class Score:
             if effect in stated and stated[effect].get(key, {}).get("std")
         }
 
-    @property
-    def inertia_errors(self) -> list[float]:
-        """J stated by `identify` against the truth, in standard deviations; of sound bundles of the catalogue."""
-        if self.kind in (Kind.OUTSIDE, Kind.NOMINAL):
-            return []
-        true = self.truth["J_true"]
-        return [(one["value"] - true[int(one["sweep"]) - 1]) / one["std"] for one in self.inertia if one["std"]]
-
 
 def told(fault: str, findings: Sequence[Any]) -> bool:
     """Whether one of the findings speaks of the fault."""
@@ -223,7 +214,6 @@ def figures(scores: Sequence[Score]) -> dict[str, float | int | None]:
     small = [score for score in of[Kind.SINGLE] if score.truth["size"] not in BIG]
     gaps = [score.gap for score in scores if score.gap is not None]
     off = np.abs([error for score in scores for error in score.parameters.values()])
-    inertia = np.abs([error for score in scores for error in score.inertia_errors])
     seconds = [float(score.said["seconds"]) for score in scores]
     physics = [score for score in scores if score.kind is not Kind.NOMINAL]
     found: dict[str, float | int | None] = {f"{kind.value}_cases": len(of[kind]) for kind in Kind}
@@ -253,8 +243,6 @@ def figures(scores: Sequence[Score]) -> dict[str, float | int | None]:
         "gap_95th": float(np.percentile(gaps, 95)) if gaps else None,
         "parameters": len(off),
         "parameters_within_two_std": 100.0 * float(np.mean(off < 2)) if len(off) else None,
-        "inertias": len(inertia),
-        "inertia_within_two_std": 100.0 * float(np.mean(inertia < 2)) if len(inertia) else None,
         "seconds_median": float(np.median(seconds)) if seconds else None,
         "seconds_longest": max(seconds, default=None),
     }

@@ -14,7 +14,7 @@ from tests.numeric.second_plant.friction import Bristle, Now, Sliders
 from tests.numeric.second_plant.machine import STEP, Controls, Raw, Spring, Train, run
 from tests.numeric.second_plant.plans import Motion
 from tests.numeric.second_plant.robots import FAMILIES, put_off, random_mechanism, urdf
-from tests.numeric.second_plant.sensors import Sensors, noise, sample
+from tests.numeric.second_plant.sensors import Sensors, sample
 
 Array = NDArray[np.float64]
 
@@ -34,27 +34,6 @@ def test_inertia_and_weight_are_pinocchios(family: str) -> None:
             weight = pin.computeGeneralizedGravity(model, data, pose)
             np.testing.assert_allclose(rigid.matrix(pose), whole, rtol=1e-6, atol=1e-6)
             np.testing.assert_allclose(rigid.holding(pose), weight, rtol=1e-6, atol=1e-5)
-
-
-def test_weight_along_a_sweep_is_the_weight_there() -> None:
-    mechanism = random_mechanism(np.random.default_rng(5), "robot", "arm")
-    rigid, pose = Rigid(mechanism), np.full(len(mechanism.joints), 0.3)
-    curve = rigid.curve(1, pose[None], 0.4)
-    for away in (-0.35, -0.0123, 0.0, 0.2001):
-        there = pose + away * np.eye(len(pose))[1]
-        assert curve.at(there[1:2])[0] == pytest.approx(rigid.holding(there)[1], rel=3e-6)
-
-
-@pytest.mark.parametrize("low", [0.015, 0.10])
-def test_what_is_built_is_off_as_said_and_can_exist(low: float) -> None:
-    random = np.random.default_rng(6)
-    cad = random_mechanism(random, "robot", "arm")
-    built = put_off(cad, low, low + 0.08, random)
-    for old, new in zip(cad.bodies, built.bodies, strict=True):
-        off = np.abs(np.append(new.centre / old.centre, new.mass / old.mass) - 1.0)
-        assert (off > low - 1e-12).all()
-        assert (off < low + 0.08 + 1e-12).all()
-        assert (np.linalg.eigvalsh(new.spread) > 0).all()
 
 
 def test_stepping_is_mujocos() -> None:
@@ -119,16 +98,6 @@ def test_friction_sticks_until_its_level_is_reached(kind: str) -> None:
     assert raw.position[-1, 0] == pytest.approx(slides, rel=0.15)
 
 
-def test_friction_holds_through_a_reversal_of_the_torque() -> None:
-    """Within its level a torque that swings moves a stuck axis by some bristles' reach and no further."""
-    level = np.array([80.0])
-    train = _train(load=150.0, motor=50.0)
-    train.dry = [Bristle(lambda now: level, 2e-6, np.zeros(1))]
-    torque = 0.8 * 80.0 * np.sin(2 * np.pi * np.arange(12000) * STEP)
-    raw = run(train, NO_CONTROLS, np.zeros(1), _torque(torque), np.zeros((12000, 1)))
-    assert np.ptp(raw.position) < 2e-5
-
-
 @pytest.mark.parametrize("velocity", [1e-7, 1e-3, 0.2])
 def test_a_bristle_is_dahls_equation_solved(velocity: float) -> None:
     """Against fine steps of dy/dt = v / z (1 - y): exact however far a step goes."""
@@ -160,20 +129,6 @@ def test_two_masses_swing_at_their_frequency() -> None:
     assert np.ptp(twist[-4000:]) == pytest.approx(np.ptp(twist[:4000]), rel=1e-3)
 
 
-def test_a_gear_with_play_carries_nothing_within_it() -> None:
-    spring = Spring(np.array([1e6]), np.array([10.0]), play=1e-4)
-    assert spring.torque(np.array([0.9e-4]), np.array([1.0]))[0] == 0.0
-    assert spring.torque(np.array([3e-4]), np.array([0.0]))[0] == pytest.approx(200.0)
-    assert spring.torque(np.array([1.01e-4]), np.array([-1.0]))[0] == 0.0  # flanks do not pull
-    assert spring.twist(np.array([-200.0]))[0] == pytest.approx(-3e-4)
-
-
-def test_a_hardening_spring_is_solved_at_rest() -> None:
-    spring = Spring(np.array([1e5]), np.zeros(1), hard=1e-3)
-    torque = np.array([-250.0, 10.0, 400.0])
-    np.testing.assert_allclose(spring.torque(spring.twist(torque), np.zeros(3)), torque, rtol=1e-12)
-
-
 def test_torque_and_motion_are_of_one_instant() -> None:
     """J dv/dt at the samples is the torque told there: no part of a step between them."""
     raw, _ = _shaken()
@@ -189,34 +144,6 @@ def test_a_torque_is_told_as_late_as_given(late: float) -> None:
     true = sample(replace(QUIET, single=False), raw, 2000.0, np.random.default_rng(1))
     middle = slice(300, -300)
     assert _lag(told.effort[middle, 0], true.effort[middle, 0], 1 / 2000.0) == pytest.approx(late, rel=1e-2)
-
-
-def test_a_filter_delays_by_its_time_constant() -> None:
-    raw, _ = _shaken()
-    told = sample(replace(QUIET, effort_lag=1e-3, single=False), raw, 2000.0, np.random.default_rng(1))
-    true = sample(replace(QUIET, single=False), raw, 2000.0, np.random.default_rng(1))
-    middle = slice(600, -300)
-    lag = _lag(told.effort[middle, 0], true.effort[middle, 0], 1 / 2000.0)
-    assert lag == pytest.approx(np.arctan(2 * np.pi * 7 * 1e-3) / (2 * np.pi * 7), rel=3e-2)
-
-
-def test_columns_have_the_steps_that_are_given() -> None:
-    raw, _ = _shaken()
-    told = sample(replace(QUIET, effort_step=2.5, count=1e-6, single=False), raw, 1000.0, np.random.default_rng(1))
-    for column, step in ((told.effort, 2.5), (told.position, 1e-6), (told.velocity, 1e-6 / (2 * STEP))):
-        np.testing.assert_allclose(column[1:-1] / step, np.round(column[1:-1] / step), atol=1e-6)
-    single = sample(QUIET, raw, 1000.0, np.random.default_rng(1))
-    assert (single.position == single.position.astype(np.float32)).all()
-
-
-def test_noise_is_as_loud_as_said_and_louder_below() -> None:
-    sensors = replace(QUIET, white=1.0, slow=1.0, corner=100.0, flicker=1.0)
-    told = noise(sensors, (200_000, 4), 1000.0, np.random.default_rng(2))
-    assert told.std() == pytest.approx(np.sqrt(3.0), rel=0.03)
-    power = (np.abs(np.fft.rfft(told, axis=0)) ** 2).mean(axis=1)
-    frequency = np.fft.rfftfreq(200_000, 1e-3)
-    of = [power[(frequency > low) & (frequency < 2 * low)].mean() for low in (0.5, 5.0, 250.0)]
-    assert of[0] > 3 * of[1] > 3 * of[2]
 
 
 def _train(load: float, motor: float, viscous: Array | None = None, slope: float = 0.0) -> Train:

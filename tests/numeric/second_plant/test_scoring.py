@@ -34,7 +34,6 @@ def score(
     companions = ["presliding_hysteresis"] if "coulomb_friction" in hidden else []
     truth = {
         "number": 1, "class": kind, "size": size, "hidden": hidden, "companions": companions, "fault": fault,
-        "J_true": [200.0, 300.0],
     }  # fmt: skip
     said: dict[str, Any] = {
         "verdict": verdict,
@@ -114,12 +113,6 @@ def test_parameters_are_compared_where_they_are_the_same() -> None:
     assert ripple.parameters == {"cogging_torque: cosine_24": pytest.approx(-3.0)}
 
 
-def test_inertia_is_compared_sweep_by_sweep() -> None:
-    one = score({}, "none", kind="none")
-    both = Score(one.truth, one.said, [{"sweep": "0002", "value": 303.0, "std": 2.0}])
-    assert both.inertia_errors == [1.5]
-
-
 def test_figures_of_a_few() -> None:
     some = [
         score(COULOMB, "named", NAME),
@@ -173,16 +166,3 @@ def test_a_fair_sample_goes_through(one: Case, tmp_path: Path) -> None:
     assert found.outcome not in (Outcome.ERROR, Outcome.WRONG), found.said
     assert "hidden" not in found.said
     assert figures([found])["seconds_longest"] == found.said["seconds"] > 0
-
-
-def test_what_is_kept_is_not_done_again(tmp_path: Path) -> None:
-    (one,) = cases(77, none=1)
-    told = tmp_path / "said" / f"{one.number:05}.json"
-    run(one, tmp_path, small=True)
-    told.write_text("{}")
-    run(one, tmp_path, small=True)
-    assert told.read_text() == "{}"
-    sweeps = (tmp_path / "sweeps" / f"{one.number:05}.npz").stat().st_mtime_ns
-    run(one, tmp_path, small=True, again=True)
-    assert "seconds" in told.read_text()
-    assert (tmp_path / "sweeps" / f"{one.number:05}.npz").stat().st_mtime_ns == sweeps

@@ -4,6 +4,7 @@ import csv
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,20 @@ from service.robot import Robot
 from service.traces.mapping import Mapping
 from tests.unit.service.paths.conftest import CELL, CONTROL, ROBOT, ROOT
 
+Export = Callable[..., int]
+
+
+@pytest.fixture
+def export(tmp_path: Path, plan: PlanDocument, robot: Robot, cell: Cell, control: Control) -> Export:
+    """Into the folder `paths`, with another plan, cell or control where told."""
+
+    def run(**other: Any) -> int:
+        return export_paths(
+            tmp_path / "paths", **{"plan": plan, "robot": robot, "cell": cell, "control": control} | other
+        )
+
+    return run
+
 
 def changed(plan: PlanDocument, number: int, **changes: Any) -> PlanDocument:
     """The plan with other fields in one sweep; `spec_...` are fields of its spec."""
@@ -31,8 +46,8 @@ def changed(plan: PlanDocument, number: int, **changes: Any) -> PlanDocument:
     return plan.model_copy(update={"sweeps": (*plan.sweeps[:number], new, *plan.sweeps[number + 1 :])})
 
 
-def test_the_folder(tmp_path: Path, plan: PlanDocument, robot: Robot, cell: Cell, control: Control) -> None:
-    count = export_paths(tmp_path / "paths", plan, robot, cell, control)
+def test_the_folder(tmp_path: Path, plan: PlanDocument, robot: Robot, export: Export) -> None:
+    count = export()
     assert count == len(plan.sweeps) == 9
     names = {path.name for path in (tmp_path / "paths").iterdir()}
     sweeps = {f"SWEEP_{number:04d}" for number in range(1, 10)}
@@ -51,8 +66,8 @@ def test_the_folder(tmp_path: Path, plan: PlanDocument, robot: Robot, cell: Cell
         assert (entry.path.ramp, entry.path.settle) == (planned.ramp, planned.settle)
 
 
-def test_the_table(tmp_path: Path, plan: PlanDocument, robot: Robot, cell: Cell, control: Control) -> None:
-    export_paths(tmp_path / "paths", plan, robot, cell, control)
+def test_the_table(tmp_path: Path, plan: PlanDocument, export: Export) -> None:
+    export()
     with (tmp_path / "paths/SWEEP_0002.csv").open() as file:
         head, *rows = csv.reader(file)
     assert head == ["time [s]", *(f"A{k} [deg]" for k in range(1, 7)), "velocity of A2 [deg/s]"]
@@ -75,44 +90,23 @@ def test_the_table(tmp_path: Path, plan: PlanDocument, robot: Robot, cell: Cell,
         ({"spec_pose": (0.0, 1.38, 0.0, 0.0, 0.0, 0.0)}, "sweep 0002: joint_2: distance from the planned pose"),
         ({"spec_sines": (), "spec_period": None, "spec_periods": None}, "sweep 0002: has no sines and periods"),
         ({"legs": ()}, "sweep 0002: joint_1: distance from the planned pose"),
+        ({"spec_pose": (0.0,)}, "plan sweep 0002: pose has 1 numbers, robot max100-class has 6 axes"),
     ],
 )
-def test_what_leaves_the_envelope_is_not_written(
-    changes: dict[str, Any],
-    reason: str,
-    tmp_path: Path,
-    plan: PlanDocument,
-    robot: Robot,
-    cell: Cell,
-    control: Control,
+def test_a_sweep_that_cannot_be_run_is_not_written(
+    changes: dict[str, Any], reason: str, tmp_path: Path, plan: PlanDocument, export: Export
 ) -> None:
     with pytest.raises(BadInput) as refusal:
-        export_paths(tmp_path / "paths", changed(plan, 1, **changes), robot, cell, control)
+        export(plan=changed(plan, 1, **changes))
     assert reason in str(refusal.value)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_pose_of_another_robot_is_refused(
-    tmp_path: Path, plan: PlanDocument, robot: Robot, cell: Cell, control: Control
-) -> None:
-    with pytest.raises(BadInput, match="plan sweep 0002: pose has 1 numbers, robot max100-class has 6 axes"):
-        export_paths(tmp_path / "paths", changed(plan, 1, spec_pose=(0.0,)), robot, cell, control)
-
-
-def test_a_plan_of_another_robot_or_cell_is_refused(
-    tmp_path: Path, plan: PlanDocument, robot: Robot, cell: Cell, control: Control
-) -> None:
+def test_a_plan_of_another_cell_and_a_cycle_too_slow_are_refused(cell: Cell, control: Control, export: Export) -> None:
     with pytest.raises(BadInput, match="is for robot max100-class in cell workshop, not for max100-class in hall"):
-        export_paths(tmp_path / "paths", plan, robot, cell.model_copy(update={"name": "hall"}), control)
-
-
-def test_a_cycle_too_slow_for_the_sines_is_refused(
-    tmp_path: Path, plan: PlanDocument, robot: Robot, cell: Cell, control: Control
-) -> None:
+        export(cell=cell.model_copy(update={"name": "hall"}))
     with pytest.raises(BadInput, match=r"sine of 5 Hz: a cycle of 0\.020001 s gives fewer than 10 steps"):
-        export_paths(
-            tmp_path / "paths", plan, robot, cell, control.model_copy(update={"interpolation_cycle": 0.020001})
-        )
+        export(control=control.model_copy(update={"interpolation_cycle": 0.020001}))
 
 
 @pytest.mark.parametrize(

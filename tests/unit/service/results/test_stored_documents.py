@@ -74,13 +74,6 @@ def test_nothing_in_a_stored_document_is_without_a_name(name: str) -> None:
     assert unnamed(KINDS[name].read(stored(name), name)) == set()
 
 
-def test_a_key_without_a_name_would_be_found() -> None:
-    document = stored("diagnosis-named")
-    document["axes"]["joint_1"]["where"][0]["planted"] = 1
-    document["axes"]["joint_1"]["also_planted"] = 1
-    assert unnamed(Diagnosis.read(document, "d")) == {"planted", "also_planted"}
-
-
 def test_words_of_mathematics_and_of_its_results_are_the_same() -> None:
     assert get_args(Verdict) == tuple(one.value for one in verdict.Verdict)
     assert experiments.TEST_MASS == TEST_MASS
