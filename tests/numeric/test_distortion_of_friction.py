@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from service.diagnosis.sensitivity.design import DesignedSweep
 from service.identification import identify, spectrum
 from service.identification.axis.distortion import Distortion
 from service.identification.design.excitation import design_sweep, realisations
-from service.recording import Recording, Sweep, SweepSpec
-from simulator import Scenario, SweepRun, run_sweeps
+from simulator import Scenario
 from simulator.scenario import Stribeck
-from tests.numeric.campaign import max100, run_of, scenario_named, spec_of
+from tests.numeric.campaign import max100, run_plan, scenario_named, spec_of
 
 JOINT, POSES, COUNT = "joint_2", 6, 4
 
@@ -17,16 +17,13 @@ JOINT, POSES, COUNT = "joint_2", 6, 4
 def distortion(machine: Scenario) -> Distortion:
     """Of one axis in a few poses."""
     robot, rng = max100(), np.random.default_rng(8)
-    specs: list[SweepSpec] = []
-    runs: list[SweepRun] = []
+    designed: list[DesignedSweep] = []
     for number in range(POSES):
         pose = (0.0, *rng.uniform(-1.0, 1.0, 2).tolist(), 0.0, 0.0, 0.0)
         once = design_sweep(robot, JOINT, np.array(pose), load_inertia=250.0, locked_rotor_frequency=12.0)
         for one in realisations(once, COUNT, [number]):
-            specs.append(spec_of(one, len(specs) + 1, JOINT, pose))
-            runs.append(run_of(specs[-1], one.ramp, one.settle))
-    recordings = [Recording(**columns) for columns in run_sweeps(machine, runs, 8)]
-    spectra = [spectrum(robot, Sweep(*pair)) for pair in zip(specs, recordings, strict=True)]
+            designed.append(DesignedSweep(spec_of(one, len(designed) + 1, JOINT, pose), one.ramp, one.settle))
+    spectra = [spectrum(robot, sweep) for sweep in run_plan(machine, designed, 8, direct_encoder=True)]
     (axis,) = identify(robot, spectra).axes
     assert axis.distortion is not None
     return axis.distortion

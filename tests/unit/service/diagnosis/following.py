@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from service.diagnosis.fit.equations import Equations, Term, equations, grouped
 from service.diagnosis.rows.rigid import load_rows, nominal_load
 from service.diagnosis.rows.signals import Tracks, tracks
-from service.diagnosis.sensitivity.design import DesignedSweep
+from service.diagnosis.sensitivity.design import BLOCKS, DesignedSweep, full_design
 from service.diagnosis.sensitivity.predicted_sweeps import expected
 from service.identification.estimates.torque_gain import KnownMass
 from service.recording import Sweep
@@ -19,6 +19,7 @@ from tests.numeric.campaign import max100
 Array = NDArray[np.float64]
 
 RATE = 250.0  # Hz: what the tracks keep
+FORWARD, SLOW = ("forward_slow",), ("forward_slow", "backward_slow")
 
 
 def following(
@@ -48,6 +49,25 @@ def following(
         replace(sweep, recording=replace(sweep.recording, effort=effort[number, : len(sweep.recording.time)]))
         for number, sweep in enumerate(bare)
     ]
+
+
+def swept(
+    joint: str,
+    poses: Array,
+    hidden: Mapping[Term, Sequence[float]] | None = None,
+    *,
+    robot: Robot | None = None,
+    blocks: Sequence[str] = BLOCKS,
+    repeats: int = 2,
+    revisit: bool = True,
+    load: Callable[[Tracks], Array] | None = None,
+    noise: float = 0.001,
+    seed: int = 1,
+) -> list[Sweep]:
+    """The full design, or some of its blocks, followed by the representative robot or another one."""
+    robot = robot or max100()
+    designed = full_design(robot, joint, poses, blocks=blocks, repeats=repeats, sample_rate=RATE, revisit=revisit)
+    return following(robot, joint, designed, hidden, load=load, noise=noise, seed=seed)
 
 
 def known_to(part: float) -> Robot:

@@ -99,9 +99,6 @@ def test_a_name_that_is_taken_is_refused(packages: Packages) -> None:
         BadInput, match=r"^package second 2\.1, .*: an effect of this name comes with first 2\.1 already"
     ):
         len(catalogue())
-
-
-def test_the_name_of_a_shipped_one_is_refused(packages: Packages) -> None:
     packages.install("again", {"backlash": "again_effect:EFFECT"}, {"again_effect": EFFECT.format(name="backlash")})
     with pytest.raises(BadInput, match=r"^package again 2\.1, .*: an effect of this name comes with sweepid already"):
         len(catalogue())

@@ -16,14 +16,13 @@ from service.errors import BadInput
 from service.identification.estimates.torque_gain import KnownMass
 from service.recording import Sweep
 from service.robot import Robot
-from tests.unit.service.diagnosis.following import known_to
+from tests.unit.service.diagnosis.following import SLOW, known_to
 
 pytestmark = pytest.mark.slow
 
 POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.0, -0.5, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
 MASS = KnownMass(30.0, (0.15, 0.0, 0.0))
 TIGHT = 0.003  # of inertia and gravity: how well CAD knows the robot
-SLOW = ("forward_slow", "backward_slow")
 
 
 def measured(

@@ -33,7 +33,7 @@ from service.report import diagnosis_page
 from tests.numeric.campaign import max100
 from tests.stored.documents import axis_document as stored_axis
 from tests.stored.documents import diagnosis
-from tests.unit.service.diagnosis.following import RATE, equations_of, following, known_to
+from tests.unit.service.diagnosis.following import equations_of, known_to, swept
 from tests.unit.service.diagnosis.test_calibration import MASS, SLOW, TIGHT, measured
 from tests.unit.service.diagnosis.test_calibration import POSES as MASS_POSES
 from tests.unit.service.diagnosis.test_revision import axis_of
@@ -45,9 +45,7 @@ SPRING = Term("joint_elasticity", (2e-6, 1e-3, 0.5, 0.0, 40.0))
 
 
 def sweeps_of(hidden: Term | None = None, *coefficients: float, blocks: Sequence[str] = SLOW) -> list[Sweep]:
-    robot = max100()
-    designed = full_design(robot, JOINT, POSES, blocks=blocks, sample_rate=RATE)
-    return following(robot, JOINT, designed, {hidden: coefficients} if hidden else None)
+    return swept(JOINT, POSES, {hidden: coefficients} if hidden else None, blocks=blocks)
 
 
 @cache

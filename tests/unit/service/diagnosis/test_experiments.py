@@ -1,6 +1,7 @@
 """Each kind of experiment where it is the one to run."""
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,16 @@ from service.diagnosis.sensitivity.visibility import Hidden
 from service.diagnosis.verdict import Verdict, tie_set
 from service.identification.estimates.torque_gain import KnownMass
 from tests.numeric.campaign import max100
-from tests.unit.service.diagnosis.following import RATE, carrying, equations_of, following, heavier
+from tests.unit.service.diagnosis.following import (
+    FORWARD,
+    RATE,
+    SLOW,
+    carrying,
+    equations_of,
+    following,
+    heavier,
+    swept,
+)
 
 POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.1, -0.5, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
 DRIFT = "friction_temperature_drift"
@@ -32,19 +42,23 @@ def asked(
 ) -> NextExperiment | None:
     """What is asked for when these blocks were run and the rivals are left."""
     robot = max100()
-    designed = full_design(robot, "joint_2", poses, blocks=blocks, sample_rate=RATE, revisit=False)
-    sweeps = following(robot, "joint_2", designed, hidden, noise=noise, load=load)
+    sweeps = swept("joint_2", poses, hidden, noise=noise, load=load, blocks=blocks, revisit=False)
     selection = select(equations_of(robot, "joint_2", sweeps), (), list(rivals))
     return next_experiment(selection, verdict, rivals, unseen or {}, sweeps)
 
 
+def needed(*args: Any, **others: Any) -> NextExperiment:
+    """The same, where one is."""
+    wanted = asked(*args, **others)
+    assert wanted is not None
+    return wanted
+
+
 COULOMB = {Term("coulomb_friction"): (60.0,)}
-FORWARD = ("forward_slow",)
 
 
 def test_coulomb_or_offset_needs_the_other_direction() -> None:
-    wanted = asked(FORWARD, COULOMB, ["coulomb_friction", "effort_offset"])
-    assert wanted is not None
+    wanted = needed(FORWARD, COULOMB, ["coulomb_friction", "effort_offset"])
     assert wanted.kind in ("backward_slow", "reversal")
     assert wanted.separation is not None
     assert wanted.separation > 50
@@ -55,23 +69,19 @@ def test_coulomb_or_offset_needs_the_other_direction() -> None:
 
 def test_a_power_of_the_speed_needs_another_speed() -> None:
     power = {Term("nonlinear_viscous_friction", (0.01, 0.5)): (10.0,)}
-    blocks = ("forward_slow", "backward_slow")
-    wanted = asked(blocks, power, ["nonlinear_viscous_friction", "coulomb_friction"], noise=0.02)
-    assert wanted is not None
+    wanted = needed(SLOW, power, ["nonlinear_viscous_friction", "coulomb_friction"], noise=0.02)
     assert wanted.kind in ("forward_fast", "backward_fast", "reversal", "wide")
 
 
 def test_delay_or_elasticity_needs_the_wide_band() -> None:
     delay = {Term("measurement_delay", (1e-3,)): (4e-3,)}
-    wanted = asked(("forward_slow", "reversal"), delay, ["measurement_delay", "joint_elasticity"], noise=0.02)
-    assert wanted is not None
+    wanted = needed(("forward_slow", "reversal"), delay, ["measurement_delay", "joint_elasticity"], noise=0.02)
     assert wanted.kind == "wide"
 
 
 def test_drift_needs_warmth() -> None:
     drift = {Term(DRIFT, (300.0, 1.0)): (60.0, -3.0, 0.0)}
-    wanted = asked(BLOCKS, drift, [DRIFT, "coulomb_friction"], poses=POSES[:1])
-    assert wanted is not None
+    wanted = needed(BLOCKS, drift, [DRIFT, "coulomb_friction"], poses=POSES[:1])
     assert wanted.kind == "warm_up"
     assert wanted.seconds > 250
     starts = [sweep.spec.started_at for sweep in wanted.sweeps]
@@ -81,12 +91,10 @@ def test_drift_needs_warmth() -> None:
 
 def test_a_mass_is_asked_for_once_both_directions_were_run() -> None:
     rivals = ["payload", "torque_constant_error"]
-    first = asked(FORWARD, {}, rivals, load=heavier(0.05))
-    assert first is not None
+    first = needed(FORWARD, {}, rivals, load=heavier(0.05))
     assert first.kind == "backward_slow"
-    then = asked(("forward_slow", "backward_slow"), {}, rivals, load=heavier(0.05))
-    assert then is not None
-    assert (then.kind, then.blocks) == ("test_mass", ("forward_slow", "backward_slow"))
+    then = needed(SLOW, {}, rivals, load=heavier(0.05))
+    assert (then.kind, then.blocks) == ("test_mass", SLOW)
     assert then.seconds == machine_time(then.sweeps) + BOLTING
     assert {sweep.spec.pose for sweep in then.sweeps} == {tuple(pose) for pose in POSES.tolist()}
 
@@ -94,9 +102,7 @@ def test_a_mass_is_asked_for_once_both_directions_were_run() -> None:
 def test_the_mass_is_measured_in_sweeps_as_they_were_run_without_it() -> None:
     robot = max100()
     poses = np.array([[0.0, angle, 0.3, 0, 0, 0] for angle in np.linspace(-0.8, 0.9, 7)])
-    slower = full_design(
-        robot, "joint_2", poses, blocks=("forward_slow", "backward_slow"), sample_rate=RATE, travel=0.04
-    )
+    slower = full_design(robot, "joint_2", poses, blocks=SLOW, sample_rate=RATE, travel=0.04)
     sweeps = following(robot, "joint_2", slower, load=heavier(0.05))
     rivals = ["payload", "torque_constant_error"]
     selection = select(equations_of(robot, "joint_2", sweeps), (), rivals)
@@ -109,42 +115,36 @@ def test_the_mass_is_measured_in_sweeps_as_they_were_run_without_it() -> None:
 
 def test_gravity_or_payload_needs_poses_in_which_other_joints_are_turned() -> None:
     tip = carrying(KnownMass(8.0, (0.2, 0.0, 0.0)))
-    wanted = asked(BLOCKS, {}, ["payload", "gravity_error"], poses=POSES[:2], load=tip)
-    assert wanted is not None
+    wanted = needed(BLOCKS, {}, ["payload", "gravity_error"], poses=POSES[:2], load=tip)
     assert wanted.kind == "more_poses"
     assert not {sweep.spec.pose for sweep in wanted.sweeps} & {tuple(pose) for pose in POSES.tolist()}
 
 
 def test_unknown_asks_for_the_missing_blocks_then_for_other_poses() -> None:
-    first = asked(FORWARD, COULOMB, ["measurement_delay"], Verdict.UNKNOWN)
-    assert first is not None
+    first = needed(FORWARD, COULOMB, ["measurement_delay"], Verdict.UNKNOWN)
     assert (first.kind, first.blocks) == ("full_design", BLOCKS[1:])
-    then = asked(BLOCKS, COULOMB, ["measurement_delay"], Verdict.UNKNOWN, poses=POSES[:1])
-    assert then is not None
+    then = needed(BLOCKS, COULOMB, ["measurement_delay"], Verdict.UNKNOWN, poses=POSES[:1])
     assert (then.kind, then.blocks) == ("more_poses", BLOCKS)
     assert tuple(POSES[0].tolist()) not in {sweep.spec.pose for sweep in then.sweeps}
 
 
 def test_nothing_found_asks_for_what_shows_the_unseen() -> None:
     unseen = {"measurement_delay": Hidden(("wide",), False), "backlash": Hidden((), False)}
-    wanted = asked(FORWARD, {}, ["coulomb_friction"], Verdict.NONE, unseen)
-    assert wanted is not None
+    wanted = needed(FORWARD, {}, ["coulomb_friction"], Verdict.NONE, unseen)
     assert (wanted.kind, wanted.blocks) == ("wide", ("wide",))
     assert "measurement delay" in wanted.reason
     assert asked(FORWARD, {}, ["coulomb_friction"], Verdict.NONE, {"backlash": Hidden((), False)}) is None
     weighty = {"hose_spring": Hidden((), True)}
-    wanted = asked(BLOCKS, {}, ["coulomb_friction"], Verdict.UNTESTABLE, weighty)
-    assert wanted is not None
+    wanted = needed(BLOCKS, {}, ["coulomb_friction"], Verdict.UNTESTABLE, weighty)
     assert (wanted.kind, wanted.blocks) == ("more_poses", BLOCKS)
     assert "hose spring" in wanted.reason
     assert asked(FORWARD, COULOMB, ["coulomb_friction"], Verdict.NAMED) is None
 
 
-@pytest.mark.parametrize(("blocks", "names"), [(("forward_slow",), True), (BLOCKS, False)])
+@pytest.mark.parametrize(("blocks", "names"), [(FORWARD, True), (BLOCKS, False)])
 def test_one_direction_leaves_ties_that_all_blocks_settle(blocks: Sequence[str], names: bool) -> None:
     robot = max100()
-    designed = full_design(robot, "joint_2", POSES[:2], blocks=blocks, sample_rate=RATE)
-    sweeps = following(robot, "joint_2", designed, COULOMB)
+    sweeps = swept("joint_2", POSES[:2], COULOMB, blocks=blocks)
     candidates = ["coulomb_friction", "asymmetric_friction", "effort_offset"]
     selection = select(equations_of(robot, "joint_2", sweeps), (), candidates)
     assert tie_set(selection, (), candidates) == (set(candidates) if names else {"coulomb_friction"})
@@ -152,8 +152,7 @@ def test_one_direction_leaves_ties_that_all_blocks_settle(blocks: Sequence[str],
 
 def test_friction_that_would_push_gives_way_to_what_physics_allows() -> None:
     robot = max100()
-    designed = full_design(robot, "joint_2", POSES[:2], blocks=FORWARD, sample_rate=RATE)
-    sweeps = following(robot, "joint_2", designed, {Term("effort_offset"): (-60.0,)})
+    sweeps = swept("joint_2", POSES[:2], {Term("effort_offset"): (-60.0,)}, blocks=FORWARD)
     selection = select(equations_of(robot, "joint_2", sweeps), (), ["coulomb_friction", "effort_offset"])
     assert selection.chosen.names == ("effort_offset",)
 

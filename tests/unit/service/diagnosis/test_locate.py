@@ -12,7 +12,7 @@ from service.diagnosis.rows.signals import tracks
 from service.diagnosis.sensitivity.design import full_design
 from service.recording import Sweep
 from tests.numeric.campaign import max100
-from tests.unit.service.diagnosis.following import RATE, following
+from tests.unit.service.diagnosis.following import FORWARD, RATE, SLOW, following, swept
 
 POSES = np.array([[0.0, -1.0, 0.2, 0, 0, 0], [0.0, 0.3, 0.2, 0, 0, 0], [0.0, 1.2, 0.2, 0, 0, 0]])
 
@@ -41,8 +41,12 @@ def test_a_gap_that_is_everywhere_alike_has_no_pattern() -> None:
 def test_what_is_said_of_real_sweeps_is_what_their_cells_show() -> None:
     """Friction that grows with the load is a gap where the axis is slow: at speed, viscous friction passes for it."""
     robot = max100()
-    designed = full_design(robot, "joint_2", POSES, blocks=("forward_slow", "backward_slow"), sample_rate=RATE)
-    sweeps = following(robot, "joint_2", designed, {Term("load_dependent_friction", (1.0,)): (30.0, 0.05, 0.0)})
+    sweeps = swept(
+        "joint_2",
+        POSES,
+        {Term("load_dependent_friction", (1.0,)): (30.0, 0.05, 0.0)},
+        blocks=SLOW,
+    )
     found = diagnose_axis(robot, "joint_2", sweeps, twin=False)
     speeds = [one for one in found.cells if one.dimension == "speed"]
     largest = max(speeds, key=lambda one: one.rms)
@@ -54,7 +58,7 @@ def test_what_is_said_of_real_sweeps_is_what_their_cells_show() -> None:
 def test_noise_has_no_lines_and_a_line_stands_out_of_it() -> None:
     """One sweep in one pose, nothing repeated: the bins between the lines tell what chance makes of one."""
     robot = max100()
-    designed = full_design(robot, "joint_2", POSES[:1], blocks=("forward_slow",), sample_rate=RATE)[:1]
+    designed = full_design(robot, "joint_2", POSES[:1], blocks=FORWARD, sample_rate=RATE)[:1]
     chance = [cell for seed in range(10) for cell in line_cells(following(robot, "joint_2", designed, seed=seed))]
     assert len(chance) == 10 * len(designed[0].spec.sines)
     assert max(cell.significance for cell in chance) < 4.0
@@ -65,7 +69,7 @@ def test_noise_has_no_lines_and_a_line_stands_out_of_it() -> None:
 
 def test_a_line_that_is_quieter_than_all_beside_it_is_still_a_number() -> None:
     robot = max100()
-    designed = full_design(robot, "joint_2", POSES[:1], blocks=("forward_slow",), sample_rate=RATE)[:1]
+    designed = full_design(robot, "joint_2", POSES[:1], blocks=FORWARD, sample_rate=RATE)[:1]
     motion = tracks(robot, "joint_2", following(robot, "joint_2", designed))
     every = np.arange(motion.usable.shape[1]) * 2 / motion.rate
     beside = np.sin(2 * np.pi * (2.0 + 1 / 3) * every)[None]  # of 3 periods of 1 s: between the lines, none at them

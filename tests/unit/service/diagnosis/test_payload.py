@@ -6,10 +6,9 @@ import pytest
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.rows.rigid import load_rows, nominal_load
 from service.diagnosis.rows.signals import tracks
-from service.diagnosis.sensitivity.design import full_design
 from service.identification.estimates.torque_gain import KnownMass
 from tests.numeric.campaign import max100
-from tests.unit.service.diagnosis.following import RATE, carrying, following
+from tests.unit.service.diagnosis.following import FORWARD, carrying, swept
 
 POSES = np.array(
     [
@@ -23,8 +22,7 @@ POSES = np.array(
 
 def test_a_point_mass_on_the_flange_gives_its_mass_and_moments() -> None:
     robot, mass = max100(), KnownMass(40.0, (0.2, 0.0, 0.1))
-    designed = full_design(robot, "joint_2", POSES, blocks=("forward_slow",), sample_rate=RATE, repeats=1)
-    motion = tracks(robot, "joint_2", following(robot, "joint_2", designed))
+    motion = tracks(robot, "joint_2", swept("joint_2", POSES, robot=robot, blocks=FORWARD, repeats=1))
     change = carrying(mass)(motion)
     readout = CATALOGUE["payload"].readout
     assert readout is not None
@@ -43,8 +41,7 @@ def test_a_point_mass_on_the_flange_gives_its_mass_and_moments() -> None:
 
 def test_all_of_the_load_once_more_by_a_part_is_a_gain() -> None:
     robot = max100()
-    designed = full_design(robot, "joint_2", POSES, blocks=("forward_slow",), sample_rate=RATE, repeats=1)
-    motion = tracks(robot, "joint_2", following(robot, "joint_2", designed))
+    motion = tracks(robot, "joint_2", swept("joint_2", POSES, blocks=FORWARD, repeats=1))
     readout = CATALOGUE["torque_constant_error"].readout
     assert readout is not None
     change = 0.07 * nominal_load(robot, "joint_2", motion.poses)

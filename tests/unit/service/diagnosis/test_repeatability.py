@@ -7,9 +7,8 @@ import pytest
 
 from service.diagnosis.fit.equations import Equations
 from service.diagnosis.localisation.repeatability import Unrepeated, unrepeated
-from service.diagnosis.sensitivity.design import full_design
 from tests.numeric.campaign import max100
-from tests.unit.service.diagnosis.following import RATE, equations_of, following
+from tests.unit.service.diagnosis.following import SLOW, equations_of, swept
 
 POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
 
@@ -17,8 +16,7 @@ POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
 @cache
 def quiet() -> Equations:
     robot = max100()
-    designed = full_design(robot, "joint_2", POSES, blocks=("forward_slow", "backward_slow"), sample_rate=RATE)
-    return equations_of(robot, "joint_2", following(robot, "joint_2", designed))
+    return equations_of(robot, "joint_2", swept("joint_2", POSES, blocks=SLOW))
 
 
 def seen(left: np.ndarray) -> Unrepeated:

@@ -7,11 +7,10 @@ from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.fit.equations import grouped, held_back
 from service.diagnosis.rows.rigid import load_rows, nominal_parameters
 from service.diagnosis.rows.signals import tracks
-from service.diagnosis.sensitivity.design import full_design
 from service.identification.model.base_parameters import joint_ranges, reduce_columns
 from service.identification.model.regressor import parameter_names
 from tests.numeric.campaign import max100
-from tests.unit.service.diagnosis.following import RATE, following, heavier
+from tests.unit.service.diagnosis.following import FORWARD, heavier, swept
 
 pytestmark = pytest.mark.slow
 
@@ -22,8 +21,7 @@ OFF = 0.1  # part by which CAD is off
 
 def test_a_healthy_machine_off_by_a_tenth_is_none_and_its_model_is_found() -> None:
     robot = max100()
-    designed = full_design(robot, JOINT, POSES, blocks=("forward_slow", "backward_slow", "wide"), sample_rate=RATE)
-    sweeps = following(robot, JOINT, designed, load=heavier(OFF))
+    sweeps = swept(JOINT, POSES, load=heavier(OFF), blocks=("forward_slow", "backward_slow", "wide"))
     found = axis_document(diagnose_axis(robot, JOINT, sweeps, twin=False))
     assert (found["verdict"], found["effects"]) == ("none", [])
     for pose in found["fit"]["inertia"]:
@@ -43,12 +41,12 @@ def test_a_healthy_machine_off_by_a_tenth_is_none_and_its_model_is_found() -> No
 
 def test_the_pose_of_middling_weight_is_held_back_of_four_and_none_of_three() -> None:
     robot = max100()
-    designed = full_design(robot, JOINT, POSES, blocks=("forward_slow",), sample_rate=RATE, revisit=False)
-    motion = tracks(robot, JOINT, following(robot, JOINT, designed))
+    sweeps = swept(JOINT, POSES, blocks=FORWARD, revisit=False)
+    motion = tracks(robot, JOINT, sweeps)
     unseen = held_back(motion, grouped(motion))
     assert unseen is not None
     weight = [float(motion.gravity[motion.pose_index == k].mean()) for k in range(4)]
     assert sorted(weight).index(weight[unseen]) == 2
-    few = [sweep for sweep in following(robot, JOINT, designed) if sweep.spec.pose != tuple(POSES[0])]
+    few = [sweep for sweep in sweeps if sweep.spec.pose != tuple(POSES[0])]
     motion = tracks(robot, JOINT, few)
     assert held_back(motion, grouped(motion)) is None

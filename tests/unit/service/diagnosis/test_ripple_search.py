@@ -9,10 +9,9 @@ import pytest
 from service.diagnosis.fit.equations import Equations
 from service.diagnosis.localisation.ripple_search import ripples, with_ripples
 from service.diagnosis.rows.signals import row_samples
-from service.diagnosis.sensitivity.design import full_design
 from service.robot import Robot
 from tests.numeric.campaign import max100
-from tests.unit.service.diagnosis.following import RATE, equations_of, following
+from tests.unit.service.diagnosis.following import SLOW, equations_of, swept
 
 pytestmark = pytest.mark.slow
 
@@ -30,8 +29,7 @@ def knowing(robot: Robot, cogging: tuple[float, ...], transmission: tuple[float,
 @cache
 def measured(cogging: tuple[float, ...]) -> Equations:
     robot = knowing(max100(), cogging)
-    designed = full_design(robot, JOINT, POSES, blocks=("forward_slow", "backward_slow"), sample_rate=RATE)
-    return equations_of(robot, JOINT, following(robot, JOINT, designed))
+    return equations_of(robot, JOINT, swept(JOINT, POSES, robot=robot, blocks=SLOW))
 
 
 def left_by(given: Equations, order: float, amplitude: float) -> np.ndarray:

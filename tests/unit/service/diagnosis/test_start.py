@@ -16,7 +16,7 @@ from service.diagnosis.sensitivity.design import full_design
 from service.errors import BadInput
 from service.estimation import estimate_document, sweep_spectrum
 from service.robot import INERTIAL_NAMES, Robot
-from tests.unit.service.diagnosis.following import RATE, following, known_to
+from tests.unit.service.diagnosis.following import RATE, SLOW, following, known_to
 
 pytestmark = pytest.mark.slow
 
@@ -53,9 +53,7 @@ def robot() -> Robot:
 
 @pytest.fixture(scope="module")
 def estimate(robot: Robot) -> dict[str, Any]:
-    designed = full_design(
-        robot, JOINT, poses(1, 12), blocks=("forward_slow", "backward_slow"), sample_rate=RATE, revisit=False
-    )
+    designed = full_design(robot, JOINT, poses(1, 12), blocks=SLOW, sample_rate=RATE, revisit=False)
     sweeps = following(robot, JOINT, designed, load=machine(robot), seed=5)
     return estimate_document(robot, [sweep_spectrum(robot, sweep) for sweep in sweeps]).as_json()
 

@@ -13,7 +13,7 @@ from service.diagnosis.sensitivity.design import full_design
 from service.errors import BadInput
 from service.recording import Sweep
 from tests.numeric.campaign import max100
-from tests.unit.service.diagnosis.following import RATE, following
+from tests.unit.service.diagnosis.following import FORWARD, RATE, SLOW, following, swept
 
 pytestmark = pytest.mark.slow
 
@@ -38,8 +38,7 @@ def held(sweep: Sweep, effort: float) -> Sweep:
 
 def test_an_axis_that_holds_tells_nothing_of_its_torque() -> None:
     robot = max100()
-    designed = full_design(robot, JOINT, POSES, blocks=("forward_slow", "backward_slow"), sample_rate=RATE)
-    sweeps = following(robot, JOINT, designed, {Term("coulomb_friction"): (60.0,)})
+    sweeps = swept(JOINT, POSES, {Term("coulomb_friction"): (60.0,)}, blocks=SLOW)
     moving = axis_document(diagnose_axis(robot, JOINT, sweeps))
     with_rest = axis_document(diagnose_axis(robot, JOINT, [*sweeps, held(sweeps[0], 500.0), held(sweeps[4], -500.0)]))
     assert [effect["effect"] for effect in moving["effects"]] == ["coulomb_friction"]
@@ -48,7 +47,7 @@ def test_an_axis_that_holds_tells_nothing_of_its_torque() -> None:
 
 def test_holding_alone_is_no_evidence() -> None:
     robot = max100()
-    designed = full_design(robot, JOINT, POSES, blocks=("forward_slow",), sample_rate=RATE)
+    designed = full_design(robot, JOINT, POSES, blocks=FORWARD, sample_rate=RATE)
     with pytest.raises(BadInput, match=f"{JOINT}.*has no sweep that moves"):
         diagnose_axis(robot, JOINT, [held(following(robot, JOINT, designed)[0], 0.0)])
 
@@ -71,15 +70,14 @@ def test_repeats_are_what_moved_alike_whatever_its_label() -> None:
 
 def test_one_label_makes_no_repeats_of_two_motions() -> None:
     robot = max100()
-    designed = full_design(robot, JOINT, POSES[:1], blocks=("forward_slow", "backward_slow"), sample_rate=RATE)
-    sweeps = relabelled(following(robot, JOINT, designed), block="mine")
+    sweeps = relabelled(swept(JOINT, POSES[:1], blocks=SLOW), block="mine")
     for group in grouped(tracks(robot, JOINT, sweeps)):
         assert len({np.sign(sweeps[piece.sweep].spec.offset_velocity) for piece in group.pieces}) == 1
 
 
 def test_poses_that_differ_by_less_than_anybody_can_command_are_one() -> None:
     robot = max100()
-    designed = full_design(robot, JOINT, POSES, blocks=("forward_slow",), sample_rate=RATE)
+    designed = full_design(robot, JOINT, POSES, blocks=FORWARD, sample_rate=RATE)
     jittering = [
         replace(sweep, spec=sweep.spec.model_copy(update={"pose": tuple(p + 1e-6 * k for p in sweep.spec.pose)}))
         for k, sweep in enumerate(following(robot, JOINT, designed))
@@ -91,8 +89,7 @@ def test_poses_that_differ_by_less_than_anybody_can_command_are_one() -> None:
 
 def test_a_trajectory_of_several_axes_is_no_evidence() -> None:
     robot = max100()
-    designed = full_design(robot, JOINT, POSES, blocks=("forward_slow",), sample_rate=RATE)
-    sweeps = following(robot, JOINT, designed)
+    sweeps = swept(JOINT, POSES, blocks=FORWARD)
     beside = relabelled(sweeps[:1], id="all", excitation="trajectory", block="trajectory 1 of 2 axes")
     shaken = [replace(one, recording=replace(one.recording, effort=one.recording.effort + 300.0)) for one in beside]
     assert axis_document(diagnose_axis(robot, JOINT, [*sweeps, *shaken])) == axis_document(
@@ -103,7 +100,7 @@ def test_a_trajectory_of_several_axes_is_no_evidence() -> None:
 @pytest.mark.parametrize("channel", ["velocity", "effort"])
 def test_a_dead_channel_is_told(channel: str) -> None:
     robot = max100()
-    designed = full_design(robot, JOINT, POSES[:1], blocks=("forward_slow",), sample_rate=RATE)
+    designed = full_design(robot, JOINT, POSES[:1], blocks=FORWARD, sample_rate=RATE)
     dead = [
         replace(sweep, recording=replace(sweep.recording, **{channel: np.zeros_like(sweep.recording.time)}))
         for sweep in following(robot, JOINT, designed)
@@ -114,7 +111,6 @@ def test_a_dead_channel_is_told(channel: str) -> None:
 
 def test_a_record_shorter_than_its_period_is_told() -> None:
     robot = max100()
-    designed = full_design(robot, JOINT, POSES[:1], blocks=("forward_slow",), sample_rate=RATE)
-    (short,) = relabelled(following(robot, JOINT, designed)[:1], excitation="trajectory", sines=(), period=100.0)
+    (short,) = relabelled(swept(JOINT, POSES[:1], blocks=FORWARD)[:1], excitation="trajectory", sines=(), period=100.0)
     with pytest.raises(BadInput, match=r"period of 100 s is longer than its \d"):
         diagnose_axis(robot, JOINT, [short])

@@ -5,10 +5,10 @@ import pytest
 
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.equations import applies
-from service.diagnosis.sensitivity.design import BLOCKS, full_design, paper_design
+from service.diagnosis.sensitivity.design import BLOCKS, paper_design
 from service.diagnosis.sensitivity.visibility import Hidden, untestable
 from tests.numeric.campaign import max100
-from tests.unit.service.diagnosis.following import RATE, equations_of, following, known_to
+from tests.unit.service.diagnosis.following import RATE, equations_of, following, known_to, swept
 
 pytestmark = pytest.mark.slow
 
@@ -18,8 +18,7 @@ POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
 def unseen(joint: str, blocks: tuple[str, ...], *names: str, noise: float = 0.005) -> dict[str, tuple[str, ...]]:
     """The blocks that would show them."""
     robot = max100()
-    designed = full_design(robot, joint, POSES, blocks=blocks, sample_rate=RATE, revisit=False)
-    sweeps = following(robot, joint, designed, noise=noise)
+    sweeps = swept(joint, POSES, noise=noise, blocks=blocks, revisit=False)
     found = untestable(equations_of(robot, joint, sweeps), names, sweeps)
     return {name: one.blocks for name, one in found.items()}
 
@@ -44,8 +43,7 @@ def test_play_shows_where_the_torque_changes_its_sign() -> None:
 
 def test_the_full_design_shows_all() -> None:
     robot = max100()
-    designed = full_design(robot, "joint_2", POSES, repeats=1, sample_rate=RATE)
-    sweeps = following(robot, "joint_2", designed, noise=0.001)
+    sweeps = swept("joint_2", POSES, noise=0.001, repeats=1)
     given = equations_of(robot, "joint_2", sweeps)
     names = [name for name in CATALOGUE if applies(given, name) and name != "backlash"]
     assert untestable(given, names, sweeps) == {}
