@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from service.diagnosis.sensitivity.design import DesignedSweep
 from service.geometry.cell import read_cell
 from service.geometry.collision import CollisionChecker
 from service.identification import Spectrum, spectrum
@@ -15,12 +16,12 @@ from service.identification.model.regressor import inertia_rows
 from service.identification.model.whole_base import dynamic_base
 from service.identification.motion.trajectory_record import TrajectoryRecord, axis_track, trajectory
 from service.identification.spectra.frequency_response import window
-from service.recording import Recording, Sweep, SweepSpec
+from service.recording import Recording, Sweep
 from service.robot import Robot
 from service.urdf import read_chain
-from simulator import Scenario, SweepRun, run_sweeps, run_trajectories
+from simulator import Scenario, run_trajectories
 from simulator.rigid_body import real_urdf
-from tests.numeric.campaign import CONFIG, run_of, spec_of
+from tests.numeric.campaign import CONFIG, run_of, run_plan, spec_of
 
 # data-sheet stiffness of the gears, N m/rad: only the design of the sweeps uses it
 STIFFNESS = (7e5, 1.8e6, 4e5, 5e4, 4.5e4, 1.2e4)
@@ -82,17 +83,15 @@ def measure_sweeps(
     robot: Robot, scenario: Scenario, poses: np.ndarray, seed: int, sample_rate: float = 250.0
 ) -> tuple[list[Sweep], list[Spectrum]]:
     """One sweep of every axis in each of the poses (m, n), and their spectra."""
-    specs: list[SweepSpec] = []
-    runs: list[SweepRun] = []
+    designed: list[DesignedSweep] = []
     for number, joint in enumerate(robot.joints):
         loads = inertia_rows(robot.chain, number, poses) @ robot.chain.inertial.ravel()
         for pose, load in zip(poses, loads, strict=True):
             resonance = float(np.sqrt(STIFFNESS[number] / load) / (2 * np.pi))
             sweep = design_sweep(robot, joint, pose, load_inertia=float(load), locked_rotor_frequency=resonance)
-            specs.append(spec_of(sweep, len(specs) + 1, joint, pose, sample_rate))
-            runs.append(run_of(specs[-1], sweep.ramp, sweep.settle))
-    recordings = run_sweeps(scenario, runs, seed)
-    sweeps = [Sweep(spec, Recording(**columns)) for spec, columns in zip(specs, recordings, strict=True)]
+            spec = spec_of(sweep, len(designed) + 1, joint, pose, sample_rate)
+            designed.append(DesignedSweep(spec, sweep.ramp, sweep.settle))
+    sweeps = run_plan(scenario, designed, seed, direct_encoder=True)
     return sweeps, [spectrum(robot, sweep) for sweep in sweeps]
 
 

@@ -8,15 +8,16 @@ import pytest
 
 from drivers.ports import ChannelTiming
 from service.channels import align
+from service.diagnosis.sensitivity.design import DesignedSweep
 from service.errors import BadInput
 from service.identification import identify, spectrum
 from service.identification.axis.channel_timing import ChannelLags, channel_lags
 from service.identification.design.excitation import LINES, design_sweep
 from service.identification.model.regressor import inertia_rows, lock
-from service.recording import Recording, Sweep
+from service.recording import Sweep
 from service.robot import Robot
-from simulator import Scenario, run_sweeps, true_inertia
-from tests.numeric.campaign import AXES, max100, run_of, scenario_named, spec_of
+from simulator import Scenario, true_inertia
+from tests.numeric.campaign import AXES, max100, run_plan, scenario_named, spec_of
 
 CALIBRATION = (2.0, 3.0, 4.0, 5.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0)
 MICRO = 1e6
@@ -45,13 +46,11 @@ def swept(scenario: Scenario, robot: Robot, joint: str, lines: tuple[float, ...]
     grid[:, 1], grid[:, 2] = rng.uniform(-0.8, 0.8, poses), rng.uniform(-1.0, 1.0, poses)
     loads = inertia_rows(lock(robot.chain, {3: 0.0, 4: 0.0, 5: 0.0}), robot.index(joint), grid[:, :3])
     loads = loads @ lock(robot.chain, {3: 0.0, 4: 0.0, 5: 0.0}).inertial.ravel()
-    specs, runs = [], []
+    designed: list[DesignedSweep] = []
     for number, (pose, load) in enumerate(zip(grid, loads, strict=True), 1):
         sweep = design_sweep(robot, joint, pose, load_inertia=float(load), lines=lines, velocity_limit=0.1)
-        specs.append(spec_of(sweep, number, joint, pose))
-        runs.append(run_of(specs[-1], sweep.ramp, sweep.settle))
-    recordings = [Recording(**columns) for columns in run_sweeps(scenario, runs, seed)]
-    return list(map(Sweep, specs, recordings))
+        designed.append(DesignedSweep(spec_of(sweep, number, joint, pose), sweep.ramp, sweep.settle))
+    return run_plan(scenario, designed, seed, direct_encoder=True)
 
 
 def calibrated(case: str, joint: str, seed: int) -> ChannelLags:
