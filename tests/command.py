@@ -4,11 +4,22 @@
 """
 
 import io
+import os
+import subprocess
 import sys
 from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
 from subprocess import CompletedProcess
 
 from service.cli import main
+
+SWEEPID = str(Path(sys.executable).with_name("sweepid"))
+
+
+def console(*arguments: str, stdin: str = "", **environment: str) -> CompletedProcess[str]:
+    """The console script itself, in a process of its own: for what belongs to all of a process."""
+    command, around = [SWEEPID, *arguments], os.environ | environment
+    return subprocess.run(command, input=stdin, capture_output=True, text=True, check=False, env=around)
 
 
 def sweepid(*arguments: str) -> CompletedProcess[str]:

@@ -162,7 +162,7 @@ def _ours(thread: threading.Thread) -> bool:
     """Pools and helpers of libraries are daemons or end with the process; ours must end with the test."""
     target = getattr(thread, "_target", None)
     module = getattr(target, "__module__", None) or type(thread).__module__
-    return module.split(".")[0] in ROOMS or not (thread.daemon or module.startswith("concurrent.futures"))
+    return module.split(".")[0] in ROOMS or not (thread.daemon or module.startswith(("anyio", "concurrent.futures")))
 
 
 def _in_a_room(task: asyncio.Task[Any]) -> bool:

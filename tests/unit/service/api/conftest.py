@@ -1,43 +1,35 @@
-"""The whole service on a loopback port, with real SQLite and a worker process, and no machine that answers."""
+"""The whole service with real SQLite and without a machine: `hosting` in this process, `serving` as it is run."""
 
 import io
 import json
 import subprocess
 import sys
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 
 import httpx
 import pytest
 
+from service.app import create_app
+from service.application import Application
 from service.client import ServiceClient
 from service.configuration import read_robot
 from service.robot import Robot
+from service.settings import Settings
 from service.store.files.bundle import write_bundle
 from tests.rigid_sweep import rigid_sweep
+from tests.unit.service.hosting import CONFIG, hosting, settings_of
 
-CONFIG = Path(__file__).parents[4] / "config"
-CAMPAIGNS = 3
+ZIP = {"Content-Type": "application/zip"}
 
 
 @contextmanager
 def serving(folder: Path, profile: Path, **settings_too: object) -> Iterator[str]:
     """`sweepid serve` as a process with its data in `folder`; yields its address. It must end cleanly when told to."""
     settings = folder / "service.yaml"
-    settings.write_text(
-        json.dumps(
-            {
-                "data_dir": str(folder / "data"),
-                "drive": str(profile),
-                "robots_dir": str(CONFIG / "robots"),
-                "cells_dir": str(CONFIG / "cells"),
-                **settings_too,
-            }
-        ),
-        encoding="utf-8",
-    )
+    settings.write_text(json.dumps(settings_of(folder, profile, **settings_too)), encoding="utf-8")
     command = [str(Path(sys.executable).with_name("sweepid")), "serve", "--config", str(settings), "--port", "0"]
     log = folder / "service.log"
     with log.open("wb") as stderr, subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr) as service:
@@ -69,13 +61,13 @@ def profile(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The service's settings and data."""
+    """The data and the log of the service at `url`."""
     return tmp_path_factory.mktemp("service")
 
 
 @pytest.fixture(scope="session")
 def url(folder: Path, profile: Path) -> Iterator[str]:
-    with serving(folder, profile) as url:
+    with hosting(folder, profile) as url:
         yield url
 
 
@@ -83,6 +75,19 @@ def url(folder: Path, profile: Path) -> Iterator[str]:
 def http(url: str) -> Iterator[httpx.Client]:
     with httpx.Client(base_url=f"{url}/api/v1", timeout=30, trust_env=False) as client:
         yield client
+
+
+@pytest.fixture(scope="session")
+def served_in(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The data, the settings and the log of the service at `served`."""
+    return tmp_path_factory.mktemp("served")
+
+
+@pytest.fixture(scope="session")
+def served(served_in: Path, profile: Path) -> Iterator[str]:
+    """A process that listens at a port: for what a call in this process does not show."""
+    with serving(served_in, profile) as url:
+        yield url
 
 
 @pytest.fixture(scope="session")
@@ -97,23 +102,39 @@ def bundle(tmp_path_factory: pytest.TempPathFactory, robot: Robot) -> Path:
     return folder
 
 
-def packed(folder: Path) -> bytes:
+def packed(folder: Path, kind: int = zipfile.ZIP_STORED) -> bytes:
     content = io.BytesIO()
-    with zipfile.ZipFile(content, "w") as archive:
+    with zipfile.ZipFile(content, "w", kind) as archive:
         for path in sorted(folder.rglob("*")):
             archive.write(path, path.relative_to(folder))
     return content.getvalue()
 
 
-@pytest.fixture(scope="module")
-def campaigns(url: str, bundle: Path, tmp_path_factory: pytest.TempPathFactory) -> list[int]:
-    """The same three sweeps, imported and identified `CAMPAIGNS` times: a robot that does not change at all."""
-    archive = tmp_path_factory.mktemp("campaigns") / "bundle.zip"
-    archive.write_bytes(packed(bundle))
+def identified(url: str, bundle: Path) -> int:
+    """A campaign of the bundle; its sweeps are identified and its data checked."""
+    added = httpx.post(f"{url}/api/v1/bundles", content=packed(bundle), headers=ZIP, timeout=60, trust_env=False)
+    number = int(added.raise_for_status().json()["id"])
+    assert added.headers["location"].endswith(f"/campaigns/{number}")
     with ServiceClient(url) as client:
-        numbers = [int(client.import_bundle(archive)["id"]) for _ in range(CAMPAIGNS)]
-        for number in numbers:
-            for event in client.events(number):
-                if event["kind"] == "campaign" and event["data"]["state"] == "completed":
-                    break
-    return numbers
+        wanted = {"completed", "checked"}
+        for event in client.events(number):
+            wanted -= {event["data"].get("state"), "checked" if event["kind"] == "data_check" else ""}
+            if not wanted:
+                break
+    return number
+
+
+@pytest.fixture(scope="module")
+def campaign(url: str, bundle: Path) -> int:
+    """Its number; at the beginning of a module its estimate is the latest of all."""
+    return identified(url, bundle)
+
+
+@asynccontextmanager
+async def opened(data: Path, profile: Path, **given: object) -> AsyncIterator[tuple[Application, httpx.AsyncClient]]:
+    """A service in the test's own loop, with its worker process."""
+    app = create_app(Settings.model_validate(settings_of(data, profile) | {"data_dir": data} | given))
+    async with app.router.lifespan_context(app):
+        way = httpx.ASGITransport(app=app)
+        async with httpx.AsyncClient(transport=way, base_url="http://127.0.0.1/api/v1", timeout=60) as http:
+            yield app.state.application, http

@@ -40,13 +40,6 @@ async def test_a_service_on_every_address_answers_to_its_names_alone(host: str, 
     assert (answer.status_code, host in answer.text) == ((200, False) if answered else (403, True))
 
 
-def test_from_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file = tmp_path / "service.yaml"
-    file.write_text("host: 0.0.0.0\n")
-    monkeypatch.setenv("SWEEPID_ALLOWED_HOSTS", '["cell7.example"]')
-    assert "cell7.example" in load_settings(file).answers_to
-
-
 @pytest.mark.parametrize("name", ["http://cell7", "cell7:8642", "*", ""])
 def test_what_is_no_name_is_refused(tmp_path: Path, name: str) -> None:
     file = tmp_path / "service.yaml"

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, cast
 
-import httpx
 import pytest
 import requests
 import schemathesis
@@ -26,8 +25,7 @@ from schemathesis.specs.openapi.checks import (
 )
 
 from service.api.openapi import COMMITTED
-from tests.unit.service.api.conftest import serving
-from tests.unit.service.api.test_api_bundles import ZIP, packed
+from tests.unit.service.api.conftest import identified
 
 pytestmark = pytest.mark.slow
 
@@ -47,12 +45,10 @@ def as_it_is(_: object, value: object) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory, profile: Path, bundle: Path) -> Iterator[str]:
-    """A service of its own, with campaign 1."""
-    with serving(tmp_path_factory.mktemp("declared"), profile) as url:
-        added = httpx.post(f"{url}/api/v1/bundles", content=packed(bundle), headers=ZIP, timeout=60, trust_env=False)
-        assert added.status_code == 201, added.text
-        yield url
+def address(served: str, bundle: Path) -> str:
+    """With campaign 1."""
+    identified(served, bundle)
+    return served
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""A diagnosis over HTTP, from imported campaigns to an accepted model; no machine answers, so nothing can move."""
+"""Check of the data and diagnosis over HTTP, from imported campaigns to an accepted model; nothing can move here."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,13 +10,14 @@ import pytest
 import yaml
 
 from service.client import ServiceClient, ServiceProblem
+from service.data_check import check, findings_document
 from service.diagnosis.sensitivity.design import full_design
 from service.diagnosis.sensitivity.predicted_sweeps import expected
 from service.errors import BadInput
 from service.recording import Sweep
 from service.robot import Robot
 from service.store.files.bundle import write_bundle
-from tests.unit.service.api.test_api_bundles import packed
+from tests.unit.service.api.conftest import packed
 
 pytestmark = pytest.mark.slow
 
@@ -187,8 +188,6 @@ def test_what_cannot_be_diagnosed_is_refused(
     another = Robot(description, robot.urdf_text)
     foreign = imported(client, tmp_path, another, sweeps_of(another, 3, "forward_slow")[:2])
     for body, status, words in (
-        ({"campaigns": []}, 422, "#/campaigns"),
-        ({"campaigns": [999999]}, 422, "campaigns: campaign 999999 does not exist"),
         ({"campaigns": [forward, foreign]}, 409, "select campaigns of one robot"),
         ({"campaigns": [forward], "axes": ["joint_2"]}, 422, "joint_2 has no complete sweep that moves"),
         ({"campaigns": [forward], "model": 999999}, 422, "model: model 999999 does not exist"),
@@ -197,5 +196,40 @@ def test_what_cannot_be_diagnosed_is_refused(
         answer = http.post("/diagnoses", json=body)
         assert (answer.status_code, answer.headers["content-type"]) == (status, "application/problem+json")
         assert words in answer.text
-    assert http.get("/diagnoses/999999").status_code == 404
-    assert http.get("/models/999999").status_code == 404
+
+
+# -- check of the data
+
+
+def checked(client: ServiceClient, campaign_id: int) -> dict[str, Any]:
+    """What the campaign says once its data were checked; an event tells."""
+    next(event for event in client.events(campaign_id) if event["kind"] == "data_check")
+    return client.campaign(campaign_id)["data_check"]
+
+
+def test_findings_stand_in_the_campaign_and_forbid_names_in_its_diagnosis(
+    client: ServiceClient, http: httpx.Client, robot: Robot, tmp_path: Path
+) -> None:
+    """The torque has the wrong sign."""
+    sweeps = sweeps_of(robot, 3, "forward_slow", "backward_slow")
+    for sweep in sweeps:
+        sweep.recording.effort[:] *= -1
+    campaign_id = imported(client, tmp_path, robot, sweeps)
+    found = checked(client, campaign_id)
+    assert found == findings_document(robot, sweeps, check(robot, sweeps))
+    assert not found["axes"]["joint_1"]["trustworthy"]
+    (finding,) = [one for one in found["findings"] if one["code"] == "effort_sign"]
+    assert (finding["severity"], finding["axis"]) == ("wrong", "joint_1")
+    diagnosis = client.diagnosed(client.add_diagnosis([campaign_id])["id"])
+    axis = diagnosis["document"]["axes"]["joint_1"]
+    assert (axis["verdict"], axis["effects"]) == ("unknown", [])
+    assert "effort_sign" in [one["code"] for one in axis["data"]]
+    report = http.get(f"/diagnoses/{diagnosis['id']}/report.html").text
+    assert "Check of the data" in report
+    assert finding["action"] in report
+
+
+def test_a_sound_campaign_has_no_findings(client: ServiceClient, both_ways: int) -> None:
+    found = checked(client, both_ways)
+    assert found["axes"]["joint_1"]["trustworthy"]
+    assert [one for one in found["findings"] if one["severity"] == "wrong"] == []

@@ -11,12 +11,8 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from service.api.metrics import machine, work
 from service.api.metrics.page import GROUPS, page
-from service.app import create_app
 from service.client import ServiceClient
-from service.settings import Settings
-from tests.system.rest_bench import until
-from tests.unit.service.api.conftest import CONFIG
-from tests.unit.service.api.test_api_bundles import ZIP, packed
+from tests.unit.service.api.conftest import opened
 
 pytestmark = pytest.mark.slow
 
@@ -38,15 +34,6 @@ def of(samples: Samples, name: str, **labels: str) -> float:
     return samples[name, frozenset(labels.items())]
 
 
-@pytest.fixture(scope="module")
-def campaign(url: str, bundle: Path) -> int:
-    """All of its three sweeps identified."""
-    with httpx.Client(base_url=f"{url}/api/v1", timeout=60, trust_env=False) as http, ServiceClient(url) as client:
-        number = int(http.post("/bundles", content=packed(bundle), headers=ZIP).raise_for_status().json()["id"])
-        until(lambda: client.campaign(number)["sweeps"].get("identified") == 3, "all sweeps identified")
-        return number
-
-
 def test_the_figures_are_those_of_the_latest_estimate(url: str, campaign: int) -> None:
     with ServiceClient(url) as client:
         estimate = client.estimate(campaign)
@@ -65,7 +52,8 @@ def test_the_figures_are_those_of_the_latest_estimate(url: str, campaign: int) -
     assert of(samples, "sweepid_campaigns", machine="machine", state="completed") >= 1
 
 
-def test_every_figure_has_its_help_and_no_other_comes(url: str, campaign: int) -> None:
+@pytest.mark.usefixtures("campaign")
+def test_every_figure_has_its_help_and_no_other_comes(url: str) -> None:
     text = httpx.get(f"{url}/metrics", timeout=30, trust_env=False).text
     shown = {family.name: family.documentation for family in text_string_to_metric_families(text)}
     assert shown == {name: figure.help for name, figure in FIGURES.items() if name not in STREAMED | MOVED}
@@ -77,15 +65,10 @@ def test_names_are_those_that_prometheus_asks_for() -> None:
 
 
 async def test_a_database_that_refuses_takes_only_its_own_figures_away(tmp_path: Path, profile: Path) -> None:
-    settings = Settings(data_dir=tmp_path, drive=profile, robots_dir=CONFIG / "robots", cells_dir=CONFIG / "cells")
-    app = create_app(settings)
-    async with app.router.lifespan_context(app):
+    async with opened(tmp_path, profile) as (_, http):
         with closing(sqlite3.connect(tmp_path / "sweepid.sqlite", timeout=30)) as other:
             other.execute("ALTER TABLE recording RENAME TO elsewhere")
-            async with httpx.AsyncClient(
-                transport=httpx.ASGITransport(app=app), base_url="http://127.0.0.1", timeout=60
-            ) as http:
-                answer = await http.get("/metrics")
+            answer = await http.get("http://127.0.0.1/metrics")
             other.execute("ALTER TABLE elsewhere RENAME TO recording")
     samples = scraped(answer.raise_for_status().text)
     assert of(samples, "sweepid_stop_latched", machine="machine") == 0

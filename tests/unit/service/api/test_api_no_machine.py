@@ -1,9 +1,6 @@
 """`sweepid serve --no-machine` beside the service of a machine, on one database: it shows all and changes nothing."""
 
-import json
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,20 +8,13 @@ import httpx
 import pytest
 
 from service.people.permissions import API, CALLS, LOGINS, STOP
-from tests.unit.service.api.conftest import serving
-from tests.unit.service.api.test_api_bundles import ZIP, packed
+from tests.unit.service.hosting import hosting
 
 pytestmark = pytest.mark.slow
 
 ALLOWED = {STOP, *LOGINS, ("POST", f"{API}/logout")}
 CHANGES = sorted(path for method, path in CALLS if method == "POST" and (method, f"{API}{path}") not in ALLOWED)
 WHY = "this service has no machine (`--no-machine`) and only shows the plant"
-
-
-@pytest.fixture(scope="module")
-def campaign(http_of_the_machine: httpx.Client, bundle: Path) -> int:
-    answer = http_of_the_machine.post("/bundles", content=packed(bundle), headers=ZIP)
-    return int(answer.raise_for_status().json()["id"])
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +29,7 @@ def beside(url: str, folder: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     assert url
     own = tmp_path_factory.mktemp("no-machine")
     database = f"sqlite:///{folder / 'data' / 'sweepid.sqlite'}"
-    with serving(own, own / "no-profile.yaml", database_url=database, no_machine=True) as address:
+    with hosting(own, own / "no-profile.yaml", database_url=database, no_machine=True) as address:
         yield address
 
 
@@ -104,12 +94,3 @@ def test_audit_entries_name_the_machine_where_there_is_one(
     refused = by_path[f"{API}/drives/connect"]
     assert ("machine" in refused, refused["status"]) == (False, 409)
     assert WHY in refused["why"]
-
-
-def test_a_database_that_is_not_there_is_bad_input(tmp_path: Path) -> None:
-    settings = tmp_path / "service.yaml"
-    settings.write_text(json.dumps({"data_dir": str(tmp_path / "data")}), "utf-8")
-    command = [str(Path(sys.executable).with_name("sweepid")), "serve", "--no-machine", "--port", "0", "--config"]
-    refused = subprocess.run([*command, str(settings)], capture_output=True, text=True, timeout=120, check=False)
-    assert (refused.returncode, refused.stdout) == (2, "")
-    assert "first start a service of this version that owns a machine" in refused.stderr.splitlines()[-1]

@@ -5,31 +5,17 @@ import asyncio
 import os
 import signal
 import sqlite3
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, closing
+from contextlib import closing
 from pathlib import Path
 
 import httpx
 import pytest
 
-from service.app import create_app
-from service.application import Application
-from service.settings import Settings
-from tests.unit.service.api.conftest import CONFIG
+from tests.unit.service.api.conftest import opened
 
 pytestmark = pytest.mark.slow
 
 PATIENCE = 60.0  # s
-
-
-@asynccontextmanager
-async def service(folder: Path, profile: Path, **given: float) -> AsyncIterator[tuple[Application, httpx.AsyncClient]]:
-    places = {"data_dir": folder, "drive": profile, "robots_dir": CONFIG / "robots", "cells_dir": CONFIG / "cells"}
-    app = create_app(Settings.model_validate(places | given))
-    async with app.router.lifespan_context(app):
-        transport = httpx.ASGITransport(app=app)
-        async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1/api/v1") as http:
-            yield app.state.application, http
 
 
 async def told(http: httpx.AsyncClient, word: str, *, there: bool = True) -> str:
@@ -45,7 +31,7 @@ async def told(http: httpx.AsyncClient, word: str, *, there: bool = True) -> str
 
 
 async def test_a_worker_that_ended_is_told_until_it_is_replaced(tmp_path: Path, profile: Path) -> None:
-    async with service(tmp_path, profile) as (application, http):
+    async with opened(tmp_path, profile) as (application, http):
         os.kill((await application.worker.processes())[0], signal.SIGKILL)
         await told(http, "worker process ended")
         await told(http, "worker process", there=False)
@@ -55,7 +41,7 @@ async def test_a_lease_that_cannot_be_renewed_is_told(
     tmp_path: Path, profile: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("service.store.engines.sqlite.BUSY_TIMEOUT", 0.05)
-    async with service(tmp_path, profile, lease_time=0.5) as (_, http):
+    async with opened(tmp_path, profile, lease_time=0.5) as (_, http):
         with closing(sqlite3.connect(tmp_path / "sweepid.sqlite", isolation_level=None)) as other:
             other.execute("BEGIN EXCLUSIVE")
             await told(http, "lease could not be renewed")
@@ -64,7 +50,7 @@ async def test_a_lease_that_cannot_be_renewed_is_told(
 
 
 async def test_a_disk_that_is_too_full_is_told(tmp_path: Path, profile: Path) -> None:
-    async with service(tmp_path, profile, least_free_disk=2**62) as (_, http):
+    async with opened(tmp_path, profile, least_free_disk=2**62) as (_, http):
         assert f"limit {2**62} bytes" in await told(http, "bytes free in")
 
 
@@ -74,7 +60,7 @@ async def test_a_lost_database_is_told_and_nothing_is_stored_in_its_place(tmp_pa
     (recordings / "0001-1.parquet").write_bytes(b"samples")
     stream = recordings / "0002-1.arrows"
     stream.write_bytes(b"stream")
-    async with service(tmp_path, profile) as (application, http):
+    async with opened(tmp_path, profile) as (application, http):
         assert "contains 1 recordings" in await told(http, "has no campaign")
         plan = application.store.add_plan(application.store.robots()[0].id, {})
         answer = await http.post("/campaigns", json={"plan_id": plan.id})

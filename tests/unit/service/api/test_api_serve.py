@@ -1,61 +1,80 @@
-"""Starting the service where it cannot start."""
+"""Starting the service where it cannot start: one line, a code, and nothing made; what killed ones left is cleared."""
 
 import json
-import subprocess
-import sys
+import socket
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
 
 from service.store.files.recordings import RecordingFiles
-from tests.unit.service.api.conftest import serving
+from tests.command import console
+from tests.unit.service.hosting import hosting, settings_of
 
 pytestmark = pytest.mark.slow
 
 
-def serve(settings: Path) -> subprocess.CompletedProcess[str]:
-    command = [str(Path(sys.executable).with_name("sweepid")), "serve", "--config", str(settings), "--port", "0"]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+@pytest.fixture(scope="module")
+def taken() -> Iterator[int]:
+    """A port."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield server.getsockname()[1]
 
 
-def test_a_machine_has_one_service(url: str, folder: Path) -> None:
-    second = serve(folder / "service.yaml")
+def no_database(folder: Path) -> dict[str, Any]:
+    (folder / "data").mkdir()
+    (folder / "data" / "sweepid.sqlite").write_bytes(b"no database at all" * 1000)
+    return {}
+
+
+CASES: dict[str, tuple[Callable[[Path], dict[str, Any]], int, tuple[str, ...]]] = {
+    "no profile": (lambda _: {"drive": "no-such-profile.yaml"}, 2, ("no-such-profile.yaml",)),
+    "no login": (
+        lambda _: {"host": "0.0.0.0"},
+        2,
+        ("sweepid: host: '0.0.0.0' is reachable from other computers",),
+    ),
+    "no database": (
+        no_database,
+        1,
+        ("sweepid: the service did not start: DatabaseError: ", "file is not a database"),
+    ),
+    "no plant": (
+        lambda _: {"no_machine": True},
+        2,
+        ("first start a service of this version that owns a machine",),
+    ),
+    "port taken": (lambda _: {"port": "TAKEN"}, 1, ("127.0.0.1:TAKEN",)),
+    "stop port taken": (lambda _: {"stop_port": "TAKEN"}, 1, ("127.0.0.1:TAKEN",)),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_it_says_in_one_line_why_it_cannot_start(tmp_path: Path, profile: Path, taken: int, case: str) -> None:
+    make, code, words = CASES[case]
+    before = make(tmp_path)
+    given = json.dumps(settings_of(tmp_path, profile, port=0, stop_port=0) | before).replace('"TAKEN"', str(taken))
+    (tmp_path / "service.yaml").write_text(given, "utf-8")
+    refused = console("serve", "--config", str(tmp_path / "service.yaml"))
+    assert (refused.returncode, refused.stdout) == (code, "")
+    *log, line = refused.stderr.splitlines()
+    assert log == [] or case == "no database"
+    for word in words:
+        assert word.replace("TAKEN", str(taken)) in line
+    assert not (tmp_path / "data").exists() or case != "no login"
+
+
+def test_a_machine_has_one_service(url: str, folder: Path, profile: Path) -> None:
+    assert url
+    settings = folder / "second.yaml"
+    settings.write_text(json.dumps(settings_of(folder, profile, port=0)), "utf-8")
+    second = console("serve", "--config", str(settings))
     assert (second.returncode, second.stdout) == (1, "")
     last = second.stderr.splitlines()[-1]
     assert last.startswith("sweepid: ")
     assert "machine" in last
-
-
-def test_a_bad_profile_is_bad_input(tmp_path: Path) -> None:
-    settings = tmp_path / "service.yaml"
-    settings.write_text(json.dumps({"data_dir": str(tmp_path / "data"), "drive": "no-such-profile.yaml"}), "utf-8")
-    refused = serve(settings)
-    assert (refused.returncode, refused.stdout) == (2, "")
-    assert "no-such-profile.yaml" in refused.stderr.splitlines()[-1]
-
-
-def test_others_are_not_let_in_without_a_login(tmp_path: Path, profile: Path) -> None:
-    settings = tmp_path / "service.yaml"
-    text = json.dumps({"data_dir": str(tmp_path / "data"), "drive": str(profile), "host": "0.0.0.0"})
-    settings.write_text(text, "utf-8")
-    refused = serve(settings)
-    assert (refused.returncode, refused.stdout, len(refused.stderr.splitlines())) == (2, "", 1)
-    assert refused.stderr.startswith("sweepid: host: '0.0.0.0' is reachable from other computers")
-    assert not (tmp_path / "data").exists()
-
-
-def test_a_database_that_is_none_is_told_in_one_line(tmp_path: Path, profile: Path) -> None:
-    data = tmp_path / "data"
-    data.mkdir()
-    (data / "sweepid.sqlite").write_bytes(b"no database at all" * 1000)
-    settings = tmp_path / "service.yaml"
-    settings.write_text(json.dumps({"data_dir": str(data), "drive": str(profile)}), "utf-8")
-    refused = serve(settings)
-    assert (refused.returncode, refused.stdout) == (1, "")
-    last = refused.stderr.splitlines()[-1]
-    assert last.startswith("sweepid: the service did not start: DatabaseError: ")
-    assert last.endswith("file is not a database")
 
 
 def test_what_killed_transfers_left_is_cleared_at_the_start(tmp_path: Path, profile: Path) -> None:
@@ -63,6 +82,6 @@ def test_what_killed_transfers_left_is_cleared_at_the_start(tmp_path: Path, prof
     for name in ("import-x7_a2b3c", "export-0123abcd"):
         (transfer / name / "bundle").mkdir(parents=True)
         (transfer / name / "bundle" / "0001.parquet").write_bytes(bytes(1000))
-    with serving(tmp_path, profile) as url:
+    with hosting(tmp_path, profile) as url:
         assert list(transfer.iterdir()) == []
         assert httpx.get(f"{url}/api/v1/campaigns", trust_env=False).json()["items"] == []

@@ -1,0 +1,202 @@
+"""What becomes of identified campaigns, over HTTP and by command: convergence, report, robots of the plant, jobs."""
+
+import hashlib
+import io
+import json
+import re
+from pathlib import Path
+
+import httpx
+import pytest
+from pypdf import PdfReader
+
+from service.client import ServiceClient, ServiceProblem
+from service.errors import BadInput
+from tests.command import sweepid
+from tests.programs import needs
+from tests.system.rest_bench import add_plan
+from tests.unit.service.api.conftest import identified
+
+pytestmark = pytest.mark.slow
+
+TYPE = "max100-class"
+CAMPAIGNS = 3
+
+
+@pytest.fixture(scope="module")
+def campaigns(url: str, bundle: Path, campaign: int) -> list[int]:
+    """The same three sweeps, imported and identified `CAMPAIGNS` times: a robot that does not change at all."""
+    return [campaign, *(identified(url, bundle) for _ in range(CAMPAIGNS - 1))]
+
+
+def test_the_convergence_of_a_campaign_has_a_line_a_revision(http: httpx.Client, url: str, campaign: int) -> None:
+    with ServiceClient(url) as client:
+        estimates = client.estimates(campaign)
+    told = http.get(f"/campaigns/{campaign}/estimates/convergence").json()
+    assert told["wanted"] is None
+    assert [(one["revision"], one["sweep"]) for one in told["revisions"]] == [
+        (one["revision"], one["number"]) for one in estimates
+    ]
+    for one, estimate in zip(told["revisions"], estimates, strict=True):
+        percent = estimate["document"]["axes"]["joint_1"]["confidence_percent"]
+        assert one["percent"] == {"joint_1": None if percent is None else pytest.approx(percent)}
+
+
+# -- report
+
+
+def hash_of(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def listed(data: Path, folder: Path) -> str:
+    """As `sha256sum FILE ...` in the data folder lists the recordings of an import."""
+    paths = sorted(folder.glob("*-1.parquet"))
+    return "".join(f"{hash_of(path)}  {path.relative_to(data).as_posix()}\n" for path in paths)
+
+
+def test_the_report_is_one_page_with_verdict_and_origin(http: httpx.Client, campaign: int, folder: Path) -> None:
+    answer = http.get(f"/campaigns/{campaign}/report")
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "text/html; charset=utf-8")
+    body = answer.text.partition("<main>")[2].partition("</main>")[0]
+    robot = http.get(f"/campaigns/{campaign}").json()["robot_id"]
+    for words in (
+        *("no diagnosis was made", "Identified from 3 sweeps; revision 3 of the estimate.", "Drives", "Convergence"),
+        *("Inertia of the axes over the poses", "One sweep", "Check of the data"),
+        f"max100-class, number {robot} of this service",
+    ):
+        assert words in body
+    told = re.search(r"3, SHA-256 ([0-9a-f]{64}) of their list", body)
+    assert told
+    lists = [listed(folder / "data", one) for one in (folder / "data").glob("recordings/import-*")]
+    assert told[1] in [hashlib.sha256(one.encode()).hexdigest() for one in lists]
+
+
+@needs("pango")
+def test_the_report_as_pdf(http: httpx.Client, campaign: int) -> None:
+    answer = http.get(f"/campaigns/{campaign}/report.pdf")
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "application/pdf")
+    text = " ".join(" ".join(page.extract_text() for page in PdfReader(io.BytesIO(answer.content)).pages).split())
+    for words in ("no diagnosis was made", "Origin", "Figure 1. Inertia of the axes", "sweepid 0."):
+        assert words in text
+
+
+def test_the_tables_of_the_report(http: httpx.Client, campaign: int) -> None:
+    answer = http.get(f"/campaigns/{campaign}/report.json")
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "application/json")
+    sections = [table["section"] for table in answer.json()["tables"]]
+    assert {"Origin", "How well the models fit", "Base parameters"} <= set(sections)
+
+
+def test_the_command_writes_the_report_or_refuses_in_one_line(
+    http: httpx.Client, url: str, campaign: int, tmp_path: Path
+) -> None:
+    def report(number: int, *words: str) -> tuple[int, str, str]:
+        done = sweepid("report", str(number), *words, "--url", url)
+        return done.returncode, done.stdout, done.stderr
+
+    file, tables, none = tmp_path / "report.html", tmp_path / "tables", tmp_path / "none.html"
+    assert report(campaign, str(file)) == (0, f"{file}\n", "")
+    assert file.read_text("utf-8").startswith("<!doctype html>")
+    assert report(campaign, "--tables", str(tables)) == (0, f"{tables}\n", "")
+    assert (tables / "01-origin.csv").read_text("utf-8").startswith(",value\nrobot,")
+    assert json.loads((tables / "tables.json").read_text("utf-8"))["tables"][0]["section"] == "Origin"
+    code, out, err = report(campaign, str(tmp_path / "no" / "report.html"))
+    assert (code, out, "cannot be written: No such file" in err) == (2, "", True)
+    with ServiceClient(url) as client:
+        planned = int(client.add_campaign(add_plan(client, axes=["joint_1"], varied=["joint_2"], poses=1))["id"])
+    words = f"campaign {planned} (planned) has no identified sweep yet, there is nothing to report"
+    refused = http.get(f"/campaigns/{planned}/report")
+    assert (refused.status_code, refused.json()["detail"]) == (409, words)
+    assert report(planned, str(none)) == (1, "", f"sweepid: {words}\n")
+    assert not none.exists()
+
+
+# -- robots of the plant
+
+
+def test_a_robot_has_its_series_and_is_not_due(http: httpx.Client, campaigns: list[int]) -> None:
+    types = [one["name"] for one in http.get("/fleet").json()["types"]]
+    assert types == sorted(set(types))
+    assert TYPE in types
+    (found,) = http.get("/fleet", params={"type": TYPE}).json()["types"]
+    assert (found["name"], found["axes"], found["campaigns"]) == (TYPE, ["joint_1"], 12)
+    (robot,) = found["robots"]
+    assert (robot["serial"], robot["machine"], robot["due"], robot["changed"]) == (None, "machine", False, [])
+    points = robot["axes"]["joint_1"]["points"]
+    assert set(campaigns) <= {point["campaign"] for point in points}
+    assert all(abs(point["difference_percent"]) < 1e-9 for point in points)
+    page = http.get("/fleet/report", params={"type": TYPE})
+    assert page.headers["content-type"] == "text/html; charset=utf-8"
+    assert "change of J in %" in page.text
+    tables = http.get("/fleet/report.json").json()["tables"]
+    rows = next(table["rows"] for table in tables if table["section"] == TYPE)
+    assert rows[0][0] == "machine machine"
+    assert int(rows[0][2]) >= len(campaigns)
+
+
+@pytest.mark.usefixtures("campaigns")
+def test_the_command_prints_and_writes_the_fleet(url: str, tmp_path: Path) -> None:
+    printed = sweepid(
+        *("fleet", "--url", url, "--type", TYPE),
+        *("--report", str(tmp_path / "fleet.html"), "--tables", str(tmp_path / "tables")),
+    )
+    assert printed.returncode == 0, printed.stderr
+    head, robot = printed.stdout.splitlines()
+    assert head == f"{TYPE}: 1 robots, 0 changed, 0 outliers, 0 due"
+    assert robot.startswith("  machine machine: measured ")
+    assert (tmp_path / "fleet.html").read_text("utf-8").startswith("<!doctype html>")
+    assert json.loads((tmp_path / "tables" / "tables.json").read_text("utf-8"))["title"] == "Robots of the plant"
+    found = json.loads(sweepid("fleet", "--url", url, "--type", TYPE, "--json", "-").stdout)
+    assert found["types"][0]["robots"][0]["machine"] == "machine"
+    with ServiceClient(url) as client, pytest.raises(ServiceProblem, match="no robot of the type 'a b&c'"):
+        client.fleet("a b&c")
+
+
+# -- stored campaigns identified again
+
+
+def test_the_same_program_finds_the_same(url: str, campaigns: list[int], http: httpx.Client) -> None:
+    """To 1e-9, and the stored estimates stay as they are."""
+    with ServiceClient(url) as client:
+        before = {number: client.estimate(number) for number in campaigns}
+        job = client.add_job(campaigns)
+        assert (job["campaigns"], job["kind"], job["asked_by"]) == (CAMPAIGNS, "reidentify", "local")
+        over = client.job_over(int(job["id"]))
+        assert (over["state"], over["done"], over["failed"], over["sweeps"]) == ("done", CAMPAIGNS, 0, 3 * CAMPAIGNS)
+        results = client.job_results(int(job["id"]))
+        assert {number: client.estimate(number) for number in campaigns} == before
+        with pytest.raises(BadInput):
+            client.add_job([0])
+    assert [one["campaign_id"] for one in results] == campaigns
+    assert all(one["change_percent"] < 1e-7 for one in results)
+    new = http.get(f"/jobs/{job['id']}/results/{campaigns[0]}").json()["document"]
+    for one, old in zip(
+        new["axes"]["joint_1"]["inertia"], before[campaigns[0]]["document"]["axes"]["joint_1"]["inertia"], strict=True
+    ):
+        assert one["value"] == pytest.approx(old["value"], rel=1e-9)
+    assert http.get(f"/jobs/{job['id']}/results/999999").status_code == 404
+
+
+@pytest.mark.usefixtures("campaigns")
+def test_a_job_that_is_cancelled_stays_so(url: str) -> None:
+    with ServiceClient(url) as client:
+        job = int(client.add_job(None)["id"])
+        cancelled = client.cancel_job(job)
+        assert cancelled["state"] in ("cancelled", "done")  # it may have been faster
+        assert client.cancel_job(job) == client.job(job)
+        assert client.job_over(job)["state"] == cancelled["state"]
+        assert job in {one["id"] for one in client.jobs()}
+
+
+def test_the_command_of_a_job(url: str, campaigns: list[int]) -> None:
+    done = sweepid("jobs", "reidentify", "--campaign", str(campaigns[1]), "--wait", "--url", url)
+    assert done.returncode == 0, done.stderr
+    number = done.stdout.split()[1]
+    assert done.stdout == f"job {number} (reidentify, machine): done, 1 of 1 campaigns, 3 sweeps\n"
+    shown = sweepid("jobs", "show", number, "--url", url).stdout.splitlines()
+    assert shown[1].startswith(f"  campaign {campaigns[1]}: 3 sweeps, J changed by ")
+    assert json.loads(sweepid("jobs", "show", number, "--json", "--url", url).stdout.splitlines()[1])["sweeps"] == 3
+    assert done.stdout.strip() in sweepid("jobs", "list", "--url", url).stdout.splitlines()
+    again = sweepid("jobs", "cancel", number, "--url", url)
+    assert again.stdout == done.stdout  # it is over
