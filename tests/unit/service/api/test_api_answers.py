@@ -7,7 +7,6 @@ from typing import Any
 import jsonschema_rs
 import pytest
 
-from service.api.declared.answers import complete
 from service.api.openapi import COMMITTED
 from service.api.openapi import document as made
 
@@ -60,11 +59,3 @@ def test_every_example_is_what_its_schema_says() -> None:
         assert problem is None, f"{where}, example {name}: {problem}"
         checked.add(name)
     assert checked
-
-
-def test_an_answer_without_example_is_found() -> None:
-    model: Json = {"type": "object"}
-    told: Json = {"description": "Successful Response", "content": {"application/json": {"schema": model}}}
-    document: Json = {"paths": {"/new": {"get": {"responses": {"200": told}}}}, "components": {"schemas": {}}}
-    complete(document)
-    assert missing(document) == ["GET /new 200 application/json: examples, description (the docstring of its model)"]

@@ -3,13 +3,11 @@
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from service.configuration import read_robot
 from service.identification.model.certainty import not_for_use
 from service.report import CampaignReport, Content, Drive, campaign_page, content_of
 from service.report.verdict import CONFIRMED, CONTRADICTED, OPEN, verdict
@@ -38,11 +36,6 @@ WRONG = DataCheck(
     ),
     axes={},
 )
-
-
-@pytest.fixture(scope="module")
-def max100(root: Path) -> Robot:
-    return read_robot(root / "config" / "robots" / "max100-class.yaml")
 
 
 def estimate(percent: float = 0.8, **more: Any) -> Estimate:
@@ -135,13 +128,10 @@ def test_nothing_is_confirmed_or_green_without_noise_floor_or_with_an_unseen_eff
     assert words in page.split("<h3>Drives</h3>")[0]
 
 
-def test_an_axis_without_diagnosis_is_told_on_the_first_page() -> None:
+def test_an_axis_without_diagnosis_and_a_test_mass_are_told() -> None:
     report = CampaignReport(title="t", subtitle="s", origin=(), drives=(), check=SOUND, diagnosis=None, test_mass=None)
     page = campaign_page(report, (), estimate(), None).html()
     assert "joint_1, joint_2: no diagnosis, so no effect was looked for" in page.split("<h3>Drives</h3>")[0]
-
-
-def test_a_test_mass_is_told() -> None:
     assert "a test mass of 20 kg was mounted" in verdict(estimate(), SOUND, diagnosis("none"), 20.0).sentence
 
 
@@ -187,17 +177,13 @@ def test_without_a_known_workspace_nothing_is_drawn_beyond_what_was_measured(max
         asked.append(spec.id)
         return sweep()
 
-    (foreign,) = [replace_id(spec) for spec in base.specs[:1]]
+    foreign = base.specs[0].model_copy(update={"id": "9999"})
     made = content_of(max100, base.estimate, (*base.specs, foreign), read, "of a test")
     assert made.specs == base.specs  # the foreign sweep is not in the estimate
     assert asked == ["0001"]  # one sweep is read
     assert made.title == "Inertias of the robot max100-class"
     assert len(made.workspace) == 25 * 25
     assert np.ptp(made.workspace, axis=0) == pytest.approx([0, 1.0, 1.0, 0, 0, 0])
-
-
-def replace_id(spec: Any) -> Any:
-    return spec.model_copy(update={"id": "9999"})
 
 
 def report(**changes: Any) -> CampaignReport:
@@ -238,13 +224,9 @@ def test_the_page_begins_with_verdict_and_origin(max100: Robot) -> None:
         )
     ]
     assert order == sorted(order)
-    assert campaign_page(report(), max100.joints, drawn.estimate, drawn).html() == page
-
-
-def test_the_tables_of_the_first_page_end_with_the_drives(max100: Robot) -> None:
-    drawn: Content = content(max100)
-    page = campaign_page(report(), max100.joints, drawn.estimate, drawn)
-    sections = [table["section"] for table in json.loads(page.written("json"))["tables"]]
+    again = campaign_page(report(), max100.joints, drawn.estimate, drawn)
+    assert again.html() == page
+    sections = [table["section"] for table in json.loads(again.written("json"))["tables"]]
     assert sections[:2] == ["Origin", "Drives"]
     assert "Drives" not in sections[2:]
 

@@ -161,144 +161,167 @@ def test_without_an_effect_there_is_no_after() -> None:
     assert list(figures(verdict="none", effects=[], where=[])) == ["gap_by_pose", "example"]
 
 
-def test_the_page_says_it_in_words_and_loads_nothing() -> None:
-    page = diagnosis_page(document(), "Robot <1>", "campaign 3").html()
-    assert "<script" not in page
-    assert "Robot &lt;1&gt;" in page
-    assert (
-        "joint_2: the model lacks Coulomb friction. With it the gap on sweeps that took no part in naming or fit "
-        "falls from 30 N m" in page
-    )
-    assert "tau = Fc sign(v) &lt;/script&gt;" in page
-    assert "<td>50</td><td>0.5</td><td>N m</td>" in page
-    assert "inertia at +0.50" in page
-    assert "Friction temperature drift</td><td>revisit forward slow, revisit backward slow</td>" in page
-    assert page.count("<figure>") == 5
-
-
-def test_the_page_tells_what_to_measure_next() -> None:
-    designed = stored("diagnosis-open")["axes"]["joint_1"]["next_experiment"]["sweeps"][0]["spec"]
-    experiment = {
-        "kind": "reversal",
-        "blocks": ["reversal"],
-        "sweeps": [{"spec": designed | {"pose": pose}, "ramp": 0.5, "settle": 0.5} for pose in POSES * 2],
-        "seconds": 96.0,
-        "separation": 200.0,
-        "between": ["coulomb_friction", "stribeck_friction"],
-        "reason": "reversal separates Coulomb friction and Stribeck friction best for its time.",
-    }
-    page = diagnosis_page(
-        document(
-            verdict="ambiguous",
-            candidates=["coulomb_friction", "stribeck_friction"],
-            alternatives=[["coulomb_friction", "stribeck_friction"]],
-            next_experiment=experiment,
+GAP = axis()["gap"]
+NOT_REPEATED = {
+    **GAP,
+    **{"noise_floor_rms": None, "held_out_sweeps": 0, "before_percent": 112.3, "cross_validated": False},
+    "by_pose": [{**pose, "noise_floor_rms": None} for pose in GAP["by_pose"]],
+}
+EXPERIMENT = {
+    "kind": "reversal",
+    "blocks": ["reversal"],
+    "sweeps": [
+        {
+            "spec": stored("diagnosis-open")["axes"]["joint_1"]["next_experiment"]["sweeps"][0]["spec"]
+            | {"pose": pose},
+            **{"ramp": 0.5, "settle": 0.5},
+        }
+        for pose in POSES * 2
+    ],
+    "seconds": 96.0,
+    "separation": 200.0,
+    "between": ["coulomb_friction", "stribeck_friction"],
+    "reason": "reversal separates Coulomb friction and Stribeck friction best for its time.",
+}
+RIVALS = ["coulomb_friction", "stribeck_friction"]
+OPEN = {"verdict": "ambiguous", "candidates": RIVALS, "alternatives": [RIVALS], "next_experiment": EXPERIMENT}
+KNOWN = {"effect": "coulomb_friction", "parameters": {"coulomb": {"value": 50.0, "std": 0.5, "unit": "N m"}}}
+CHANGE = {
+    **{"effect": "coulomb_friction", "parameter": "coulomb"},
+    "model": {"value": 40.0, "std": 0.4, "unit": "N m"},
+    "now": {"value": 50.0, "std": 0.5, "unit": "N m"},
+}
+SPRING = axis()["effects"][0] | {
+    **{"effect": "hose_spring", "parameters": {"stiffness": {"value": 76.5, "std": 1.0, "unit": "N m/rad"}}},
+}
+FOUND = stored("check-wrong")["findings"][0]
+FINDINGS = [
+    FOUND | {"severity": "warning", "sentence": "Repeats differ.", "action": "Look at the floor."},
+    FOUND | {"severity": "wrong", "sentence": "Torque has the wrong sign.", "action": "Turn it round."},
+]
+SAID = ["Repeats differ.", "Torque has the wrong sign.", "joint_2 leaves 30 N m."]
+# what differs from the document above, what the page says, and what it does not
+PAGES: dict[str, tuple[dict[str, Any], tuple[str, ...], tuple[str, ...]]] = {
+    "named": (
+        {},
+        (
+            "joint_2: the model lacks Coulomb friction. With it the gap on sweeps that took no part in naming or fit "
+            "falls from 30 N m",
+            "Robot &lt;1&gt;",
+            "tau = Fc sign(v) &lt;/script&gt;",
+            "<td>50</td><td>0.5</td><td>N m</td>",
+            "inertia at +0.50",
+            "Friction temperature drift</td><td>revisit forward slow, revisit backward slow</td>",
+            *("The rigid model", "Izz2 + 0.3 m3", ">60<", ">61.25<", ">0.5<", "left by the simulator", "<th>CAD</th>"),
         ),
-        "title",
-    ).html()
-    assert "do not tell whether it is Coulomb friction or Stribeck friction. Measure what is proposed next." in page
-    assert "separates Coulomb friction and Stribeck friction best for its time." in page
-    assert "6 sweeps of joint_2 in 3 poses, 1 min 36 s of machine time." in page
-    assert "not decided" in page
+        ("Check of the data", "Known in part"),
+    ),
+    "open": (
+        OPEN,
+        (
+            "do not tell whether it is Coulomb friction or Stribeck friction. Measure what is proposed next.",
+            "separates Coulomb friction and Stribeck friction best for its time.",
+            "6 sweeps of joint_2 in 3 poses, 1 min 36 s of machine time.",
+            "not decided",
+        ),
+        (),
+    ),
+    "nothing repeated": (
+        {"gap": NOT_REPEATED},
+        (
+            "nothing was measured twice",
+            "evaluated on its own sweeps",
+            "(on the sweeps themselves: none could be left out) falls from 30 N m (112 % of the effort)",
+        ),
+        ("noise alone",),
+    ),
+    "cross-validated": ({"gap": {**GAP, "held_out_sweeps": 0}}, ("the gap (cross-validated) falls",), ()),
+    "not held out": (
+        {"gap": {**GAP, "held_out_sweeps": 0, "cross_validated": False}},
+        ("nothing could be held out",),
+        (),
+    ),
+    "changed": (
+        {"verdict": "none", "effects": [], "known": [KNOWN], "changes": [CHANGE]},
+        (
+            "Coulomb friction</td><td>Coulomb</td><td>50</td><td>0.5</td><td>N m</td><td>40 ± 0.4</td>",
+            "lacks no effect, but Coulomb friction has changed: coulomb is 50 ± 0.5, not 40 N m",
+        ),
+        (),
+    ),
+    "from an estimate": (
+        {"started_from": "campaign 3, revision 7"},
+        ("<th>estimate</th>", "Started from an estimate: campaign 3, revision 7."),
+        ("<th>CAD</th>",),
+    ),
+    "findings": (
+        {"data": FINDINGS, "sentences": SAID},
+        ("<b>wrong:</b> Torque has the wrong sign. Turn it round.",),
+        (),
+    ),
+    "known in part": (
+        {"verdict": "unknown", "effects": [], "part": [SPRING]},
+        ("Known in part", "76.5"),
+        (),
+    ),
+}
+
+
+def page_of(case: str) -> str:
+    return diagnosis_page(document(**PAGES[case][0]), "Robot <1>", "campaign 3").html()
+
+
+@pytest.mark.parametrize("case", PAGES)
+def test_the_page_says_it_in_words_and_loads_nothing(case: str) -> None:
+    page, (_, words, others) = page_of(case), PAGES[case]
+    assert "<script" not in page
+    assert [word for word in words if word not in page] == []
+    assert [word for word in others if word in page] == []
+
+
+def test_figures_are_cards_and_findings_come_first_and_once() -> None:
+    assert page_of("named").count("<figure>") == 5
+    page = page_of("findings")
+    assert page.index("Torque has the wrong sign") < page.index("Repeats differ") < page.index("leaves 30 N m")
+    assert page.count("Repeats differ.") == 1
+
+
+ROLLED_BACK = "Rolled back, because held-out sweeps came out no better: backlash."
 
 
 @pytest.mark.parametrize(
-    ("verdict", "words"),
+    ("changes", "words", "end"),
     [
-        ("none", "the model is right as far as these sweeps can tell"),
-        ("unknown", "no effect of the catalogue explains it. The model stays as it was."),
-        ("untestable", "these sweeps cannot show whether something is missing"),
+        ({"verdict": "none"}, "joint_2: the model is right as far as these sweeps can tell", ROLLED_BACK),
+        (
+            {"verdict": "unknown"},
+            "no effect of the catalogue explains it. The model stays as it was.",
+            ROLLED_BACK,
+        ),
+        ({"verdict": "untestable"}, "these sweeps cannot show whether something is missing", ROLLED_BACK),
+        (
+            {
+                "verdict": "ambiguous",
+                "effects": [{"effect": "coulomb_friction"}, {"effect": "joint_elasticity"}],
+                "alternatives": [["coulomb_friction", "drift"], ["joint_elasticity"]],
+            },
+            "do not tell whether it is Coulomb friction or drift. Sure is joint elasticity. ",
+            "",
+        ),
+        (
+            {"verdict": "unknown", "part": [SPRING]},
+            "no effect of the catalogue explains it. Known in part: ",
+            "",
+        ),
+        (
+            {"verdict": "unknown", "data": [FINDINGS[1]]},
+            "because the data cannot be trusted. Torque has the wrong sign. Mend that first.",
+            "Mend that first.",
+        ),
     ],
 )
-def test_verdicts_in_words(verdict: str, words: str) -> None:
-    said = summary("joint_2", axis(verdict=verdict, effects=[], rolled_back=["backlash"]))
-    assert said.startswith(f"joint_2: {words}") or words in said
-    assert said.endswith("Rolled back, because held-out sweeps came out no better: backlash.")
-
-
-def test_of_two_effects_the_one_that_is_sure_is_said() -> None:
-    said = summary(
-        "joint_2",
-        axis(
-            verdict="ambiguous",
-            effects=[{"effect": "coulomb_friction"}, {"effect": "joint_elasticity"}],
-            alternatives=[["coulomb_friction", "drift"], ["joint_elasticity"]],
-        ),
-    )
-    assert "do not tell whether it is Coulomb friction or drift. Sure is joint elasticity. " in said
-
-
-def test_where_nothing_was_repeated_no_noise_floor_is_made_up() -> None:
-    gap = {**axis()["gap"], "noise_floor_rms": None, "held_out_sweeps": 0, "before_percent": 112.3}
-    gap["cross_validated"] = False
-    gap["by_pose"] = [{**pose, "noise_floor_rms": None} for pose in gap["by_pose"]]
-    page = diagnosis_page(document(gap=gap), "title").html()
-    assert "nothing was measured twice" in page
-    assert "evaluated on its own sweeps" in page
-    assert "(on the sweeps themselves: none could be left out) falls from 30 N m (112 % of the effort)" in page
-    assert "noise alone" not in page
-
-
-def test_what_the_model_has_stands_beside_what_it_is_now() -> None:
-    known = {"effect": "coulomb_friction", "parameters": {"coulomb": {"value": 50.0, "std": 0.5, "unit": "N m"}}}
-    change = {
-        "effect": "coulomb_friction",
-        "parameter": "coulomb",
-        "model": {"value": 40.0, "std": 0.4, "unit": "N m"},
-        "now": {"value": 50.0, "std": 0.5, "unit": "N m"},
-    }
-    page = diagnosis_page(document(verdict="none", effects=[], known=[known], changes=[change]), "title").html()
-    assert "Coulomb friction</td><td>Coulomb</td><td>50</td><td>0.5</td><td>N m</td><td>40 ± 0.4</td>" in page
-    assert "lacks no effect, but Coulomb friction has changed: coulomb is 50 ± 0.5, not 40 N m" in page
-
-
-def test_the_rigid_model_stands_beside_cad() -> None:
-    page = diagnosis_page(document(), "t").html()
-    for text in ("The rigid model", "Izz2 + 0.3 m3", ">60<", ">61.25<", ">0.5<", "left by the simulator"):
-        assert text in page
-
-
-def test_the_rigid_model_stands_beside_the_estimate_that_it_started_from() -> None:
-    page = diagnosis_page(document(started_from="campaign 3, revision 7"), "t").html()
-    assert "<th>estimate</th>" in page
-    assert "Started from an estimate: campaign 3, revision 7." in page
-    assert "<th>CAD</th>" in diagnosis_page(document(), "t").html()
-
-
-def test_findings_of_the_data_come_first_and_once() -> None:
-    (found,) = stored("check-wrong")["findings"]
-    findings = [
-        found | {"severity": "warning", "sentence": "Repeats differ.", "action": "Look at the floor."},
-        found | {"severity": "wrong", "sentence": "Torque has the wrong sign.", "action": "Turn it round."},
-    ]
-    sentences = [*(one["sentence"] for one in findings), "joint_2 leaves 30 N m."]
-    page = diagnosis_page(document(data=findings, sentences=sentences), "t").html()
-    assert "<b>wrong:</b> Torque has the wrong sign. Turn it round." in page
-    assert page.index("Torque has the wrong sign") < page.index("Repeats differ") < page.index("leaves 30 N m")
-    assert page.count("Repeats differ.") == 1
-    assert "Check of the data" not in diagnosis_page(document(), "t").html()
-
-
-def test_what_is_known_in_part_stands_beside_the_unknown() -> None:
-    part = [{**axis()["effects"][0], "effect": "hose_spring", "parameters": {}}]
-    part[0]["parameters"] = {"stiffness": {"value": 76.5, "std": 1.0, "unit": "N m/rad"}}
-    page = diagnosis_page(document(verdict="unknown", effects=[], part=part), "t").html()
-    assert "Known in part" in page
-    assert "76.5" in page
-    assert "Known in part" not in diagnosis_page(document(), "t").html()
-
-
-def test_a_gap_without_a_pose_held_back_says_how_it_was_judged() -> None:
-    gap = {**axis()["gap"], "held_out_sweeps": 0}
-    assert "the gap (cross-validated) falls" in diagnosis_page(document(gap=gap), "t").html()
-    page = diagnosis_page(document(gap={**gap, "cross_validated": False}), "t").html()
-    assert "nothing could be held out" in page
-
-
-def test_the_summary_of_the_unknown_tells_what_is_known_in_part_or_that_the_data_are_wrong() -> None:
-    part = [{**axis()["effects"][0], "effect": "hose_spring"}]
-    found = axis(verdict="unknown", effects=[], part=part)["summary"]
-    assert "no effect of the catalogue explains it. Known in part: " in found
-    data = [{"severity": "wrong", "sentence": "Torque has the wrong sign.", "action": "Turn it round."}]
-    found = axis(verdict="unknown", effects=[], part=[], data=data)["summary"]
-    assert found.endswith("because the data cannot be trusted. Torque has the wrong sign. Mend that first.")
+def test_verdicts_in_words(changes: dict[str, Any], words: str, end: str) -> None:
+    rolled_back = ["backlash"] if end == ROLLED_BACK else []
+    said = summary("joint_2", axis(**{"effects": [], "rolled_back": rolled_back} | changes))
+    assert words in said
+    assert said.endswith(end)

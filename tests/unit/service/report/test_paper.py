@@ -6,15 +6,13 @@ import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from html import escape
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from pypdf import PdfReader
 
-from service.configuration import read_robot
-from service.report import NoPdf, campaign_page, diagnosis_figures, diagnosis_page, estimate_page
+from service.report import NoPdf, campaign_page, diagnosis_figures, estimate_page
 from service.report.drawing import Figure, Part, figure, line, points, scale
 from service.report.initial_analysis import amplitude_responses, ideal_frequencies
 from service.report.plotting import PAPER, WIDTH, drawn, svg
@@ -32,11 +30,6 @@ A4 = (595.28, 841.89)  # points
 
 
 @pytest.fixture(scope="module")
-def max100(root: Path) -> Robot:
-    return read_robot(root / "config" / "robots" / "max100-class.yaml")
-
-
-@pytest.fixture(scope="module")
 def pages(max100: Robot) -> list[str]:
     """The text of each page of a campaign's report."""
     drawn = content(max100, example=sweep())
@@ -50,45 +43,22 @@ def pages(max100: Robot) -> list[str]:
 
 
 @needs("pango")
-def test_the_first_page_has_verdict_people_hashes_and_serial_numbers(pages: list[str]) -> None:
+def test_what_stands_on_paper(pages: list[str]) -> None:
+    """Words of figures too: read by whoever searches the file, or has it read aloud."""
     for words in ("Contradicted.", "cannot be trusted", "Ada <ada>", "cd" * 32, "4711", "not reported", "Contents"):
         assert words in pages[0]
-
-
-@needs("pango")
-def test_contents_lead_to_the_pages_they_tell(pages: list[str]) -> None:
-    told = re.findall(r"(Base parameters|One sweep|Check of the data)[ .]*(\d+)", pages[0])
-    assert len(told) == 3
-    for heading, number in told:
-        assert heading in pages[int(number) - 1]
-
-
-@needs("pango")
-def test_pages_and_figures_are_numbered(pages: list[str]) -> None:
-    assert [page.count(f"{k} / {len(pages)}") for k, page in enumerate(pages, start=1)] == [1] * len(pages)
-    numbers = re.findall(r"Figure (\d+)\.", " ".join(pages))
-    assert numbers == [str(k) for k in range(1, len(numbers) + 1)]
-    assert len(numbers) >= 7
-    assert "Figure 1. Inertia of the axes over the poses: joint_1 over joint_2 and joint_3" in " ".join(pages)
-
-
-@needs("pango")
-def test_words_of_the_figures_are_text(pages: list[str]) -> None:
-    """Read by whoever searches the file, or has it read aloud."""
     whole = " ".join(pages)
     for words in ("joint_2 in deg", "identified model", "time in s", "velocity, excited", "measured (± 2 std)"):
         assert words in whole
-
-
-@needs("pango")
-@pytest.mark.parametrize("name", ["diagnosis-named", "diagnosis-open"])
-def test_a_diagnosis_on_paper(name: str) -> None:
-    document = Diagnosis.read(stored(name), name)
-    file = diagnosis_page(document, "Diagnosis 7", "", (("robot", "arm"),)).pdf()
-    text = " ".join(" ".join(page.extract_text() for page in PdfReader(io.BytesIO(file)).pages).split())
-    for axis in document.axes.values():
-        assert axis.summary.split(".", maxsplit=1)[0] in text
-    assert "noise floor" in text
+    assert "Figure 1. Inertia of the axes over the poses: joint_1 over joint_2 and joint_3" in whole
+    contents = re.findall(r"(Base parameters|One sweep|Check of the data)[ .]*(\d+)", pages[0])
+    assert len(contents) == 3
+    for heading, number in contents:
+        assert heading in pages[int(number) - 1]
+    assert [page.count(f"{k} / {len(pages)}") for k, page in enumerate(pages, start=1)] == [1] * len(pages)
+    numbers = re.findall(r"Figure (\d+)\.", whole)
+    assert numbers == [str(k) for k in range(1, len(numbers) + 1)]
+    assert len(numbers) >= 7
 
 
 def test_where_pdf_cannot_be_made_it_is_told_what_to_install(max100: Robot, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,13 +1,11 @@
 """The report: figures from an estimate document worked out by hand, one file that needs nothing else."""
 
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from service.configuration import read_robot
 from service.identification.model.regressor import axis_rows, lock
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.report import Content, Page, Row, axes_of, estimate_page
@@ -18,11 +16,6 @@ from service.robot import INERTIAL_NAMES, Robot, build_robot
 
 AXES = ("joint_1", "joint_2", "joint_3")
 HEAVIER = 1.1  # the "identified" robot: every link and motor by this factor
-
-
-@pytest.fixture(scope="module")
-def max100(root: Path) -> Robot:
-    return read_robot(root / "config" / "robots" / "max100-class.yaml")
 
 
 def content(robot: Robot, **changes: Any) -> Content:
@@ -101,10 +94,11 @@ def test_models_of_the_estimate(max100: Robot) -> None:
     assert [axis.varied for axis in axes] == [(1, 2), (2,), ()]
 
 
-def test_table_1_is_that_of_the_estimate(max100: Robot) -> None:
+def test_tables_are_those_of_the_estimate(max100: Robot) -> None:
     page = estimate_page(content(max100)).html()
     for label, figure in (("reference model − measurement", 9), ("identified model − measurement", 0.5)):
         assert f"{label}</td>" + 3 * f"<td>{figure:.2f}</td>" in page
+    assert "<td>3</td><td>0.1</td><td>kg m²</td>" in page
 
 
 def test_one_file_that_loads_nothing(max100: Robot) -> None:
@@ -199,11 +193,6 @@ def test_a_linear_axis_has_its_own_units(max100: Robot) -> None:
 )
 def test_the_unit_of_a_base_parameter(name: str, unit: str) -> None:
     assert parameter_unit(name) == unit
-
-
-def test_every_base_parameter_has_its_unit_in_the_table(max100: Robot) -> None:
-    page = estimate_page(content(max100)).html()
-    assert "<td>3</td><td>0.1</td><td>kg m²</td>" in page
 
 
 def test_a_parameter_without_a_curve_says_why(max100: Robot) -> None:

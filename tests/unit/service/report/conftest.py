@@ -1,0 +1,13 @@
+"""The robot of the reports."""
+
+from pathlib import Path
+
+import pytest
+
+from service.configuration import read_robot
+from service.robot import Robot
+
+
+@pytest.fixture(scope="session")
+def max100(root: Path) -> Robot:
+    return read_robot(root / "config" / "robots" / "max100-class.yaml")
