@@ -2,7 +2,6 @@
 
 import json
 import os
-import socket
 import subprocess
 import sys
 from importlib.metadata import version
@@ -13,20 +12,10 @@ import pytest
 from service.cli import build
 from service.errors import BadInput
 from service.geometry.cell import read_cell
-from tests.command import sweepid
+from tests.command import console, sweepid
 from tests.ports import free_port
 
 pytestmark = pytest.mark.slow
-
-SWEEPID = str(Path(sys.executable).with_name("sweepid"))
-
-
-def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([SWEEPID, *arguments], capture_output=True, text=True, check=False)
-
-
-def unused_url() -> str:
-    return f"http://127.0.0.1:{free_port()}"
 
 
 @pytest.fixture
@@ -54,29 +43,6 @@ def test_bad_input_is_one_line_and_2(arguments: tuple[str, ...], place: str) -> 
     assert place in line
 
 
-def test_a_file_nested_too_deeply_is_one_line_and_2(tmp_path: Path) -> None:
-    (deep := tmp_path / "deep.yaml").write_text("[" * 5000, encoding="utf-8")
-    for arguments in (("plan", str(deep), "--axes", "a", "--varied", "b"), ("measure", str(deep))):
-        ended = sweepid(*arguments)
-        assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (2, "", 1), ended.stderr
-        assert "deep.yaml" in ended.stderr
-
-
-@pytest.mark.parametrize("setting", ["port", "stop_port"])
-def test_a_port_that_is_taken_is_1_and_named(tmp_path: Path, setting: str) -> None:
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        settings = tmp_path / "settings.yaml"
-        ports = {"port": 0, "stop_port": 0} | {setting: port}
-        settings.write_text("".join(f"{name}: {number}\n" for name, number in ports.items()), "utf-8")
-        ended = run("serve", "--config", str(settings), "--data-dir", str(tmp_path / "data"))
-    assert (ended.returncode, ended.stdout) == (1, "")
-    assert ended.stderr.count("\n") == 1, ended.stderr  # no log before it
-    assert f"127.0.0.1:{port}" in ended.stderr
-
-
 def test_export_refuses_a_folder_with_something_in_it(tmp_path: Path, plan_file: Path) -> None:
     done = sweepid("export", "1", str(tmp_path))
     assert (done.returncode, done.stdout) == (2, "")
@@ -84,25 +50,12 @@ def test_export_refuses_a_folder_with_something_in_it(tmp_path: Path, plan_file:
     assert list(tmp_path.iterdir()) == [plan_file]
 
 
-def test_a_file_that_is_no_plan_is_bad_input(tmp_path: Path) -> None:
-    path = tmp_path / "plan.json"
-    path.write_text("[1]", encoding="utf-8")
-    done = run("measure", str(path))
-    assert done.returncode == 2
-    assert str(path) in done.stderr
-
-
 def test_a_service_that_is_not_there_is_1_and_named(plan_file: Path) -> None:
-    url = unused_url()
-    done = run("measure", str(plan_file), "--url", url)
+    url = f"http://127.0.0.1:{free_port()}"
+    done = console("measure", str(plan_file), "--url", url)
     assert (done.returncode, done.stdout) == (1, "")
     (line,) = done.stderr.splitlines()
     assert f"no service at {url}: start it with `sweepid serve`" in line
-
-
-def test_the_version_is_told() -> None:
-    done = run("--version")
-    assert (done.returncode, done.stdout, done.stderr) == (0, f"sweepid {version('sweepid')}\n", "")
 
 
 def test_a_misspelt_key_is_told_with_the_one_that_was_meant(tmp_path: Path, root: Path) -> None:
@@ -122,31 +75,17 @@ def test_what_is_not_there_is_told_with_what_is(root: Path) -> None:
     robots = root / "config" / "robots"
     done = sweepid("plan", str(robots / "max10.yaml"), "--axes", "a", "--varied", "b")
     assert f"{robots} has emps.yaml, max100-class.yaml" in done.stderr
-    done = run("drive", "--scenario", str(root / "config/scenarios/nope.yaml"))
+    done = console("drive", "--scenario", str(root / "config/scenarios/nope.yaml"))
     assert done.returncode != 0
     assert "max100-full.yaml" in done.stderr
     with pytest.raises(BadInput, match=r"cell: there is no cell garage in .*cells; there is: workshop"):
         read_cell(root / "config" / "cells" / "garage.yaml")
 
 
-def test_who_waits_at_a_terminal_sees_for_what() -> None:
-    code = "from service.cli.progress_indicator import waiting\nwith waiting('the plan'): print('42')"
-    shown, inside = os.openpty()
-    try:
-        environment = os.environ | {"TERM": "xterm"}
-        done = subprocess.run(
-            [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=inside, check=True, env=environment
-        )
-        assert (done.stdout, b"the plan" in os.read(shown, 10_000)) == (b"42\n", True)
-    finally:
-        os.close(inside)
-        os.close(shown)
-    silent = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
-    assert (silent.stdout, silent.stderr) == (b"42\n", b"")
-
-
-def test_the_overview_lists_own_and_installed_commands() -> None:
-    done = run("--help")
+def test_the_version_and_the_overview_of_own_and_installed_commands_are_told() -> None:
+    done = console("--version")
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"sweepid {version('sweepid')}\n", "")
+    done = console("--help")
     assert done.returncode == 0
     for name in ("demo", "serve", "plan", "measure", "import", "export", "identify", "estimate", "drive"):
         assert f"  {name} " in done.stdout

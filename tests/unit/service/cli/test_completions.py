@@ -2,17 +2,14 @@
 
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from tests.command import sweepid
+from tests.command import SWEEPID, console, sweepid
 from tests.programs import needs
 
 pytestmark = pytest.mark.slow
-
-SWEEPID = Path(sys.executable).with_name("sweepid")
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
@@ -32,13 +29,9 @@ def test_a_shell_that_there_is_not() -> None:
 @pytest.mark.parametrize(
     ("line", "expected", "unexpected"),
     [
-        ("sweepid ex", {"export"}, {"plan"}),
         ("sweepid export s", {"sheet"}, {"model", "plan"}),
-        ("sweepid check --j", {"--json"}, {"--url"}),
-        ("sweepid estimate pay", {"payload"}, {"benefit"}),
         ("sweepid drive", {"drive"}, {"plan"}),  # of another package, by entry point
         ("sweepid export sheet --kuka", {"--kuka-upright"}, {"--robot"}),
-        ("sweepid check sheet --c", {"--campaign"}, {"--url"}),
         ("sweepid people add", {"add-key", "add-user"}, {"revoke-key"}),
     ],
 )
@@ -53,7 +46,7 @@ def test_bash_completes(line: str, expected: set[str], unexpected: set[str], tmp
         $(function_of) sweepid
         printf '%s\\n' "${{COMPREPLY[@]}}"
     """
-    environment = os.environ | {"PATH": f"{SWEEPID.parent}:{os.environ['PATH']}"}
+    environment = os.environ | {"PATH": f"{Path(SWEEPID).parent}:{os.environ['PATH']}"}
     done = subprocess.run(
         ["bash", "--norc", "-c", given], capture_output=True, text=True, timeout=120, check=False, env=environment
     )
@@ -64,25 +57,19 @@ def test_bash_completes(line: str, expected: set[str], unexpected: set[str], tmp
 
 def test_zsh_and_fish_ask_with_the_whole_line() -> None:
     for shell in ("zsh", "fish"):
-        environment = os.environ | {
-            "_SWEEPID_COMPLETE": f"complete_{shell}",
-            "_TYPER_COMPLETE_ARGS": "sweepid export s",
-            "_TYPER_COMPLETE_FISH_ACTION": "get-args",
-        }
-        done = subprocess.run([str(SWEEPID)], capture_output=True, text=True, timeout=120, check=False, env=environment)
+        done = console(
+            _SWEEPID_COMPLETE=f"complete_{shell}",
+            _TYPER_COMPLETE_ARGS="sweepid export s",
+            _TYPER_COMPLETE_FISH_ACTION="get-args",
+        )
         assert "sheet" in done.stdout, done.stderr
         assert "payload" not in done.stdout
 
 
 def test_command_names_load_no_command() -> None:
     """A person presses Tab often: names come without NumPy."""
-    environment = os.environ | {
-        "_SWEEPID_COMPLETE": "complete_bash",
-        "COMP_WORDS": "sweepid exp",
-        "COMP_CWORD": "1",
-        "PYTHONPROFILEIMPORTTIME": "1",
-    }
-    done = subprocess.run([str(SWEEPID)], capture_output=True, text=True, timeout=120, check=False, env=environment)
+    asked = {"_SWEEPID_COMPLETE": "complete_bash", "COMP_WORDS": "sweepid exp", "COMP_CWORD": "1"}
+    done = console(**asked, PYTHONPROFILEIMPORTTIME="1")
     assert "export" in done.stdout
     assert "| typer" in done.stderr  # what is imported is told
     assert "| numpy" not in done.stderr

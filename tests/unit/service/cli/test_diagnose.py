@@ -88,31 +88,21 @@ def test_the_rigid_model_starts_from_an_estimate_and_says_so(bundle: Path, tmp_p
 
 
 @pytest.mark.parametrize(
-    ("text", "reason"),
+    ("text", "arguments", "reason"),
     [
-        ("{", "cannot be read as JSON"),
-        ("[]", "is not a JSON object"),
-        ("{}", "axes"),
+        ("{", ["--estimate", "estimate.json"], "estimate.json: cannot be read as JSON"),
+        ("[]", ["--estimate", "estimate.json"], "estimate.json: is not a JSON object"),
+        ("{}", ["--estimate", "estimate.json"], "estimate.json.axes"),
+        ("", ["--axis", "joint_9"], "joint_9: unknown joint"),
+        ("", ["--axis", "joint_2"], "has no sweep that moves joint joint_2"),
+        ("", ["--known", "magic"], "magic: unknown effect"),
     ],
 )
-def test_an_estimate_that_is_none_is_one_line_and_two(bundle: Path, tmp_path: Path, text: str, reason: str) -> None:
-    estimate = tmp_path / "estimate.json"
-    estimate.write_text(text)
-    done = sweepid("diagnose", str(bundle), "--estimate", str(estimate))
-    assert (done.returncode, done.stdout) == (2, "")
-    assert "estimate.json" in done.stderr.splitlines()[-1]
-    assert reason in done.stderr.splitlines()[-1]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (["--axis", "joint_9"], "joint_9: unknown joint"),
-        (["--axis", "joint_2"], "has no sweep that moves joint joint_2"),
-        (["--known", "magic"], "magic: unknown effect"),
-    ],
-)
-def test_bad_input_is_one_line_and_two(bundle: Path, arguments: list[str], reason: str) -> None:
+def test_bad_input_is_one_line_and_two(
+    bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, arguments: list[str], reason: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "estimate.json").write_text(text)
     done = sweepid("diagnose", str(bundle), *arguments)
     assert (done.returncode, done.stdout) == (2, "")
     assert reason in done.stderr.splitlines()[-1]

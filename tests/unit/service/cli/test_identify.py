@@ -38,43 +38,37 @@ URDF = """<robot name="pair">
 """
 
 
-@pytest.fixture
-def bundle(tmp_path: Path) -> Path:
-    """Four noise-free sweeps of a rigid axis, inertia 7 with its motor."""
+def rigid_pair(folder: Path, inertia: float, gain: float = 1.0, height: float = 0.2, ratio: float = 100.0) -> Path:
+    """Four sweeps of a rigid axis whose drive tells `gain` times the torque. `inertia`: with the motor, kg m^2."""
     axes = (
-        Axis(joint="j1", gear_ratio=100.0, motor_inertia=1e-4, rated_effort=100.0, viscous_friction=3.0),
+        Axis(joint="j1", gear_ratio=ratio, motor_inertia=1e-4, rated_effort=100.0, viscous_friction=3.0),
         Axis(joint="j2", gear_ratio=600.0, rated_effort=100.0),
     )
     robot = build_robot(RobotDescription(name="pair", urdf="robot.urdf", axes=axes), URDF)
     sines = tuple(Sine(frequency=f, amplitude=0.01, phase=f) for f in (2.0, 3.0, 4.0, 5.0))
     time = np.arange(2500) / 500.0
-    velocity = 0.1 + np.sum([s.amplitude * np.sin(2 * np.pi * s.frequency * time + s.phase) for s in sines], axis=0)
-    acceleration = sum(
-        2 * np.pi * s.frequency * s.amplitude * np.cos(2 * np.pi * s.frequency * time + s.phase) for s in sines
-    )
-    position = 0.1 * time - sum(
-        s.amplitude / (2 * np.pi * s.frequency) * np.cos(2 * np.pi * s.frequency * time + s.phase) for s in sines
-    )
-    noise = np.random.default_rng(0).normal(0, 1e-3, (4, len(time)))
+    velocity, acceleration, position = np.full(2500, 0.1), np.zeros(2500), 0.1 * time
+    for sine in sines:
+        omega = 2 * np.pi * sine.frequency
+        velocity += sine.amplitude * np.sin(omega * time + sine.phase)
+        acceleration += omega * sine.amplitude * np.cos(omega * time + sine.phase)
+        position -= sine.amplitude / omega * np.cos(omega * time + sine.phase)
+    rest = {"axis": "j1", "pose": (0.0, height), "offset_velocity": 0.1, "sines": sines, "sample_rate": 500.0}
+    noise = np.random.default_rng(round(inertia)).normal(0, 1e-3, (4, 2500))
     sweeps = [
         Sweep(
-            SweepSpec(
-                id=f"{number}",
-                axis="j1",
-                pose=(0.0, 0.2),
-                offset_velocity=0.1,
-                sines=sines,
-                period=1.0,
-                periods=5,
-                sample_rate=500.0,
-                repeat=number,
-            ),
-            Recording(time, (INERTIA + 1) * acceleration + 4.0 * velocity + noise[number], velocity, position),
+            SweepSpec.model_validate({"id": str(number), "repeat": number, "period": 1.0, "periods": 5, **rest}),
+            Recording(time, gain * (inertia * acceleration + 4.0 * velocity) + noise[number], velocity, position),
         )
         for number in range(4)
     ]
-    write_bundle(tmp_path / "bundle", robot, sweeps)
-    return tmp_path / "bundle"
+    write_bundle(folder, robot, sweeps)
+    return folder
+
+
+@pytest.fixture
+def bundle(tmp_path: Path) -> Path:
+    return rigid_pair(tmp_path / "bundle", INERTIA + 1)
 
 
 def test_json_alone_on_stdout(bundle: Path) -> None:
@@ -114,29 +108,25 @@ def test_known_effects_of_a_model_are_taken_into_account_and_told(bundle: Path, 
 
 
 @pytest.mark.parametrize(
-    ("text", "reason"),
+    ("text", "arguments", "reason"),
     [
-        ("no json", "model.json: cannot be read as JSON"),
-        ("[]", "model.json: is not a JSON object"),
-        ('{"axes": {"j9": {}}}', "model.json: model.axes.j9: is not a joint of the robot; its joints are j1, j2"),
+        ("no json", ["--model", "model.json"], "model.json: cannot be read as JSON"),
+        ("[]", ["--model", "model.json"], "model.json: is not a JSON object"),
+        (
+            '{"axes": {"j9": {}}}',
+            ["--model", "model.json"],
+            "model.json: model.axes.j9: is not a joint of the robot; its joints are j1, j2",
+        ),
+        ("", ["--axis", "j3"], "j3: unknown joint; robot pair has j1, j2"),
+        ("", ["--axis", "j2"], "has no sweep of joint j2"),
+        ("", ["--json", "no/such/folder.json"], "no/such/folder.json: cannot be written: No such file"),
     ],
 )
-def test_a_model_that_cannot_be_read_is_one_line_and_two(bundle: Path, tmp_path: Path, text: str, reason: str) -> None:
+def test_bad_input_is_one_line_and_two(
+    bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, arguments: list[str], reason: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "model.json").write_text(text)
-    done = sweepid("identify", str(bundle), "--model", str(tmp_path / "model.json"))
-    assert (done.returncode, done.stdout) == (2, "")
-    assert reason in done.stderr.splitlines()[-1]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (["--axis", "j3"], "j3: unknown joint; robot pair has j1, j2"),
-        (["--axis", "j2"], "has no sweep of joint j2"),
-        (["--json", "no/such/folder.json"], "no/such/folder.json: cannot be written: No such file"),
-    ],
-)
-def test_bad_input_is_one_line_and_two(bundle: Path, arguments: list[str], reason: str) -> None:
     done = sweepid("identify", str(bundle), *arguments)
     assert (done.returncode, done.stdout) == (2, "")
     assert reason in done.stderr.splitlines()[-1]

@@ -3,18 +3,17 @@
 import os
 import pty
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from service.cli.progress_indicator import waiting
+from tests.command import SWEEPID
 from tests.unit.service.cli.test_identify import bundle
 
 pytestmark = pytest.mark.slow
 
 __all__ = ["bundle"]  # the fixture
-SWEEPID = str(Path(sys.executable).with_name("sweepid"))
 
 
 def on_a_terminal(*arguments: str) -> tuple[int, str, str]:

@@ -22,8 +22,8 @@ STORED = Path(__file__).resolve().parents[3] / "stored"
         ("estimate", ("Not confirmed.", "Inertia of the axes, sweep by sweep", "Base parameters")),
         ("estimate-free-motion", ("Sweeps and trajectories together",)),
         ("analysis", ("Initial analysis", "Figure 1.", "locked rotor in Hz")),
-        ("diagnosis-named", ("the model lacks Coulomb friction", "The rigid model")),
-        ("diagnosis-open", ("What to measure next",)),
+        ("diagnosis-named", ("the model lacks Coulomb friction", "The rigid model", "noise floor")),
+        ("diagnosis-open", ("What to measure next", "noise floor")),
     ],
 )
 def test_every_result_has_a_report(name: str, words: tuple[str, ...], tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -97,24 +98,36 @@ def test_refusals_name_the_reason(tmp_path: Path, text: str, reason: str) -> Non
     assert refusal.value.reason.startswith(reason)
 
 
-def test_an_optional_column_with_a_hole_is_refused(tmp_path: Path) -> None:
-    columns = {name: [0.0, 1.0] for name in REQUIRED_COLUMNS} | {"load_position": [None, 1.0]}
-    pq.write_table(pa.table(columns), tmp_path / "sweep.parquet")
-    with pytest.raises(BadInput, match="'load_position' is nan in row 1"):
-        read_columns(tmp_path / "sweep.parquet")
-
-
-def test_a_torn_parquet_file_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "sweep.parquet"
+def torn(path: Path) -> None:
     write_columns(path, Recording(*(np.arange(1000.0) for _ in range(4))))
     path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(BadInput, match="cannot be read"):
-        read_columns(path)
 
 
-@pytest.mark.parametrize("name", ["sweep.txt", "missing.csv", "missing.parquet", "."])
-def test_files_that_are_not_there(tmp_path: Path, name: str) -> None:
-    with pytest.raises(BadInput):
+def with_a_hole(path: Path) -> None:
+    columns = {name: [0.0, 1.0] for name in REQUIRED_COLUMNS} | {"load_position": [None, 1.0]}
+    pq.write_table(pa.table(columns), path)
+
+
+def too_large(path: Path) -> None:
+    with path.open("wb") as file:
+        file.truncate(LARGEST_CSV + 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "told"),
+    [
+        ("torn.parquet", torn, "cannot be read"),
+        ("hole.parquet", with_a_hole, "'load_position' is nan in row 1"),
+        ("large.csv", too_large, f"limit {LARGEST_CSV} bytes"),
+        *((name, None, None) for name in ("sweep.txt", "missing.csv", "missing.parquet", ".")),
+    ],
+)
+def test_files_that_are_none_are_refused(
+    tmp_path: Path, name: str, make: Callable[[Path], None] | None, told: str | None
+) -> None:
+    if make is not None:
+        make(tmp_path / name)
+    with pytest.raises(BadInput, match=told):
         read_columns(tmp_path / name)
 
 
@@ -176,14 +189,6 @@ def test_columns_of_a_csv_file_that_nobody_asked_for_are_not_kept(tmp_path: Path
     np.testing.assert_array_equal(read_columns(path).time, [0, 1])
     path.write_text(path.read_text().replace("effort", "torque"))
     with pytest.raises(BadInput, match=r"'effort' is missing; there are time, torque, .*, c15 and 980 more"):
-        read_columns(path)
-
-
-def test_a_csv_file_that_is_too_large_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "large.csv"
-    with path.open("wb") as file:
-        file.truncate(LARGEST_CSV + 1)
-    with pytest.raises(BadInput, match=f"limit {LARGEST_CSV} bytes"):
         read_columns(path)
 
 

@@ -17,7 +17,7 @@ from service.robot import Robot
 from service.store import tables as t
 from service.store.copying.copy import NotCopied, copy_rows
 from service.store.database import Database, alembic_config, open_database
-from service.store.documents import NewRecording, NewSweep, RecordingState
+from service.store.documents import CampaignState, NewRecording, NewSweep, RecordingState
 from service.store.guards import MachineLease, MachineTaken, StopLatch
 from service.store.people.audit import AuditStore
 from service.store.people.users import UserStore
@@ -120,6 +120,7 @@ def test_a_database_of_the_first_release_comes_along(sqlite_url: str, postgresql
             {"sha256": "0" * 64},
         )
         connection.execute(text("INSERT INTO plan VALUES (3, 7, '{}', '2026-01-02 03:04:05.000006')"))
+        connection.execute(text("INSERT INTO campaign VALUES (1, 7, NULL, 'aborted', 'why', 2, '2026-01-01', NULL)"))
         connection.execute(text("INSERT INTO event VALUES (9, NULL, 'stop', '{}', '2026-01-02 03:04:05.000006')"))
     engine.dispose()
     told = sweepid("data", "copy", "--from", sqlite_url, "--to", postgresql_url)
@@ -128,6 +129,8 @@ def test_a_database_of_the_first_release_comes_along(sqlite_url: str, postgresql
         plan = Store(database).plan(3)
         assert (plan.robot_id, plan.created_at.isoformat()) == (7, "2026-01-02T03:04:05.000006+00:00")
         assert Store(database).last_event_id() == 9
+        campaign = Store(database).campaign(1)
+        assert (campaign.cause, campaign.state) == ("why", CampaignState.ABORTED)
         assert Store(database).add_robot(robot).id == 8
 
 

@@ -114,20 +114,19 @@ def test_what_is_old_goes_and_the_newest_estimate_stays(plant: Plant, specs: tup
 
 @pytest.mark.parametrize(
     ("rules", "left"),
-    [(Rules(30, None, None), (0, 3, 3)), (Rules(None, 30, None), (3, 0, 3)), (Rules(None, None, 30), (3, 3, 1))],
+    [
+        (Rules(30, None, None), (0, 3, 3)),
+        (Rules(None, 30, None), (3, 0, 3)),
+        (Rules(None, None, 30), (3, 3, 1)),
+        (Rules(32, 32, 32), (3, 3, 3)),  # nothing is so old
+    ],
 )
 def test_each_rule_is_for_itself(
     plant: Plant, specs: tuple[SweepSpec, ...], rules: Rules, left: tuple[int, int, int]
 ) -> None:
     number = plant.campaign(specs)
-    plant.prune(rules)
+    assert plant.prune(rules).campaigns == (left != (3, 3, 3))
     assert (plant.on_disk(), plant.on_disk("*.spectrum-*.json"), len(plant.store.estimates(number))) == left
-
-
-def test_what_is_not_old_enough_stays(plant: Plant, specs: tuple[SweepSpec, ...]) -> None:
-    plant.campaign(specs)
-    assert plant.prune(Rules(32, 32, 32)).campaigns == 0
-    assert plant.on_disk() == 3
 
 
 def test_what_an_accepted_model_rests_on_never_goes(plant: Plant, specs: tuple[SweepSpec, ...]) -> None:
@@ -178,26 +177,23 @@ def test_a_held_campaign_stays_until_it_is_released(plant: Plant, specs: tuple[S
     assert events == ["hold added", "hold released", "pruned"]
 
 
-def test_what_is_open_stays(plant: Plant, specs: tuple[SweepSpec, ...]) -> None:
+def test_what_is_open_or_named_by_it_stays(plant: Plant, specs: tuple[SweepSpec, ...]) -> None:
     paused = plant.campaign(specs, CampaignState.PAUSED)
     diagnosed, batched = plant.campaign(specs), plant.campaign(specs)
     new = NewDiagnosis(robot_id=plant.robot, campaigns=(diagnosed,), axes=("joint_1",))
     DiagnosisStore(plant.database).add(new)
     BatchStore(plant.database).add([batched], "Ada")
+    analysis = plant.campaign(specs)
+    plan = plant.store.add_plan(plant.robot, {"request": {"analysis": analysis}})
+    planned = plant.store.add_campaign(plan.id, []).id
     found = plant.prune()
     assert found.stay == {
         paused: "it has not ended",
         diagnosed: "diagnosis 1 has not ended",
         batched: "job 1 has not ended",
+        analysis: f"the plan of campaign {planned} refers to it",
     }
     assert found.campaigns == 0
-
-
-def test_what_a_plan_of_a_protected_campaign_names_stays(plant: Plant, specs: tuple[SweepSpec, ...]) -> None:
-    analysis = plant.campaign(specs)
-    plan = plant.store.add_plan(plant.robot, {"request": {"analysis": analysis}})
-    open_one = plant.store.add_campaign(plan.id, [])
-    assert plant.prune().stay == {analysis: f"the plan of campaign {open_one.id} refers to it"}
 
 
 def test_an_interrupted_run_is_finished_by_the_next(

@@ -1,16 +1,11 @@
 """Diagnoses and models in a real database: every result counts once, nothing is ever changed afterwards."""
 
-import sqlite3
-from pathlib import Path
-
 import pytest
-from alembic import command
-from sqlalchemy import create_engine
 
 from service.errors import Conflict, NotFound
 from service.recording import SweepSpec
 from service.robot import Robot
-from service.store.database import Database, alembic_config, open_database
+from service.store.database import Database
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis.model_revisions import ModelStore
 from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, DiagnosisState, NewDiagnosis
@@ -161,21 +156,3 @@ def test_what_is_not_there_is_not_found(diagnoses: DiagnosisStore, models: Model
             ask(99)
     with pytest.raises(NotFound, match="model 99 does not exist"):
         diagnoses.add(new.model_copy(update={"model": 99}))
-
-
-def test_a_database_of_before_keeps_what_it_has(tmp_path: Path, robot: Robot, sweeps: list[NewSweep]) -> None:
-    """The first migration's database with a campaign in it, opened by this version."""
-    file = tmp_path / "old.sqlite"
-    engine = create_engine(f"sqlite:///{file}")
-    with engine.begin() as connection:
-        command.upgrade(alembic_config(connection), "0001")
-    engine.dispose()
-    with sqlite3.connect(file) as old:
-        old.execute("INSERT INTO robot VALUES (1, 'x', 'r', '{}', '', '2026-01-01')")
-        old.execute("INSERT INTO campaign VALUES (1, 1, NULL, 'aborted', 'why', 2, '2026-01-01', NULL)")
-    old.close()
-    with open_database(f"sqlite:///{file}") as database:
-        campaign = Store(database).campaign(1)
-        assert (campaign.cause, campaign.state) == ("why", CampaignState.ABORTED)
-        new = NewDiagnosis(robot_id=1, campaigns=(1,), axes=("joint_1",))
-        assert DiagnosisStore(database).add(new).campaigns == (1,)
