@@ -1,7 +1,7 @@
 """The service in this process, behind its ASGI interface: no port, and no process but the readers of bundles.
 
 Whoever calls its address by httpx (a test, the client, a command) is led here: a request is a call in the thread of the
-service's event loop. Jobs of the worker are done in a thread. There is no stop process.
+service's event loop. Jobs of the worker are done in a thread. There is no stop process, and nobody watches the host.
 """
 
 import asyncio
@@ -10,7 +10,7 @@ import json
 import queue
 import threading
 from collections.abc import AsyncGenerator, Callable, Iterator, MutableMapping
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import asynccontextmanager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, cast
 from unittest.mock import patch
@@ -51,7 +51,8 @@ class Hosted:
         structlog.configure(
             processors=[structlog.contextvars.merge_contextvars, structlog.processors.format_exc_info, _note]
         )
-        with patch.object(service.application, "open_worker", _in_threads):
+        # a test that keeps this process from running is no suspended host
+        with patch.multiple(service.application, open_worker=_in_threads, watching=lambda *_: nullcontext()):
             self._thread.start()
             error = self._ready.get()
         if error is not None:

@@ -5,16 +5,19 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
 
 from service.people.permissions import Role
 from service.store.database import Database, open_database
+from service.store.people.audit import AuditStore
 from service.store.people.keys import KeyStore
-from tests.unit.service.api.conftest import CONFIG, serving
+from tests.unit.service.api.conftest import profile
+from tests.unit.service.hosting import HERE, From, hosting
 
-Calling = Callable[[str], httpx.Client]
+__all__ = ["profile"]  # of a machine that does not answer
 
 
 @pytest.fixture(scope="module")
@@ -23,18 +26,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def profile(folder: Path) -> Path:
-    """The virtual machine's profile with a port at which nobody listens."""
-    text = (CONFIG / "drives" / "virtual-max100.yaml").read_text(encoding="utf-8")
-    path = folder / "nobody.yaml"
-    eds = CONFIG / "eds" / "virtual-axis.eds"
-    path.write_text(text.replace("port: 29536", "port: 1").replace("../eds/virtual-axis.eds", str(eds)), "utf-8")
-    return path
-
-
-@pytest.fixture(scope="module")
 def url(folder: Path, profile: Path) -> Iterator[str]:
-    with serving(folder, profile, login=True, wrong_keys=1000) as url:
+    with hosting(folder, profile, login=True, wrong_keys=1000) as url:
         yield url
 
 
@@ -57,30 +50,35 @@ def keys(database: Database) -> dict[str, str]:
 
 
 @contextmanager
-def calling(url: str, key: str | None, address: str | None = None) -> Iterator[httpx.Client]:
+def calling(url: str, key: str | None, address: str = HERE) -> Iterator[httpx.Client]:
     """`address`: of this computer, from which it calls."""
     headers = None if key is None else {"Authorization": f"Bearer {key}"}
-    way = httpx.HTTPTransport(local_address=address)
-    with httpx.Client(base_url=url, headers=headers, timeout=30, trust_env=False, transport=way) as client:
+    with httpx.Client(base_url=url, headers=headers, timeout=60, trust_env=False, transport=From(address)) as client:
         yield client
+
+
+Since = Callable[[], list[dict[str, Any]]]
+
+
+@pytest.fixture
+def since(database: Database) -> Since:
+    """What the audit has since the test began; stops of earlier tests are written by then."""
+    store = AuditStore(database)
+    before = len(store.documents(0, 100000))
+    return lambda: [dict(one.entry) for one in store.documents(before, 100000)]
+
+
+def stored_in(folder: Path) -> bytes:
+    """What a service has in its database and its log."""
+    stored = b"".join(path.read_bytes() for path in (folder / "data").glob("sweepid.sqlite*"))
+    return stored + (folder / "service.log").read_bytes()
 
 
 def certificate(folder: Path, name: str, *options: str) -> tuple[Path, Path]:
     """A self-signed one for this computer, and its key."""
     pem, key = folder / f"{name}.pem", folder / f"{name}.key"
-    words = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-days", "2", "-subj", "/CN=cell7"]
-    names = ["-addext", "subjectAltName=IP:127.0.0.1,DNS:localhost"]
-    command = [
-        "openssl",
-        "req",
-        "-x509",
-        *words,
-        *names,
-        *(options or ("-nodes",)),
-        "-out",
-        str(pem),
-        "-keyout",
-        str(key),
-    ]
-    subprocess.run(command, check=True, capture_output=True)
+    new = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-days", "2", "-subj", "/CN=cell7"]
+    new += ["-addext", "subjectAltName=IP:127.0.0.1,DNS:localhost", *(options or ("-nodes",))]
+    files = ["-out", str(pem), "-keyout", str(key)]
+    subprocess.run(["openssl", "req", "-x509", *new, *files], check=True, capture_output=True)
     return pem, key

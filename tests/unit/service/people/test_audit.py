@@ -1,10 +1,9 @@
 """The chain of the audit: whoever changes, removes or cuts off something is found, with the number."""
 
 import json
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import pytest
 from sqlalchemy import text
@@ -21,6 +20,7 @@ from service.store.people.audit import AuditStore
 from service.store.people.audit_heads import AuditHeads
 from service.store.people.keys import KeyStore
 from service.store.people.writer import AuditWriter, NotAudited
+from tests.command import console
 from tests.unit.service.api.conftest import serving
 from tests.unit.service.people.conftest import calling
 
@@ -120,8 +120,8 @@ def rechained(database: Database, number: int) -> None:
             session.execute(text("INSERT OR REPLACE INTO audit VALUES (:number, :entry, :sha256)"), row)
 
 
-def checked(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return command("audit", "verify", "--data-dir", str(folder), *arguments)
+def checked(folder: Path, *arguments: str) -> CompletedProcess[str]:
+    return console("audit", "verify", "--data-dir", str(folder), *arguments)
 
 
 @pytest.mark.parametrize(
@@ -222,14 +222,9 @@ def test_what_the_database_does_not_take_before_the_end_is_in_the_log(own: Datab
     assert [log["entry"]["why"] for log in logs if log["event"] == "not_audited"] == ["smoke"]
 
 
-def command(*arguments: str) -> subprocess.CompletedProcess[str]:
-    sweepid = str(Path(sys.executable).with_name("sweepid"))
-    return subprocess.run([sweepid, *arguments], capture_output=True, text=True, timeout=120, check=False)
-
-
 def test_the_commands(own: Database, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     here = ("--data-dir", str(tmp_path))
-    made = command("people", "add-key", "anna", "--role", "operator", "--days", "30", *here)
+    made = console("people", "add-key", "anna", "--role", "operator", "--days", "30", *here)
     assert made.returncode == 0, made.stderr
     key = made.stdout.strip()
     for name, role in (("local", "viewer"), (" ", "viewer"), ("otto", "boss")):
@@ -249,7 +244,7 @@ def test_the_commands(own: Database, tmp_path: Path, capsys: pytest.CaptureFixtu
     listed = json.loads(capsys.readouterr().out)
     assert (listed["name"], listed["role"], listed["trouble"]) == ("anna", "operator", "")
     tamper(own, "UPDATE audit SET entry = replace(entry, 'p2', 'p9') WHERE number = 3")
-    broken = command("audit", "verify", *here)
+    broken = console("audit", "verify", *here)
     assert (broken.returncode, broken.stdout) == (1, "")
     assert broken.stderr.startswith("sweepid: audit entry 3: ")
 

@@ -4,9 +4,8 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import httpx
@@ -14,11 +13,10 @@ import pytest
 
 from service.people.permissions import Role
 from service.store.database import Database
-from service.store.people.audit import AuditStore
-from service.store.people.sessions import SessionStore
 from service.store.people.users import UserStore
-from tests.unit.service.api.conftest import serving
-from tests.unit.service.people.conftest import calling
+from tests.command import console
+from tests.unit.service.hosting import hosting
+from tests.unit.service.people.conftest import Since, calling, stored_in
 
 pytestmark = pytest.mark.slow
 
@@ -26,6 +24,7 @@ WHO = {"actor": "test", "address": "test"}
 ROLES = {"cell-operators": "operator", "cell-admins": "admin"}
 BEGIN, END = "/api/v1/login/oidc", "/api/v1/login/oidc/code"
 DAY = 24 * 3600.0
+PASSWORD = "a horse and a battery"
 
 
 @pytest.fixture(scope="module")
@@ -49,16 +48,8 @@ def provider_settings(issuer: str, folder: Path) -> dict[str, object]:
 
 @pytest.fixture(scope="module")
 def url(folder: Path, profile: Path, issuer: str) -> Iterator[str]:
-    with serving(folder, profile, login=True, wrong_keys=1000, oidc=provider_settings(issuer, folder)) as url:
+    with hosting(folder, profile, login=True, wrong_keys=1000, oidc=provider_settings(issuer, folder)) as url:
         yield url
-
-
-@pytest.fixture
-def since(database: Database) -> Callable[[], list[dict[str, Any]]]:
-    """What the audit has since the test began."""
-    store = AuditStore(database)
-    before = len(store.documents(0, 100000))
-    return lambda: [dict(one.entry) for one in store.documents(before, 100000)]
 
 
 def begin(http: httpx.Client) -> str:
@@ -84,7 +75,7 @@ def log_in(http: httpx.Client, sub: str) -> httpx.Response:
 
 
 def test_a_login_from_its_beginning_to_the_logout(
-    url: str, issuer: str, database: Database, since: Callable[[], list[dict[str, Any]]], folder: Path
+    url: str, issuer: str, database: Database, since: Since, folder: Path
 ) -> None:
     with calling(url, None) as http:
         assert http.get("/api/v1/login").json() == {"login": True, "oidc": "Log in with the company's account"}
@@ -113,8 +104,7 @@ def test_a_login_from_its_beginning_to_the_logout(
     entries = since()
     assert [(one["event"], one["actor"]) for one in entries[:2]] == [("user added", "anybody"), ("logged in", "otto")]
     assert (entries[1]["issuer"], entries[1]["subject"]) == (issuer, "otto")
-    kept = b"".join(path.read_bytes() for path in (folder / "data").glob("sweepid.sqlite*"))
-    kept += (folder / "service.log").read_bytes()
+    kept = stored_in(folder)
     for secret in (brought["code"], brought["state"], "a secret of the client"):
         assert secret.encode() not in kept
 
@@ -127,7 +117,7 @@ def test_the_highest_role_of_the_groups_holds(url: str) -> None:
 
 @pytest.mark.parametrize("sub", ["nobody", "nogroups"])
 def test_who_has_no_role_is_refused_in_one_sentence(
-    url: str, sub: str, issuer: str, database: Database, since: Callable[[], list[dict[str, Any]]]
+    url: str, sub: str, issuer: str, database: Database, since: Since
 ) -> None:
     with calling(url, None) as http:
         refused = log_in(http, sub)
@@ -141,9 +131,7 @@ def test_who_has_no_role_is_refused_in_one_sentence(
     assert (outcome["subject"], outcome["issuer"]) == (sub, issuer)
 
 
-def test_the_role_is_renewed_with_each_login(
-    url: str, database: Database, issuer: str, since: Callable[[], list[dict[str, Any]]]
-) -> None:
+def test_the_role_is_renewed_with_each_login(url: str, database: Database, issuer: str, since: Since) -> None:
     with calling(url, None) as http:
         log_in(http, "one")
         with database.write() as session:
@@ -176,16 +164,8 @@ def test_who_is_disabled_here_stays_so_until_enabled(url: str, database: Databas
         assert log_in(http, "olga").status_code == 200
 
 
-def test_a_session_is_revoked_as_any_other(url: str, database: Database) -> None:
-    with calling(url, None) as http:
-        log_in(http, "adam")
-        sessions = SessionStore(database, DAY, DAY)
-        sessions.end(max(one.id for one in sessions.all() if one.name == "adam"), WHO)
-        assert http.get("/api/v1/me").status_code == 401
-
-
 def test_a_name_that_is_somebodys_is_given_to_nobody_else(url: str, database: Database) -> None:
-    UserStore(database).add("person-operator", Role.ADMIN, "a horse and a battery", WHO)
+    UserStore(database).add("person-operator", Role.ADMIN, PASSWORD, WHO)
     with calling(url, None) as http:
         me = log_in(http, "twin").json()
         assert me["name"].startswith("person-operator (")
@@ -209,7 +189,7 @@ def test_a_name_that_is_somebodys_is_given_to_nobody_else(url: str, database: Da
     ],
 )
 def test_an_id_token_that_does_not_hold_is_refused(
-    url: str, sub: str, reason: str, issuer: str, since: Callable[[], list[dict[str, Any]]], database: Database
+    url: str, sub: str, reason: str, issuer: str, since: Since, database: Database
 ) -> None:
     with calling(url, None) as http:
         refused = log_in(http, sub)
@@ -282,29 +262,28 @@ def test_no_request_says_where_a_login_leads(url: str) -> None:
 
 def test_a_service_whose_provider_is_gone_works_with_passwords(tmp_path: Path, profile: Path) -> None:
     gone = provider_settings("http://127.0.0.1:1", tmp_path)
-    with serving(tmp_path, profile, login=True, oidc=gone) as url, calling(url, None) as http:
-        command = [str(Path(sys.executable).with_name("sweepid")), "people", "add-user", "anna", "--role", "viewer"]
-        given = {"input": "a horse and a battery\n", "text": True, "check": True, "capture_output": True}
-        subprocess.run([*command, "--config", str(tmp_path / "service.yaml")], **given)
+    with hosting(tmp_path, profile, login=True, oidc=gone) as url, calling(url, None) as http:
+        where = ("--data-dir", str(tmp_path / "data"))
+        assert not console("people", "add-user", "anna", "--role", "viewer", *where, stdin=f"{PASSWORD}\n").returncode
         refused = http.post(BEGIN, headers={"Origin": url})
         assert refused.status_code == 503
         assert "http://127.0.0.1:1 does not answer correctly" in refused.json()["detail"]
         assert "log in with a password or a key" in refused.json()["detail"]
         assert http.get("/api/v1/login").json()["oidc"]
-        entered = http.post("/api/v1/login", json={"name": "anna", "password": "a horse and a battery"})
+        entered = http.post("/api/v1/login", json={"name": "anna", "password": PASSWORD})
         assert entered.status_code == 200
         assert http.post("/api/v1/stop").json()["type"] == "urn:sweepid:problem:stop-not-confirmed"
 
 
 def test_too_many_wrong_codes_are_looked_at_no_more(tmp_path: Path, profile: Path, issuer: str) -> None:
     settings = provider_settings(issuer, tmp_path)
-    with serving(tmp_path, profile, login=True, wrong_keys=3, oidc=settings) as url, calling(url, None) as http:
+    with hosting(tmp_path, profile, login=True, wrong_keys=3, oidc=settings) as url, calling(url, None) as http:
         answers = [hand_in(http, {"code": "c", "state": "s"}).status_code for _ in range(4)]
         assert answers == [401, 401, 401, 429]
 
 
 def test_without_a_provider_the_page_knows_of_none(tmp_path: Path, profile: Path) -> None:
-    with serving(tmp_path, profile, login=True) as url, calling(url, None) as http:
+    with hosting(tmp_path, profile, login=True) as url, calling(url, None) as http:
         assert http.get("/api/v1/login").json() == {"login": True, "oidc": None}
         refused = http.post(BEGIN, headers={"Origin": url})
         assert refused.status_code == 409

@@ -1,14 +1,12 @@
-"""A person logs in with a password, has a session in a cookie, and loses it: over real HTTP, without a machine."""
+"""A person logs in with a password, has a session in a cookie, and loses it: without a machine."""
 
 import sqlite3
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from datetime import timedelta
 from pathlib import Path
 from statistics import median
 from time import perf_counter
-from typing import Any
 
 import httpx
 import pytest
@@ -20,8 +18,8 @@ from service.store.database import Database, open_database
 from service.store.people.audit import AuditStore
 from service.store.people.sessions import SessionStore
 from service.store.people.users import UserStore
-from tests.unit.service.api.conftest import serving
-from tests.unit.service.people.conftest import calling
+from tests.unit.service.hosting import hosting
+from tests.unit.service.people.conftest import Since, calling, stored_in
 
 pytestmark = pytest.mark.slow
 
@@ -50,17 +48,7 @@ def log_in(http: httpx.Client, name: str, password: str = PASSWORD) -> httpx.Res
     return http.post("/api/v1/login", json={"name": name, "password": password})
 
 
-@pytest.fixture
-def since(database: Database) -> Callable[[], list[dict[str, Any]]]:
-    """What the audit has since the test began."""
-    store = AuditStore(database)
-    before = len(store.documents(0, 100000))
-    return lambda: [dict(one.entry) for one in store.documents(before, 100000)]
-
-
-def test_a_session_from_login_to_logout(
-    url: str, person: str, since: Callable[[], list[dict[str, Any]]], folder: Path
-) -> None:
+def test_a_session_from_login_to_logout(url: str, person: str, since: Since, folder: Path) -> None:
     with calling(url, None) as http:
         assert http.get("/api/v1/me").status_code == 401
         logged_in = log_in(http, person)
@@ -95,8 +83,7 @@ def test_a_session_from_login_to_logout(
         ("outcome", person, 200),
         ("outcome", person, 401),
     ]
-    stored = b"".join(path.read_bytes() for path in (folder / "data").glob("sweepid.sqlite*"))
-    stored += (folder / "service.log").read_bytes()
+    stored = stored_in(folder)
     assert str(cookie.value).removeprefix("sweepid-").encode() not in stored
     assert PASSWORD.encode() not in stored
 
@@ -129,9 +116,7 @@ def test_a_key_stands_above_a_session(url: str, person: str, keys: dict[str, str
         assert (refused.status_code, "revoke-key" in refused.text) == (409, True)
 
 
-def test_a_stop_with_a_session_bears_the_name(
-    url: str, person: str, keys: dict[str, str], since: Callable[[], list[dict[str, Any]]]
-) -> None:
+def test_a_stop_with_a_session_bears_the_name(url: str, person: str, keys: dict[str, str], since: Since) -> None:
     with calling(url, None) as http, calling(url, keys["admin"]) as admin:
         log_in(http, person)
         http.post("/api/v1/stop", headers={"Origin": url})
@@ -223,9 +208,7 @@ def test_an_unknown_name_has_the_same_answer_after_the_same_time(url: str, perso
         {"name": "anna", "password": [PASSWORD]},
     ],
 )
-def test_a_password_in_the_wrong_place_is_told_nowhere(
-    url: str, body: object, since: Callable[[], list[dict[str, Any]]]
-) -> None:
+def test_a_password_in_the_wrong_place_is_told_nowhere(url: str, body: object, since: Since) -> None:
     with calling(url, None) as http:
         refused = http.post("/api/v1/login", json=body)
     assert refused.status_code == 422
@@ -235,7 +218,7 @@ def test_a_password_in_the_wrong_place_is_told_nowhere(
 
 def test_who_guesses_passwords_is_refused_by_address_and_by_name(tmp_path: Path, profile: Path) -> None:
     with (
-        serving(tmp_path, profile, login=True, wrong_keys=3) as url,
+        hosting(tmp_path, profile, login=True, wrong_keys=3) as url,
         open_database(f"sqlite:///{tmp_path / 'data' / 'sweepid.sqlite'}") as database,
         calling(url, None, "127.0.0.2") as guesser,
         calling(url, None, "127.0.0.3") as other,
@@ -274,9 +257,8 @@ def test_many_passwords_at_once_hold_up_nobody(url: str, keys: dict[str, str]) -
     with ThreadPoolExecutor(40) as crowd, calling(url, None) as http, calling(url, keys["viewer"]) as viewer:
 
         def attempt(_: int) -> int:
-            return httpx.post(
-                f"{url}/api/v1/login", json={"name": "nobody", "password": WRONG}, timeout=60, trust_env=False
-            ).status_code
+            with calling(url, None) as one:
+                return log_in(one, "nobody", WRONG).status_code
 
         attempts = [crowd.submit(attempt, number) for number in range(40)]
         assert http.get("/api/v1/health/live").status_code == 200

@@ -1,7 +1,7 @@
 """The computer's clock is set back and ahead: nothing that expired is valid again, and no login outlives its limit."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -67,88 +67,65 @@ def valid(store: SessionStore | KeyStore, secret: str) -> bool:
     return not found.trouble(store.now())
 
 
-def test_an_expired_session_and_key_do_not_revive_when_the_clock_is_set_back(computer: Computer) -> None:
-    with computer.service() as (sessions, keys, user):
-        _, session = sessions.open(user, WHO)
-        _, key = keys.add("line", Role.VIEWER, DAY, WHO)
-        assert valid(sessions, session)
-        assert valid(keys, key)
-        computer.passes(25 * HOUR)
-        assert not valid(sessions, session)
-        assert not valid(keys, key)
-        computer.set(-20 * HOUR)
-        assert not valid(sessions, session)
-        assert not valid(keys, key)
-        computer.minute()
-    with computer.service() as (sessions, keys, _):
-        assert not valid(sessions, session)
-        assert not valid(keys, key)
-        assert sessions.all() == ()
+Step = str | tuple[str, timedelta]
+BOTH, NONE, KEY_ALONE = "both", "none", "the key alone"  # of session and key are valid
+RESTART = ("end", "start")
+CASES: dict[str, list[Step]] = {
+    "what has expired does not revive when the clock is set back": [
+        *("log in", BOTH, ("pass", 25 * HOUR), NONE, ("set", -20 * HOUR), NONE, "minute", *RESTART, NONE),
+    ],
+    "a clock that is set back extends nothing": [
+        *("log in", ("set", -MONTH)),
+        *(step for _ in range(23) for step in (("pass", HOUR), BOTH)),
+        *(("pass", 2 * HOUR), NONE),
+    ],
+    "a login while the clock stood ahead keeps its limit": [
+        *(("set", MONTH), "log in", ("set", -MONTH), ("pass", HOUR), BOTH, ("pass", 24 * HOUR), NONE),
+    ],
+    "a restart after the clock was set back ends the session": [
+        *(("set", MONTH), "log in", "end", ("set", -MONTH), "start", KEY_ALONE, "told", ("pass", 25 * HOUR), NONE),
+        *("log in again", "again"),  # a person can, meanwhile
+    ],
+    "what was expired when the service was killed stays so": [
+        *("log in", ("pass", 9 * HOUR), "minute", "end", ("set", -4 * HOUR), "start", KEY_ALONE),
+    ],
+    "a small correction ends nothing": [
+        *("log in", "end", ("set", timedelta(seconds=-30)), "start", BOTH, "end", ("pass", HOUR), "start", BOTH),
+    ],
+}
 
 
-def test_a_clock_that_is_set_back_does_not_extend_a_session(computer: Computer) -> None:
-    with computer.service() as (sessions, keys, user):
-        _, session = sessions.open(user, WHO)
-        _, key = keys.add("line", Role.VIEWER, DAY, WHO)
-        computer.set(-MONTH)
-        for _ in range(23):
-            computer.passes(HOUR)
-            assert valid(sessions, session)
-            assert valid(keys, key)
-        computer.passes(2 * HOUR)
-        assert not valid(sessions, session)
-        assert not valid(keys, key)
-
-
-def test_a_login_while_the_clock_stood_ahead_keeps_its_limit(computer: Computer) -> None:
-    with computer.service() as (sessions, keys, user):
-        computer.set(MONTH)
-        _, session = sessions.open(user, WHO)
-        _, key = keys.add("line", Role.VIEWER, DAY, WHO)
-        computer.set(-MONTH)
-        computer.passes(HOUR)
-        assert valid(sessions, session)
-        computer.passes(24 * HOUR)
-        assert not valid(sessions, session)
-        assert not valid(keys, key)
-
-
-def test_a_restart_after_the_clock_was_set_back_ends_all_sessions(computer: Computer) -> None:
-    with computer.service() as (sessions, keys, user):
-        computer.set(MONTH)
-        _, session = sessions.open(user, WHO)
-        _, key = keys.add("line", Role.VIEWER, DAY, WHO)
-    computer.set(-MONTH)
-    with computer.service() as (sessions, keys, user):
-        assert not valid(sessions, session)
-        entry = AuditStore(computer.began[-1]).newest(1)[0].entry
-        assert (entry["event"], entry["seconds"], entry["sessions"]) == ("clock set back", 30 * 86400, 1)
-        assert valid(keys, key)
-        computer.passes(25 * HOUR)
-        assert not valid(keys, key)
-        _, again = sessions.open(user, WHO)  # a person can log in meanwhile
-        assert valid(sessions, again)
-
-
-def test_what_was_expired_when_the_service_was_killed_stays_so(computer: Computer) -> None:
-    with computer.service() as (sessions, _, user):
-        _, session = sessions.open(user, WHO)
-        computer.passes(9 * HOUR)  # idle
-        computer.minute()
-    computer.set(-4 * HOUR)
-    with computer.service() as (sessions, _, _):
-        assert not valid(sessions, session)
-
-
-def test_a_small_correction_of_the_clock_ends_nothing(computer: Computer) -> None:
-    with computer.service() as (sessions, _, user):
-        _, session = sessions.open(user, WHO)
-    computer.set(timedelta(seconds=-30))
-    with computer.service() as (sessions, _, _):
-        assert valid(sessions, session)
-    computer.passes(HOUR)
-    with computer.service() as (sessions, _, _):
-        assert valid(sessions, session)
+@pytest.mark.parametrize("case", CASES)
+def test_nothing_that_expired_is_valid_again(computer: Computer, case: str) -> None:
+    held: dict[str, str] = {}
+    with ExitStack() as running:
+        sessions, keys, user = running.enter_context(computer.service())
+        for step in CASES[case]:
+            match step:
+                case "start":
+                    sessions, keys, user = running.enter_context(computer.service())
+                case "end":
+                    running.close()
+                case "log in":
+                    held |= {"session": sessions.open(user, WHO)[1], "key": keys.add("line", Role.VIEWER, DAY, WHO)[1]}
+                case "log in again":
+                    held["again"] = sessions.open(user, WHO)[1]
+                case "again":
+                    assert valid(sessions, held["again"])
+                case "minute":
+                    computer.minute()
+                case "told":
+                    entry = AuditStore(computer.began[-1]).newest(1)[0].entry
+                    told = (entry["event"], entry["seconds"], entry["sessions"])
+                    assert told == ("clock set back", 30 * 86400, 1)
+                case ("pass", timedelta() as time):
+                    computer.passes(time)
+                case ("set", timedelta() as by):
+                    computer.set(by)
+                case _:
+                    found = valid(sessions, held["session"]), valid(keys, held["key"])
+                    assert found == {BOTH: (True, True), NONE: (False, False), KEY_ALONE: (False, True)}[str(step)]
+                    assert found[0] or sessions.all() == ()
 
 
 def test_two_services_with_different_clocks_share_one_time(computer: Computer) -> None:

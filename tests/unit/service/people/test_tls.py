@@ -1,5 +1,6 @@
 """The service by TLS, with a certificate of its own that OpenSSL made; and pages of other origins."""
 
+import re
 import socket
 import ssl
 from collections.abc import Iterator
@@ -22,7 +23,7 @@ from service.store.people.users import UserStore
 from tests.programs import needs
 from tests.system.rest_bench import until
 from tests.unit.service.api.conftest import serving
-from tests.unit.service.people.conftest import certificate
+from tests.unit.service.people.conftest import certificate, stored_in
 
 pytestmark = [pytest.mark.slow, needs("openssl")]
 
@@ -47,6 +48,9 @@ def secure(folder: Path, profile: Path, pair: tuple[Path, Path]) -> Iterator[str
         with open_database(f"sqlite:///{folder / 'data' / 'sweepid.sqlite'}") as database:
             UserStore(database).add("anna", Role.OPERATOR, PASSWORD, {"actor": "test"})
         yield url
+    stored = stored_in(folder)
+    assert PASSWORD.encode() not in stored
+    assert not re.search(rb"sweepid-[0-9a-f]{64}", stored)  # no key, no session
 
 
 @pytest.fixture

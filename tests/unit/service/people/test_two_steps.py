@@ -6,7 +6,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tests.unit.service.api.conftest import CONFIG, serving
+from tests.unit.service.hosting import CONFIG, hosting
 from tests.unit.service.people.conftest import calling
 
 pytestmark = pytest.mark.slow
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 def url(folder: Path, profile: Path) -> Iterator[str]:
     (folder / "cells").mkdir()
     (folder / "cells" / "workshop.yaml").write_text((CONFIG / "cells" / "workshop.yaml").read_text("utf-8"), "utf-8")
-    with serving(folder, profile, login=True, wrong_keys=1000, approval=True, cells_dir=str(folder / "cells")) as url:
+    with hosting(folder, profile, login=True, wrong_keys=1000, approval=True, cells_dir=str(folder / "cells")) as url:
         yield url
 
 

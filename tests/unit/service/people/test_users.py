@@ -20,13 +20,13 @@ from service.store.database import Database, open_database
 from service.store.people.audit import AuditStore
 from service.store.people.keys import KeyStore
 from service.store.people.users import UserStore
+from tests.command import SWEEPID, console
 
 pytestmark = pytest.mark.slow
 
 WHO = {"actor": "test"}
 PASSWORD = "a horse and a battery"
 OTHER = "another twelve and more"
-SWEEPID = str(Path(sys.executable).with_name("sweepid"))
 
 
 @pytest.fixture
@@ -118,32 +118,27 @@ def test_a_hash_of_old_parameters_is_replaced(own: Database) -> None:
     assert users.check("anna", PASSWORD) is not None
 
 
-def command(*arguments: str, stdin: str = "") -> subprocess.CompletedProcess[str]:
-    return subprocess.run([SWEEPID, *arguments], input=stdin, capture_output=True, text=True, timeout=120, check=False)
-
-
 def test_the_commands_take_a_password_from_stdin(tmp_path: Path) -> None:
-    here = ("--data-dir", str(tmp_path))
-    made = command("people", "add-user", "anna", "--role", "operator", *here, stdin=f"{PASSWORD}\n")
-    assert (made.returncode, made.stdout) == (0, "anna\n"), made.stderr
-    short = command("people", "change-password", "anna", *here, stdin="short\n")
-    assert (short.returncode, short.stdout) == (2, "")
-    assert short.stderr.startswith("sweepid: password: has 5 characters")
-    changed = command("people", "change-password", "anna", *here, stdin=OTHER)
-    assert (changed.returncode, changed.stdout) == (0, "anna\n"), changed.stderr
-    disabled = command("people", "disable-user", "anna", *here)
-    assert (disabled.returncode, disabled.stdout) == (0, "anna\n"), disabled.stderr
-    line = json.loads(command("people", "list", *here).stdout)
+    def people(*words: str, stdin: str = "") -> tuple[int, str, str]:
+        done = console("people", *words, "--data-dir", str(tmp_path), stdin=stdin)
+        return done.returncode, done.stdout, done.stderr
+
+    def listed() -> dict[str, str]:
+        return json.loads(people("list")[1])
+
+    assert people("add-user", "anna", "--role", "operator", stdin=f"{PASSWORD}\n") == (0, "anna\n", "")
+    code, out, err = people("change-password", "anna", stdin="short\n")
+    assert (code, out, err.startswith("sweepid: password: has 5 characters")) == (2, "", True)
+    assert people("change-password", "anna", stdin=OTHER) == (0, "anna\n", "")
+    assert people("disable-user", "anna") == (0, "anna\n", "")
+    line = listed()
     assert (line["kind"], line["name"], line["role"]) == ("user", "anna", "operator")
     assert line["trouble"].startswith("anna was disabled on ")
     assert "password" not in line
+    assert people("enable-user", "anna") == (0, "anna\n", "")
+    assert listed()["trouble"] == ""
     with open_database(f"sqlite:///{tmp_path / 'sweepid.sqlite'}") as database:
-        assert told(database) == ["user added", "password changed", "user disabled"]
-    enabled = command("people", "enable-user", "anna", *here)
-    assert (enabled.returncode, enabled.stdout) == (0, "anna\n"), enabled.stderr
-    assert json.loads(command("people", "list", *here).stdout)["trouble"] == ""
-    with open_database(f"sqlite:///{tmp_path / 'sweepid.sqlite'}") as database:
-        assert told(database)[-1] == "user enabled"
+        assert told(database) == ["user added", "password changed", "user disabled", "user enabled"]
         assert AuditStore(database).documents()[-1].entry["user"] == "anna"
         assert fits(OTHER, stored(database, "anna"))
 
