@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from playwright.sync_api import BrowserContext, Page, expect, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
 
 from tests.programs import path_of
 
@@ -12,44 +12,62 @@ CHROMIUM = path_of("chromium")
 QUIET = ("--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run", "--disable-sync")
 
 
+_OPEN: list[Browser] = []
+
+
 @contextmanager
-def browsing(url: str, any_certificate: bool = False, locale: str = "en-US") -> Iterator[Page]:
-    """The page at `url` in a browser that wants `locale`; an error of its scripts fails the test."""
+def chromium() -> Iterator[Browser]:
+    """The browser that is open already, or one until the end of the block."""
+    if _OPEN:
+        yield _OPEN[0]
+        return
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=QUIET)
-        page = browser.new_page(ignore_https_errors=any_certificate, locale=locale)
-        page.set_default_timeout(PATIENCE)
         expect.set_options(timeout=PATIENCE)
+        _OPEN.append(browser)
+        try:
+            yield browser
+        finally:
+            _OPEN.clear()
+            browser.close()
+
+
+@contextmanager
+def window(locale: str = "en-US", script: str = "", any_certificate: bool = False) -> Iterator[BrowserContext]:
+    """A browser of its own, as far as pages can tell; an error of their scripts fails the test.
+
+    Its pages share their connections. `script` runs before those of each page.
+    """
+    with chromium() as browser:
+        context = browser.new_context(locale=locale, ignore_https_errors=any_certificate)
+        context.set_default_timeout(PATIENCE)
         errors: list[str] = []
-        missing: list[str] = []
-        page.on("pageerror", lambda error: errors.append(str(error)))
+        context.on("weberror", lambda error: errors.append(str(error.error)))
+        if script:
+            context.add_init_script(script)
+        try:
+            yield context
+        except Exception as error:
+            error.add_note(f"errors of scripts: {errors}")
+            raise
+        finally:
+            context.close()
+        assert errors == []
+
+
+@contextmanager
+def browsing(url: str, any_certificate: bool = False, locale: str = "en-US") -> Iterator[Page]:
+    """The page at `url` in a window that wants `locale`."""
+    with window(locale, any_certificate=any_certificate) as context:
+        page, missing = context.new_page(), list[str]()
         page.on("requestfailed", lambda request: missing.append(f"{request.url}: {request.failure}"))
         page.on("response", lambda answer: missing.extend([f"{answer.url}: {answer.status}"] * (answer.status >= 400)))
         page.goto(url, wait_until="commit")
         try:
             yield page
         except Exception as error:
-            error.add_note(f"the page did not get: {missing}; its errors: {errors}")
+            error.add_note(f"the page did not get: {missing}")
             raise
-        browser.close()
-        assert errors == []
-
-
-@contextmanager
-def window(locale: str = "en-US", script: str = "") -> Iterator[BrowserContext]:
-    """Its pages share their connections, as those of one browser do. `script` runs before those of each page."""
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=QUIET)
-        context = browser.new_context(locale=locale)
-        context.set_default_timeout(PATIENCE)
-        expect.set_options(timeout=PATIENCE)
-        errors: list[str] = []
-        context.on("weberror", lambda error: errors.append(str(error.error)))
-        if script:
-            context.add_init_script(script)
-        yield context
-        browser.close()
-        assert errors == []
 
 
 def load_again(page: Page) -> None:

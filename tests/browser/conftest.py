@@ -8,8 +8,15 @@ import pytest
 from playwright.sync_api import Page
 
 from service.client import ServiceClient, ServiceProblem
-from tests.browser.browsing import browsing
+from tests.browser.browsing import browsing, chromium
 from tests.system.rest_bench import Service, VirtualMachine, serving, until, virtual_machine
+
+
+@pytest.fixture(scope="module", autouse=True)
+def browser() -> Iterator[None]:
+    """One for all windows of a module."""
+    with chromium():
+        yield
 
 
 @pytest.fixture

@@ -52,6 +52,10 @@ def test_from_the_plan_to_the_end_without_a_pointer(service: Service, machine: V
 
     press(page, "Start", "Space")
     until(lambda: not machine.stands(), "an axis with energy")
+    press(page, "Abort")
+    expect(page.locator("#abort-question")).to_contain_text("End campaign 1 permanently?")
+    press(page, "Keep campaign")
+    expect(page.locator("#campaign-state")).to_have_text("running")
     page.keyboard.press("F8")
     until(machine.stands, "standing axes")
     expect(page.locator("#held-by")).to_contain_text("Stopped by operator page")

@@ -8,6 +8,7 @@ from playwright.sync_api import Page, expect
 from service.client import ServiceClient
 from tests.browser.browsing import browsing, load_again
 from tests.browser.looking import cut, faint, settled, small, too_wide
+from tests.browser.scripted import scripted
 from tests.programs import needs
 from tests.system.rest_bench import Service, VirtualMachine, add_plan, until
 
@@ -59,6 +60,8 @@ def test_german_from_standstill_to_a_stop_and_its_release(
     page.get_by_label("Ihr Name").fill("Ada")
     page.get_by_role("button", name="freigeben").click()
     expect(page.locator("#held")).to_be_hidden()
+    expect(page.locator("#campaign-state")).to_have_text("unterbrochen")
+    assert machine.stands()
     page.get_by_role("button", name="Abbrechen").click()
     expect(page.locator("#abort-question")).to_contain_text("Messreihe 1 endg\u00fcltig abbrechen?")
 
@@ -95,8 +98,8 @@ def test_the_language_changes_while_a_campaign_runs_and_is_remembered(
     look(page)
 
 
-def test_a_language_that_there_is_not_is_english(service: Service) -> None:
-    with browsing(service.url, locale="fr-FR") as page:
+def test_a_language_that_there_is_not_is_english() -> None:
+    with scripted() as service, browsing(service.url, locale="fr-FR") as page:
         expect(page.locator("#machine")).to_have_text("all axes stand without energy")
         expect(page.locator("#language")).to_have_value("en")
 
@@ -110,11 +113,9 @@ def test_a_language_that_there_is_not_is_english(service: Service) -> None:
         ("de-CH", "de", "2.5", "02.03.2026"),
     ],
 )
-def test_dates_and_decimal_signs_are_those_of_the_country(
-    service: Service, locale: str, language: str, number: str, date: str
-) -> None:
+def test_dates_and_decimal_signs_are_those_of_the_country(locale: str, language: str, number: str, date: str) -> None:
     """English is not American, and Switzerland writes a decimal point."""
-    with browsing(service.url, locale=locale) as page:
+    with scripted() as service, browsing(service.url, locale=locale) as page:
         expect(page.locator("html")).to_have_attribute("lang", language)
         told = page.evaluate(
             """async () => {

@@ -137,17 +137,6 @@ def test_the_page_is_what_the_role_is(service: Service, keys: dict[str, str], pa
     expect(other.value.locator("#login")).to_be_visible()
 
 
-def test_stop_and_release_bear_the_name(service: Service, keys: dict[str, str], page: Page) -> None:
-    log_in(page, keys["operator"])
-    expect(page.locator("#machine")).to_contain_text("no machine: ")
-    page.get_by_role("button", name="STOP").click()
-    expect(page.locator("#held-by")).to_contain_text("Stopped by the-operator (operator page): stop button")
-    page.get_by_role("button", name="I looked at the machine: release").click()  # the name stands there already
-    expect(page.locator("#held")).to_be_hidden()
-    with ServiceClient(service.url, keys["viewer"]) as viewer:
-        assert viewer.stops() == []
-
-
 def test_events_and_reports_come_with_the_key(
     service: Service,
     keys: dict[str, str],

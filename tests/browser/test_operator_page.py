@@ -13,28 +13,6 @@ from tests.system.rest_bench import Service, VirtualMachine, add_plan, release, 
 pytestmark = needs("chromium")
 
 
-def test_stop_and_release(machine: VirtualMachine, service: Service, page: Page) -> None:
-    with ServiceClient(service.url) as client:
-        plan = add_plan(client, axes=["joint_1"], poses=2)
-        campaign = int(client.add_campaign(plan)["id"])
-        page.get_by_role("button", name="Start").click()
-        until(lambda: not machine.stands(), "an axis with energy")
-        page.get_by_role("button", name="STOP").click()
-        expect(page.locator("#held-by")).to_contain_text("Stopped by operator page: stop button")
-        until(machine.stands, "standing axes")
-        expect(page.locator("#campaign-state")).to_have_text("paused")
-        client.add_campaign(plan)  # a newer one hides neither the paused one nor its cause
-        expect(page.locator("#campaigns option")).to_have_count(2)
-        load_again(page)
-        expect(page.locator("#campaigns")).to_have_value(str(campaign))
-        expect(page.locator("#cause")).to_contain_text("stopped by operator page: stop button")
-        page.get_by_label("Your name").fill("Ada")
-        page.get_by_role("button", name="I looked at the machine: release").click()
-        expect(page.locator("#held")).to_be_hidden()
-        assert machine.stands()
-        assert client.campaign(campaign)["state"] == "paused"
-
-
 def test_a_start_from_a_page_that_did_not_show_the_stop_is_refused(
     machine: VirtualMachine, service: Service, page: Page
 ) -> None:
@@ -61,28 +39,6 @@ def test_a_start_from_a_page_that_did_not_show_the_stop_is_refused(
         start.click()
         until(lambda: not machine.stands(), "an axis with energy")
         client.abort(campaign, "enough seen")
-
-
-def test_a_fault_is_shown_and_acknowledged_by_a_person(machine: VirtualMachine, page: Page) -> None:
-    expect(page.locator("#machine")).to_have_text("all axes stand without energy")
-    assert machine.order("fault", joint="joint_2", code=0x2310)["ok"]
-    expect(page.locator("#axes")).to_contain_text("2310h")
-    page.get_by_role("button", name="I looked: acknowledge").click()
-    expect(page.locator("#axes")).not_to_contain_text("2310h")
-    assert machine.stands()
-
-
-def test_an_emergency_stop_is_called_one_and_acknowledged_on_all_axes(machine: VirtualMachine, page: Page) -> None:
-    expect(page.locator("#machine")).to_have_text("all axes stand without energy")
-    expect(page.locator("#acknowledge-all")).to_be_hidden()
-    assert machine.order("emergency_stop", on=True)["ok"]
-    expect(page.locator("#machine")).to_have_text("EMERGENCY STOP")
-    expect(page.locator("#axes")).to_contain_text("EMERGENCY STOP: error 9000h")
-    assert machine.order("emergency_stop", on=False)["ok"]
-    page.get_by_role("button", name="acknowledge all axes").click()
-    expect(page.locator("#axes")).not_to_contain_text("9000h")
-    expect(page.locator("#machine")).to_have_text("all axes stand without energy")
-    assert machine.stands()
 
 
 def test_a_lost_machine_is_never_called_at_rest(machine: VirtualMachine, service: Service, page: Page) -> None:

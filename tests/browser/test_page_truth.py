@@ -6,8 +6,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from service.client import ServiceClient
-from tests.browser.browsing import load_again
-from tests.browser.looking import faint, green, settled, small, too_wide
+from tests.browser.looking import green
 from tests.programs import needs
 from tests.system.rest_bench import Service, VirtualMachine, add_plan, release, until
 
@@ -64,16 +63,21 @@ def test_nothing_is_green_in_trouble_and_the_way_out_stands_there(machine: Virtu
     assert machine.order("fault", joint="joint_2", code=0x2310)["ok"]
     expect(page.locator("#machine")).to_have_text("fault of joint_2")
     assert green(page) == []
+    expect(page.locator("#axes")).to_contain_text("2310h")
+    expect(page.locator("#acknowledge-all")).to_be_hidden()
     expect(way_out).to_contain_text(["Check joint_2", "Acknowledge"])
     page.get_by_role("button", name="I looked: acknowledge").click()
+    expect(page.locator("#axes")).not_to_contain_text("2310h")
     expect(page.locator("#machine")).to_have_text("all axes stand without energy")
 
     assert machine.order("emergency_stop", on=True)["ok"]
     expect(page.locator("#machine")).to_have_text("EMERGENCY STOP")
     assert green(page) == []
+    expect(page.locator("#axes")).to_contain_text("EMERGENCY STOP: error 9000h")
     expect(way_out).to_contain_text(["Check the machine", "Unlock the machine's own emergency stop", "Acknowledge"])
     assert machine.order("emergency_stop", on=False)["ok"]
     page.get_by_role("button", name="acknowledge all axes").click()
+    expect(page.locator("#axes")).not_to_contain_text("9000h")
     expect(page.locator("#machine")).to_have_text("all axes stand without energy")
 
     page.get_by_role("button", name="STOP").click()
@@ -139,67 +143,3 @@ def test_resume_shows_what_it_moves_and_what_cannot_work_says_why(
 def duration(seconds: float) -> str:
     minutes, left = divmod(round(seconds), 60)
     return f"{minutes} min {left} s" if minutes else f"{left} s"
-
-
-def test_the_campaign_that_matters_is_shown_first(service: Service, page: Page) -> None:
-    with ServiceClient(service.url) as client:
-        plan = add_plan(client, axes=["joint_1"], poses=1)
-        planned, given_up = (int(client.add_campaign(plan)["id"]) for _ in range(2))
-        client.abort(given_up, "a test")
-    load_again(page)
-    expect(page.locator("#campaigns option")).to_have_count(2)
-    expect(page.locator("#campaigns")).to_have_value(str(planned))
-
-
-def test_stop_is_first_by_keyboard_and_abort_asks(machine: VirtualMachine, service: Service, page: Page) -> None:
-    expect(page.locator("#machine")).to_have_text("all axes stand without energy")
-    page.keyboard.press("Tab")
-    expect(page.locator("#stop")).to_be_focused()
-    with ServiceClient(service.url) as client:
-        campaign = int(client.add_campaign(add_plan(client, axes=["joint_1"], poses=1))["id"])
-        page.get_by_role("button", name="Start").click()
-        until(lambda: not machine.stands(), "an axis with energy")
-        page.get_by_role("button", name="Abort", exact=True).click()
-        expect(page.locator("#abort-question")).to_contain_text(f"End campaign {campaign} permanently?")
-        page.get_by_role("button", name="Keep campaign").click()
-        assert client.campaign(campaign)["state"] == "running"
-        page.get_by_label("Campaign", exact=True).focus()
-        page.keyboard.press("F8")
-        expect(page.locator("#held-by")).to_contain_text("Stopped by operator page: stop button")
-        until(machine.stands, "standing axes")
-        expect(page.locator("#campaign-state")).to_have_text("paused")
-        page.get_by_role("button", name="Abort", exact=True).click()
-        page.get_by_role("button", name="End campaign").click()
-        expect(page.locator("#campaign-state")).to_have_text("aborted")
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_it_can_be_read_and_hit_in_every_state_and_width(
-    service: Service, machine: VirtualMachine, page: Page, scheme: str
-) -> None:
-    page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
-    expect(page.locator("#machine")).to_have_text("all axes stand without energy")
-    look(page)
-    with ServiceClient(service.url) as client:
-        campaign = int(client.add_campaign(add_plan(client, axes=["joint_1"], poses=2))["id"])
-        look(page)
-        client.start(campaign)
-        expect(page.locator("#campaign-state")).to_have_text("running")
-        look(page)
-        assert machine.order("emergency_stop", on=True)["ok"]
-        expect(page.locator("#machine")).to_contain_text("EMERGENCY STOP")
-        expect(page.locator("#campaign-state")).to_have_text("paused")
-        look(page)
-        client.stop("a test", "to look at it")
-        expect(page.locator("#held")).to_be_visible()
-        look(page)
-
-
-def look(page: Page) -> None:
-    for width in (768, 1280, 1920):
-        page.set_viewport_size({"width": width, "height": 1000})
-        page.mouse.wheel(0, 2000)
-        settled(page)
-        for banner in page.locator(".banner:visible").all():
-            expect(banner).to_be_in_viewport()  # however far it is scrolled
-        assert (faint(page), small(page), too_wide(page)) == ([], [], False), width

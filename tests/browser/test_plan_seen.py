@@ -3,15 +3,15 @@
 import shutil
 from pathlib import Path
 
-import pytest
 from playwright.sync_api import expect
 
 from service.client import ServiceClient
 from tests.browser.browsing import browsing
 from tests.browser.conftest import connected
+from tests.programs import needs
 from tests.system.rest_bench import CONFIG, VirtualMachine, serving, until
 
-pytestmark = [pytest.mark.slow]
+pytestmark = needs("chromium")
 
 
 def test_the_machines_cell_is_preselected_and_another_is_typed(tmp_path: Path, machine: VirtualMachine) -> None:

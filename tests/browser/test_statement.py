@@ -104,6 +104,18 @@ def test_what_happened_is_told_in_the_words_of_the_page(cause: str, what: str) -
         expect(opened(context, service).locator("#intent")).to_contain_text(f"is paused ({what})")
 
 
+@pytest.mark.parametrize("states", [("paused", "planned"), ("planned", "aborted")])
+def test_the_campaign_that_matters_is_shown_first(states: tuple[str, str]) -> None:
+    """A newer one hides neither a paused one nor what can be started."""
+    made = [campaign(number, state=state) for number, state in enumerate(states, start=1)]
+    answers: dict[str, Json] = {"campaigns": {"items": made, "next": None}}
+    answers |= {f"campaigns/{one['id']}": one for one in made}
+    with scripted(answers=answers) as service, window() as context:
+        page = opened(context, service)
+        expect(page.locator("#campaigns option")).to_have_count(2)
+        expect(page.locator("#campaigns")).to_have_value("1")
+
+
 def test_drives_that_are_late_are_no_silence_of_the_service() -> None:
     """A busy service: what it says of the stop needs neither login nor database nor drives."""
     with scripted() as service, window() as context:

@@ -151,15 +151,30 @@ def test_what_was_said_of_a_stop_goes_with_its_release() -> None:
         ((503, UNCONFIRMED), "not confirmed within 1 s: joint_2: does not"),
     ],
 )
-def test_a_page_without_scripts_stops_and_shows_the_answer(answer: tuple[int, Json], shown: str) -> None:
+@pytest.mark.parametrize("script", ["*", "app", "words", "texts"])
+def test_a_page_without_its_scripts_says_so_and_its_stop_shows_the_answer(
+    answer: tuple[int, Json], shown: str, script: str
+) -> None:
     with scripted() as service, window() as context:
         service.stop = answer
         page = context.new_page()
-        page.route("**/*.js", lambda route: route.abort())
+        page.route(f"**/{script}.js", lambda route: route.abort())
         page.goto(service.url, wait_until="commit")
+        dead = page.locator("#dead")
+        expect(dead).to_contain_text("This page has not loaded")
+        expect(dead).to_contain_text("Diese Seite ist nicht geladen")
         page.get_by_role("button", name="STOP").click()
         expect(page.locator("body")).to_contain_text(shown)
-        assert [query["by"] for _, query in service.stops] == ["operator page"]
+        assert [(query["by"], query["why"]) for _, query in service.stops] == [("operator page", "stop button")]
+
+
+def test_the_stop_does_not_wait_for_the_charts() -> None:
+    with scripted() as service, window() as context:
+        context.route("**/plotly.min.js", lambda route: None)  # never answered
+        page = opened(context, service)
+        page.get_by_role("button", name="STOP").click()
+        expect(page.locator("#stop-told")).to_have_text(CONFIRMED)
+        expect(page.locator("#dead")).to_be_hidden()
 
 
 # -- the one connection for events
