@@ -141,7 +141,7 @@ def test_decisions_have_number_date_and_status_and_are_in_the_list() -> None:
     folder = ROOT / "docs/explanation/decisions"
     records = sorted(folder.glob("[0-9]*.md"))
     form = re.compile(
-        r"# (\d{4}) .+\n\nDate: \d{4}-\d\d-\d\d\. Status: (?:in force\.|replaced( in part)?\b.*?\((\d{4})-)"
+        r"# (\d{4}) .+\n\nDate: \d{4}-\d\d-\d\d\. Status: (?:in force\.|replaced(?: in part)?\b.*?\((\d{4})-)"
     )
     for number, record in enumerate(records, 1):
         found = form.match(record.read_text("utf-8"))
