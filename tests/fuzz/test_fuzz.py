@@ -1,8 +1,8 @@
 """Every parser of files from outside reads what no program wrote (`make fuzz`: more cases of it).
 
 Allowed is that it is read or that the parser's documented error says why not. Anything else (another exception, death,
-20 s of CPU, 1 GiB) is a finding: Hypothesis makes it smaller, prints how to repeat it and tries it first next time; its
-files are then in `var/fuzz`.
+20 s of CPU, 1 GiB) is a finding: Hypothesis prints the seed that repeats it and tries it first next time; its files are
+then in `var/fuzz`. (Chance is one number to Hypothesis. Drawing each choice by it found half as many kinds of refusal.)
 """
 
 import os
@@ -16,7 +16,7 @@ from typing import Any, cast
 
 import pyarrow
 import pytest
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from service.errors import BadInput
@@ -65,8 +65,8 @@ def test_a_parser_reads_its_seeds(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", list(PARSERS))
-@settings(max_examples=CASES, print_blob=True)
-@given(rng=st.randoms(use_true_random=False))
+@settings(max_examples=CASES, print_blob=True, phases=(Phase.reuse, Phase.generate))  # no seed is smaller than another
+@given(rng=st.randoms(use_true_random=True))
 def test_a_parser_reads_or_refuses(name: str, rng: Random) -> None:
     seed = rng.choice(seeds_of(name))
     target = rng.choice(seed.targets)
