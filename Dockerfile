@@ -18,6 +18,7 @@ COPY README.md LICENSE ./
 COPY drivers drivers
 COPY service service
 COPY simulator simulator
+COPY sweepid sweepid
 RUN /tools/bin/uv pip install --no-deps --build-constraint requirements.lock .
 
 FROM ${BASE}

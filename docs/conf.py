@@ -13,7 +13,7 @@ project = "sweepid"
 author = "the authors of sweepid"
 version = release = installed("sweepid")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "commands", "http_api"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "commands", "http_api"]
 exclude_patterns = ["_build", "_ext"]
 source_suffix = {".md": "markdown"}
 

@@ -27,7 +27,7 @@ settings.load_profile("sweepid")
 pytest_plugins = ("tests.virtual_time.plugin",)
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ("service", "drivers", "simulator")
+ROOMS = ("sweepid", "service", "drivers", "simulator")
 PATIENCE = 30.0  # s that a thread or task may take to end after its test: a failing test alone waits for so long
 NO_DATA = "no measured data"
 

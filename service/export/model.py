@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from service.errors import BadInput
 from service.results.estimate import BaseParameter, Estimate, EstimatedAxis, StandardParameters, Symbol
+from service.results.table import Column, Shown, Table
 from service.robot import INERTIAL_NAMES, Robot
 from service.urdf import inertia_matrix
 
@@ -25,8 +26,8 @@ class Body:
     parameters: Array  # (10,) at the frame's origin
 
 
-@dataclass(frozen=True)
-class IdentifiedModel:
+@dataclass(frozen=True, repr=False)
+class IdentifiedModel(Shown):
     """A robot's joints (n), in order, each with its body, its motor and, if it was measured, its friction."""
 
     robot: Robot
@@ -36,6 +37,19 @@ class IdentifiedModel:
     base_parameters: tuple[BaseParameter, ...]
     symbols: dict[str, Symbol]
     deviation_in_std: float
+
+    def table(self) -> Table:
+        """One row a joint."""
+        return Table(
+            f"Identified model of the robot {self.robot.name}, SI",
+            (
+                Column("joint", self.robot.joints),
+                Column("link", tuple(body.link for body in self.bodies)),
+                Column("mass", tuple(body.mass for body in self.bodies)),
+                Column("motor inertia", tuple(self.motor_inertias.tolist())),
+                Column("viscous friction", self.friction),
+            ),
+        )
 
 
 def identified_model(robot: Robot, document: object, place: str = "estimate") -> IdentifiedModel:

@@ -11,6 +11,7 @@ from service.errors import BadInput
 from service.identification.design.excitation import LINES
 from service.identification.design.pose_selection import Criterion
 from service.recording import SweepSpec
+from service.results.table import Column, Shown, Table
 from service.robot import Robot
 from service.store.documents import LARGEST_ID
 
@@ -144,7 +145,7 @@ class SparePose(BaseModel):
     pose: tuple[float, ...]
 
 
-class PlanDocument(BaseModel):
+class PlanDocument(Shown, BaseModel):
     """A complete campaign in the order of its sweeps.
 
     `condition` and `confidence` are lists in the order of *choice*, after each chosen pose: condition number, null
@@ -168,6 +169,19 @@ class PlanDocument(BaseModel):
     measurable: int  # collision-free, with room for every sweep
     duration: float  # s
     made_for: MadeFor | None = None  # None: for any other machine, or from an older version
+
+    def table(self) -> Table:
+        """One row a sweep."""
+        specs = [sweep.spec for sweep in self.sweeps]
+        return Table(
+            f"Plan for the robot {self.robot}: {len(specs)} sweeps, {self.duration / 60:.0f} min",
+            (
+                Column("sweep", tuple(spec.id for spec in specs)),
+                Column("axis", tuple(spec.axis for spec in specs)),
+                Column("block", tuple(spec.block for spec in specs)),
+                Column("pose, rad (m)", tuple(", ".join(f"{one:.3g}" for one in spec.pose) for spec in specs)),
+            ),
+        )
 
     @field_validator("request", mode="before")
     @classmethod

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-ROOMS = ("service", "drivers", "simulator")
+ROOMS = ("sweepid", "service", "drivers", "simulator")
 
 
 @pytest.fixture(scope="module")

@@ -30,6 +30,7 @@ def test_the_site_builds(root: Path, tmp_path: Path) -> None:
         ("http-api", "campaignview"),
         ("options", "sweepid-people-add-key"),
         ("client", "service.client.ServiceClient.stop"),
+        ("python", "sweepid.identify"),
         ("drive-port", "drivers.ports.DrivePort.halt"),
     ):
         assert f'id="{anchor}"' in (tmp_path / "site" / "reference" / f"{page}.html").read_text("utf-8")

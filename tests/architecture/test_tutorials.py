@@ -11,7 +11,7 @@ from tests.command import sweepid
 
 def test_the_hidden_effect_is_the_one_of_the_tutorial(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = (root / "docs" / "tutorials" / "find-a-hidden-effect.md").read_text("utf-8")
-    command = re.search(r"^sweepid (truth .*)$", page, re.MULTILINE)
+    command = re.search(r"^sweepid (drive truth .*)$", page, re.MULTILINE)
     assert command
     monkeypatch.chdir(root)
     done = sweepid(*command[1].split())

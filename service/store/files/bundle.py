@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from service.configuration import bad_field, read_text
 from service.errors import BadInput
 from service.recording import Sweep, SweepSpec
+from service.results.table import Column, Shown, Table
 from service.robot import Robot, RobotDescription, robot_from_outside
 from service.store.files.columns import check_possible, check_samples, columns_of, read_columns, write_columns
 
@@ -25,13 +26,28 @@ FORMAT = "sweepid-bundle/1"
 MOST_NUMBERS = 250_000_000  # all sweeps of a bundle are in memory together
 
 
-@dataclass(frozen=True, slots=True)
-class Bundle:
+@dataclass(frozen=True, slots=True, repr=False)
+class Bundle(Shown):
     """A robot and its measured sweeps, in the order of bundle.json; `place` is told in errors."""
 
     robot: Robot
     sweeps: tuple[Sweep, ...]
     place: str = field(default="bundle", compare=False)
+
+    def table(self) -> Table:
+        """One row a sweep."""
+        specs = [sweep.spec for sweep in self.sweeps]
+        return Table(
+            f"Bundle of the robot {self.robot.name}",
+            (
+                Column("sweep", tuple(spec.id for spec in specs)),
+                Column("axis", tuple(spec.axis for spec in specs)),
+                Column("block", tuple(spec.block for spec in specs)),
+                Column("repeat", tuple(spec.repeat for spec in specs)),
+                Column("pose, rad (m)", tuple(", ".join(f"{one:.3g}" for one in spec.pose) for spec in specs)),
+                Column("samples", tuple(len(sweep.recording.time) for sweep in self.sweeps)),
+            ),
+        )
 
 
 class _Entry(SweepSpec):
