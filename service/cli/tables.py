@@ -6,8 +6,9 @@ from rich.table import Table as RichTable
 from service.results.table import Shown, Table
 
 
-def print_result(found: Shown, console: Console) -> None:
-    """Its tables, fitted to the terminal, and its sentences."""
+def print_result(found: Shown, console: Console | None = None) -> None:
+    """Its tables, fitted to the terminal, and its sentences. `console` None: stdout."""
+    console = console or Console()
     for part in found.shown():
         if isinstance(part, Table):
             console.print(_table(part))

@@ -11,6 +11,9 @@ from statistics import fmean
 import pytest
 
 from service.cli import build
+from tests.unit.service.cli.test_identify import bundle
+
+__all__ = ["bundle"]  # the fixture
 
 pytestmark = pytest.mark.slow
 
@@ -22,6 +25,9 @@ HEAVY = MATHEMATICS | SERVER | PHYSICS | {"can", "canopen", "httpx", "numpy", "r
 LOADED = """
 import json, sys
 from service.cli import build
+from tests.unit.service.cli.test_identify import bundle
+
+__all__ = ["bundle"]  # the fixture
 try:
     build()(sys.argv[1:])
 except BaseException:
@@ -41,6 +47,9 @@ HELP_TEXTS = """
 import io, json, sys
 from contextlib import redirect_stdout
 from service.cli import build
+from tests.unit.service.cli.test_identify import bundle
+
+__all__ = ["bundle"]  # the fixture
 names = [name for name, _ in build().every()]
 with redirect_stdout(io.StringIO()):
     for name in ("", *names, *{name.partition(" ")[0] for name in names}):
@@ -108,12 +117,21 @@ def test_a_help_text_is_there_at_once(root: Path) -> None:
         ("export 1 none --url http://127.0.0.1:1", MATHEMATICS | SERVER | PHYSICS | {"numpy"}),
         ("plan trajectories none --axes a", MATHEMATICS | SERVER | PHYSICS),
         ("commission check none", MATHEMATICS | SERVER | PHYSICS),
-        ("identify none", SERVER | {"dask", "distributed", "plotly", "rich.progress"}),
     ],
 )
 def test_a_light_command_loads_nothing_heavy(root: Path, command: str, heavy: set[str]) -> None:
     """It is called with input that is not there: then all that it uses is imported."""
     assert loaded(root, LOADED, *command.split()) & heavy == set()
+
+
+def test_identify_loads_only_what_it_uses(root: Path, bundle: Path, tmp_path: Path) -> None:
+    """And starts its work within a second of processor time."""
+    words = ("identify", str(bundle), "--json", str(tmp_path / "estimate.json"))
+    found = modules(root, LOADED, *words)
+    assert (tmp_path / "estimate.json").is_file()
+    heavy = SERVER | {"can", "dask", "distributed", "httpx", "plotly", "rich"}
+    assert {name.partition(".")[0] for name in found} & heavy == set()
+    assert not {name for name in found if name.startswith(("service.data_check", "service.report", "service.planning"))}
 
 
 def test_the_public_face_is_imported_at_once(root: Path) -> None:
@@ -164,4 +182,4 @@ def test_the_mathematics_needs_no_catalogue_of_distributions(root: Path, module:
 
 
 def test_a_heavy_one_is_noticed(root: Path) -> None:
-    assert {"scipy"} <= loaded(root, LOADED, "identify", "none")
+    assert {"scipy"} <= loaded(root, LOADED, "import", "trace", "none", "--out", "none")

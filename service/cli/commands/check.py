@@ -15,16 +15,15 @@ def check(
     json_to: JsonTo = None,
 ) -> None:
     """Tell what is wrong with recordings and robot file, before any physics."""
-    from rich.console import Console
-
     from service.cli.documents import put_json
     from service.cli.progress_indicator import waiting
-    from service.cli.tables import print_result
 
     with waiting("checking the data"):
         found = sweepid.check(bundle)
     if not put_json(found, json_to):
-        print_result(found, Console())
+        from service.cli.tables import print_result
+
+        print_result(found)
 
 
 def check_sheet(

@@ -31,11 +31,8 @@ def diagnose(
     report: Annotated[Path | None, typer.Option(help="Write a page with figures here.", metavar="FILE")] = None,
 ) -> None:
     """Find where simulation and measurement disagree, and name the missing effect."""
-    from rich.console import Console
-
     from service.cli.documents import put_json, write_file
     from service.cli.progress_indicator import counted, waiting
-    from service.cli.tables import print_result
 
     with waiting("diagnosing"):
         measured = sweepid.read_bundle(bundle)
@@ -55,4 +52,6 @@ def diagnose(
 
         write_file(report, diagnosis_page(found, f"Diagnosis of the robot {found.model.robot}", str(bundle)).html())
     if not put_json(found, json_to):
-        print_result(found, Console())
+        from service.cli.tables import print_result
+
+        print_result(found)

@@ -82,16 +82,15 @@ def payload(
     json_to: JsonTo = None,
 ) -> None:
     """Identify a payload on the last link from the same motions with and without it."""
-    from rich.console import Console
-
     from service.cli.documents import put_json
     from service.cli.progress_indicator import waiting
-    from service.cli.tables import print_result
 
     with waiting("identifying the payload"):
         found = sweepid.payload(before, after, torque_gain=gains)
     if not put_json(found, json_to):
-        print_result(found, Console())
+        from service.cli.tables import print_result
+
+        print_result(found)
 
 
 def benefit(

@@ -20,11 +20,8 @@ def identify(
     report: Annotated[Path | None, typer.Option(help="Write the result with figures to this HTML file.")] = None,
 ) -> None:
     """Identify a robot from the sweeps of a bundle."""
-    from rich.console import Console
-
     from service.cli.documents import put_json, write_file
     from service.cli.progress_indicator import counted, waiting
-    from service.cli.tables import print_result
 
     with waiting("reading the bundle"):
         measured = sweepid.read_bundle(bundle)
@@ -35,4 +32,6 @@ def identify(
 
         write_file(report, bundle_page(measured, found, str(bundle)).html())
     if not put_json(found, json_to):
-        print_result(found, Console())
+        from service.cli.tables import print_result
+
+        print_result(found)
