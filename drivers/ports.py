@@ -22,6 +22,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.errors import Cause
+
 Array = NDArray[np.float64]
 
 
@@ -361,7 +363,7 @@ class DrivePort(Protocol):
         """
         ...
 
-    def watch(self, tell: Callable[[str], None] | None) -> None:
+    def watch(self, tell: Callable[[Cause], None] | None) -> None:
         """`tell` receives at once, from any thread, the reason why nothing is energised or moved until `allow`.
 
         From now on the host is watched, connected or not, and a finding outlives the connection; None: until `close`.

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import structlog
 
-from drivers.errors import DriveError
+from drivers.errors import Cause, CauseCode, DriveError
 from drivers.registry import open_profile
 from service.campaigns.estimate_quality import Quality, quality_of
 from service.campaigns.fleet_history import FleetHistory
@@ -268,8 +268,9 @@ async def open_application(settings: Settings, stop_process: StopProcess | None 
             )
             if not owned.lost:
                 await asyncio.to_thread(files.clear_transfer)
+                died = Cause(CauseCode.SERVICE_ENDED, detail="the previous service process ended without a shutdown")
                 for number in await asyncio.to_thread(recover, store, files):
-                    tell_own_stop(audit, f"campaign {number}", "the previous service process ended without a shutdown")
+                    tell_own_stop(audit, f"campaign {number}", died)
             keys.release_unanswered()
             robots = await asyncio.to_thread(_add_robots, store, settings.robots_dir)  # the host watch has begun
             setup = machine_setup(settings, profile, owned.machine.joints, robots)
@@ -400,6 +401,7 @@ def _tell_stop(audit: AuditWriter, by: str, why: str, address: str) -> None:
     audit.keep({"event": "stop", "way": "stop process", **stop})
 
 
-def tell_own_stop(audit: AuditWriter, way: str, why: str) -> None:
+def tell_own_stop(audit: AuditWriter, way: str, cause: Cause) -> None:
     """A stop by the service itself, without a user: host watch, lease, end of the service, a campaign's trouble."""
-    audit.keep({"event": "stop", "way": way, "actor": way, "by": way, "why": masked(why)})
+    told: Entry = {"why": masked(str(cause)), "code": cause.code, "joint": cause.joint}
+    audit.keep({"event": "stop", "way": way, "actor": way, "by": way, **told})

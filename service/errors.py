@@ -1,5 +1,7 @@
 """The errors of the service: invalid input of a user, and internal errors."""
 
+from drivers.errors import CauseCode, CausedError
+
 
 class SweepidError(Exception):
     """Base of all errors that the service raises intentionally."""
@@ -34,7 +36,11 @@ class NotNow(SweepidError):
     """Nothing was done, because a required part does not answer now; the request may be repeated later (API: 503)."""
 
 
-class EnvelopeViolation(SweepidError):
+class MotionFailed(SweepidError, CausedError, code=CauseCode.INTERNAL):
+    """Base of the errors with which the service itself ends a motion or a sweep."""
+
+
+class EnvelopeViolation(MotionFailed, code=CauseCode.ENVELOPE_LEFT):
     """A motion would leave the safety envelope; nothing moved, or the machine was stopped."""
 
 

@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from drivers.canopen.bus import Bus
-from drivers.errors import CommunicationLost
+from drivers.errors import CauseCode, CommunicationLost
 
 TX_SETUP, TX_DELETE = 1, 2
 SETTIMER, STARTTIMER = 1, 2
@@ -57,7 +57,7 @@ def _connect(interface: str) -> socket.socket:
     return connected
 
 
-class KernelRefused(CommunicationLost):
+class KernelRefused(CommunicationLost, code=CauseCode.COMMUNICATION_LOST):
     """The kernel does not accept (further) set-points: interface down or removed, no memory."""
 
 

@@ -21,7 +21,7 @@ from drivers.canopen.foreign_frames import ForeignFrames
 from drivers.canopen.profile import BusProfile
 from drivers.canopen.socketcand import SocketcandBus
 from drivers.cia402.host_watch import HostWatch
-from drivers.errors import CommunicationLost, ConnectionFailed
+from drivers.errors import CommunicationLost, ConnectionFailed, Measured
 from drivers.ports import BusTraffic
 
 logger = logging.getLogger(__name__)
@@ -140,12 +140,15 @@ class Bus:
         if self._lost is not None:
             raise CommunicationLost(self._lost)
 
-    def check(self, node: int) -> None:
+    def check(self, node: int, joint: str = "") -> None:
         """Raises CommunicationLost if the bus is lost or this node was silent for longer than the time-out."""
         self.check_alive()
         silent = self._silence(self._heard[node])
         if silent > self._profile.drive_timeout:
-            raise CommunicationLost(f"node {node}: no heartbeat for {silent:.2f} s")
+            limit = self._profile.drive_timeout
+            raise CommunicationLost(
+                f"node {node}: no heartbeat for {silent:.2f} s", joint=joint, measured=Measured(silent, limit, "s")
+            )
 
     def emergency(self, node: int) -> frames.Emergency | None:
         """The last error that the node announced and has not cleared."""

@@ -61,20 +61,21 @@ class CanopenDevice:
         read = self.sdo.integer
         kind = read(objects.DEVICE_TYPE)
         if kind & 0xFFFF != objects.SERVO_DRIVE:
-            raise WrongIdentity(f"{self.place}: device type {kind:08X}h is not a CiA 402 drive")
+            raise WrongIdentity(self.place, f"device type {kind:08X}h is not a CiA 402 drive")
         found = (read(objects.VENDOR), read(objects.PRODUCT), read(objects.REVISION), read(objects.SERIAL))
         expected = self.profile.identity
         wanted = (expected.vendor, expected.product, expected.revision, expected.serial)
         for name, have, want in zip(("vendor", "product", "revision", "serial"), found, wanted, strict=True):
             if want is not None and have != want:
-                raise WrongIdentity(f"{self.place}: {name} is {have:08X}h, the profile says {want:08X}h")
+                raise WrongIdentity(self.place, f"{name} is {have:08X}h, the profile says {want:08X}h")
         self._rated_torque = self.profile.rated_torque
         if "rated_torque" not in self._map.missing:
             self._rated_torque = self._read("rated_torque") * self._map.units.rated_torque
         if not math.isclose(self._rated_torque, self.profile.rated_torque, rel_tol=2e-3):
             raise WrongIdentity(
-                f"{self.place}: rated torque of the motor is {self._rated_torque:.4g} N m, "
-                f"the profile says {self.profile.rated_torque:.4g} N m"
+                self.place,
+                f"rated torque of the motor is {self._rated_torque:.4g} N m, "
+                f"the profile says {self.profile.rated_torque:.4g} N m",
             )
         return AxisIdentity(self.profile.joint, f"node {self.profile.node}", *found, self._sha256)
 
@@ -130,11 +131,11 @@ class CanopenDevice:
         deadline = time.monotonic() + MODE_TIMEOUT
         while (shown := self.sdo.integer(self._map.entry("mode_display"))) != mode:
             if time.monotonic() > deadline:
-                raise WrongConfiguration(f"{self.place}: mode {mode} was not accepted, the drive reports mode {shown}")
+                raise WrongConfiguration(self.place, f"mode {mode} was not accepted, the drive reports mode {shown}")
             time.sleep(POLL)
 
     def check_alive(self) -> None:
-        self._bus.check(self.profile.node)
+        self._bus.check(self.profile.node, self.profile.joint)
 
     def look_for_restart(self) -> None:
         """Nothing to do: a node reports a restart by its boot-up message."""
@@ -188,7 +189,7 @@ class CanopenDevice:
     def read_back(self) -> None:
         self._settle_session()
         if self._pdos_mapped and not configuration.pdos_are_mapped(self.sdo, self._pdos):
-            raise WrongConfiguration(f"{self.place}: PDO mapping was changed since connect")
+            raise WrongConfiguration(self.place, "PDO mapping was changed since connect")
 
     def settle_limits(self, velocity: float, effort: float, window: tuple[float, float]) -> None:
         self._settle(velocity, effort, window)
@@ -211,7 +212,7 @@ class CanopenDevice:
         self._settle_rest()
         self.sdo.settle(self._map.entry(self.way.target), position or 0)
         if self._streaming_mode is None:
-            raise WrongConfiguration(f"{self.place}: 6502h has no mode for {self.way.value}")
+            raise WrongConfiguration(self.place, f"6502h has no mode for {self.way.value}")
         self.set_mode(self._streaming_mode)
         counter = self.sdo.integer(self._map.entry("sample_counter")) if self._map.samples == "counter" else None
         return Start(counter, position, FOLLOW if self.way is Way.INTERPOLATED_POSITION else 0)
@@ -247,7 +248,7 @@ class CanopenDevice:
         try:
             return MeasuringState(number)
         except ValueError:
-            raise WrongConfiguration(f"{self.place}: {measuring.STATE} is {number}") from None
+            raise WrongConfiguration(self.place, f"{measuring.STATE} is {number}") from None
 
     def rejection(self) -> str:
         reason = self.sdo.integer(measuring.REASON)

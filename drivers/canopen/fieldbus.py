@@ -189,17 +189,17 @@ class StreamedSweep:
             case Ending.COMPLETED:
                 return
             case Ending.STOPPED:
-                raise SweepInterrupted(run.reason)
+                raise SweepInterrupted(run.reason, joint=run.joint)
             case Ending.FORBIDDEN:
-                raise MotionForbidden(run.reason)
+                raise MotionForbidden(run.reason, joint=run.joint)
             case Ending.SILENT | Ending.MISCOUNTED | Ending.LATE | Ending.NOT_SENT:
-                raise CommunicationLost(run.reason)
+                raise CommunicationLost(run.reason, joint=run.joint)
             case Ending.LEFT_STATE:
                 axis = self._axes[run.joint]
                 await self._thread.run(axis.check, await self._thread.run(axis.state))
-                raise SweepInterrupted(run.reason)
+                raise SweepInterrupted(run.reason, joint=run.joint)
             case Ending.LEFT_ENVELOPE | Ending.NO_STANDSTILL:
-                raise EnvelopeLeft(run.reason)
+                raise EnvelopeLeft(run.reason, joint=run.joint, measured=run.measured)
 
 
 def _check_resolution(device: CanopenDevice, command: SweepCommand) -> None:
@@ -210,14 +210,16 @@ def _check_resolution(device: CanopenDevice, command: SweepCommand) -> None:
     for sine in command.sines:
         if 0 < sine.amplitude < STEPS_OF_A_SINE * speed:
             raise LimitExceeded(
-                f"{device.place}: a sine of {sine.amplitude:.3g} {unit}/s has fewer than "
-                f"{STEPS_OF_A_SINE} steps of the drive's velocity unit of {speed:.3g} {unit}/s"
+                device.place,
+                f"a sine of {sine.amplitude:.3g} {unit}/s has fewer than "
+                f"{STEPS_OF_A_SINE} steps of the drive's velocity unit of {speed:.3g} {unit}/s",
             )
         amplitude = sine.amplitude / (2 * math.pi * sine.frequency)
         if device.way.positions and 0 < amplitude < STEPS_OF_A_POSITION * place:
             raise LimitExceeded(
-                f"{device.place}: a sine of {amplitude:.3g} {unit} at {sine.frequency:g} Hz has fewer than "
-                f"{STEPS_OF_A_POSITION} steps of the drive's position unit of {place:.3g} {unit}"
+                device.place,
+                f"a sine of {amplitude:.3g} {unit} at {sine.frequency:g} Hz has fewer than "
+                f"{STEPS_OF_A_POSITION} steps of the drive's position unit of {place:.3g} {unit}",
             )
 
 

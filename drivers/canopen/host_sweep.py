@@ -23,7 +23,7 @@ from drivers.canopen.punctuality import Punctuality
 from drivers.canopen.stop_sequence import StopStage
 from drivers.canopen.streamed_axis import STANDING_SAMPLES, Ending, StreamedAxis, StreamRequest, Trouble, unplanned
 from drivers.cia402.states import State
-from drivers.errors import CommunicationLost
+from drivers.errors import CommunicationLost, Measured
 from drivers.ports import SampleBlock, SetPointTiming
 
 OPENING_SYNCS = 3  # without set-points; after more of them a drive assumes that the host is lost
@@ -43,6 +43,7 @@ class HostSweep:
         """Starts at once. The axes must stand, enabled, in cyclic synchronous velocity."""
         self.ending = Ending.COMPLETED
         self.reason = ""
+        self.measured: Measured | None = None
         """Reason of the end, with the name of the axis; empty for COMPLETED."""
         self.joint = ""
         """The axis that ended the sweep, empty if none did."""
@@ -363,6 +364,7 @@ class HostSweep:
         if self.ending is Ending.COMPLETED:
             self.ending = trouble.ending
             self.joint = "" if axis is None else axis.joint
+            self.measured = trouble.measured
             self.reason = f"{', '.join(self._places(axis))}: {trouble.reason}"
         self._stop_all(trouble.stage)
 

@@ -98,14 +98,14 @@ def samples(
     """
     layout = NOISE_SAMPLE if noise else SAMPLE
     if len(raw) != count * layout.itemsize:
-        raise CommunicationLost(f"{place}: trace page of {len(raw)} bytes instead of {count} samples")
+        raise CommunicationLost(place, f"trace page of {len(raw)} bytes instead of {count} samples")
     page = np.frombuffer(raw, layout)
     index = page["cycle"].astype(np.int64)
     if not np.array_equal(index, np.arange(first, first + count)):
-        raise CommunicationLost(f"{place}: trace page from {first} holds other samples")
+        raise CommunicationLost(place, f"trace page from {first} holds other samples")
     load = np.asarray(page["load"], dtype=float)
     if axis.load_encoder and np.isnan(load).any():
-        raise WrongConfiguration(f"{place}: the profile says load_encoder, the trace holds none")
+        raise WrongConfiguration(place, "the profile says load_encoder, the trace holds none")
     return SampleBlock(
         joint=axis.joint,
         index=index,

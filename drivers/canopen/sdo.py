@@ -9,7 +9,7 @@ from canopen.sdo.client import BlockUploadStream, SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from drivers.canopen.objects import Entry
-from drivers.errors import CommunicationLost, WrongConfiguration
+from drivers.errors import CauseCode, CommunicationLost, WrongConfiguration
 
 T = TypeVar("T")
 
@@ -24,11 +24,11 @@ class _BlockUpload(BlockUploadStream):
         cast(Any, self.sdo_client).abort(code)
 
 
-class ObjectAbsent(WrongConfiguration):
+class ObjectAbsent(WrongConfiguration, code=CauseCode.WRONG_CONFIGURATION):
     """The drive does not have an object."""
 
 
-class OtherType(WrongConfiguration):
+class OtherType(WrongConfiguration, code=CauseCode.WRONG_CONFIGURATION):
     """The drive has the object, with another length."""
 
 
@@ -52,7 +52,7 @@ class Sdo:
             raise self._explain(entry, error) from None
         except struct.error as error:
             raise OtherType(
-                f"{self.place}: {entry}: the drive's value has another type than the dictionary says: {error}"
+                self.place, f"{entry}: the drive's value has another type than the dictionary says: {error}"
             ) from None
 
     def integer(self, entry: Entry) -> int:
@@ -67,7 +67,7 @@ class Sdo:
         except (SdoAbortedError, SdoCommunicationError, can.CanError, OSError) as error:
             raise self._explain(entry, error, f" = {value:g}") from None
         except struct.error as error:
-            raise WrongConfiguration(f"{self.place}: {entry} cannot hold {value:g}: {error}") from None
+            raise WrongConfiguration(self.place, f"{entry} cannot hold {value:g}: {error}") from None
 
     def settle(self, entry: Entry, value: float) -> None:
         """Make the object hold `value`: write it if it differs, and read it back. Raises WrongConfiguration if it
@@ -78,7 +78,7 @@ class Sdo:
         self.write(entry, value)
         got = self.read(entry)
         if got != value:
-            raise WrongConfiguration(f"{self.place}: {entry}: wrote {value:g}, drive holds {got:g}")
+            raise WrongConfiguration(self.place, f"{entry}: wrote {value:g}, drive holds {got:g}")
 
     def upload(self, index: int, sub: int, block: bool) -> bytes:
         """A DOMAIN, by block or segmented transfer."""
@@ -110,6 +110,6 @@ class Sdo:
 
     def _explain(self, entry: Entry, error: Exception, value: str = "") -> WrongConfiguration | CommunicationLost:
         if not isinstance(error, SdoAbortedError):
-            return CommunicationLost(f"{self.place}: {entry}{value}: {error}")
+            return CommunicationLost(self.place, f"{entry}{value}: {error}")
         kind = ObjectAbsent if error.code in ABSENT else WrongConfiguration
-        return kind(f"{self.place}: {entry}{value}: {error}")
+        return kind(self.place, f"{entry}{value}: {error}")

@@ -18,6 +18,7 @@ from drivers.cia402 import states
 from drivers.cia402.checks import Envelope
 from drivers.cia402.states import State
 from drivers.cia402.waveform import set_point
+from drivers.errors import Measured
 from drivers.ports import SampleBlock, SweepCommand
 
 STANDING_SAMPLES = 5  # in a row below the standstill velocity
@@ -46,6 +47,7 @@ class Trouble:
     ending: Ending
     reason: str
     stage: StopStage = StopStage.QUICK_STOP
+    measured: Measured | None = None
 
 
 def unplanned(sent: bytes | None, rest: bytes) -> Trouble:
@@ -236,7 +238,7 @@ class StreamedAxis:
         violation = self._request.envelope.violation(
             float(codec.position(position)), float(codec.velocity(velocity)), float(codec.effort(torque))
         )
-        return None if violation is None else Trouble(Ending.LEFT_ENVELOPE, violation)
+        return None if violation is None else Trouble(Ending.LEFT_ENVELOPE, violation[0], measured=violation[1])
 
 
 def _set_points(request: StreamRequest, last: int, period: float) -> SetPoints:

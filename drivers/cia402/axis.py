@@ -11,9 +11,11 @@ from drivers.cia402.device import Device, MeasuringState, Mode, Motion
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.states import State, Wish
 from drivers.errors import (
+    CauseCode,
     CommunicationLost,
     DriveFault,
     EmergencyStop,
+    Measured,
     NotReady,
     SweepInterrupted,
     SweepRejected,
@@ -149,7 +151,7 @@ class Axis:
         self._notice_enabled(reading.state)
         self._watch.check()
         if not self.stands(reading):
-            raise NotReady(f"{self.place}: moves at {reading.velocity:.4g} {self.profile.unit}/s, cannot be enabled")
+            raise NotReady(self.place, f"moves at {reading.velocity:.4g} {self.profile.unit}/s, cannot be enabled")
         self.device.allow_motion()
         self.energy = Energy.CHANGING
         try:
@@ -163,7 +165,7 @@ class Axis:
                 self._check_wanted(stop)
                 self.check(following)
                 if following is state:
-                    raise NotReady(f"{self.place}: stays in state '{state.value}' for {TRANSITION_TIMEOUT} s")
+                    raise NotReady(self.place, f"stays in state '{state.value}' for {TRANSITION_TIMEOUT} s")
                 state = following
             self.energy = Energy.ON
             self._check_wanted(stop)
@@ -178,7 +180,7 @@ class Axis:
         deadline = time.monotonic() + TRANSITION_TIMEOUT
         while (state := self.state()) in states.ENERGISED:
             if time.monotonic() > deadline:
-                raise WrongConfiguration(f"{self.place}: does not leave state '{state.value}' on 'disable voltage'")
+                raise WrongConfiguration(self.place, f"does not leave state '{state.value}' on 'disable voltage'")
             time.sleep(POLL)
         self.energy = Energy.OFF
         self.device.forbid_motion()
@@ -213,7 +215,7 @@ class Axis:
         if state in (State.FAULT, State.FAULT_REACTION):
             code = self.device.error_code()
             raise DriveFault(
-                f"{self.place}: fault {code:04X}h cannot be cleared while its cause persists: remove the cause first"
+                self.place, f"fault {code:04X}h cannot be cleared while its cause persists: remove the cause first"
             )
         self.device.forget_error()
         self.fault = None
@@ -225,9 +227,9 @@ class Axis:
         reading = self.read()
         self.check(reading.state)
         if reading.state is not State.OPERATION_ENABLED:
-            raise NotReady(f"{self.place}: is '{reading.state.value}', must be enabled first")
+            raise NotReady(self.place, f"is '{reading.state.value}', must be enabled first")
         if not self.stands(reading):
-            raise NotReady(f"{self.place}: still moves at {reading.velocity:.4g} {self.profile.unit}/s")
+            raise NotReady(self.place, f"still moves at {reading.velocity:.4g} {self.profile.unit}/s")
         return reading
 
     def start_positioning(self, position: float, velocity: float, stop: threading.Event) -> None:
@@ -245,7 +247,7 @@ class Axis:
                 return
             self.check(self.state())
             if time.monotonic() > deadline:
-                raise WrongConfiguration(f"{self.place}: does not acknowledge the set-point (statusword bit 12)")
+                raise WrongConfiguration(self.place, "does not acknowledge the set-point (statusword bit 12)")
             time.sleep(POLL)
         self._command(states.ENABLE_OPERATION)
 
@@ -254,7 +256,7 @@ class Axis:
         self._watch.check()
         self.device.start_measuring()
         if self.device.measuring_state() is MeasuringState.REJECTED:
-            raise SweepRejected(f"{self.place}: sweep rejected: {self.device.rejection()}")
+            raise SweepRejected(self.place, f"sweep rejected: {self.device.rejection()}")
 
     # -- inside --------------------------------------------------------------------------------------------------
 
@@ -267,7 +269,7 @@ class Axis:
         fault = self.latch_fault(state)
         if fault is not None:
             kind = EmergencyStop if fault.emergency_stop else DriveFault
-            raise kind(f"{self.place}: {fault.text}")
+            raise kind(self.place, fault.text, measured=Measured(fault.code, None, "hex"))
 
     def _check_kept(self, state: State) -> None:
         """MotionForbidden if an axis enabled here lost its energy. Waits so that an external stop can be reported
@@ -279,18 +281,24 @@ class Axis:
                 self.device.look_for_restart()
                 self._check_fault(state)
                 self._watch.seen(
-                    f"{self.place} is '{state.value}', but this service did not disable it: find out what did"
+                    f"{self.place} is '{state.value}', but this service did not disable it: find out what did",
+                    CauseCode.ENERGY_CHANGED,
+                    self.profile.joint,
                 )
                 self._watch.check()
             time.sleep(POLL)
 
     def _notice_enabled(self, state: State) -> None:
         if self.energy is Energy.OFF and state in (State.SWITCHED_ON, State.OPERATION_ENABLED):
-            self._watch.seen(f"{self.place} is '{state.value}', but this service did not enable it: find out what did")
+            self._watch.seen(
+                f"{self.place} is '{state.value}', but this service did not enable it: find out what did",
+                CauseCode.ENERGY_CHANGED,
+                self.profile.joint,
+            )
 
     def _check_wanted(self, stop: threading.Event) -> None:
         if stop.is_set():
-            raise SweepInterrupted(f"{self.place}: was stopped while it was being enabled")
+            raise SweepInterrupted(self.place, "was stopped while it was being enabled")
 
     def _next_state(self, state: State, within: float, stop: threading.Event) -> State:
         """The state that follows `state`, or `state` if it does not change within `within` s or before `stop`."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from drivers.cia402.profile import AxisProfile
 from drivers.cia402.waveform import travel
-from drivers.errors import LimitExceeded, distinct
+from drivers.errors import LimitExceeded, Measured, distinct
 from drivers.ports import NoiseCommand, SweepCommand, SweepMode
 
 MAX_SINES = 16  # of the measuring function
@@ -22,18 +22,21 @@ class Envelope:
     unit: str
     effort_unit: str
 
-    def violation(self, position: float, velocity: float, effort: float) -> str | None:
-        """The limit that this reading exceeds, with value, limit and unit; None if there is none."""
+    def violation(self, position: float, velocity: float, effort: float) -> tuple[str, Measured] | None:
+        """The limit that this reading exceeds; None if there is none."""
         low, high = self.window
         if not low <= position <= high:
             here, lowest, highest = distinct(position, low, high)
-            return f"position {here} {self.unit} is outside {lowest} to {highest} {self.unit}"
+            text = f"position {here} {self.unit} is outside {lowest} to {highest} {self.unit}"
+            return text, Measured(position, low if position < low else high, self.unit)
         if not abs(velocity) <= self.velocity_limit:
             speed, limit = _beyond(velocity, self.velocity_limit)
-            return f"velocity {speed} {self.unit}/s is beyond {limit} {self.unit}/s"
+            text = f"velocity {speed} {self.unit}/s is beyond {limit} {self.unit}/s"
+            return text, Measured(velocity, math.copysign(self.velocity_limit, velocity), f"{self.unit}/s")
         if not abs(effort) <= self.effort_limit:
             strength, limit = _beyond(effort, self.effort_limit)
-            return f"effort {strength} {self.effort_unit} is beyond {limit} {self.effort_unit}"
+            text = f"effort {strength} {self.effort_unit} is beyond {limit} {self.effort_unit}"
+            return text, Measured(effort, math.copysign(self.effort_limit, effort), self.effort_unit)
         return None
 
 
@@ -62,7 +65,7 @@ def check_move(axis: AxisProfile, position: float, velocity: float) -> None:
     if not low <= position <= high:
         target, lowest, highest = distinct(position, low, high)
         raise LimitExceeded(
-            f"{axis.joint}: target position {target} {axis.unit} is outside {lowest} to {highest} {axis.unit}"
+            axis.joint, f"target position {target} {axis.unit} is outside {lowest} to {highest} {axis.unit}"
         )
     _at_most(axis, "velocity", velocity, axis.velocity_limit, f"{axis.unit}/s")
 
@@ -75,38 +78,38 @@ def check_sweep(axis: AxisProfile, command: SweepCommand, start: float, sync_per
     _at_most(axis, "effort limit", command.effort_limit, axis.effort_limit, axis.effort_unit)
     for what, value in (("ramp", command.ramp), ("period", command.period), ("sample rate", command.sample_rate)):
         if not (math.isfinite(value) and value > 0):
-            raise LimitExceeded(f"{axis.joint}: {what} {value} must be above 0")
+            raise LimitExceeded(axis.joint, f"{what} {value} must be above 0")
     if not (math.isfinite(command.settle) and command.settle >= 0 and command.periods >= 1):
         raise LimitExceeded(
-            f"{axis.joint}: settle {command.settle} s must be 0 or more, periods {command.periods} must be 1 or more"
+            axis.joint, f"settle {command.settle} s must be 0 or more, periods {command.periods} must be 1 or more"
         )
     peak = abs(command.offset_velocity) + sum(abs(sine.amplitude) for sine in command.sines)
     if not peak <= command.velocity_limit:
         raise LimitExceeded(
-            f"{axis.joint}: peak velocity {peak:.4g} {axis.unit}/s is beyond the limit of "
-            f"{command.velocity_limit:.4g} {axis.unit}/s"
+            axis.joint,
+            f"peak velocity {peak:.4g} {axis.unit}/s is beyond the limit of {command.velocity_limit:.4g} {axis.unit}/s",
         )
     if command.mode is SweepMode.DRIVE_SIDE and len(command.sines) > MAX_SINES:
-        raise LimitExceeded(f"{axis.joint}: {len(command.sines)} sines are more than the drive's {MAX_SINES}")
+        raise LimitExceeded(axis.joint, f"{len(command.sines)} sines are more than the drive's {MAX_SINES}")
     rate = 1 / sync_period if command.mode is SweepMode.HOST_STREAMED else command.sample_rate
     highest = max((sine.frequency for sine in command.sines), default=0.0)
     if not highest < rate / 2:
         found, _ = distinct(highest, rate / 2, digits=4)
-        raise LimitExceeded(f"{axis.joint}: {found} Hz is not below half the sample rate of {rate:.4g} Hz")
+        raise LimitExceeded(axis.joint, f"{found} Hz is not below half the sample rate of {rate:.4g} Hz")
     low, high = command.position_window
     down, up = travel(command)
     for what, value in (("start", start), ("lowest position", start + down), ("highest position", start + up)):
         if not (low <= value <= high):
             place, lowest, highest = distinct(value, low, high)
             raise LimitExceeded(
-                f"{axis.joint}: {what} {place} {axis.unit} of the sweep is outside its window "
-                f"{lowest} to {highest} {axis.unit}"
+                axis.joint,
+                f"{what} {place} {axis.unit} of the sweep is outside its window {lowest} to {highest} {axis.unit}",
             )
     least, most = axis.position_limits
     if low < least or high > most:
         (from_, lowest), (to, highest) = distinct(low, least), distinct(high, most)
         raise LimitExceeded(
-            f"{axis.joint}: window {from_} to {to} {axis.unit} is outside {lowest} to {highest} {axis.unit}"
+            axis.joint, f"window {from_} to {to} {axis.unit} is outside {lowest} to {highest} {axis.unit}"
         )
 
 
@@ -134,14 +137,15 @@ def check_noise(axis: AxisProfile, command: NoiseCommand, start: float) -> None:
     _at_most(axis, "softening", command.softening, 1.0, "of the speed control")
     if not 0 <= command.lowest <= command.highest < command.sample_rate / 2:
         raise LimitExceeded(
-            f"{axis.joint}: band {command.lowest:.4g} to {command.highest:.4g} Hz must rise and end below half the "
-            f"sample rate of {command.sample_rate:.4g} Hz"
+            axis.joint,
+            f"band {command.lowest:.4g} to {command.highest:.4g} Hz must rise and end below half the "
+            f"sample rate of {command.sample_rate:.4g} Hz",
         )
     if not 0 <= command.seed < 1 << 32:
-        raise LimitExceeded(f"{axis.joint}: seed {command.seed} does not fit 32 bits")
+        raise LimitExceeded(axis.joint, f"seed {command.seed} does not fit 32 bits")
 
 
 def _at_most(axis: AxisProfile, what: str, value: float, limit: float, unit: str) -> None:
     if not 0 < value <= limit:
         shown, most = distinct(value, limit, digits=4)
-        raise LimitExceeded(f"{axis.joint}: {what} {shown} {unit} must be above 0 and at most {most} {unit}")
+        raise LimitExceeded(axis.joint, f"{what} {shown} {unit} must be above 0 and at most {most} {unit}")

@@ -91,14 +91,14 @@ class DriveSweep:
     def _start(self) -> None:
         """On the machine's thread, so that no stop can come between the check and the start."""
         if self._stop.is_set():
-            raise SweepInterrupted(f"{self._axis.place}: sweep was stopped before it started")
+            raise SweepInterrupted(self._axis.place, "sweep was stopped before it started")
         self._axis.start_measuring()
 
     async def _follow(self) -> None:
         grown = time.monotonic()
         while True:
             if self._stop.is_set():
-                raise SweepInterrupted(f"{self._axis.place}: sweep was stopped")
+                raise SweepInterrupted(self._axis.place, "sweep was stopped")
             state, recorded = await self._thread.run(self._watch)
             if state is MeasuringState.DONE:
                 await self._hand_over(recorded)
@@ -107,13 +107,13 @@ class DriveSweep:
             if state is not MeasuringState.RUNNING:
                 await self._thread.run(self._ended, state)
             if recorded > self._most:  # on the drive's clock; a run without offset would never leave its window
-                raise EnvelopeLeft(f"{self._axis.place}: still runs after {recorded} samples, limit {self._most}")
+                raise EnvelopeLeft(self._axis.place, f"still runs after {recorded} samples, limit {self._most}")
             if recorded - self._done >= self._live:
                 grown = time.monotonic()
                 await self._hand_over(min(recorded, self._done + self._largest))
                 continue
             if time.monotonic() - grown > STALLED:
-                raise CommunicationLost(f"{self._axis.place}: no new sample of the measuring function for {STALLED} s")
+                raise CommunicationLost(self._axis.place, f"no new sample of the measuring function for {STALLED} s")
             await asyncio.sleep(POLL)
 
     async def _come_to_rest(self) -> None:
@@ -126,8 +126,8 @@ class DriveSweep:
                 return
             if self._stop.is_set() or time.monotonic() > deadline:
                 raise SweepInterrupted(
-                    f"{self._axis.place}: still moves after its sweep, at {reading.velocity:.4g} "
-                    f"{self._axis.profile.unit}/s"
+                    self._axis.place,
+                    f"still moves after its sweep, at {reading.velocity:.4g} {self._axis.profile.unit}/s",
                 )
             await asyncio.sleep(POLL)
 
@@ -137,7 +137,8 @@ class DriveSweep:
         self._axis.check(reading.state)
         violation = self._envelope.violation(reading.position, reading.velocity, reading.effort)
         if violation is not None:
-            raise EnvelopeLeft(f"{self._axis.place}: {violation}")
+            text, measured = violation
+            raise EnvelopeLeft(self._axis.place, text, measured=measured)
         return self._axis.device.measuring_state(), self._axis.device.samples_recorded()
 
     def _look_for_cause(self) -> None:
@@ -148,7 +149,7 @@ class DriveSweep:
     def _ended(self, state: MeasuringState) -> None:
         """Raises the error that ended the run: a fault may have occurred after `_watch` read the statusword."""
         self._axis.check(self._axis.state())
-        raise SweepInterrupted(f"{self._axis.place}: the drive ended the sweep: {state.name.lower()}")
+        raise SweepInterrupted(self._axis.place, f"the drive ended the sweep: {state.name.lower()}")
 
     async def _hand_over(self, recorded: int) -> None:
         while self._done < recorded:

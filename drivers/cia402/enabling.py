@@ -38,4 +38,4 @@ def _require_alone(axes: Collection[Axis], all_axes: Collection[Axis]) -> None:
         other.check(state)
         if other not in axes and state in states.ENERGISED:
             place = next(iter(axes)).place
-            raise NotReady(f"{place}: {other.place} is '{state.value}'; it must be disabled first")
+            raise NotReady(place, f"{other.place} is '{state.value}'; it must be disabled first")

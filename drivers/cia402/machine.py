@@ -20,7 +20,7 @@ from drivers.cia402.monitoring import look
 from drivers.cia402.positioning import move
 from drivers.cia402.profile import AxisProfile
 from drivers.cia402.stopping import bring_down
-from drivers.errors import DriveError, LimitExceeded, NotReady, StopNotConfirmed
+from drivers.errors import Cause, DriveError, LimitExceeded, NotReady, StopNotConfirmed
 from drivers.ports import (
     AxisIdentity,
     AxisStatus,
@@ -139,7 +139,7 @@ class Cia402Machine:
         if self._closing is not None:
             await asyncio.shield(self._closing)
 
-    def watch(self, tell: Callable[[str], None] | None) -> None:
+    def watch(self, tell: Callable[[Cause], None] | None) -> None:
         self._watched = tell is not None
         self._fieldbus.watch.tell_to(tell)
         self._fieldbus.watch.keep(self._watched or self._link is not None)
@@ -236,7 +236,7 @@ class Cia402Machine:
     async def run_noise(self, command: NoiseCommand) -> AsyncGenerator[SampleBlock, None]:
         axis = self._axis(command.joint)
         if not self._connected().capabilities.torque_injection:
-            raise NotReady(f"{axis.place}: torque noise is not supported by this drive")
+            raise NotReady(axis.place, "torque noise is not supported by this drive")
         async with aclosing(self._run((axis,), (command,))) as blocks:
             async for block in blocks:
                 yield block
@@ -288,7 +288,7 @@ class Cia402Machine:
     def _moving(self, axes: tuple[Axis, ...]) -> Generator[Motion]:
         if self._motion is not None or self._cleanups:
             other = self._motion.axes[0].place if self._motion else "an axis"
-            raise NotReady(f"{axes[0].place}: {other} is under way; one motion at a time")
+            raise NotReady(axes[0].place, f"{other} is under way; one motion at a time")
         self._motion = motion = Motion(axes)
         try:
             yield motion
@@ -354,7 +354,7 @@ class Cia402Machine:
     def _axis(self, joint: str) -> Axis:
         axes = self._connected().axes
         if joint not in axes:
-            raise NotReady(f"{joint}: unknown joint; the machine has {', '.join(axes)}")
+            raise NotReady(joint, f"unknown joint; the machine has {', '.join(axes)}")
         return axes[joint]
 
 
@@ -369,7 +369,7 @@ def _check_together(axes: tuple[Axis, ...], commands: Sequence[SweepCommand], ca
         raise LimitExceeded("a sweep needs at least one axis")
     first = commands[0]
     if first.mode not in can.sweep_modes:
-        raise NotReady(f"{axes[0].place}: sweeps of mode '{first.mode.value}' are not supported by this drive")
+        raise NotReady(axes[0].place, f"sweeps of mode '{first.mode.value}' are not supported by this drive")
     most = can.simultaneous_axes if first.mode is SweepMode.HOST_STREAMED else 1
     if len(commands) > most:
         raise NotReady(f"{len(commands)} axes at once: this machine moves at most {most} in mode '{first.mode.value}'")

@@ -10,7 +10,7 @@ from drivers.cia402 import checks, states
 from drivers.cia402.axis import Axis, Reading
 from drivers.cia402.states import State
 from drivers.cia402.thread import DriveThread
-from drivers.errors import EnvelopeLeft, NotReady, SweepInterrupted, TargetNotReached
+from drivers.errors import EnvelopeLeft, Measured, NotReady, SweepInterrupted, TargetNotReached
 
 POLL = 0.01  # s
 MARGIN = 5.0  # s for at least `LEAST` of the travel that a start from standstill makes in it
@@ -47,15 +47,16 @@ async def move(
     while True:
         reading = await thread.run(axis.read)
         if stop.is_set():
-            raise SweepInterrupted(f"{axis.place}: move to {position:.5g} {profile.unit} was stopped")
+            raise SweepInterrupted(axis.place, f"move to {position:.5g} {profile.unit} was stopped")
         await thread.run(axis.check, reading.state)
         for other in standing:
             await thread.run(other.check_standing)
         if reading.state is not State.OPERATION_ENABLED:
-            raise NotReady(f"{axis.place}: changed to state '{reading.state.value}' during the move")
+            raise NotReady(axis.place, f"changed to state '{reading.state.value}' during the move")
         violation = envelope.violation(reading.position, reading.velocity, reading.effort)
         if violation is not None:
-            raise EnvelopeLeft(f"{axis.place}: {violation}")
+            text, measured = violation
+            raise EnvelopeLeft(axis.place, text, measured=measured)
         now, distance = clock(), abs(position - reading.position)
         waited, before = waited + min(now - before, GAP), now
         if distance <= nearest - least:
@@ -66,9 +67,11 @@ async def move(
         if waited > MARGIN:
             reached = "" if reading.statusword & states.TARGET_REACHED else ", target not reported as reached"
             raise TargetNotReached(
-                f"{axis.place}: {reading.position - position:+.2g} {profile.unit} from its target "
+                axis.place,
+                f"{reading.position - position:+.2g} {profile.unit} from its target "
                 f"{position:.5g} {profile.unit}, no nearer for {MARGIN} s, "
-                f"at {reading.velocity:.2g} {profile.unit}/s{reached}"
+                f"at {reading.velocity:.2g} {profile.unit}/s{reached}",
+                measured=Measured(reading.position - position, ARRIVAL, profile.unit),
             )
         await asyncio.sleep(POLL)
 
@@ -76,7 +79,7 @@ async def move(
 def _start(axis: Axis, position: float, velocity: float, stop: threading.Event) -> None:
     """On the SDO thread, so that no stop can come between the check and the start."""
     if stop.is_set():
-        raise SweepInterrupted(f"{axis.place}: move was stopped before it started")
+        raise SweepInterrupted(axis.place, "move was stopped before it started")
     axis.start_positioning(position, velocity, stop)
 
 

@@ -26,7 +26,7 @@ async def prepared(thread: DriveThread, axis: Axis, command: SweepCommand | Nois
         return
     injector = axis.device.injector
     if injector is None:
-        raise NotReady(f"{axis.place}: the drive cannot inject torque noise")
+        raise NotReady(axis.place, "the drive cannot inject torque noise")
     await thread.run(injector.prepare_noise, command)
     try:
         await thread.run(injector.soften, command.softening)

@@ -73,8 +73,9 @@ async def _confirm_rest(thread: DriveThread, axis: Axis) -> None:
         if time.monotonic() > deadline:
             speed, limit = distinct(abs(reading.velocity), profile.standstill_velocity, digits=4)
             raise WrongConfiguration(
-                f"{axis.place}: is '{reading.state.value}' and turns at {speed} {profile.unit}/s, "
-                f"standstill is at most {limit} {profile.unit}/s"
+                axis.place,
+                f"is '{reading.state.value}' and turns at {speed} {profile.unit}/s, "
+                f"standstill is at most {limit} {profile.unit}/s",
             )
         await asyncio.sleep(POLL)
 

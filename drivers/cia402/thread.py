@@ -8,13 +8,13 @@ from contextlib import suppress
 from functools import partial
 from typing import ParamSpec, TypeVar
 
-from drivers.errors import CommunicationLost, DriveError
+from drivers.errors import CauseCode, CommunicationLost, DriveError
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class StopFirst(DriveError):
+class StopFirst(DriveError, code=CauseCode.SWEEP_INTERRUPTED):
     """A stop waits while a call uses the bus. The call ends by this, and begins again once the stop was sent."""
 
 

@@ -73,8 +73,9 @@ class ModbusDevice:
         rated_torque = self._unit.value("rated_torque")
         if not math.isclose(rated_torque, self.profile.rated_torque, rel_tol=2e-3):
             raise WrongIdentity(
-                f"{self.place}: rated torque of the motor is {rated_torque:.4g} N m, "
-                f"the profile says {self.profile.rated_torque:.4g} N m"
+                self.place,
+                f"rated torque of the motor is {rated_torque:.4g} N m, "
+                f"the profile says {self.profile.rated_torque:.4g} N m",
             )
         self._serial = found[3]
         return AxisIdentity(self.profile.joint, f"unit {self.profile.unit_id}", *found, self._sha256)
@@ -118,7 +119,7 @@ class ModbusDevice:
         deadline = time.monotonic() + MODE_TIMEOUT
         while (shown := self._unit.integer("mode_display")) != mode:
             if time.monotonic() > deadline:
-                raise WrongConfiguration(f"{self.place}: mode {mode} was not accepted, the drive reports mode {shown}")
+                raise WrongConfiguration(self.place, f"mode {mode} was not accepted, the drive reports mode {shown}")
             time.sleep(POLL)
 
     def check_alive(self) -> None:
@@ -186,10 +187,10 @@ class ModbusDevice:
         """
         found = self._check_identity()
         if found[3] != self._serial:
-            raise WrongIdentity(f"{self.place}: serial is {found[3]:08X}h, at connect it was {self._serial:08X}h")
+            raise WrongIdentity(self.place, f"serial is {found[3]:08X}h, at connect it was {self._serial:08X}h")
         self.look_for_restart()
         if self._restarted:
-            raise DriveFault(f"{self.place}: {self.error_text(RESTARTED)}")
+            raise DriveFault(self.place, f"{self.error_text(RESTARTED)}")
         self._settle_session()
 
     def settle_limits(self, velocity: float, effort: float, window: tuple[float, float]) -> None:
@@ -249,7 +250,7 @@ class ModbusDevice:
         try:
             return MeasuringState(number)
         except ValueError:
-            raise WrongConfiguration(f"{self.place}: measuring_state is {number}") from None
+            raise WrongConfiguration(self.place, f"measuring_state is {number}") from None
 
     def rejection(self) -> str:
         reason = self._unit.integer("measuring_reason")
@@ -290,7 +291,7 @@ class ModbusDevice:
         wanted = (expected.vendor, expected.product, expected.revision, expected.serial)
         for name, have, want in zip(("vendor", "product", "revision", "serial"), found, wanted, strict=True):
             if want is not None and have != want:
-                raise WrongIdentity(f"{self.place}: {name} is {have:08X}h, the profile says {want:08X}h")
+                raise WrongIdentity(self.place, f"{name} is {have:08X}h, the profile says {want:08X}h")
         return found
 
     def _look(self) -> None:
@@ -341,5 +342,5 @@ class ModbusDevice:
 
     def _trace(self) -> Trace:
         if self._map.trace is None:
-            raise WrongConfiguration(f"{self.place}: the register map has no measuring function")
+            raise WrongConfiguration(self.place, "the register map has no measuring function")
         return self._map.trace

@@ -21,7 +21,7 @@ from pymodbus.exceptions import ModbusException
 from pymodbus.pdu import ModbusPDU
 
 from drivers.cia402.thread import StopFirst
-from drivers.errors import CommunicationLost, ConnectionFailed, WrongConfiguration
+from drivers.errors import CommunicationLost, ConnectionFailed, Measured, WrongConfiguration
 from drivers.modbus.client import Client, make_client, refusal
 from drivers.modbus.profile import RtuLine, TcpLine
 
@@ -156,7 +156,7 @@ class Line:
             self._require_open()
             self._client.write_registers(address, list(registers), device_id=unit, no_response_expected=True)
         except BROKEN as error:
-            raise CommunicationLost(f"{what}: {error}") from None
+            raise _lost(f"{what}: {error}") from None
         finally:
             self._quiet_from = self._clock.monotonic() + self._profile.answer_time  # nobody reads its answer
 
@@ -165,10 +165,12 @@ class Line:
     def check(self, unit: int, what: str) -> None:
         """Raises CommunicationLost if the unit is lost, or was silent for longer than the watchdog time."""
         if unit in self._lost:
-            raise CommunicationLost(self._lost[unit][1])
+            raise _lost(self._lost[unit][1])
         silent = self._clock.monotonic() - self._heard.get(unit, 0.0)
         if silent > self._profile.watchdog:
-            raise CommunicationLost(f"{what}: no answer for {silent:.2f} s")
+            raise CommunicationLost(
+                what, f"no answer for {silent:.2f} s", measured=Measured(silent, self._profile.watchdog, "s")
+            )
 
     def in_use(self, unit: int) -> bool:
         """Whether the unit may move."""
@@ -198,7 +200,7 @@ class Line:
     def _ask(self, unit: int, what: str, function: int, request: Callable[[], ModbusPDU]) -> ModbusPDU:
         self._require_open()
         if unit in self._lost:
-            raise CommunicationLost(self._lost[unit][1])
+            raise _lost(self._lost[unit][1])
         repeatable = function == READ and self._profile.transport == "rtu"
         try:
             response = self._exchange(unit, request)
@@ -254,4 +256,9 @@ class Line:
         self._lost[unit] = (self._clock.monotonic(), reason)
         if self._profile.transport == "tcp":  # the rest of an answer must not be read by the next request
             self._client.close()
-        raise CommunicationLost(reason)
+        raise _lost(reason)
+
+
+def _lost(reason: str) -> CommunicationLost:
+    """`reason` begins with the axis, as `what` of each request does."""
+    return CommunicationLost(*reason.split(": ", 1))

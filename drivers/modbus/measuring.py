@@ -40,7 +40,7 @@ def parameters(command: SweepCommand, signals: Mapping[str, Signal], gear: Gear)
     frequencies, amplitudes, phases = (signals[name].elements() for name in ("frequency", "amplitude", "phase"))
     room = min(len(frequencies), len(amplitudes), len(phases))
     if len(command.sines) > room:
-        raise LimitExceeded(f"{command.joint}: {len(command.sines)} sines are more than the register map's {room}")
+        raise LimitExceeded(command.joint, f"{len(command.sines)} sines are more than the register map's {room}")
     for sine, frequency, amplitude, phase in zip(command.sines, frequencies, amplitudes, phases, strict=False):
         # A negative gear ratio makes the amplitude negative and does not change the phase.
         speed = gear.rev_per_min(sine.amplitude)
@@ -63,14 +63,14 @@ def samples(
     columns = _columns(registers, count, trace)
     index = columns["cycle"].astype(np.int64)
     if not np.array_equal(index, np.arange(first, first + count)):
-        raise CommunicationLost(f"{place}: trace page from {first} holds other samples")
+        raise CommunicationLost(place, f"trace page from {first} holds other samples")
     load = columns.pop("load_position", None)
     if not all(np.isfinite(column).all() for column in columns.values()):
-        raise CommunicationLost(f"{place}: trace page from {first} holds no numbers")
+        raise CommunicationLost(place, f"trace page from {first} holds no numbers")
     load_position = None
     if axis.load_encoder:
         if load is None or np.isnan(load).any():
-            raise WrongConfiguration(f"{place}: the profile says load_encoder, the trace holds none")
+            raise WrongConfiguration(place, "the profile says load_encoder, the trace holds none")
         load_position = load * (axis.load_encoder_direction * 2 * np.pi)
     return SampleBlock(
         joint=axis.joint,

@@ -60,7 +60,7 @@ class Unit:
         for signal in self._different(different):
             held = self._held([signal])[signal]
             raise WrongConfiguration(
-                f"{self._place}: {signal}: wrote {_shown(signal, wanted[signal])}, drive holds {_shown(signal, held)}"
+                self._place, f"{signal}: wrote {_shown(signal, wanted[signal])}, drive holds {_shown(signal, held)}"
             )
 
     def tell(self, name: str, value: float) -> None:
@@ -82,10 +82,10 @@ class Unit:
         try:
             registers = signal.format.encode(value, setting.rounding)
         except LimitExceeded as error:
-            raise LimitExceeded(f"{self._place}: {signal}: {error}") from None
+            raise LimitExceeded(self._place, f"{signal}: {error}") from None
         near = float(signal.format.decode(registers)[0])
         if abs(near - value) > setting.resolution:
-            raise LimitExceeded(f"{self._place}: {signal}: {value:.9g} would be {near:.9g} in the drive's steps")
+            raise LimitExceeded(self._place, f"{signal}: {value:.9g} would be {near:.9g} in the drive's steps")
         return registers
 
     def _held(self, signals: Iterable[Signal]) -> Registers:

@@ -12,9 +12,9 @@ import math
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 
-from drivers.errors import CommunicationLost, distinct
+from drivers.errors import CauseCode, CommunicationLost, Measured, distinct
 from drivers.ports import AxisState, AxisStatus
-from service.errors import SweepidError
+from service.errors import MotionFailed
 from service.execution.motion import Go
 
 WAY = {"rad": math.radians(0.5), "m": 2e-3}  # by the joint's unit
@@ -25,7 +25,7 @@ MISSED = 0.25  # of the travel, before and after the target: drives have a posit
 _POLL = 0.1  # s, in which it moves 0.05 degrees; the move itself also needs the drives' answers
 
 
-class CheckMoveFailed(SweepidError):
+class CheckMoveFailed(MotionFailed, code=CauseCode.CHECK_MOVE_FAILED):
     """An axis did not move as commanded, or another axis moved. The machine was stopped."""
 
 
@@ -49,14 +49,16 @@ class CheckMove:
         """
         for joint, axis in status.items():
             if axis.state is AxisState.UNKNOWN:
-                raise CommunicationLost(f"{joint}: did not answer in the check move of {self.joint}")
+                raise CommunicationLost(joint, f"did not answer in the check move of {self.joint}")
             moved, unit = axis.position - self.start[joint], self.units[joint]
             limit = ASTRAY * WAY[unit]
             if joint != self.joint and not abs(moved) <= limit:
                 way, most = distinct(abs(moved), limit, digits=2)
                 raise CheckMoveFailed(
-                    f"{joint}: moved by {'-' if moved < 0 else '+'}{way} {unit} in the check move of {self.joint}, "
-                    f"limit {most} {unit}"
+                    joint,
+                    f"moved by {'-' if moved < 0 else '+'}{way} {unit} in the check move of {self.joint}, "
+                    f"limit {most} {unit}",
+                    measured=Measured(abs(moved), limit, unit),
                 )
         forward = self._moved(status) * math.copysign(1.0, self.way)
         if not forward >= -ASTRAY * abs(self.way):
@@ -78,7 +80,9 @@ class CheckMove:
         shown = distinct(self._moved(status), limit, digits=3)
         moved, most = (each if each.startswith("-") else f"+{each}" for each in shown)
         return CheckMoveFailed(
-            f"{joint}: moved by {moved} {unit} in its check move of {self.way:+.3g} {unit}: {why} {most} {unit}"
+            joint,
+            f"moved by {moved} {unit} in its check move of {self.way:+.3g} {unit}: {why} {most} {unit}",
+            measured=Measured(self._moved(status), limit, unit),
         )
 
 

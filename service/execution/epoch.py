@@ -10,6 +10,7 @@ import threading
 from collections import deque
 from dataclasses import dataclass
 
+from drivers.errors import Cause, CauseCode
 from service.errors import Superseded
 
 _REASONS = 1000  # latest ones
@@ -30,13 +31,13 @@ class Epochs:
         self._start = secrets.token_hex(4)  # not a time: the clock of a computer may be set back
         self._lock = threading.Lock()
         self._count = 0
-        self._reasons: deque[tuple[int, str]] = deque(maxlen=_REASONS)  # of the beginnings, oldest first
+        self._reasons: deque[tuple[int, Cause]] = deque(maxlen=_REASONS)  # of the beginnings, oldest first
 
     @property
     def now(self) -> str:
         return f"{self._start}-{self._count}"
 
-    def begin(self, reason: str) -> None:
+    def begin(self, reason: Cause) -> None:
         """Every intention until now is superseded."""
         with self._lock:
             self._count += 1
@@ -50,13 +51,13 @@ class Epochs:
         now = self.now
         return now if shown is None or shown == now else shown if self._number(shown) is not None else ""
 
-    def since(self, intention: Intention) -> str:
-        """What ended the epoch of the intention; "" if nothing did."""
+    def since(self, intention: Intention) -> Cause | None:
+        """What ended the epoch of the intention; None if nothing did."""
         if intention.epoch == self.now:
-            return ""
+            return None
         number = self._number(intention.epoch)
         if number is None:
-            return "this service was started"
+            return Cause(CauseCode.SERVICE_ENDED, detail="this service was started")
         with self._lock:
             return next(reason for count, reason in self._reasons if count > number)
 

@@ -8,6 +8,7 @@ import asyncio
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 
+from drivers.errors import Cause
 from service.execution.machine import Hold, Machine
 from service.stop_process.handle import StopProcess
 from service.tasks.background import Background
@@ -40,15 +41,15 @@ async def listening(
 
 
 @asynccontextmanager
-async def watching(machine: Machine, report: Callable[[str, str], None]) -> AsyncGenerator[None]:
-    """Receive the findings of the host watch during the block. `report`: called with source and reason, as in
+async def watching(machine: Machine, report: Callable[[str, Cause], None]) -> AsyncGenerator[None]:
+    """Receive the findings of the host watch during the block. `report`: called with source and cause, as in
     `listening`.
     """
     async with _holding(machine) as hold:
 
-        def found(why: str) -> None:
-            hold(WATCH, f"{why}; check the machine, release this stop and resume", "", "")
-            report(WATCH, why)
+        def found(cause: Cause) -> None:
+            hold(WATCH, f"{cause}; check the machine, release this stop and resume", "", "", cause)
+            report(WATCH, cause)
 
         machine.watch(found)
         try:
@@ -58,15 +59,15 @@ async def watching(machine: Machine, report: Callable[[str, str], None]) -> Asyn
 
 
 @asynccontextmanager
-async def _holding(machine: Machine) -> AsyncGenerator[Callable[[str, str, str, str], Hold]]:
+async def _holding(machine: Machine) -> AsyncGenerator[Callable[..., Hold]]:
     """A function that holds the machine (arguments of `Machine.seize`); may be called from any thread."""
     loop, confirming = asyncio.get_running_loop(), Background()
 
     def follow(hold: Hold) -> None:
         confirming.begin("confirm a stop", machine.confirm_logged(hold))
 
-    def hold_at_once(by: str, why: str, press: str, source: str) -> Hold:
-        hold = machine.seize(by, why, press, source)
+    def hold_at_once(by: str, why: str, press: str, source: str, cause: Cause | None = None) -> Hold:
+        hold = machine.seize(by, why, press, source, cause)
         loop.call_soon_threadsafe(follow, hold)
         return hold
 

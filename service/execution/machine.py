@@ -4,11 +4,12 @@ import asyncio
 import time
 from collections.abc import AsyncGenerator, Callable, Generator, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 
 import structlog
 
-from drivers.errors import CommunicationLost, DriveError, StopNotConfirmed
+from drivers.errors import Cause, CauseCode, CommunicationLost, DriveError, StopNotConfirmed
 from drivers.ports import (
     AxisIdentity,
     AxisState,
@@ -47,23 +48,24 @@ class Machine:
         latch: StopLatch,
         latched: Sequence[StopDocument],
         order_stop: Callable[[], None] = lambda: None,
-        tell: Callable[[str, str], None] = lambda way, why: None,
+        tell: Callable[[str, Cause], None] = lambda way, cause: None,
     ) -> None:
         """`latched`: the stops in force at the start of the service. `order_stop` makes the stop process send as well.
 
-        `tell` is called with source and reason of each stop that is not latched; it does not wait.
+        `tell` is called with source and cause of each stop that is not latched; it does not wait.
         """
         self._port = port
         self.epochs = Epochs()
         self._holds = LatchedStops(latch, latched)
         self._order_stop, self._tell = order_stop, tell
-        self._ending = ""  # the service ends: no motion until it is started again
-        self._lease_trouble = ""  # why this service may have lost the machine
+        self._ending: Cause | None = None  # the service ends: no motion until it is started again
+        self._lease_trouble: Cause | None = None  # why this service may have lost the machine
         self._lease_over = False  # permanently
         self._user: str | None = None
         self._intention: Intention | None = None  # of the present or last user
         self._identities: tuple[AxisIdentity, ...] = ()
         self._trouble = "not connected yet"
+        self._trouble_cause: Cause | None = None
         self._reports = Reports(port.joints)
         self._sequences = StopSequences(port)
         self._asked = Asking(self.recent_status)
@@ -110,7 +112,7 @@ class Machine:
         """Frames on the bus so far; None if the adapter does not count them."""
         return self._port.bus_traffic if isinstance(self._port, ReportsTraffic) else None
 
-    def watch(self, tell: Callable[[str], None] | None) -> None:
+    def watch(self, tell: Callable[[Cause], None] | None) -> None:
         """Set the function that receives the findings of the host watch; None: no function."""
         self._port.watch(tell)
 
@@ -138,9 +140,9 @@ class Machine:
                 await self._port.close()
                 self._identities = await self._port.connect()
             except DriveError as error:
-                self.lost(str(error))
+                self.lost(str(error), error.cause)
                 raise
-            self._trouble, self._recent = "", None
+            self._trouble, self._trouble_cause, self._recent = "", None, None
             self._reports.connected()
             return self._identities
 
@@ -155,9 +157,9 @@ class Machine:
         if not self.connected:
             await self.connect()
 
-    def lost(self, why: str) -> None:
+    def lost(self, why: str, cause: Cause | None = None) -> None:
         """The connection was lost; no motion until a person connects again."""
-        self._trouble, self._recent = why, None
+        self._trouble, self._trouble_cause, self._recent = why, cause, None
         self._reports.lost(f"not connected: {why}")
 
     @property
@@ -176,6 +178,14 @@ class Machine:
         statement = self.statement
         return self._trouble or (statement.reason if statement.state is Condition.UNKNOWN else "")
 
+    @property
+    def silence_cause(self) -> Cause | None:
+        """The cause of `silence`, if an error or a silent drive is the cause."""
+        if self._trouble or not self.silence:
+            return self._trouble_cause
+        silent = [joint for joint, axis in self.statement.axes.items() if axis.state is Condition.UNKNOWN]
+        return Cause(CauseCode.COMMUNICATION_LOST, silent[0] if len(silent) == 1 else "", detail=self.silence)
+
     async def ask(self) -> Statement:
         """The statement after the drives were asked (`Asking.ask`). Never raises."""
         if self.connected:
@@ -189,11 +199,11 @@ class Machine:
         try:
             status = await self._port.status()
         except CommunicationLost as error:
-            self.lost(str(error))
+            self.lost(str(error), error.cause)
             raise
         self._reports.note(status, asked)
         if self._user is None and all(axis.state is AxisState.UNKNOWN for axis in status.values()):
-            self.lost("no drive answers")
+            self.lost("no drive answers", Cause(CauseCode.COMMUNICATION_LOST, detail="no drive answers"))
         return status
 
     async def recent_status(self) -> Mapping[str, AxisStatus]:
@@ -229,13 +239,13 @@ class Machine:
         hold = self.seize(by, why, press, source)
         return await self._sequences.within(hold, self.confirm(hold), within)
 
-    def seize(self, by: str, why: str, press: str = "", source: str = "") -> Hold:
+    def seize(self, by: str, why: str, press: str = "", source: str = "", cause: Cause | None = None) -> Hold:
         """Block motion and send the stop to every axis; `confirm` must follow. From any thread.
 
         A repetition by the same press, or from the same `source` a moment ago, is the same stop. It begins an epoch all
         the same: a command may have been given since the first, and the person who presses again wants it to end.
         """
-        hold = self._holds.take(by, why, press, source)  # before it is sent: a motion about to start finds it
+        hold = self._holds.take(by, why, press, source, cause)  # before it is sent: a motion about to start finds it
         self.epochs.begin(_stopped(hold.document))
         self._sequences.halt(hold)
         return hold
@@ -261,16 +271,17 @@ class Machine:
 
     def end(self, why: str) -> None:
         """The service ends: every axis is stopped, and motion is blocked. A second call reports nothing."""
-        first, self._ending = not self._ending, self._ending or why
-        self.epochs.begin(why)
+        first, ending = self._ending is None, Cause(CauseCode.SERVICE_ENDED, detail=why)
+        self._ending = self._ending or ending
+        self.epochs.begin(ending)
         self._port.halt()
         if first and self._user is not None:
-            self._tell("end of the service", f"{why} while {self._user} was in progress")
+            self._tell("end of the service", replace(ending, detail=f"{why} while {self._user} was in progress"))
 
-    def broke_off(self, user: str, why: str) -> None:
+    def broke_off(self, user: str, cause: Cause) -> None:
         """Its user ended by its own error, and the axes stand. Reported, unless the reason was reported before."""
-        if not self.held:
-            self._tell(user, why)
+        if self.cause is None:
+            self._tell(user, cause)
 
     async def reset_stop(self, by: str, stops: Sequence[int]) -> tuple[StopDocument, ...]:
         """A person checked the machine and releases these stops; motion is allowed when none remains. Causes no motion.
@@ -296,17 +307,22 @@ class Machine:
     @property
     def forbidden(self) -> str:
         """Why motion is blocked although the drives answer; "" if it is allowed."""
+        return str(self._forbidden or "")
+
+    @property
+    def _forbidden(self) -> Cause | None:
         held = self.latched
-        if held is not None:
-            return _stopped(held)
-        if self._ending:
-            return self._ending
-        return self._lease_trouble
+        return self._ending or self._lease_trouble if held is None else _stopped(held)
+
+    @property
+    def cause(self) -> Cause | None:
+        """Why motion is blocked although the drives answer, or what stopped its present or last user."""
+        return self._forbidden or (None if self._intention is None else self.epochs.since(self._intention))
 
     @property
     def held(self) -> str:
-        """Why motion is blocked although the drives answer, or what stopped its present or last user; "" if neither."""
-        return self.forbidden or ("" if self._intention is None else self.epochs.since(self._intention))
+        """The sentence of `cause`; "" if there is none."""
+        return str(self.cause or "")
 
     def check_may_move(self, intention: Intention) -> None:
         """Raises Conflict while stopped, without lease or not connected; Superseded if the intention is older than one
@@ -356,24 +372,25 @@ class Machine:
             await renew(lease, lease_time, self._renewed, self._stop_quietly)
         except LeaseLost as error:
             _log.error("lease_lost")
-            await self._let_go(f"{error}; restart this service")
+            await self._let_go(Cause(CauseCode.LEASE_LOST, detail=f"{error}; restart this service"))
         except Exception as error:
             _log.error("lease_watch_broke_off", exc_info=error)
-            await self._let_go(f"renewal of the machine lease has ended: {error!r}; restart this service")
+            why = f"renewal of the machine lease has ended: {error!r}; restart this service"
+            await self._let_go(Cause(CauseCode.INTERNAL, detail=why))
             raise
 
     def _renewed(self) -> None:
-        self._lease_trouble = ""
+        self._lease_trouble = None
 
-    async def _let_go(self, why: str) -> None:
+    async def _let_go(self, why: Cause) -> None:
         """Stop and leave the bus permanently: our heartbeat would hide the loss of the host from the drives."""
         self._lease_over = True
         await self._stop_quietly(why)
         async with self._connecting:
             await self._port.close()
-            self.lost(why)
+            self.lost(str(why), why)
 
-    async def _stop_quietly(self, why: str) -> None:
+    async def _stop_quietly(self, why: Cause) -> None:
         self._lease_trouble = why
         self.epochs.begin(why)
         self._tell("lease", why)
@@ -381,7 +398,7 @@ class Machine:
             await self._port.stop()
         except DriveError as error:
             _log.error("stop_not_confirmed", reason=str(error))
-            self.lost(str(error))
+            self.lost(str(error), error.cause)
 
     def _check_connected(self) -> None:
         if self._trouble:
@@ -392,5 +409,5 @@ class Machine:
             raise Conflict(f"{what}: the machine is in use by {self._user}")
 
 
-def _stopped(stop: StopDocument) -> str:
-    return f"stopped by {stop.by}: {stop.why}"
+def _stopped(stop: StopDocument) -> Cause:
+    return replace(stop.cause or Cause(CauseCode.STOPPED), by=stop.by, detail=stop.why)

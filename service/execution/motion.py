@@ -12,7 +12,7 @@ from collections.abc import AsyncGenerator, Callable, Coroutine, Sequence
 from contextlib import aclosing, asynccontextmanager
 from typing import Protocol
 
-from drivers.errors import CommunicationLost, DriveError, distinct
+from drivers.errors import Cause, CommunicationLost, DriveError, distinct
 from drivers.ports import DrivePort, NoiseCommand, SampleBlock, SweepCommand
 from service.errors import Conflict
 from service.execution.statement import Reports
@@ -44,7 +44,7 @@ class Motion:
         port: DrivePort,
         envelope: Bounds,
         check: Callable[[], None],
-        lost: Callable[[str], None],
+        lost: Callable[[str, Cause], None],
         reports: Reports,
     ) -> None:
         self._port, self._envelope, self._check, self._lost = port, envelope, check, lost
@@ -95,14 +95,14 @@ class Motion:
         self._open = False
         if error is None:
             return
-        trouble = [str(error)] if isinstance(error, CommunicationLost) else []
+        trouble = [(str(error), error.cause)] if isinstance(error, CommunicationLost) else []
         try:
             await self._port.stop()
         except DriveError as unconfirmed:
-            trouble.append(f"the stop is not confirmed: {unconfirmed}")
-            error.add_note(trouble[-1])
+            trouble.append((f"the stop is not confirmed: {unconfirmed}", unconfirmed.cause))
+            error.add_note(trouble[-1][0])
         if trouble:
-            self._lost("; ".join(trouble))
+            self._lost("; ".join(told for told, _ in trouble), trouble[0][1])
 
     def _may_move(self) -> None:
         if not self._open:

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
-from drivers.errors import DriveError
+from drivers.errors import Cause, CauseCode, DriveError
 from service.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.campaigns.stop_criterion import confidence_reached
 from service.errors import Conflict, NotFound, SweepidError
@@ -59,7 +59,7 @@ class Runner:
         self._running: int | None = None
         self._attendance: SignOfLife | None = None  # of the running campaign
         self._origins: dict[int, float] = {}  # starts of campaigns on the monotonic clock, s
-        self._unstored = ""  # why the last campaign broke off, until it is stored; no motion before that
+        self._unstored: Cause | None = None  # of the last campaign's end, until it is stored; no motion before
 
     @property
     def running(self) -> int | None:
@@ -108,7 +108,7 @@ class Runner:
         async with self._commands:
             await self._tell()
             return await asyncio.to_thread(
-                self._store.move_campaign, campaign_id, campaign_move(CampaignEvent.PAUSE), "", if_version
+                self._store.move_campaign, campaign_id, campaign_move(CampaignEvent.PAUSE), None, if_version
             )
 
     async def resume(
@@ -135,7 +135,7 @@ class Runner:
         self, campaign_id: int, intention: Intention, if_version: int | None, attended: float | None
     ) -> CampaignDocument:
         move = self._if_wanted(_take_back_pause, intention)
-        campaign = await asyncio.to_thread(self._store.move_campaign, campaign_id, move, "", if_version)
+        campaign = await asyncio.to_thread(self._store.move_campaign, campaign_id, move, None, if_version)
         if attended is not None and self._running == campaign_id:
             self._attend(campaign_id, attended)
         return campaign
@@ -156,13 +156,13 @@ class Runner:
                 raise StaleVersion(f"campaign {campaign_id} is at version {campaign.version}, not {if_version}")
             campaign_move(CampaignEvent.ABORT)(campaign.state)
             if self._running == campaign_id:
-                await self._end_task(f"aborted: {why}")
+                await self._end_task(Cause(CauseCode.ABORTED, detail=f"aborted: {why}"))
             await self._tell()
             return await asyncio.to_thread(
                 self._store.move_campaign,
                 campaign_id,
                 campaign_move(CampaignEvent.ABORT),
-                why,
+                Cause(CauseCode.ABORTED, detail=why),
                 None,
                 {SweepState.PLANNED: sweep_move(SweepEvent.SKIP)},
             )
@@ -170,7 +170,7 @@ class Runner:
     async def close(self) -> None:
         """The service ends: stop the machine, leave the campaign paused."""
         async with self._commands:
-            await self._end_task("the service ended")
+            await self._end_task(Cause(CauseCode.SERVICE_ENDED, detail="the service ended"))
 
     async def finished(self) -> None:
         """Wait until no campaign runs."""
@@ -228,7 +228,7 @@ class Runner:
                 self._store.move_campaign,
                 campaign_id,
                 self._if_wanted(campaign_move(event), intention),
-                "",
+                None,
                 if_version,
                 {SweepState.FAILED: again, SweepState.INTERRUPTED: again} if repeat else {},
             )
@@ -255,11 +255,11 @@ class Runner:
             positions = positions_of(await self._machine.status())
             await asyncio.to_thread(check_seen, seen, compiled, due[0].spec.pose, positions)
 
-    def _missed(self, task: asyncio.Task[None], campaign_id: int, cause: str) -> None:
+    def _missed(self, task: asyncio.Task[None], campaign_id: int, cause: Cause) -> None:
         task.cancel(cause)
         self._machine.broke_off(f"campaign {campaign_id}", cause)
 
-    async def _end_task(self, why: str) -> None:
+    async def _end_task(self, why: Cause) -> None:
         if self._task is not None and not self._task.done():
             self._task.cancel(why)
             await asyncio.wait([self._task])
@@ -293,7 +293,8 @@ class Runner:
                     if not due or known:
                         in_parts = any(sweep.state is SweepState.PLANNED for sweep in sweeps)
                         skip = {SweepState.PLANNED: sweep_move(SweepEvent.SKIP)}
-                        cause = known or (_IN_PARTS if in_parts else "")
+                        why = known or (_IN_PARTS if in_parts else "")
+                        cause = Cause(CauseCode.SWEEPS_SKIPPED, detail=why) if why else None
                         await self._move(campaign.id, CampaignEvent.MEASURED, cause, skip)
                         await self._jobs.settle(campaign.id)
                         return
@@ -338,7 +339,7 @@ class Runner:
             except SQLAlchemyError as refused:
                 refusals += 1
                 if refusals == 1:
-                    _log.error("end_not_stored", cause=self._unstored, reason=refusal(refused))
+                    _log.error("end_not_stored", cause=str(self._unstored), reason=refusal(refused))
             if not wait:
                 return
             await asyncio.sleep(RETRY)
@@ -347,13 +348,14 @@ class Runner:
         """Store the end of a campaign that broke off, if that is pending. Raises SQLAlchemyError if refused."""
         if self._unstored:
             await self._executor.end_runs(self._unstored)
-            self._unstored = ""
+            self._unstored = None
 
     async def _next_is_due(self, campaign_id: int) -> bool:
         campaign = await asyncio.to_thread(self._store.campaign, campaign_id)
         if campaign.state is CampaignState.PAUSING:
             try:
-                await self._move(campaign_id, CampaignEvent.HELD, "paused by request")
+                held = Cause(CauseCode.PAUSED, detail="paused by request")
+                await self._move(campaign_id, CampaignEvent.HELD, held)
             except Conflict:  # the pause was cancelled at this moment
                 return await self._next_is_due(campaign_id)
             return False
@@ -374,11 +376,11 @@ class Runner:
         self,
         campaign_id: int,
         event: CampaignEvent,
-        cause: str = "",
+        cause: Cause | None = None,
         sweeps: Mapping[SweepState, SweepMove] = MappingProxyType({}),
     ) -> None:
         await asyncio.to_thread(self._store.move_campaign, campaign_id, campaign_move(event), cause, None, sweeps)
-        _log.info("campaign", campaign=campaign_id, happened=event.value, cause=cause)
+        _log.info("campaign", campaign=campaign_id, happened=event.value, cause=str(cause or ""))
 
 
 def _take_back_pause(state: CampaignState) -> CampaignState:

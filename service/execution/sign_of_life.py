@@ -3,13 +3,15 @@
 import asyncio
 from collections.abc import Callable
 
+from drivers.errors import Cause, CauseCode
+
 
 class SignOfLife:
     """For one run of a campaign, on the event loop. `missed` is called once, with the cause, unless `end` is called
     before.
     """
 
-    def __init__(self, within: float, missed: Callable[[str], None]) -> None:
+    def __init__(self, within: float, missed: Callable[[Cause], None]) -> None:
         """`within`: maximum time between two signs of life, s; the first one is the start."""
         self.within = within
         self._missed = missed
@@ -29,8 +31,9 @@ class SignOfLife:
         self._timer.cancel()
 
     def _set(self) -> asyncio.TimerHandle:
-        cause = (
+        why = (
             f"no sign of life within {self.within:g} s, which the start of this run requires: no "
             "person monitors the machine"
         )
+        cause = Cause(CauseCode.SIGN_OF_LIFE, limit=self.within, unit="s", detail=why)
         return self._loop.call_later(self.within, self._missed, cause)

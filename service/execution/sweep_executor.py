@@ -5,13 +5,13 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import ParamSpec, TypeVar
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
-from drivers.errors import SweepInterrupted
+from drivers.errors import Cause, CauseCode, CausedError, SweepInterrupted
 from drivers.ports import AxisStatus
 from service.campaigns.live import LiveHub
 from service.campaigns.state_machine import SweepEvent, sweep_move
@@ -123,7 +123,7 @@ class SweepExecutor:
         finally:
             self.under_way = None
 
-    async def end_runs(self, cause: str) -> None:
+    async def end_runs(self, cause: Cause) -> None:
         """Store that nothing runs any more, if the database refused it before. Raises SQLAlchemyError if it
         still does.
         """
@@ -267,10 +267,10 @@ class SweepExecutor:
         for each in left:
             await self._abandon(each, event, cause)
 
-    async def _abandon(self, each: BegunSweep, event: SweepEvent, cause: str) -> None:
+    async def _abandon(self, each: BegunSweep, event: SweepEvent, cause: Cause) -> None:
         """Keep the samples of a sweep, and end it in the store, if that is possible."""
         run = each.run
-        _log.error("sweep_given_up", campaign=run.campaign_id, sweep=run.number, cause=cause)
+        _log.error("sweep_given_up", campaign=run.campaign_id, sweep=run.number, cause=str(cause))
         try:
             await self._on_disk(break_off, self._store, self._files, run, event, cause, each.facts)
         except (SQLAlchemyError, SweepidError) as refused:  # the others must be ended as well
@@ -287,14 +287,24 @@ def _pose_of(status: Mapping[str, AxisStatus], sweep: SweepDocument, compiled: C
     return tuple(positions.get(joint, planned) for joint, planned in zip(compiled.joints, sweep.spec.pose, strict=True))
 
 
-def cause_of(machine: Machine, error: BaseException) -> str:
+def cause_of(machine: Machine, error: BaseException) -> Cause:
     """The cause for the person: who stopped the machine, or the error, with later notes."""
-    if machine.held:
-        cause = machine.held
-    elif isinstance(error, asyncio.CancelledError):
-        cause = str(error) or "cancelled"
-    elif isinstance(error, SQLAlchemyError):
-        cause = refusal(error)
-    else:
-        cause = f"{type(error).__name__}: {error}"
-    return "; ".join([cause, *getattr(error, "__notes__", ())])
+    cause = machine.cause or cause_of_error(error)
+    return replace(cause, detail="; ".join([cause.detail, *getattr(error, "__notes__", ())]))
+
+
+def cause_of_error(error: BaseException) -> Cause:
+    told = f"{type(error).__name__}: {error}"
+    match error:
+        case asyncio.CancelledError(args=(Cause() as cause,)):
+            return cause
+        case CausedError():
+            return error.cause
+        case SQLAlchemyError():
+            return Cause(CauseCode.NOT_STORED, detail=refusal(error))
+        case OSError():
+            return Cause(CauseCode.NOT_STORED, detail=told)
+        case SweepidError():
+            return Cause(CauseCode.REFUSED, detail=told)
+        case _:
+            return Cause(CauseCode.INTERNAL, detail=told)

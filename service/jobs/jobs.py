@@ -18,6 +18,7 @@ from functools import partial
 import structlog
 from structlog.contextvars import bound_contextvars
 
+from drivers.errors import Cause, CauseCode
 from service.campaigns.linked_analysis import analysis_behind
 from service.campaigns.linked_campaign import campaign_beside
 from service.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
@@ -85,7 +86,8 @@ class Jobs:
         campaign = await asyncio.to_thread(self._store.campaign, campaign_id)
         if campaign.state is CampaignState.MEASURED and SweepState.RECORDED not in campaign.sweeps:
             identified = campaign_move(CampaignEvent.IDENTIFIED)
-            await asyncio.to_thread(self._store.move_campaign, campaign_id, identified, campaign.cause)
+            cause = campaign.structured_cause
+            await asyncio.to_thread(self._store.move_campaign, campaign_id, identified, cause)
 
     async def close(self) -> None:
         """Stop; the next process continues the open jobs."""
@@ -116,17 +118,17 @@ class Jobs:
             with TRACING.span("identification", campaign=last.campaign_id, sweep=last.number):
                 await self._identify(sweeps)
         except (JobFailed, BadInput) as error:
-            cause = f"identification: {error}"
+            cause = Cause(CauseCode.NOT_IDENTIFIED, last.spec.axis, detail=f"identification: {error}")
             if len(sweeps) > 1:
                 _log.warning(
                     "sweeps_identified_singly",
                     campaign=last.campaign_id,
                     first=first.number,
                     last=last.number,
-                    cause=cause,
+                    cause=str(cause),
                 )
                 return False
-            _log.error("identification_failed", campaign=last.campaign_id, sweep=last.number, cause=cause)
+            _log.error("identification_failed", campaign=last.campaign_id, sweep=last.number, cause=str(cause))
             await asyncio.to_thread(
                 self._store.move_sweep, last.campaign_id, last.number, sweep_move(SweepEvent.FAIL), cause
             )

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict
 
 from service.campaigns.linked_campaign import campaign_beside
 from service.campaigns.plan_subject import plan_subject
+from service.causes import in_words
 from service.errors import Conflict, NotFound
 from service.fleet.document import Fleet
 from service.identification.motion.trajectory_record import runs_at_once
@@ -193,7 +194,7 @@ def _model(estimate: Estimate) -> str:
 
 def _campaign(campaign: CampaignDocument) -> str:
     states = ", ".join(f"{count} {state.value}" for state, count in campaign.sweeps.items())
-    cause = f": {campaign.cause}" if campaign.cause else ""
+    cause = f": {in_words(campaign.structured_cause)}" if campaign.structured_cause else ""
     plan = "imported" if campaign.plan_id is None else f"plan {campaign.plan_id}"
     return f"number {campaign.id}, {plan}, {campaign.state.value}{cause}; sweeps: {states}"
 

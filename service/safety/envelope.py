@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from drivers.errors import distinct
+from drivers.errors import CauseCode, Measured, distinct
 from drivers.ports import NoiseCommand, SampleBlock, Sine, SweepCommand
 from service.errors import EnvelopeViolation
 from service.geometry.cell import Cell
@@ -104,8 +104,10 @@ class Envelope:
         start[index] = window[0]
         if not self.checker.leg_free(start, index, window[1]):
             raise EnvelopeViolation(
-                f"{joint}: the sweep's window {window[0]:.4f} to {window[1]:.4f} {self._unit(index)} is not free: "
-                f"clearance under {self._cell.clearance} m in cell {self._cell.name}"
+                joint,
+                f"the sweep's window {window[0]:.4f} to {window[1]:.4f} {self._unit(index)} is not free: "
+                f"clearance under {self._cell.clearance} m in cell {self._cell.name}",
+                code=CauseCode.PATH_NOT_FREE,
             )
 
     def check_run(self, commands: Sequence[Command], pose: Sequence[float]) -> None:
@@ -142,8 +144,9 @@ class Envelope:
         if not self.checker.path_free(motion.position):
             moving = ", ".join(command.joint for command in commands)
             raise EnvelopeViolation(
-                f"{moving}: the trajectory is not free: "
-                f"clearance under {self._cell.clearance} m in cell {self._cell.name}"
+                moving,
+                f"the trajectory is not free: clearance under {self._cell.clearance} m in cell {self._cell.name}",
+                code=CauseCode.PATH_NOT_FREE,
             )
 
     def check_move(self, joint: str, pose: Sequence[float], target: float, velocity: float) -> None:
@@ -157,8 +160,10 @@ class Envelope:
         _at_most(joint, "velocity of the move", velocity, limit, f"{self._unit(index)}/s")
         if not self.checker.leg_free(pose, index, target):
             raise EnvelopeViolation(
-                f"{joint}: the path from {pose[index]:.4f} to {target:.4f} {self._unit(index)} is not "
-                f"free: clearance under {self._cell.clearance} m in cell {self._cell.name}"
+                joint,
+                f"the path from {pose[index]:.4f} to {target:.4f} {self._unit(index)} is not "
+                f"free: clearance under {self._cell.clearance} m in cell {self._cell.name}",
+                code=CauseCode.PATH_NOT_FREE,
             )
 
     def check_standing(
@@ -182,7 +187,7 @@ class Envelope:
         """
         index = self._index(block.joint)
         if block.joint != command.joint:
-            raise EnvelopeViolation(f"{block.joint}: moves although {command.joint} is the axis of the sweep")
+            raise EnvelopeViolation(block.joint, f"moves although {command.joint} is the axis of the sweep")
         unit = self._unit(index)
         low, high = command.position_window
         _all_within(block.joint, "position", block.position, low, high, unit)
@@ -209,7 +214,8 @@ class Envelope:
         if legs is None:
             raise EnvelopeViolation(
                 f"no collision-free path of single-axis moves from {_shown(start)} to {_shown(goal)} "
-                f"was found in cell {self._cell.name}"
+                f"was found in cell {self._cell.name}",
+                code=CauseCode.PATH_NOT_FREE,
             )
         return legs
 
@@ -271,7 +277,7 @@ class Envelope:
 
     def _index(self, joint: str) -> int:
         if joint not in self._robot.joints:
-            raise EnvelopeViolation(f"{joint}: robot {self._robot.name} has {', '.join(self._robot.joints)}")
+            raise EnvelopeViolation(joint, f"robot {self._robot.name} has {', '.join(self._robot.joints)}")
         return self._robot.joints.index(joint)
 
     def _check_pose(self, pose: Sequence[float]) -> None:
@@ -288,7 +294,7 @@ class Envelope:
         numbers = [command.offset_velocity, *command.position_window]
         numbers += [number for sine in sines for number in (sine.amplitude, sine.phase)]
         if not all(map(math.isfinite, numbers)):
-            raise EnvelopeViolation(f"{command.joint}: a number of the sweep is not finite")
+            raise EnvelopeViolation(command.joint, "a number of the sweep is not finite")
         for name, value in (
             ("ramp", command.ramp),
             ("period", command.period),
@@ -297,9 +303,9 @@ class Envelope:
             *_noise_numbers(command),
         ):
             if not 0 < value < math.inf:
-                raise EnvelopeViolation(f"{command.joint}: {name} of the sweep is {value}, must be above 0")
+                raise EnvelopeViolation(command.joint, f"{name} of the sweep is {value}, must be above 0")
         if not (command.settle >= 0 and command.periods >= 1):
-            raise EnvelopeViolation(f"{command.joint}: {command.periods} periods and {command.settle} s to settle")
+            raise EnvelopeViolation(command.joint, f"{command.periods} periods and {command.settle} s to settle")
         if isinstance(command, NoiseCommand):
             _at_most(command.joint, "softening", command.softening, 1.0, "of the gain")
         _at_most(command.joint, "duration", command.duration, self.limits.sweep_duration, "s")
@@ -350,13 +356,16 @@ def _noise_numbers(command: Command) -> tuple[tuple[str, float], ...]:
 def _at_most(joint: str, quantity: str, value: float, limit: float, unit: str) -> None:
     if not value <= limit:
         shown, most = distinct(value, limit, digits=4)
-        raise EnvelopeViolation(f"{joint}: {quantity} {shown} {unit} is above the limit {most} {unit}")
+        text = f"{quantity} {shown} {unit} is above the limit {most} {unit}"
+        raise EnvelopeViolation(joint, text, measured=Measured(value, limit, unit))
 
 
 def _within(joint: str, quantity: str, value: float, limits: tuple[float, float], unit: str) -> None:
     if not limits[0] <= value <= limits[1]:
         shown, low, high = distinct(value, *limits)
-        raise EnvelopeViolation(f"{joint}: {quantity} {shown} {unit} is outside {low} to {high} {unit}")
+        text = f"{quantity} {shown} {unit} is outside {low} to {high} {unit}"
+        beyond = limits[0] if value < limits[0] else limits[1]
+        raise EnvelopeViolation(joint, text, measured=Measured(value, beyond, unit))
 
 
 def _all_within(joint: str, quantity: str, values: Array, low: float, high: float, unit: str) -> None:

@@ -13,6 +13,7 @@ from typing import Annotated, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, JsonValue
 
+from drivers.errors import Cause
 from drivers.ports import SweepMode
 from service.recording import SweepSpec
 from service.results.estimate import Estimate
@@ -123,6 +124,7 @@ class CampaignDocument(_Document):
     plan_id: int | None
     state: CampaignState
     cause: str
+    structured_cause: Cause | None = None
     version: int
     sweeps: dict[SweepState, int]  # number of sweeps by state; states without sweeps are omitted
     created_at: datetime
@@ -138,6 +140,7 @@ class SweepDocument(_Document):
     mode: SweepMode | None  # None: imported
     state: SweepState
     cause: str
+    structured_cause: Cause | None = None
     attempt: int  # 0 before the first run, +1 with every run
 
 
@@ -200,11 +203,12 @@ class EventDocument(_Document):
 
 
 class StopDocument(_Document):
-    """A stop command; the machine is latched while `reset_at` is None."""
+    """A stop command; the machine is latched while `reset_at` is None. `cause`: None if a person stopped it."""
 
     id: int
     by: str
     why: str
+    cause: Cause | None = None
     at: datetime
     reset_by: str | None
     reset_at: datetime | None

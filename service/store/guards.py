@@ -11,6 +11,7 @@ from pydantic import JsonValue
 from sqlalchemy import Select, delete, select, update
 from sqlalchemy.orm import Session
 
+from drivers.errors import Cause
 from service.errors import Conflict, NotFound
 from service.store import rows
 from service.store import tables as t
@@ -121,10 +122,12 @@ class StopLatch:
         with self._database.read() as session:
             return tuple(_document(row) for row in session.scalars(_open_stops(session)))
 
-    def latch(self, by: str, why: str, at: datetime | None = None) -> StopDocument:
+    def latch(self, by: str, why: str, at: datetime | None = None, cause: Cause | None = None) -> StopDocument:
         """`at`: time of the stop, None: now."""
         with self._database.write(patience=PATIENCE) as session:
-            row = t.StopRow(machine_id=rows.own(session), by=by, why=why, at=at or t.now())
+            row = t.StopRow(
+                machine_id=rows.own(session), by=by, why=why, at=at or t.now(), cause=rows.cause_json(cause)
+            )
             session.add(row)
             session.flush()
             _emit(session, [row.id], True, by, why)
@@ -159,4 +162,12 @@ def _emit(session: Session, stops: Sequence[int], latched: bool, by: str, why: s
 
 
 def _document(row: t.StopRow) -> StopDocument:
-    return StopDocument(id=row.id, by=row.by, why=row.why, at=row.at, reset_by=row.reset_by, reset_at=row.reset_at)
+    return StopDocument(
+        id=row.id,
+        by=row.by,
+        why=row.why,
+        cause=rows.cause_of(row.cause),
+        at=row.at,
+        reset_by=row.reset_by,
+        reset_at=row.reset_at,
+    )

@@ -3,10 +3,11 @@
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
-from pydantic import JsonValue
+from pydantic import JsonValue, TypeAdapter
 from sqlalchemy import ColumnElement, Select, func, select
 from sqlalchemy.orm import Session
 
+from drivers.errors import Cause
 from service.errors import Conflict, NotFound
 from service.recording import SweepSpec
 from service.robot import Robot, RobotDescription
@@ -26,6 +27,7 @@ from service.store.documents import (
 )
 
 Row = TypeVar("Row", bound=t.Base)
+_CAUSE = TypeAdapter(Cause)
 
 
 class NoMachine(Conflict):
@@ -132,21 +134,34 @@ def add_sweeps(
 
 
 def move_sweep(
-    session: Session, row: t.SweepRow, move: Callable[[SweepState], SweepState], cause: str
+    session: Session, row: t.SweepRow, move: Callable[[SweepState], SweepState], cause: Cause | None
 ) -> SweepDocument:
     """Change the state of a sweep and emit the event."""
     row.state = move(row.state)
-    row.cause = cause
+    set_cause(row, cause)
     document = sweep_document(row)
     data: dict[str, JsonValue] = {
         "number": row.number,
         "state": row.state.value,
-        "cause": cause,
+        "cause": row.cause,
         "axis": document.spec.axis,
         "attempt": row.attempt,
     }
     emit(session, row.campaign_id, EventKind.SWEEP, data)
     return document
+
+
+def set_cause(row: t.CampaignRow | t.SweepRow, cause: Cause | None) -> None:
+    """The sentence, and beside it the cause for programs and pages."""
+    row.cause, row.structured_cause = str(cause or ""), cause_json(cause)
+
+
+def cause_json(cause: Cause | None) -> dict[str, JsonValue] | None:
+    return None if cause is None else _CAUSE.dump_python(cause, mode="json")
+
+
+def cause_of(stored: dict[str, JsonValue] | None) -> Cause | None:
+    return None if stored is None else _CAUSE.validate_python(stored)
 
 
 def emit_campaign(session: Session, row: t.CampaignRow) -> None:
@@ -193,6 +208,7 @@ def campaign_document(session: Session, row: t.CampaignRow) -> CampaignDocument:
         plan_id=row.plan_id,
         state=row.state,
         cause=row.cause,
+        structured_cause=cause_of(row.structured_cause),
         version=row.version,
         sweeps=dict(session.execute(counts).all()),
         created_at=row.created_at,
@@ -208,6 +224,7 @@ def sweep_document(row: t.SweepRow) -> SweepDocument:
         mode=row.mode,
         state=row.state,
         cause=row.cause,
+        structured_cause=cause_of(row.structured_cause),
         attempt=row.attempt,
     )
 
@@ -251,7 +268,7 @@ def add_estimate(
     emit(session, last.campaign_id, EventKind.ESTIMATE, data)
     for row, (_, spectrum) in zip(found, identified, strict=True):
         session.add(t.SpectrumRow(sweep_id=row.id, **spectrum.model_dump()))
-        move_sweep(session, row, move, "")
+        move_sweep(session, row, move, None)
     session.flush()
     return estimate_document(estimate, last.number)
 

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from pydantic import JsonValue
 from sqlalchemy import func, select
 
+from drivers.errors import Cause
 from service.errors import Conflict, NotFound
 from service.recording import SweepSpec
 from service.robot import Robot
@@ -285,7 +286,7 @@ class Store:
         self,
         campaign_id: int,
         move: CampaignMove,
-        cause: str = "",
+        cause: Cause | None = None,
         if_version: int | None = None,
         sweeps: Mapping[SweepState, SweepMove] = MappingProxyType({}),
     ) -> CampaignDocument:
@@ -298,7 +299,7 @@ class Store:
             if if_version is not None and if_version != row.version:
                 raise StaleVersion(f"campaign {campaign_id} is at version {row.version}, not {if_version}")
             row.state = move(row.state)
-            row.cause = cause
+            rows.set_cause(row, cause)
             row.version += 1
             if row.state is CampaignState.RUNNING and row.started_at is None:
                 row.started_at = t.now()
@@ -313,9 +314,9 @@ class Store:
         with self._database.write() as session:
             row = rows.own_sweep(session, campaign_id, number)
             row.attempt = max(row.attempt, last_attempt) + 1
-            return rows.move_sweep(session, row, move, "")
+            return rows.move_sweep(session, row, move, None)
 
-    def move_sweep(self, campaign_id: int, number: int, move: SweepMove, cause: str = "") -> SweepDocument:
+    def move_sweep(self, campaign_id: int, number: int, move: SweepMove, cause: Cause | None = None) -> SweepDocument:
         with self._database.write() as session:
             return rows.move_sweep(session, rows.own_sweep(session, campaign_id, number), move, cause)
 
@@ -324,7 +325,7 @@ class Store:
         campaign_id: int,
         number: int,
         move: SweepMove,
-        cause: str = "",
+        cause: Cause | None = None,
         spec: SweepSpec | None = None,
         recording: NewRecording | None = None,
     ) -> SweepDocument:

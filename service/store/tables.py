@@ -115,6 +115,7 @@ class CampaignRow(Base):
     plan_id: Mapped[int | None] = mapped_column(ForeignKey("plan.id"))
     state: Mapped[CampaignState]
     cause: Mapped[str] = mapped_column(default="")
+    structured_cause: Mapped[dict[str, JsonValue] | None]
     version: Mapped[int] = mapped_column(default=1)
     created_at: Mapped[datetime] = mapped_column(default=now)
     started_at: Mapped[datetime | None]
@@ -130,6 +131,7 @@ class SweepRow(Base):
     mode: Mapped[SweepMode | None]
     state: Mapped[SweepState]
     cause: Mapped[str] = mapped_column(default="")
+    structured_cause: Mapped[dict[str, JsonValue] | None]
     attempt: Mapped[int] = mapped_column(default=0)
 
 
@@ -328,6 +330,7 @@ class StopRow(Base):
     machine_id: Mapped[int]
     by: Mapped[str]
     why: Mapped[str]
+    cause: Mapped[dict[str, JsonValue] | None]  # None: a person
     at: Mapped[datetime] = mapped_column(default=now)
     reset_by: Mapped[str | None]
     reset_at: Mapped[datetime | None]

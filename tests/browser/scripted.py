@@ -45,7 +45,14 @@ def statement(state: str = "stands", reason: str = "", **axes: str) -> Json:
 
 def drives(**changed: object) -> Json:
     """A connected machine at rest."""
-    rest: Json = {"connected": True, "trouble": "", "held": "", "capabilities": None, "statement": statement()}
+    rest: Json = {
+        "connected": True,
+        "trouble": "",
+        "trouble_cause": None,
+        "held": "",
+        "capabilities": None,
+        "statement": statement(),
+    }
     return rest | {"axes": [axis(joint) for joint in JOINTS]} | changed
 
 
@@ -53,11 +60,17 @@ def campaign(number: int = 1, **changed: object) -> Json:
     """A paused one without a plan."""
     rest: Json = {
         "id": number, "machine": "cell", "here": True, "robot_id": 1, "plan_id": None, "state": "paused", "cause": "",
+        "structured_cause": None,
         "version": 1, "sweeps": {}, "created_at": "2026-03-02T12:00:00Z", "started_at": None, "motion": [],
         "progress": {"done": 0, "total": 2, "remaining": 60.0, "repeat": 0.0, "current": None},
         "check_move": None, "attended": None, "data_check": None,
     }  # fmt: skip
     return rest | changed
+
+
+def cause(code: str, **fields: object) -> Json:
+    """As in GET /campaigns."""
+    return {"code": code, "joint": "", "value": None, "limit": None, "unit": "", "by": "", "detail": ""} | fields
 
 
 def robot() -> Json:

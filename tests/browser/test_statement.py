@@ -5,12 +5,13 @@ from playwright.sync_api import BrowserContext, Page, expect
 
 from tests.browser.browsing import window
 from tests.browser.looking import cut, faint, green, settled, small, too_wide
-from tests.browser.scripted import JOINTS, Json, Scripted, campaign, drives, scripted, statement
+from tests.browser.scripted import JOINTS, Json, Scripted, campaign, cause, drives, scripted, statement
 from tests.programs import needs
 from tests.system.rest_bench import until
 
 pytestmark = needs("chromium")
-RAW = "joint_2 (node 2): +2.6e-05 rad from its target -0.53232 rad after 6.0 s, at 0.0012 rad/s"
+RAW = "TargetNotReached: joint_2 (node 2): +0.0026 rad from its target -0.53232 rad"
+TARGET = cause("target_not_reached", joint="joint_2", value=0.0026, limit=0.002, unit="rad", detail=RAW)
 SILENCE = "The service does not answer. Assume that the machine moves: use the emergency stop."
 MODEL: Json = {
     "id": 1, "robot_id": 1, "revision": 1, "parent": None, "diagnosis_id": 4, "accepted_by": "Ada",
@@ -49,20 +50,22 @@ def test_the_state_that_is_shown_is_the_statement(stated: Json, shown: str, is_g
 
 
 @pytest.mark.parametrize(
-    ("locale", "pill", "what", "way", "details"),
+    ("locale", "pill", "what", "way"),
     [
         (
-            "en-US", "campaign 1 is interrupted", "joint_2: did not come to rest at its target in time",
-            ["Check joint_2", "Resume campaign 1"], "from its target -30.5° after",
+            "en-US", "campaign 1 is interrupted",
+            "joint_2: did not come to rest at its target in time (0.149°, limit 0.1146°)",
+            ["Check joint_2", "Check what holds joint_2", "Resume campaign 1"],
         ),
         (
-            "de-DE", "Messreihe 1 ist unterbrochen", "joint_2: nicht rechtzeitig am Ziel zum Stillstand gekommen",
-            ["joint_2 prüfen", "Messreihe 1 fortsetzen"], "from its target -30,5° after",
+            "de-DE", "Messreihe 1 ist unterbrochen",
+            "joint_2: nicht rechtzeitig am Ziel zum Stillstand gekommen (0,149°, Grenze 0,1146°)",
+            ["joint_2 prüfen", "Prüfen, was joint_2 hält", "Messreihe 1 fortsetzen"],
         ),
     ],
 )  # fmt: skip
-def test_a_pause_by_a_fault(locale: str, pill: str, what: str, way: list[str], details: str) -> None:
-    paused = campaign(cause=f"TargetNotReached: {RAW}")
+def test_a_pause_by_a_fault(locale: str, pill: str, what: str, way: list[str]) -> None:
+    paused = campaign(cause=RAW, structured_cause=TARGET)
     answers: dict[str, Json] = {"campaigns": {"items": [paused], "next": None}, "campaigns/1": paused}
     with scripted(answers=answers) as service, window(locale) as context:
         page = opened(context, service)
@@ -73,12 +76,11 @@ def test_a_pause_by_a_fault(locale: str, pill: str, what: str, way: list[str], d
         expect(page.locator("#intent")).to_contain_text(what)
         expect(page.locator("#intent")).not_to_contain_text("rad")
         expect(page.locator("#way-out li")).to_contain_text(way)
-        cause = page.locator("#cause")
-        expect(cause).to_contain_text(what)
-        expect(cause.locator("summary + *")).to_be_hidden()
-        cause.locator("summary").click()
-        expect(cause.locator("summary + *")).to_contain_text(details)
-        expect(cause).not_to_contain_text("rad")
+        told = page.locator("#cause")
+        expect(told).to_contain_text(what)
+        expect(told.locator("summary + *")).to_be_hidden()
+        told.locator("summary").click()
+        expect(told.locator("summary + *")).to_have_text(RAW)
         badge = page.locator("#campaign-state").evaluate("one => getComputedStyle(one).backgroundColor")
         assert badge in ("rgb(185, 14, 42)", "rgb(255, 138, 149)")
         assert green(page) == []
@@ -89,16 +91,20 @@ def test_a_pause_by_a_fault(locale: str, pill: str, what: str, way: list[str], d
 
 
 @pytest.mark.parametrize(
-    ("cause", "what"),
+    ("structured", "what"),
     [
-        ("DriveFault: joint_1: fault 2310h", "joint_1: the drive reports a fault"),
-        ("KeyError: 'x'", "machine: an error ended the motion"),
-        ("no sign of life within 2 s, which the start of this run requires", "no sign of life within 2 s"),
-        ("stopped by operator page: stop button", "stopped by operator page: stop button"),
+        (cause("drive_fault", joint="joint_1", value=0x2310, unit="hex"), "joint_1: the drive reports a fault (2310h)"),
+        (cause("internal"), "machine: an error of the service ended the motion"),
+        (cause("sign_of_life", limit=2.0, unit="s"), "no sign of life of a person (limit 2 s)"),
+        (
+            cause("envelope_left", joint="joint_2", value=-0.53232, limit=-0.532319, unit="rad"),
+            "joint_2: outside its limits (-30.4997°, limit -30.4996°)",
+        ),
+        (cause("stopped", by="operator page", detail="stop button"), "stopped by operator page: stop button"),
     ],
 )
-def test_what_happened_is_told_in_the_words_of_the_page(cause: str, what: str) -> None:
-    paused = campaign(cause=cause)
+def test_what_happened_is_told_in_the_words_of_the_page(structured: Json, what: str) -> None:
+    paused = campaign(structured_cause=structured)
     answers: dict[str, Json] = {"campaigns": {"items": [paused], "next": None}, "campaigns/1": paused}
     with scripted(answers=answers) as service, window() as context:
         expect(opened(context, service).locator("#intent")).to_contain_text(f"is paused ({what})")
@@ -148,13 +154,14 @@ def test_the_results_show_the_revisions_of_the_model() -> None:
 
 
 def test_the_audit_says_why_it_stopped_in_the_words_of_the_page() -> None:
-    stopped = {"event": "stop", "at": "2026-03-02T12:00:00Z", "by": "campaign 1", "why": f"TargetNotReached: {RAW}"}
+    stopped = {"event": "stop", "at": "2026-03-02T12:00:00Z", "by": "campaign 1", "why": RAW}
+    stopped |= {"code": "target_not_reached", "joint": "joint_2"}
     audit: Json = {"items": [{"entry": stopped}], "next": None}
     with scripted(answers={"audit": audit}) as service, window("de-DE") as context:
         outcome = opened(context, service, "results").locator("#audit tbody td:last-child")
         expect(outcome).to_contain_text("joint_2: nicht rechtzeitig am Ziel zum Stillstand gekommen")
         outcome.locator("summary").click()
-        expect(outcome).to_contain_text("from its target -30,5°")
+        expect(outcome).to_contain_text(RAW)
 
 
 def test_the_joints_are_those_of_the_service() -> None:

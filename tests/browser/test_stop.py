@@ -130,7 +130,7 @@ def test_sent_is_not_confirmed() -> None:
 
 
 def test_what_was_said_of_a_stop_goes_with_its_release() -> None:
-    held = {"id": 7, "by": "operator page", "why": "stop button", "at": "2026-03-02T12:00:00Z"}
+    held = {"id": 7, "by": "operator page", "why": "stop button", "at": "2026-03-02T12:00:00Z", "cause": None}
     with scripted() as service, window() as context:
         page = opened(context, service)
         free = service.answers["stop"]

@@ -164,6 +164,7 @@ def in_a_sweep(bench: Bench, fault: Fault) -> str:
     assert cause
     assert cause.startswith(document["cause"])  # the sweep also tells whether the stop was confirmed
     assert cause in bench.service.log()
+    assert sweep["structured_cause"]["code"] == document["structured_cause"]["code"]
     kept = bench.recording(campaign)
     for order in fault.undo:
         bench.order(order)
@@ -174,7 +175,7 @@ def in_a_sweep(bench: Bench, fault: Fault) -> str:
     bench.client.resume(campaign, repeat=True)
     again = bench.held(campaign)
     assert (again["state"], again["cause"]) == ("completed", "")
-    return f"stopped: {cause.split(':')[0]}; {kept} recording; {', '.join([*acts, 'resume'])}"
+    return f"stopped: {sweep['structured_cause']['code']}; {kept} recording; {', '.join([*acts, 'resume'])}"
 
 
 def refused_without_acknowledgement(bench: Bench, campaign: int) -> None:
@@ -197,6 +198,7 @@ def before_connecting(bench: Bench, fault: Fault) -> str:
     cause = bench.client.drives()["trouble"]
     assert cause
     assert cause in answer.json()["detail"]
+    assert bench.client.drives()["trouble_cause"]["code"] == "wrong_identity"
     campaign = int(bench.client.add_campaign(bench.plan)["id"])
     with pytest.raises(ServiceProblem) as refused:
         bench.client.start(campaign)

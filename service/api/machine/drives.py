@@ -7,6 +7,7 @@ from typing import Any
 from fastapi import APIRouter
 from pydantic import BaseModel
 
+from drivers.errors import Cause
 from drivers.ports import AxisIdentity, AxisState, AxisStatus, Capabilities, SweepMode
 from service.api.dependencies import ApplicationOf
 from service.api.idempotent import IdempotentRoute
@@ -74,7 +75,7 @@ class CapabilitiesView(BaseModel):
 
 
 class DrivesView(BaseModel):
-    """The machine. `connected`: its bus is open and every drive answers. `trouble`: why not.
+    """The machine. `connected`: its bus is open and every drive answers. `trouble`, `trouble_cause`: why not.
 
     `held`: why nothing may move although it is connected: stops, the host watch, the lease. `epoch`: as of `GET /stop`.
     `capabilities`: known while its bus is open. `statement`: the state of the machine.
@@ -82,6 +83,7 @@ class DrivesView(BaseModel):
 
     connected: bool
     trouble: str
+    trouble_cause: Cause | None = None
     held: str
     epoch: str
     capabilities: CapabilitiesView | None
@@ -102,6 +104,7 @@ async def get_drives(application: ApplicationOf) -> DrivesView:
     return DrivesView(
         connected=machine.answers,
         trouble=machine.silence,
+        trouble_cause=machine.silence_cause,
         held=machine.forbidden,
         epoch=machine.epochs.now,
         capabilities=_capabilities(machine.capabilities) if machine.connected else None,

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from service.campaigns.plan_subject import PlanSubject
+from service.causes import in_words, read
 from service.cli.termination_signals import TerminationSignals
 from service.client import Json, ServiceClient
 from service.errors import BadInput, SweepidError
@@ -104,7 +105,9 @@ def watch(client: ServiceClient, campaign_id: int) -> None:
             if campaign["state"] == "completed":
                 return
             if campaign["state"] in ("paused", "aborted"):
-                raise NotCompleted(f"campaign {campaign_id} {campaign['state']}: {campaign['cause'] or 'by command'}")
+                cause = campaign["structured_cause"]
+                why = campaign["cause"] or "by command" if cause is None else in_words(read(cause))
+                raise NotCompleted(f"campaign {campaign_id} {campaign['state']}: {why}")
 
 
 def _doing(campaign: Json) -> str:

@@ -15,7 +15,8 @@ Applied to the samples as reported by the drive: a delay of milliseconds does no
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import SweepidError
+from drivers.errors import CauseCode
+from service.errors import MotionFailed
 from service.recording import Recording, SweepSpec
 
 Array = NDArray[np.float64]
@@ -30,7 +31,7 @@ STEPS = 3.0  # steps of a channel's resolution allowed for rounding
 SIGNIFICANT = 3.0  # times the neighbouring bins: above, an apparent inertia below zero is not noise
 
 
-class ImplausibleChannels(SweepidError):
+class ImplausibleChannels(MotionFailed, code=CauseCode.IMPLAUSIBLE_CHANNELS):
     """The samples contradict each other: encoder, unit, sign, or a channel that does not change. Not identified."""
 
 
@@ -80,7 +81,7 @@ def _check_frozen(spec: SweepSpec, channels: dict[str, Array]) -> None:
         longest = float(runs.max()) / spec.sample_rate
         if longest > limit:
             raise ImplausibleChannels(
-                f"{spec.axis}: {name} stands still for {longest:.3g} s while the axis moves, limit {limit:.3g} s"
+                spec.axis, f"{name} stands still for {longest:.3g} s while the axis moves, limit {limit:.3g} s"
             )
 
 
@@ -100,7 +101,7 @@ def _check_velocity(spec: SweepSpec, time: Array, velocity: Array, position: Arr
     limit = VELOCITY_GAIN + rounding
     if not abs(slope - 1) <= limit:
         raise ImplausibleChannels(
-            f"{spec.axis}: position changes by {slope:.4g} times the integral of velocity, limit 1 +- {limit:.2g}"
+            spec.axis, f"position changes by {slope:.4g} times the integral of velocity, limit 1 +- {limit:.2g}"
         )
 
 
@@ -114,7 +115,7 @@ def _check_load(spec: SweepSpec, time: Array, position: Array, load: Array) -> N
     slope = _slope(time, position, load, trend=False)
     if not abs(slope - 1) <= LOAD_GAIN:
         raise ImplausibleChannels(
-            f"{spec.axis}: the direct encoder moves {slope:.4g} times as far as the motor, limit 1 +- {LOAD_GAIN}"
+            spec.axis, f"the direct encoder moves {slope:.4g} times as far as the motor, limit 1 +- {LOAD_GAIN}"
         )
 
 
@@ -126,7 +127,7 @@ def _check_steps(spec: SweepSpec, name: str, steps: Array, harmless: float, reso
     worst = int(np.argmax(deviation))
     if not deviation[worst] <= limit:
         raise ImplausibleChannels(
-            f"{spec.axis}: {name} jumps {deviation[worst]:.3g} at sample {worst + 1} of the window, limit {limit:.3g}"
+            spec.axis, f"{name} jumps {deviation[worst]:.3g} at sample {worst + 1} of the window, limit {limit:.3g}"
         )
 
 
@@ -146,8 +147,9 @@ def _check_effort(spec: SweepSpec, time: Array, effort: Array, velocity: Array) 
     takes_energy = not spec.offset_velocity and drive @ velocity > 0
     if response.imag < -SIGNIFICANT * noise and not takes_energy:
         raise ImplausibleChannels(
-            f"{spec.axis}: apparent inertia {response.imag / (2 * np.pi * line):.4g} at {line:g} Hz is below 0: "
-            "effort has the wrong sign or belongs to another axis"
+            spec.axis,
+            f"apparent inertia {response.imag / (2 * np.pi * line):.4g} at {line:g} Hz is below 0: "
+            "effort has the wrong sign or belongs to another axis",
         )
 
 

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.errors import CauseCode
 from drivers.ports import ChannelTiming, SampleBlock
 from service.channels import align, noise_gain
-from service.errors import SweepidError
+from service.errors import MotionFailed
 from service.execution.recording.plausibility import check_channels
 from service.recording import Recording, SweepSpec
 from service.results.identified.manifest import Channels, Facts
@@ -25,7 +26,7 @@ _COLUMNS = ("time", "effort", "velocity", "position", "velocity_setpoint")
 _EXTRA = ("load_position", "excitation_effort")  # if the drive has them
 
 
-class SamplesMissing(SweepidError):
+class SamplesMissing(MotionFailed, code=CauseCode.SAMPLES_MISSING):
     """The samples of the drive have a gap, are not finite, or end before the measured window."""
 
 
@@ -42,13 +43,13 @@ class Gapless:
         wrong = np.flatnonzero(block.index != expected)
         if wrong.size:
             at = wrong[0]
-            raise SamplesMissing(f"{joint}: sample {block.index[at]} received instead of {expected[at]}")
+            raise SamplesMissing(joint, f"sample {block.index[at]} received instead of {expected[at]}")
         if not (np.diff(block.time, prepend=self.last_time) > 0).all():
-            raise SamplesMissing(f"{joint}: time does not increase near sample {self.samples}")
+            raise SamplesMissing(joint, f"time does not increase near sample {self.samples}")
         injected = () if block.excitation_effort is None else ("excitation_effort",)
         for name in (*_COLUMNS, *injected):
             if not np.isfinite(getattr(block, name)).all():
-                raise SamplesMissing(f"{joint}: {name} is not a number near sample {self.samples}")
+                raise SamplesMissing(joint, f"{name} is not a number near sample {self.samples}")
 
     def add(self, block: SampleBlock) -> None:
         """Count the block as received."""
@@ -113,7 +114,7 @@ def finish(
     path = files.stream(run)
     found = read_stream(path)
     if found is None:
-        raise SamplesMissing(f"{command.joint}: the sweep returned no samples")
+        raise SamplesMissing(command.joint, "the sweep returned no samples")
     recording, start = found
     rate = (len(recording.time) - 1) / float(recording.time[-1])
     spec = planned.model_copy(update={"sample_rate": round(rate, 6), "measure_from": command.measure_from - start})
@@ -144,7 +145,7 @@ def salvage(files: RecordingFiles, run: Run, facts: Facts) -> NewRecording | Non
 def _check_window(command: Command, last: float, period: float) -> None:
     end = command.duration - command.ramp
     if last < end - 1.5 * period:
-        raise SamplesMissing(f"{command.joint}: samples end at {last:.4f} s, window at {end:.4f} s")
+        raise SamplesMissing(command.joint, f"samples end at {last:.4f} s, window at {end:.4f} s")
 
 
 def _correction(timing: ChannelTiming, rate: float) -> Channels:

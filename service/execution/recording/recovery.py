@@ -3,11 +3,13 @@
 Used after a restart, and when the database refused the data at the end of a sweep. It moves nothing.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import structlog
 from structlog.contextvars import bound_contextvars
 
+from drivers.errors import Cause, CauseCode
 from service.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.errors import BadInput, NotFound
 from service.execution.recording.recorder import salvage
@@ -19,7 +21,8 @@ from service.store.store import Store
 
 _log = structlog.get_logger(__name__)
 
-_CAUSE = "the service ended during the sweep"
+_CAUSE = Cause(CauseCode.SERVICE_ENDED, detail="the service ended during the sweep")
+_RESTARTED = Cause(CauseCode.SERVICE_ENDED, detail="the service was restarted")
 
 
 def recover(store: Store, files: RecordingFiles) -> tuple[int, ...]:
@@ -27,10 +30,10 @@ def recover(store: Store, files: RecordingFiles) -> tuple[int, ...]:
 
     Returns the campaigns that the last process left running.
     """
-    left = end_runs(store, files, _CAUSE, "the service was restarted")
+    left = end_runs(store, files, _CAUSE, _RESTARTED)
     while store.move_spectrum_to_file(files.save_spectrum):
         pass
-    store_streams(store, files, _CAUSE)
+    store_streams(store, files, str(_CAUSE))
     return left
 
 
@@ -53,7 +56,7 @@ def _look_at(store: Store, files: RecordingFiles, run: Run, path: Path, cause: s
     _store_stream(store, files, run, path, cause)
 
 
-def end_runs(store: Store, files: RecordingFiles, sweep_cause: str, campaign_cause: str) -> tuple[int, ...]:
+def end_runs(store: Store, files: RecordingFiles, sweep_cause: Cause, campaign_cause: Cause) -> tuple[int, ...]:
     """Store that nothing runs; call it while nothing does. Returns the campaigns that ran."""
     for sweep in store.sweeps_in(SweepState.RUNNING):
         run = Run(sweep.campaign_id, sweep.number, sweep.attempt)
@@ -62,16 +65,17 @@ def end_runs(store: Store, files: RecordingFiles, sweep_cause: str, campaign_cau
     ran = store.campaigns_in(CampaignState.RUNNING, CampaignState.PAUSING)
     for campaign in ran:
         store.move_campaign(campaign.id, campaign_move(CampaignEvent.TROUBLE), campaign_cause)
-        _log.info("campaign", campaign=campaign.id, happened=CampaignEvent.TROUBLE.value, cause=campaign_cause)
+        _log.info("campaign", campaign=campaign.id, happened=CampaignEvent.TROUBLE.value, cause=str(campaign_cause))
     return tuple(campaign.id for campaign in ran)
 
 
-def break_off(store: Store, files: RecordingFiles, run: Run, event: SweepEvent, cause: str, facts: Facts) -> None:
+def break_off(store: Store, files: RecordingFiles, run: Run, event: SweepEvent, cause: Cause, facts: Facts) -> None:
     """End an unfinished run; its samples are kept as a partial recording."""
     try:
-        recording = salvage(files, run, {**facts, "cause": cause})
+        recording = salvage(files, run, {**facts, "cause": str(cause)})
     except (OSError, UnreadableStream, BadInput) as error:  # the stream stays until the next start or resume
-        cause, recording = f"{cause}; partial recording not written: {error}", None
+        cause = replace(cause, detail=f"{cause.detail}; partial recording not written: {error}")
+        recording = None
     store.end_sweep(run.campaign_id, run.number, sweep_move(event), cause, None, recording)
     if recording is not None:
         files.stream(run).unlink()

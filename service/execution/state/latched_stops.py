@@ -16,6 +16,7 @@ from typing import ParamSpec, TypeVar
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
+from drivers.errors import Cause
 from service.errors import Conflict, NotFound, NotNow
 from service.people.keys import masked
 from service.store.database import refusal
@@ -67,7 +68,7 @@ class LatchedStops:
         """Documents of every stop that holds the machine, oldest first."""
         return tuple(hold.document for hold in tuple(self._holds))
 
-    def take(self, by: str, why: str, press: str, source: str = "") -> Hold:
+    def take(self, by: str, why: str, press: str, source: str = "", cause: Cause | None = None) -> Hold:
         """A new stop, or the existing one of the same press, or of the same `source` a moment ago ("": of none).
 
         It is displayed and stored: keys are masked.
@@ -82,8 +83,9 @@ class LatchedStops:
                 hold = holds[-1]
             if hold is None:
                 at = datetime.now(UTC)
+                by, why = masked(by), masked(why)
                 document = StopDocument(
-                    id=next(self._names), by=masked(by), why=masked(why), at=at, reset_by=None, reset_at=None
+                    id=next(self._names), by=by, why=why, cause=cause, at=at, reset_by=None, reset_at=None
                 )
                 hold = Hold(document, press, source or str(document.id))
                 self._holds.append(hold)
@@ -161,7 +163,7 @@ class LatchedStops:
 
     async def _store(self, hold: Hold) -> None:
         document = hold.document
-        hold.document = await apart(self._latch.latch, document.by, document.why, document.at)
+        hold.document = await apart(self._latch.latch, document.by, document.why, document.at, document.cause)
         self._ids[document.id] = hold.document.id
         if len(self._ids) > _MOST_NAMES:
             del self._ids[next(iter(self._ids))]

@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
+from drivers.errors import Cause, CauseCode
 from service.execution.state.latched_stops import apart
 from service.store.database import refusal
 from service.store.guards import MachineLease
@@ -15,11 +16,11 @@ _log = structlog.get_logger(__name__)
 
 
 async def renew(
-    lease: MachineLease, lease_time: float, renewed: Callable[[], None], late: Callable[[str], Awaitable[None]]
+    lease: MachineLease, lease_time: float, renewed: Callable[[], None], late: Callable[[Cause], Awaitable[None]]
 ) -> None:
     """Renew it until another service has it (LeaseLost). `renewed` is called after each success.
 
-    `late` gets the reason once, when half of the lease time, s, has passed without a renewal.
+    `late` gets the cause once, when half of the lease time, s, has passed without a renewal.
     """
     last, delayed, told = time.monotonic(), 0.0, False  # delayed: s since then by which this computer was delayed
 
@@ -36,7 +37,7 @@ async def renew(
             )
             reason = f"the machine's lease could not be renewed: {why}"
             _log.error("lease_not_renewed", reason=reason)
-            await late(reason)
+            await late(Cause(CauseCode.LEASE_NOT_RENEWED, detail=reason))
 
     while True:
         delayed += await _wait(lease_time / 5)

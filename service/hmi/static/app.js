@@ -65,10 +65,10 @@ async function showCampaign() {
   [campaign, etag, plan, units] = [answer.content, answer.etag, planned, known];
   if (machine) showAxes(machine.drives, units);
   showProgress();
-  tell("cause", causeWithDetails(campaign.cause));
+  tell("cause", causeWithDetails(campaign.structured_cause));
   showDataCheck(campaign.data_check);
   tell("campaign-state", word("campaign-state", campaign.state));
-  byId("campaign-state").className = `badge ${campaign.state}${byFault(campaign.cause) ? " broken" : ""}`;
+  byId("campaign-state").className = `badge ${campaign.state}${byFault(campaign.structured_cause) ? " broken" : ""}`;
   byId("repeat-choice").hidden = campaign.state !== "paused";
   nowCommands();
   await showOrdered();

@@ -1,7 +1,6 @@
 // The diagnosis page: differences of model and measurement, missing effects, the next experiment.
 
 import { address, all, call, get } from "./api.js";
-import { causeWithDetails } from "./causes.js";
 import { byId, choices, complain, element, link, minus, number, row, tell } from "./elements.js";
 import { clearExperiment, showExperiment, watchExperiment } from "./experiment.js";
 import { drawFigures } from "./figures.js";
@@ -100,7 +99,7 @@ async function showDiagnosis([campaigns, diagnoses]) {
   tell("shown-state", stateOf(shown));
   byId("shown-state").className = `badge ${shown.state}`;
   byId("shown-about").replaceChildren(...about(after));
-  tell("shown-cause", causeWithDetails(shown.cause));
+  tell("shown-cause", shown.cause && foreign(shown.cause));
   const done = shown.state === "done";
   byId("report").hidden = !done;
   byId("report").href = address(`/diagnoses/${shown.id}/report.html`);

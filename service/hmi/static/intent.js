@@ -27,12 +27,13 @@ export function showIntent(campaigns, diagnoses, running, units) {
   draw();
 }
 
-// statement: of the machine's state; null: none, which is shown elsewhere. well: no trouble of the machine is known
-/** @param {Api.StatementView | null} statement @param {boolean} well */
-export function showDoubt(statement, well) {
+// statement: of the machine's state; null: none, which is shown elsewhere. well: no trouble of the machine is known;
+// cause: why it is not connected, if a code tells it
+/** @param {Api.StatementView | null} statement @param {boolean} well @param {Api.Cause | null} [cause] */
+export function showDoubt(statement, well, cause = null) {
   sound = well && statement !== null && statement.state !== "unknown";
   if (statement === null) doubt = null;
-  else doubt = statement.state === "unknown" ? parts("intent.unknown", { cause: reasonOf(statement) }) : [];
+  else doubt = statement.state === "unknown" ? parts("intent.unknown", { cause: cause ? causeParts(cause) : reasonOf(statement) }) : [];
   document.body.classList.toggle("sound", sound);
   draw();
 }
@@ -93,7 +94,7 @@ function atRest(campaigns, diagnoses) {
   const working = diagnoses.find(alone);
   if (working) return [text("intent.alone", { id: working.id })];
   const paused = held(campaigns);
-  if (paused) return parts("intent.paused", { campaign: campaignLink(paused.id), cause: causeParts(paused.cause) });
+  if (paused) return parts("intent.paused", { campaign: campaignLink(paused.id), cause: causeParts(paused.structured_cause) });
   return [text("intent.rest")];
 }
 

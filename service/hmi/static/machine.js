@@ -1,7 +1,7 @@
 // The head of every page: state of the machine, stop, release, instructions after a stop, present motion.
 
 import { call, get, Refused, Silent, Unknown } from "./api.js";
-import { byFault, stopParts } from "./causes.js";
+import { byFault, causeParts, stopParts } from "./causes.js";
 import { byId, complain, complainAgain, tell } from "./elements.js";
 import { showDoubt } from "./intent.js";
 import { askWho, identify, showRights, watchLogin } from "./login.js";
@@ -50,21 +50,21 @@ async function ask(paused) {
 function showHeld(stop) {
   shown = stop.stops.map(({ id }) => id);
   byId("held").hidden = !stop.latched;
-  if (stop.latched) tell("held-by", joined(stop.stops.map(({ by, why }) => stopParts(by, why)), "; "));
+  if (stop.latched) tell("held-by", joined(stop.stops.map(stopParts), "; "));
   settleStop(stop.latched);
 }
 
 // first what is wrong, then the state of the axes; green only if nothing is wrong and every axis reports that it stands
 /** @param {Api.DrivesView} drives @param {Api.StopView} stop @param {Api.CampaignDocument} [paused] */
 function showState(drives, stop, paused) {
-  const broken = paused && byFault(paused.cause);
+  const broken = paused && byFault(paused.structured_cause);
   const troubles = inTrouble(drives, stop);
   if (broken && !troubles.length) troubles.push(text("machine.broken", { id: paused.id }));
   tell("machine", troubles.length ? joined(troubles, ", ") : stated(drives.statement));
   tell("stated", troubles.length && drives.connected ? stated(drives.statement) : "");
   byId("machine").className = `state ${troubles.length ? "bad" : LOOKS[drives.statement.state]}`;
   byId("connect").hidden = drives.connected;
-  showDoubt(drives.statement, !troubles.length);
+  showDoubt(drives.statement, !troubles.length, drives.trouble_cause);
 }
 
 // old values are grey and disabled because they may be out of date. STOP stays enabled
@@ -87,7 +87,7 @@ export function inTrouble(drives, stop) {
   if (faulty.some((axis) => axis.fault.emergency_stop)) troubles.push(text("machine.emergency"));
   else if (faulty.length) troubles.push(text("machine.fault", { axes: faulty.map((axis) => axis.joint).join(", ") }));
   if (stop.latched) troubles.push(text("machine.stopped"));
-  if (!drives.connected) troubles.push(parts("machine.none", { trouble: foreign(drives.trouble) }));
+  if (!drives.connected) troubles.push(parts("machine.none", { trouble: drives.trouble_cause ? causeParts(drives.trouble_cause) : foreign(drives.trouble) }));
   return troubles;
 }
 

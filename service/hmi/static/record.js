@@ -4,7 +4,7 @@ import { all, get } from "./api.js";
 import { byId, element, row } from "./elements.js";
 import { mayNot } from "./login.js";
 import { causeWithDetails, PRESSED, whose } from "./causes.js";
-import { knows, moment, parts, text, word } from "./words.js";
+import { foreign, knows, moment, parts, text, word } from "./words.js";
 
 const API = "/api/v1";
 
@@ -47,7 +47,8 @@ function whatOf({ method, path, route, event }) {
 }
 
 /** @param {Record<string, string>} entry @returns {Content} */
-function outcomeOf({ status, why }) {
-  if (status === undefined) return why === PRESSED ? text("stop.button") : causeWithDetails(why ?? "");
+function outcomeOf({ status, why, code, joint }) {
+  if (code) return causeWithDetails({ code: /** @type {Api.CauseCode} */ (code), joint, detail: why, by: "", unit: "", value: null, limit: null });
+  if (status === undefined) return why === PRESSED ? text("stop.button") : foreign(why ?? "");
   return Number(status) < 400 ? text("results.done") : text("results.refused", { status });
 }

@@ -1,44 +1,51 @@
 // Instructions for the operator to leave a state without motion: step by step, in the required order.
 
-import { axisOf, byFault, causeParts } from "./causes.js";
+import { axisOf, byFault } from "./causes.js";
 import { byId, element } from "./elements.js";
 import { jointsThat } from "./statement.js";
-import { parts, text } from "./words.js";
+import { text } from "./words.js";
+
+/** @typedef {{code: string, joint: string}} Known */
 
 // machine: as of `watchMachine`; paused: the paused campaign, if any
 /** @param {Machine} machine @param {Api.CampaignDocument} [paused] */
 export function showWayOut({ drives, stop }, paused) {
-  const steps = ofMachine(drives, stop);
-  const broken = paused && byFault(paused.cause);
-  if (!steps.length && broken) steps.push(parts("way.look-cause", { axes: axisOf(paused.cause) ?? text("cause.machine"), cause: causeParts(paused.cause) }));
+  const steps = stepsOf(drives, stop, causesOf(drives, stop, paused));
   if (steps.length && paused) steps.push(text("way.resume", { id: paused.id }));
-  const made = steps.map((step) => element("li", step));
   const list = byId("way-out-steps");
-  const same = [...list.children].map((one) => one.textContent).join() === made.map((one) => one.textContent).join();
-  if (!same) list.replaceChildren(...made);
+  const same = [...list.children].map((one) => one.textContent).join() === steps.join();
+  if (!same) list.replaceChildren(...steps.map((step) => element("li", step)));
   byId("way-out").hidden = !steps.length;
 }
 
 /** @param {Api.AxisView[]} axes */
 const namesOf = (axes) => axes.map((axis) => axis.joint).join(", ");
 
-/** @param {Api.DrivesView} drives @param {Api.StopView} stop @returns {Content[]} */
-function ofMachine(drives, stop) {
+// what nobody wanted: of the machine, of its stops, of its axes and of the campaign
+/** @param {Api.DrivesView} drives @param {Api.StopView} stop @param {Api.CampaignDocument} [paused] @returns {Known[]} */
+function causesOf(drives, stop, paused) {
+  const faults = drives.axes.filter((axis) => axis.fault);
+  return [
+    ...[drives.trouble_cause, ...stop.stops.map((one) => one.cause)].filter(byFault),
+    ...faults.map(({ joint, fault }) => (fault.emergency_stop ? { code: "emergency_stop", joint: "" } : { code: "drive_fault", joint })),
+    ...[paused?.structured_cause ?? null].filter(byFault),
+  ];
+}
+
+/** @param {Api.DrivesView} drives @param {Api.StopView} stop @param {Known[]} causes */
+function stepsOf(drives, stop, causes) {
   const unknown = jointsThat(drives.statement, "unknown");
   const faulty = drives.axes.filter((axis) => axis.fault);
-  const emergency = faulty.some((axis) => axis.fault.emergency_stop);
+  const lost = !drives.connected || drives.statement.state === "unknown";
+  const whole = stop.latched || faulty.some((axis) => axis.fault.emergency_stop);
   const steps = [];
-  if (!drives.connected || drives.statement.state === "unknown") {
-    steps.push(
-      text("way.look-lost"),
-      drives.connected && unknown.length ? text("way.power-of", { axes: unknown.join(", ") }) : text("way.power"),
-    );
-    if (!drives.connected) steps.push(text("way.connect"));
-  } else if (faulty.length || stop.latched) {
-    const whole = emergency || stop.latched;
-    steps.push(whole ? text("way.look") : text("way.look-at", { axes: namesOf(faulty) }));
-  }
-  if (emergency) steps.push(text("way.unlock"));
+  if (lost) steps.push(text("way.look-lost"));
+  else if (whole) steps.push(text("way.look"));
+  else if (causes.length) steps.push(text("way.look-at", { axes: namesOf(faulty) || axisOf(causes[0]) }));
+  if (lost && drives.connected && unknown.length) steps.push(text("way.power-of", { axes: unknown.join(", ") }));
+  else if (lost && !causes.length) steps.push(text("way.power"));
+  steps.push(...new Set(causes.map((cause) => text(`step.${cause.code}`, { axis: axisOf(cause) }))));
+  if (!drives.connected) steps.push(text("way.connect"));
   if (faulty.length) {
     const all = faulty.length === drives.axes.length;
     steps.push(all ? text("way.acknowledge-all") : text("way.acknowledge", { axes: namesOf(faulty) }));

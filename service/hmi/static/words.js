@@ -113,11 +113,6 @@ export function figures(value, count) {
   return `${decimal(Number(mantissa))}e${exponent}`;
 }
 
-// angles and lengths of a sentence of the service, in degrees and mm as everywhere on the page
-/** @param {string} sentence */
-export const inPageUnits = (sentence) => sentence.replace(/(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?) (rad|m)\b/g, (_, value, unit) =>
-  (unit === "rad" ? `${figures((Number(value) * 180) / Math.PI, 4)}\u00b0` : `${figures(Number(value) * 1e3, 4)} mm`));
-
 // a time of the service, in the format of the user's country and time zone
 export const moment = (at) => new Intl.DateTimeFormat(locale(), { dateStyle: "medium", timeStyle: "medium" }).format(new Date(at));
 

@@ -40,7 +40,9 @@ SWEEP = sweep(
     ],
 )
 def test_a_reading_outside_the_envelope_is_told(reading: tuple[float, float, float], message: str) -> None:
-    assert ENVELOPE.violation(*reading) == message
+    violation = ENVELOPE.violation(*reading)
+    assert violation is not None
+    assert violation[0] == message
 
 
 def test_a_reading_on_the_limits_is_inside() -> None:

@@ -27,7 +27,7 @@ def miss(watch: HostWatch) -> None:
 
 def test_a_gap_shuts_the_gate_until_a_person_opens_it() -> None:
     watch, told = HostWatch(LIMIT), list[str]()
-    watch.tell_to(told.append)
+    watch.tell_to(lambda cause: told.append(str(cause)))
     miss(watch)
     watch.check()  # nobody has shown life yet
     watch.alive()
@@ -49,14 +49,14 @@ def test_a_gap_shuts_the_gate_until_a_person_opens_it() -> None:
 
 def test_the_first_that_was_seen_is_told_and_what_follows_is_not() -> None:
     watch, told = HostWatch(60.0), list[str]()
-    watch.tell_to(told.append)
+    watch.tell_to(lambda cause: told.append(str(cause)))
     watch.seen("SYNC of another")
     watch.seen("NMT of another")
     assert told == [watch.reason] == ["SYNC of another"]
     watch.allow()
     watch.seen("NMT of another")
     assert told[1:] == ["NMT of another"]
-    watch.tell_to(told.append)  # who asks late is told as well
+    watch.tell_to(lambda cause: told.append(str(cause)))  # who asks late is told as well
     assert told[1:] == ["NMT of another"] * 2
 
 
@@ -114,7 +114,7 @@ async def test_a_gap_before_the_first_connection_counts_and_no_connection_clears
     monkeypatch.setattr("tests.unit.drivers.small_servo.HOST_TIMEOUT", LIMIT)
     port, link = machine(Servo("joint_1"))
     told: list[str] = []
-    port.watch(told.append)
+    port.watch(lambda cause: told.append(str(cause)))
     miss(link.watch)
     for _ in range(2):
         await port.connect()
@@ -140,7 +140,7 @@ async def test_an_axis_that_nobody_here_enabled_is_told(state: State) -> None:
     servo = Servo("joint_1")
     port, _ = machine(servo)
     told: list[str] = []
-    port.watch(told.append)
+    port.watch(lambda cause: told.append(str(cause)))
     await port.connect()
     servo.state = state
     await eventually(lambda: bool(told))
@@ -169,7 +169,7 @@ async def test_energy_that_nobody_here_took_is_missed_in_a_sweep() -> None:
     servo = Servo("joint_1", samples_a_look=5)
     port, _ = machine(servo)
     told: list[str] = []
-    port.watch(told.append)
+    port.watch(lambda cause: told.append(str(cause)))
     await port.connect()
     await port.enable("joint_1")
     run = port.run_sweep(COMMAND)
@@ -187,7 +187,7 @@ async def test_energy_that_a_stop_took_is_not_missed() -> None:
     servo = Servo("joint_1")
     port, _ = machine(servo)
     told: list[str] = []
-    port.watch(told.append)
+    port.watch(lambda cause: told.append(str(cause)))
     await port.connect()
     await port.enable("joint_1")
     await port.stop()

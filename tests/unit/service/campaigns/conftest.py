@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from sqlalchemy import text
 
+from drivers.errors import Cause
 from drivers.ports import Sine, SweepCommand, SweepMode
 from service.campaigns.live import LiveHub
 from service.configuration import read_robot
@@ -155,9 +156,9 @@ async def open_bench(
         latch = StopLatch(database)
         told: list[tuple[str, str]] = []
 
-        def tell(way: str, why: str) -> None:
-            told.append((way, why))
-            bench.tell(way, why)
+        def tell(way: str, cause: Cause) -> None:
+            told.append((way, str(cause)))
+            bench.tell(way, str(cause))
 
         machine = Machine(drive, latch, latch.latched(), tell=tell)
         models = ModelStore(database)

@@ -5,7 +5,7 @@ from collections.abc import AsyncGenerator, Callable, Mapping
 
 import numpy as np
 
-from drivers.errors import DriveError, NotReady, SweepInterrupted
+from drivers.errors import Cause, DriveError, NotReady, SweepInterrupted
 from drivers.ports import (
     AxisIdentity,
     AxisState,
@@ -128,7 +128,7 @@ class FormulaDrive:
         finally:
             self.trace.append("standstill")
 
-    def watch(self, tell: Callable[[str], None] | None) -> None:
+    def watch(self, tell: Callable[[Cause], None] | None) -> None:
         self.tell = tell
 
     def allow(self) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from drivers.errors import Cause, CauseCode
 from service.campaigns.live import EventFeed
 from service.errors import Superseded
 from service.execution.approvals import Approvals
@@ -216,7 +217,7 @@ async def test_a_pause_is_not_taken_back_by_what_was_wanted_before_a_stop(bench:
     await bench.in_a_sweep()
     await bench.runner.pause(bench.campaign.id)
     older = bench.intention
-    bench.machine.epochs.begin("stopped by ada: smoke")
+    bench.machine.epochs.begin(Cause(CauseCode.STOPPED, by="ada", detail="smoke"))
     with pytest.raises(Superseded, match="stopped by ada: smoke"):
         await bench.runner.resume(bench.campaign.id, older)
     assert bench.now.state is CampaignState.PAUSING
@@ -244,11 +245,11 @@ def test_only_the_present_epoch_is_good_and_a_release_begins_none() -> None:
     epochs.check(first)
     with pytest.raises(Superseded, match="this service was started"):
         others.check(first)
-    epochs.begin("stopped by ada: smoke")
-    epochs.begin("stopped by berta: fire")
+    epochs.begin(Cause(CauseCode.STOPPED, by="ada", detail="smoke"))
+    epochs.begin(Cause(CauseCode.STOPPED, by="berta", detail="fire"))
     second = Intention(epochs.now)
     epochs.check(second)
-    assert epochs.since(first) == "stopped by ada: smoke"  # the first that came
+    assert str(epochs.since(first)) == "stopped by ada: smoke"  # the first that came
     with pytest.raises(Superseded, match="stopped by ada: smoke"):
         epochs.check(first)
     for forged in ("", "-", "1", f"{first.epoch}9", first.epoch.replace("-0", "-x"), first.epoch.replace("-0", "-²")):
@@ -261,8 +262,8 @@ def test_the_epoch_that_a_person_saw_counts_and_none_that_is_to_come() -> None:
     assert epochs.given(None) == epochs.given(seen) == seen
     to_come = seen.removesuffix("0") + "1"
     assert epochs.given(to_come) == ""
-    epochs.begin("stopped by ada: smoke")
+    epochs.begin(Cause(CauseCode.STOPPED, by="ada", detail="smoke"))
     assert epochs.now == to_come
     assert epochs.given(seen) == seen
     assert epochs.given("of another service") == ""
-    assert epochs.since(Intention(epochs.given(seen))) == "stopped by ada: smoke"
+    assert str(epochs.since(Intention(epochs.given(seen)))) == "stopped by ada: smoke"

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from drivers.errors import Cause, CauseCode
 from service.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.execution.recording.recorder import Recorder
 from service.execution.recording.recovery import recover
@@ -118,7 +119,8 @@ async def test_a_damaged_stream_is_put_aside_and_the_service_starts(
             begun = bench.store.begin_sweep(1, number, sweep_move(SweepEvent.BEGIN))
             streamed(bench, Run(1, number, begun.attempt))
             if number == 2:
-                bench.store.move_sweep(1, number, sweep_move(SweepEvent.FAIL), "disk full")  # its stream was left
+                left = Cause(CauseCode.NOT_STORED)
+                bench.store.move_sweep(1, number, sweep_move(SweepEvent.FAIL), left)
         streams = {run.number: path for run, path in bench.files.streams().items()}
         for number in (1, 2):
             streams[number].write_bytes(

@@ -4,6 +4,7 @@ import asyncio
 
 import pytest
 
+from drivers.errors import Cause
 from service.errors import Conflict
 from service.execution.sign_of_life import SignOfLife
 from service.store.documents import CampaignState, SweepState
@@ -74,7 +75,7 @@ async def test_who_wants_none_waits_for_none(bench: Bench) -> None:
 
 
 async def test_each_sign_of_life_sets_the_time_anew_and_the_end_ends_it() -> None:
-    missed: list[str] = []
+    missed: list[Cause] = []
     ended, waiting = SignOfLife(SOON, missed.append), SignOfLife(LATE, missed.append)
     ended.end()
     before = asyncio.get_running_loop().time()

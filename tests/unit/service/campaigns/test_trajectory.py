@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from sqlalchemy import text
 
-from drivers.errors import DriveFault
+from drivers.errors import Cause, CauseCode, DriveFault
 from drivers.ports import Sine, SweepCommand, SweepMode
 from service.campaigns.state_machine import SweepEvent, sweep_move
 from service.errors import BadInput, EnvelopeViolation
@@ -239,7 +239,7 @@ async def test_a_trajectory_of_which_one_axis_was_identified_does_not_block_its_
     bench.go_on()
     await asyncio.wait_for(runner.finished(), TIMEOUT)
     store.add_estimate([(store.sweep(planned.id, 1), SPECTRUM)], identify, {})
-    store.move_sweep(planned.id, 2, fail, "identification: no")
+    store.move_sweep(planned.id, 2, fail, Cause(CauseCode.NOT_IDENTIFIED))
     before = len(bench.drive.trace)
     await runner.resume(planned.id, bench.intention, repeat=True)
     await asyncio.wait_for(runner.finished(), TIMEOUT)

@@ -6,6 +6,7 @@ import pytest
 from pydantic import JsonValue
 from sqlalchemy.exc import IntegrityError
 
+from drivers.errors import Cause, CauseCode
 from service.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.errors import Conflict, NotFound
 from service.recording import SweepSpec
@@ -96,7 +97,9 @@ def test_a_move_of_another_version_or_state_changes_nothing(store: Store, campai
 
 def test_sweeps_go_with_their_campaign_in_one_step(store: Store, campaign: CampaignDocument) -> None:
     skip = {SweepState.PLANNED: sweep_move(SweepEvent.SKIP)}
-    aborted = store.move_campaign(campaign.id, campaign_move(CampaignEvent.ABORT), "no time", None, skip)
+    aborted = store.move_campaign(
+        campaign.id, campaign_move(CampaignEvent.ABORT), Cause(CauseCode.ABORTED, detail="no time"), None, skip
+    )
     assert aborted.state is CampaignState.ABORTED
     assert aborted.sweeps == {SweepState.SKIPPED: 3}
 
@@ -127,7 +130,7 @@ def test_the_result_of_an_earlier_attempt_has_no_effect(
     store: Store, campaign: CampaignDocument, record: Callable[[int], SweepDocument]
 ) -> None:
     old = record(1)
-    store.move_sweep(campaign.id, 1, sweep_move(SweepEvent.FAIL), "identification")
+    store.move_sweep(campaign.id, 1, sweep_move(SweepEvent.FAIL), Cause(CauseCode.NOT_IDENTIFIED))
     store.move_sweep(campaign.id, 1, sweep_move(SweepEvent.REPEAT))
     new = record(1)
     assert (old.attempt, new.attempt) == (1, 2)
