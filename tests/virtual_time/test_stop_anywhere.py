@@ -1,28 +1,39 @@
 """STOP at every moment of what the drives can do: afterwards no axis has energy, and none gets any.
 
-No service here: a drive port, the machine, and the stop sender of the stop process beside it. One snapshot (connected),
-one copy for each seed: the seed draws what moves, when and by which way the stop comes, whether the host stalls, when
-each frame arrives, and which thread runs.
+No service here: a drive port, the machine, and the stop sender of the stop process beside it. A snapshot every `PART` s
+of each activity, a copy for each seed: it draws when in this part and by which way the stop comes, whether the host
+stalls or other units are silent from then on, when each frame arrives, and which thread runs.
 """
 
 import asyncio
+import itertools
 from contextlib import nullcontext, suppress
+from functools import partial
 from random import Random
+
+import pytest
 
 from drivers.contract.bench import Bench
 from drivers.errors import DriveError
 from drivers.ports import DrivePort, SweepMode
 from tests.contract.bench import BENCHES
 from tests.virtual_time.clock import Clock
-from tests.virtual_time.explore import Explorer
+from tests.virtual_time.explore import Explorer, Outcome
 from tests.virtual_time.machine import VirtualMachine
+from tests.virtual_time.modbus import Gateway
 
 AXIS = "joint_1"
 BENCH: Bench = BENCHES["canopen-virtual"]
 REACTION = 0.5  # s from a stop until no axis has energy: stop sequence of the host, ramps of the drives
 LONGEST = 6.0  # s into an activity that a stop comes
+PART, MOST = 0.3, 64  # s; parts of all activities
+SEEDS = 26  # of each part
 SILENCE = 5.0  # s after it that nothing may get energy
 STALL = (1e-3, 60.0)  # s
+
+
+STOPPED: list[float] = []
+"""When the port was told to stop: nobody enables an axis after that, which the gate of the service ensures."""
 
 
 async def sweep(port: DrivePort, mode: SweepMode) -> None:
@@ -48,48 +59,73 @@ async def moves(port: DrivePort) -> None:
 
 async def enabling(port: DrivePort) -> None:
     for _ in range(20):
+        if STOPPED:
+            return
         await port.enable(AXIS)
         await port.disable(AXIS)
 
 
-ACTIVITIES = (streamed, drive_side, moves, enabling)
+ACTIVITIES = {"canopen": (streamed, drive_side, moves, enabling), "modbus": (drive_side, moves, enabling)}
 
 
 async def stopped(port: DrivePort, machine: VirtualMachine, clock: Clock, seed: int) -> str:
-    """One interleaving; what it was."""
+    """An activity from its beginning, and a stop."""
     chance = Random(f"stop {seed}")
-    activity = chance.choice(ACTIVITIES)
+    activity = chance.choice(ACTIVITIES[machine.fieldbus])
+    doing = asyncio.create_task(activity(port), name=activity.__name__)
+    return await pressed(port, machine, clock, chance, doing, LONGEST * chance.random() ** 2)
+
+
+async def pressed(
+    port: DrivePort,
+    machine: VirtualMachine,
+    clock: Clock,
+    chance: Random,
+    doing: "asyncio.Task[None]",
+    moment: float,
+) -> str:
+    """One interleaving; what it was."""
     way = chance.choice(("stop", "halt, then stop", "another process, then stop"))
-    moment = LONGEST * chance.random() ** 2
     low, high = STALL
     stall = low * (high / low) ** chance.random() if chance.random() < 0.3 else 0.0
+    silent = {unit for unit in range(2, 7) if chance.random() < 0.5} if chance.random() < 0.3 else set[int]()
     sender = port.stop_sender()
     sender.open()
-    doing = asyncio.create_task(activity(port), name=activity.__name__)
     await asyncio.sleep(moment)
     if stall:
         clock.suspend(clock.own, stall)
+    if silent and isinstance(machine.wire, Gateway):
+        way += f", units {silent} silent"
+        machine.wire.lost = lambda adu, command: command and adu[6] in silent
     asked = clock.now
-    if way != "stop":
-        port.halt() if way == "halt, then stop" else sender.send()
+    sending = None
+    if way.startswith("another"):  # a real one waits for silent units by itself
+        sending = asyncio.create_task(asyncio.to_thread(sender.send), name="another process")
         await asyncio.sleep(chance.random() * 0.05)
-    with suppress(DriveError) if stall else nullcontext():
+    STOPPED.append(asked)
+    if way.startswith("halt"):
+        port.halt()
+        await asyncio.sleep(chance.random() * 0.05)
+    with suppress(DriveError) if stall or "silent" in way else nullcontext():
         await port.stop()
     await asyncio.sleep(max(0.0, asked + REACTION - clock.now))
     (ended,) = await asyncio.gather(doing, return_exceptions=True)
     assert ended is None or isinstance(ended, DriveError), ended
+    if sending is not None:
+        await sending
     await asyncio.sleep(SILENCE)
     off = asked
     left: set[str] = set()
+    what = f"{way} of {doing.get_name()}"
     for when, joint, on in machine.wire.cabinet.energy:
         if when <= asked + REACTION:
             left = left | {joint} if on else left - {joint}
             off = max(off, when)
         else:
-            assert not on, f"{joint} got energy {when - asked:.3f} s after {way} of {activity.__name__}"
-    assert not left, f"{left} with energy {REACTION} s after {way} of {activity.__name__} at {moment:.3f} s"
+            assert not on, f"{joint} got energy {when - asked:.3f} s after {what}"
+    assert not left, f"{left} with energy {REACTION} s after {what}"
     sender.close()
-    return f"{activity.__name__}, {way}: {off - asked:.3f}"
+    return f"{what}: {off - asked:.3f}"
 
 
 async def connected(machine: VirtualMachine) -> DrivePort:
@@ -100,8 +136,27 @@ async def connected(machine: VirtualMachine) -> DrivePort:
     return port
 
 
+@pytest.mark.parametrize("machine", ["canopen", "modbus"], indirect=True)
 async def test_a_stop_at_any_moment_leaves_no_energy(machine: VirtualMachine, clock: Clock, explore: Explorer) -> None:
     port = await connected(machine)
-    found = await explore.run(lambda seed: stopped(port, machine, clock, seed), 100, budget=60.0)
-    print(f"{len(found.outcomes)} interleavings in {found.cpu:.1f} CPU s")
+    outcomes: list[Outcome] = []
+    parts = itertools.count()
+    for activity in ACTIVITIES[machine.fieldbus]:
+        doing = asyncio.create_task(activity(port), name=activity.__name__)
+
+        async def step(seed: int, doing: "asyncio.Task[None]" = doing) -> str:
+            chance = Random(f"stop {seed}")
+            return await pressed(port, machine, clock, chance, doing, PART * chance.random())
+
+        while not doing.done():
+            here = partial(_in_part, next(parts))
+            outcomes += (await explore.run(step, SEEDS * MOST, among=here)).outcomes
+            await asyncio.sleep(PART)
+        await doing
+    assert next(parts) <= MOST
+    print(f"{len(outcomes)} interleavings in {sum(outcome.cpu for outcome in outcomes):.1f} CPU s")
     await port.close()
+
+
+def _in_part(part: int, seed: int) -> bool:
+    return seed % MOST == part
