@@ -1,15 +1,49 @@
-"""A copy of this process, for parsers that may break it: C code of others does, when a file is torn."""
+"""A copy of this process (fork): for a world that is copied, and for parsers that may break it, as C code of others."""
 
 import json
 import os
 import signal
 import sys
 import traceback
+import warnings
 from collections.abc import Callable
+from typing import NoReturn
 
 from service.errors import BadInput
 
-TIME = 5  # s of CPU that a copy may take; the product's process has its own limit
+TIME = 5  # s of CPU that a parser may take; the product's process has its own limit
+
+
+def fork() -> tuple[int, int]:
+    """In the original: the pid of the copy and a pipe, for `heard`. In the copy: 0 and a pipe, for `tell`."""
+    reading, writing = os.pipe()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of threads: pytest's and its plugins' are not needed here
+        child = os.fork()
+    os.close(writing if child else reading)
+    return child, reading if child else writing
+
+
+def heard(child: int, pipe: int) -> tuple[bytes, int]:
+    """What the copy told, once it has ended, and its exit code; that of a signal is negative."""
+    with os.fdopen(pipe, "rb") as reading:
+        data = reading.read()
+    _, status = os.waitpid(child, 0)
+    return data, os.waitstatus_to_exitcode(status)
+
+
+def tell(pipe: int, answer: Callable[[], bytes]) -> NoReturn:
+    """The end of the copy, without any cleaning up."""
+    try:
+        data = answer()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        with os.fdopen(pipe, "wb") as writing:
+            writing.write(data)
+    finally:
+        os._exit(0)
 
 
 def copied(task: Callable[[], object], seconds: int = TIME, memory: int | None = None) -> dict[str, object]:
@@ -22,25 +56,17 @@ def copied(task: Callable[[], object], seconds: int = TIME, memory: int | None =
         return _told(task)
     import resource
 
-    ours, theirs = os.pipe()
-    child = os.fork()
+    child, pipe = fork()
     if child == 0:
-        os.close(ours)
-        try:
-            resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
-            if memory is not None:
-                with open("/proc/self/statm", encoding="ascii") as pages:
-                    most = int(pages.read().split()[0]) * resource.getpagesize() + memory
-                resource.setrlimit(resource.RLIMIT_AS, (most, most))
-            os.write(theirs, json.dumps(_told(task)).encode()[:4000])
-        finally:
-            os._exit(0)
-    os.close(theirs)
-    with os.fdopen(ours, "rb") as pipe:
-        answer = pipe.read()
-    _, status = os.waitpid(child, 0)
-    if os.WIFSIGNALED(status):
-        return {"died": signal.Signals(os.WTERMSIG(status)).name}
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+        if memory is not None:
+            with open("/proc/self/statm", encoding="ascii") as pages:
+                most = int(pages.read().split()[0]) * resource.getpagesize() + memory
+            resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        tell(pipe, lambda: json.dumps(_told(task)).encode())
+    answer, code = heard(child, pipe)
+    if code < 0:
+        return {"died": signal.Signals(-code).name}
     return json.loads(answer or b'{"other": "the copy told nothing"}')
 
 

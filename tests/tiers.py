@@ -160,6 +160,26 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/numeric/test_makers_robots.py::test_from_a_makers_urdf_to_its_inertia": 6,
     "tests/numeric/test_planned_confidence.py::test_a_campaign_to_a_confidence_keeps_what_its_plan_promises": 5,
     "tests/numeric/test_planned_confidence.py::test_the_fewer_sweeps_know_inertia_as_well": 5,
+    # the seeds of tests in virtual time, in other processes
+    **{
+        f"tests/virtual_time/test_nothing_moves_unasked.py::test_a_promise[{promise}": 45
+        for promise in (
+            "a stop ends what",
+            "a stop outlives",
+            "a release",
+            "a stop reaches",
+            "an abort",
+            "a missing",
+            "a pause",
+            "nothing moves",
+            "the death",
+            "one service",
+            "a stop ends approvals",
+            "nothing goes on",
+            "a stop does not wait",
+        )
+    },
+    "tests/virtual_time/test_determinism.py::test_another_process_repeats_each_seed[sequences-100": 200,
     # how much, not whether
     "tests/benchmarks/test_ratios.py::test_no_ratio_is_much_worse": 40,
 }

@@ -27,6 +27,7 @@ WIRE = 120e-6  # s that a frame takes on the wire at 1 Mbit/s
 LATE = 2e-3  # s by which a frame may reach a program later than that; drawn on a logarithmic scale
 ANSWER = 1e-3  # s that a drive takes to answer a request (SDO)
 _BUS_OFF, _SDO_ANSWER = 0x40, 0x580
+_VELOCITY = bytes.fromhex("6c60")  # 606Ch, as it stands in a frame
 _ERROR_FLAG = 0x20000000  # linux/can.h
 _CAN = {"AF_CAN": 29, "CAN_RAW": 1, "SOL_CAN_RAW": 101, "CAN_RAW_FILTER": 1}  # linux/can.h; not every platform has it
 _CAN_FRAME = struct.Struct("=IB3x8s")  # linux/can.h
@@ -46,6 +47,8 @@ class Wire(Powered[EventDrivenCabinet]):
         self.lost: Callable[[int, bytes], bool] = lambda _identifier, _data: False
         """Which frames reach nobody."""
         self.hosts: list[Host] = []
+        self.answered: dict[int, float] = {}
+        """When a node told its velocity last, s: a look at its state alone says nothing of standstill."""
         self._reaches_cabinet = 0.0
         self.world = primitives.world
         self.switched_off = False  # the nodes already say something while the base class boots them
@@ -97,6 +100,8 @@ class Wire(Powered[EventDrivenCabinet]):
 
     def _sent_by_cabinet(self, frame: Frame) -> None:
         if not self.switched_off and not self.gone and not self.lost(frame.id, frame.data):
+            if frame.id & ~0x7F == _SDO_ANSWER and frame.data[1:3] == _VELOCITY:
+                self.answered[frame.id & 0x7F] = self.world.now
             self._to_hosts(frame.id, frame.data)
 
     def _to_hosts(self, identifier: int, data: bytes, error: bool = False) -> None:

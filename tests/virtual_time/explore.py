@@ -9,15 +9,16 @@ import asyncio
 import faulthandler
 import inspect
 import json
-import os
 import pickle
 import signal
 import time
 import traceback
 from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 
+from tests.forked import fork, heard, tell
 from tests.virtual_time import primitives, world
 
 SEEDS = Path(__file__).parent / "seeds"
@@ -66,7 +67,7 @@ Step = Callable[[int], object | Awaitable[object]]
 
 
 class Explorer:
-    """The fixture `explore`: `await explore.run(step, 100)`, or `explore.run_now(step, 100)` without an event loop."""
+    """The fixture `explore`: `await explore.run(step, 9)`; without an event loop `at_once(explore.run(step, 9))`."""
 
     def __init__(self, test: str, only: int, factor: float, log: str = "") -> None:
         """`test`: its node id. `only`: one seed, 0: all. `factor`: how many times as many seeds as the test asks for;
@@ -109,17 +110,6 @@ class Explorer:
                 log.write(json.dumps({"test": self._test} | asdict(outcome)) + "\n")
         return False
 
-    def run_now(
-        self,
-        step: Step,
-        seeds: int,
-        budget: float = float("inf"),
-        restore: Callable[[], None] | None = None,
-        among: Callable[[int], bool] = lambda _: True,
-    ) -> Exploration:
-        """As `run`, with a `step` that is no coroutine."""
-        return at_once(self.run(step, seeds, budget, restore, among))
-
 
 def at_once(work: Coroutine[object, None, Exploration]) -> Exploration:
     """The result of a coroutine that awaits nothing."""
@@ -145,43 +135,28 @@ async def explored(
             break
         if restore is not None:
             restore()
-        ours, theirs = os.pipe()
         faulthandler.cancel_dump_traceback_later()  # its thread does not come along into the copy
-        child = os.fork()
+        child, pipe = fork()
         faulthandler.dump_traceback_later(4 * world.LONGEST if child else world.LONGEST, exit=True, file=2)
         if child:
-            os.close(theirs)
-            found.outcomes.append(_outcome_of(child, ours, seed))
-            if enough(found.outcomes[-1]):
+            data, code = heard(child, pipe)
+            outcome = pickle.loads(data) if data else Outcome(seed, f"the copy died: {code}", "", 0.0, 0.0)
+            found.outcomes.append(outcome)
+            if enough(outcome):
                 break
             continue
+        asyncio._set_running_loop(loop)
+        signal.setitimer(signal.ITIMER_PROF, LONGEST)  # its default action ends the copy
+        began, virtual = time.process_time(), primitives.world.now
+        primitives.world.seed_with(seed)
+        error, told = "", None
         try:
-            os.close(ours)
-            asyncio._set_running_loop(loop)
-            signal.setitimer(signal.ITIMER_PROF, LONGEST)  # its default action ends the copy
-            began, virtual = time.process_time(), primitives.world.now
-            primitives.world.seed_with(seed)
-            error, told = "", None
-            try:
-                doing = step(seed)
-                told = await doing if inspect.isawaitable(doing) else doing
-            except BaseException:  # noqa: BLE001 - told to the original
-                last = "\n".join(primitives.world.history)
-                error = f"{traceback.format_exc()}\nlast switches and frames:\n{last}"
-            cpu, virtual = time.process_time() - began, primitives.world.now - virtual
-            outcome = Outcome(seed, error, primitives.world.digest.hexdigest(), cpu, virtual, told)
-            with os.fdopen(theirs, "wb") as pipe:
-                pipe.write(pickle.dumps(outcome))
-        finally:
-            os._exit(0)
+            doing = step(seed)
+            told = await doing if inspect.isawaitable(doing) else doing
+        except BaseException:  # noqa: BLE001 - told to the original
+            last = "\n".join(primitives.world.history)
+            error = f"{traceback.format_exc()}\nlast switches and frames:\n{last}"
+        cpu, virtual = time.process_time() - began, primitives.world.now - virtual
+        outcome = Outcome(seed, error, primitives.world.digest.hexdigest(), cpu, virtual, told)
+        tell(pipe, partial(pickle.dumps, outcome))
     return found
-
-
-def _outcome_of(child: int, pipe: int, seed: int) -> Outcome:
-    """What a copy tells, once it has ended."""
-    with os.fdopen(pipe, "rb") as reading:
-        data = reading.read()
-    _, status = os.waitpid(child, 0)
-    if data:
-        return pickle.loads(data)
-    return Outcome(seed, f"the copy died: {os.waitstatus_to_exitcode(status)}", "", 0.0, 0.0)

@@ -92,6 +92,11 @@ class VirtualMachine:
     def energised(self) -> list[str]:
         return [joint for joint, axis in self.axes().items() if axis["energised"]]
 
+    def told(self, joint: str) -> float:
+        """When its drive told its velocity last, s; on CANopen."""
+        assert isinstance(self.wire, Wire)
+        return self.wire.answered.get(self.wire.cabinet.nodes[joint].number, float("-inf"))
+
     def stands(self) -> bool:
         """No axis has energy, none moves."""
         return not any(axis["energised"] or abs(axis["velocity"]) > STANDS for axis in self.axes().values())

@@ -23,6 +23,8 @@ from tests.virtual_time.service import VirtualService
 
 REACTION = 0.5  # s from a stop until no axis has energy, where the bus works
 BY_THEMSELVES = 4.5  # s without their host until no axis has energy: time-out of the drives (3 s) and their ramps
+STORED = 2.0  # s after which a stop is stored, if the host runs and the database is free
+STALE = 2.1  # s after which an axis that did not tell its velocity is not said to stand, with the way of the answer
 IN_FLIGHT = 0.05  # s in which a stop reaches the service and frames that are under way reach the drives
 KEPT = ("recorded", "identified")
 OVER = ("planned", "paused", "measured", "completed", "aborted")  # a campaign in such a state moves nothing
@@ -37,7 +39,9 @@ class Command:
     given: float
     latched: bool
     answer: "Future[httpx.Response]"
-    over: bool = False  # its campaign is paused, aborted or finished since
+    attended: float = float("inf")  # s without a sign of life after which it excuses nothing
+    alive: float = float("inf")  # s, of its answer or the last sign of life
+    over: bool = False  # its campaign is paused, aborted or finished since, or was resumed by a younger command
 
     @property
     def open(self) -> bool:
@@ -60,6 +64,7 @@ class End:
     known: float
     latches: bool = False
     released: bool = False  # perhaps: a person who had seen it has asked for it
+    forgotten: bool = False  # perhaps: the service was killed before it was stored
 
 
 @dataclass
@@ -83,8 +88,10 @@ class Oracle:
     machine: VirtualMachine
     commands: list[Command] = field(default_factory=list[Command])
     ends: list[End] = field(default_factory=list[End])
-    approved: set[int] = field(default_factory=set[int])
-    """Campaigns whose plan somebody has approved, or has asked to."""
+    approved: dict[int, int] = field(default_factory=dict[int, int])
+    """When the plan of a campaign was approved last, or somebody asked to: order among all commands and ends."""
+    held_up: float = 0.0
+    """Until then, s, the database was blocked or the host suspended: a stop may not be stored."""
     lease_lost: float = float("inf")  # another service has it since
     troubled: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])  # the bus was cut
     trouble: list[str] = field(default_factory=list[str])
@@ -101,10 +108,38 @@ class Oracle:
 
     # -- what happened
 
-    def command(self, campaign: int, answer: "Future[httpx.Response]") -> None:
-        self.commands.append(
-            Command(next(self._order), campaign, primitives.world.now, self.stopped(primitives.world.now), answer)
-        )
+    def command(self, campaign: int, answer: "Future[httpx.Response]", attended: float = float("inf")) -> None:
+        now = primitives.world.now
+        command = Command(next(self._order), campaign, now, self.stopped(now), answer, attended)
+        answer.add_done_callback(lambda _: self._answered(command))
+        self.commands.append(command)
+
+    def _answered(self, command: Command) -> None:
+        if command.refused:
+            return
+        for each in self.commands:
+            each.over = each.over or (each.campaign == command.campaign and each.order < command.order)
+        self._shown(command)
+
+    def shown(self, campaign: int) -> None:
+        """A sign of life was given, or arrived at last."""
+        for command in self.commands:
+            if command.campaign == campaign and not command.open:
+                self._shown(command)
+
+    def _shown(self, command: Command) -> None:
+        if command.attended < float("inf"):
+            command.alive = now = primitives.world.now
+            primitives.world.at(now + command.attended + REACTION, lambda: self._missed(command, now))
+
+    def _missed(self, command: Command, alive: float) -> None:
+        now, missed = primitives.world.now, alive + command.attended
+        asleep = self.service.process.suspended or self.service.process.killed or self.held_up > alive
+        if command.alive == alive and not command.over and not asleep and not self._excused(now):
+            self._has_reacted("a sign of life was missed", missed, REACTION)
+
+    def approval(self, campaign: int) -> None:
+        self.approved[campaign] = next(self._order)
 
     def end(self, why: str, known: float | None = None, latches: bool = False, within: float | None = None) -> None:
         """All that was wanted before now is over; `within`, s after it is known: no axis has the energy it had."""
@@ -114,6 +149,13 @@ class Oracle:
         if within is not None:
             primitives.world.at(known + within, lambda: self._has_reacted(why, known, within))
 
+    def forget(self) -> None:
+        """The service was killed: a stop that was not stored is forgotten, perhaps."""
+        killed = next(end.known for end in reversed(self.ends) if end.why == "kill")
+        for end in self.ends:
+            stored = end.latches and max(end.known, self.held_up) + STORED <= killed
+            end.forgotten = end.forgotten or not stored
+
     def lease_is_lost(self) -> None:
         """At this moment another service takes it: the machine stands already."""
         self.lease_lost = primitives.world.now
@@ -122,7 +164,7 @@ class Oracle:
 
     def stopped(self, at: float) -> bool:
         """Whether a stop that nobody can have released holds the machine for certain."""
-        return any(end.latches and not end.released and end.known <= at for end in self.ends)
+        return any(end.latches and not end.released and not end.forgotten and end.known <= at for end in self.ends)
 
     def released(self, seen: float) -> None:
         """A person asks to release what was there at `seen`: whatever was younger stays. Perhaps it is refused."""
@@ -143,14 +185,22 @@ class Oracle:
             self._wrong(joint, "got energy while the machine is stopped")
         elif now > self.lease_lost:
             self._wrong(joint, "got energy without the lease")
-        elif not any(self._excuses(command, at) for command in self.commands):
+        elif not self._excused(at):
             self._wrong(joint, "got energy that no command of a person excuses")
         self.judge_statement()
 
+    def _excused(self, at: float) -> bool:
+        return any(self._excuses(command, at) for command in self.commands)
+
     def _excuses(self, command: Command, at: float) -> bool:
-        if command.latched or command.refused or command.over or command.campaign not in self.approved:
+        if command.latched or command.refused or command.over or at > command.alive + command.attended:
             return False
-        return all(command.order > end.order for end in self.ends if end.known <= at)
+        ends = [end for end in self.ends if end.known <= at]
+        stops = [end.order for end in ends if end.latches and not end.forgotten]
+        approved = self.approved.get(command.campaign)
+        if approved is None or any(approved < stop for stop in stops):
+            return False
+        return all(command.order > end.order for end in ends)
 
     def _has_reacted(self, why: str, known: float, within: float) -> None:
         if within < BY_THEMSELVES and self._bus_troubled(known, known + within):
@@ -167,8 +217,13 @@ class Oracle:
             return
         self.counts.statements += 1
         for joint, axis in machine.statement.axes.items():
-            if axis.state.value == "stands" and joint in self.on:
+            if axis.state.value != "stands":
+                continue
+            if joint in self.on:
                 self._wrong(joint, f"has energy and is stated to stand, age {axis.age} s")
+            silent = primitives.world.now - self.machine.told(joint)
+            if silent > STALE:
+                self._wrong(joint, f"is stated to stand, and has told no velocity for {silent:.2f} s")
 
     def judge(self) -> None:
         """Between two steps. AssertionError with all that was wrong since the last time."""

@@ -6,6 +6,7 @@ well, later. Not in the list, because nothing that anybody could observe changes
 - one of the checks of the epoch removed while another follows before the energy (before the drives are connected; in
   the transaction of a start; before or after enabling): a later one refuses. All of one kind together are in the list.
 - `HostWatch.check` alone: `halt` and the beat of the event loop find the same gap.
+- `Axis._check_wanted` alone: the stop sequence, which follows on the same thread, takes the energy away within 0.5 s.
 - the latch in the database alone, without a restart: the one in memory holds.
 - the stop of the service alone while the stop process sends it, and the reverse while the service runs: each hides the
   other; "no stop is sent" takes both away.
@@ -14,21 +15,25 @@ well, later. Not in the list, because nothing that anybody could observe changes
 import asyncio
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 from drivers.canopen.stop_sender import CanopenStopSender
 from drivers.cia402.axis import Axis
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
+from service.execution import statement
 from service.execution.approvals import Approvals
 from service.execution.epoch import Epochs, Intention
 from service.execution.machine import Machine
 from service.execution.motion import Motion
 from service.execution.runner import Runner
+from service.execution.state import lease_renewal
 from service.execution.state.latched_stops import LatchedStops
 from service.execution.state.stop_sequences import StopSequences
 from service.execution.statement import Reports
 from service.stop_process.bus import Bus, Outcome
+from service.store import approvals
 from service.store.guards import MachineLease
 from service.store.store import Store
 from tests.virtual_time import sequences as s
@@ -135,6 +140,20 @@ async def _does_not_end(self: Any, _why: str) -> None:
 
 
 RUNS = (s.start, s.put_right)
+
+
+async def _take_back_unattended(self: Any, campaign: int, intention: Intention, if_version: Any, _: Any) -> Any:
+    return await _REAL_TAKE_BACK(self, campaign, intention, if_version, None)
+
+
+_REAL_TAKE_BACK = Runner._take_back_pause  # pyright: ignore[reportPrivateUsage]
+_REAL_RESET = LatchedStops.reset
+
+
+async def _releases_all(self: Any, by: str, _: Sequence[int]) -> Any:
+    return await _REAL_RESET(self, by, [stop.id for stop in self.documents])
+
+
 ONCE = 1, 1
 PENDING = (s.change_of_mind,)
 
@@ -168,7 +187,23 @@ SERVICE: dict[str, Fault] = {
         _all(_set(MachineLease, "renew", _nothing)), (s.start, s.second_service), 60.0
     ),
     "what gets energy is stated to stand": Fault(_set(Reports, "gets_energy", _nothing), RUNS, 10.0),
-    "plans need no approval": Fault(_set(Approvals, "check", _nothing), RUNS, 10.0),
+    "plans need no approval": Fault(_set(Approvals, "check", _nothing), (s.start,), 10.0),
+    "an approval outlives a stop": Fault(
+        _set(approvals, "_last_stop", lambda *_: 0), (s.start, s.stop_by_port, s.release), 20.0
+    ),
+    "the lease is never missed": Fault(
+        _set(lease_renewal, "time", SimpleNamespace(monotonic=lambda: 0.0)), (s.start, s.second_service), 20.0
+    ),
+    "the stop process sends nothing": Fault(_set(Bus, "stop", _silent), (s.stop_in_a_gap,), 20.0, ONCE),
+    "a stop is not stored": Fault(_set(LatchedStops, "note", _nothing), (s.stop_outlives_a_kill,), 20.0, ONCE),
+    "a release releases what nobody saw": Fault(
+        _set(LatchedStops, "reset", _releases_all), (s.late_release,), 20.0, ONCE
+    ),
+    "an old report counts": Fault(_set(statement, "STALE", float("inf")), (s.start, s.let_run, s.stop_by_port), 10.0),
+    "a missed sign of life stops nothing": Fault(_set(Runner, "_missed", _nothing), (s.attended,), 20.0, ONCE),
+    "a pause that is taken back asks for no sign of life": Fault(
+        _set(Runner, "_take_back_pause", _take_back_unattended), (s.start, s.let_run, s.pause_taken_back), 20.0
+    ),
     "a sweep is counted twice": Fault(_set(Store, "end_sweep", _recorded_twice), (s.start, s.let_run), 60.0),
     "a recording is lost": Fault(_set(Store, "end_sweep", _lost), (s.start, s.let_run), 60.0),
     "no stop is sent": Fault(

@@ -12,6 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
+from random import Random
 from typing import Any, Self
 
 from tests.virtual_time.scheduler import TICK, WALL, Process, Scheduler, SimThread
@@ -53,6 +54,14 @@ def wall_ns() -> int:
 
 def clock_gettime(which: int) -> float:
     return wall() if which == time.CLOCK_REALTIME else monotonic()
+
+
+def urandom(size: int) -> bytes:
+    """The same in each run: names and tokens of hosts go into frames."""
+    return _CHANCE.randbytes(size)
+
+
+_CHANCE = Random(0)
 
 
 def sleep(seconds: float) -> None:

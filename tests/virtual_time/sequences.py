@@ -36,6 +36,7 @@ LOOK = 5e-3  # s
 LEASE = 6.0  # s, `lease_time`
 LEASE_NOTICED = 0.8 * LEASE  # s without renewal after which the machine stands for certain
 LEASE_EARLIEST = 0.25 * LEASE  # s of a blocked database before which the lease cannot be late
+ATTENDED = (1.0, 5.0)  # s
 AXES = ("joint_1", "joint_2")
 
 
@@ -55,7 +56,7 @@ class Session:
         """The plan of the first campaign is approved. `only`: nothing else happens; (): everything may."""
         self.service, self.machine, self.clock, self.campaigns = service, machine, clock, campaigns
         self.chance = Random(f"sequence {seed}")
-        self.oracle = Oracle(service, machine, approved={campaigns[0]})
+        self.oracle = Oracle(service, machine, approved={campaigns[0]: -1})
         self._steps = steps
         self._actions = [(each, weight) for each, weight in ACTIONS if each in only or not only]
         self.awake = self.mended = self.clock.now  # s, when the host is awake and the bus whole again
@@ -118,8 +119,7 @@ class Session:
         self.clock.sleep(self.draw((0.01, 5.0)))
         self.oracle.judge()
         self.service.bury()
-        for end in self.oracle.ends:
-            end.released = True  # what the database had not stored yet is forgotten; nobody knows from outside
+        self.oracle.forget()
         self.oracle.lease_lost = float("inf")  # the second service does not renew: it is gone
         self.service.start()
         self.oracle.end("restart")
@@ -131,6 +131,13 @@ class Session:
         except httpx.ConnectError:
             return None
 
+    def command(
+        self, campaign: int, answer: "Future[httpx.Response] | None", attended: float | None
+    ) -> "Future[httpx.Response] | None":
+        if answer is not None:
+            self.oracle.command(campaign, answer, float("inf") if attended is None else attended)
+        return answer
+
     def wait(self, answer: "Future[httpx.Response] | None") -> httpx.Response | None:
         """A person waits for it, or does not."""
         if answer is None or self.chance.random() < 0.4:
@@ -139,6 +146,10 @@ class Session:
             return answer.result(PATIENCE)
         except (httpx.HTTPError, TimeoutError):
             return None
+
+    def held_up(self, seconds: float) -> None:
+        """The host or its database, for so long."""
+        self.oracle.held_up = max(self.oracle.held_up, self.clock.now + seconds)
 
     def cut(self, seconds: float) -> None:
         """The bus, for so long."""
@@ -161,6 +172,7 @@ class Session:
             except sqlite3.OperationalError:  # the service writes
                 self.clock.sleep(0.01)
         began = self.clock.now
+        self.held_up(seconds)
 
         def hold() -> None:
             if seconds > LEASE_NOTICED:
@@ -183,14 +195,31 @@ def start(it: Session) -> None:
     it.wait(begin(it))
 
 
-def begin(it: Session) -> "Future[httpx.Response] | None":
+def begin(it: Session, attended: float | None = None) -> "Future[httpx.Response] | None":
     begun = {command.campaign for command in it.oracle.commands if not command.refused}
     campaign = it.campaigns[it.chance.random() > 0.8]
     word = "resume" if (campaign in begun) is (it.chance.random() < 0.9) else "start"
-    answer = it.post(f"/campaigns/{campaign}/{word}", {"repeat": True} if word == "resume" else {})
-    if answer is not None:
-        it.oracle.command(campaign, answer)
-    return answer
+    content = ({"repeat": True} if word == "resume" else {}) | _attended(attended)
+    return it.command(campaign, it.post(f"/campaigns/{campaign}/{word}", content), attended)
+
+
+def _attended(within: float | None) -> dict[str, object]:
+    return {} if within is None else {"attended": {"within_s": within}}
+
+
+def attended(it: Session) -> None:
+    """A start that requires a sign of life, which comes for some time."""
+    within = it.draw(ATTENDED)
+    it.wait(begin(it, within))
+    for _ in range(it.chance.randint(0, 3)):
+        it.clock.sleep(0.7 * within)
+        it.look()
+        for campaign in it.campaigns:
+            it.oracle.shown(campaign)
+            answer = it.post(f"/campaigns/{campaign}/sign_of_life")
+            if answer is not None:
+                answer.add_done_callback(lambda _, campaign=campaign: it.oracle.shown(campaign))
+    it.clock.sleep(within + REACTION)
 
 
 def change_of_mind(it: Session) -> None:
@@ -238,10 +267,8 @@ def pause(it: Session) -> None:
 def pause_taken_back(it: Session) -> None:
     campaign = it.chance.choice(it.campaigns)
     it.wait(it.post(f"/campaigns/{campaign}/pause"))
-    answer = it.post(f"/campaigns/{campaign}/resume", {})
-    if answer is not None:
-        it.oracle.command(campaign, answer)
-        it.wait(answer)
+    within = it.draw(ATTENDED) if it.chance.random() < 0.5 else None
+    it.wait(it.command(campaign, it.post(f"/campaigns/{campaign}/resume", _attended(within)), within))
 
 
 def abort(it: Session) -> None:
@@ -249,13 +276,14 @@ def abort(it: Session) -> None:
 
 
 def approve(it: Session) -> None:
-    """Of the plan of the second campaign; that of the first is approved."""
-    path = f"/plans/{it.service.plans[-1]}/approvals"
+    """Of one of the plans; that of the first campaign is approved until the first stop."""
+    which = it.chance.randrange(len(it.campaigns))
+    path = f"/plans/{it.service.plans[which]}/approvals"
     try:
         found = it.service.send("GET", path).result(PATIENCE).json()
     except (httpx.HTTPError, TimeoutError):
         return
-    it.oracle.approved.add(it.campaigns[-1])
+    it.oracle.approval(it.campaigns[which])
     it.wait(it.post(path, {"sha256": found["sha256"], "approved_by": "Ada"}))
 
 
@@ -293,18 +321,38 @@ def _reacted_to_port(it: Session, asked: float) -> Callable[[], None]:
     return lambda: it.oracle._has_reacted("stop by the port", asked, REACTION)  # pyright: ignore[reportPrivateUsage]
 
 
-def release(it: Session) -> None:
+def release(it: Session, between: Callable[[], object] = lambda: None) -> None:
     """A person looks, and releases what he saw, but nothing younger."""
-    seen = it.clock.now
     try:
         stops = it.service.send("GET", "/stop").result(PATIENCE).json()
     except (httpx.HTTPError, TimeoutError):
         return
     seen = it.clock.now
     numbers = [stop["id"] for stop in stops["stops"]]
+    between()
     if numbers:
         it.oracle.released(seen)
         it.wait(it.post("/stop/reset", {"by": "Ada", "stops": numbers}))
+
+
+def late_release(it: Session) -> None:
+    """A person looks, another one stops, the first releases what he saw and starts: the other stop is in force."""
+    stop_by_port(it)
+    it.clock.sleep(it.draw((0.1, 1.0)))
+    release(it, lambda: (stop_by_port(it), it.clock.sleep(it.draw((0.06, 1.0)))))
+    for action in (approve, start):
+        action(it)
+
+
+def stop_outlives_a_kill(it: Session) -> None:
+    """Stored, it holds the machine after the restart; nobody releases it."""
+    it.chance.choice((stop_by_api, stop_by_port))(it)
+    it.clock.sleep(it.draw((0.1, 4.0)))
+    kill(it)
+    it.clock.sleep(it.draw((0.1, 1.0)))
+    it.look()
+    for action in (connect, acknowledge, approve, start):
+        action(it)
 
 
 def connect(it: Session) -> None:
@@ -317,8 +365,8 @@ def acknowledge(it: Session) -> None:
 
 
 def put_right(it: Session) -> None:
-    """A person looks, releases, connects, acknowledges and starts or resumes."""
-    for action in (release, connect, acknowledge, start):
+    """A person looks, releases, connects, acknowledges, approves and starts or resumes."""
+    for action in (release, connect, acknowledge, approve, start):
         action(it)
 
 
@@ -337,8 +385,19 @@ def host_gap(it: Session) -> None:
     _asleep(it, gap)
 
 
+def stop_in_a_gap(it: Session) -> None:
+    """While an axis has energy, in most cases: the stop process stops it, for the service does not run."""
+    it.wait(begin(it))
+    it.clock.sleep(it.draw((0.2, 2.0)))
+    host_gap(it)
+    it.clock.sleep(it.draw((1e-3, 0.5)))
+    stop_by_port(it)
+    it.clock.sleep(2 * REACTION)
+
+
 def _asleep(it: Session, gap: float) -> None:
     it.awake = it.clock.now + gap
+    it.held_up(gap)
     if gap > it.machine.host_timeout:
         began, world = it.clock.now, primitives.world
         gone = it.service.process
@@ -408,7 +467,8 @@ ACTIONS: list[tuple[Action, float]] = [
     (start, 4.0),
     (put_right, 8.0),
     (change_of_mind, 1.5),
-    (broken_off, 1.0),
+    (broken_off, 0.5),
+    (attended, 0.5),
     (let_run, 0.7),
     (pause, 0.7),
     (pause_taken_back, 1.0),
@@ -417,14 +477,28 @@ ACTIONS: list[tuple[Action, float]] = [
     (stop_by_api, 1.2),
     (stop_by_port, 1.2),
     (release, 2.5),
+    (late_release, 0.5),
+    (stop_outlives_a_kill, 0.5),
     (connect, 0.7),
     (acknowledge, 0.7),
     (host_gap, 1.0),
+    (stop_in_a_gap, 0.5),
     (drive_fault, 0.7),
     (cut_bus, 1.0),
     (blocked_database, 1.5),
     (second_service, 0.3),
     (kill, 0.5),
 ]
-FIRST = (start, change_of_mind, broken_off, host_gap, cut_bus, blocked_database)
+FIRST = (
+    start,
+    change_of_mind,
+    broken_off,
+    attended,
+    late_release,
+    stop_outlives_a_kill,
+    stop_in_a_gap,
+    host_gap,
+    cut_bus,
+    blocked_database,
+)
 assert IN_FLIGHT < REACTION

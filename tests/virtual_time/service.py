@@ -27,7 +27,7 @@ from service.app import create_app, end_motion, end_streams
 from service.client import ServiceClient
 from service.execution.machine import Machine
 from service.settings import Settings
-from service.stop_process.answers import Request
+from service.stop_process.answers import LONGEST_WAIT, Request
 from service.stop_process.handle import StopProcess
 from service.store.engines.kind import BUSY_TIMEOUT, PATIENCE, WRITE
 from service.worker import Worker
@@ -193,9 +193,11 @@ class VirtualService:
         loop.call_soon_threadsafe(lambda: loop.create_task(respond(), name="request"))
         return answer
 
-    def press_stop(self, by: str = "test", why: str = "test", press: str = "") -> primitives.SimpleQueue:
+    def press_stop(
+        self, by: str = "test", why: str = "test", press: str = "", wait: float = LONGEST_WAIT
+    ) -> primitives.SimpleQueue:
         """POST /stop at the port of the stop process; the answer comes in the queue."""
-        return operating_system.LISTENERS[self.settings.stop_listens_at].ask(Request(by, why, press, HOST))
+        return operating_system.LISTENERS[self.settings.stop_listens_at].ask(Request(by, why, press, HOST, wait))
 
     # -- inside
 

@@ -72,6 +72,9 @@ class Stop:
         missing = truth.keys() - confirmed - unconfirmed
         self._check(not missing, f"{answer.way}: {missing} in no list")
         self._check((answer.status == 200) == (not unconfirmed), f"{answer.way}: status {answer.status}")
+        detail = str(answer.body.get("detail", "stop; use the emergency stop"))
+        whole = detail.startswith("stop ") and detail.endswith("; use the emergency stop")
+        self._check(answer.status == 200 or whole, f"{answer.way}: {detail}")
 
     def check_said(self) -> None:
         """Who may be silent, who must confirm."""

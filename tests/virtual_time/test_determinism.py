@@ -1,8 +1,13 @@
 """One seed, one interleaving; another seed, another one; real time and real primitives outside."""
 
+import json
+import os
 import queue
+import subprocess
+import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -11,6 +16,8 @@ from tests.virtual_time.explore import Explorer, at_once, explored
 from tests.virtual_time.machine import VirtualMachine
 from tests.virtual_time.scheduler import Deadlock
 from tests.virtual_time.service import VirtualService, add_campaign
+
+ROOT = Path(__file__).parents[2]
 
 
 def test_real_primitives_outside_of_virtual_time() -> None:
@@ -37,6 +44,43 @@ def test_the_same_seed_gives_the_same_switches_and_frames(
     assert not one.failed, one.failed[0].error
     assert [(each.digest, each.told) for each in one.outcomes] == [(each.digest, each.told) for each in other.outcomes]
     assert len({each.digest for each in one.outcomes}) == len(seeds)
+
+
+@pytest.mark.parametrize(
+    ("test", "factor", "seeds"),
+    [
+        ("test_nothing_moves_unasked.py::test_from_a_machine_under_way", 0.08, 4),
+        ("test_stop_anywhere.py::test_a_stop_at_any_moment_leaves_no_energy[modbus]", 0.2, 100),
+        ("test_nothing_moves_unasked.py::test_from_a_machine_under_way", 2.0, 100),
+    ],
+    ids=["sequences-4", "modbus", "sequences-100"],
+)
+def test_another_process_repeats_each_seed(tmp_path: Path, test: str, factor: float, seeds: int) -> None:
+    """Two at once, each busy beside the other and a third one, with other hashes of strings."""
+    logs = [tmp_path / name for name in ("1", "2")]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", f"tests/virtual_time/{test}"]
+    with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as busy:
+        runs = [
+            subprocess.Popen(
+                [*command, "--explore", str(factor), "--explore-log", str(log)],
+                env=os.environ | {"PYTHONHASHSEED": log.name},
+                cwd=ROOT,
+                stdout=subprocess.DEVNULL,
+            )
+            for log in logs
+        ]
+        ended = [run.wait() for run in runs]
+        busy.kill()
+    assert ended == [0, 0]
+    one, other = ([_digest(line) for line in log.read_text("utf-8").splitlines()] for log in logs)
+    assert len(one) >= seeds
+    assert len({digest for _, digest in one}) == len(one)
+    assert one == other
+
+
+def _digest(line: str) -> tuple[int, str]:
+    outcome = json.loads(line)
+    return outcome["seed"], outcome["digest"]
 
 
 def test_who_waits_for_ever_is_told(clock: Clock) -> None:

@@ -29,6 +29,18 @@ def test_the_stop_process_stops_what_moves(service: VirtualService, machine: Vir
     release(service.client)
 
 
+def test_a_stop_that_is_not_waited_for_says_only_that_it_was_sent(
+    service: VirtualService, machine: VirtualMachine, clock: Clock
+) -> None:
+    service.press_stop().get()
+    clock.sleep(0.5)  # every drive has been heard by now
+    status, by_port = service.press_stop(wait=0.0).get()
+    answer = service.send("POST", "/stop?by=Ada&wait=0").result()
+    assert (status, answer.status_code) == (202, 202)
+    for body in (by_port, answer.json()):
+        assert ({*body["sent"]}, [*body["confirmed"]], body["unconfirmed"]) == ({*machine.axes()}, [], {})
+
+
 def test_a_killed_service_leaves_a_machine_that_stands_and_a_campaign_that_a_person_resumes(
     service: VirtualService, machine: VirtualMachine, clock: Clock
 ) -> None:

@@ -28,6 +28,7 @@ REACTION = 0.5  # s from a stop until no axis has energy: stop sequence of the h
 LONGEST = 6.0  # s into an activity that a stop comes
 PART, MOST = 0.3, 64  # s; parts of all activities
 SEEDS = 26  # of each part
+ALONE = {"canopen": 1.0, "modbus": 0.05}  # s that a halt is alone; on Modbus it leaves 'quick stop active', with energy
 SILENCE = 5.0  # s after it that nothing may get energy
 STALL = (1e-3, 60.0)  # s
 
@@ -105,7 +106,7 @@ async def pressed(
     STOPPED.append(asked)
     if way.startswith("halt"):
         port.halt()
-        await asyncio.sleep(chance.random() * 0.05)
+        await asyncio.sleep(chance.random() * ALONE[machine.fieldbus])
     with suppress(DriveError) if stall or "silent" in way else nullcontext():
         await port.stop()
     await asyncio.sleep(max(0.0, asked + REACTION - clock.now))

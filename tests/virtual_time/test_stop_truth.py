@@ -9,7 +9,7 @@ from random import Random
 import pytest
 
 from tests.virtual_time.clock import Clock
-from tests.virtual_time.explore import Explorer, Outcome
+from tests.virtual_time.explore import Explorer, Outcome, at_once
 from tests.virtual_time.machine import VirtualMachine
 from tests.virtual_time.page import check_page
 from tests.virtual_time.service import VirtualService, add_campaign
@@ -32,7 +32,7 @@ def test_what_is_said_of_a_stop_is_the_truth(
     for part in range(PARTS):
         restore = service.snapshot()
         mine = partial(_in_part, part)
-        outcomes += explore.run_now(step, SEEDS * len(CELLS), restore=restore, among=mine).outcomes
+        outcomes += at_once(explore.run(step, SEEDS * len(CELLS), restore=restore, among=mine)).outcomes
         restore()  # the original goes on with its own files
         clock.sleep(PART)
     stops = [outcome.told for outcome in outcomes if isinstance(outcome.told, Stop)]

@@ -18,10 +18,11 @@ import threading
 import time
 import traceback
 import types
-import warnings
 from collections.abc import Callable
+from functools import partial
 from typing import Any, TypeVar
 
+from tests.forked import fork, heard, tell
 from tests.virtual_time import primitives
 from tests.virtual_time.scheduler import Scheduler
 
@@ -43,6 +44,7 @@ _REPLACED: dict[Any, Any] = {
     threading.get_ident: primitives.get_ident,
     LOCAL: _threading_local.local,
     queue.SimpleQueue: primitives.SimpleQueue,
+    os.urandom: primitives.urandom,
 }
 LONGEST = float(os.environ.get("VT", "120"))  # s of real time until a copy that hangs says where it does, and ends
 _OURS = ("service", "drivers", "simulator")
@@ -123,32 +125,16 @@ class CopyFailed(AssertionError):
 def in_a_copy(task: Callable[[], Result]) -> Result:
     """The result of `task`, which is done in a copy of this process (fork); it must be possible to pickle it.
 
-    Raises CopyFailed. The copy ends without any cleaning up.
+    Raises CopyFailed.
     """
-    ours, theirs = os.pipe()
     faulthandler.cancel_dump_traceback_later()  # its thread does not come along, and the copy would wait for it
-    sys.stdout.flush()
-    sys.stderr.flush()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of threads: pytest's and its plugins' are not needed here
-        child = os.fork()
+    child, pipe = fork()
     if child == 0:
-        try:
-            os.close(ours)
-            faulthandler.dump_traceback_later(LONGEST, exit=True, file=2)
-            answer = _answer(task)
-            sys.stdout.flush()
-            sys.stderr.flush()
-            with os.fdopen(theirs, "wb") as pipe:
-                pipe.write(answer)
-        finally:
-            os._exit(0)
-    os.close(theirs)
-    with os.fdopen(ours, "rb") as pipe:
-        data = pipe.read()
-    _, status = os.waitpid(child, 0)
+        faulthandler.dump_traceback_later(LONGEST, exit=True, file=2)
+        tell(pipe, partial(_answer, task))
+    data, code = heard(child, pipe)
     if not data:
-        raise CopyFailed(f"the copy of this process died: {os.waitstatus_to_exitcode(status)}")
+        raise CopyFailed(f"the copy of this process died: {code}")
     done, result = pickle.loads(data)
     if not done:
         raise CopyFailed(result)
