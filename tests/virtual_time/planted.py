@@ -8,6 +8,7 @@ well, later. Not in the list, because nothing that anybody could observe changes
 - `HostWatch.check` alone: `halt` and the beat of the event loop find the same gap.
 - `Axis._check_wanted` alone: the stop sequence, which follows on the same thread, takes the energy away within 0.5 s.
 - the latch in the database alone, without a restart: the one in memory holds.
+- `Bus.stop` alone: the confirmation sends the stop again.
 - the stop of the service alone while the stop process sends it, and the reverse while the service runs: each hides the
   other; "no stop is sent" takes both away.
 """
@@ -194,7 +195,7 @@ SERVICE: dict[str, Fault] = {
     "the lease is never missed": Fault(
         _set(lease_renewal, "time", SimpleNamespace(monotonic=lambda: 0.0)), (s.start, s.second_service), 20.0
     ),
-    "the stop process sends nothing": Fault(_set(Bus, "stop", _silent), (s.stop_in_a_gap,), 20.0, ONCE),
+    "the stop process sends nothing": Fault(_set(CanopenStopSender, "_send", _nothing), (s.stop_in_a_gap,), 20.0, ONCE),
     "a stop is not stored": Fault(_set(LatchedStops, "note", _nothing), (s.stop_outlives_a_kill,), 20.0, ONCE),
     "a release releases what nobody saw": Fault(
         _set(LatchedStops, "reset", _releases_all), (s.late_release,), 20.0, ONCE
