@@ -13,7 +13,7 @@ from service.robot import Robot
 from tests.formula_sweep import Turning, by_formula
 
 
-def free(robot: Robot, axis: str, **fields: object) -> Spectrum:
+def free(robot: Robot, axis: str, **fields: Any) -> Spectrum:
     """8 s to and fro, for which J = 250 kg m^2."""
     sines = (Sine(frequency=0.4, amplitude=0.3), Sine(frequency=1.1, amplitude=0.1))
 
