@@ -46,7 +46,7 @@ class FormulaDrive:
         self.go = asyncio.Event()
         self._stopped = asyncio.Event()
         self.allowed = 0
-        self.tell: Callable[[str], None] | None = None
+        self.tell: Callable[[Cause], None] | None = None
         self.capabilities = Capabilities(frozenset(SweepMode), True, True, True, True, True, "none", 1)
         self.channel_timing: Mapping[str, ChannelTiming] = {joint: ChannelTiming() for joint in joints}
         self.set_point_timing: SetPointTiming | None = None

@@ -97,7 +97,8 @@ async def stop_and_release(bench: Bench) -> str:
 async def gap_and_release(bench: Bench) -> str:
     async with watching(bench.machine, lambda _by, _why: None):
         assert bench.drive.tell is not None
-        await asyncio.to_thread(bench.drive.tell, "the host was suspended for 8.0 s")
+        gap = Cause(CauseCode.HOST_GAP, detail="the host was suspended for 8.0 s")
+        await asyncio.to_thread(bench.drive.tell, gap)
         (stop,) = bench.machine.stops
     await bench.machine.noted()
     await bench.machine.reset_stop("ada", [each.id for each in bench.machine.stops])
