@@ -111,7 +111,6 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/system/test_any_order.py": 22,
     # what parts show by themselves, shown again by all processes together, or for a second way, drive or database
     "tests/system/test_attack.py": 30,
-    "tests/system/test_backup_while_measuring.py": 22,
     "tests/system/test_campaign_in_process.py::test_both_ways_of_measuring_give_the_same_inertia": 12,
     "tests/system/test_demo.py::test_interrupted_demo_stops_the_machine_first": 18,
     "tests/system/test_diagnosis_campaign.py::test_the_other_blocks_run_and_none_spoils_the_inertia": 8,
