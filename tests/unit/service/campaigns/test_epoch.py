@@ -31,58 +31,33 @@ class Barrier:
     def __init__(self) -> None:
         self.reached, self.opened = threading.Event(), threading.Event()
 
-    def blocking(self, work: Callable[..., Any]) -> Callable[..., Any]:
+    def before(self, patch: pytest.MonkeyPatch, owner: object, name: str) -> None:
+        """In front of a method."""
+        work = getattr(owner, name)
+
         def held(*args: Any, **more: Any) -> Any:
             self.reached.set()
             assert self.opened.wait(TIMEOUT)
             return work(*args, **more)
 
-        return held
-
-    def before(self, work: Callable[..., Awaitable[Any]]) -> Callable[..., Awaitable[Any]]:
-        async def held(*args: Any) -> Any:
+        async def awaited(*args: Any) -> Any:
             self.reached.set()
             await until(self.opened.is_set)
             return await work(*args)
 
-        return held
+        patch.setattr(owner, name, awaited if asyncio.iscoroutinefunction(work) else held)
 
 
-# -- what a command waits for ---------------------------------------------------------------------------------------
-
-
-Wait = Callable[[Bench, Barrier, pytest.MonkeyPatch], None]
-
-
-def for_connect(bench: Bench, barrier: Barrier, patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(bench.drive, "connect", barrier.before(bench.drive.connect))
-
-
-def for_compile(bench: Bench, barrier: Barrier, patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(bench, "compile_plan", barrier.blocking(bench.compile_plan))
-
-
-def for_approvals(bench: Bench, barrier: Barrier, patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(Approvals, "check", barrier.blocking(Approvals.check))
-
-
-def for_database(bench: Bench, barrier: Barrier, patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(bench.store, "move_campaign", barrier.blocking(bench.store.move_campaign))
-
-
-def for_another_command(bench: Bench, barrier: Barrier, patch: pytest.MonkeyPatch) -> None:
-    """Which itself waits for the database."""
-    patch.setattr(bench.store, "own_campaign", barrier.blocking(bench.store.own_campaign))
-    refused = asyncio.create_task(bench.runner.abort(bench.campaign.id, "by an old page", if_version=99))
-    refused.add_done_callback(lambda task: task.exception())
-
-
-def for_sweep_to_begin(bench: Bench, barrier: Barrier, patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(bench.store, "begin_sweep", barrier.blocking(bench.store.begin_sweep))
-
-
-def for_check_move(bench: Bench, barrier: Barrier, patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(bench.store, "add_check_move", barrier.blocking(bench.store.add_check_move))
+# what a command waits for
+WAITS: dict[str, Callable[[Bench], tuple[object, str]]] = {
+    "connection": lambda bench: (bench.drive, "connect"),
+    "compilation": lambda bench: (bench, "compile_plan"),
+    "approval": lambda _: (Approvals, "check"),
+    "database": lambda bench: (bench.store, "move_campaign"),
+    "another command": lambda bench: (bench.store, "own_campaign"),  # which itself waits for the database
+    "sweep to begin": lambda bench: (bench.store, "begin_sweep"),
+    "check move": lambda bench: (bench.store, "add_check_move"),
+}
 
 
 # -- what comes in between ------------------------------------------------------------------------------------------
@@ -137,24 +112,13 @@ def energy(bench: Bench) -> list[str]:
     return [entry for entry in bench.drive.trace if entry.startswith("enable")]
 
 
-WAITS = [
-    for_connect,
-    for_compile,
-    for_approvals,
-    for_database,
-    for_another_command,
-    for_sweep_to_begin,
-    for_check_move,
-]
-
-
 @pytest.mark.parametrize("command", [start, resume, experiment])
 @pytest.mark.parametrize("wait", WAITS)
 @pytest.mark.parametrize("between", [stop_and_release, gap_and_release, lease_trouble])
 async def test_nothing_moves_that_was_wanted_before_a_stop(
     loop: Loop,  # noqa: F811
     command: Command,
-    wait: Wait,
+    wait: str,
     between: Callable[[Bench], Awaitable[str]],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -163,14 +127,17 @@ async def test_nothing_moves_that_was_wanted_before_a_stop(
         bench.store.move_campaign(bench.campaign.id, lambda _: CampaignState.PAUSED)
     if command is experiment:
         loop.done("reversal", sweeps=True)
-    if wait is not for_connect:
+    if wait != "connection":
         await bench.machine.connect()
-    wait(bench, barrier, monkeypatch)
+    barrier.before(monkeypatch, *WAITS[wait](bench))
+    if wait == "another command":
+        refused = asyncio.create_task(bench.runner.abort(bench.campaign.id, "by an old page", if_version=99))
+        refused.add_done_callback(lambda task: task.exception())
     waiting = asyncio.create_task(command(loop))
     await until(barrier.reached.is_set)
     reason = await between(bench)
     barrier.opened.set()
-    if wait in (for_sweep_to_begin, for_check_move):  # it was answered before; the campaign ends
+    if wait in ("sweep to begin", "check move"):  # it was answered before; the campaign ends
         await waiting
         await bench.over()
         stopped = bench.store.campaigns()[-1]
@@ -197,7 +164,7 @@ async def test_an_approval_that_waits_for_the_database_is_not_stored(
 ) -> None:
     asked, barrier, plan = Asked(bench), Barrier(), bench.campaign.plan_id or 0
     intention = bench.intention
-    monkeypatch.setattr(ApprovalStore, "add", barrier.blocking(ApprovalStore.add))
+    barrier.before(monkeypatch, ApprovalStore, "add")
 
     def approve(given: Intention) -> object:
         return asked.approvals.add(plan, HASH, HASH, "ada", lambda: bench.machine.epochs.check(given))
