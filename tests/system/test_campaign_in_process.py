@@ -132,32 +132,12 @@ async def test_a_campaign_from_plan_to_estimate_and_bundle(application: Applicat
 
 
 @pytest.mark.parametrize("scenario", ["max100-six"])
-async def test_axes_that_move_at_once_are_identified_together(
-    application: Application, machine: VirtualMachine, tmp_path: Path
-) -> None:
-    """After a fault of one of them, which is told, and not that the braking axes leave the trajectory."""
+async def test_axes_that_move_at_once_are_identified_together(application: Application, tmp_path: Path) -> None:
     alone = await campaign_of(application, "drive_side", axes=("joint_3",), varied=("joint_5",))
     await application.runner.start(alone.id, Intention(application.machine.epochs.now))
     await completed(application, alone.id)
     campaign = await trajectory_of(application, sweeps=alone.id)
-    with application.hub.subscribe(campaign.id) as live:
-        await application.runner.start(campaign.id, Intention(application.machine.epochs.now))
-        async with asyncio.timeout(TIMEOUT):
-            async for block in live:
-                if block.time[-1] > 2.0:
-                    break
-        machine.order("fault", joint="joint_3", code=0x2310)
-        await asyncio.wait_for(application.runner.finished(), TIMEOUT)
-    states = {joint: axis.state for joint, axis in (await application.machine.status()).items()}
-    assert states == dict.fromkeys(states, AxisState.DISABLED) | {"joint_3": AxisState.FAULT}
-    held = application.store.campaign(campaign.id)
-    assert (held.state, held.cause) == (
-        CampaignState.PAUSED,
-        "DriveFault: joint_3 (node 3): error 2310h, history 00002310h",
-    )
-    assert {sweep.cause for sweep in application.store.sweeps(campaign.id)} == {held.cause}
-    await application.machine.acknowledge("joint_3")
-    await application.runner.resume(campaign.id, Intention(application.machine.epochs.now), repeat=True)
+    await application.runner.start(campaign.id, Intention(application.machine.epochs.now))
     done = await completed(application, campaign.id)
     assert done.sweeps == {SweepState.IDENTIFIED: 2}
     assert await standing(application)
@@ -176,6 +156,27 @@ async def test_axes_that_move_at_once_are_identified_together(
     parts = {parameter["name"]: parameter for parameter in offline["combination"]["base_parameters"]}
     assert found["Fc(joint_3)"]["std"] < 1.5 * parts["Fc(joint_3)"]["std"]
     assert sum(p["identified"] for p in found.values()) >= sum(p["identified"] for p in parts.values())
+
+
+@pytest.mark.parametrize("scenario", ["max100-six"])
+async def test_a_fault_on_a_trajectory_is_told_and_not_that_braking_axes_leave_it(
+    application: Application, machine: VirtualMachine
+) -> None:
+    campaign = await trajectory_of(application)
+    with application.hub.subscribe(campaign.id) as live:
+        await application.runner.start(campaign.id, Intention(application.machine.epochs.now))
+        async with asyncio.timeout(TIMEOUT):
+            async for block in live:
+                if block.time[-1] > 2.0:
+                    break
+        machine.order("fault", joint="joint_3", code=0x2310)
+        await asyncio.wait_for(application.runner.finished(), TIMEOUT)
+    states = {joint: axis.state for joint, axis in (await application.machine.status()).items()}
+    assert states == dict.fromkeys(states, AxisState.DISABLED) | {"joint_3": AxisState.FAULT}
+    done = application.store.campaign(campaign.id)
+    assert done.state is CampaignState.PAUSED
+    assert done.cause == "DriveFault: joint_3 (node 3): error 2310h, history 00002310h"
+    assert {sweep.cause for sweep in application.store.sweeps(campaign.id)} == {done.cause}
 
 
 async def test_both_ways_of_measuring_give_the_same_inertia(application: Application) -> None:

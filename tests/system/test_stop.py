@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
 from http.client import HTTPConnection
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -33,6 +34,7 @@ from tests.system.bus_listener import Ear, listening
 from tests.system.rest_bench import (
     PATIENCE,
     SHORT_LEASE,
+    Fieldbus,
     Service,
     VirtualMachine,
     add_plan,
@@ -255,6 +257,21 @@ def test_a_service_that_does_not_run_at_all_is_no_hindrance(
     until(lambda: [stop["id"] > 0 for stop in client.stops()] == [True], "latched in the database")
     (stop,) = client.stops()
     assert (stop["by"], stop["why"]) == ("Ada", "smoke")
+
+
+def test_on_modbus_it_writes_the_registers_by_a_connection_of_its_own(tmp_path: Path) -> None:
+    with (
+        virtual_machine(tmp_path, 4.0, Fieldbus.MODBUS_TCP) as machine,
+        serving(tmp_path, machine.profile, SHORT_LEASE) as service,
+        ServiceClient(service.url) as client,
+    ):
+        url = stop_url(service)
+        moving(client, machine)
+        with suspended(service):
+            answer = press(url, by="Ada", press="1")
+            assert (answer.status_code, set(answer.json()["confirmed"])) == (200, JOINTS), answer.text
+            assert machine.stands()
+        until(lambda: [stop["by"] for stop in client.stops()] == ["Ada"], "latched")
 
 
 def test_after_a_gap_nothing_moves_until_a_person_resumes(
