@@ -203,7 +203,7 @@ SERVICE: dict[str, Fault] = {
     "an old report counts": Fault(_set(statement, "STALE", float("inf")), (s.start, s.let_run, s.stop_by_port), 10.0),
     "a missed sign of life stops nothing": Fault(_set(Runner, "_missed", _nothing), (s.attended,), 20.0, ONCE),
     "a pause that is taken back asks for no sign of life": Fault(
-        _set(Runner, "_take_back_pause", _take_back_unattended), (s.start, s.let_run, s.pause_taken_back), 20.0
+        _set(Runner, "_take_back_pause", _take_back_unattended), (s.start, s.pause_taken_back), 20.0
     ),
     "a sweep is counted twice": Fault(_set(Store, "end_sweep", _recorded_twice), (s.start, s.let_run), 60.0),
     "a recording is lost": Fault(_set(Store, "end_sweep", _lost), (s.start, s.let_run), 60.0),

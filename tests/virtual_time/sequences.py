@@ -269,6 +269,8 @@ def pause_taken_back(it: Session) -> None:
     it.wait(it.post(f"/campaigns/{campaign}/pause"))
     within = it.draw(ATTENDED) if it.chance.random() < 0.5 else None
     it.wait(it.command(campaign, it.post(f"/campaigns/{campaign}/resume", _attended(within)), within))
+    if within is not None:
+        it.clock.sleep(within + 2 * REACTION)
 
 
 def abort(it: Session) -> None:

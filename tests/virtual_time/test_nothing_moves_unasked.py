@@ -20,7 +20,7 @@ PROMISES: dict[str, tuple[tuple[Action, ...], tuple[int, int]]] = {
     "a stop reaches the drives of a suspended service": ((s.stop_in_a_gap,), ONCE),
     "an abort takes the energy away": ((s.broken_off,), ONCE),
     "a missing sign of life is standstill": ((s.attended,), ONCE),
-    "a pause that is taken back keeps the sign of life": ((s.start, s.let_run, s.pause_taken_back), FEW),
+    "a pause that is taken back keeps the sign of life": ((s.start, s.pause_taken_back), FEW),
     "nothing moves after a gap until a person resumes": ((s.start, s.connect, s.host_gap), FEW),
     "the death of the service is a stop": ((s.start, s.kill), FEW),
     "one service at a time moves the machine": ((s.start, s.second_service), (2, 3)),
