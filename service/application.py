@@ -25,7 +25,7 @@ from service.diagnosis.effects import CATALOGUE
 from service.diagnosis_loop.acceptance import accept_model
 from service.diagnosis_loop.diagnosing import Diagnosing
 from service.diagnosis_loop.experiments import Experiments
-from service.errors import BadInput, Conflict
+from service.errors import BadInput, Conflict, NoPdf
 from service.execution.approvals import Approvals
 from service.execution.external_stops import listening, watching
 from service.execution.machine import Machine
@@ -46,7 +46,7 @@ from service.planning.machine_setup import MachineSetup, machine_setup
 from service.publishing.following import Following
 from service.publishing.publisher import Publisher
 from service.publishing.state import Configuration
-from service.report import Form, NoPdf
+from service.report import Form
 from service.settings import Settings
 from service.stop_process.handle import StopProcess
 from service.store.approvals import ApprovalStore

@@ -44,6 +44,10 @@ class EnvelopeViolation(MotionFailed, code=CauseCode.ENVELOPE_LEFT):
     """A motion would leave the safety envelope; nothing moved, or the machine was stopped."""
 
 
+class NoPdf(SweepidError):
+    """The libraries for PDF are not installed."""
+
+
 class ServiceUnreachable(SweepidError):
     """No service answers at the address: it is not started, or the address is wrong."""
 

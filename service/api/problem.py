@@ -19,9 +19,8 @@ from starlette.exceptions import HTTPException
 from starlette.routing import Match
 
 from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady
-from service.errors import BadInput, Conflict, EnvelopeViolation, NotFound, NotNow, SweepidError
+from service.errors import BadInput, Conflict, EnvelopeViolation, NoPdf, NotFound, NotNow, SweepidError
 from service.planning.machine_setup import NeedsConfirmation
-from service.report import NoPdf
 from service.store.people.audit import AuditUnreadable
 from service.store.people.writer import NotAudited
 from service.store.requests import KeyReused

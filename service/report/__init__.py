@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from service.report.campaign import campaign_page
     from service.report.content import Axis, CampaignReport, Content, Drive, Revision, Row, axes_of
     from service.report.diagnosis import diagnosis_figures, diagnosis_page
-    from service.report.html import Form, NoPdf, Page
+    from service.report.html import Form, Page
     from service.report.page import analysis_page, estimate_page
     from service.report.plant.fleet import fleet_page
 
@@ -21,7 +21,6 @@ _MODULES = {
     "Content": "content",
     "Drive": "content",
     "Form": "html",
-    "NoPdf": "html",
     "Page": "html",
     "Revision": "content",
     "Row": "content",
@@ -43,7 +42,6 @@ __all__ = [
     "Content",
     "Drive",
     "Form",
-    "NoPdf",
     "Page",
     "Revision",
     "Row",

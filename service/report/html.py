@@ -6,7 +6,6 @@ from collections.abc import Iterable, Sequence
 from html import escape, unescape
 from typing import Literal, TypedDict
 
-from service.errors import SweepidError
 from service.report.drawing import Figure
 
 Form = Literal["html", "pdf", "json"]
@@ -69,10 +68,6 @@ figcaption { color: #64748b; font-size: 13.5px; margin-top: 6px; }
   th, td { padding: 3px 6px; white-space: normal; overflow-wrap: break-word; }
 }
 """
-
-
-class NoPdf(SweepidError):
-    """The libraries for PDF are not installed."""
 
 
 class _Table(TypedDict):

@@ -13,7 +13,8 @@ from service.robot import RobotDescription, build_robot
 from service.worker.jobs import RecordedSweep
 
 if TYPE_CHECKING:  # loaded when a report is drawn
-    from service.report import CampaignReport, Form, NoPdf, Page
+    from service.errors import NoPdf
+    from service.report import CampaignReport, Form, Page
 
 _PARAMETERS = TypeAdapter(tuple[BaseParameter, ...])
 
@@ -103,7 +104,7 @@ Written: TypeAlias = "str | bytes | NoPdf"
 
 
 def _written(page: "Page", form: "Form") -> Written:
-    from service.report import NoPdf
+    from service.errors import NoPdf
 
     try:
         return page.written(form)

@@ -64,7 +64,7 @@ class Bench:
     campaign: CampaignDocument
     told: list[tuple[str, str]]
     """Way and why of the stops that latched nothing."""
-    tell: Callable[[str, str], None]
+    tell: Callable[[str, Cause], None]
     """Is told of them as well; a test may put another in its place."""
     compile_plan: Callable[[CampaignDocument], CompiledPlan]
     """What the runner asks; a test may put another in its place."""
@@ -158,7 +158,7 @@ async def open_bench(
 
         def tell(way: str, cause: Cause) -> None:
             told.append((way, str(cause)))
-            bench.tell(way, str(cause))
+            bench.tell(way, cause)
 
         machine = Machine(drive, latch, latch.latched(), tell=tell)
         models = ModelStore(database)

@@ -13,7 +13,7 @@ from sqlalchemy.exc import OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 from structlog.testing import capture_logs
 
-from drivers.errors import DriveFault, StopNotConfirmed
+from drivers.errors import Cause, CauseCode, DriveFault, StopNotConfirmed
 from drivers.ports import AxisState
 from service.application import tell_own_stop
 from service.errors import Conflict, NotFound, NotNow
@@ -320,7 +320,7 @@ async def test_the_end_of_the_service_asks_the_database_once_more(bench: Bench) 
 
 async def by_host_watch(bench: Bench) -> None:
     assert bench.drive.tell is not None
-    bench.drive.tell("another host is there")
+    bench.drive.tell(Cause(CauseCode.OTHER_HOST, detail="another host is there"))
     await until(lambda: bool(bench.machine.stops))
 
 

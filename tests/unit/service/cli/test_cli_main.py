@@ -90,7 +90,7 @@ def test_the_version_and_the_overview_of_own_and_installed_commands_are_told() -
     for name in ("demo", "serve", "plan", "measure", "import", "export", "identify", "estimate", "drive"):
         assert f"  {name} " in done.stdout
     for name in ("export", "drive"):  # commands that are the first word of others
-        assert "Commands:" in run(name, "--help").stdout
+        assert "Commands:" in console(name, "--help").stdout
 
 
 @pytest.mark.parametrize(

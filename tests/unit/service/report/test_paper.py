@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from pypdf import PdfReader
 
-from service.report import NoPdf, campaign_page, diagnosis_figures, estimate_page
+from service.errors import NoPdf
+from service.report import campaign_page, diagnosis_figures, estimate_page
 from service.report.drawing import Figure, Part, figure, line, points, scale
 from service.report.initial_analysis import amplitude_responses, ideal_frequencies
 from service.report.plotting import PAPER, WIDTH, drawn, svg
