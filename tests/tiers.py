@@ -135,7 +135,7 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     f"{_DIAGNOSIS}::test_a_test_mass_is_told_with_its_place_in_units_of_the_shop": 9,
     f"{_DIAGNOSIS}::test_a_measured_campaign_tells_of_its_data_and_no_name_lies_over_another": 9,
     f"{_DIAGNOSIS}::test_what_is_known_in_part_the_check_of_the_data_and_where_it_started_are_shown": 9,
-    "tests/browser/test_report_print.py::test_it_is_accessible": 5,
+    "tests/browser/test_report_print.py::test_it_is_accessible_and_on_paper_no_figure_is_cut_and_none_is_empty": 5,
     "tests/browser/test_languages.py::test_a_language_that_there_is_not_is_english": 2,
     "tests/browser/test_languages.py::test_dates_and_decimal_signs_are_those_of_the_country": 2,
     "tests/browser/test_languages.py::test_the_language_changes_while_a_campaign_runs_and_is_remembered": 9,

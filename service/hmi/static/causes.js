@@ -26,7 +26,7 @@ const reason = (why) => (why === PRESSED ? text("stop.button") : foreign(why));
 /** @param {Api.Cause | null} cause */
 export const byFault = (cause) => cause !== null && !WANTED.includes(cause.code);
 
-/** @param {{joint: string}} cause */
+/** @param {{joint?: string}} cause */
 export const axisOf = (cause) => cause.joint || text("cause-of.machine");
 
 /** @param {Api.Cause | null} cause @returns {Part[]} */

@@ -5,7 +5,7 @@ import { byId, element } from "./elements.js";
 import { jointsThat } from "./statement.js";
 import { text } from "./words.js";
 
-/** @typedef {{code: string, joint: string}} Known */
+/** @typedef {{code: string, joint?: string}} Known */
 
 // machine: as of `watchMachine`; paused: the paused campaign, if any
 /** @param {Machine} machine @param {Api.CampaignDocument} [paused] */
