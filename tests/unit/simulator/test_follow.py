@@ -104,7 +104,7 @@ def test_a_number_that_is_none_is_refused(scenario_file: Path) -> None:
 def _command(scenario: Path, path: Path) -> "subprocess.CompletedProcess[str]":
     code = "from service.cli import main; main()"
     return subprocess.run(
-        [sys.executable, "-c", code, "follow", str(scenario), str(path)],
+        [sys.executable, "-c", code, "drive", "follow", str(scenario), str(path)],
         capture_output=True,
         text=True,
         timeout=300,

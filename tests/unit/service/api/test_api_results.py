@@ -138,7 +138,7 @@ def test_a_robot_has_its_series_and_is_not_due(http: httpx.Client, campaigns: li
 @pytest.mark.usefixtures("campaigns")
 def test_the_command_prints_and_writes_the_fleet(url: str, tmp_path: Path) -> None:
     printed = sweepid(
-        *("fleet", "--url", url, "--type", TYPE),
+        *("plant", "fleet", "--url", url, "--type", TYPE),
         *("--report", str(tmp_path / "fleet.html"), "--tables", str(tmp_path / "tables")),
     )
     assert printed.returncode == 0, printed.stderr
@@ -147,7 +147,7 @@ def test_the_command_prints_and_writes_the_fleet(url: str, tmp_path: Path) -> No
     assert robot.startswith("  machine machine: measured ")
     assert (tmp_path / "fleet.html").read_text("utf-8").startswith("<!doctype html>")
     assert json.loads((tmp_path / "tables" / "tables.json").read_text("utf-8"))["title"] == "Robots of the plant"
-    found = json.loads(sweepid("fleet", "--url", url, "--type", TYPE, "--json", "-").stdout)
+    found = json.loads(sweepid("plant", "fleet", "--url", url, "--type", TYPE, "--json", "-").stdout)
     assert found["types"][0]["robots"][0]["machine"] == "machine"
     with ServiceClient(url) as client, pytest.raises(ServiceProblem, match="no robot of the type 'a b&c'"):
         client.fleet("a b&c")
@@ -190,13 +190,13 @@ def test_a_job_that_is_cancelled_stays_so(url: str) -> None:
 
 
 def test_the_command_of_a_job(url: str, campaigns: list[int]) -> None:
-    done = sweepid("jobs", "reidentify", "--campaign", str(campaigns[1]), "--wait", "--url", url)
+    done = sweepid("plant", "reidentify", "--campaign", str(campaigns[1]), "--wait", "--url", url)
     assert done.returncode == 0, done.stderr
     number = done.stdout.split()[1]
     assert done.stdout == f"job {number} (reidentify, machine): done, 1 of 1 campaigns, 3 sweeps\n"
-    shown = sweepid("jobs", "show", number, "--url", url).stdout.splitlines()
+    shown = sweepid("plant", "job", number, "--url", url).stdout.splitlines()
     assert shown[1].startswith(f"  campaign {campaigns[1]}: 3 sweeps, J changed by ")
-    assert json.loads(sweepid("jobs", "show", number, "--json", "--url", url).stdout.splitlines()[1])["sweeps"] == 3
-    assert done.stdout.strip() in sweepid("jobs", "list", "--url", url).stdout.splitlines()
-    again = sweepid("jobs", "cancel", number, "--url", url)
+    assert json.loads(sweepid("plant", "job", number, "--json", "--url", url).stdout.splitlines()[1])["sweeps"] == 3
+    assert done.stdout.strip() in sweepid("plant", "jobs", "--url", url).stdout.splitlines()
+    again = sweepid("plant", "cancel", number, "--url", url)
     assert again.stdout == done.stdout  # it is over

@@ -46,7 +46,7 @@ def test_the_truth_comes_out_on_the_side_of_the_motor(made: tuple[Sheet, str]) -
     typed = re.search(r"\| j1 \| ([0-9.e-]+) \|", text.partition("MD32650 |")[2])
     assert typed
     assert float(typed[1]) == pytest.approx(TOTAL / GEAR**2, rel=0.01)
-    for words in ("MD32620", "S-0-0348", "export-model", "Valid for the robot as it was measured", "± std"):
+    for words in ("MD32620", "S-0-0348", "export model", "Valid for the robot as it was measured", "± std"):
         assert words in text
     assert sheet.poses is not None
     assert sheet.poses["j1"].keys() == {"j1", "j2"}
@@ -239,9 +239,3 @@ def test_a_source_that_does_not_exist_is_named() -> None:
     done = sweepid("export", "sheet", "bundel")
     assert done.returncode == 2
     assert "bundel: cannot be read: No such file" in done.stderr
-
-
-def test_export_sheet_in_two_words_tells_the_command() -> None:
-    done = sweepid("export", "sheet", "bundle")
-    assert done.returncode == 2
-    assert "sweepid export sheet" in " ".join(done.stderr.split())
