@@ -108,7 +108,8 @@ def test_an_older_schema_is_backed_up_as_it_is(data: Path, tmp_path: Path) -> No
         old.executescript(
             "DROP TABLE approval; DROP TABLE user_session; DROP TABLE user_account;"
             "DROP TABLE audit; DROP TABLE api_key; DROP TABLE spectrum_file; DROP TABLE identity;"
-            "DROP TABLE steady_time;"
+            "DROP TABLE steady_time; ALTER TABLE campaign DROP COLUMN structured_cause;"
+            "ALTER TABLE sweep DROP COLUMN structured_cause; ALTER TABLE stop DROP COLUMN cause;"
             "DROP TABLE machine; DROP INDEX ix_campaign_machine_id; ALTER TABLE campaign DROP COLUMN machine_id;"
             "ALTER TABLE diagnosis DROP COLUMN machine_id; ALTER TABLE event DROP COLUMN machine_id;"
             "ALTER TABLE stop DROP COLUMN machine_id; DROP INDEX ix_robot_name_serial;"
