@@ -37,10 +37,14 @@ _NAMES = 2**30
 
 @dataclass(slots=True, eq=False)
 class Hold:
-    """A stop that holds the machine. The id of its document is negative until the database has stored it."""
+    """A stop that holds the machine. The id of its document is negative until the database has stored it, and again
+    after a repetition: who releases names what was seen, and that was less.
+    """
 
     document: StopDocument
     press: str  # id of a button press that is received by two ways
+    names: set[int]  # its ids since its last repetition
+    row: int | None = None  # its id in the database
     source: str = ""
     last: float = 0.0  # time of its last repetition, s on the monotonic clock
     repeated: bool = False
@@ -54,10 +58,10 @@ class LatchedStops:
     def __init__(self, latch: StopLatch, latched: Sequence[StopDocument]) -> None:
         """`latched`: the stops in force at the start of the service."""
         self._latch = latch
-        self._holds = [Hold(stop, "") for stop in latched]  # oldest first
+        self._holds = [Hold(stop, "", {stop.id}, stop.id) for stop in latched]  # oldest first
         # not from -1: an id of the previous run of the service must not match a new stop
         self._names = itertools.count(-1 - secrets.randbelow(_NAMES), -1)
-        self._ids: dict[int, int] = {}  # by the negative id reported first; newest last
+        self._ids: dict[int, int] = {}  # in the database, by each negative id that was reported; newest last
         self._taking = threading.Lock()
         self._writing = asyncio.Lock()  # store and memory change in the same order
         self._noting: asyncio.Task[None] | None = None
@@ -77,6 +81,7 @@ class LatchedStops:
         with self._taking:
             holds = tuple(self._holds)
             hold = next((each for each in holds if press and each.press == press), None)
+            same = hold is not None
             if hold is None and source:
                 hold = next((each for each in holds if each.source == source and now - each.last < MERGED), None)
             if hold is None and len(holds) >= MOST:
@@ -87,10 +92,12 @@ class LatchedStops:
                 document = StopDocument(
                     id=next(self._names), by=by, why=why, cause=cause, at=at, reset_by=None, reset_at=None
                 )
-                hold = Hold(document, press, source or str(document.id))
+                hold = Hold(document, press, {document.id}, source=source or str(document.id))
                 self._holds.append(hold)
             else:
                 hold.repeated = True
+                if not same:
+                    self._rename(hold)
             hold.last = now
             hold.under_way += 1
             return hold
@@ -116,31 +123,43 @@ class LatchedStops:
         NotNow if the database cannot store it: then they remain in force.
         """
         async with self._writing:
-            ids = [self._ids.get(number, number) for number in stops]
-            named = {hold.document.id: hold for hold in tuple(self._holds) if hold.document.id in ids}
+            holds = tuple(self._holds)
+            seen = {name: hold for hold in holds for name in hold.names}
+            named = {number: seen[number] for number in stops if number in seen}
             for number, hold in named.items():
                 if hold.under_way:
                     raise Conflict(f"stop {number} is not finished yet: {hold.document.by}: {hold.document.why}")
-            for number in ids:
-                if number < 0 and number not in named:
+            rows = {number: self._ids.get(number, number) for number in stops if number not in named}
+            for number, row in rows.items():
+                if any(hold.row == row for hold in holds):
+                    raise Conflict(
+                        f"stop {number} was repeated since it was seen: look at the machine, then release again"
+                    )
+                if row < 0:
                     raise NotFound(f"stop {number}")
             try:
                 for number, hold in named.items():
-                    if number < 0:  # a stop that is not stored would end no approval
+                    if hold.row is None:  # a stop that is not stored would end no approval
                         await self._store(hold)
-                released = await apart(self._latch.reset, by, [self._ids.get(number, number) for number in ids])
+                    rows[number] = hold.row or number
+                released = await apart(self._latch.reset, by, [rows[number] for number in stops])
             except SQLAlchemyError as error:
                 raise NotNow(
                     f"not released, because the database cannot be written ({type(error).__name__}): "
                     "the machine stays stopped. Check locks and disk of the database, then release "
                     "again"
                 ) from error
-            for hold in named.values():
-                self._holds.remove(hold)
+            with self._taking:
+                for number, hold in named.items():
+                    if number not in hold.names:  # repeated while the database released it: stored again
+                        hold.row = None
+                    elif hold in self._holds:
+                        self._holds.remove(hold)
+        self.note()
         return released
 
     async def _note(self) -> None:
-        while (hold := next((each for each in tuple(self._holds) if each.document.id < 0), None)) is not None:
+        while (hold := next((each for each in tuple(self._holds) if each.row is None), None)) is not None:
             if await self._noted(hold):
                 continue
             if self._ending.is_set():
@@ -152,7 +171,7 @@ class LatchedStops:
     async def _noted(self, hold: Hold) -> bool:
         async with self._writing:
             document = hold.document
-            if hold not in self._holds or document.id >= 0:  # released or stored meanwhile
+            if hold not in self._holds or hold.row is not None:  # released or stored meanwhile
                 return True
             try:
                 await self._store(hold)
@@ -163,8 +182,26 @@ class LatchedStops:
 
     async def _store(self, hold: Hold) -> None:
         document = hold.document
-        hold.document = await apart(self._latch.latch, document.by, document.why, document.at, document.cause)
-        self._ids[document.id] = hold.document.id
+        stored = await apart(self._latch.latch, document.by, document.why, document.at, document.cause)
+        with self._taking:
+            hold.row = stored.id
+            self._remember(document.id, stored.id)
+            if hold.document is document:
+                hold.document = stored
+                hold.names.add(stored.id)
+            else:  # repeated meanwhile
+                self._remember(hold.document.id, stored.id)
+
+    def _rename(self, hold: Hold) -> None:
+        """Called with the lock held."""
+        hold.document = hold.document.model_copy(update={"id": next(self._names)})
+        hold.names = {hold.document.id}
+        if hold.row is not None:
+            self._remember(hold.document.id, hold.row)
+
+    def _remember(self, name: int, row: int) -> None:
+        """Called with the lock held."""
+        self._ids[name] = row
         if len(self._ids) > _MOST_NAMES:
             del self._ids[next(iter(self._ids))]
 

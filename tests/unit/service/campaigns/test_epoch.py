@@ -82,6 +82,7 @@ async def gap_and_release(bench: Bench) -> str:
 
 async def lease_trouble(bench: Bench) -> str:
     lease = Ailing(bench.database, LEASE_TIME)
+    lease.acquire()
     lease.well = False
     async with keeping(bench, lease, LEASE_TIME):
         await until(lambda: bench.machine.forbidden != "")

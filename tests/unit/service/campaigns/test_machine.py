@@ -137,6 +137,21 @@ async def test_a_flood_of_stops_is_one_stop_of_its_source_and_delays_nobody(benc
     assert [each.id for each in bench.machine.stops] == [again.id]
 
 
+async def test_a_release_of_what_was_seen_does_not_release_its_repetition(bench: Bench) -> None:
+    """Found by a random sequence in virtual time."""
+    await bench.machine.stop("anna", "smoke", source="10.0.0.8 anna")
+    await bench.machine.noted()
+    seen = [stop.id for stop in bench.machine.stops]
+    await bench.machine.stop("anna", "smoke", source="10.0.0.8 anna")
+    with pytest.raises(Conflict, match="was repeated since it was seen: look at the machine, then release again"):
+        await bench.machine.reset_stop("berta", seen)
+    again = [stop.id for stop in bench.machine.stops]
+    for _ in range(2):  # the same request again
+        (released,) = await bench.machine.reset_stop("berta", again)
+        assert (released.by, released.reset_by, bench.machine.held) == ("anna", "berta", "")
+    assert StopLatch(bench.database).latched() == ()
+
+
 async def test_a_flood_from_everywhere_keeps_a_bounded_number_of_stops(bench: Bench) -> None:
     for number in range(3 * MOST):
         hold = bench.machine.seize(f"nobody {number}", "flood", "", f"10.0.0.7 nobody {number}")
