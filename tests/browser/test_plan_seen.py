@@ -26,6 +26,7 @@ def test_the_machines_cell_is_preselected_and_another_is_typed(tmp_path: Path, m
             expect(page.locator("#cell")).to_have_value("workshop")
             expect(page.locator("#robot option:checked")).to_contain_text("max100-class")
             expect(page.locator("#confirm")).to_be_hidden()
+            expect(page.get_by_role("group", name="Axes to measure").get_by_role("checkbox").first).to_be_checked()
             page.locator("#cell").select_option("bench")
             expect(page.locator("#confirm-why")).to_contain_text("robot max100-class in cell workshop")
             expect(page.locator("#confirm-robot-choice")).to_be_hidden()

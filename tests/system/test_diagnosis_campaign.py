@@ -73,6 +73,10 @@ def measured(client: ServiceClient, plan: int) -> int:
 
 @pytest.fixture(scope="module")
 def one_way(client: ServiceClient) -> int:
+    return measured_one_way(client)
+
+
+def measured_one_way(client: ServiceClient) -> int:
     """A campaign as the paper runs it: one direction, offset and sines, once in each pose."""
     robot = next(robot for robot in client.robots() if robot["name"] == ROBOT)
     request: Json = {"kind": "diagnosis", "robot_id": robot["id"], "axes": [AXIS], "varied": ["joint_2"]}
@@ -205,9 +209,17 @@ def test_the_other_blocks_run_and_none_spoils_the_inertia(
     assert max(values) < 1.02 * min(values)
 
 
-def test_the_runbook_goes_from_a_campaign_to_the_accepted_model(
-    books: Books, client: ServiceClient, machine: VirtualMachine, one_way: int
-) -> None:
+def test_the_runbook_goes_from_a_campaign_to_the_accepted_model(tmp_path: Path) -> None:
+    """On a machine of its own: a model that another test accepted would be the start of its diagnosis."""
+    with (
+        virtual_machine(tmp_path, 50.0, scenario=hiding(tmp_path)) as machine,
+        serving(tmp_path, machine.profile) as service,
+        ServiceClient(service.url) as client,
+    ):
+        from_a_campaign_to_a_model(Books(tmp_path, service.url), client, machine, measured_one_way(client))
+
+
+def from_a_campaign_to_a_model(books: Books, client: ServiceClient, machine: VirtualMachine, one_way: int) -> None:
     known = len(client.campaigns())
     code, protocol, printed = books.run(*DIAGNOSE, "--campaigns", str(one_way), typed="no\n")
     assert code == STOPPED, printed
