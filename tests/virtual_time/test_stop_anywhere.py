@@ -1,4 +1,4 @@
-"""STOP at every moment of what the drives can do: afterwards no axis has energy, and none gets any.
+"""STOP at every moment of what the drives can do: afterwards no axis has energy, and none gets any; nor after its end.
 
 No service here: a drive port, the machine, and the stop sender of the stop process beside it. A snapshot every `PART` s
 of each activity, a copy for each seed: it draws when in this part and by which way the stop comes, whether the host
@@ -93,6 +93,9 @@ async def pressed(
     sender = port.stop_sender()
     sender.open()
     await asyncio.sleep(moment)
+    if doing.done():  # undisturbed
+        assert doing.exception() is None, doing.exception()
+        assert not machine.energised(), f"{machine.energised()} with energy after {doing.get_name()}"
     if stall:
         clock.suspend(clock.own, stall)
     if silent and isinstance(machine.wire, Gateway):

@@ -125,13 +125,13 @@ def test_nothing_is_confirmed_or_green_without_noise_floor_or_with_an_unseen_eff
     ).html()  # fmt: skip
     assert "card open" in page
     assert "card settled" not in page
-    assert words in page.split("<h3>Drives</h3>")[0]
+    assert words in page.split(">Drives</h3>")[0]
 
 
 def test_an_axis_without_diagnosis_and_a_test_mass_are_told() -> None:
     report = CampaignReport(title="t", subtitle="s", origin=(), drives=(), check=SOUND, diagnosis=None, test_mass=None)
     page = campaign_page(report, (), estimate(), None).html()
-    assert "joint_1, joint_2: no diagnosis, so no effect was looked for" in page.split("<h3>Drives</h3>")[0]
+    assert "joint_1, joint_2: no diagnosis, so no effect was looked for" in page.split(">Drives</h3>")[0]
     assert "a test mass of 20 kg was mounted" in verdict(estimate(), SOUND, diagnosis("none"), 20.0).sentence
 
 
