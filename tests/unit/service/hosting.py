@@ -221,6 +221,9 @@ class From(httpx.BaseTransport):
         hosted = _HOSTED.get(request.url.port or 0)
         return self._real.handle_request(request) if hosted is None else hosted.answer(request, self._address)
 
+    def close(self) -> None:
+        self._real.close()
+
 
 _handle_request = httpx.HTTPTransport.handle_request
 
