@@ -32,7 +32,7 @@ def test_no_lock_names_a_host(root: Path) -> None:
     assert re.findall(r"\S*://\S*|--(?:extra-)?index-url.*|--find-links.*", text) == []
     locks = list((root / "tests").glob("*/package-lock.json"))
     assert len(locks) == 3
-    assert [path for path in locks if '"resolved": "http' in path.read_text("utf-8")] == []
+    assert [path for path in locks if "://" in path.read_text("utf-8")] == []
 
 
 def test_the_lock_has_all_that_pyproject_asks_for(root: Path, project: dict[str, Any]) -> None:
