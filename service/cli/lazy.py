@@ -94,12 +94,12 @@ class _Command(TyperCommand):
 
 def load(name: str, place: str) -> TyperCommand | TyperGroup:
     """Import the command at a place."""
-    found: object = EntryPoint(name, place, "").load()
+    found: Any = EntryPoint(name, place, "").load()
     if isinstance(found, typer.Typer):
         application = found
     else:
         application = typer.Typer(add_completion=False, rich_markup_mode=None)
-        application.command(name, cls=_Command)(EntryPoint(name, place, "").load())
+        application.command(name, cls=_Command)(found)
     command: Any = typer.main.get_command(application)
     command.name = name
     return command

@@ -11,7 +11,7 @@ from service.errors import BadInput
 from service.identification.design.excitation import LINES
 from service.identification.design.pose_selection import Criterion
 from service.recording import SweepSpec
-from service.results.table import Column, Shown, Table
+from service.results.table import Shown, Table, columns_of_sweeps
 from service.robot import Robot
 from service.store.documents import LARGEST_ID
 
@@ -175,12 +175,7 @@ class PlanDocument(Shown, BaseModel):
         specs = [sweep.spec for sweep in self.sweeps]
         return Table(
             f"Plan for the robot {self.robot}: {len(specs)} sweeps, {self.duration / 60:.0f} min",
-            (
-                Column("sweep", tuple(spec.id for spec in specs)),
-                Column("axis", tuple(spec.axis for spec in specs)),
-                Column("block", tuple(spec.block for spec in specs)),
-                Column("pose, rad (m)", tuple(", ".join(f"{one:.3g}" for one in spec.pose) for spec in specs)),
-            ),
+            columns_of_sweeps(specs),
         )
 
     @field_validator("request", mode="before")

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from service.recording import SweepSpec
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -81,6 +83,16 @@ class Table:
         return f"<table><caption>{escape(self.title)}</caption><tr>{head}</tr>{rows}</table>"
 
     _repr_html_ = to_html  # the name by which a notebook asks for it
+
+
+def columns_of_sweeps(specs: Sequence[SweepSpec]) -> tuple[Column, ...]:
+    """Which sweeps these are."""
+    return (
+        Column("sweep", tuple(spec.id for spec in specs)),
+        Column("axis", tuple(spec.axis for spec in specs)),
+        Column("block", tuple(spec.block for spec in specs)),
+        Column("pose, rad (m)", tuple(", ".join(f"{one:.3g}" for one in spec.pose) for spec in specs)),
+    )
 
 
 class Shown:

@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from service.configuration import bad_field, read_text
 from service.errors import BadInput
 from service.recording import Sweep, SweepSpec
-from service.results.table import Column, Shown, Table
+from service.results.table import Column, Shown, Table, columns_of_sweeps
 from service.robot import Robot, RobotDescription, robot_from_outside
 from service.store.files.columns import check_possible, check_samples, columns_of, read_columns, write_columns
 
@@ -40,11 +40,8 @@ class Bundle(Shown):
         return Table(
             f"Bundle of the robot {self.robot.name}",
             (
-                Column("sweep", tuple(spec.id for spec in specs)),
-                Column("axis", tuple(spec.axis for spec in specs)),
-                Column("block", tuple(spec.block for spec in specs)),
+                *columns_of_sweeps(specs),
                 Column("repeat", tuple(spec.repeat for spec in specs)),
-                Column("pose, rad (m)", tuple(", ".join(f"{one:.3g}" for one in spec.pose) for spec in specs)),
                 Column("samples", tuple(len(sweep.recording.time) for sweep in self.sweeps)),
             ),
         )
