@@ -179,8 +179,6 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
         )
     },
     "tests/virtual_time/test_determinism.py::test_another_process_repeats_each_seed[sequences-100": 200,
-    # failed once of four on a busy computer: an order that is not of the seed is left
-    "tests/virtual_time/test_determinism.py::test_another_process_repeats_each_seed[sequences-4": 20,
     # how much, not whether
     "tests/benchmarks/test_ratios.py::test_no_ratio_is_much_worse": 40,
 }

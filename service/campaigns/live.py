@@ -145,7 +145,7 @@ class EventFeed:
         """Create it in the event loop that follows it. `database` reports its writes."""
         self._store = store
         self._loop = asyncio.get_running_loop()
-        self._waiting: set[asyncio.Event] = set()
+        self._waiting: list[asyncio.Event] = []  # in the order of their coming, in which they are woken
         self._closed = False
         database.on_write(self._written)
 
@@ -155,7 +155,7 @@ class EventFeed:
         If the database does not answer, the query is repeated: a follower gets events late, but loses none.
         """
         news = asyncio.Event()
-        self._waiting.add(news)
+        self._waiting.append(news)
         try:
             while not self._closed:
                 news.clear()  # before reading: a later write sets it again
@@ -172,7 +172,7 @@ class EventFeed:
                 if not events:
                     await news.wait()
         finally:
-            self._waiting.discard(news)
+            self._waiting.remove(news)
 
     async def watch(self) -> None:
         """Until cancelled: followers also get the events of other services in the same database, within `LOOK`."""
