@@ -26,7 +26,7 @@ PAGE = ROOT / "docs/reference/benchmarks.md"
 NAMES = ("planning", "identification", "plant", "wire", "service", "stop", "help")
 SHORT = ("planning", "identification", "plant", "help")
 PACKAGES = ("numpy", "scipy", "mujoco-core", "pin", "python-can", "fastapi", "uvicorn", "pyarrow")
-HEAD = ("what", "ours (repeats, spread)", "peer or limit", "times better", "target", "note")
+HEAD = ("what", "ours (repeats, spread)", "peer or limit", "times better", "target; note")
 
 
 def short() -> Iterator[Measured]:
@@ -46,7 +46,7 @@ def row(found: Measured) -> Sequence[str]:
     spread = f", {100 * found.spread:.0f} %" if found.spread else ""
     met = {True: ": met", False: ": **missed**", None: ""}[found.met]
     ours = f"{number(found.ours)} {found.unit} ({found.repeats}{spread})"
-    return found.name, ours, peer, ratio, f"{found.target}{met}", found.note
+    return found.name, ours, peer, ratio, "; ".join(filter(None, (f"{found.target}{met}", found.note)))
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
