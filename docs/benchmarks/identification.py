@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 POSES = 300
 MOST_COMPUTE, MOST_CAMPAIGN = 0.010, 8.0  # s
-PEER, PEER_ONCE = "FRF and least squares of all, again", "FRF and least squares once"
+PEER, PEER_ONCE = "FRF, least squares", "FRF and least squares once"
 CASES = {
     "nothing hidden": case(11, 1000, Kind.NONE, (), "none"),
     "Coulomb friction": case(11, 20_000, Kind.SINGLE, ("coulomb_friction",)),
