@@ -13,7 +13,7 @@ from service.settings import AUDIT_HEADS
 from service.settings.object_store import StoreAddress
 from service.store.files.data_folder import FILE as OWNER
 from service.store.files.recordings import RecordingFiles, file_sha256
-from service.store.snapshot import Contents, known_schemas
+from service.store.snapshot import Contents
 
 _PUT_ASIDE = (".unknown", ".unreadable")
 
@@ -33,7 +33,11 @@ def examine(
         named, wrong = database.contents().of_machine(_machine(data_dir)), database.wrong()
     except Unreadable as error:
         return *found, Finding(database.place, error.what, error.action)
-    found += [*_database(database.place, named, wrong), *_owner(data_dir, named), *_named(data_dir, named)]
+    found += [
+        *(Finding(database.place, line, action) for line, action in wrong),
+        *_owner(data_dir, named),
+        *_named(data_dir, named),
+    ]
     found += objects_wrong(data_dir, named, store)
     unknown = [path for path in there if _nobodys(path, database.file, data_dir, named)]
     if unknown:  # check again those that still exist: a service may just have stored them
@@ -55,15 +59,6 @@ def _folder(data_dir: Path, least_free: int) -> Iterator[Finding]:
     for folder in sorted((data_dir / "recordings").glob("*/")):
         if not os.access(folder, os.R_OK | os.W_OK | os.X_OK):
             yield Finding(str(folder), "this user cannot read and write it", "put owner and permissions right")
-
-
-def _database(place: str, named: Contents, wrong: list[tuple[str, str]]) -> Iterator[Finding]:
-    for line, action in wrong:
-        yield Finding(place, line, action)
-    newest = known_schemas()[-1]
-    if named.schema != newest:
-        difference = f"has schema {named.schema}, this sweepid's is {newest}"
-        yield Finding(place, difference, "make a backup; the next start of the service migrates it")
 
 
 def _owner(data_dir: Path, named: Contents) -> Iterator[Finding]:
