@@ -4,7 +4,7 @@ import os
 import sqlite3
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 from sqlalchemy import Connection, inspect
 from sqlalchemy.exc import SQLAlchemyError
@@ -117,7 +117,7 @@ def examined(url: str, password_file: Path | None = None) -> SqliteFile | Server
 
 
 def _contents(connection: Connection) -> Contents:
-    def rows(statement: str) -> list[tuple[Any, ...]]:
+    def rows(statement: str) -> list[tuple[str, ...]]:
         return [tuple(row) for row in connection.exec_driver_sql(statement)]
 
     return contents_of(set(inspect(connection).get_table_names()), rows)

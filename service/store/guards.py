@@ -44,7 +44,7 @@ class MachineLease:
         if machine is None:
             raise rows.NoMachine
         self._database, self._machine = database, machine
-        self._resource = resource(machine.id)
+        self._resource = f"machine {machine.id}"
         self._lease_time = lease_time
         self.owner = f"{socket.gethostname()} pid {os.getpid()} {uuid.uuid4().hex[:8]}"
 
@@ -98,11 +98,6 @@ class MachineLease:
                 row.owner, row.renewals = self.owner, row.renewals + 1
                 return None
             return row.owner, row.renewals
-
-
-def resource(machine_id: int) -> str:
-    """Name of a machine's lease. That of the first machine is unchanged from databases with one machine."""
-    return "machine" if machine_id == 1 else f"machine {machine_id}"
 
 
 PATIENCE = 5.0  # s

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from service.errors import BadInput
 from service.store.database import known_schemas, unknown_schema
@@ -95,7 +95,7 @@ def contents(connection: sqlite3.Connection) -> Contents:
     return contents_of(tables, connection.execute)
 
 
-def contents_of(tables: set[str], rows: Callable[[str], Iterable[tuple[Any, ...]]]) -> Contents:
+def contents_of(tables: set[str], rows: Callable[[str], Iterable[tuple[str, ...]]]) -> Contents:
     """As `contents`, of a database with these tables; `rows` returns those of a statement."""
     if not {"alembic_version", "recording"} <= tables:
         raise BadInput("database", "is not a database of sweepid")
@@ -103,14 +103,11 @@ def contents_of(tables: set[str], rows: Callable[[str], Iterable[tuple[Any, ...]
     if schema not in known_schemas():
         raise BadInput("database", unknown_schema(schema))
     files: dict[str, str | None] = {}
-    moved: set[str] = set()
-    for path, sha256, pruned_at, moved_at in rows(
-        "SELECT path, sha256, pruned_at, moved_at FROM recording ORDER BY path"
-    ):
-        if pruned_at is None:
+    samples = {path for (path,) in rows("SELECT path FROM recording WHERE pruned_at IS NULL")}
+    moved = {path for (path,) in rows("SELECT path FROM recording WHERE moved_at IS NOT NULL")}
+    for path, sha256 in rows("SELECT path, sha256 FROM recording ORDER BY path"):
+        if path in samples:
             files[path] = sha256
-            if moved_at is not None:
-                moved.add(path)
         files[str(PurePosixPath(path).with_suffix(".json"))] = None
     files.update((path, sha256) for path, sha256 in rows("SELECT path, sha256 FROM spectrum_file ORDER BY path"))
     machines: dict[str, int] = {}
@@ -119,7 +116,7 @@ def contents_of(tables: set[str], rows: Callable[[str], Iterable[tuple[Any, ...]
             machines[path] = machines[str(PurePosixPath(path).with_suffix(".json"))] = int(machine)
     ((identity,),) = rows("SELECT id FROM identity")
     held_by = ", ".join(owner for (owner,) in rows("SELECT owner FROM lease"))
-    return Contents(schema, identity, files, frozenset(moved), held_by, machines)
+    return Contents(schema, identity, files, frozenset(moved & samples), held_by, machines)
 
 
 def integrity(connection: sqlite3.Connection) -> list[str]:

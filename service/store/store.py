@@ -178,23 +178,6 @@ class Store:
         with self._database.read() as session:
             return tuple(SpectrumRecord(path=path, sha256=sha256) for path, sha256 in session.execute(query))
 
-    def move_spectrum_to_file(self, save: Callable[[str, dict[str, JsonValue]], SpectrumRecord]) -> bool:
-        """One that lies in the database from before there were files; False if there is none.
-
-        `save` is given the path of the sweep's recording and the spectrum.
-        """
-        with self._database.write(quiet=True) as session:
-            sweep, campaign = t.SweepRow, t.CampaignRow
-            own = select(sweep.id).join(campaign, campaign.id == sweep.campaign_id).where(rows.of_own(session))
-            old = session.scalar(select(t.IdentificationRow).where(t.IdentificationRow.sweep_id.in_(own)).limit(1))
-            if old is None:
-                return False
-            query = select(t.RecordingRow.path).where(t.RecordingRow.sweep_id == old.sweep_id)
-            path = session.scalars(query.order_by(t.RecordingRow.attempt.desc()).limit(1)).one()
-            session.add(t.SpectrumRow(sweep_id=old.sweep_id, **save(path, old.spectrum).model_dump()))
-            session.delete(old)
-            return True
-
     def estimate(self, campaign_id: int, revision: int | None = None) -> EstimateDocument:
         """A revision, or the latest."""
         query = rows.estimates_of(campaign_id).order_by(t.EstimateRow.revision.desc()).limit(1)

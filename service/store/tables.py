@@ -60,7 +60,7 @@ class Base(DeclarativeBase):
 
 
 class MachineRow(Base):
-    """One row a cell's machine; `machine_id` elsewhere is its id, and 1 for what was before there were several."""
+    """One row a cell's machine; `machine_id` elsewhere is its id."""
 
     __tablename__ = "machine"
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -104,7 +104,7 @@ class ApprovalRow(Base):
     approved_by: Mapped[str]
     at: Mapped[datetime]
     expires_at: Mapped[datetime]
-    last_stop: Mapped[int] = mapped_column(server_default="0")  # id of the machine's last stop before it, 0: none
+    last_stop: Mapped[int]  # id of the machine's last stop before it, 0: none
 
 
 class CampaignRow(Base):
@@ -165,15 +165,6 @@ class IdentityRow(Base):
 
     __tablename__ = "identity"
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
-
-
-class IdentificationRow(Base):
-    """A spectrum from before spectra were files; the next start makes a file of it and removes the row."""
-
-    __tablename__ = "identification"
-    id: Mapped[int] = mapped_column(primary_key=True)
-    sweep_id: Mapped[int] = mapped_column(ForeignKey("sweep.id"), unique=True)
-    spectrum: Mapped[dict[str, JsonValue]]
 
 
 class EstimateRow(Base):

@@ -128,7 +128,7 @@ def upgrade() -> None:
         _needed("at", sa.DateTime),
         sa.Column("reset_by", sa.String),
         sa.Column("reset_at", sa.DateTime),
-        _needed("machine_id", sa.Integer, server_default="1"),
+        _needed("machine_id", sa.Integer),
         sa.Column("cause", sa.JSON),
     )
     op.create_table(
@@ -168,8 +168,8 @@ def upgrade() -> None:
         _needed("approved_by", sa.String),
         _needed("at", sa.DateTime),
         _needed("expires_at", sa.DateTime),
-        _needed("machine_id", sa.Integer, server_default="1"),
-        _needed("last_stop", sa.Integer, server_default="0"),
+        _needed("machine_id", sa.Integer),
+        _needed("last_stop", sa.Integer),
     )
     op.create_table(
         "campaign",
@@ -181,7 +181,7 @@ def upgrade() -> None:
         _needed("version", sa.Integer),
         _needed("created_at", sa.DateTime),
         sa.Column("started_at", sa.DateTime),
-        _needed("machine_id", sa.Integer, server_default="1", index=True),
+        _needed("machine_id", sa.Integer, index=True),
         sa.Column("structured_cause", sa.JSON),
     )
     op.create_table(
@@ -221,7 +221,7 @@ def upgrade() -> None:
         _needed("created_at", sa.DateTime),
         sa.Column("finished_at", sa.DateTime),
         sa.Column("estimate", sa.JSON),
-        _needed("machine_id", sa.Integer, server_default="1"),
+        _needed("machine_id", sa.Integer),
     )
     op.create_table(
         "event",
@@ -230,7 +230,7 @@ def upgrade() -> None:
         _needed("kind", sa.String(16)),
         _needed("data", sa.JSON),
         _needed("at", sa.DateTime),
-        _needed("machine_id", sa.Integer, server_default="1"),
+        _needed("machine_id", sa.Integer),
         sqlite_autoincrement=True,
     )
     op.create_table(
@@ -271,12 +271,6 @@ def upgrade() -> None:
         _needed("document", sa.JSON),
         _needed("created_at", sa.DateTime),
         sa.UniqueConstraint("campaign_id", "revision"),
-    )
-    op.create_table(
-        "identification",
-        sa.Column("id", sa.Integer, primary_key=True),
-        _needed("sweep_id", sa.Integer, sa.ForeignKey("sweep.id"), unique=True),
-        _needed("spectrum", sa.JSON),
     )
     op.create_table(
         "model",
