@@ -3,19 +3,18 @@
 from collections.abc import Callable
 from datetime import datetime, timedelta
 
-from pydantic import BaseModel, ConfigDict
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from service.store import rows
 from service.store import tables as t
 from service.store.database import Database
+from service.store.documents import StoredDocument
 
 
-class ApprovalDocument(BaseModel):
+class ApprovalDocument(StoredDocument):
     """One approval; `sha256` is the hash of the approved motion. `ended_by`: id of a later stop of its machine."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
     id: int
     plan_id: int
     sha256: str
@@ -83,12 +82,4 @@ def _last_stop(session: Session, machine: int) -> int:
 
 
 def _document(row: t.ApprovalRow, last_stop: int) -> ApprovalDocument:
-    return ApprovalDocument(
-        id=row.id,
-        plan_id=row.plan_id,
-        sha256=row.sha256,
-        approved_by=row.approved_by,
-        at=row.at,
-        expires_at=row.expires_at,
-        ended_by=last_stop if last_stop > row.last_stop else None,
-    )
+    return rows.document(ApprovalDocument, row, ended_by=last_stop if last_stop > row.last_stop else None)

@@ -115,7 +115,7 @@ class StopLatch:
     def latched(self) -> tuple[StopDocument, ...]:
         """The stops that are not released, oldest first."""
         with self._database.read() as session:
-            return tuple(_document(row) for row in session.scalars(_open_stops(session)))
+            return rows.documents(StopDocument, session, _open_stops(session))
 
     def latch(self, by: str, why: str, at: datetime | None = None, cause: Cause | None = None) -> StopDocument:
         """`at`: time of the stop, None: now."""
@@ -126,7 +126,7 @@ class StopLatch:
             session.add(row)
             session.flush()
             _emit(session, [row.id], True, by, why)
-            return _document(row)
+            return rows.document(StopDocument, row)
 
     def reset(self, by: str, stops: Sequence[int]) -> tuple[StopDocument, ...]:
         """Release these stops and no other. A released one stays so. Raises NotFound if one does not exist."""
@@ -142,7 +142,7 @@ class StopLatch:
             if held:
                 session.flush()
                 _emit(session, [row.id for row in held], session.scalar(_open_stops(session)) is not None, by, "reset")
-            return tuple(_document(found[number]) for number in stops)
+            return tuple(rows.document(StopDocument, found[number]) for number in stops)
 
 
 def _open_stops(session: Session) -> Select[t.StopRow]:
@@ -154,15 +154,3 @@ def _emit(session: Session, stops: Sequence[int], latched: bool, by: str, why: s
     """`latched`: whether any stop holds the machine now."""
     data: dict[str, JsonValue] = {"latched": latched, "by": by, "why": why, "stops": list(stops)}
     rows.emit(session, None, EventKind.STOP, data)
-
-
-def _document(row: t.StopRow) -> StopDocument:
-    return StopDocument(
-        id=row.id,
-        by=row.by,
-        why=row.why,
-        cause=rows.cause_of(row.cause),
-        at=row.at,
-        reset_by=row.reset_by,
-        reset_at=row.reset_at,
-    )

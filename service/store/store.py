@@ -61,19 +61,26 @@ class Store:
         with self._database.write() as session:
             row = session.scalar(select(t.RobotRow).where(t.RobotRow.sha256 == sha256))
             if row is None:
-                row = rows.robot_row(robot, sha256)
+                row = t.RobotRow(
+                    sha256=sha256,
+                    name=robot.name,
+                    serial=robot.description.serial,
+                    revision=robot.description.revision,
+                    description=robot.description.model_dump(mode="json"),
+                    urdf_text=robot.urdf_text,
+                )
                 session.add(row)
                 session.flush()
-            return rows.robot_document(row)
+            return rows.document(RobotDocument, row)
 
     def robot(self, robot_id: int) -> RobotDocument:
         with self._database.read() as session:
-            return rows.robot_document(rows.get(session, t.RobotRow, robot_id, "robot"))
+            return rows.document(RobotDocument, rows.get(session, t.RobotRow, robot_id, "robot"))
 
     def robots(self, after: int = 0, limit: int = 100) -> tuple[RobotDocument, ...]:
         query = select(t.RobotRow).where(t.RobotRow.id > after).order_by(t.RobotRow.id).limit(limit)
         with self._database.read() as session:
-            return tuple(rows.robot_document(row) for row in session.scalars(query))
+            return rows.documents(RobotDocument, session, query)
 
     def add_plan(self, robot_id: int, document: dict[str, JsonValue]) -> PlanRecord:
         with self._database.write() as session:
@@ -81,16 +88,16 @@ class Store:
             row = t.PlanRow(robot_id=robot_id, document=document)
             session.add(row)
             session.flush()
-            return rows.plan_document(row)
+            return rows.document(PlanRecord, row)
 
     def plan(self, plan_id: int) -> PlanRecord:
         with self._database.read() as session:
-            return rows.plan_document(rows.get(session, t.PlanRow, plan_id, "plan"))
+            return rows.document(PlanRecord, rows.get(session, t.PlanRow, plan_id, "plan"))
 
     def plans(self, after: int = 0, limit: int = 100) -> tuple[PlanRecord, ...]:
         query = select(t.PlanRow).where(t.PlanRow.id > after).order_by(t.PlanRow.id).limit(limit)
         with self._database.read() as session:
-            return tuple(rows.plan_document(row) for row in session.scalars(query))
+            return rows.documents(PlanRecord, session, query)
 
     # campaigns and sweeps: read
 
@@ -117,13 +124,13 @@ class Store:
 
     def sweep(self, campaign_id: int, number: int) -> SweepDocument:
         with self._database.read() as session:
-            return rows.sweep_document(rows.get_sweep(session, campaign_id, number))
+            return rows.document(SweepDocument, rows.get_sweep(session, campaign_id, number))
 
     def sweeps(self, campaign_id: int) -> tuple[SweepDocument, ...]:
         query = select(t.SweepRow).where(t.SweepRow.campaign_id == campaign_id).order_by(t.SweepRow.number)
         with self._database.read() as session:
             rows.get(session, t.CampaignRow, campaign_id, "campaign")
-            return tuple(rows.sweep_document(row) for row in session.scalars(query))
+            return rows.documents(SweepDocument, session, query)
 
     def sweep_statuses(self, campaign_id: int) -> tuple[SweepStatus, ...]:
         """Of all sweeps, in the order of the plan; no spec is read for it."""
@@ -139,7 +146,7 @@ class Store:
         query = select(t.SweepRow).join(t.CampaignRow, t.CampaignRow.id == t.SweepRow.campaign_id)
         with self._database.read() as session:
             query = query.where(t.SweepRow.state == state, rows.of_own(session)).order_by(t.SweepRow.id)
-            return tuple(rows.sweep_document(row) for row in session.scalars(query))
+            return rows.documents(SweepDocument, session, query)
 
     def recording(self, campaign_id: int, number: int) -> RecordingDocument:
         """Of the latest attempt that has one."""
@@ -153,7 +160,7 @@ class Store:
             )
             if row is None:
                 raise NotFound(f"campaign {campaign_id} sweep {number} has no recording")
-            return rows.recording_document(row, campaign_id, number)
+            return rows.document(RecordingDocument, row, campaign_id=campaign_id, number=number)
 
     def recordings(self, campaign_id: int) -> dict[int, RecordingDocument]:
         """Of every sweep that has one, by number: that of its latest attempt."""
@@ -165,7 +172,10 @@ class Store:
         )
         with self._database.read() as session:
             found = session.execute(query).all()
-            return {number: rows.recording_document(row, campaign_id, number) for row, number in found}
+            return {
+                number: rows.document(RecordingDocument, row, campaign_id=campaign_id, number=number)
+                for row, number in found
+            }
 
     def spectra(self, campaign_id: int) -> tuple[SpectrumRecord, ...]:
         """Of the identified sweeps, by number."""
@@ -188,7 +198,8 @@ class Store:
             if found is None:
                 which = "estimate" if revision is None else f"estimate revision {revision}"
                 raise NotFound(f"campaign {campaign_id} has no {which}")
-            return rows.estimate_document(*found)
+            row, number = found
+            return rows.document(EstimateDocument, row, number=number)
 
     def estimated(self, robot_id: int) -> tuple[EstimateOf, ...]:
         """The latest revision of each campaign of a robot that has an estimate, the newest first."""
@@ -224,7 +235,10 @@ class Store:
     def estimates(self, campaign_id: int, after: int = 0, limit: int = 100) -> tuple[EstimateDocument, ...]:
         query = rows.estimates_of(campaign_id).where(t.EstimateRow.revision > after).order_by(t.EstimateRow.revision)
         with self._database.read() as session:
-            return tuple(rows.estimate_document(*found) for found in session.execute(query.limit(limit)))
+            return tuple(
+                rows.document(EstimateDocument, row, number=number)
+                for row, number in session.execute(query.limit(limit))
+            )
 
     def base_parameters(self, campaign_id: int, revisions: Sequence[int]) -> dict[int, JsonValue]:
         """ "base_parameters" of these revisions; the rest of their documents, which is large, is not read."""
@@ -356,10 +370,7 @@ class Store:
         if campaign_id is not None:
             query = query.where((t.EventRow.campaign_id == campaign_id) | rows.stops_of_machine_of(campaign_id))
         with self._database.read() as session:
-            return tuple(
-                EventDocument(id=row.id, campaign_id=row.campaign_id, kind=row.kind, data=row.data, at=row.at)
-                for row in session.scalars(query)
-            )
+            return rows.documents(EventDocument, session, query)
 
     def recorded(self) -> dict[RecordingState, Recorded]:
         """How many recordings there are of each state, with their samples."""

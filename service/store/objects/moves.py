@@ -8,7 +8,7 @@ from sqlalchemy import func, select
 from service.store import tables as t
 from service.store.database import Database
 from service.store.documents import RecordingDocument
-from service.store.rows import of_own, recording_document
+from service.store.rows import document, of_own
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,10 @@ class MoveStore:
         )
         with self._database.read() as session:
             found = session.execute(query.where(of_own(session))).all()
-            return {row.id: recording_document(row, campaign_id, number) for row, campaign_id, number in found}
+            return {
+                row.id: document(RecordingDocument, row, campaign_id=campaign_id, number=number)
+                for row, campaign_id, number in found
+            }
 
     def mark(self, recording_id: int) -> None:
         """The recording was read back from the store unchanged."""

@@ -7,11 +7,12 @@ from service.errors import Conflict
 from service.people.audit_chain import Entry
 from service.people.names import unique_name
 from service.people.permissions import Role
+from service.store import rows
 from service.store import tables as t
 from service.store.database import Database
 from service.store.people.audit import append
 from service.store.people.names import check_free
-from service.store.people.users import UserDocument, end_sessions, user_document
+from service.store.people.users import UserDocument, end_sessions
 
 
 class ExternalUsers:
@@ -37,14 +38,14 @@ class ExternalUsers:
                 return None
             if row is None:
                 row = self._added(session, issuer, subject, name, role, entry)
-            elif row.role != role.word and row.disabled_at is None:
-                row.role = role.word
+            elif row.role != role and row.disabled_at is None:
+                row.role = role
                 append(session, [{**entry, "event": "role changed", "user": row.name, "user_role": role.word}])
-            return user_document(row)
+            return rows.document(UserDocument, row)
 
     def _added(self, session: Session, issuer: str, subject: str, name: str, role: Role, entry: Entry) -> t.UserRow:
         free = _free_name(session, name, subject)
-        row = t.UserRow(name=free, role=role.word, password=None, issuer=issuer, subject=subject)
+        row = t.UserRow(name=free, role=role, password=None, issuer=issuer, subject=subject)
         session.add(row)
         added: Entry = {"user": free, "user_role": role.word, "issuer": issuer, "subject": subject}
         append(session, [{**entry, "event": "user added", **added}])

@@ -10,6 +10,7 @@ from service.errors import Conflict, NotFound
 from service.people.audit_chain import Entry
 from service.people.passwords import fits, outdated, password_hash
 from service.people.permissions import Role
+from service.store import rows
 from service.store import tables as t
 from service.store.database import Database
 from service.store.people.audit import append
@@ -48,11 +49,11 @@ class UserStore:
         stored = password_hash(password)
         with self._database.write(quiet=True) as session:
             check_free(session, name)
-            row = t.UserRow(name=name, role=role.word, password=stored)
+            row = t.UserRow(name=name, role=role, password=stored)
             session.add(row)
             append(session, [{**entry, "event": "user added", "user": name, "user_role": role.word}])
             session.flush()
-            return user_document(row)
+            return rows.document(UserDocument, row)
 
     def change_password(self, name: str, password: str, entry: Entry) -> UserDocument:
         """Ends the sessions with the old password. Raises BadInput; NotFound; Conflict for a disabled or
@@ -62,13 +63,14 @@ class UserStore:
         with self._database.write(quiet=True) as session:
             row = _row(session, name)
             if row.disabled_at is not None:
-                raise Conflict(f"{user_document(row).trouble}: enable the user again with `sweepid people enable-user`")
+                why = rows.document(UserDocument, row).trouble
+                raise Conflict(f"{why}: enable the user again with `sweepid people enable-user`")
             if row.issuer is not None:
                 raise Conflict(f"{name} logs in at {row.issuer} and has no password in this service")
             row.password = stored
             end_sessions(session, row)
             append(session, [{**entry, "event": "password changed", "user": name}])
-            return user_document(row)
+            return rows.document(UserDocument, row)
 
     def shut_out(self, name: str, entry: Entry) -> UserDocument:
         """Disable a user immediately, with all sessions; a second call changes nothing. Raises NotFound."""
@@ -78,7 +80,7 @@ class UserStore:
                 row.disabled_at = t.now()
                 end_sessions(session, row)
                 append(session, [{**entry, "event": "user disabled", "user": name}])
-            return user_document(row)
+            return rows.document(UserDocument, row)
 
     def let_in(self, name: str, entry: Entry) -> UserDocument:
         """Enable a disabled user again; ended sessions stay ended. Raises NotFound."""
@@ -87,11 +89,11 @@ class UserStore:
             if row.disabled_at is not None:
                 row.disabled_at = None
                 append(session, [{**entry, "event": "user enabled", "user": name}])
-            return user_document(row)
+            return rows.document(UserDocument, row)
 
     def all(self) -> tuple[UserDocument, ...]:
         with self._database.read() as session:
-            return tuple(user_document(row) for row in session.scalars(select(t.UserRow).order_by(t.UserRow.id)))
+            return rows.documents(UserDocument, session, select(t.UserRow).order_by(t.UserRow.id))
 
     def knows(self, name: str) -> bool:
         with self._database.read() as session:
@@ -104,7 +106,7 @@ class UserStore:
         """
         with self._database.read() as session:
             row = session.scalar(select(t.UserRow).where(t.UserRow.name == name))
-            stored, user = (None, None) if row is None else (row.password, user_document(row))
+            stored, user = (None, None) if row is None else (row.password, rows.document(UserDocument, row))
         if not fits(password, stored) or user is None or stored is None or user.trouble:
             return None
         if outdated(stored):
@@ -115,18 +117,6 @@ class UserStore:
         unchanged = (t.UserRow.id == user.id, t.UserRow.password == stored)  # unless the password was changed meanwhile
         with self._database.write(quiet=True) as session:
             session.execute(update(t.UserRow).where(*unchanged).values(password=anew))
-
-
-def user_document(row: t.UserRow) -> UserDocument:
-    return UserDocument(
-        id=row.id,
-        name=row.name,
-        role=Role[row.role.upper()],
-        created_at=row.created_at,
-        disabled_at=row.disabled_at,
-        issuer=row.issuer,
-        subject=row.subject,
-    )
 
 
 def _row(session: Session, name: str) -> t.UserRow:

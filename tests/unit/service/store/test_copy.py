@@ -46,7 +46,7 @@ def fill(database: Database, robot: Robot, spec: SweepSpec) -> None:
         session.flush()
         session.add(t.ModelRow(robot_id=added.id, revision=1, diagnosis_id=1, accepted_by="anna", document={}))
         session.flush()
-        session.add(t.DiagnosisRow(**{**campaigns, "state": t.DiagnosisState.DONE}, parent_id=1, model_id=1))
+        session.add(t.DiagnosisRow(**{**campaigns, "state": t.DiagnosisState.DONE}, parent=1, model=1))
 
 
 @contextmanager
@@ -71,7 +71,7 @@ def test_there_and_back_nothing_changes(
             assert Store(database).plan(1).document == {"third": 1 / 3, "tiny": 5e-324, "word": "ü \u2028"}
             assert StopLatch(database).latched()[0].by == "an\N{REPLACEMENT CHARACTER}na"
             with database.read() as session:
-                assert session.get_one(t.DiagnosisRow, 2).model_id == 1
+                assert session.get_one(t.DiagnosisRow, 2).model == 1
             before = Store(database).last_event_id()
             assert StopLatch(database).latch("otto", "again").id == 2  # ids go on
             assert Store(database).last_event_id() == before + 1
