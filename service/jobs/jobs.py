@@ -35,22 +35,13 @@ from service.worker import Job, JobFailed, RecordedSweep, Result, Worker
 _log = structlog.get_logger(__name__)
 
 
-class Jobs:
+class Jobs(OpenJobs):
     """Submits recorded sweeps to the worker and writes its results."""
 
     def __init__(self, store: Store, files: RecordingFiles, worker: Worker, models: ModelStore) -> None:
+        super().__init__()
         self._store, self._files, self._worker, self._models = store, files, worker, models
         self._turn: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)  # by campaign, first in first out
-        self._open = OpenJobs()
-
-    @property
-    def open(self) -> int:
-        """Number of sweeps that wait for identification."""
-        return self._open.size
-
-    @property
-    def troubles(self) -> tuple[str, ...]:
-        return self._open.troubles
 
     async def recover(self) -> None:
         """Submit the jobs that the last process left open."""
@@ -69,7 +60,7 @@ class Jobs:
         name = f"identification of campaign {sweep.campaign_id} sweep {sweep.number} attempt {sweep.attempt}"
         turn = self._turn[sweep.campaign_id]
         do = partial(self._do, (sweep,))
-        self._open.begin(name, do, turn, campaign=sweep.campaign_id, sweep=sweep.number)
+        self.begin(name, do, turn, campaign=sweep.campaign_id, sweep=sweep.number)
 
     async def submit_imported(self, campaign_id: int) -> None:
         """Identify the recorded sweeps of an imported campaign; returns before they are identified."""
@@ -79,7 +70,7 @@ class Jobs:
                 continue
             name = f"identification of campaign {campaign_id} sweeps {group[0].number} to {group[-1].number}"
             turn = self._turn[campaign_id]
-            self._open.begin(name, partial(self._do, group), turn, len(group), campaign=campaign_id)
+            self.begin(name, partial(self._do, group), turn, len(group), campaign=campaign_id)
 
     async def settle(self, campaign_id: int) -> None:
         """measured -> completed, if no sweep is left to identify."""
@@ -88,10 +79,6 @@ class Jobs:
             identified = campaign_move(CampaignEvent.IDENTIFIED)
             cause = campaign.structured_cause
             await asyncio.to_thread(self._store.move_campaign, campaign_id, identified, cause)
-
-    async def close(self) -> None:
-        """Stop; the next process continues the open jobs."""
-        await self._open.close()
 
     async def _do(self, sweeps: Sequence[SweepDocument]) -> None:
         campaign_id = sweeps[0].campaign_id

@@ -31,9 +31,7 @@ class MoveJob:
     def key(self) -> str:
         return f"move-{self.file.sha256}"
 
-    @property
-    def priority(self) -> int:
-        return 0
+    priority = 0
 
     def __call__(self) -> Refused | None:
         from service.store.objects.object_store import ObjectStore
@@ -57,9 +55,7 @@ class FetchJob:
     def key(self) -> str:
         return f"fetch-{self.file.sha256}"
 
-    @property
-    def priority(self) -> int:
-        return 1  # a caller waits for it
+    priority = 1  # a caller waits for it
 
     def __call__(self) -> Refused | None:
         from service.store.objects.reading import bring

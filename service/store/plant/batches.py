@@ -16,12 +16,12 @@ from service.results.estimate import Estimate
 from service.results.stored_json import JsonOf
 from service.store import rows
 from service.store import tables as t
+from service.store.checks import OVER
 from service.store.database import Database
-from service.store.documents import BatchState, CampaignState, EventKind, StoredDocument, SweepState
+from service.store.documents import BatchState, EventKind, StoredDocument, SweepState
 
 REIDENTIFY = "reidentify"
 _OPEN = (BatchState.WAITING, BatchState.RUNNING)
-_OVER = (CampaignState.MEASURED, CampaignState.COMPLETED, CampaignState.ABORTED)
 
 
 class BatchDocument(StoredDocument):
@@ -75,7 +75,7 @@ class BatchStore:
         none.
         """
         with self._database.write() as session:
-            own = select(t.CampaignRow.id).where(rows.of_own(session), t.CampaignRow.state.in_(_OVER))
+            own = select(t.CampaignRow.id).where(rows.of_own(session), t.CampaignRow.state.in_(OVER))
             identified = select(t.SweepRow.campaign_id).where(t.SweepRow.state == SweepState.IDENTIFIED)
             usable = set(session.scalars(own.where(t.CampaignRow.id.in_(identified))))
             for number in campaigns or ():
