@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database
+from service.store.database import Transactions
 from service.store.documents import StoredDocument
 
 
@@ -35,11 +35,8 @@ class ApprovalDocument(StoredDocument):
         return f"{who} expired at {self.expires_at:%Y-%m-%d %H:%M} UTC" if at >= self.expires_at else ""
 
 
-class ApprovalStore:
+class ApprovalStore(Transactions):
     """Every method is one transaction and blocks, as in `service.store.store`."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def add(
         self, plan_id: int, sha256: str, approved_by: str, valid: timedelta, wanted: Callable[[], None]

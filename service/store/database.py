@@ -131,6 +131,13 @@ class Database:
         return False
 
 
+class Transactions:
+    """Reads and writes one database: every method is one transaction and blocks."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+
 @contextmanager
 def open_database(
     url: str,

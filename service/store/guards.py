@@ -15,7 +15,7 @@ from drivers.errors import Cause
 from service.errors import Conflict, NotFound
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database, OwnMachine
+from service.store.database import Database, OwnMachine, Transactions
 from service.store.documents import EventKind, StopDocument
 
 
@@ -103,14 +103,11 @@ class MachineLease:
 PATIENCE = 5.0  # s
 
 
-class StopLatch:
+class StopLatch(Transactions):
     """The stop of a machine, kept over a restart.
 
     No write waits longer than `PATIENCE` for another writer: then OperationalError.
     """
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def latched(self) -> tuple[StopDocument, ...]:
         """The stops that are not released, oldest first."""

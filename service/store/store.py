@@ -17,7 +17,7 @@ from service.recording import SweepSpec
 from service.robot import Robot
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database
+from service.store.database import Transactions
 from service.store.diagnosis_documents import EstimateOf
 from service.store.documents import (
     CampaignDocument,
@@ -47,11 +47,8 @@ class StaleVersion(Conflict):
     """The campaign has changed since the client read it (API: 412)."""
 
 
-class Store:
+class Store(Transactions):
     """The service's memory."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     # robots and plans: written once, never changed
 

@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 from service.errors import Conflict
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database
+from service.store.database import Transactions
 from service.store.diagnosis_documents import (
     BoltedMass,
     DiagnosisDocument,
@@ -29,11 +29,8 @@ _OPEN = (DiagnosisState.WAITING, DiagnosisState.RUNNING)
 _GONE = (CampaignState.ABORTED,)  # of an experiment without result
 
 
-class DiagnosisStore:
+class DiagnosisStore(Transactions):
     """Stored diagnoses, their results and experiments."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def add(self, new: NewDiagnosis) -> DiagnosisDocument:
         """Add a waiting diagnosis."""

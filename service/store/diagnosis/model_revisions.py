@@ -7,15 +7,12 @@ from sqlalchemy.orm import Session
 from service.errors import Conflict
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database
+from service.store.database import Transactions
 from service.store.diagnosis_documents import ModelDocument
 
 
-class ModelStore:
+class ModelStore(Transactions):
     """Every method is one transaction and blocks, as in `service.store.store`; `NotFound` if the id does not exist."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def add(
         self, diagnosis_id: int, accepted_by: str, document: dict[str, JsonValue], parent: int | None

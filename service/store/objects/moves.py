@@ -6,7 +6,7 @@ from datetime import datetime
 from sqlalchemy import func, select
 
 from service.store import tables as t
-from service.store.database import Database
+from service.store.database import Transactions
 from service.store.documents import RecordingDocument
 from service.store.rows import document, of_own
 
@@ -19,11 +19,8 @@ class Backlog:
     since: datetime | None
 
 
-class MoveStore:
+class MoveStore(Transactions):
     """Every method is one transaction and blocks, as in `service.store.store`."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def backlog(self) -> Backlog:
         query = (

@@ -9,17 +9,14 @@ from service.people.names import unique_name
 from service.people.permissions import Role
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database
+from service.store.database import Transactions
 from service.store.people.audit import append
 from service.store.people.names import check_free
 from service.store.people.users import UserDocument, end_sessions
 
 
-class ExternalUsers:
+class ExternalUsers(Transactions):
     """Every method is one transaction and blocks. `entry`: of the audit, with user and address."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def renew(self, issuer: str, subject: str, name: str, role: Role | None, entry: Entry) -> UserDocument | None:
         """The user, with the role that the provider's groups give now; added at the first login.

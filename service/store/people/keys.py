@@ -14,7 +14,7 @@ from service.people.keys import key_sha256, new_key
 from service.people.permissions import Role
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database
+from service.store.database import Transactions
 from service.store.people.audit import append
 from service.store.people.names import check_free
 from service.store.people.time import keep
@@ -39,11 +39,8 @@ class KeyDocument(BaseModel):
         return f"the key of {self.name} expired on {self.expires_at:%Y-%m-%d}" if at >= self.expires_at else ""
 
 
-class KeyStore:
+class KeyStore(Transactions):
     """Every method is one transaction and blocks. `entry`: of the audit, with user and address."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def add(
         self, name: str, role: Role, valid: timedelta, entry: Entry, scopes: Sequence[str] | None = None

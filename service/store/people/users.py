@@ -12,7 +12,7 @@ from service.people.passwords import fits, outdated, password_hash
 from service.people.permissions import Role
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database
+from service.store.database import Transactions
 from service.store.people.audit import append
 from service.store.people.names import check_free
 
@@ -35,14 +35,11 @@ class UserDocument(BaseModel):
         return "" if self.disabled_at is None else f"{self.name} was disabled on {self.disabled_at:%Y-%m-%d}"
 
 
-class UserStore:
+class UserStore(Transactions):
     """Every method is one transaction and blocks; those with a password take about 0.1 s.
 
     `entry`: of the audit, with user and address.
     """
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def add(self, name: str, role: Role, password: str, entry: Entry) -> UserDocument:
         """Raises BadInput for a password that is too short; Conflict if the name was used before."""

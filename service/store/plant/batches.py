@@ -17,7 +17,7 @@ from service.results.stored_json import JsonOf
 from service.store import rows
 from service.store import tables as t
 from service.store.checks import OVER
-from service.store.database import Database
+from service.store.database import Transactions
 from service.store.documents import BatchState, EventKind, StoredDocument, SweepState
 
 REIDENTIFY = "reidentify"
@@ -64,11 +64,8 @@ class BatchEstimate(BatchEntry):
     document: Annotated[dict[str, JsonValue], JsonOf(Estimate)] | None
 
 
-class BatchStore:
+class BatchStore(Transactions):
     """Batches of the plant; only those of this service's machine are changed."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def add(self, campaigns: Sequence[int] | None, asked_by: str) -> BatchDocument:
         """A waiting batch: of these campaigns of this machine, or (None) all finished ones. Raises BadInput if there is

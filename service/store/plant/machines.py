@@ -4,7 +4,7 @@ from sqlalchemy import func, select
 
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database
+from service.store.database import Transactions
 from service.store.documents import CampaignState, StoredDocument
 
 
@@ -21,11 +21,8 @@ class MachineDocument(StoredDocument):
     cell: str | None
 
 
-class PlantStore:
+class PlantStore(Transactions):
     """Every method is one transaction and blocks."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def machines(self) -> tuple[MachineDocument, ...]:
         """In the order in which they were added."""
