@@ -12,8 +12,7 @@ from functools import partial
 
 import structlog
 
-from service.campaigns.linked_analysis import analysis_behind
-from service.campaigns.linked_campaign import campaign_beside
+from service.campaigns.linked import analysis_behind, campaign_beside
 from service.errors import BadInput, NotFound
 from service.jobs.open_jobs import OpenJobs
 from service.store.diagnosis.model_revisions import ModelStore

@@ -5,8 +5,10 @@ The jobs of a campaign run in the order of recording, one after the other, so th
 before it. The identification of a sweep uses the effects of the robot's newest accepted model.
 
 Each sweep of a campaign that was measured here has its own revision. In a large imported campaign several sweeps
-share a revision (`grouping`): one job computes their spectra and one estimate, and one transaction stores all of it.
-If that job fails, its sweeps are identified one after the other, so that only the sweeps with a fault fail.
+share a revision (`open_groups`): the estimate after the first 17 of 900 sweeps is of no use. Which sweeps have one
+depends only on the number of sweeps, so it is the same after a restart. One job computes the spectra of a group and one
+estimate, and one transaction stores all of it. If that job fails, its sweeps are identified one after the other, so
+that only the sweeps with a fault fail.
 """
 
 import asyncio
@@ -19,11 +21,9 @@ import structlog
 from structlog.contextvars import bound_contextvars
 
 from drivers.errors import Cause, CauseCode
-from service.campaigns.linked_analysis import analysis_behind
-from service.campaigns.linked_campaign import campaign_beside
+from service.campaigns.linked import analysis_behind, campaign_beside
 from service.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.errors import BadInput
-from service.jobs.grouping import open_groups
 from service.jobs.open_jobs import OpenJobs
 from service.store.diagnosis.model_revisions import ModelStore
 from service.store.documents import CampaignState, RecordingDocument, SpectrumRecord, SweepDocument, SweepState
@@ -33,6 +33,8 @@ from service.telemetry.spans import TRACING
 from service.worker import Job, JobFailed, RecordedSweep, Result, Worker
 
 _log = structlog.get_logger(__name__)
+
+MOST_REVISIONS = 60  # points of a convergence chart; with 900 sweeps their estimates take 13 s of processor time
 
 
 class Jobs(OpenJobs):
@@ -162,3 +164,18 @@ class Jobs(OpenJobs):
             analyses=analysis_behind(self._store, beside or campaign),
             model=model,
         )
+
+
+def sweeps_a_revision(count: int) -> int:
+    """Number of sweeps per revision in an imported campaign of `count` sweeps; the last revision may have fewer."""
+    return -(-count // MOST_REVISIONS)
+
+
+def open_groups(sweeps: Sequence[SweepDocument]) -> list[tuple[SweepDocument, ...]]:
+    """The sweeps of an imported campaign that wait for identification, in the groups that share a revision."""
+    size = sweeps_a_revision(len(sweeps))
+    groups: dict[int, list[SweepDocument]] = {}
+    for sweep in sweeps:
+        if sweep.state is SweepState.RECORDED:
+            groups.setdefault((sweep.number - 1) // size, []).append(sweep)
+    return [tuple(group) for _, group in sorted(groups.items())]

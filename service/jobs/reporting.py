@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pydantic import BaseModel, ConfigDict
 
 from drivers.ports import AxisIdentity
-from service.campaigns.linked_campaign import campaign_beside
+from service.campaigns.linked import campaign_beside
 from service.campaigns.plan_subject import plan_subject
 from service.causes import in_words
 from service.errors import Conflict, NotFound

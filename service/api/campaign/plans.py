@@ -11,8 +11,7 @@ from service.api.dependencies import After, ApplicationOf, Id, Limit, Page, page
 from service.api.idempotent import IdempotentRoute
 from service.api.problem import TAG
 from service.application import Application
-from service.campaigns.linked_analysis import latest_analysis
-from service.campaigns.linked_campaign import check_beside
+from service.campaigns.linked import check_beside, latest_analysis
 from service.campaigns.planned_time import planned_times
 from service.errors import BadInput
 from service.geometry.cell import read_cell

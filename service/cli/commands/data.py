@@ -90,7 +90,7 @@ def copy(
     """
     from service.cli.progress_indicator import waiting
     from service.settings import Settings
-    from service.store.copying.copy import copy_rows
+    from service.store.copying import copy_rows
     from service.store.database import open_database
     from service.store.engines.address import parsed_url
 

@@ -6,6 +6,7 @@ emptied database must not be used with it: it would count campaigns from 1 again
 one.
 """
 
+import json
 from pathlib import Path
 from uuid import uuid4
 
@@ -98,7 +99,7 @@ def read_owner(folder: Path) -> Owner | None:
 def _write(folder: Path, owner: Owner) -> None:
     """Complete or not at all, and never over that of another database."""
     partial = folder / f".{FILE}.{uuid4().hex}"
-    partial.write_text(owner.model_dump_json() + "\n", encoding="utf-8")
+    partial.write_text(json.dumps(owner.model_dump()) + "\n", encoding="utf-8")
     try:
         place_new(partial, folder / FILE)
     finally:

@@ -16,8 +16,8 @@ from service.store import rows
 from service.store import tables as t
 from service.store.database import Transactions
 from service.store.people.audit import append
-from service.store.people.names import check_free
 from service.store.people.time import keep
+from service.store.people.users import check_free
 
 
 class KeyDocument(BaseModel):

@@ -125,7 +125,7 @@ def test_a_damaged_folder_gives_no_backup(data: Path, recording: Path, tmp_path:
     elif what == "changed":
         recording.write_bytes(recording.read_bytes()[:-1])
     elif what == "foreign":
-        (data / OWNER).write_text('{"id": "other", "database": "x"}', "utf-8")
+        (data / OWNER).write_text('{"id": "other", "database": "x", "machine": 1}', "utf-8")
     else:
         with closing(sqlite3.connect(data / "sweepid.sqlite")) as database, database:
             database.execute("UPDATE recording SET path = '../../outside.parquet' WHERE id = 1")

@@ -14,7 +14,7 @@ from service.people.permissions import Role
 from service.recording import SweepSpec
 from service.robot import Robot
 from service.store import tables as t
-from service.store.copying.copy import NotCopied, copy_rows
+from service.store.copying import NotCopied, copy_rows
 from service.store.database import Database, open_database
 from service.store.documents import NewRecording, NewSweep, RecordingState
 from service.store.guards import MachineLease, MachineTaken, StopLatch
