@@ -13,10 +13,8 @@ from service.store import tables as t
 from service.store.database import OWN, OwnMachine
 from service.store.documents import (
     CampaignDocument,
-    EstimateDocument,
     EventKind,
     NewSweep,
-    SpectrumRecord,
     SweepDocument,
     SweepState,
 )
@@ -186,37 +184,6 @@ def campaign_document(session: Session, row: t.CampaignRow) -> CampaignDocument:
     return document(CampaignDocument, row, sweeps=sweeps, **machine_of(session, row.machine_id))
 
 
-def add_estimate(
-    session: Session,
-    identified: Sequence[tuple[SweepDocument, SpectrumRecord]],
-    move: Callable[[SweepState], SweepState],
-    content: dict[str, JsonValue],
-) -> EstimateDocument | None:
-    """Insert the next revision with the spectra of its new sweeps; see `Store.add_estimate`."""
-    found: list[t.SweepRow] = []
-    for sweep, _ in identified:
-        row = own_sweep(session, sweep.campaign_id, sweep.number)
-        if row.state is not SweepState.RECORDED or row.attempt != sweep.attempt:
-            return None
-        found.append(row)
-    last = found[-1]
-    revisions = select(func.max(t.EstimateRow.revision)).where(t.EstimateRow.campaign_id == last.campaign_id)
-    estimate = t.EstimateRow(
-        campaign_id=last.campaign_id,
-        revision=(session.scalar(revisions) or 0) + 1,
-        sweep_id=last.id,
-        document=content,
-    )
-    session.add(estimate)
-    data: dict[str, JsonValue] = {"revision": estimate.revision, "sweep": last.number}
-    emit(session, last.campaign_id, EventKind.ESTIMATE, data)
-    for row, (_, spectrum) in zip(found, identified, strict=True):
-        session.add(t.SpectrumRow(sweep_id=row.id, **spectrum.model_dump()))
-        move_sweep(session, row, move, None)
-    session.flush()
-    return document(EstimateDocument, estimate, number=last.number)
-
-
 def estimates_of(campaign_id: int) -> Select[t.EstimateRow, int]:
     """Estimates with the numbers of their sweeps."""
     return (
@@ -224,11 +191,3 @@ def estimates_of(campaign_id: int) -> Select[t.EstimateRow, int]:
         .join(t.SweepRow, t.SweepRow.id == t.EstimateRow.sweep_id)
         .where(t.EstimateRow.campaign_id == campaign_id)
     )
-
-
-def confidences_of(campaign_id: int, joints: Sequence[str]) -> Select[*tuple[Any, ...]]:
-    """Revision, number of its sweep, then "confidence_percent" of each joint, read from the documents."""
-    axes = t.EstimateRow.document["axes"]
-    query = select(t.EstimateRow.revision, t.SweepRow.number, *(axes[one]["confidence_percent"] for one in joints))
-    query = query.join(t.SweepRow, t.SweepRow.id == t.EstimateRow.sweep_id).order_by(t.EstimateRow.revision)
-    return query.where(t.EstimateRow.campaign_id == campaign_id)

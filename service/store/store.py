@@ -249,8 +249,12 @@ class Store(Transactions):
 
     def confidences(self, campaign_id: int, joints: Sequence[str]) -> list[Sequence[JsonValue]]:
         """Revision, its sweep, then "confidence_percent" of each joint; the large documents are not read."""
+        axes, revision = t.EstimateRow.document["axes"], t.EstimateRow.revision
+        query = select(revision, t.SweepRow.number, *(axes[one]["confidence_percent"] for one in joints))
+        query = query.join(t.SweepRow, t.SweepRow.id == t.EstimateRow.sweep_id).order_by(revision)
         with self._database.read() as session:
-            return [tuple(row) for row in session.execute(rows.confidences_of(campaign_id, joints))]
+            found = session.execute(query.where(t.EstimateRow.campaign_id == campaign_id))
+            return [tuple(row) for row in found]
 
     # campaigns and sweeps: write
 
@@ -350,7 +354,26 @@ class Store(Transactions):
         them still wait to be identified: a result that is received twice counts once.
         """
         with self._database.write() as session:
-            return rows.add_estimate(session, identified, move, document)
+            found: list[t.SweepRow] = []
+            for sweep, _ in identified:
+                row = rows.own_sweep(session, sweep.campaign_id, sweep.number)
+                if row.state is not SweepState.RECORDED or row.attempt != sweep.attempt:
+                    return None
+                found.append(row)
+            last = found[-1]
+            revisions = select(func.max(t.EstimateRow.revision)).where(t.EstimateRow.campaign_id == last.campaign_id)
+            revision = (session.scalar(revisions) or 0) + 1
+            estimate = t.EstimateRow(
+                campaign_id=last.campaign_id, revision=revision, sweep_id=last.id, document=document
+            )
+            session.add(estimate)
+            data: dict[str, JsonValue] = {"revision": revision, "sweep": last.number}
+            rows.emit(session, last.campaign_id, EventKind.ESTIMATE, data)
+            for row, (_, spectrum) in zip(found, identified, strict=True):
+                session.add(t.SpectrumRow(sweep_id=row.id, **spectrum.model_dump()))
+                rows.move_sweep(session, row, move, None)
+            session.flush()
+            return rows.document(EstimateDocument, estimate, number=last.number)
 
     # outbox
 
