@@ -67,11 +67,10 @@ from service.store.objects.moves import MoveStore
 from service.store.objects.object_store import check_usable
 from service.store.people.audit import AuditStore
 from service.store.people.audit_heads import keeping_time_and_head
-from service.store.people.external import ExternalUsers
 from service.store.people.keys import KeyStore
 from service.store.people.sessions import SessionStore
 from service.store.people.time import begin_time
-from service.store.people.users import UserStore
+from service.store.people.users import ExternalUsers, UserStore
 from service.store.people.writer import AuditWriter
 from service.store.plant.batches import BatchStore
 from service.store.plant.fleet import FleetStore

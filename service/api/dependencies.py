@@ -73,6 +73,11 @@ class Page(BaseModel, Generic[Item]):
     next: int | None
 
 
+def page(items: tuple[Item, ...], limit: int, number: str = "id") -> Page[Item]:
+    """`number`: the field by which the list is in order."""
+    return Page(items=items, next=getattr(items[-1], number) if len(items) == limit else None)
+
+
 def set_etag(response: Response, version: int) -> None:
     """Set the strong ETag of a resource's version."""
     response.headers["ETag"] = f'"{version}"'

@@ -5,7 +5,7 @@ from datetime import datetime
 from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.api.dependencies import After, ApplicationOf, Id, Limit, Page
+from service.api.dependencies import After, ApplicationOf, Id, Limit, Page, page
 from service.api.idempotent import IdempotentRoute
 from service.robot import RobotDescription, robot_from_outside
 from service.store.documents import RobotDocument
@@ -48,7 +48,7 @@ def list_robots(application: ApplicationOf, after: After = 0, limit: Limit = 50)
         )
         for robot in robots
     )
-    return Page(items=entries, next=robots[-1].id if len(robots) == limit else None)
+    return page(entries, limit)
 
 
 @router.get("/{robot_id}")

@@ -3,19 +3,33 @@
 import json
 import os
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from service.backup.examined import Examined, SqliteFile, Unreadable
-from service.backup.examined_store import Finding, is_recording, objects_wrong
 from service.backup.making import check_owner, machine_of
 from service.errors import BadInput
 from service.settings import AUDIT_HEADS
 from service.settings.object_store import StoreAddress
 from service.store.files.data_folder import FILE as OWNER
 from service.store.files.recordings import RecordingFiles, file_sha256
-from service.store.snapshot import Contents, known_schemas
+from service.store.objects.object_store import MissingObject, ObjectStore, StoreAway, WrongObject
+from service.store.snapshot import Contents
 
 _PUT_ASIDE = (".unknown", ".unreadable")
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One error, and what to do."""
+
+    place: str
+    what: str
+    action: str
+
+    @property
+    def line(self) -> str:
+        return " ".join(f"{self.place}: {self.what}; {self.action}".split())
 
 
 def examine(
@@ -33,7 +47,11 @@ def examine(
         named, wrong = database.contents().of_machine(_machine(data_dir)), database.wrong()
     except Unreadable as error:
         return *found, Finding(database.place, error.what, error.action)
-    found += [*_database(database.place, named, wrong), *_owner(data_dir, named), *_named(data_dir, named)]
+    found += [
+        *(Finding(database.place, line, action) for line, action in wrong),
+        *_owner(data_dir, named),
+        *_named(data_dir, named),
+    ]
     found += objects_wrong(data_dir, named, store)
     unknown = [path for path in there if _nobodys(path, database.file, data_dir, named)]
     if unknown:  # check again those that still exist: a service may just have stored them
@@ -55,15 +73,6 @@ def _folder(data_dir: Path, least_free: int) -> Iterator[Finding]:
     for folder in sorted((data_dir / "recordings").glob("*/")):
         if not os.access(folder, os.R_OK | os.W_OK | os.X_OK):
             yield Finding(str(folder), "this user cannot read and write it", "put owner and permissions right")
-
-
-def _database(place: str, named: Contents, wrong: list[tuple[str, str]]) -> Iterator[Finding]:
-    for line, action in wrong:
-        yield Finding(place, line, action)
-    newest = known_schemas()[-1]
-    if named.schema != newest:
-        difference = f"has schema {named.schema}, this sweepid's is {newest}"
-        yield Finding(place, difference, "make a backup; the next start of the service migrates it")
 
 
 def _owner(data_dir: Path, named: Contents) -> Iterator[Finding]:
@@ -127,3 +136,44 @@ def _unknown_file(path: Path, data_dir: Path) -> tuple[str, str]:
     if path.suffix == ".arrows" or path.relative_to(data_dir).parts[0] == "transfer":
         return "left over from a service process that was killed", "its next start takes it in or removes it"
     return "not referenced by the database", "move it away if nobody needs it"
+
+
+def objects_wrong(data_dir: Path, named: Contents, store: StoreAddress | None) -> Iterator[Finding]:
+    """Errors of recordings that were moved or are missing here. Every object is read."""
+    asked: dict[str, str] = {}
+    for path, sha256 in named.files.items():
+        if sha256 is None or not is_recording(path):
+            continue
+        here = (data_dir / path).exists()
+        if not here and store is None and path not in named.moved:
+            yield Finding(str(data_dir / path), "is missing", f"copy data/{path} of a backup there")
+        elif not here or path in named.moved:
+            asked[path] = sha256
+    if not asked:
+        return
+    if store is None:
+        what = f"{len(asked)} recordings are in an object store, but none is configured"
+        yield Finding(str(data_dir), what, "set `recordings_url`")
+        return
+    try:
+        objects = ObjectStore(store)
+        for path, sha256 in asked.items():
+            yield from _object(objects, data_dir / path, path, sha256)
+    except StoreAway as error:
+        yield Finding(str(error), f"{len(asked)} recordings could not be checked", "see to the store and run it again")
+    except BadInput as error:
+        yield Finding(error.place, error.reason, "correct the setting")
+
+
+def is_recording(path: str) -> bool:
+    """True for a recording; its manifest and spectrum stay in the data folder."""
+    return path.endswith(".parquet")
+
+
+def _object(objects: ObjectStore, file: Path, path: str, sha256: str) -> Iterator[Finding]:
+    """StoreAway."""
+    whole = str(file) if file.exists() else f"data/{path} of a backup"
+    try:
+        objects.check(sha256)
+    except (MissingObject, WrongObject) as error:
+        yield Finding(error.place, error.reason, f"copy {whole} there")

@@ -2,7 +2,7 @@
 
 import os
 import sqlite3
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -18,14 +18,17 @@ from service.store.snapshot import Contents, contents, contents_of, integrity, l
 RESTORE = "restore a backup"
 _TRIGGERS = (
     "SELECT count(*) FROM pg_trigger "
-    "WHERE tgrelid = 'audit'::regclass AND left(tgname, 9) = 'audit_no_' AND tgenabled = 'O'"
+    "WHERE tgrelid = to_regclass('audit') AND left(tgname, 9) = 'audit_no_' AND tgenabled = 'O'"
 )
 _FAILURES = "SELECT coalesce(checksum_failures, 0) FROM pg_stat_database WHERE datname = current_database()"
 _SQLITE_TRIGGERS = (
     "SELECT count(*) FROM sqlite_master WHERE type = 'trigger' "
     "AND tbl_name = 'audit' AND substr(name, 1, 9) = 'audit_no_'"
 )
-_LAST_WITH = "steady_time"  # table of the schema that added the last of them
+_UNPROTECTED = (
+    "the triggers that protect the audit against changes are missing or disabled",
+    "run `sweepid audit verify`, then restore a backup if needed",
+)
 
 Result = TypeVar("Result")
 
@@ -126,21 +129,10 @@ def _wrong(connection: Connection) -> Iterator[tuple[str, str]]:
             yield f"{setting} is off on the server: stored data are lost on a power failure", f"set {setting} = on"
     if failures := connection.exec_driver_sql(_FAILURES).scalar():
         yield f"the server found {failures} pages whose checksum is wrong", "check the disk and restore a dump"
-    tables = inspect(connection).get_table_names()
-    if "audit" in tables:
-        yield from _triggers(connection.exec_driver_sql(_TRIGGERS).scalar_one(), 4, tables)
+    if connection.exec_driver_sql(_TRIGGERS).scalar_one() != 4:
+        yield _UNPROTECTED
 
 
 def _unprotected(connection: sqlite3.Connection) -> list[tuple[str, str]]:
-    tables = [name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
     ((found,),) = connection.execute(_SQLITE_TRIGGERS)
-    return list(_triggers(found, 3, tables)) if "audit" in tables else []
-
-
-def _triggers(found: int, wanted: int, tables: Collection[str]) -> Iterator[tuple[str, str]]:
-    """`wanted`: how many protect the audit in the newest schema."""
-    if found != wanted - (_LAST_WITH not in tables):
-        yield (
-            "the triggers that protect the audit against changes are missing or disabled",
-            "run `sweepid audit verify`, then restore a backup if needed",
-        )
+    return [] if found == 3 else [_UNPROTECTED]

@@ -5,10 +5,14 @@ Pure. `docs/reference/states.md` is generated from these tables (``python -m ser
 
 from collections.abc import Callable, Iterable, Mapping
 from enum import Enum
+from typing import TypeVar
 
 from service.errors import Conflict
 from service.store.documents import CampaignState as C
 from service.store.documents import SweepState as S
+
+State = TypeVar("State", bound=Enum)
+Event = TypeVar("Event", bound=Enum)
 
 
 class CampaignEvent(Enum):
@@ -66,28 +70,24 @@ SWEEP: Mapping[tuple[S, SweepEvent], S] = {
 }
 
 
-def campaign_move(event: CampaignEvent) -> Callable[[C], C]:
-    """The transition of an event; the returned function raises Conflict if the table has no entry."""
-
-    def move(state: C) -> C:
+def _move(what: str, table: Mapping[tuple[State, Event], State], event: Event) -> Callable[[State], State]:
+    def move(state: State) -> State:
         try:
-            return CAMPAIGN[state, event]
+            return table[state, event]
         except KeyError:
-            raise Conflict(f"campaign: {event.value} is not possible in state {state.value}") from None
+            raise Conflict(f"{what}: {event.value} is not possible in state {state.value}") from None
 
     return move
+
+
+def campaign_move(event: CampaignEvent) -> Callable[[C], C]:
+    """The transition of an event; the returned function raises Conflict if the table has no entry."""
+    return _move("campaign", CAMPAIGN, event)
 
 
 def sweep_move(event: SweepEvent) -> Callable[[S], S]:
     """As `campaign_move`, for a sweep."""
-
-    def move(state: S) -> S:
-        try:
-            return SWEEP[state, event]
-        except KeyError:
-            raise Conflict(f"sweep: {event.value} is not possible in state {state.value}") from None
-
-    return move
+    return _move("sweep", SWEEP, event)
 
 
 def diagrams() -> str:

@@ -33,24 +33,15 @@ from service.worker import DiagnosisJob, JobFailed, Worker
 _log = structlog.get_logger(__name__)
 
 
-class Diagnosing:
+class Diagnosing(OpenJobs):
     """Submits axes to the worker and stores their results."""
 
     def __init__(
         self, store: Store, diagnoses: DiagnosisStore, models: ModelStore, files: RecordingFiles, worker: Worker
     ) -> None:
+        super().__init__()
         self._store, self._diagnoses, self._models = store, diagnoses, models
         self._files, self._worker = files, worker
-        self._open = OpenJobs()
-
-    @property
-    def open(self) -> int:
-        """Number of diagnoses that wait or run."""
-        return len(self._open)
-
-    @property
-    def troubles(self) -> tuple[str, ...]:
-        return self._open.troubles
 
     async def request(
         self,
@@ -79,11 +70,7 @@ class Diagnosing:
 
     def submit(self, diagnosis: DiagnosisEntry) -> None:
         """Start the jobs of a diagnosis; returns at once."""
-        self._open.begin(f"diagnosis {diagnosis.id}", partial(self._do, diagnosis), diagnosis=diagnosis.id)
-
-    async def close(self) -> None:
-        """Stop; the next process continues open diagnoses."""
-        await self._open.close()
+        self.begin(f"diagnosis {diagnosis.id}", partial(self._do, diagnosis), diagnosis=diagnosis.id)
 
     def _checked(
         self, campaigns: Sequence[int], axes: Sequence[str] | None, model: int | None, unattended: bool

@@ -5,13 +5,11 @@ from collections.abc import Sequence
 from service.diagnosis import is_evidence
 from service.errors import BadInput, Conflict, NotFound
 from service.recording import SweepSpec
-from service.store.documents import CampaignDocument, CampaignState, RecordingDocument, SweepState
+from service.store.checks import COMPLETE, OVER
+from service.store.documents import CampaignDocument, RecordingDocument
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
 from service.worker import RecordedSweep
-
-_OVER = (CampaignState.MEASURED, CampaignState.COMPLETED, CampaignState.ABORTED)
-_COMPLETE = (SweepState.RECORDED, SweepState.IDENTIFIED)
 
 
 def campaigns_of(store: Store, campaigns: Sequence[int]) -> tuple[CampaignDocument, ...]:
@@ -24,7 +22,7 @@ def campaigns_of(store: Store, campaigns: Sequence[int]) -> tuple[CampaignDocume
     except NotFound as error:
         raise BadInput("campaigns", str(error)) from None
     for campaign in found:
-        if campaign.state not in _OVER:
+        if campaign.state not in OVER:
             raise Conflict(f"campaign {campaign.id} is {campaign.state.value}: its sweeps are not complete yet")
         if campaign.robot_id != found[0].robot_id:
             raise Conflict(
@@ -82,5 +80,5 @@ def _complete(store: Store, campaign: CampaignDocument) -> list[tuple[RecordingD
     return [
         (store.recording(campaign.id, sweep.number), sweep.spec)
         for sweep in store.sweeps(campaign.id)
-        if sweep.state in _COMPLETE and is_evidence(sweep.spec)
+        if sweep.state in COMPLETE and is_evidence(sweep.spec)
     ]

@@ -5,7 +5,7 @@ from enum import Enum
 
 import structlog
 
-from service.campaigns.linked_campaign import campaign_beside
+from service.campaigns.linked import campaign_beside
 from service.errors import BadInput
 from service.export.started_robot import started_from
 from service.results.estimate import Estimate

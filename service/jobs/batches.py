@@ -12,8 +12,7 @@ from functools import partial
 
 import structlog
 
-from service.campaigns.linked_analysis import analysis_behind
-from service.campaigns.linked_campaign import campaign_beside
+from service.campaigns.linked import analysis_behind, campaign_beside
 from service.errors import BadInput, NotFound
 from service.jobs.open_jobs import OpenJobs
 from service.store.diagnosis.model_revisions import ModelStore
@@ -29,23 +28,14 @@ _AHEAD = 2  # jobs submitted per worker, so that no worker waits for the next jo
 _UNKNOWN = 1  # assumed number of workers while none answers
 
 
-class Batches:
+class Batches(OpenJobs):
     """Submits campaigns to the workers and writes the results."""
 
     def __init__(
         self, store: Store, batches: BatchStore, models: ModelStore, files: RecordingFiles, worker: Worker
     ) -> None:
+        super().__init__()
         self._store, self._batches, self._models, self._files, self._worker = store, batches, models, files, worker
-        self._open = OpenJobs()
-
-    @property
-    def open(self) -> int:
-        """Number of batches that wait or run."""
-        return len(self._open)
-
-    @property
-    def troubles(self) -> tuple[str, ...]:
-        return self._open.troubles
 
     async def recover(self) -> None:
         """Continue the batches that the last process left open."""
@@ -61,15 +51,11 @@ class Batches:
     async def cancel(self, batch_id: int) -> BatchDocument:
         """Cancel the rest of the batch; computed results are kept. No effect on a batch that is over."""
         batch = await asyncio.to_thread(self._batches.end, batch_id, BatchState.CANCELLED)
-        self._open.cancel(f"re-identification {batch_id}")
+        self.end(f"re-identification {batch_id}")
         return batch
 
-    async def close(self) -> None:
-        """Stop; the next process continues the open batches."""
-        await self._open.close()
-
     def _submit(self, batch_id: int) -> None:
-        self._open.begin(f"re-identification {batch_id}", partial(self._do, batch_id))
+        self.begin(f"re-identification {batch_id}", partial(self._do, batch_id))
 
     async def _do(self, batch_id: int) -> None:
         campaigns = iter(await asyncio.to_thread(self._batches.begin, batch_id))

@@ -24,12 +24,12 @@ _log = structlog.get_logger(__name__)
 _ENDS = {state.value for state in OVER}
 
 
-class Checking:
+class Checking(OpenJobs):
     """Submits campaigns to the worker and writes the findings."""
 
     def __init__(self, store: Store, checks: CheckStore, files: RecordingFiles, worker: Worker) -> None:
+        super().__init__()
         self._store, self._checks, self._files, self._worker = store, checks, files, worker
-        self._open = OpenJobs()
 
     async def recover(self) -> None:
         """Submit the checks that the last process left open."""
@@ -42,23 +42,8 @@ class Checking:
             if event.kind is EventKind.CAMPAIGN and event.campaign_id is not None and event.data["state"] in _ENDS:
                 self._submit(event.campaign_id)
 
-    async def close(self) -> None:
-        """Stop; the next process continues the open checks."""
-        await self._open.close()
-
-    @property
-    def open(self) -> int:
-        """Number of checks that wait or run."""
-        return len(self._open)
-
-    @property
-    def troubles(self) -> tuple[str, ...]:
-        return self._open.troubles
-
     def _submit(self, campaign_id: int) -> None:
-        self._open.begin(
-            f"check of the data of campaign {campaign_id}", partial(self._do, campaign_id), campaign=campaign_id
-        )
+        self.begin(f"check of the data of campaign {campaign_id}", partial(self._do, campaign_id), campaign=campaign_id)
 
     async def _do(self, campaign_id: int) -> None:
         if campaign_id not in await asyncio.to_thread(self._checks.wanting, campaign_id):

@@ -5,8 +5,10 @@ The jobs of a campaign run in the order of recording, one after the other, so th
 before it. The identification of a sweep uses the effects of the robot's newest accepted model.
 
 Each sweep of a campaign that was measured here has its own revision. In a large imported campaign several sweeps
-share a revision (`grouping`): one job computes their spectra and one estimate, and one transaction stores all of it.
-If that job fails, its sweeps are identified one after the other, so that only the sweeps with a fault fail.
+share a revision (`open_groups`): the estimate after the first 17 of 900 sweeps is of no use. Which sweeps have one
+depends only on the number of sweeps, so it is the same after a restart. One job computes the spectra of a group and one
+estimate, and one transaction stores all of it. If that job fails, its sweeps are identified one after the other, so
+that only the sweeps with a fault fail.
 """
 
 import asyncio
@@ -19,11 +21,9 @@ import structlog
 from structlog.contextvars import bound_contextvars
 
 from drivers.errors import Cause, CauseCode
-from service.campaigns.linked_analysis import analysis_behind
-from service.campaigns.linked_campaign import campaign_beside
+from service.campaigns.linked import analysis_behind, campaign_beside
 from service.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.errors import BadInput
-from service.jobs.grouping import open_groups
 from service.jobs.open_jobs import OpenJobs
 from service.store.diagnosis.model_revisions import ModelStore
 from service.store.documents import CampaignState, RecordingDocument, SpectrumRecord, SweepDocument, SweepState
@@ -34,23 +34,16 @@ from service.worker import Job, JobFailed, RecordedSweep, Result, Worker
 
 _log = structlog.get_logger(__name__)
 
+MOST_REVISIONS = 60  # points of a convergence chart; with 900 sweeps their estimates take 13 s of processor time
 
-class Jobs:
+
+class Jobs(OpenJobs):
     """Submits recorded sweeps to the worker and writes its results."""
 
     def __init__(self, store: Store, files: RecordingFiles, worker: Worker, models: ModelStore) -> None:
+        super().__init__()
         self._store, self._files, self._worker, self._models = store, files, worker, models
         self._turn: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)  # by campaign, first in first out
-        self._open = OpenJobs()
-
-    @property
-    def open(self) -> int:
-        """Number of sweeps that wait for identification."""
-        return self._open.size
-
-    @property
-    def troubles(self) -> tuple[str, ...]:
-        return self._open.troubles
 
     async def recover(self) -> None:
         """Submit the jobs that the last process left open."""
@@ -69,7 +62,7 @@ class Jobs:
         name = f"identification of campaign {sweep.campaign_id} sweep {sweep.number} attempt {sweep.attempt}"
         turn = self._turn[sweep.campaign_id]
         do = partial(self._do, (sweep,))
-        self._open.begin(name, do, turn, campaign=sweep.campaign_id, sweep=sweep.number)
+        self.begin(name, do, turn, campaign=sweep.campaign_id, sweep=sweep.number)
 
     async def submit_imported(self, campaign_id: int) -> None:
         """Identify the recorded sweeps of an imported campaign; returns before they are identified."""
@@ -79,7 +72,7 @@ class Jobs:
                 continue
             name = f"identification of campaign {campaign_id} sweeps {group[0].number} to {group[-1].number}"
             turn = self._turn[campaign_id]
-            self._open.begin(name, partial(self._do, group), turn, len(group), campaign=campaign_id)
+            self.begin(name, partial(self._do, group), turn, len(group), campaign=campaign_id)
 
     async def settle(self, campaign_id: int) -> None:
         """measured -> completed, if no sweep is left to identify."""
@@ -88,10 +81,6 @@ class Jobs:
             identified = campaign_move(CampaignEvent.IDENTIFIED)
             cause = campaign.structured_cause
             await asyncio.to_thread(self._store.move_campaign, campaign_id, identified, cause)
-
-    async def close(self) -> None:
-        """Stop; the next process continues the open jobs."""
-        await self._open.close()
 
     async def _do(self, sweeps: Sequence[SweepDocument]) -> None:
         campaign_id = sweeps[0].campaign_id
@@ -175,3 +164,18 @@ class Jobs:
             analyses=analysis_behind(self._store, beside or campaign),
             model=model,
         )
+
+
+def sweeps_a_revision(count: int) -> int:
+    """Number of sweeps per revision in an imported campaign of `count` sweeps; the last revision may have fewer."""
+    return -(-count // MOST_REVISIONS)
+
+
+def open_groups(sweeps: Sequence[SweepDocument]) -> list[tuple[SweepDocument, ...]]:
+    """The sweeps of an imported campaign that wait for identification, in the groups that share a revision."""
+    size = sweeps_a_revision(len(sweeps))
+    groups: dict[int, list[SweepDocument]] = {}
+    for sweep in sweeps:
+        if sweep.state is SweepState.RECORDED:
+            groups.setdefault((sweep.number - 1) // size, []).append(sweep)
+    return [tuple(group) for _, group in sorted(groups.items())]

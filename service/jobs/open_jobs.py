@@ -21,19 +21,16 @@ _AGAIN = 2.0  # s
 
 
 class OpenJobs:
-    """The open jobs of one kind."""
+    """The open jobs of one kind; each kind derives from it."""
 
     def __init__(self) -> None:
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._sizes: dict[str, int] = {}
         self._troubles: dict[str, str] = {}
 
-    def __len__(self) -> int:
-        return len(self._tasks)
-
     @property
-    def size(self) -> int:
-        """The sum of the sizes of the open jobs."""
+    def open(self) -> int:
+        """How many items wait or run: the sum of the sizes of the open jobs."""
         return sum(self._sizes.values())
 
     @property
@@ -61,7 +58,7 @@ class OpenJobs:
             self._tasks[name] = task
             task.add_done_callback(partial(self._done, about))
 
-    def cancel(self, name: str) -> None:
+    def end(self, name: str) -> None:
         """Cancel the task with this name, if it is open; data that it has stored are kept."""
         task = self._tasks.get(name)
         if task is not None:

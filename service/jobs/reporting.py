@@ -3,13 +3,14 @@
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 
 from pydantic import BaseModel, ConfigDict
 
-from service.campaigns.linked_campaign import campaign_beside
+from drivers.ports import AxisIdentity
+from service.campaigns.linked import campaign_beside
 from service.campaigns.plan_subject import plan_subject
 from service.causes import in_words
 from service.errors import Conflict, NotFound
@@ -30,24 +31,11 @@ from service.worker import DiagnosisReportJob, FleetReportJob, RecordedSweep, Re
 CONVERGENCE = 100  # maximum number of revisions whose parameters are drawn
 
 
-class _Identity(BaseModel):
-    """Identity that a drive reported."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
-    joint: str
-    address: str
-    vendor: int
-    product: int
-    revision: int
-    serial: int
-    dictionary_sha256: str
-
-
 class _Manifest(BaseModel):
     """The part of a recording's manifest that the report uses; an imported recording has no drives."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
-    drives: tuple[_Identity, ...] = ()
+    drives: tuple[AxisIdentity, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -232,7 +220,7 @@ def _listing(recordings: Sequence[RecordingDocument]) -> str:
 def _drives(manifests: Iterable[_Manifest]) -> tuple[Drive, ...]:
     """Every identity that a drive reported, with its number of sweeps."""
     counted = Counter(drive for manifest in manifests for drive in manifest.drives)
-    return tuple(Drive(**drive.model_dump(), sweeps=count) for drive, count in counted.items())
+    return tuple(Drive(**asdict(drive), sweeps=count) for drive, count in counted.items())
 
 
 def _time(at: datetime) -> str:

@@ -2,7 +2,7 @@
 
 from typing import Literal, cast
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from drivers.ports import Sine as PortSine
 from drivers.ports import SweepCommand, SweepMode
@@ -160,15 +160,15 @@ class PlanDocument(Shown, BaseModel):
     dropped: tuple[DroppedPose, ...]
     base_parameters: tuple[str, ...]
     condition: tuple[float | None, ...]
-    confidence: tuple[float | None, ...] = ()  # (): from a version that did not predict it
+    confidence: tuple[float | None, ...] = ()
     # base parameters that the estimate may leave undetermined, because the sweeps are not better than CAD
-    undetermined: tuple[str, ...] = ()  # (): none, or from a version that did not predict it
+    undetermined: tuple[str, ...] = ()
     enough_poses: int | None = None  # so many determine all; null: these do, or no such number was found
     spare: tuple[SparePose, ...] = ()
     candidates: int  # poses of the grid
     measurable: int  # collision-free, with room for every sweep
     duration: float  # s
-    made_for: MadeFor | None = None  # None: for any other machine, or from an older version
+    made_for: MadeFor | None = None  # None: for any other machine
 
     def table(self) -> Table:
         """One row a sweep."""
@@ -177,11 +177,3 @@ class PlanDocument(Shown, BaseModel):
             f"Plan for the robot {self.robot}: {len(specs)} sweeps, {self.duration / 60:.0f} min",
             columns_of_sweeps(specs),
         )
-
-    @field_validator("request", mode="before")
-    @classmethod
-    def _stored(cls, given: object) -> object:
-        """Plans of older versions without a criterion were made with the condition number."""
-        if not isinstance(given, dict):
-            return given
-        return {"criterion": Criterion.CONDITION.value, **cast("dict[object, object]", given)}

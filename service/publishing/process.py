@@ -4,7 +4,6 @@ It ends at the end of stdin: it closes the OPC UA server and sends the status of
 """
 
 import asyncio
-import os
 import signal
 import sys
 from contextlib import AsyncExitStack
@@ -13,19 +12,18 @@ from typing import TYPE_CHECKING
 from service.logs.lines import configure_logs
 from service.publishing.state import Configuration, FromPublisher, ToPublisher
 from service.tasks.background import Background
+from service.tasks.child import give_way
 
 if TYPE_CHECKING:
     from service.publishing.mqtt import Broker
     from service.publishing.opcua.server import Server
 
-_NICE = 10
 _LINE = 16 * 2**20  # bytes
 
 
 def main() -> None:
     """Run until stdin ends."""
-    if sys.platform != "win32":
-        os.nice(_NICE)
+    give_way()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # SIGINT from the terminal is handled by the service
     asyncio.run(_publish())
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.ports import AxisIdentity
 from service.identification.model.regressor import axis_rows, lock
 from service.recording import Sweep, SweepSpec
 from service.report.drawing import slides
@@ -58,16 +59,9 @@ class Content:
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
+class Drive(AxisIdentity):
     """Identity data that a drive reported while `sweeps` sweeps were recorded (CiA 301 object 1018h)."""
 
-    joint: str
-    address: str
-    vendor: int
-    product: int
-    revision: int
-    serial: int
-    dictionary_sha256: str
     sweeps: int
 
 

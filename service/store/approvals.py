@@ -3,19 +3,18 @@
 from collections.abc import Callable
 from datetime import datetime, timedelta
 
-from pydantic import BaseModel, ConfigDict
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database
+from service.store.database import Transactions
+from service.store.documents import StoredDocument
 
 
-class ApprovalDocument(BaseModel):
+class ApprovalDocument(StoredDocument):
     """One approval; `sha256` is the hash of the approved motion. `ended_by`: id of a later stop of its machine."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
     id: int
     plan_id: int
     sha256: str
@@ -36,11 +35,8 @@ class ApprovalDocument(BaseModel):
         return f"{who} expired at {self.expires_at:%Y-%m-%d %H:%M} UTC" if at >= self.expires_at else ""
 
 
-class ApprovalStore:
+class ApprovalStore(Transactions):
     """Every method is one transaction and blocks, as in `service.store.store`."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def add(
         self, plan_id: int, sha256: str, approved_by: str, valid: timedelta, wanted: Callable[[], None]
@@ -83,12 +79,4 @@ def _last_stop(session: Session, machine: int) -> int:
 
 
 def _document(row: t.ApprovalRow, last_stop: int) -> ApprovalDocument:
-    return ApprovalDocument(
-        id=row.id,
-        plan_id=row.plan_id,
-        sha256=row.sha256,
-        approved_by=row.approved_by,
-        at=row.at,
-        expires_at=row.expires_at,
-        ended_by=last_stop if last_stop > row.last_stop else None,
-    )
+    return rows.document(ApprovalDocument, row, ended_by=last_stop if last_stop > row.last_stop else None)

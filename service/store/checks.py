@@ -5,7 +5,7 @@ from sqlalchemy import select
 
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database
+from service.store.database import Transactions
 from service.store.documents import CampaignState, EventKind, SweepState
 
 Document = dict[str, JsonValue]
@@ -14,11 +14,8 @@ OVER = (CampaignState.MEASURED, CampaignState.COMPLETED, CampaignState.ABORTED)
 COMPLETE = (SweepState.RECORDED, SweepState.IDENTIFIED)
 
 
-class CheckStore:
+class CheckStore(Transactions):
     """Every method is one transaction and blocks, as in `service.store.store`."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def document(self, campaign_id: int) -> Document | None:
         """Findings as in `sweepid check --json`; None if there are none yet."""

@@ -131,6 +131,13 @@ class Database:
         return False
 
 
+class Transactions:
+    """Reads and writes one database: every method is one transaction and blocks."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+
 @contextmanager
 def open_database(
     url: str,
@@ -150,10 +157,9 @@ def open_database(
     engine = kind.engine()
     try:
         kind.check(engine)
+        _check_schema(engine, migrated)
         if migrated:
             migrate(engine)
-        else:
-            _check_schema(engine)
         yield Database(engine, kind, None if machine is None else _named(engine, machine), clock or SteadyClock())
     finally:
         engine.dispose()
@@ -170,17 +176,32 @@ def _named(engine: Engine, name: str) -> OwnMachine:
         return OwnMachine(row.id, row.name)
 
 
-def _check_schema(engine: Engine) -> None:
-    """Raises BadInput unless the database has this version's schema."""
+def _check_schema(engine: Engine, migrated: bool) -> None:
+    """Raises BadInput unless the database has this version's schema, or (`migrated`) an older one or none."""
     with engine.connect() as connection:
         found = MigrationContext.configure(connection).get_current_revision()
-    newest = ScriptDirectory(str(MIGRATIONS)).get_current_head()
-    if found != newest:
-        raise BadInput(
-            "database_url",
-            f"{engine.url.render_as_string(hide_password=True)} has schema {found or 'none'}, this version reads "
-            f"{newest}: first start a service of this version that owns a machine, or use the version of the others",
-        )
+    known = known_schemas()
+    if found == known[-1] or (migrated and (found is None or found in known)):
+        return
+    address = engine.url.render_as_string(hide_password=True)
+    if found is not None and found not in known:
+        raise BadInput("database_url", f"{address} {unknown_schema(found)}")
+    raise BadInput(
+        "database_url",
+        f"{address} has schema {found or 'none'}, this version reads {known[-1]}: first start a service of this "
+        "version that owns a machine, or use the version of the others",
+    )
+
+
+def known_schemas() -> tuple[str, ...]:
+    """The revisions that this version can open, the newest last."""
+    newest_first = ScriptDirectory(str(MIGRATIONS)).walk_revisions()
+    return tuple(script.revision for script in newest_first)[::-1]
+
+
+def unknown_schema(found: str) -> str:
+    """What is wrong with a schema that is not among the known ones."""
+    return f"has schema {found}, which this sweepid does not know: use the sweepid that wrote it"
 
 
 def migrate(engine: Engine) -> None:

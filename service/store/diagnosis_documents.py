@@ -4,13 +4,13 @@ from datetime import datetime
 from enum import Enum
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, JsonValue
+from pydantic import ConfigDict, Field, JsonValue
 
 from service.errors import Conflict
 from service.results.diagnosis import Diagnosis
 from service.results.revision import ModelRevision
 from service.results.stored_json import JsonOf
-from service.store.documents import LARGEST_ID
+from service.store.documents import LARGEST_ID, StoredDocument
 
 
 class DiagnosisState(Enum):
@@ -22,29 +22,26 @@ class DiagnosisState(Enum):
     FAILED = "failed"  # reason in `cause`
 
 
-class _Document(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class BoltedMass(_Document):
+class BoltedMass(StoredDocument):
     """A known mass on the last link: kg, m and kg m^2 in the frame of that link's joint.
 
     `inertia` (Ixx, Ixy, Iyy, Ixz, Iyz, Izz) about its centre of mass, along the axes of that frame.
     """
 
+    model_config = ConfigDict(allow_inf_nan=False)
     mass: float = Field(gt=0)
     center: tuple[float, float, float]
     inertia: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-class Weighing(_Document):
+class Weighing(StoredDocument):
     """The campaign measured with a known mass, and the mass."""
 
     campaign_id: int
     mass: BoltedMass
 
 
-class EstimateOf(_Document):
+class EstimateOf(StoredDocument):
     """Revision n of a campaign's estimate."""
 
     campaign_id: int
@@ -56,7 +53,7 @@ class EstimateOf(_Document):
         return f"campaign {self.campaign_id}, revision {self.revision}"
 
 
-class ExperimentDocument(_Document):
+class ExperimentDocument(StoredDocument):
     """The approved next experiment of one axis; `test_mass` is mounted while it is measured."""
 
     axis: str
@@ -66,7 +63,7 @@ class ExperimentDocument(_Document):
     test_mass: BoltedMass | None
 
 
-class NewDiagnosis(_Document):
+class NewDiagnosis(StoredDocument):
     """Input of a diagnosis: axes of one robot, from all complete sweeps of `campaigns`.
 
     `model`: accepted model to start from. `estimate`: start of the rigid model, None: CAD. `weighed`: a campaign
@@ -115,7 +112,7 @@ class DiagnosisDocument(DiagnosisEntry):
         return Diagnosis.read(self.document, f"diagnosis {self.id}")
 
 
-class ModelDocument(_Document):
+class ModelDocument(StoredDocument):
     """Revision n of a robot's model: rigid body and effects, as accepted from a diagnosis; never changed.
 
     `parent`: the previous revision, which provides the axes that are not part of this one.

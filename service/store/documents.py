@@ -78,11 +78,13 @@ class EventKind(Enum):
     DATA_CHECK = "data_check"  # {}: the findings of the campaign are stored
 
 
-class _Document(BaseModel):
+class StoredDocument(BaseModel):
+    """What leaves the store."""
+
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class RobotDocument(_Document):
+class RobotDocument(StoredDocument):
     """A robot as stored; never changed (equal content has the same row)."""
 
     id: int
@@ -101,7 +103,7 @@ class RobotDocument(_Document):
         return robot_sha256(self.description, self.urdf_text)
 
 
-class PlanRecord(_Document):
+class PlanRecord(StoredDocument):
     """A stored plan; `document` is the planner's PlanDocument as JSON."""
 
     id: int
@@ -110,7 +112,7 @@ class PlanRecord(_Document):
     created_at: datetime
 
 
-class CampaignDocument(_Document):
+class CampaignDocument(StoredDocument):
     """A campaign; `version` increases with every change of state (ETag), `plan_id` is None for an imported one.
 
     `machine`: the name of the machine that runs it, or whose service imported it. `here`: it is the machine of this
@@ -131,7 +133,7 @@ class CampaignDocument(_Document):
     started_at: datetime | None
 
 
-class SweepDocument(_Document):
+class SweepDocument(StoredDocument):
     """A sweep of a campaign; once recorded, `spec` has the measured values (sample rate, window, start)."""
 
     campaign_id: int
@@ -154,7 +156,7 @@ class SweepStatus:
     started_at: float
 
 
-class RecordingDocument(_Document):
+class RecordingDocument(StoredDocument):
     """A recording file; `path` is relative to the data directory."""
 
     campaign_id: int
@@ -174,7 +176,7 @@ class Recorded(NamedTuple):
     samples: int
 
 
-class EstimateDocument(_Document):
+class EstimateDocument(StoredDocument):
     """Estimate revision n of a campaign, made when sweep `number` was identified; `document` as `identify --json`.
 
     In an imported campaign of more than 60 sweeps a revision contains several sweeps more than the one before it.
@@ -192,7 +194,7 @@ class EstimateDocument(_Document):
         return Estimate.read(self.document, f"estimate {self.revision} of campaign {self.campaign_id}")
 
 
-class EventDocument(_Document):
+class EventDocument(StoredDocument):
     """One entry of the outbox; ids increase."""
 
     id: int
@@ -202,7 +204,7 @@ class EventDocument(_Document):
     at: datetime
 
 
-class StopDocument(_Document):
+class StopDocument(StoredDocument):
     """A stop command; the machine is latched while `reset_at` is None. `cause`: None if a person stopped it."""
 
     id: int
@@ -214,21 +216,21 @@ class StopDocument(_Document):
     reset_at: datetime | None
 
 
-class StoredAnswer(_Document):
+class StoredAnswer(StoredDocument):
     """The answer already given to a request with this idempotency key."""
 
     status: int
     body: str
 
 
-class NewSweep(_Document):
+class NewSweep(StoredDocument):
     """A sweep to be planned."""
 
     spec: SweepSpec
     mode: SweepMode | None
 
 
-class NewRecording(_Document):
+class NewRecording(StoredDocument):
     """A recording file that was just written."""
 
     state: RecordingState
@@ -237,7 +239,7 @@ class NewRecording(_Document):
     samples: int
 
 
-class SpectrumRecord(_Document):
+class SpectrumRecord(StoredDocument):
     """The file of an identified sweep's spectrum; `path` is relative to the data directory."""
 
     path: str

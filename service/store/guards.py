@@ -15,7 +15,7 @@ from drivers.errors import Cause
 from service.errors import Conflict, NotFound
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database, OwnMachine
+from service.store.database import Database, OwnMachine, Transactions
 from service.store.documents import EventKind, StopDocument
 
 
@@ -44,7 +44,7 @@ class MachineLease:
         if machine is None:
             raise rows.NoMachine
         self._database, self._machine = database, machine
-        self._resource = resource(machine.id)
+        self._resource = f"machine {machine.id}"
         self._lease_time = lease_time
         self.owner = f"{socket.gethostname()} pid {os.getpid()} {uuid.uuid4().hex[:8]}"
 
@@ -100,27 +100,19 @@ class MachineLease:
             return row.owner, row.renewals
 
 
-def resource(machine_id: int) -> str:
-    """Name of a machine's lease. That of the first machine is unchanged from databases with one machine."""
-    return "machine" if machine_id == 1 else f"machine {machine_id}"
-
-
 PATIENCE = 5.0  # s
 
 
-class StopLatch:
+class StopLatch(Transactions):
     """The stop of a machine, kept over a restart.
 
     No write waits longer than `PATIENCE` for another writer: then OperationalError.
     """
 
-    def __init__(self, database: Database) -> None:
-        self._database = database
-
     def latched(self) -> tuple[StopDocument, ...]:
         """The stops that are not released, oldest first."""
         with self._database.read() as session:
-            return tuple(_document(row) for row in session.scalars(_open_stops(session)))
+            return rows.documents(StopDocument, session, _open_stops(session))
 
     def latch(self, by: str, why: str, at: datetime | None = None, cause: Cause | None = None) -> StopDocument:
         """`at`: time of the stop, None: now."""
@@ -131,7 +123,7 @@ class StopLatch:
             session.add(row)
             session.flush()
             _emit(session, [row.id], True, by, why)
-            return _document(row)
+            return rows.document(StopDocument, row)
 
     def reset(self, by: str, stops: Sequence[int]) -> tuple[StopDocument, ...]:
         """Release these stops and no other. A released one stays so. Raises NotFound if one does not exist."""
@@ -147,7 +139,7 @@ class StopLatch:
             if held:
                 session.flush()
                 _emit(session, [row.id for row in held], session.scalar(_open_stops(session)) is not None, by, "reset")
-            return tuple(_document(found[number]) for number in stops)
+            return tuple(rows.document(StopDocument, found[number]) for number in stops)
 
 
 def _open_stops(session: Session) -> Select[t.StopRow]:
@@ -159,15 +151,3 @@ def _emit(session: Session, stops: Sequence[int], latched: bool, by: str, why: s
     """`latched`: whether any stop holds the machine now."""
     data: dict[str, JsonValue] = {"latched": latched, "by": by, "why": why, "stops": list(stops)}
     rows.emit(session, None, EventKind.STOP, data)
-
-
-def _document(row: t.StopRow) -> StopDocument:
-    return StopDocument(
-        id=row.id,
-        by=row.by,
-        why=row.why,
-        cause=rows.cause_of(row.cause),
-        at=row.at,
-        reset_by=row.reset_by,
-        reset_at=row.reset_at,
-    )

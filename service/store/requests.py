@@ -5,7 +5,7 @@ from sqlalchemy import delete
 from service.errors import Conflict
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database
+from service.store.database import Transactions
 from service.store.documents import StoredAnswer
 
 
@@ -13,11 +13,8 @@ class KeyReused(Conflict):
     """The key was used before with another request: an error of the client program (API: 422)."""
 
 
-class IdempotencyKeys:
+class IdempotencyKeys(Transactions):
     """Claim a key, do the work, store the answer; release the key if the work failed."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def claim(self, key: str, fingerprint: str) -> StoredAnswer | None:
         """None: continue, the key is claimed. `fingerprint`: hash of method, path and body, at most 64 characters.

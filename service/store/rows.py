@@ -3,31 +3,35 @@
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
-from pydantic import JsonValue, TypeAdapter
+from pydantic import BaseModel, JsonValue, TypeAdapter
 from sqlalchemy import ColumnElement, Select, func, select
 from sqlalchemy.orm import Session
 
 from drivers.errors import Cause
 from service.errors import Conflict, NotFound
-from service.recording import SweepSpec
-from service.robot import Robot, RobotDescription
 from service.store import tables as t
 from service.store.database import OWN, OwnMachine
 from service.store.documents import (
     CampaignDocument,
-    EstimateDocument,
     EventKind,
     NewSweep,
-    PlanRecord,
-    RecordingDocument,
-    RobotDocument,
-    SpectrumRecord,
     SweepDocument,
     SweepState,
 )
 
 Row = TypeVar("Row", bound=t.Base)
+Kind = TypeVar("Kind", bound=BaseModel)
 _CAUSE = TypeAdapter(Cause)
+
+
+def document(kind: type[Kind], row: t.Base, **more: object) -> Kind:
+    """The row as a document of this kind: each field from `more`, or from the attribute with its name."""
+    return kind.model_validate({name: more[name] if name in more else getattr(row, name) for name in kind.model_fields})
+
+
+def documents(kind: type[Kind], session: Session, query: Select[Any]) -> tuple[Kind, ...]:
+    """As `document`, of each row that the query selects."""
+    return tuple(document(kind, row) for row in session.scalars(query))
 
 
 class NoMachine(Conflict):
@@ -62,6 +66,13 @@ def own(session: Session) -> int:
 def owned(session: Session) -> OwnMachine | None:
     """This service's machine."""
     return session.info[OWN]
+
+
+def machine_of(session: Session, machine_id: int) -> dict[str, object]:
+    """The fields `machine` and `here` of a document."""
+    own = owned(session)
+    name = session.get_one(t.MachineRow, machine_id).name
+    return {"machine": name, "here": own is not None and own.id == machine_id}
 
 
 def check_own(session: Session, machine_id: int, what: str) -> None:
@@ -139,16 +150,16 @@ def move_sweep(
     """Change the state of a sweep and emit the event."""
     row.state = move(row.state)
     set_cause(row, cause)
-    document = sweep_document(row)
+    moved = document(SweepDocument, row)
     data: dict[str, JsonValue] = {
         "number": row.number,
         "state": row.state.value,
         "cause": row.cause,
-        "axis": document.spec.axis,
+        "axis": moved.spec.axis,
         "attempt": row.attempt,
     }
     emit(session, row.campaign_id, EventKind.SWEEP, data)
-    return document
+    return moved
 
 
 def set_cause(row: t.CampaignRow | t.SweepRow, cause: Cause | None) -> None:
@@ -160,10 +171,6 @@ def cause_json(cause: Cause | None) -> dict[str, JsonValue] | None:
     return None if cause is None else _CAUSE.dump_python(cause, mode="json")
 
 
-def cause_of(stored: dict[str, JsonValue] | None) -> Cause | None:
-    return None if stored is None else _CAUSE.validate_python(stored)
-
-
 def emit_campaign(session: Session, row: t.CampaignRow) -> None:
     """Emit the state of a campaign."""
     data: dict[str, JsonValue] = {"state": row.state.value, "cause": row.cause, "version": row.version}
@@ -171,106 +178,10 @@ def emit_campaign(session: Session, row: t.CampaignRow) -> None:
     session.flush()
 
 
-def robot_row(robot: Robot, sha256: str) -> t.RobotRow:
-    return t.RobotRow(
-        sha256=sha256,
-        name=robot.name,
-        serial=robot.description.serial,
-        revision=robot.description.revision,
-        description=robot.description.model_dump(mode="json"),
-        urdf_text=robot.urdf_text,
-    )
-
-
-def robot_document(row: t.RobotRow) -> RobotDocument:
-    return RobotDocument(
-        id=row.id,
-        name=row.name,
-        serial=row.serial,
-        revision=row.revision,
-        description=RobotDescription.model_validate(row.description),
-        urdf_text=row.urdf_text,
-        created_at=row.created_at,
-    )
-
-
-def plan_document(row: t.PlanRow) -> PlanRecord:
-    return PlanRecord(id=row.id, robot_id=row.robot_id, document=row.document, created_at=row.created_at)
-
-
 def campaign_document(session: Session, row: t.CampaignRow) -> CampaignDocument:
     counts = select(t.SweepRow.state, func.count()).where(t.SweepRow.campaign_id == row.id).group_by(t.SweepRow.state)
-    return CampaignDocument(
-        id=row.id,
-        machine=session.get_one(t.MachineRow, row.machine_id).name,
-        here=(machine := owned(session)) is not None and machine.id == row.machine_id,
-        robot_id=row.robot_id,
-        plan_id=row.plan_id,
-        state=row.state,
-        cause=row.cause,
-        structured_cause=cause_of(row.structured_cause),
-        version=row.version,
-        sweeps=dict(session.execute(counts).all()),
-        created_at=row.created_at,
-        started_at=row.started_at,
-    )
-
-
-def sweep_document(row: t.SweepRow) -> SweepDocument:
-    return SweepDocument(
-        campaign_id=row.campaign_id,
-        number=row.number,
-        spec=SweepSpec.model_validate(row.spec),
-        mode=row.mode,
-        state=row.state,
-        cause=row.cause,
-        structured_cause=cause_of(row.structured_cause),
-        attempt=row.attempt,
-    )
-
-
-def recording_document(row: t.RecordingRow, campaign_id: int, number: int) -> RecordingDocument:
-    return RecordingDocument(
-        campaign_id=campaign_id,
-        number=number,
-        attempt=row.attempt,
-        state=row.state,
-        path=row.path,
-        sha256=row.sha256,
-        samples=row.samples,
-        pruned_at=row.pruned_at,
-    )
-
-
-def add_estimate(
-    session: Session,
-    identified: Sequence[tuple[SweepDocument, SpectrumRecord]],
-    move: Callable[[SweepState], SweepState],
-    document: dict[str, JsonValue],
-) -> EstimateDocument | None:
-    """Insert the next revision with the spectra of its new sweeps; see `Store.add_estimate`."""
-    found: list[t.SweepRow] = []
-    for sweep, _ in identified:
-        row = own_sweep(session, sweep.campaign_id, sweep.number)
-        if row.state is not SweepState.RECORDED or row.attempt != sweep.attempt:
-            return None
-        found.append(row)
-    last = found[-1]
-    revisions = select(func.max(t.EstimateRow.revision)).where(t.EstimateRow.campaign_id == last.campaign_id)
-    estimate = t.EstimateRow(
-        campaign_id=last.campaign_id,
-        revision=(session.scalar(revisions) or 0) + 1,
-        sweep_id=last.id,
-        document=document,
-    )
-    session.add(estimate)
-    data: dict[str, JsonValue] = {"revision": estimate.revision, "sweep": last.number}
-    emit(session, last.campaign_id, EventKind.ESTIMATE, data)
-    for row, (_, spectrum) in zip(found, identified, strict=True):
-        session.add(t.SpectrumRow(sweep_id=row.id, **spectrum.model_dump()))
-        move_sweep(session, row, move, None)
-    session.flush()
-    return estimate_document(estimate, last.number)
+    sweeps = dict(session.execute(counts).all())
+    return document(CampaignDocument, row, sweeps=sweeps, **machine_of(session, row.machine_id))
 
 
 def estimates_of(campaign_id: int) -> Select[t.EstimateRow, int]:
@@ -279,22 +190,4 @@ def estimates_of(campaign_id: int) -> Select[t.EstimateRow, int]:
         select(t.EstimateRow, t.SweepRow.number)
         .join(t.SweepRow, t.SweepRow.id == t.EstimateRow.sweep_id)
         .where(t.EstimateRow.campaign_id == campaign_id)
-    )
-
-
-def confidences_of(campaign_id: int, joints: Sequence[str]) -> Select[*tuple[Any, ...]]:
-    """Revision, number of its sweep, then "confidence_percent" of each joint, read from the documents."""
-    axes = t.EstimateRow.document["axes"]
-    query = select(t.EstimateRow.revision, t.SweepRow.number, *(axes[one]["confidence_percent"] for one in joints))
-    query = query.join(t.SweepRow, t.SweepRow.id == t.EstimateRow.sweep_id).order_by(t.EstimateRow.revision)
-    return query.where(t.EstimateRow.campaign_id == campaign_id)
-
-
-def estimate_document(row: t.EstimateRow, number: int) -> EstimateDocument:
-    return EstimateDocument(
-        campaign_id=row.campaign_id,
-        revision=row.revision,
-        number=number,
-        document=row.document,
-        created_at=row.created_at,
     )

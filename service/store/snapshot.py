@@ -7,20 +7,14 @@ itself (its backup API), never from the files, because the last commits are in t
 import sqlite3
 from collections.abc import Callable, Iterable
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
-from alembic.script import ScriptDirectory
-
 from service.errors import BadInput
-from service.store.database import MIGRATIONS
+from service.store.database import known_schemas, unknown_schema
 from service.store.engines.address import parsed_url
 from service.store.engines.kind import BUSY_TIMEOUT
-
-_MOVED = "0011"  # the first schema with an object store
-_MACHINES = "0012"  # the first schema with several machines
-_PRUNED = "0013"  # the first schema with removed samples
 
 _OF_MACHINE = (
     "SELECT file.path, campaign.machine_id FROM {table} AS file JOIN sweep ON sweep.id = file.sweep_id "
@@ -35,16 +29,15 @@ class Contents:
     """Metadata of a database, and the files in its data folder."""
 
     schema: str
-    identity: str | None
-    """None: older than the identity of data folders."""
+    identity: str
     files: dict[str, str | None]
     """SHA-256 by path, relative to the data folder; None for the manifest of a recording, which is in no row."""
     moved: frozenset[str]
     """Paths of the recordings that are in the object store, and possibly only there."""
     held_by: str
     """Holder of the machine: a service that runs or was killed; empty: none."""
-    machines: dict[str, int] = field(default_factory=dict[str, int])
-    """The machine of each file by its path; empty if the schema has only one machine, 1."""
+    machines: dict[str, int]
+    """The machine of each file by its path, if it is not 1."""
 
     def of_machine(self, machine: int) -> "Contents":
         """With the files of this machine only: those of the others are in their own data folders."""
@@ -63,12 +56,6 @@ def sqlite_file(url: str) -> Path:
             "data folder (docs/how-to/use-postgresql.md)",
         )
     return Path(parsed.database)
-
-
-def known_schemas() -> tuple[str, ...]:
-    """The revisions that this version can open, the newest last."""
-    newest_first = ScriptDirectory(str(MIGRATIONS)).walk_revisions()
-    return tuple(script.revision for script in newest_first)[::-1]
 
 
 def look(place: Path, read: Callable[[sqlite3.Connection], Result]) -> Result:
@@ -103,9 +90,7 @@ def copy_database(place: Path, target: Path) -> None:
 
 
 def contents(connection: sqlite3.Connection) -> Contents:
-    """Contents of a database of any schema up to the present one. Raises BadInput for a newer one and for a foreign
-    database.
-    """
+    """Contents of a database. Raises BadInput for one of another schema and for a foreign database."""
     tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     return contents_of(tables, connection.execute)
 
@@ -115,34 +100,23 @@ def contents_of(tables: set[str], rows: Callable[[str], Iterable[tuple[str, ...]
     if not {"alembic_version", "recording"} <= tables:
         raise BadInput("database", "is not a database of sweepid")
     ((schema,),) = rows("SELECT version_num FROM alembic_version")
-    known = known_schemas()
-    if schema not in known:
-        raise BadInput("database", f"has schema {schema}, the newest known here is {known[-1]}: use a newer sweepid")
+    if schema not in known_schemas():
+        raise BadInput("database", unknown_schema(schema))
     files: dict[str, str | None] = {}
-    kept = " WHERE pruned_at IS NULL" if known.index(schema) >= known.index(_PRUNED) else ""
-    samples = {path for (path,) in rows(f"SELECT path FROM recording{kept}")}
+    samples = {path for (path,) in rows("SELECT path FROM recording WHERE pruned_at IS NULL")}
+    moved = {path for (path,) in rows("SELECT path FROM recording WHERE moved_at IS NOT NULL")}
     for path, sha256 in rows("SELECT path, sha256 FROM recording ORDER BY path"):
         if path in samples:
             files[path] = sha256
         files[str(PurePosixPath(path).with_suffix(".json"))] = None
-    if "spectrum_file" in tables:
-        files.update((path, sha256) for path, sha256 in rows("SELECT path, sha256 FROM spectrum_file ORDER BY path"))
-    moved: frozenset[str] = frozenset()
-    if known.index(schema) >= known.index(_MOVED):
-        found = rows("SELECT path FROM recording WHERE moved_at IS NOT NULL")
-        moved = frozenset(path for (path,) in found if path in samples)
+    files.update((path, sha256) for path, sha256 in rows("SELECT path, sha256 FROM spectrum_file ORDER BY path"))
     machines: dict[str, int] = {}
-    if known.index(schema) >= known.index(_MACHINES):
-        for table in ("recording", "spectrum_file"):
-            for path, machine in rows(_OF_MACHINE.format(table=table)):
-                machines[path] = machines[str(PurePosixPath(path).with_suffix(".json"))] = int(machine)
-    identity = None
-    if "identity" in tables:
-        ((identity,),) = rows("SELECT id FROM identity")
-    held_by = ""
-    if "lease" in tables:
-        held_by = ", ".join(owner for (owner,) in rows("SELECT owner FROM lease"))
-    return Contents(schema, identity, files, moved, held_by, machines)
+    for table in ("recording", "spectrum_file"):
+        for path, machine in rows(_OF_MACHINE.format(table=table)):
+            machines[path] = machines[str(PurePosixPath(path).with_suffix(".json"))] = int(machine)
+    ((identity,),) = rows("SELECT id FROM identity")
+    held_by = ", ".join(owner for (owner,) in rows("SELECT owner FROM lease"))
+    return Contents(schema, identity, files, frozenset(moved & samples), held_by, machines)
 
 
 def integrity(connection: sqlite3.Connection) -> list[str]:

@@ -17,7 +17,7 @@ from service.recording import SweepSpec
 from service.robot import Robot
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database
+from service.store.database import Transactions
 from service.store.diagnosis_documents import EstimateOf
 from service.store.documents import (
     CampaignDocument,
@@ -47,11 +47,8 @@ class StaleVersion(Conflict):
     """The campaign has changed since the client read it (API: 412)."""
 
 
-class Store:
+class Store(Transactions):
     """The service's memory."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     # robots and plans: written once, never changed
 
@@ -61,19 +58,26 @@ class Store:
         with self._database.write() as session:
             row = session.scalar(select(t.RobotRow).where(t.RobotRow.sha256 == sha256))
             if row is None:
-                row = rows.robot_row(robot, sha256)
+                row = t.RobotRow(
+                    sha256=sha256,
+                    name=robot.name,
+                    serial=robot.description.serial,
+                    revision=robot.description.revision,
+                    description=robot.description.model_dump(mode="json"),
+                    urdf_text=robot.urdf_text,
+                )
                 session.add(row)
                 session.flush()
-            return rows.robot_document(row)
+            return rows.document(RobotDocument, row)
 
     def robot(self, robot_id: int) -> RobotDocument:
         with self._database.read() as session:
-            return rows.robot_document(rows.get(session, t.RobotRow, robot_id, "robot"))
+            return rows.document(RobotDocument, rows.get(session, t.RobotRow, robot_id, "robot"))
 
     def robots(self, after: int = 0, limit: int = 100) -> tuple[RobotDocument, ...]:
         query = select(t.RobotRow).where(t.RobotRow.id > after).order_by(t.RobotRow.id).limit(limit)
         with self._database.read() as session:
-            return tuple(rows.robot_document(row) for row in session.scalars(query))
+            return rows.documents(RobotDocument, session, query)
 
     def add_plan(self, robot_id: int, document: dict[str, JsonValue]) -> PlanRecord:
         with self._database.write() as session:
@@ -81,16 +85,16 @@ class Store:
             row = t.PlanRow(robot_id=robot_id, document=document)
             session.add(row)
             session.flush()
-            return rows.plan_document(row)
+            return rows.document(PlanRecord, row)
 
     def plan(self, plan_id: int) -> PlanRecord:
         with self._database.read() as session:
-            return rows.plan_document(rows.get(session, t.PlanRow, plan_id, "plan"))
+            return rows.document(PlanRecord, rows.get(session, t.PlanRow, plan_id, "plan"))
 
     def plans(self, after: int = 0, limit: int = 100) -> tuple[PlanRecord, ...]:
         query = select(t.PlanRow).where(t.PlanRow.id > after).order_by(t.PlanRow.id).limit(limit)
         with self._database.read() as session:
-            return tuple(rows.plan_document(row) for row in session.scalars(query))
+            return rows.documents(PlanRecord, session, query)
 
     # campaigns and sweeps: read
 
@@ -117,13 +121,13 @@ class Store:
 
     def sweep(self, campaign_id: int, number: int) -> SweepDocument:
         with self._database.read() as session:
-            return rows.sweep_document(rows.get_sweep(session, campaign_id, number))
+            return rows.document(SweepDocument, rows.get_sweep(session, campaign_id, number))
 
     def sweeps(self, campaign_id: int) -> tuple[SweepDocument, ...]:
         query = select(t.SweepRow).where(t.SweepRow.campaign_id == campaign_id).order_by(t.SweepRow.number)
         with self._database.read() as session:
             rows.get(session, t.CampaignRow, campaign_id, "campaign")
-            return tuple(rows.sweep_document(row) for row in session.scalars(query))
+            return rows.documents(SweepDocument, session, query)
 
     def sweep_statuses(self, campaign_id: int) -> tuple[SweepStatus, ...]:
         """Of all sweeps, in the order of the plan; no spec is read for it."""
@@ -139,7 +143,7 @@ class Store:
         query = select(t.SweepRow).join(t.CampaignRow, t.CampaignRow.id == t.SweepRow.campaign_id)
         with self._database.read() as session:
             query = query.where(t.SweepRow.state == state, rows.of_own(session)).order_by(t.SweepRow.id)
-            return tuple(rows.sweep_document(row) for row in session.scalars(query))
+            return rows.documents(SweepDocument, session, query)
 
     def recording(self, campaign_id: int, number: int) -> RecordingDocument:
         """Of the latest attempt that has one."""
@@ -153,7 +157,7 @@ class Store:
             )
             if row is None:
                 raise NotFound(f"campaign {campaign_id} sweep {number} has no recording")
-            return rows.recording_document(row, campaign_id, number)
+            return rows.document(RecordingDocument, row, campaign_id=campaign_id, number=number)
 
     def recordings(self, campaign_id: int) -> dict[int, RecordingDocument]:
         """Of every sweep that has one, by number: that of its latest attempt."""
@@ -165,7 +169,10 @@ class Store:
         )
         with self._database.read() as session:
             found = session.execute(query).all()
-            return {number: rows.recording_document(row, campaign_id, number) for row, number in found}
+            return {
+                number: rows.document(RecordingDocument, row, campaign_id=campaign_id, number=number)
+                for row, number in found
+            }
 
     def spectra(self, campaign_id: int) -> tuple[SpectrumRecord, ...]:
         """Of the identified sweeps, by number."""
@@ -178,23 +185,6 @@ class Store:
         with self._database.read() as session:
             return tuple(SpectrumRecord(path=path, sha256=sha256) for path, sha256 in session.execute(query))
 
-    def move_spectrum_to_file(self, save: Callable[[str, dict[str, JsonValue]], SpectrumRecord]) -> bool:
-        """One that lies in the database from before there were files; False if there is none.
-
-        `save` is given the path of the sweep's recording and the spectrum.
-        """
-        with self._database.write(quiet=True) as session:
-            sweep, campaign = t.SweepRow, t.CampaignRow
-            own = select(sweep.id).join(campaign, campaign.id == sweep.campaign_id).where(rows.of_own(session))
-            old = session.scalar(select(t.IdentificationRow).where(t.IdentificationRow.sweep_id.in_(own)).limit(1))
-            if old is None:
-                return False
-            query = select(t.RecordingRow.path).where(t.RecordingRow.sweep_id == old.sweep_id)
-            path = session.scalars(query.order_by(t.RecordingRow.attempt.desc()).limit(1)).one()
-            session.add(t.SpectrumRow(sweep_id=old.sweep_id, **save(path, old.spectrum).model_dump()))
-            session.delete(old)
-            return True
-
     def estimate(self, campaign_id: int, revision: int | None = None) -> EstimateDocument:
         """A revision, or the latest."""
         query = rows.estimates_of(campaign_id).order_by(t.EstimateRow.revision.desc()).limit(1)
@@ -205,7 +195,8 @@ class Store:
             if found is None:
                 which = "estimate" if revision is None else f"estimate revision {revision}"
                 raise NotFound(f"campaign {campaign_id} has no {which}")
-            return rows.estimate_document(*found)
+            row, number = found
+            return rows.document(EstimateDocument, row, number=number)
 
     def estimated(self, robot_id: int) -> tuple[EstimateOf, ...]:
         """The latest revision of each campaign of a robot that has an estimate, the newest first."""
@@ -241,7 +232,10 @@ class Store:
     def estimates(self, campaign_id: int, after: int = 0, limit: int = 100) -> tuple[EstimateDocument, ...]:
         query = rows.estimates_of(campaign_id).where(t.EstimateRow.revision > after).order_by(t.EstimateRow.revision)
         with self._database.read() as session:
-            return tuple(rows.estimate_document(*found) for found in session.execute(query.limit(limit)))
+            return tuple(
+                rows.document(EstimateDocument, row, number=number)
+                for row, number in session.execute(query.limit(limit))
+            )
 
     def base_parameters(self, campaign_id: int, revisions: Sequence[int]) -> dict[int, JsonValue]:
         """ "base_parameters" of these revisions; the rest of their documents, which is large, is not read."""
@@ -255,8 +249,12 @@ class Store:
 
     def confidences(self, campaign_id: int, joints: Sequence[str]) -> list[Sequence[JsonValue]]:
         """Revision, its sweep, then "confidence_percent" of each joint; the large documents are not read."""
+        axes, revision = t.EstimateRow.document["axes"], t.EstimateRow.revision
+        query = select(revision, t.SweepRow.number, *(axes[one]["confidence_percent"] for one in joints))
+        query = query.join(t.SweepRow, t.SweepRow.id == t.EstimateRow.sweep_id).order_by(revision)
         with self._database.read() as session:
-            return [tuple(row) for row in session.execute(rows.confidences_of(campaign_id, joints))]
+            found = session.execute(query.where(t.EstimateRow.campaign_id == campaign_id))
+            return [tuple(row) for row in found]
 
     # campaigns and sweeps: write
 
@@ -356,7 +354,26 @@ class Store:
         them still wait to be identified: a result that is received twice counts once.
         """
         with self._database.write() as session:
-            return rows.add_estimate(session, identified, move, document)
+            found: list[t.SweepRow] = []
+            for sweep, _ in identified:
+                row = rows.own_sweep(session, sweep.campaign_id, sweep.number)
+                if row.state is not SweepState.RECORDED or row.attempt != sweep.attempt:
+                    return None
+                found.append(row)
+            last = found[-1]
+            revisions = select(func.max(t.EstimateRow.revision)).where(t.EstimateRow.campaign_id == last.campaign_id)
+            revision = (session.scalar(revisions) or 0) + 1
+            estimate = t.EstimateRow(
+                campaign_id=last.campaign_id, revision=revision, sweep_id=last.id, document=document
+            )
+            session.add(estimate)
+            data: dict[str, JsonValue] = {"revision": revision, "sweep": last.number}
+            rows.emit(session, last.campaign_id, EventKind.ESTIMATE, data)
+            for row, (_, spectrum) in zip(found, identified, strict=True):
+                session.add(t.SpectrumRow(sweep_id=row.id, **spectrum.model_dump()))
+                rows.move_sweep(session, row, move, None)
+            session.flush()
+            return rows.document(EstimateDocument, estimate, number=last.number)
 
     # outbox
 
@@ -373,10 +390,7 @@ class Store:
         if campaign_id is not None:
             query = query.where((t.EventRow.campaign_id == campaign_id) | rows.stops_of_machine_of(campaign_id))
         with self._database.read() as session:
-            return tuple(
-                EventDocument(id=row.id, campaign_id=row.campaign_id, kind=row.kind, data=row.data, at=row.at)
-                for row in session.scalars(query)
-            )
+            return rows.documents(EventDocument, session, query)
 
     def recorded(self) -> dict[RecordingState, Recorded]:
         """How many recordings there are of each state, with their samples."""

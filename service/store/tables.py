@@ -10,6 +10,7 @@ from sqlalchemy import Enum as SqlEnum
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from drivers.ports import SweepMode
+from service.people.permissions import Role
 from service.store.diagnosis_documents import DiagnosisState
 from service.store.documents import BatchState, CampaignState, EventKind, RecordingState, SweepState
 
@@ -38,7 +39,7 @@ def _states(kind: type[Enum]) -> SqlEnum:
 
 
 def _values(kind: type[Enum]) -> list[str]:
-    return [str(member.value) for member in kind]
+    return [member.word if isinstance(member, Role) else str(member.value) for member in kind]
 
 
 class Base(DeclarativeBase):
@@ -56,11 +57,12 @@ class Base(DeclarativeBase):
         DiagnosisState: _states(DiagnosisState),
         BatchState: _states(BatchState),
         SweepMode: _states(SweepMode),
+        Role: _states(Role),
     }
 
 
 class MachineRow(Base):
-    """One row a cell's machine; `machine_id` elsewhere is its id, and 1 for what was before there were several."""
+    """One row a cell's machine; `machine_id` elsewhere is its id."""
 
     __tablename__ = "machine"
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -104,7 +106,7 @@ class ApprovalRow(Base):
     approved_by: Mapped[str]
     at: Mapped[datetime]
     expires_at: Mapped[datetime]
-    last_stop: Mapped[int] = mapped_column(server_default="0")  # id of the machine's last stop before it, 0: none
+    last_stop: Mapped[int]  # id of the machine's last stop before it, 0: none
 
 
 class CampaignRow(Base):
@@ -167,15 +169,6 @@ class IdentityRow(Base):
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
 
 
-class IdentificationRow(Base):
-    """A spectrum from before spectra were files; the next start makes a file of it and removes the row."""
-
-    __tablename__ = "identification"
-    id: Mapped[int] = mapped_column(primary_key=True)
-    sweep_id: Mapped[int] = mapped_column(ForeignKey("sweep.id"), unique=True)
-    spectrum: Mapped[dict[str, JsonValue]]
-
-
 class EstimateRow(Base):
     """Append-only. The unique sweep makes a result that comes twice count once."""
 
@@ -196,9 +189,11 @@ class DiagnosisRow(Base):
     id: Mapped[int] = mapped_column(primary_key=True)
     machine_id: Mapped[int]
     robot_id: Mapped[int] = mapped_column(ForeignKey("robot.id"))
-    parent_id: Mapped[int | None] = mapped_column(ForeignKey("diagnosis.id"), unique=True)
+    parent: Mapped[int | None] = mapped_column("parent_id", ForeignKey("diagnosis.id"), unique=True)
     # diagnosis and model refer to each other: this one is added when both tables are there
-    model_id: Mapped[int | None] = mapped_column(ForeignKey("model.id", name="diagnosis_model", use_alter=True))
+    model: Mapped[int | None] = mapped_column(
+        "model_id", ForeignKey("model.id", name="diagnosis_model", use_alter=True)
+    )
     campaigns: Mapped[list[int]]
     axes: Mapped[list[str]]
     weighed: Mapped[dict[str, JsonValue] | None]
@@ -233,7 +228,7 @@ class ModelRow(Base):
     id: Mapped[int] = mapped_column(primary_key=True)
     robot_id: Mapped[int] = mapped_column(ForeignKey("robot.id"))
     revision: Mapped[int]
-    parent_id: Mapped[int | None] = mapped_column(ForeignKey("model.id"))
+    parent: Mapped[int | None] = mapped_column("parent_id", ForeignKey("model.id"))
     diagnosis_id: Mapped[int] = mapped_column(ForeignKey("diagnosis.id"), unique=True)
     accepted_by: Mapped[str]
     at: Mapped[datetime] = mapped_column(default=now)
@@ -342,7 +337,7 @@ class ApiKeyRow(Base):
     __tablename__ = "api_key"
     id: Mapped[int] = mapped_column(primary_key=True)
     name: Mapped[str] = mapped_column(String(100), unique=True)
-    role: Mapped[str] = mapped_column(String(16))
+    role: Mapped[Role]
     scopes: Mapped[list[str] | None] = mapped_column(JSON(none_as_null=True))
     sha256: Mapped[str] = mapped_column(String(64), unique=True)
     created_at: Mapped[datetime] = mapped_column(default=now)
@@ -357,7 +352,7 @@ class UserRow(Base):
     __table_args__ = (Index("ix_user_account_external", "issuer", "subject", unique=True),)
     id: Mapped[int] = mapped_column(primary_key=True)
     name: Mapped[str] = mapped_column(String(100), unique=True)
-    role: Mapped[str] = mapped_column(String(16))
+    role: Mapped[Role]
     password: Mapped[str | None] = mapped_column(String(255))
     issuer: Mapped[str | None] = mapped_column(String(500))
     subject: Mapped[str | None] = mapped_column(String(255))

@@ -21,13 +21,14 @@ from service.results.analysis import Analyses
 from service.results.estimate import Estimate
 from service.results.identified.spectrum import AnySpectrum
 from service.results.revision import KnownModel, StoredModel
-from service.robot import RobotDescription, build_robot
+from service.robot import Robot, RobotDescription, build_robot
 from service.store.diagnosis_documents import ModelDocument
 from service.store.files.spectra import SpectrumFile, read_spectrum
 
 if TYPE_CHECKING:  # numerical modules
     from service.diagnosis.fit.parameters import Parameter
     from service.estimation import SweepSpectrum
+    from service.identification.axis.known_effects import KnownEffects
     from service.identification.estimates.torque_gain import KnownMass
     from service.store.files.recordings import RecordingFile
 
@@ -66,36 +67,48 @@ class RecordedSweep:
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
-    """Identify recorded sweeps and, with the spectra of the sweeps before them, the robot."""
+class OfRobot:
+    """What every job about a robot has."""
 
     key: str
     robot: RobotDescription
     urdf_text: str
+
+    def built(self) -> Robot:
+        return build_robot(self.robot, self.urdf_text)
+
+
+@dataclass(frozen=True, slots=True)
+class Job(OfRobot):
+    """Identify recorded sweeps and, with the spectra of the sweeps before them, the robot."""
+
     sweeps: tuple[RecordedSweep, ...]
     earlier: tuple[SpectrumFile, ...]
     analyses: Analyses  # of the campaign that the plan names; {} without one
     model: ModelDocument | None = None  # the robot's model; None: it has none yet
 
-    @property
-    def priority(self) -> int:
-        return 1  # a running campaign may end when its confidence is reached
+    priority = 1  # a running campaign may end when its confidence is reached
 
     def __call__(self) -> "Result":
         from service.estimation import estimate_document, sweep_spectrum
-        from service.identification.axis.known_effects import known_effects
         from service.identification.estimates.analysis_document import analyses_from
 
-        robot = build_robot(self.robot, self.urdf_text)
+        robot = self.built()
         new = [sweep_spectrum(robot, sweep.read()) for sweep in self.sweeps]
         earlier = [_spectrum(file) for file in self.earlier]
-        known = None
-        if self.model is not None:
-            source = StoredModel(id=self.model.id, revision=self.model.revision)
-            known = known_effects(KnownModel.read(self.model.document, "model"), robot.joints, source)
         analyses = analyses_from(self.analyses)
-        found = estimate_document(robot, [*earlier, *new], analyses, known=known)
+        found = estimate_document(robot, [*earlier, *new], analyses, known=_known(self.model, robot))
         return Result(tuple(spectrum.to_document() for spectrum in new), found.as_json())
+
+
+def _known(model: ModelDocument | None, robot: Robot) -> "KnownEffects | None":
+    """The effects of the robot's model."""
+    from service.identification.axis.known_effects import known_effects
+
+    if model is None:
+        return None
+    source = StoredModel(id=model.id, revision=model.revision)
+    return known_effects(KnownModel.read(model.document, "model"), robot.joints, source)
 
 
 @lru_cache(maxsize=2048)  # about 10 kB each; a paper's campaign has 900
@@ -115,12 +128,9 @@ class Result:
 
 
 @dataclass(frozen=True, slots=True)
-class DiagnosisJob:
+class DiagnosisJob(OfRobot):
     """Diagnose one axis; `known`: effects of the model with its parameters; `weighed`: sweeps with a known `mass`."""
 
-    key: str
-    robot: RobotDescription
-    urdf_text: str
     joint: str
     sweeps: tuple[RecordedSweep, ...]
     known: "Mapping[str, Mapping[str, Parameter]]"
@@ -129,16 +139,14 @@ class DiagnosisJob:
     estimate: Mapping[str, JsonValue] | None = None  # document from which the rigid model starts; None: CAD
     started_from: str = ""  # name of that estimate
 
-    @property
-    def priority(self) -> int:
-        return 0
+    priority = 0
 
     def __call__(self) -> dict[str, JsonValue]:
         from service.diagnosis import axis_document, diagnose_axis
         from service.diagnosis.fit.calibration import Weighed
         from service.export.started_robot import started_from
 
-        robot = build_robot(self.robot, self.urdf_text)
+        robot = self.built()
         if self.estimate is not None:
             robot = started_from(robot, self.estimate, self.started_from)
         sweeps = [sweep.read() for sweep in self.sweeps]
@@ -149,37 +157,27 @@ class DiagnosisJob:
 
 
 @dataclass(frozen=True, slots=True)
-class ReidentifyJob:
+class ReidentifyJob(OfRobot):
     """Identify all sweeps of a campaign again. `before`: document of its stored estimate, {} if there is none."""
 
-    key: str
-    robot: RobotDescription
-    urdf_text: str
     sweeps: tuple[RecordedSweep, ...]
     analyses: Analyses
     model: ModelDocument | None
     before: Mapping[str, JsonValue]
 
-    @property
-    def priority(self) -> int:
-        return -1  # after all jobs for which a person waits
+    priority = -1  # after all jobs for which a person waits
 
     def __call__(self) -> "Reidentified":
         from service.estimation import estimate_document, sweep_spectrum
-        from service.identification.axis.known_effects import known_effects
         from service.identification.estimates.analysis_document import analyses_from
         from service.store.files.recordings import check_file
 
-        robot = build_robot(self.robot, self.urdf_text)
+        robot = self.built()
         for sweep in self.sweeps:
             if sweep.file.store is None:
                 check_file(sweep.file.path, sweep.file.sha256)
         spectra = [sweep_spectrum(robot, sweep.read()) for sweep in self.sweeps]
-        known = None
-        if self.model is not None:
-            source = StoredModel(id=self.model.id, revision=self.model.revision)
-            known = known_effects(KnownModel.read(self.model.document, "model"), robot.joints, source)
-        found = estimate_document(robot, spectra, analyses_from(self.analyses), known=known)
+        found = estimate_document(robot, spectra, analyses_from(self.analyses), known=_known(self.model, robot))
         before = Estimate.read(self.before, "stored estimate") if self.before else None
         return Reidentified(found.as_json(), len(spectra), _largest_change(before, found))
 
@@ -202,21 +200,16 @@ def _largest_change(before: Estimate | None, now: Estimate) -> float | None:
 
 
 @dataclass(frozen=True, slots=True)
-class CheckJob:
+class CheckJob(OfRobot):
     """Check the data of sweeps, before the identification."""
 
-    key: str
-    robot: RobotDescription
-    urdf_text: str
     sweeps: tuple[RecordedSweep, ...]
 
-    @property
-    def priority(self) -> int:
-        return 0
+    priority = 0
 
     def __call__(self) -> dict[str, JsonValue]:
         from service.data_check import check, findings_document
 
-        robot = build_robot(self.robot, self.urdf_text)
+        robot = self.built()
         sweeps = [sweep.read() for sweep in self.sweeps]
         return findings_document(robot, sweeps, check(robot, sweeps))

@@ -29,9 +29,10 @@ from service.errors import NotNow
 from service.logs.about import current
 from service.logs.lines import configure_logs
 from service.settings.telemetry import Telemetry
+from service.tasks.child import give_way
 from service.telemetry.spans import TRACING
 from service.worker.jobs import Answer, Work
-from service.worker.worker import TRACEPARENT, JobFailed, Worker, give_way, work
+from service.worker.worker import TRACEPARENT, JobFailed, Worker, work
 
 _log = structlog.get_logger(__name__)
 

@@ -9,8 +9,7 @@ from service.fleet.document import Fleet
 from service.recording import SweepSpec
 from service.results.diagnosis import Diagnosis
 from service.results.estimate import BaseParameter, Estimate
-from service.robot import RobotDescription, build_robot
-from service.worker.jobs import RecordedSweep
+from service.worker.jobs import OfRobot, RecordedSweep
 
 if TYPE_CHECKING:  # loaded when a report is drawn
     from service.errors import NoPdf
@@ -20,16 +19,13 @@ _PARAMETERS = TypeAdapter(tuple[BaseParameter, ...])
 
 
 @dataclass(frozen=True, slots=True)
-class ReportJob:
+class ReportJob(OfRobot):
     """The report of an estimate.
 
     `specs`: of the sweeps whose inertia it contains, empty without axes; `example`: one of them. `revisions`:
     number and "base_parameters" of earlier revisions of the estimate.
     """
 
-    key: str
-    robot: RobotDescription
-    urdf_text: str
     report: "CampaignReport"
     estimate: Estimate
     specs: tuple[SweepSpec, ...]
@@ -37,14 +33,12 @@ class ReportJob:
     revisions: tuple[tuple[int, JsonValue], ...]
     form: "Form"
 
-    @property
-    def priority(self) -> int:
-        return 0
+    priority = 0
 
     def __call__(self) -> "Written":
         from service.report import campaign_page, content_of
 
-        robot = build_robot(self.robot, self.urdf_text)
+        robot = self.built()
         content = None
         if self.example is not None:
             example = self.example
@@ -70,9 +64,7 @@ class DiagnosisReportJob:
     origin: tuple[tuple[str, str], ...]
     form: "Form"
 
-    @property
-    def priority(self) -> int:
-        return 0
+    priority = 0
 
     def __call__(self) -> "Written":
         from service.report import diagnosis_page
@@ -89,9 +81,7 @@ class FleetReportJob:
     origin: tuple[tuple[str, str], ...]
     form: "Form"
 
-    @property
-    def priority(self) -> int:
-        return 0
+    priority = 0
 
     def __call__(self) -> "Written":
         from service.report import fleet_page

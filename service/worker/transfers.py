@@ -22,50 +22,33 @@ class Refused:
 
 
 @dataclass(frozen=True, slots=True)
-class MoveJob:
-    """Copy a recording to the store and read it back: None if the stored content is identical. NotNow."""
+class TransferJob:
+    """Copy a recording to the store and read it back (`outward`), or fetch it to its path: None if it is there, with
+    identical content. NotNow.
+    """
 
     file: RecordingFile
+    outward: bool
 
     @property
     def key(self) -> str:
-        return f"move-{self.file.sha256}"
+        return f"{'move' if self.outward else 'fetch'}-{self.file.sha256}"
 
     @property
     def priority(self) -> int:
-        return 0
+        return 0 if self.outward else 1  # a caller waits for what is fetched
 
     def __call__(self) -> Refused | None:
         from service.store.objects.object_store import ObjectStore
-
-        if self.file.store is None:
-            return Refused("recordings_url", "is not set")
-        try:
-            ObjectStore(self.file.store).put(self.file.path, self.file.sha256)
-        except BadInput as error:
-            return Refused(error.place, error.reason)
-        return None
-
-
-@dataclass(frozen=True, slots=True)
-class FetchJob:
-    """Fetch a recording from the store to its path: None if it is there now. NotNow."""
-
-    file: RecordingFile
-
-    @property
-    def key(self) -> str:
-        return f"fetch-{self.file.sha256}"
-
-    @property
-    def priority(self) -> int:
-        return 1  # a caller waits for it
-
-    def __call__(self) -> Refused | None:
         from service.store.objects.reading import bring
 
         try:
-            bring(self.file)
+            if not self.outward:
+                bring(self.file)
+            elif self.file.store is None:
+                return Refused("recordings_url", "is not set")
+            else:
+                ObjectStore(self.file.store).put(self.file.path, self.file.sha256)
         except BadInput as error:
             return Refused(error.place, error.reason)
         return None
@@ -87,7 +70,7 @@ class Transfers:
     async def move(self, file: RecordingFile) -> Refused | None:
         """NotNow while the store is not reachable."""
         try:
-            return await self._process.run(MoveJob(file))
+            return await self._process.run(TransferJob(file, outward=True))
         except JobFailed as error:
             raise NotNow(str(error)) from None
 
@@ -96,7 +79,9 @@ class Transfers:
         if self._closed:
             raise NotNow("the service ends")
         try:
-            refused = asyncio.run_coroutine_threadsafe(self._process.run(FetchJob(file)), self._loop).result()
+            refused = asyncio.run_coroutine_threadsafe(
+                self._process.run(TransferJob(file, outward=False)), self._loop
+            ).result()
         except JobFailed as error:
             raise NotNow(str(error)) from None
         except Cancelled:

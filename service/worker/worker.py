@@ -1,8 +1,6 @@
 """Interface of the workers that execute jobs."""
 
 import asyncio
-import os
-import sys
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -11,13 +9,13 @@ import structlog
 from structlog.contextvars import bound_contextvars
 
 from service.errors import SweepidError
+from service.tasks.child import give_way
 from service.telemetry.spans import TRACING
 from service.worker.jobs import Answer, Work
 
 _log = structlog.get_logger(__name__)
 
 _AGAIN = 2.0  # s between attempts to reach the workers
-_NICE = 10
 TRACEPARENT = "traceparent"
 
 
@@ -58,12 +56,6 @@ class Worker(ABC):
             except WorkerLost as error:
                 _log.warning("worker_lost", reason=str(error))
                 await asyncio.sleep(_AGAIN)
-
-
-def give_way(process: int = 0) -> None:
-    """Give a worker (by process id, 0: this one) a lower priority than the process that streams set-points."""
-    if sys.platform != "win32":
-        os.setpriority(os.PRIO_PROCESS, process, _NICE)
 
 
 def work(job: Work[Answer], about: Mapping[str, object] = MappingProxyType({})) -> Answer:

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
 from service.api.campaign.progress import Progress, StepView, progress, steps
-from service.api.dependencies import After, ApplicationOf, Id, IfMatch, IntentionOf, Limit, Page, set_etag
+from service.api.dependencies import After, ApplicationOf, Id, IfMatch, IntentionOf, Limit, Page, page, set_etag
 from service.api.idempotent import IdempotentRoute
 from service.api.people.audit_trail import Fact, audit_trail_of
 from service.application import Application
@@ -106,8 +106,7 @@ async def add_campaign(
 
 @router.get("")
 def list_campaigns(application: ApplicationOf, after: After = 0, limit: Limit = 50) -> Page[CampaignDocument]:
-    campaigns = application.store.campaigns(after, limit)
-    return Page(items=campaigns, next=campaigns[-1].id if len(campaigns) == limit else None)
+    return page(application.store.campaigns(after, limit), limit)
 
 
 @router.get("/{campaign_id}")

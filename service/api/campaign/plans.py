@@ -7,12 +7,11 @@ from pydantic import Discriminator, JsonValue, Tag, computed_field
 
 from service.api.campaign.confirmation import Typed
 from service.api.campaign.progress import expected_time
-from service.api.dependencies import After, ApplicationOf, Id, Limit, Page, who_asks
+from service.api.dependencies import After, ApplicationOf, Id, Limit, Page, page, who_asks
 from service.api.idempotent import IdempotentRoute
 from service.api.problem import TAG
 from service.application import Application
-from service.campaigns.linked_analysis import latest_analysis
-from service.campaigns.linked_campaign import check_beside
+from service.campaigns.linked import check_beside, latest_analysis
 from service.campaigns.planned_time import planned_times
 from service.errors import BadInput
 from service.geometry.cell import read_cell
@@ -123,8 +122,7 @@ def _with_excitation(wanted: AnalysisRequest, application: Application) -> Analy
 
 @router.get("", response_model=Page[PlanView])
 def list_plans(application: ApplicationOf, after: After = 0, limit: Limit = 50) -> Page[PlanRecord]:
-    plans = application.store.plans(after, limit)
-    return Page(items=plans, next=plans[-1].id if len(plans) == limit else None)
+    return page(application.store.plans(after, limit), limit)
 
 
 @router.get("/{plan_id}", response_model=PlanView)

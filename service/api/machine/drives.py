@@ -19,6 +19,9 @@ from service.execution.statement import NO_MACHINE
 from service.store.rows import NoMachine
 
 router = APIRouter(prefix="/drives", tags=["drives"], route_class=IdempotentRoute)
+_SILENT: Mapping[str, object] = {"state": AxisState.UNKNOWN} | dict.fromkeys(
+    ("position", "velocity", "effort", "fault")
+)
 _NO_ANSWER: dict[int | str, dict[str, Any]] = {503: {"model": Problem, "description": "the drives do not answer"}}
 
 
@@ -142,23 +145,5 @@ def _capabilities(can: Capabilities) -> CapabilitiesView:
 
 
 def _axis(joint: str, status: AxisStatus | None, identity: AxisIdentity | None) -> AxisView:
-    known = None if identity is None else IdentityView.model_validate(identity, from_attributes=True)
-    if status is None:
-        return AxisView(
-            joint=joint,
-            state=AxisState.UNKNOWN,
-            position=None,
-            velocity=None,
-            effort=None,
-            fault=None,
-            identity=known,
-        )
-    return AxisView(
-        joint=joint,
-        state=status.state,
-        position=status.position,
-        velocity=status.velocity,
-        effort=status.effort,
-        fault=None if status.fault is None else FaultView.model_validate(status.fault, from_attributes=True),
-        identity=known,
-    )
+    read = _SILENT if status is None else {name: getattr(status, name) for name in _SILENT}
+    return AxisView.model_validate({"joint": joint, "identity": identity, **read}, from_attributes=True)

@@ -6,6 +6,11 @@ from dataclasses import dataclass
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
 
+def figures_of(module: Mapping[str, object]) -> tuple["Figure", ...]:
+    """All figures of a module, by its ``globals()``, in the order of their definition."""
+    return tuple(value for value in module.values() if isinstance(value, Figure))
+
+
 @dataclass(frozen=True, slots=True)
 class Figure:
     """Name of a metric, with its unit by the naming rules of Prometheus, and its description."""

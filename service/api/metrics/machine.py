@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from prometheus_client.core import Metric
 
-from service.api.metrics.figure import Figure
+from service.api.metrics.figure import Figure, figures_of
 from service.application import Application
 from service.execution.statement import Condition
 
@@ -45,20 +45,7 @@ RATE = Figure(
 )
 
 TRAFFIC = (FRAMES, ON_THE_WIRE, RATE)  # only while a CAN bus is open
-FIGURES = (
-    CONNECTED,
-    MAY_MOVE,
-    STATE,
-    LATCHED,
-    STOPS,
-    RUNNING,
-    SET_POINTS,
-    MISSED,
-    LATENESS,
-    STREAMED,
-    CYCLES_MISSED,
-    *TRAFFIC,
-)
+FIGURES = figures_of(globals())
 
 
 def machine(application: Application) -> Iterator[Metric]:

@@ -4,13 +4,13 @@ from collections.abc import Iterator
 
 from prometheus_client.core import Metric
 
-from service.api.metrics.figure import Figure
+from service.api.metrics.figure import Figure, figures_of
 from service.application import Application
 
 CAMPAIGNS = Figure("sweepid_campaigns", "campaigns of the machine, by state", ("machine", "state"))
 HELD = Figure("sweepid_machine_stops_held", "stops that hold the machine, as they are stored", ("machine",))
 
-FIGURES = (CAMPAIGNS, HELD)
+FIGURES = figures_of(globals())
 
 
 def plant(application: Application) -> Iterator[Metric]:

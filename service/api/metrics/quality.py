@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 
 from prometheus_client.core import Metric
 
-from service.api.metrics.figure import Figure
+from service.api.metrics.figure import Figure, figures_of
 from service.campaigns.estimate_quality import Quality
 
 _ROBOT, _AXIS = ("robot",), ("robot", "axis")
@@ -22,7 +22,7 @@ LEFT = Figure(
 )
 STD = Figure("sweepid_estimate_std_ratio", "median relative uncertainty of the inertia over the workspace, 1 s", _AXIS)
 
-FIGURES = (REVISION, MADE, CONDITION, SUSPECT, SWEEPS, GAP, LEFT, STD)
+FIGURES = figures_of(globals())
 
 
 def quality(latest: Mapping[str, Quality]) -> Iterator[Metric]:

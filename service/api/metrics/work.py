@@ -6,7 +6,7 @@ from time import perf_counter
 
 from prometheus_client.core import Metric
 
-from service.api.metrics.figure import Figure
+from service.api.metrics.figure import Figure, figures_of
 from service.application import Application
 from service.telemetry.spans import TRACING
 
@@ -19,33 +19,19 @@ EVENTS = Figure("sweepid_events", "events of the outbox", counter=True)
 SWEEPS = Figure("sweepid_sweeps", "sweeps of the running campaign", ("machine", "state"))
 RECORDINGS = Figure("sweepid_recordings", "recordings that are stored", ("state",))
 SAMPLES = Figure("sweepid_recorded_samples", "samples in them", ("state",))
-HERE_ALONE = Figure("sweepid_recordings_waiting", "recordings that the object store does not have yet")
-OLDEST = Figure("sweepid_recordings_waiting_seconds", "age of the oldest of them")
-REFUSED = Figure("sweepid_recordings_refused", "1 while they cannot be moved")
 
 BLOCKS = Figure("sweepid_recorder_blocks_waiting", "blocks of samples that the disk has not taken yet")
 WORKER = Figure("sweepid_worker_available", "1 while jobs can be executed")
 PUBLISHED = Figure("sweepid_published_dropped", "events that were not published by MQTT", counter=True)
 PUBLISHING = Figure("sweepid_publishing_trouble", "1 while OPC UA server or MQTT client does not work", ("part",))
 SPANS = Figure("sweepid_spans_dropped", "spans of traces that were not sent", counter=True)
+HERE_ALONE = Figure("sweepid_recordings_waiting", "recordings that the object store does not have yet")
+OLDEST = Figure("sweepid_recordings_waiting_seconds", "age of the oldest of them")
+REFUSED = Figure("sweepid_recordings_refused", "1 while they cannot be moved")
 
 NEIGHBOURS = (PUBLISHED, PUBLISHING, SPANS)  # absent if nothing is published
 MOVED = (HERE_ALONE, OLDEST, REFUSED)  # absent if the recordings stay in the data folder
-FIGURES = (
-    WAITING,
-    VIEWERS,
-    DROPPED,
-    DISK,
-    DATABASE,
-    EVENTS,
-    SWEEPS,
-    RECORDINGS,
-    SAMPLES,
-    BLOCKS,
-    WORKER,
-    *NEIGHBOURS,
-    *MOVED,
-)
+FIGURES = figures_of(globals())
 
 
 def queues(application: Application) -> Iterator[Metric]:

@@ -13,7 +13,7 @@ from starlette.concurrency import run_in_threadpool
 from service.api.campaign.campaigns import CampaignView, view
 from service.api.campaign.confirmation import Typed
 from service.api.campaign.plans import PlanView
-from service.api.dependencies import After, ApplicationOf, Id, IntentionOf, Limit, Page, set_etag, who_asks
+from service.api.dependencies import After, ApplicationOf, Id, IntentionOf, Limit, Page, page, set_etag, who_asks
 from service.api.idempotent import IdempotentRoute
 from service.diagnosis_loop.starting import Start
 from service.errors import Conflict
@@ -114,8 +114,7 @@ def list_diagnoses(
     limit: Limit = 50,
 ) -> Page[DiagnosisEntry]:
     """Diagnoses of all machines of the plant, or of one machine; without their documents."""
-    diagnoses = application.diagnoses.diagnoses(after, limit, machine)
-    return Page(items=diagnoses, next=diagnoses[-1].id if len(diagnoses) == limit else None)
+    return page(application.diagnoses.diagnoses(after, limit, machine), limit)
 
 
 @router.get("/{diagnosis_id}")

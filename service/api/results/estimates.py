@@ -3,7 +3,7 @@
 from fastapi import APIRouter
 from pydantic import BaseModel
 
-from service.api.dependencies import After, ApplicationOf, Id, Limit, Page
+from service.api.dependencies import After, ApplicationOf, Id, Limit, Page, page
 from service.planning.compiled_plan import plan_of
 from service.planning.plan import PlanDocument
 from service.store.documents import EstimateDocument
@@ -17,8 +17,7 @@ def list_estimates(
 ) -> Page[EstimateDocument]:
     """Revisions, oldest first; `after` is the number of a revision."""
     application.store.campaign(campaign_id)
-    estimates = application.store.estimates(campaign_id, after, limit)
-    return Page(items=estimates, next=estimates[-1].revision if len(estimates) == limit else None)
+    return page(application.store.estimates(campaign_id, after, limit), limit, "revision")
 
 
 class Confidence(BaseModel):

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.api.dependencies import After, ApplicationOf, Id, Limit, Page, who_asks
+from service.api.dependencies import After, ApplicationOf, Id, Limit, Page, page, who_asks
 from service.api.idempotent import IdempotentRoute
 from service.people.permissions import LOCAL
 from service.store.documents import LARGEST_ID
@@ -40,8 +40,7 @@ async def add_job(wanted: WantedJob, request: Request, response: Response, appli
 @router.get("")
 def list_jobs(application: ApplicationOf, after: After = 0, limit: Limit = 50) -> Page[BatchDocument]:
     """Jobs of all machines of the plant."""
-    jobs = application.batches.batches(after, limit)
-    return Page(items=jobs, next=jobs[-1].id if len(jobs) == limit else None)
+    return page(application.batches.batches(after, limit), limit)
 
 
 @router.get("/{job_id}")
@@ -58,8 +57,7 @@ async def cancel_job(job_id: Id, application: ApplicationOf) -> BatchDocument:
 @router.get("/{job_id}/results")
 def list_job_results(job_id: Id, application: ApplicationOf, after: After = 0, limit: Limit = 50) -> Page[BatchEntry]:
     """Results by campaign, without the estimates; `after` is the number of a campaign."""
-    results = application.batches.results(job_id, after, limit)
-    return Page(items=results, next=results[-1].campaign_id if len(results) == limit else None)
+    return page(application.batches.results(job_id, after, limit), limit, "campaign_id")
 
 
 @router.get("/{job_id}/results/{campaign_id}")

@@ -5,7 +5,7 @@ from typing import Annotated
 import yaml
 from fastapi import APIRouter, Query, Response
 
-from service.api.dependencies import After, ApplicationOf, Id, Limit, Page
+from service.api.dependencies import After, ApplicationOf, Id, Limit, Page, page
 from service.store.diagnosis_documents import ModelDocument
 from service.store.documents import LARGEST_ID
 
@@ -19,8 +19,7 @@ def list_model_revisions(
     after: After = 0,
     limit: Limit = 50,
 ) -> Page[ModelDocument]:
-    models = application.models.models(robot, after, limit)
-    return Page(items=models, next=models[-1].id if len(models) == limit else None)
+    return page(application.models.models(robot, after, limit), limit)
 
 
 @router.get("/{model_id}")

@@ -86,11 +86,11 @@ def copy(
 ) -> None:
     """Copy every row, then compare counts and a hash of every row. The service must not run. All or nothing.
 
-    A source of an older schema is migrated first, as by a start of the service. stdout: how many rows.
+    stdout: how many rows.
     """
     from service.cli.progress_indicator import waiting
     from service.settings import Settings
-    from service.store.copying.copy import copy_rows
+    from service.store.copying import copy_rows
     from service.store.database import open_database
     from service.store.engines.address import parsed_url
 

@@ -31,8 +31,6 @@ def recover(store: Store, files: RecordingFiles) -> tuple[int, ...]:
     Returns the campaigns that the last process left running.
     """
     left = end_runs(store, files, _CAUSE, _RESTARTED)
-    while store.move_spectrum_to_file(files.save_spectrum):
-        pass
     store_streams(store, files, str(_CAUSE))
     return left
 

@@ -34,12 +34,12 @@ from service.identification.axis.nominal_priors import (
     with_known_hose,
     with_known_spring,
 )
-from service.identification.axis.outliers import Suspect
 from service.identification.model.convergence import unsettled
 from service.identification.model.regressor import axis_rows, gravity_terms
 from service.identification.spectra.axis_inertia import DriveTrain, impedance, paper_inertia
 from service.identification.spectra.frequency_response import Spectrum
 from service.identification.spectra.time_domain import fit_record
+from service.results.estimate import Suspect
 from service.robot import Robot
 from service.urdf import Chain
 
@@ -130,7 +130,8 @@ def identify_axis(
             sweeps[k] = _from_joint_fit(parts[row].spectrum, float(reference[k]), fit, row, gain, distortion)
             if fit.weight[row] < 1:
                 why = f"its residual is {np.sqrt(fit.chi_squared[row]):.1f} times that of the others"
-                suspects.append(Suspect(spectra[k].spec.id, robot.joints[number], why, float(fit.weight[row])))
+                weight = float(fit.weight[row])
+                suspects.append(Suspect(axis=robot.joints[number], sweep=spectra[k].spec.id, why=why, weight=weight))
     train = fit.train if fit is not None else analysis.train if analysis is not None else None
     for k, spectrum in enumerate(spectra):
         if not spectrum.spec.periodic:

@@ -36,16 +36,6 @@ WEIGHT_CHANGE = 1e-2  # of each added variance (once held, and of the sweep's ow
 MEDIAN = -float(ndtri(0.25))  # of the size of a standard normal value
 
 
-@dataclass(frozen=True, slots=True)
-class Suspect:
-    """A sweep that does not fit; `weight` relative to a correct sweep."""
-
-    sweep: str
-    axis: str
-    why: str
-    weight: float
-
-
 class Ended(Enum):
     """How the weighting ended."""
 

@@ -45,9 +45,7 @@ def as_document(estimate: Estimate, workspace: Array) -> results.Estimate:
         condition_number=_finite(estimate.condition_number),
         standard_parameters=_standard(estimate, standard.parameters),
         physical=_physical(standard),
-        suspect=tuple(
-            results.Suspect(axis=one.axis, sweep=one.sweep, why=one.why, weight=one.weight) for one in estimate.suspects
-        ),
+        suspect=estimate.suspects,
         effects=used_effects(estimate.known, estimate.axes),
         model=estimate.known.source,
     )

@@ -23,7 +23,7 @@ from service.identification.axis.ideal_frequency import AxisAnalysis
 from service.identification.axis.joint_fit import CHANCE, FEW_FREEDOM
 from service.identification.axis.known_effects import KnownEffects
 from service.identification.axis.nominal_priors import Measured, TorqueGain, base_spread, torque_gain
-from service.identification.axis.outliers import Ended, Suspect, judge
+from service.identification.axis.outliers import Ended, judge
 from service.identification.design.halton import spread_evenly
 from service.identification.estimates.axis_cache import unchanged_or
 from service.identification.model.base_parameters import BaseParameters, base_parameters, condition_number, joint_ranges
@@ -31,6 +31,7 @@ from service.identification.model.least_squares import Information, LeftOut, Sol
 from service.identification.model.regressor import axis_rows, lock
 from service.identification.spectra.frequency_response import Spectrum
 from service.identification.spectra.single_axis import check_moved_alone
+from service.results.estimate import Suspect
 from service.robot import Robot
 from service.urdf import Chain
 
@@ -245,7 +246,7 @@ def _judge(axes: Sequence[AxisEstimate], observation: Mapping[str, Array], poses
                     f"its inertia differs by {abs(error):.1f} standard deviations from that of the other "
                     f"sweeps in its pose{doubt}"
                 )
-                found.append(Suspect(sweep.sweep, axis.joint, why, float(error**-2)))
+                found.append(Suspect(axis=axis.joint, sweep=sweep.sweep, why=why, weight=float(error**-2)))
     left_out = LeftOut.of(rows, values, [axis.covariance for axis in enlarged])
     error, std = _predicted(left_out, poses)
     held_out = {joint: HeldOut(error[own], std[own]) for joint, own in members.items()}

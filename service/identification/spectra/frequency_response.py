@@ -84,7 +84,7 @@ class Spectrum:
     def from_document(cls, document: SpectrumDocument) -> "Spectrum":
         """The inverse of `to_document`."""
         bins = len(document["frequency"])
-        load = document.get("load_velocity")  # spectra stored by earlier versions lack the key
+        load = document["load_velocity"]
         return cls(
             spec=SweepSpec.model_validate(document["spec"]),
             samples=document["samples"],

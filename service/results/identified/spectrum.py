@@ -4,7 +4,7 @@ These are typed dictionaries, not models: the job of a campaign reads those of a
 that they are unchanged, and validation of a million numbers would take longer than the identification.
 """
 
-from typing import NotRequired, TypedDict, final
+from typing import TypedDict, final
 
 from pydantic import JsonValue
 
@@ -24,7 +24,7 @@ class SpectrumDocument(TypedDict):
     velocity: Pairs
     names: list[str]
     regressors: list[Pairs]
-    load_velocity: NotRequired[Pairs | None]  # missing in the first versions
+    load_velocity: Pairs | None
 
 
 @final

@@ -13,8 +13,7 @@ from sqlalchemy.orm import Session
 from service.errors import Conflict
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database
-from service.store.diagnosis import rows as diagnosis_rows
+from service.store.database import Transactions
 from service.store.diagnosis_documents import (
     BoltedMass,
     DiagnosisDocument,
@@ -23,22 +22,20 @@ from service.store.diagnosis_documents import (
     ExperimentDocument,
     NewDiagnosis,
 )
-from service.store.documents import CampaignDocument, CampaignState, NewSweep, SweepState
+from service.store.documents import CampaignDocument, CampaignState, EventKind, NewSweep, SweepState
 
 Document = dict[str, JsonValue]
+_OPEN = (DiagnosisState.WAITING, DiagnosisState.RUNNING)
 _GONE = (CampaignState.ABORTED,)  # of an experiment without result
 
 
-class DiagnosisStore:
+class DiagnosisStore(Transactions):
     """Stored diagnoses, their results and experiments."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def add(self, new: NewDiagnosis) -> DiagnosisDocument:
         """Add a waiting diagnosis."""
         with self._database.write() as session:
-            return diagnosis_rows.document(session, diagnosis_rows.add(session, new))
+            return _document(session, _add(session, new))
 
     def go_on(self, new: NewDiagnosis, kept: Sequence[str]) -> DiagnosisDocument | None:
         """The diagnosis that continues its parent, with the parent's results for the axes in `kept`.
@@ -47,17 +44,17 @@ class DiagnosisStore:
         """
         with self._database.write() as session:
             parent = _own(session, new.parent or 0)
-            if diagnosis_rows.child(session, parent.id) is not None:
+            if _child(session, parent.id) is not None:
                 return None
-            row = diagnosis_rows.add(session, new)
-            for result in diagnosis_rows.results(session, parent.id):
+            row = _add(session, new)
+            for result in _results(session, parent.id):
                 if result.joint in kept:
-                    diagnosis_rows.add_result(session, row.id, result.joint, result.verdict, result.document)
-            return diagnosis_rows.document(session, row)
+                    _add_result(session, row.id, result.joint, result.verdict, result.document)
+            return _document(session, row)
 
     def diagnosis(self, diagnosis_id: int) -> DiagnosisDocument:
         with self._database.read() as session:
-            return diagnosis_rows.document(session, rows.get(session, t.DiagnosisRow, diagnosis_id, "diagnosis"))
+            return _document(session, rows.get(session, t.DiagnosisRow, diagnosis_id, "diagnosis"))
 
     def diagnoses(self, after: int = 0, limit: int = 100, machine: str | None = None) -> tuple[DiagnosisEntry, ...]:
         """A page, without the documents; of one machine, or of all."""
@@ -66,7 +63,7 @@ class DiagnosisStore:
             of_name = select(t.MachineRow.id).where(t.MachineRow.name == machine).scalar_subquery()
             query = query.where(t.DiagnosisRow.machine_id == of_name)
         with self._database.read() as session:
-            return tuple(diagnosis_rows.entry(session, row) for row in session.scalars(query))
+            return tuple(_entry(session, row) for row in session.scalars(query))
 
     def newest_of(self, campaign_id: int) -> DiagnosisDocument | None:
         """The newest finished diagnosis that uses this campaign."""
@@ -74,52 +71,50 @@ class DiagnosisStore:
         query = select(t.DiagnosisRow.id, t.DiagnosisRow.campaigns).where(done).order_by(t.DiagnosisRow.id.desc())
         with self._database.read() as session:
             number = next((number for number, campaigns in session.execute(query) if campaign_id in campaigns), None)
-            return None if number is None else diagnosis_rows.document(session, session.get_one(t.DiagnosisRow, number))
+            return None if number is None else _document(session, session.get_one(t.DiagnosisRow, number))
 
     def open(self) -> tuple[DiagnosisEntry, ...]:
         """Waiting and running diagnoses of this service's machine: its open jobs."""
-        query = select(t.DiagnosisRow).where(t.DiagnosisRow.state.in_(diagnosis_rows.OPEN)).order_by(t.DiagnosisRow.id)
+        query = select(t.DiagnosisRow).where(t.DiagnosisRow.state.in_(_OPEN)).order_by(t.DiagnosisRow.id)
         with self._database.read() as session:
             query = query.where(t.DiagnosisRow.machine_id == rows.own(session))
-            return tuple(diagnosis_rows.entry(session, row) for row in session.scalars(query))
+            return tuple(_entry(session, row) for row in session.scalars(query))
 
     def results(self, diagnosis_id: int) -> dict[str, Document]:
         """Documents of the finished axes, by joint."""
         with self._database.read() as session:
-            return {row.joint: row.document for row in diagnosis_rows.results(session, diagnosis_id)}
+            return {row.joint: row.document for row in _results(session, diagnosis_id)}
 
     def begin(self, diagnosis_id: int) -> None:
         """waiting -> running; no effect if it already runs."""
         with self._database.write() as session:
             row = _own(session, diagnosis_id)
             if row.state is DiagnosisState.WAITING:
-                diagnosis_rows.move(session, row, DiagnosisState.RUNNING, row.cause)
+                _move(session, row, DiagnosisState.RUNNING, row.cause)
 
     def add_result(self, diagnosis_id: int, joint: str, verdict: str, document: Document) -> None:
         """Store the result of an axis; no effect if it exists or the diagnosis is not open."""
         with self._database.write() as session:
             row = _own(session, diagnosis_id)
-            if row.state in diagnosis_rows.OPEN and joint not in {
-                result.joint for result in diagnosis_rows.results(session, diagnosis_id)
-            }:
-                diagnosis_rows.add_result(session, diagnosis_id, joint, verdict, document)
-                diagnosis_rows.emit(session, row)
+            if row.state in _OPEN and joint not in {result.joint for result in _results(session, diagnosis_id)}:
+                _add_result(session, diagnosis_id, joint, verdict, document)
+                _emit(session, row)
 
     def finish(self, diagnosis_id: int, document: Document) -> None:
         """Mark as done; no effect if it is not open."""
         with self._database.write() as session:
             row = _own(session, diagnosis_id)
-            if row.state in diagnosis_rows.OPEN:
+            if row.state in _OPEN:
                 row.document = document
-                diagnosis_rows.move(session, row, DiagnosisState.DONE, row.cause)
+                _move(session, row, DiagnosisState.DONE, row.cause)
 
     def fail(self, diagnosis_id: int, cause: str, document: Document | None = None) -> None:
         """Mark as failed permanently; no effect if it is not open. `document`: of the finished axes."""
         with self._database.write() as session:
             row = _own(session, diagnosis_id)
-            if row.state in diagnosis_rows.OPEN:
+            if row.state in _OPEN:
                 row.document = document
-                diagnosis_rows.move(session, row, DiagnosisState.FAILED, cause)
+                _move(session, row, DiagnosisState.FAILED, cause)
 
     # experiments
 
@@ -138,7 +133,7 @@ class DiagnosisStore:
         """
         with self._database.write() as session:
             row = _own(session, diagnosis_id)
-            check_free(diagnosis_rows.entry(session, row), diagnosis_rows.experiment_state(session, row))
+            check_free(_entry(session, row), _experiment_state(session, row))
             made = t.PlanRow(robot_id=row.robot_id, document=plan)
             session.add(made)
             session.flush()
@@ -149,21 +144,19 @@ class DiagnosisStore:
                 axis=axis, campaign_id=campaign.id, approved_by=approved_by, at=t.now(), test_mass=test_mass
             )
             row.experiment, row.experiment_campaign_id = experiment.model_dump(mode="json"), campaign.id
-            diagnosis_rows.emit(session, row)
+            _emit(session, row)
             return rows.campaign_document(session, campaign)
 
     def experiment_state(self, diagnosis_id: int) -> CampaignState | None:
         """State of the campaign of its experiment, None if it has none."""
         with self._database.read() as session:
-            return diagnosis_rows.experiment_state(
-                session, rows.get(session, t.DiagnosisRow, diagnosis_id, "diagnosis")
-            )
+            return _experiment_state(session, rows.get(session, t.DiagnosisRow, diagnosis_id, "diagnosis"))
 
     def to_go_on(self, campaign_id: int | None = None) -> tuple[DiagnosisEntry, ...]:
         """Diagnoses of this service's machine whose experiment (this campaign; None: any) is completed and that are not
         continued yet.
         """
-        child = t.DiagnosisRow.id.in_(select(t.DiagnosisRow.parent_id).where(t.DiagnosisRow.parent_id.is_not(None)))
+        child = t.DiagnosisRow.id.in_(select(t.DiagnosisRow.parent).where(t.DiagnosisRow.parent.is_not(None)))
         query = (
             select(t.DiagnosisRow)
             .join(t.CampaignRow, t.CampaignRow.id == t.DiagnosisRow.experiment_campaign_id)
@@ -174,13 +167,13 @@ class DiagnosisStore:
             query = query.where(t.CampaignRow.id == campaign_id)
         with self._database.read() as session:
             query = query.where(t.DiagnosisRow.machine_id == rows.own(session))
-            return tuple(diagnosis_rows.entry(session, row) for row in session.scalars(query))
+            return tuple(_entry(session, row) for row in session.scalars(query))
 
     def masses(self, campaigns: Sequence[int]) -> dict[int, BoltedMass]:
         """Test masses of those campaigns that were measured with one."""
         query = select(t.DiagnosisRow).where(t.DiagnosisRow.experiment_campaign_id.in_(campaigns))
         with self._database.read() as session:
-            found = [diagnosis_rows.entry(session, row).experiment for row in session.scalars(query)]
+            found = [_entry(session, row).experiment for row in session.scalars(query)]
         return {one.campaign_id: one.test_mass for one in found if one is not None and one.test_mass is not None}
 
     def of_experiment(self, campaign_id: int) -> DiagnosisEntry | None:
@@ -188,7 +181,7 @@ class DiagnosisStore:
         query = select(t.DiagnosisRow).where(t.DiagnosisRow.experiment_campaign_id == campaign_id)
         with self._database.read() as session:
             row = session.scalar(query)
-            return None if row is None else diagnosis_rows.entry(session, row)
+            return None if row is None else _entry(session, row)
 
     def attend(self, cause: str, diagnosis_id: int | None = None) -> None:
         """From now on a person must approve experiments: of this diagnosis, or (None) of all unattended ones of this
@@ -200,10 +193,10 @@ class DiagnosisStore:
         with self._database.write() as session:
             query = query.where(t.DiagnosisRow.machine_id == rows.own(session))
             for row in session.scalars(query).all():
-                if diagnosis_rows.child(session, row.id) is None:
+                if _child(session, row.id) is None:
                     row.unattended = False
                     failed = row.state is DiagnosisState.FAILED  # its cause is stored
-                    diagnosis_rows.move(session, row, row.state, row.cause if failed else cause)
+                    _move(session, row, row.state, row.cause if failed else cause)
 
 
 def _own(session: Session, diagnosis_id: int) -> t.DiagnosisRow:
@@ -211,6 +204,75 @@ def _own(session: Session, diagnosis_id: int) -> t.DiagnosisRow:
     row = rows.get(session, t.DiagnosisRow, diagnosis_id, "diagnosis")
     rows.check_own(session, row.machine_id, f"diagnosis {diagnosis_id}")
     return row
+
+
+def _add(session: Session, new: NewDiagnosis) -> t.DiagnosisRow:
+    rows.get(session, t.RobotRow, new.robot_id, "robot")
+    for campaign in new.campaigns:
+        rows.get(session, t.CampaignRow, campaign, "campaign")
+    if new.model is not None:
+        rows.get(session, t.ModelRow, new.model, "model")
+    state = DiagnosisState.WAITING
+    row = t.DiagnosisRow(machine_id=rows.own(session), state=state, **new.model_dump(mode="json"))
+    session.add(row)
+    session.flush()
+    _emit(session, row)
+    return row
+
+
+def _add_result(session: Session, diagnosis_id: int, joint: str, verdict: str, document: Document) -> None:
+    session.add(t.AxisDiagnosisRow(diagnosis_id=diagnosis_id, joint=joint, verdict=verdict, document=document))
+    session.flush()
+
+
+def _move(session: Session, row: t.DiagnosisRow, state: DiagnosisState, cause: str = "") -> None:
+    if state is not row.state and state not in _OPEN:
+        row.finished_at = t.now()
+    row.state, row.cause = state, cause
+    _emit(session, row)
+
+
+def _emit(session: Session, row: t.DiagnosisRow) -> None:
+    data: dict[str, JsonValue] = {
+        "diagnosis": row.id,
+        "state": row.state.value,
+        "cause": row.cause,
+        "verdicts": dict[str, JsonValue](_verdicts(session, row.id)),
+        "parent": row.parent,
+    }
+    rows.emit(session, None, EventKind.DIAGNOSIS, data)
+
+
+def _child(session: Session, diagnosis_id: int) -> int | None:
+    return session.scalar(select(t.DiagnosisRow.id).where(t.DiagnosisRow.parent == diagnosis_id))
+
+
+def _results(session: Session, diagnosis_id: int) -> Sequence[t.AxisDiagnosisRow]:
+    query = select(t.AxisDiagnosisRow).where(t.AxisDiagnosisRow.diagnosis_id == diagnosis_id)
+    return session.scalars(query.order_by(t.AxisDiagnosisRow.id)).all()
+
+
+def _verdicts(session: Session, diagnosis_id: int) -> dict[str, str]:
+    return {row.joint: row.verdict for row in _results(session, diagnosis_id)}
+
+
+def _experiment_state(session: Session, row: t.DiagnosisRow) -> CampaignState | None:
+    if row.experiment_campaign_id is None:
+        return None
+    return session.get_one(t.CampaignRow, row.experiment_campaign_id).state
+
+
+def _computed(session: Session, row: t.DiagnosisRow) -> dict[str, object]:
+    """The fields that are not in its row."""
+    return {"verdicts": _verdicts(session, row.id), **rows.machine_of(session, row.machine_id)}
+
+
+def _entry(session: Session, row: t.DiagnosisRow) -> DiagnosisEntry:
+    return rows.document(DiagnosisEntry, row, **_computed(session, row))
+
+
+def _document(session: Session, row: t.DiagnosisRow) -> DiagnosisDocument:
+    return rows.document(DiagnosisDocument, row, **_computed(session, row))
 
 
 def check_free(diagnosis: DiagnosisEntry, experiment: CampaignState | None) -> None:

@@ -7,15 +7,12 @@ from sqlalchemy.orm import Session
 from service.errors import Conflict
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database
+from service.store.database import Transactions
 from service.store.diagnosis_documents import ModelDocument
 
 
-class ModelStore:
+class ModelStore(Transactions):
     """Every method is one transaction and blocks, as in `service.store.store`; `NotFound` if the id does not exist."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def add(
         self, diagnosis_id: int, accepted_by: str, document: dict[str, JsonValue], parent: int | None
@@ -39,24 +36,24 @@ class ModelStore:
             row = t.ModelRow(
                 robot_id=diagnosis.robot_id,
                 revision=1 if newest is None else newest.revision + 1,
-                parent_id=parent,
+                parent=parent,
                 diagnosis_id=diagnosis_id,
                 accepted_by=accepted_by,
                 document=document,
             )
             session.add(row)
             session.flush()
-            return _document(row)
+            return rows.document(ModelDocument, row)
 
     def model(self, model_id: int) -> ModelDocument:
         with self._database.read() as session:
-            return _document(rows.get(session, t.ModelRow, model_id, "model"))
+            return rows.document(ModelDocument, rows.get(session, t.ModelRow, model_id, "model"))
 
     def newest(self, robot_id: int) -> ModelDocument | None:
         """The last revision of a robot's model."""
         with self._database.read() as session:
             row = _newest(session, robot_id)
-            return None if row is None else _document(row)
+            return None if row is None else rows.document(ModelDocument, row)
 
     def models(self, robot_id: int | None = None, after: int = 0, limit: int = 100) -> tuple[ModelDocument, ...]:
         """A page of all models, or of one robot's."""
@@ -64,22 +61,9 @@ class ModelStore:
         if robot_id is not None:
             query = query.where(t.ModelRow.robot_id == robot_id)
         with self._database.read() as session:
-            return tuple(_document(row) for row in session.scalars(query))
+            return rows.documents(ModelDocument, session, query)
 
 
 def _newest(session: Session, robot_id: int) -> t.ModelRow | None:
     query = select(t.ModelRow).where(t.ModelRow.robot_id == robot_id).order_by(t.ModelRow.revision.desc()).limit(1)
     return session.scalar(query)
-
-
-def _document(row: t.ModelRow) -> ModelDocument:
-    return ModelDocument(
-        id=row.id,
-        robot_id=row.robot_id,
-        revision=row.revision,
-        parent=row.parent_id,
-        diagnosis_id=row.diagnosis_id,
-        accepted_by=row.accepted_by,
-        at=row.at,
-        document=row.document,
-    )

@@ -29,7 +29,7 @@ class Owner(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
     id: str
     database: str  # its address when the folder was claimed, for information
-    machine: int = 1  # the id of the machine whose recordings are here
+    machine: int  # the id of the machine whose recordings are here
 
 
 class ForeignFolder(Conflict):
@@ -99,8 +99,7 @@ def read_owner(folder: Path) -> Owner | None:
 def _write(folder: Path, owner: Owner) -> None:
     """Complete or not at all, and never over that of another database."""
     partial = folder / f".{FILE}.{uuid4().hex}"
-    # without a machine if it is the first one, so that older versions can read it
-    partial.write_text(json.dumps(owner.model_dump(exclude_defaults=True)) + "\n", encoding="utf-8")
+    partial.write_text(json.dumps(owner.model_dump()) + "\n", encoding="utf-8")
     try:
         place_new(partial, folder / FILE)
     finally:

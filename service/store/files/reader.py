@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from service.errors import BadInput
-
-_NICE = 10  # lower priority than the process that streams set-points
+from service.tasks.child import give_way
 
 
 def main(arguments: list[str]) -> None:
     """Run the task and write the answer."""
     memory, named, *paths = arguments
-    _give_way(int(memory))
+    give_way()
+    _limit(int(memory))
     threading.Thread(target=_end_with_service, name="end with the service", daemon=True).start()
     sys.stdout.write(json.dumps(_answer(named, [Path(path) for path in paths])))
     sys.stdout.flush()
@@ -41,11 +41,10 @@ def _answer(named: str, paths: list[Path]) -> dict[str, Any]:
         return {"errno": error.errno}
 
 
-def _give_way(memory: int) -> None:
+def _limit(memory: int) -> None:
     if sys.platform != "win32":
         import resource
 
-        os.setpriority(os.PRIO_PROCESS, 0, _NICE)
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         if sys.platform == "linux":  # macOS accepts the limit and does not enforce it
             resource.setrlimit(resource.RLIMIT_AS, (memory, memory))

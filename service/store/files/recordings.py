@@ -25,11 +25,12 @@ from pydantic import JsonValue
 from service.errors import BadInput
 from service.recording import Recording
 from service.results.identified.manifest import Facts
+from service.results.identified.spectrum import AnySpectrum
 from service.settings.object_store import StoreAddress
 from service.store.documents import NewRecording, RecordingDocument, RecordingState, SpectrumRecord
 from service.store.files.atomic_files import place, place_folder, place_new
 from service.store.files.columns import read_columns, write_columns
-from service.store.files.spectra import Document, SpectrumFile, encode_spectrum
+from service.store.files.spectra import SpectrumFile, encode_spectrum
 
 FETCHED = "fetch-"  # prefix of the name of a file from the object store
 _STREAM = re.compile(r"campaign-(\d+)/(\d+)-(\d+)\.arrows")
@@ -176,7 +177,7 @@ class RecordingFiles:
         place_new(partial, path.with_suffix(".json"))
         return new
 
-    def save_spectrum(self, recording: str, document: Document) -> SpectrumRecord:
+    def save_spectrum(self, recording: str, document: AnySpectrum) -> SpectrumRecord:
         """Write the spectrum of a recording (its path in documents) next to it; an existing one is not changed."""
         content, sha256 = encode_spectrum(document)
         path = (self._root / recording).with_suffix(f".spectrum-{sha256[:16]}.json")

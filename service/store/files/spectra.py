@@ -5,16 +5,11 @@ A spectrum is written once, when its sweep is identified; every later estimate o
 
 import hashlib
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import JsonValue
-
 from service.errors import BadInput
 from service.results.identified.spectrum import AnySpectrum
-
-Document = AnySpectrum | Mapping[str, JsonValue]  # the latter as in an older database
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +20,7 @@ class SpectrumFile:
     sha256: str
 
 
-def encode_spectrum(document: Document) -> tuple[bytes, str]:
+def encode_spectrum(document: AnySpectrum) -> tuple[bytes, str]:
     """The content of a spectrum's file and its SHA-256. Floats are stored without loss."""
     content = json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
     return content, hashlib.sha256(content).hexdigest()

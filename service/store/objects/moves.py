@@ -6,9 +6,9 @@ from datetime import datetime
 from sqlalchemy import func, select
 
 from service.store import tables as t
-from service.store.database import Database
+from service.store.database import Transactions
 from service.store.documents import RecordingDocument
-from service.store.rows import of_own, recording_document
+from service.store.rows import document, of_own
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,11 +19,8 @@ class Backlog:
     since: datetime | None
 
 
-class MoveStore:
+class MoveStore(Transactions):
     """Every method is one transaction and blocks, as in `service.store.store`."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def backlog(self) -> Backlog:
         query = (
@@ -47,7 +44,10 @@ class MoveStore:
         )
         with self._database.read() as session:
             found = session.execute(query.where(of_own(session))).all()
-            return {row.id: recording_document(row, campaign_id, number) for row, campaign_id, number in found}
+            return {
+                row.id: document(RecordingDocument, row, campaign_id=campaign_id, number=number)
+                for row, campaign_id, number in found
+            }
 
     def mark(self, recording_id: int) -> None:
         """The recording was read back from the store unchanged."""

@@ -13,7 +13,7 @@ from service.errors import SweepidError
 from service.people.audit_chain import FIRST, Entry, Head, Link, canonical, sha256
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database
+from service.store.database import Transactions
 
 _PIECE = 1000  # entries read per query
 
@@ -31,11 +31,8 @@ class AuditDocument(BaseModel):
     sha256: str
 
 
-class AuditStore:
+class AuditStore(Transactions):
     """Every method is one transaction and blocks. Reading methods raise AuditUnreadable."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def append(self, entries: Sequence[Entry]) -> int:
         """Add entries in this order. Returns the number of the first."""

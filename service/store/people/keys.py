@@ -12,11 +12,12 @@ from service.errors import NotFound
 from service.people.audit_chain import Entry, Fact
 from service.people.keys import key_sha256, new_key
 from service.people.permissions import Role
+from service.store import rows
 from service.store import tables as t
-from service.store.database import Database
+from service.store.database import Transactions
 from service.store.people.audit import append
-from service.store.people.names import check_free
 from service.store.people.time import keep
+from service.store.people.users import check_free
 
 
 class KeyDocument(BaseModel):
@@ -38,11 +39,8 @@ class KeyDocument(BaseModel):
         return f"the key of {self.name} expired on {self.expires_at:%Y-%m-%d}" if at >= self.expires_at else ""
 
 
-class KeyStore:
+class KeyStore(Transactions):
     """Every method is one transaction and blocks. `entry`: of the audit, with user and address."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def add(
         self, name: str, role: Role, valid: timedelta, entry: Entry, scopes: Sequence[str] | None = None
@@ -58,7 +56,7 @@ class KeyStore:
             session.add(
                 row := t.ApiKeyRow(
                     name=name,
-                    role=role.word,
+                    role=role,
                     scopes=limited,
                     sha256=key_sha256(key),
                     created_at=made,
@@ -68,7 +66,7 @@ class KeyStore:
             added: dict[str, Fact] = {"event": "key added", "key": name, "key_role": role.word}
             append(session, [{**entry, **added, **({"scopes": limited} if limited else {})}])
             session.flush()
-            return _document(row), key
+            return rows.document(KeyDocument, row), key
 
     def revoke(self, name: str, entry: Entry) -> KeyDocument:
         """Effective immediately; a second call changes nothing. Raises NotFound."""
@@ -79,12 +77,12 @@ class KeyStore:
             if row.revoked_at is None:
                 row.revoked_at = t.now()
                 append(session, [{**entry, "event": "key revoked", "key": name}])
-            return _document(row)
+            return rows.document(KeyDocument, row)
 
     def all(self) -> tuple[KeyDocument, ...]:
         with self._database.read() as session:
             self._database.now(session)  # what the database keeps counts for `now`
-            return tuple(_document(row) for row in session.scalars(select(t.ApiKeyRow).order_by(t.ApiKeyRow.id)))
+            return rows.documents(KeyDocument, session, select(t.ApiKeyRow).order_by(t.ApiKeyRow.id))
 
     def now(self) -> datetime:
         """The time by which keys expire."""
@@ -98,16 +96,4 @@ class KeyStore:
         with self._database.read() as session:
             row = session.scalar(select(t.ApiKeyRow).where(t.ApiKeyRow.sha256 == value))
             self._database.now(session)
-            return None if row is None else _document(row)
-
-
-def _document(row: t.ApiKeyRow) -> KeyDocument:
-    return KeyDocument(
-        id=row.id,
-        name=row.name,
-        role=Role[row.role.upper()],
-        scopes=None if row.scopes is None else tuple(row.scopes),
-        created_at=row.created_at,
-        expires_at=row.expires_at,
-        revoked_at=row.revoked_at,
-    )
+            return None if row is None else rows.document(KeyDocument, row)

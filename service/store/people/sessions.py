@@ -9,11 +9,12 @@ from service.errors import NotFound
 from service.people.audit_chain import Entry
 from service.people.keys import key_sha256, new_key
 from service.people.permissions import Role
+from service.store import rows
 from service.store import tables as t
 from service.store.database import Database
 from service.store.people.audit import append
 from service.store.people.time import keep
-from service.store.people.users import UserDocument, user_document
+from service.store.people.users import UserDocument
 
 _SEEN_EVERY = timedelta(minutes=1)  # a page sends a request per second; not every request writes
 
@@ -105,15 +106,12 @@ class SessionStore:
         return tuple(document for document in documents if not document.trouble(at))
 
     def _document(self, row: t.SessionRow, user: t.UserRow) -> SessionDocument:
-        whose = user_document(user)
-        return SessionDocument(
-            id=row.id,
+        whose = rows.document(UserDocument, user)
+        return rows.document(
+            SessionDocument,
+            row,
             name=whose.name,
             role=whose.role,
-            address=row.address,
-            created_at=row.created_at,
-            seen_at=row.seen_at,
             expires_at=min(row.created_at + self._longest, row.seen_at + self._idle),
-            ended_at=row.ended_at,
             disabled=whose.trouble,
         )

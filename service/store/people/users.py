@@ -1,4 +1,6 @@
-"""Users with passwords: added, changed, disabled. Each change is in the audit, in the same transaction."""
+"""Users with passwords, and those of an identity provider: added, changed, disabled. Each change is in the audit, in
+the same transaction.
+"""
 
 from datetime import datetime
 
@@ -8,12 +10,13 @@ from sqlalchemy.orm import Session
 
 from service.errors import Conflict, NotFound
 from service.people.audit_chain import Entry
+from service.people.names import unique_name
 from service.people.passwords import fits, outdated, password_hash
 from service.people.permissions import Role
+from service.store import rows
 from service.store import tables as t
-from service.store.database import Database
+from service.store.database import Transactions
 from service.store.people.audit import append
-from service.store.people.names import check_free
 
 
 class UserDocument(BaseModel):
@@ -34,25 +37,22 @@ class UserDocument(BaseModel):
         return "" if self.disabled_at is None else f"{self.name} was disabled on {self.disabled_at:%Y-%m-%d}"
 
 
-class UserStore:
+class UserStore(Transactions):
     """Every method is one transaction and blocks; those with a password take about 0.1 s.
 
     `entry`: of the audit, with user and address.
     """
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def add(self, name: str, role: Role, password: str, entry: Entry) -> UserDocument:
         """Raises BadInput for a password that is too short; Conflict if the name was used before."""
         stored = password_hash(password)
         with self._database.write(quiet=True) as session:
             check_free(session, name)
-            row = t.UserRow(name=name, role=role.word, password=stored)
+            row = t.UserRow(name=name, role=role, password=stored)
             session.add(row)
             append(session, [{**entry, "event": "user added", "user": name, "user_role": role.word}])
             session.flush()
-            return user_document(row)
+            return rows.document(UserDocument, row)
 
     def change_password(self, name: str, password: str, entry: Entry) -> UserDocument:
         """Ends the sessions with the old password. Raises BadInput; NotFound; Conflict for a disabled or
@@ -62,13 +62,14 @@ class UserStore:
         with self._database.write(quiet=True) as session:
             row = _row(session, name)
             if row.disabled_at is not None:
-                raise Conflict(f"{user_document(row).trouble}: enable the user again with `sweepid people enable-user`")
+                why = rows.document(UserDocument, row).trouble
+                raise Conflict(f"{why}: enable the user again with `sweepid people enable-user`")
             if row.issuer is not None:
                 raise Conflict(f"{name} logs in at {row.issuer} and has no password in this service")
             row.password = stored
             end_sessions(session, row)
             append(session, [{**entry, "event": "password changed", "user": name}])
-            return user_document(row)
+            return rows.document(UserDocument, row)
 
     def shut_out(self, name: str, entry: Entry) -> UserDocument:
         """Disable a user immediately, with all sessions; a second call changes nothing. Raises NotFound."""
@@ -78,7 +79,7 @@ class UserStore:
                 row.disabled_at = t.now()
                 end_sessions(session, row)
                 append(session, [{**entry, "event": "user disabled", "user": name}])
-            return user_document(row)
+            return rows.document(UserDocument, row)
 
     def let_in(self, name: str, entry: Entry) -> UserDocument:
         """Enable a disabled user again; ended sessions stay ended. Raises NotFound."""
@@ -87,11 +88,11 @@ class UserStore:
             if row.disabled_at is not None:
                 row.disabled_at = None
                 append(session, [{**entry, "event": "user enabled", "user": name}])
-            return user_document(row)
+            return rows.document(UserDocument, row)
 
     def all(self) -> tuple[UserDocument, ...]:
         with self._database.read() as session:
-            return tuple(user_document(row) for row in session.scalars(select(t.UserRow).order_by(t.UserRow.id)))
+            return rows.documents(UserDocument, session, select(t.UserRow).order_by(t.UserRow.id))
 
     def knows(self, name: str) -> bool:
         with self._database.read() as session:
@@ -104,7 +105,7 @@ class UserStore:
         """
         with self._database.read() as session:
             row = session.scalar(select(t.UserRow).where(t.UserRow.name == name))
-            stored, user = (None, None) if row is None else (row.password, user_document(row))
+            stored, user = (None, None) if row is None else (row.password, rows.document(UserDocument, row))
         if not fits(password, stored) or user is None or stored is None or user.trouble:
             return None
         if outdated(stored):
@@ -115,18 +116,6 @@ class UserStore:
         unchanged = (t.UserRow.id == user.id, t.UserRow.password == stored)  # unless the password was changed meanwhile
         with self._database.write(quiet=True) as session:
             session.execute(update(t.UserRow).where(*unchanged).values(password=anew))
-
-
-def user_document(row: t.UserRow) -> UserDocument:
-    return UserDocument(
-        id=row.id,
-        name=row.name,
-        role=Role[row.role.upper()],
-        created_at=row.created_at,
-        disabled_at=row.disabled_at,
-        issuer=row.issuer,
-        subject=row.subject,
-    )
 
 
 def _row(session: Session, name: str) -> t.UserRow:
@@ -140,3 +129,57 @@ def end_sessions(session: Session, row: t.UserRow) -> None:
     """End all sessions of a user immediately."""
     open_ones = (t.SessionRow.user_id == row.id, t.SessionRow.ended_at.is_(None))
     session.execute(update(t.SessionRow).where(*open_ones).values(ended_at=t.now()))
+
+
+class ExternalUsers(Transactions):
+    """Every method is one transaction and blocks. `entry`: of the audit, with user and address."""
+
+    def renew(self, issuer: str, subject: str, name: str, role: Role | None, entry: Entry) -> UserDocument | None:
+        """The user, with the role that the provider's groups give now; added at the first login.
+
+        `name` is used only at the first login; if it exists, it belongs to another user. A `role` of None: no group
+        gives a role; then existing sessions are ended, no user is added, and the result is None. A user who is
+        disabled here stays disabled.
+        """
+        with self._database.write(quiet=True) as session:
+            of_it = (t.UserRow.issuer == issuer, t.UserRow.subject == subject)
+            row = session.scalar(select(t.UserRow).where(*of_it))
+            if role is None:
+                if row is not None:
+                    end_sessions(session, row)
+                    append(session, [{**entry, "event": "role lost", "user": row.name}])
+                return None
+            if row is None:
+                row = self._added(session, issuer, subject, name, role, entry)
+            elif row.role != role and row.disabled_at is None:
+                row.role = role
+                append(session, [{**entry, "event": "role changed", "user": row.name, "user_role": role.word}])
+            return rows.document(UserDocument, row)
+
+    def _added(self, session: Session, issuer: str, subject: str, name: str, role: Role, entry: Entry) -> t.UserRow:
+        free = _free_name(session, name, subject)
+        row = t.UserRow(name=free, role=role, password=None, issuer=issuer, subject=subject)
+        session.add(row)
+        added: Entry = {"user": free, "user_role": role.word, "issuer": issuer, "subject": subject}
+        append(session, [{**entry, "event": "user added", **added}])
+        session.flush()
+        return row
+
+
+def _free_name(session: Session, name: str, subject: str) -> str:
+    """Raises Conflict if even the name with the subject is in use."""
+    try:
+        check_free(session, name)
+    except Conflict:
+        name = unique_name(name, subject)
+        check_free(session, name)
+    return name
+
+
+def check_free(session: Session, name: str) -> None:
+    """Raises Conflict if the name of a user or a key is or was in use: each is used once, so that the audit is
+    unambiguous.
+    """
+    for row, who in ((t.ApiKeyRow, "a key of"), (t.UserRow, "a user")):
+        if session.scalar(select(row.id).where(row.name == name)) is not None:
+            raise Conflict(f"{who} {name} exists or existed: use another name, because the audit needs unique names")

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, JsonValue
+from pydantic import JsonValue
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
@@ -16,21 +16,20 @@ from service.results.estimate import Estimate
 from service.results.stored_json import JsonOf
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database
-from service.store.documents import BatchState, CampaignState, EventKind, SweepState
+from service.store.checks import OVER
+from service.store.database import Transactions
+from service.store.documents import BatchState, EventKind, StoredDocument, SweepState
 
 REIDENTIFY = "reidentify"
 _OPEN = (BatchState.WAITING, BatchState.RUNNING)
-_OVER = (CampaignState.MEASURED, CampaignState.COMPLETED, CampaignState.ABORTED)
 
 
-class BatchDocument(BaseModel):
+class BatchDocument(StoredDocument):
     """A batch and its progress: `done` of `campaigns`, `failed` of them without a result, `sweeps` identified again.
 
     `machine`: the name of the machine whose service computes it. `here`: it is the machine of this service.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
     id: int
     machine: str
     here: bool
@@ -46,13 +45,12 @@ class BatchDocument(BaseModel):
     finished_at: datetime | None
 
 
-class BatchEntry(BaseModel):
+class BatchEntry(StoredDocument):
     """A campaign of a batch. `change_percent`: largest change of J of any sweep relative to the stored estimate.
 
     `cause`: why there is no result; empty if there is one.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
     campaign_id: int
     sweeps: int
     change_percent: float | None
@@ -66,18 +64,15 @@ class BatchEstimate(BatchEntry):
     document: Annotated[dict[str, JsonValue], JsonOf(Estimate)] | None
 
 
-class BatchStore:
+class BatchStore(Transactions):
     """Batches of the plant; only those of this service's machine are changed."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def add(self, campaigns: Sequence[int] | None, asked_by: str) -> BatchDocument:
         """A waiting batch: of these campaigns of this machine, or (None) all finished ones. Raises BadInput if there is
         none.
         """
         with self._database.write() as session:
-            own = select(t.CampaignRow.id).where(rows.of_own(session), t.CampaignRow.state.in_(_OVER))
+            own = select(t.CampaignRow.id).where(rows.of_own(session), t.CampaignRow.state.in_(OVER))
             identified = select(t.SweepRow.campaign_id).where(t.SweepRow.state == SweepState.IDENTIFIED)
             usable = set(session.scalars(own.where(t.CampaignRow.id.in_(identified))))
             for number in campaigns or ():
@@ -164,8 +159,7 @@ class BatchStore:
         query = select(row).where(row.batch_id == batch_id, row.campaign_id > after)
         with self._database.read() as session:
             rows.get(session, t.BatchRow, batch_id, "job")
-            found = session.scalars(query.order_by(row.campaign_id).limit(limit))
-            return tuple(_entry(one) for one in found)
+            return rows.documents(BatchEntry, session, query.order_by(row.campaign_id).limit(limit))
 
     def result(self, batch_id: int, campaign_id: int) -> BatchEstimate:
         row = t.BatchResultRow
@@ -174,7 +168,7 @@ class BatchStore:
             found = session.scalar(query)
             if found is None:
                 raise NotFound(f"job {batch_id} has no result of campaign {campaign_id}")
-            return BatchEstimate(**_entry(found).model_dump(), document=found.document)
+            return rows.document(BatchEstimate, found)
 
 
 def _own(session: Session, batch_id: int) -> t.BatchRow:
@@ -185,21 +179,15 @@ def _own(session: Session, batch_id: int) -> t.BatchRow:
 
 def _with_event(session: Session, row: t.BatchRow) -> BatchDocument:
     """The document of its present state, which is also added to the outbox as an event."""
-    document = _document(session, row)
+    found = _document(session, row)
     data: dict[str, JsonValue] = {
         "batch": row.id,
         "state": row.state.value,
-        "done": document.done,
-        "campaigns": document.campaigns,
+        "done": found.done,
+        "campaigns": found.campaigns,
     }
     rows.emit(session, None, EventKind.BATCH, data)
-    return document
-
-
-def _entry(row: t.BatchResultRow) -> BatchEntry:
-    return BatchEntry(
-        campaign_id=row.campaign_id, sweeps=row.sweeps, change_percent=row.change_percent, cause=row.cause, at=row.at
-    )
+    return found
 
 
 def _document(session: Session, row: t.BatchRow) -> BatchDocument:
@@ -207,19 +195,5 @@ def _document(session: Session, row: t.BatchRow) -> BatchDocument:
     query = select(func.count(), func.coalesce(func.sum(result.sweeps), 0)).where(result.batch_id == row.id)
     done, sweeps = session.execute(query).one()
     failed = session.scalar(query.with_only_columns(func.count()).where(result.cause != ""))
-    machine = rows.owned(session)
-    return BatchDocument(
-        id=row.id,
-        machine=session.get_one(t.MachineRow, row.machine_id).name,
-        here=machine is not None and machine.id == row.machine_id,
-        kind=row.kind,
-        asked_by=row.asked_by,
-        state=row.state,
-        campaigns=len(row.campaigns),
-        done=done,
-        failed=failed or 0,
-        sweeps=sweeps,
-        created_at=row.created_at,
-        started_at=row.started_at,
-        finished_at=row.finished_at,
-    )
+    counts = {"campaigns": len(row.campaigns), "done": done, "failed": failed or 0, "sweeps": sweeps}
+    return rows.document(BatchDocument, row, **counts, **rows.machine_of(session, row.machine_id))

@@ -1,21 +1,19 @@
 """The machines of a plant, and their state in the database."""
 
-from pydantic import BaseModel, ConfigDict
 from sqlalchemy import func, select
 
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database
-from service.store.documents import CampaignState
+from service.store.database import Transactions
+from service.store.documents import CampaignState, StoredDocument
 
 
-class MachineDocument(BaseModel):
+class MachineDocument(StoredDocument):
     """A machine of the plant, with robot and cell as its service has them configured; null: not configured.
 
     `here`: it is the machine of this service. `robot`: the robot's name.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
     name: str
     here: bool
     robot_id: int | None
@@ -23,11 +21,8 @@ class MachineDocument(BaseModel):
     cell: str | None
 
 
-class PlantStore:
+class PlantStore(Transactions):
     """Every method is one transaction and blocks."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def machines(self) -> tuple[MachineDocument, ...]:
         """In the order in which they were added."""

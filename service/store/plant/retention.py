@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from pydantic import BaseModel, ConfigDict, JsonValue
+from pydantic import JsonValue
 from sqlalchemy import ColumnElement, delete, func, select
 from sqlalchemy.orm import Session
 
@@ -20,7 +20,7 @@ from service.store import rows
 from service.store import tables as t
 from service.store.database import Database
 from service.store.diagnosis_documents import DiagnosisState
-from service.store.documents import BatchState, CampaignState
+from service.store.documents import BatchState, CampaignState, StoredDocument
 from service.store.people.audit import append
 
 _OVER = (CampaignState.COMPLETED, CampaignState.ABORTED)
@@ -61,10 +61,9 @@ class Doomed:
         return bool(self.samples or self.spectra or self.estimates)
 
 
-class HoldDocument(BaseModel):
+class HoldDocument(StoredDocument):
     """A campaign from which nothing is removed."""
 
-    model_config = ConfigDict(frozen=True)
     campaign_id: int
     by: str
     why: str
@@ -130,25 +129,22 @@ class RetentionStore:
             session.add(row := t.HoldRow(campaign_id=campaign_id, by=by, why=why, at=t.now()))
             append(session, [{**entry, "event": "hold added", "campaign": campaign_id, "why": why}])
             session.flush()
-            return _hold(row)
+            return rows.document(HoldDocument, row)
 
     def release(self, campaign_id: int, entry: Entry) -> HoldDocument:
         with self._database.write(quiet=True) as session:
             row = session.get(t.HoldRow, campaign_id)
             if row is None:
                 raise NotFound(f"campaign {campaign_id} is not held")
-            found = _hold(row)
+            found = rows.document(HoldDocument, row)
             session.delete(row)
             append(session, [{**entry, "event": "hold released", "campaign": campaign_id}])
             return found
 
     def holds(self) -> tuple[HoldDocument, ...]:
         with self._database.read() as session:
-            return tuple(map(_hold, session.scalars(select(t.HoldRow).order_by(t.HoldRow.campaign_id))))
-
-
-def _hold(row: t.HoldRow) -> HoldDocument:
-    return HoldDocument(campaign_id=row.campaign_id, by=row.by, why=row.why, at=row.at)
+            query = select(t.HoldRow).order_by(t.HoldRow.campaign_id)
+            return rows.documents(HoldDocument, session, query)
 
 
 def _last_recorded(session: Session, machine_id: int) -> Iterator[tuple[int, datetime]]:
@@ -237,7 +233,7 @@ def _evidence(session: Session, diagnosis_id: int | None) -> Iterator[int]:
             number = None if named is None else named.get("campaign_id")
             if isinstance(number, int):
                 yield number
-        diagnosis_id = row.parent_id
+        diagnosis_id = row.parent
 
 
 def _named_by_plans(session: Session, campaigns: Collection[int]) -> dict[int, int]:

@@ -48,7 +48,8 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
         store = Store(database)
         campaign = import_campaign(store, files, save_bundle(files, Bundle(robot, sweeps)))
         for sweep in store.sweeps(campaign.id):
-            spectrum = files.save_spectrum(store.recording(campaign.id, sweep.number).path, {"a": 0.1 * sweep.number})
+            document: Any = {"a": 0.1 * sweep.number}
+            spectrum = files.save_spectrum(store.recording(campaign.id, sweep.number).path, document)
             store.add_estimate([(sweep, spectrum)], sweep_move(SweepEvent.IDENTIFY), {"value": 1 / 3 * sweep.number})
         plan = store.add_plan(campaign.robot_id, {"any": "document"})
         store.add_campaign(plan.id, [NewSweep(spec=spec(1), mode=None)])

@@ -102,33 +102,6 @@ def test_a_database_elsewhere_comes_back_into_its_folder(data: Path, tmp_path: P
     assert "secret" not in told.stderr
 
 
-def test_an_older_schema_is_backed_up_as_it_is(data: Path, tmp_path: Path) -> None:
-    """The backup before an upgrade is made with the new version."""
-    with closing(sqlite3.connect(data / "sweepid.sqlite")) as old:
-        old.executescript(
-            "DROP TABLE approval; DROP TABLE user_session; DROP TABLE user_account;"
-            "DROP TABLE audit; DROP TABLE api_key; DROP TABLE spectrum_file; DROP TABLE identity;"
-            "DROP TABLE steady_time; ALTER TABLE campaign DROP COLUMN structured_cause;"
-            "ALTER TABLE sweep DROP COLUMN structured_cause; ALTER TABLE stop DROP COLUMN cause;"
-            "DROP TABLE machine; DROP INDEX ix_campaign_machine_id; ALTER TABLE campaign DROP COLUMN machine_id;"
-            "ALTER TABLE diagnosis DROP COLUMN machine_id; ALTER TABLE event DROP COLUMN machine_id;"
-            "ALTER TABLE stop DROP COLUMN machine_id; DROP INDEX ix_robot_name_serial;"
-            "ALTER TABLE robot DROP COLUMN serial; ALTER TABLE robot DROP COLUMN revision;"
-            "DROP TABLE idempotency_key; CREATE TABLE idempotency_key (key VARCHAR(255) NOT NULL PRIMARY KEY, "
-            "fingerprint VARCHAR(64) NOT NULL, status INTEGER, body VARCHAR NOT NULL, created_at DATETIME NOT NULL);"
-            "DROP INDEX ix_recording_moved_at; ALTER TABLE recording DROP COLUMN moved_at;"
-            "ALTER TABLE recording DROP COLUMN pruned_at; DROP TABLE batch_result; DROP TABLE batch; DROP TABLE hold;"
-            "UPDATE alembic_version SET version_num = '0004'"
-        )
-    (data / OWNER).unlink()
-    backup_of(data, tmp_path / "backup")
-    restore(tmp_path / "backup", tmp_path / "restored")
-    assert read_manifest(tmp_path / "backup").schema_version == "0004"
-    assert "spectrum" not in "".join(contents(tmp_path / "restored"))
-    with open_database(f"sqlite:///{tmp_path / 'restored' / 'sweepid.sqlite'}") as database:
-        assert claim_folder(tmp_path / "restored", database) == ""
-
-
 def test_what_is_there_is_not_overwritten(data: Path, tmp_path: Path) -> None:
     backup_of(data, tmp_path / "backup")
     before = contents(tmp_path)
@@ -152,7 +125,7 @@ def test_a_damaged_folder_gives_no_backup(data: Path, recording: Path, tmp_path:
     elif what == "changed":
         recording.write_bytes(recording.read_bytes()[:-1])
     elif what == "foreign":
-        (data / OWNER).write_text('{"id": "other", "database": "x"}', "utf-8")
+        (data / OWNER).write_text('{"id": "other", "database": "x", "machine": 1}', "utf-8")
     else:
         with closing(sqlite3.connect(data / "sweepid.sqlite")) as database, database:
             database.execute("UPDATE recording SET path = '../../outside.parquet' WHERE id = 1")

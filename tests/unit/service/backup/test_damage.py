@@ -144,16 +144,20 @@ def test_a_full_disk_is_found(data: Path) -> None:
     assert "limit 1000000000000000000 bytes; make room" in told.stdout
 
 
-def test_a_newer_schema_is_refused(data: Path, backup: Path, tmp_path: Path, findings: Findings) -> None:
+@pytest.mark.parametrize("schema", ["9999", "0017"])
+def test_another_schema_is_refused(data: Path, backup: Path, tmp_path: Path, findings: Findings, schema: str) -> None:
     for place in (data / "sweepid.sqlite", backup / "data" / "sweepid.sqlite"):
         with closing(sqlite3.connect(place)) as database, database:
-            database.execute("UPDATE alembic_version SET version_num = '9999'")
+            database.execute("UPDATE alembic_version SET version_num = ?", (schema,))
+    told = f"has schema {schema}, which this sweepid does not know: use the sweepid that wrote it"
     (found,) = findings()
-    assert "schema 9999" in found[1]
-    with pytest.raises(BadInput, match="schema 9999"):
+    assert found[1] == f"database: {told}"
+    with pytest.raises(BadInput, match=told), open_database(f"sqlite:///{data / 'sweepid.sqlite'}"):
+        pass
+    with pytest.raises(BadInput, match=told):
         make_backup(data / "sweepid.sqlite", data, tmp_path / "second")
     remade(backup)
-    with pytest.raises(BadInput, match="schema 9999, the newest known here is"):
+    with pytest.raises(BadInput, match=told):
         restore(backup, tmp_path / "restored")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["backup", "data"]
 

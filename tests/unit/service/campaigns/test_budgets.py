@@ -153,12 +153,6 @@ def test_poses_are_d_optimal_and_the_condition_number_is_a_choice(all_poses: Pla
     assert document.condition[-1] <= all_poses.condition[19]
 
 
-def test_a_plan_from_before_there_was_a_criterion_was_made_by_the_condition_number() -> None:
-    stored = plan(poses=3, criterion="condition").model_dump(mode="json")
-    del stored["request"]["criterion"]
-    assert PlanDocument.model_validate(stored).request.criterion is Criterion.CONDITION
-
-
 def test_a_plan_names_what_stays_undetermined_and_how_many_poses_are_enough() -> None:
     few = plan(poses=1)
     assert few.confidence == (None,)

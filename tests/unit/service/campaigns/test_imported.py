@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from pydantic import JsonValue
 
-from service.jobs.grouping import MOST_REVISIONS, open_groups, sweeps_a_revision
-from service.jobs.jobs import Jobs
+from service.jobs.jobs import MOST_REVISIONS, Jobs, open_groups, sweeps_a_revision
 from service.recording import Sweep
 from service.robot import Robot
 from service.store.database import open_database
@@ -79,7 +78,7 @@ async def identified(folder: Path, bundle: Bundle) -> tuple[list[tuple[int, int]
 
 @pytest.fixture
 def three_revisions(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("service.jobs.grouping.MOST_REVISIONS", 3)
+    monkeypatch.setattr("service.jobs.jobs.MOST_REVISIONS", 3)
 
 
 def test_how_many_sweeps_share_a_revision_depends_on_their_number_alone() -> None:
@@ -123,7 +122,7 @@ async def test_shared_revisions_have_the_numbers_of_single_ones(
     bundle = rigid_bundle(robot, SWEEPS)
     revisions, single = await identified(tmp_path / "single", bundle)
     assert revisions == [(n, n) for n in range(1, SWEEPS + 1)]
-    monkeypatch.setattr("service.jobs.grouping.MOST_REVISIONS", 2)
+    monkeypatch.setattr("service.jobs.jobs.MOST_REVISIONS", 2)
     revisions, shared = await identified(tmp_path / "shared", bundle)
     assert revisions == [(1, 4), (2, 7)]
     assert shared == single

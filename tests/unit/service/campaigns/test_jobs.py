@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import select
 
 from service.estimation import estimate_document
 from service.execution.recording.recovery import recover
@@ -18,13 +17,11 @@ from service.identification.axis.known_effects import known_effects
 from service.results.revision import KnownModel, StoredModel
 from service.robot import Robot
 from service.safety.envelope import Envelope
-from service.store import tables as t
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis.model_revisions import ModelStore
 from service.store.diagnosis_documents import NewDiagnosis
 from service.store.documents import CampaignState, SweepState
 from service.store.files.exchange import campaign_bundle
-from service.store.files.spectra import read_spectrum
 from service.worker import open_worker
 from tests.unit.service.campaigns.conftest import POSES, Bench, open_bench, until
 from tests.unit.service.campaigns.diagnosis_bench import InProcess
@@ -127,25 +124,6 @@ async def test_a_job_waits_while_the_database_is_locked(
         await completed(bench)
         assert bench.jobs.troubles == ()
         assert [e.number for e in bench.store.estimates(bench.campaign.id)] == [1, 2, 3, 4]
-
-
-async def test_spectra_from_before_there_were_files_are_moved_into_files(
-    tmp_path: Path, robot: Robot, envelope: Envelope
-) -> None:
-    async with open_bench(tmp_path, robot, envelope, InProcess()) as bench:
-        await bench.start()
-        await completed(bench)
-        records = bench.store.spectra(bench.campaign.id)
-        documents = [read_spectrum(bench.files.spectrum(record)) for record in records]
-        with bench.database.write() as session:
-            for number, row in enumerate(session.scalars(select(t.SpectrumRow)).all()):
-                session.add(t.IdentificationRow(sweep_id=row.sweep_id, spectrum=documents[number]))
-                session.delete(row)
-        for record in records:
-            (tmp_path / record.path).unlink()
-        recover(bench.store, bench.files)
-        assert bench.store.spectra(bench.campaign.id) == records
-        assert [read_spectrum(bench.files.spectrum(record)) for record in records] == documents
 
 
 async def test_a_sweep_whose_file_was_changed_fails_and_the_others_go_on(

@@ -6,8 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from alembic import command
-from sqlalchemy import create_engine, text
+from sqlalchemy import text
 
 from service.errors import BadInput
 from service.people.audit_chain import verify
@@ -15,9 +14,9 @@ from service.people.permissions import Role
 from service.recording import SweepSpec
 from service.robot import Robot
 from service.store import tables as t
-from service.store.copying.copy import NotCopied, copy_rows
-from service.store.database import Database, alembic_config, open_database
-from service.store.documents import CampaignState, NewRecording, NewSweep, RecordingState
+from service.store.copying import NotCopied, copy_rows
+from service.store.database import Database, open_database
+from service.store.documents import NewRecording, NewSweep, RecordingState
 from service.store.guards import MachineLease, MachineTaken, StopLatch
 from service.store.people.audit import AuditStore
 from service.store.people.users import UserStore
@@ -27,7 +26,6 @@ from tests.command import sweepid
 pytestmark = pytest.mark.slow
 
 LEASE_TIME = 0.5  # s
-FIRST = "0001"
 
 
 def quiet(table: str, rows: int) -> None:
@@ -48,7 +46,7 @@ def fill(database: Database, robot: Robot, spec: SweepSpec) -> None:
         session.flush()
         session.add(t.ModelRow(robot_id=added.id, revision=1, diagnosis_id=1, accepted_by="anna", document={}))
         session.flush()
-        session.add(t.DiagnosisRow(**{**campaigns, "state": t.DiagnosisState.DONE}, parent_id=1, model_id=1))
+        session.add(t.DiagnosisRow(**{**campaigns, "state": t.DiagnosisState.DONE}, parent=1, model=1))
 
 
 @contextmanager
@@ -73,7 +71,7 @@ def test_there_and_back_nothing_changes(
             assert Store(database).plan(1).document == {"third": 1 / 3, "tiny": 5e-324, "word": "ü \u2028"}
             assert StopLatch(database).latched()[0].by == "an\N{REPLACEMENT CHARACTER}na"
             with database.read() as session:
-                assert session.get_one(t.DiagnosisRow, 2).model_id == 1
+                assert session.get_one(t.DiagnosisRow, 2).model == 1
             before = Store(database).last_event_id()
             assert StopLatch(database).latch("otto", "again").id == 2  # ids go on
             assert Store(database).last_event_id() == before + 1
@@ -106,32 +104,6 @@ def test_a_row_that_the_target_does_not_take_leaves_nothing(sqlite_url: str, pos
         with source.write() as session:
             session.execute(text("UPDATE robot SET sha256 = '1'"))
         assert copy_rows(source, target, LEASE_TIME, quiet) > 0
-
-
-def test_a_database_of_the_first_release_comes_along(sqlite_url: str, postgresql_url: str, robot: Robot) -> None:
-    """It has the rows that the first schema could hold."""
-    engine = create_engine(sqlite_url)
-    with engine.begin() as connection:
-        command.upgrade(alembic_config(connection), FIRST)
-        connection.execute(
-            text(
-                "INSERT INTO robot VALUES (7, :sha256, 'old', '{\"a\": 0.1}', '<robot/>', '2026-01-02 03:04:05.000006')"
-            ),
-            {"sha256": "0" * 64},
-        )
-        connection.execute(text("INSERT INTO plan VALUES (3, 7, '{}', '2026-01-02 03:04:05.000006')"))
-        connection.execute(text("INSERT INTO campaign VALUES (1, 7, NULL, 'aborted', 'why', 2, '2026-01-01', NULL)"))
-        connection.execute(text("INSERT INTO event VALUES (9, NULL, 'stop', '{}', '2026-01-02 03:04:05.000006')"))
-    engine.dispose()
-    told = sweepid("data", "copy", "--from", sqlite_url, "--to", postgresql_url)
-    assert told.returncode == 0, told.stderr
-    with open_database(postgresql_url) as database:
-        plan = Store(database).plan(3)
-        assert (plan.robot_id, plan.created_at.isoformat()) == (7, "2026-01-02T03:04:05.000006+00:00")
-        assert Store(database).last_event_id() == 9
-        campaign = Store(database).campaign(1)
-        assert (campaign.cause, campaign.state) == ("why", CampaignState.ABORTED)
-        assert Store(database).add_robot(robot).id == 8
 
 
 @contextmanager

@@ -1,13 +1,10 @@
 """Several cells on one database: what belongs to a machine is read by all and changed by its own service alone."""
 
 from collections.abc import Iterator
-from contextlib import ExitStack
 from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from alembic import command
-from sqlalchemy import create_engine, text
 
 from drivers.ports import SweepMode
 from service.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
@@ -15,7 +12,7 @@ from service.errors import NotFound
 from service.recording import SweepSpec
 from service.robot import Robot
 from service.store.approvals import ApprovalStore
-from service.store.database import Database, alembic_config, open_database
+from service.store.database import Database, open_database
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis_documents import NewDiagnosis
 from service.store.documents import CampaignDocument, CampaignState, NewSweep, SweepState
@@ -178,47 +175,6 @@ def test_robots_of_one_file_differ_by_serial_number(database: Database, robot: R
     assert [(one.serial, one.revision) for one in named] == [("1001", "B"), ("1002", "B"), ("1001", "B")]
     assert named[0].id == named[2].id
     assert len({plain.id, named[0].id, named[1].id}) == 3
-
-
-def test_a_database_of_one_cell_becomes_that_of_machine_1(url: str) -> None:
-    """With the rows that the schema before could hold; the lease of a service of before still excludes ours."""
-    engine = create_engine(url)
-    with ExitStack() as stack:
-        stack.callback(engine.dispose)
-        with engine.begin() as connection:
-            command.upgrade(alembic_config(connection), "0011")
-            for statement in _BEFORE:
-                connection.execute(text(statement))
-    with open_database(url) as database:
-        store = Store(database)
-        assert database.machine is not None
-        assert (database.machine.id, database.machine.name) == (1, "machine")
-        campaign = store.campaign(4)
-        assert (campaign.machine, campaign.here, campaign.state) == ("machine", True, CampaignState.PAUSED)
-        with database.read() as session:
-            assert session.execute(text("SELECT id, serial FROM robot")).all() == [(7, None)]
-        assert [stop.id for stop in StopLatch(database).latched()] == [2]
-        stored = IdempotencyKeys(database).claim("k", "f")
-        assert stored is not None
-        assert (stored.status, stored.body) == (201, "{}")
-        with pytest.raises(AssertionError, match="it waits"):  # for the holder that was there
-            MachineLease(database, 60.0).acquire(wait=_must_not_wait)
-    with open_database(url, machine="cell B") as second:
-        assert second.machine is not None
-        assert second.machine.id == 2
-        assert StopLatch(second).latched() == ()
-
-
-_AT = "'2026-01-02 03:04:05.000006'"
-_BEFORE = (
-    f"INSERT INTO robot VALUES (7, 'x', 'old', '{{}}', '<robot/>', {_AT})",
-    f"INSERT INTO plan VALUES (3, 7, '{{}}', {_AT})",
-    "INSERT INTO campaign (id, robot_id, plan_id, state, cause, version, created_at) "
-    f"VALUES (4, 7, 3, 'paused', '', 2, {_AT})",
-    f"INSERT INTO stop (id, \"by\", why, at) VALUES (2, 'anna', 'smoke', {_AT})",
-    f"INSERT INTO idempotency_key VALUES ('k', 'f', 201, '{{}}', {_AT})",
-    "INSERT INTO lease VALUES ('machine', 'a service of before', 5)",
-)
 
 
 def _must_not_wait(_: float) -> None:

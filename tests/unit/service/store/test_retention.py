@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -60,7 +61,8 @@ class Plant:
             new.append(self.files.save(path, recording, RecordingState.COMPLETE, {}))
         campaign = self.store.add_measured(self.robot, [NewSweep(spec=spec, mode=None) for spec in specs], new)
         for sweep, recording_ in zip(self.store.sweeps(campaign.id), new, strict=True):
-            spectrum = self.files.save_spectrum(recording_.path, {"a": sweep.number})
+            document: Any = {"a": sweep.number}
+            spectrum = self.files.save_spectrum(recording_.path, document)
             self.store.add_estimate([(sweep, spectrum)], lambda _: SweepState.IDENTIFIED, {"axes": {}})
         self.store.move_campaign(campaign.id, lambda _: state)
         return campaign.id

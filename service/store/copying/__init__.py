@@ -1,1 +1,0 @@
-"""Copies all rows of one database to another."""
