@@ -1,21 +1,17 @@
 """The load of the bus by numbers computed by hand."""
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
-from drivers.canopen.bus_load import bus_load, check_bus_load, frame_bits
+from drivers.canopen.bus_load import bus_load, check_bus_load
 from drivers.canopen.configuration import Pdo, pdos
 from drivers.canopen.device_map import Way, load_device_map
 from drivers.canopen.profile import BusProfile
 from drivers.errors import LimitExceeded
 
 DEVICES = Path(__file__).parents[3] / "config" / "devices"
-
-
-def test_the_longest_frames() -> None:
-    assert frame_bits(0) == 55  # 47 bits and 8 stuff bits
-    assert frame_bits(8) == 135  # 111 bits and 24 stuff bits
 
 
 def bus(**changes: object) -> BusProfile:
@@ -29,25 +25,23 @@ def of(axes: int) -> list[tuple[Pdo, ...]]:
     return [cyclic] * axes
 
 
-def test_what_does_not_fit_is_refused_with_the_figure_and_the_cycle_that_fits() -> None:
-    # a cycle of three axes: 55 + 3 (115 + 135 + 135) bits = 1210; heartbeats: 65 bits 40 times a second
-    with pytest.raises(
-        LimitExceeded, match=r"bus can0: .*takes 122% of 250000 bit/s, 70% are allowed; sync_period 0\.008 s"
-    ):
-        check_bus_load(bus(bitrate=250_000), of(3), 3)
-    check_bus_load(bus(bitrate=250_000, sync_period=0.008), of(3), 3)
-    with pytest.raises(LimitExceeded):
-        check_bus_load(bus(bitrate=250_000, sync_period=0.007), of(3), 3)
-
-
-def test_three_axes_at_a_megabit_fit_and_an_unknown_bit_rate_is_not_judged() -> None:
-    check_bus_load(bus(bitrate=1_000_000), of(3), 3)
-    check_bus_load(bus(sync_period=0.001), of(20), 20)
-
-
-def test_a_bus_that_heartbeats_fill_fits_nothing() -> None:
-    with pytest.raises(LimitExceeded, match="no sync_period fits"):
-        check_bus_load(bus(bitrate=10_000, drive_heartbeat=0.001), of(1), 10)
+# a cycle of three axes: 55 + 3 (115 + 135 + 135) bits = 1210; heartbeats: 65 bits 40 times a second
+@pytest.mark.parametrize(
+    ("settings", "axes", "told"),
+    [
+        ({"bitrate": 250_000}, 3, r"bus can0: .*takes 122% of 250000 bit/s, 70% are allowed; sync_period 0\.008 s"),
+        ({"bitrate": 250_000, "sync_period": 0.008}, 3, ""),
+        ({"bitrate": 250_000, "sync_period": 0.007}, 3, "70% are allowed"),
+        ({"bitrate": 1_000_000}, 3, ""),
+        ({"sync_period": 0.001}, 20, ""),  # an unknown bit rate is not judged
+        ({"bitrate": 10_000, "drive_heartbeat": 0.001}, 10, "no sync_period fits"),
+    ],
+)
+def test_what_does_not_fit_is_refused_with_the_figure_and_the_cycle_that_fits(
+    settings: dict[str, float], axes: int, told: str
+) -> None:
+    with pytest.raises(LimitExceeded, match=told) if told else nullcontext():
+        check_bus_load(bus(**settings), of(axes), axes)
 
 
 def test_the_load_by_hand() -> None:

@@ -42,18 +42,15 @@ def test_sound_channels_fit_and_tell_delay_and_noise() -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "names"),
+    ("content", "delay", "names"),
     [
-        (columns(scale=2.0), {"unit"}),
-        (columns(scale=60.0), {"unit"}),
-        (columns(scale=-1.0), {"sign", "unit", "delay"}),
-        (columns(effort=-1.0), {"sign"}),
-        (columns(late=0.005), {"delay"}),
+        (columns(scale=2.0), 0.0, {"unit"}),
+        (columns(scale=60.0), 0.0, {"unit"}),
+        (columns(scale=-1.0), 0.0, {"sign", "unit", "delay"}),
+        (columns(effort=-1.0), 0.0, {"sign"}),
+        (columns(late=0.005), 0.0, {"delay"}),
+        (columns(late=0.005), 0.005, set[str]()),  # as the profile tells it
     ],
 )
-def test_a_wrong_channel_is_told_by_its_name(content: dict[str, Any], names: set[str]) -> None:
-    assert {each.check for each in judged(content) if each.fits is False} == names
-
-
-def test_a_delay_that_the_profile_tells_fits() -> None:
-    assert not [each for each in judged(columns(late=0.005), 0.005) if each.fits is False]
+def test_a_wrong_channel_is_told_by_its_name(content: dict[str, Any], delay: float, names: set[str]) -> None:
+    assert {each.check for each in judged(content, delay) if each.fits is False} == names

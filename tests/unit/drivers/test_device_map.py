@@ -133,12 +133,6 @@ def test_a_profile_that_does_not_fit_its_map(
         parse_profile(profile, CONFIG / "drives")
 
 
-def test_a_map_that_is_not_there_is_named() -> None:
-    profile = load_profile(CONFIG / "drives/virtual-max100.yaml") | {"device": "nowhere.yaml"}
-    with pytest.raises(BadProfile, match=r"device: no file .*nowhere\.yaml"):
-        parse_profile(profile, CONFIG / "drives")
-
-
 def test_frames_are_read_where_the_map_has_them() -> None:
     wires = Wires(set_point=1, stop=3, state=1, place=3, counted=False)
     told = bytes.fromhex("2700 0a000000 0500")

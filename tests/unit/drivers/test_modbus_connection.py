@@ -5,13 +5,13 @@ import threading
 
 import pytest
 
+from drivers.contract.bench import eventually
 from drivers.errors import CommunicationLost, NotReady, WrongIdentity
 from drivers.modbus import line as line_module
 from drivers.modbus.fieldbus import ModbusConnection, ModbusFieldbus
 from drivers.modbus.registers import RegisterMap
 from tests.unit.drivers.modbus_bank import Bank, serving
 from tests.unit.drivers.modbus_drive import HIGH, KINDS, drive, following, profile_on
-from tests.unit.drivers.small_servo import eventually
 
 pytestmark = pytest.mark.slow
 

@@ -1,8 +1,8 @@
 """Requests over a real line, TCP and RTU, to units that answer well, badly, late or never."""
 
 import time
-from collections.abc import Callable, Generator
-from contextlib import suppress
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,6 +15,7 @@ from drivers.modbus import line as line_module
 from drivers.modbus.line import Line
 from drivers.modbus.profile import RtuLine, TcpLine
 from tests.unit.drivers.modbus_bank import TIMEOUT, Bank, Request, crc, rtu_frame, serving
+from tests.unit.drivers.test_bus import eventually
 
 pytestmark = pytest.mark.slow
 
@@ -27,30 +28,26 @@ def bank(request: pytest.FixtureRequest) -> Bank:
     return Bank(request.param, {1: dict(REGISTERS), 2: dict(REGISTERS)})
 
 
+@contextmanager
+def opened(bank: Bank, timeout: float, **changes: float) -> Generator[Line]:
+    with serving(bank, timeout) as profile:
+        line = Line(profile.model_copy(update=changes))
+        line.open()
+        yield line
+        line.close()
+
+
 @pytest.fixture
 def line(bank: Bank) -> Generator[Line]:
-    with serving(bank, PATIENCE) as profile:
-        opened = Line(profile)
-        opened.open()
-        yield opened
-        opened.close()
+    with opened(bank, PATIENCE) as line:
+        yield line
 
 
 @pytest.fixture
 def hasty(bank: Bank) -> Generator[Line]:
     """A line on which nobody answers well."""
-    with serving(bank, TIMEOUT) as profile:
-        opened = Line(profile)
-        opened.open()
-        yield opened
-        opened.close()
-
-
-def eventually(condition: Callable[[], bool], within: float = 10.0) -> None:
-    deadline = time.monotonic() + within
-    while not condition():
-        assert time.monotonic() < deadline, "condition never came true"
-        time.sleep(0.005)
+    with opened(bank, TIMEOUT) as line:
+        yield line
 
 
 def test_read_and_write(bank: Bank, line: Line) -> None:
@@ -208,15 +205,11 @@ def test_tell_waits_for_nothing_and_reaches_a_lost_unit(bank: Bank, hasty: Line)
 
 
 def test_the_silence_between_frames_is_kept() -> None:
-    bank = Bank("rtu", {1: dict(REGISTERS)})
-    with serving(bank, PATIENCE) as profile:
-        line = Line(profile.model_copy(update={"silence_between_frames": 0.03}))
-        line.open()
+    with opened(Bank("rtu", {1: dict(REGISTERS)}), PATIENCE, silence_between_frames=0.03) as line:
         start = time.monotonic()
         for _ in range(5):
             line.read(1, 0x10, 1, "x")
         assert time.monotonic() - start >= 4 * 0.03
-        line.close()
 
 
 def test_a_line_that_is_closed(bank: Bank, line: Line) -> None:
@@ -287,14 +280,11 @@ def test_any_bytes_are_an_answer_or_a_drive_error(transport: str, data: st.DataO
         }[kind]
 
     bank.spoil = spoil
-    with serving(bank, timeout=0.01) as profile:
-        line = Line(profile)
-        line.open()
+    with opened(bank, 0.01) as line:
         results: list[object] = []
         with suppress(DriveError):
             results.append(len(line.read(1, 0x10, 2, "read")))
         with suppress(DriveError):
             results.append(line.write(1, 0x10, [1, 2], "write"))
         assert set(results) <= {2, None}
-        line.close()
     assert len([request for request in bank.requests if request.function == 16]) <= 1

@@ -51,6 +51,8 @@ def test_every_profile_of_the_house_opens() -> None:
         ("travel_limits.rad", 0.0, "travel_limits.rad: .*greater than 0"),
         ("bus.host_node", 3, "host_node 3"),
         ("eds", "nowhere.eds", "eds: no file .*nowhere.eds"),
+        ("device", "nowhere.yaml", r"device: no file .*nowhere\.yaml"),
+        ("axes.0.unit", "m", r"^axes\.0: load_encoder: not supported .* set it to false"),
         ("axes.0.identity.product", 0x999, "eds: .*is for vendor 00005357h, product 00000402h; joint_1 is .*00000999h"),
     ],
 )
@@ -77,12 +79,6 @@ def test_an_error_in_a_file_names_the_file(profile: dict[str, Any], tmp_path: Pa
         bad.write_text(yaml.safe_dump(profile | {"eds": eds} | change))
         with pytest.raises(BadProfile, match=f"^{re.escape(str(bad))}: {message}"):
             open_profile(bad)
-
-
-def test_a_linear_axis_has_no_load_encoder(profile: dict[str, Any]) -> None:
-    profile["axes"][0]["unit"] = "m"
-    with pytest.raises(BadProfile, match=r"^axes\.0: load_encoder: not supported .* set it to false"):
-        open_drive(profile, DRIVES)
 
 
 def test_a_long_value_is_shown_by_its_beginning(profile: dict[str, Any]) -> None:

@@ -15,51 +15,47 @@ def stop_sequence() -> StopSequence:
     return StopSequence(ramp_step=10, ramp_time=1.0, quick_stop_time=1.0, disable_time=1.0)
 
 
-@pytest.mark.parametrize("start", [25, -25])
-def test_ramp_then_disable(start: int) -> None:
+RAMP, QUICK_STOP, DISABLE, DONE = StopStage.RAMP, StopStage.QUICK_STOP, StopStage.DISABLE, StopStage.DONE
+# the first stage and set-point; then: time, whether it stands, its state; what it is told, and the stage after that
+LADDERS = {
+    **{
+        f"from {sign * 25}": (
+            (RAMP, sign * 25),
+            *((0.1, False, ENABLED, (0x0F, sign * target), RAMP) for target in (15, 5, 0, 0)),
+            (0.2, True, ENABLED, (0x00, 0), DISABLE),
+            (0.3, True, OFF, (0x00, 0), DONE),
+        )
+        for sign in (1, -1)
+    },
+    "each stage gives way at its deadline": (
+        (RAMP, 10**6),
+        (0.9, False, ENABLED, (0x0F, 10**6 - 10), RAMP),
+        (1.1, False, ENABLED, (0x02, 0), QUICK_STOP),
+        (2.0, False, State.QUICK_STOP_ACTIVE, (0x02, 0), QUICK_STOP),
+        (2.2, False, State.QUICK_STOP_ACTIVE, (0x00, 0), DISABLE),
+        (3.3, False, State.QUICK_STOP_ACTIVE, (0x00, 0), DONE),
+    ),
+    "a silent drive is told until the end": (
+        (QUICK_STOP, 100),
+        (0.5, False, State.UNKNOWN, (0x02, 0), QUICK_STOP),
+        (1.1, False, State.UNKNOWN, (0x00, 0), DISABLE),
+        (2.2, False, State.UNKNOWN, (0x00, 0), DONE),
+    ),
+    "a fault ends it once the drive is off": (
+        (QUICK_STOP, 100),
+        (0.1, False, State.FAULT_REACTION, (0x02, 0), QUICK_STOP),
+        (0.2, False, State.FAULT, (0x00, 0), DONE),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", LADDERS)
+def test_rung_by_rung(case: str) -> None:
+    (first, start), *steps = LADDERS[case]
     one = stop_sequence()
-    one.advance(StopStage.RAMP, 0.0, start)
-    sign = 1 if start > 0 else -1
-    assert [one.command(0.1, False, ENABLED) for _ in range(4)] == [
-        (0x0F, 15 * sign),
-        (0x0F, 5 * sign),
-        (0x0F, 0),
-        (0x0F, 0),
-    ]
-    assert one.command(0.2, True, ENABLED) == (0x00, 0)
-    assert one.stage is StopStage.DISABLE
-    assert one.command(0.3, True, OFF) == (0x00, 0)
-    assert one.stage is StopStage.DONE
-
-
-def test_each_stage_gives_way_at_its_deadline() -> None:
-    one = stop_sequence()
-    one.advance(StopStage.RAMP, 0.0, 10**6)
-    assert one.command(0.9, False, ENABLED)[0] == 0x0F
-    assert one.command(1.1, False, ENABLED) == (0x02, 0)
-    assert one.command(2.0, False, State.QUICK_STOP_ACTIVE) == (0x02, 0)
-    assert one.command(2.2, False, State.QUICK_STOP_ACTIVE) == (0x00, 0)
-    assert one.stage is StopStage.DISABLE
-    assert one.command(3.3, False, State.QUICK_STOP_ACTIVE) == (0x00, 0)
-    assert one.stage is StopStage.DONE
-
-
-def test_a_silent_drive_is_told_all_the_same_until_the_end() -> None:
-    one = stop_sequence()
-    one.advance(StopStage.QUICK_STOP, 0.0, 100)
-    assert one.command(0.5, False, State.UNKNOWN) == (0x02, 0)
-    assert one.command(1.1, False, State.UNKNOWN) == (0x00, 0)
-    assert one.command(1.2, False, State.UNKNOWN) == (0x00, 0)
-    one.command(2.2, False, State.UNKNOWN)
-    assert one.stage is StopStage.DONE
-
-
-def test_a_fault_ends_the_ladder_once_the_drive_is_off() -> None:
-    one = stop_sequence()
-    one.advance(StopStage.QUICK_STOP, 0.0, 100)
-    assert one.command(0.1, False, State.FAULT_REACTION) == (0x02, 0)
-    assert one.command(0.2, False, State.FAULT) == (0x00, 0)
-    assert one.stage is StopStage.DONE
+    one.advance(first, 0.0, start)
+    for now, standing, state, command, stage in steps:
+        assert (one.command(now, standing, state), one.stage) == (command, stage), now
 
 
 def test_it_never_goes_back_and_never_enables_again() -> None:

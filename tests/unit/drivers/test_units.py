@@ -1,13 +1,18 @@
-"""Motor units <-> joint side, by numbers computed by hand and by round trips."""
+"""Motor units <-> joint side, by numbers computed by hand and by round trips; and by the maps of the house."""
 
 import math
+from collections.abc import Mapping
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.canopen.device_map import load_device_map
 from drivers.canopen.units import Codec, velocity_unit
+from drivers.canopen.units import codec as codec_of
 from drivers.errors import LimitExceeded, WrongConfiguration
+from tests.unit.drivers.given import axis
 
 MILLI_RPM, INCREMENTS_PER_SECOND = 0xFDB44700, 0x00B50300
 
@@ -78,3 +83,60 @@ def test_round_trips(gear: float, offset: float, raw: int) -> None:
     assert one.raw_velocity(float(one.velocity(raw))) == raw
     assert abs(one.raw_position(float(one.position(raw))) - raw) <= 1
     assert one.motor_velocity(one.rev_per_min(0.1)) == pytest.approx(0.1)
+
+
+DEVICES = Path(__file__).parents[3] / "config" / "devices"
+TURNS = 100 / math.tau  # motor revolutions in a radian behind a gear of 100
+
+
+def of(device: str, told: Mapping[str, float], **changes: float) -> Codec:
+    """The codec of a drive that tells these objects."""
+    device_map = load_device_map(DEVICES / f"{device}.yaml")
+    missing = dict.fromkeys(device_map.missing, 1.0)
+    return codec_of(axis(rated_torque=2.0, **changes), device_map.units, 2.0, lambda name: {**missing, **told}[name])
+
+
+FINE = {"increments": 131072, "motor_revolutions": 1, "velocity_unit": 0x00B50300}
+
+
+@pytest.mark.parametrize(
+    ("device", "told", "changes", "position", "velocity", "acceleration", "speed"),
+    [
+        ("plain-402", FINE, {}, 131072, 131072, 131072, 60),
+        ("maxon-epos4", {"increments": 4096, "velocity_unit": 0xFDB44700}, {}, 4096, 60e3, 60, 60e3),  # mixes units
+        *(  # the increments of the profile
+            (device, {}, {"increments": 8192.0}, 8192, 8192, 8192, 60) for device in ("elmo-gold", "elmo-simpliq")
+        ),
+    ],
+)
+def test_what_a_turn_of_the_motor_is(
+    device: str, told: dict[str, float], changes: dict[str, float], position: float, velocity: float,
+    acceleration: float, speed: float,
+) -> None:  # fmt: skip
+    one = of(device, told, **changes)
+    assert one.raw_position(1.0) == round(TURNS * position)
+    assert one.raw_velocity(1.0) == round(TURNS * velocity)
+    assert one.raw_acceleration(2.0) == round(2 * TURNS * acceleration)
+    assert one.raw_max_speed(1.0) == math.ceil(TURNS * speed)
+
+
+def test_powerball_counts_behind_the_gear_whatever_the_gear() -> None:
+    for gear_ratio in (100.0, 161.0):
+        one = of("schunk-powerball", {}, gear_ratio=gear_ratio)
+        assert one.raw_position(math.pi / 2) == 90_000
+        assert one.raw_velocity(math.radians(10)) == 10_000
+        assert one.raw_acceleration(math.radians(10)) == 10_000
+        assert one.position(90_000) == pytest.approx(math.pi / 2)
+        assert one.effort(500) == pytest.approx(0.5 * 2.0 * gear_ratio)
+        assert one.raw_window((-1.0, 1.0)) == (-57296, 57296)
+
+
+def test_a_current_becomes_a_torque_by_the_constant_of_the_profile(tmp_path: Path) -> None:
+    path = tmp_path / "map.yaml"
+    path.write_text("units: {effort: current}\n")
+    told = {"increments": 1000, "motor_revolutions": 1, "velocity_unit": 0x00B44700, "rated_current": 4000}
+    device_map = load_device_map(path)
+    plain = of("plain-402", told)
+    assert plain.effort(1000) == pytest.approx(2.0 * 100)
+    one = codec_of(axis(torque_constant=0.25), device_map.units, 2.0, told.__getitem__)
+    assert one.effort(1000) == pytest.approx(4.0 * 0.25 * 100)  # 4 A, 0.25 N m/A

@@ -106,23 +106,3 @@ def test_a_bad_map_is_told_with_its_place(tmp_path: Path, change: Change, reason
     with pytest.raises(RegisterMapError, match=reason) as caught:
         load_register_map(path)
     assert str(caught.value).startswith(str(path))
-
-
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        (None, "cannot be read"),
-        ("a: [", "not YAML"),
-        ("a: !!bool x", "not YAML"),
-        ("- 1", "map: "),
-        ("a: &a [*a]", r"alias \*a is inside of its own anchor"),
-        (f"a: &a {'n' * 100_000}\nb: [{', '.join(['*a'] * 100)}]", "aliases stand for more than"),
-        ("#" * (2**20 + 1), "YAML of 1048577 characters, limit 1048576"),
-    ],
-)
-def test_what_is_no_map(tmp_path: Path, text: str | None, reason: str) -> None:
-    path = tmp_path / "map.yaml"
-    if text is not None:
-        path.write_text(text)
-    with pytest.raises(RegisterMapError, match=reason):
-        load_register_map(path)
