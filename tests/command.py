@@ -22,6 +22,20 @@ def console(*arguments: str, stdin: str = "", **environment: str) -> CompletedPr
     return subprocess.run(command, input=stdin, capture_output=True, text=True, check=False, env=around)
 
 
+def carried_out(*arguments: str) -> str:
+    """What a command that succeeds writes to stdout."""
+    done = sweepid(*arguments)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def refused(*arguments: str, code: int = 2) -> str:
+    """What a command that is refused writes to stderr; to stdout it writes nothing."""
+    done = sweepid(*arguments)
+    assert (done.returncode, done.stdout) == (code, ""), done.stderr
+    return done.stderr
+
+
 def sweepid(*arguments: str) -> CompletedProcess[str]:
     """Exit code, stdout and stderr of a command that ends by itself."""
     given, out, err = sys.argv, io.StringIO(), io.StringIO()

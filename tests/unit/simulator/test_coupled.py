@@ -94,12 +94,6 @@ def test_dry_friction_holds_an_axis_that_another_shakes(noise_free: Load) -> Non
     assert np.ptp(stuck["position"]) < 2e-6
 
 
-def test_axes_that_are_not_named_stand(noise_free: Load) -> None:
-    ((one, two),) = run_trajectories(noise_free("six"), [[run("joint_2"), run("joint_3", 0.1)]], seed=1)
-    assert np.ptp(one["position"]) > 1e-3
-    assert len(two["time"]) == 2250
-
-
 def test_sweeps_that_are_no_trajectory_are_refused(noise_free: Load) -> None:
     six = noise_free("six")
     for sweeps, text in (

@@ -12,45 +12,25 @@ from simulator.rigid_body import RigidBody, real_urdf
 POSES = np.random.default_rng(3).uniform(-2.5, 2.5, (20, 6))
 
 
-@pytest.fixture
-def oracle(scenario: Callable[[str], Scenario]) -> pinocchio.Model:
-    return pinocchio.buildModelFromXML(real_urdf(scenario("full")))
+@pytest.fixture(params=["", "joint_1", "joint_3"], ids=["all turn", "joint_1 is linear", "joint_3 is linear"])
+def plant(scenario: Callable[[str], Scenario], request: pytest.FixtureRequest) -> Scenario:
+    full, rail = scenario("full"), f'name="{request.param}" type='
+    urdf = full.robot.urdf.replace(f'{rail}"revolute"', f'{rail}"prismatic"')
+    return full.model_copy(update={"robot": full.robot.model_copy(update={"urdf": urdf})})
 
 
-def test_inertia(scenario: Callable[[str], Scenario], oracle: pinocchio.Model) -> None:
-    body = RigidBody(scenario("full"))
+def test_inertia_and_gravity_along_the_whole_way_of_each_axis(plant: Scenario) -> None:
+    body, oracle = RigidBody(plant), pinocchio.buildModelFromXML(real_urdf(plant))
     data = oracle.createData()
-    for pose in POSES:
-        expected = np.diag(pinocchio.crba(oracle, data, pose))
-        np.testing.assert_allclose(body.inertia(pose), expected, rtol=1e-9)
-
-
-def test_gravity_along_the_whole_turn_of_an_axis(scenario: Callable[[str], Scenario], oracle: pinocchio.Model) -> None:
-    body = RigidBody(scenario("full"))
-    data = oracle.createData()
-    for pose in POSES:
-        for joint in range(6):
-            gravity = body.gravity(joint, pose)
-            for angle in (-2.0, 0.0, 0.7, 3.0):
-                turned = pose.copy()
-                turned[joint] = angle
-                expected = pinocchio.computeGeneralizedGravity(oracle, data, turned)[joint]
-                assert gravity.at(angle) == pytest.approx(expected, rel=1e-9, abs=1e-9)
-
-
-@pytest.mark.parametrize("joint", ["joint_1", "joint_3"])
-def test_a_linear_axis(scenario: Callable[[str], Scenario], joint: str) -> None:
-    full = scenario("full")
-    urdf = full.robot.urdf.replace(f'name="{joint}" type="revolute"', f'name="{joint}" type="prismatic"')
-    rail = full.model_copy(update={"robot": full.robot.model_copy(update={"urdf": urdf})})
-    body = RigidBody(rail)
-    oracle = pinocchio.buildModelFromXML(real_urdf(rail))
-    data = oracle.createData()
-    number = rail.joints.index(joint)
     for pose in POSES:
         np.testing.assert_allclose(body.inertia(pose), np.diag(pinocchio.crba(oracle, data, pose)), rtol=1e-9)
-        expected = pinocchio.computeGeneralizedGravity(oracle, data, pose)[number]
-        assert body.gravity(number, pose).at(pose[number]) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        for joint in range(6):
+            gravity = body.gravity(joint, pose)
+            for position in (pose[joint], -2.0, 0.0, 0.7, 3.0):
+                moved = pose.copy()
+                moved[joint] = position
+                expected = pinocchio.computeGeneralizedGravity(oracle, data, moved)[joint]
+                assert gravity.at(position) == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
 def test_real_links_differ_from_cad_by_at_most_a_fifth(scenario: Callable[[str], Scenario]) -> None:

@@ -8,7 +8,7 @@ import yaml
 
 from service.benefit import Benefit
 from service.store.files.bundle import write_bundle
-from tests.command import sweepid
+from tests.command import carried_out, refused, sweepid
 from tests.unit.service.benefit import pair
 
 
@@ -39,32 +39,29 @@ def test_a_table_for_people_in_80_columns_without_a_shortened_word(bundle: Path)
 
 
 def test_json_alone_on_stdout(bundle: Path) -> None:
-    done = sweepid("estimate", "benefit", str(bundle), "--json", "-")
-    assert done.returncode == 0, done.stderr
-    found = Benefit.read(json.loads(done.stdout), "benefit")
+    told = carried_out("estimate", "benefit", str(bundle), "--json", "-")
+    found = Benefit.read(json.loads(told), "benefit")
     assert found.axes["j1"].held_out == ("0004", "0008")
     assert found.axes["j1"].cad.inertia_percent.value > 20
-    assert found.as_json() == json.loads(done.stdout)
+    assert found.as_json() == json.loads(told)
 
 
 def test_cad_may_come_from_a_file(bundle: Path, tmp_path: Path) -> None:
     right = pair.URDF.replace(
         '<link name="slide">\n    <inertial><mass value="1"/>', '<link name="slide">\n    <inertial><mass value="2"/>'
     )
-    done = sweepid("estimate", "benefit", str(bundle), "--robot", str(side_file(tmp_path, right)), "--json", "-")
-    assert done.returncode == 0, done.stderr
-    assert Benefit.read(json.loads(done.stdout), "benefit").axes["j1"].cad.inertia_percent.value < 0.05
+    told = carried_out("estimate", "benefit", str(bundle), "--robot", str(side_file(tmp_path, right)), "--json", "-")
+    assert Benefit.read(json.loads(told), "benefit").axes["j1"].cad.inertia_percent.value < 0.05
 
 
 def test_cad_of_another_robot_is_refused(bundle: Path, root: Path) -> None:
-    done = sweepid("estimate", "benefit", str(bundle), "--robot", str(root / "config/robots/emps.yaml"))
-    assert done.returncode == 2
-    assert "emps.yaml: has joints slide, but the robot of the bundle has j1, j2" in done.stderr
+    assert "emps.yaml: has joints slide, but the robot of the bundle has j1, j2" in refused(
+        "estimate", "benefit", str(bundle), "--robot", str(root / "config/robots/emps.yaml")
+    )
 
 
 def test_too_few_poses_are_told(tmp_path: Path) -> None:
     write_bundle(tmp_path / "bundle", pair.robot(), pair.sweeps([0.0, 0.3, 0.6]))
-    done = sweepid("estimate", "benefit", str(tmp_path / "bundle"))
-    assert done.returncode == 2
-    assert "has no axis that can be evaluated: j1 has sweeps in 3 poses; every 4th is held out" in done.stderr
-    assert done.stdout == ""
+    assert "has no axis that can be evaluated: j1 has sweeps in 3 poses; every 4th is held out" in refused(
+        "estimate", "benefit", str(tmp_path / "bundle")
+    )

@@ -8,7 +8,7 @@ import mujoco
 import pytest
 
 from service.configuration import read_robot
-from tests.command import sweepid
+from tests.command import carried_out, refused, sweepid
 from tests.unit.service.cli.test_identify import bundle
 
 _mujoco = cast(Any, mujoco)  # a binary module without type stubs
@@ -28,9 +28,7 @@ def side_file(bundle: Path, tmp_path: Path) -> Path:
 
 
 def test_from_a_bundle(bundle: Path, tmp_path: Path) -> None:
-    done = sweepid("export", "model", str(bundle), str(tmp_path / "out"))
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == f"{tmp_path / 'out'}\n"
+    assert carried_out("export", "model", str(bundle), str(tmp_path / "out")) == f"{tmp_path / 'out'}\n"
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
     assert _mujoco.MjModel.from_xml_path(str(tmp_path / "out/model.xml")).dof_damping[0] == pytest.approx(4.0, rel=0.01)
     again = read_robot(tmp_path / "out/robot.yaml")
@@ -42,8 +40,7 @@ def test_from_an_estimate(bundle: Path, side_file: Path, tmp_path: Path) -> None
     estimate = tmp_path / "estimate.json"
     assert sweepid("identify", str(bundle), "--json", str(estimate)).returncode == 0
     assert sweepid("export", "model", str(bundle), str(tmp_path / "one")).returncode == 0
-    done = sweepid("export", "model", str(estimate), str(tmp_path / "two"), "--robot", str(side_file))
-    assert done.returncode == 0, done.stderr
+    carried_out("export", "model", str(estimate), str(tmp_path / "two"), "--robot", str(side_file))
     for name in FILES:
         assert (tmp_path / "one" / name).read_text() == (tmp_path / "two" / name).read_text()
 
@@ -59,7 +56,5 @@ def test_what_cannot_be_exported_is_told(bundle: Path, side_file: Path, tmp_path
         ([str(bundle), "."], "exists already and is not an empty folder"),
     ):
         places = [str(tmp_path / part) if part.endswith((".json", "out", ".")) else part for part in arguments[:2]]
-        done = sweepid("export", "model", *places, *arguments[2:])
-        assert (done.returncode, done.stdout) == (2, "")
-        assert reason in done.stderr.splitlines()[-1]
+        assert reason in refused("export", "model", *places, *arguments[2:]).splitlines()[-1]
         assert not (tmp_path / "out").exists()

@@ -18,7 +18,8 @@ from service.results.estimate import Estimate
 from service.results.identified.payload import Payload
 from service.results.identified.sheet import Sheet
 from service.store.files.bundle import read_bundle
-from tests.command import sweepid
+from tests.command import carried_out, refused, sweepid
+from tests.stored.documents import payload, stored
 from tests.unit.service.cli.test_export_model import side_file
 from tests.unit.service.cli.test_identify import INERTIA, bundle
 
@@ -64,7 +65,7 @@ def test_the_truth_comes_out_on_the_side_of_the_motor(made: tuple[Sheet, str]) -
     ids=["inertia", "gain", "next to 0"],
 )
 def test_a_value_of_zero_has_no_share_of_std(change: Callable[[dict[str, Any]], object]) -> None:
-    document = json.loads((Path(__file__).parents[3] / "stored/estimate.json").read_text("utf-8"))
+    document = stored("estimate")
     axis = document["axes"]["joint_2"] | {"confidence_percent": None}
     axis["inertia"] = axis["inertia"][:1]
     change(axis)
@@ -108,29 +109,6 @@ def test_a_load_that_was_measured_stands_in_the_words_of_kuka_and_abb(made: tupl
 TENSOR = np.array([[0.3, 0.02, 0.0], [0.02, 0.25, 0.01], [0.0, 0.01, 0.2]])
 
 
-def payload() -> dict:
-    """As `sweepid estimate payload --json` writes it."""
-
-    def known(value: float) -> dict:
-        return {"value": value, "std": 0.1, "std_total": 0.3, "excited": True}
-
-    names = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
-    inertia = dict(zip(names, TENSOR[np.triu_indices(3)].tolist(), strict=True))
-    numbers = {"names": [], "values": [], "covariance": [], "covariance_total": []}
-    near = {"mass": 12.0, "center": [0.01, 0.0, 0.15], "inertia": inertia}
-    return {
-        "link": "link_6",
-        "frame": "joint_6",
-        "mass": known(12.0),
-        "center": {"x": known(0.01), "y": known(0.0), "z": known(0.15)},
-        "inertia": {name: known(value) for name, value in inertia.items()},
-        "parameters": numbers,
-        "physical": {"consistent": True, "deviation_in_std": 0.0, "nearest": near},
-        "evidence": [{"axis": "joint_6", "from": "sweeps"}],
-        "sentences": [],
-    }
-
-
 def load(document: dict) -> Load:
     return load_of(Payload.read(document, "--payload"))
 
@@ -168,10 +146,9 @@ def test_the_fingerprint_is_that_of_the_result_and_tells_what_was_altered(
     check_sheet(sheet, "sheet")
     estimate, again = tmp_path / "estimate.json", tmp_path / "again.json"
     assert sweepid("identify", str(bundle), "--json", str(estimate)).returncode == 0
-    done = sweepid("export", "sheet", str(estimate), "--robot", str(side_file), "--json", str(again))
-    assert done.returncode == 0, done.stderr
+    told = carried_out("export", "sheet", str(estimate), "--robot", str(side_file), "--json", str(again))
     assert fingerprint(read(again)) == sheet.fingerprint
-    assert "make the sheet from the bundle" in done.stdout  # for its poses
+    assert "make the sheet from the bundle" in told  # for its poses
     (axis,) = sheet.axes
     altered = sheet.model_copy(update={"axes": (axis.model_copy(update={"motor": 1.01 * axis.motor}),)})
     with pytest.raises(BadInput, match="was altered"):
@@ -191,9 +168,7 @@ def test_what_no_body_can_have_and_what_is_hardly_known_is_not_for_use(
     assert "(no value)" in done.stdout
     estimate["standard_parameters"]["links"]["one"]["m"] = -1.0
     path.write_text(json.dumps(estimate), encoding="utf-8")
-    done = sweepid("export", "sheet", str(path), "--robot", str(side_file))
-    assert (done.returncode, done.stdout) == (2, "")
-    assert "not physically possible for one" in done.stderr
+    assert "not physically possible for one" in refused("export", "sheet", str(path), "--robot", str(side_file))
     done = sweepid("export", "sheet", str(path))
     assert "--robot: is required with an estimate" in done.stderr
 
@@ -236,6 +211,4 @@ def test_what_cannot_be_compared_is_told(
 
 
 def test_a_source_that_does_not_exist_is_named() -> None:
-    done = sweepid("export", "sheet", "bundel")
-    assert done.returncode == 2
-    assert "bundel: cannot be read: No such file" in done.stderr
+    assert "bundel: cannot be read: No such file" in refused("export", "sheet", "bundel")

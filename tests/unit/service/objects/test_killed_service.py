@@ -12,7 +12,8 @@ import httpx
 import pytest
 
 from tests.object_store_server import BUCKET, S3Server, Wire, key_file, without_keys
-from tests.unit.service.api.conftest import CONFIG, profile
+from tests.unit.service.api.conftest import profile
+from tests.unit.service.hosting import settings_of
 
 __all__ = ["profile"]
 
@@ -47,21 +48,9 @@ def test_what_was_on_its_way_arrives_once(data: Path, s3: S3Server, wire: Wire, 
     paths = sorted(data.glob("recordings/*/*.parquet"))
     before = [path.read_bytes() for path in paths]
     settings = tmp_path / "service.yaml"
-    settings.write_text(
-        json.dumps(
-            {
-                "data_dir": str(data),
-                "drive": str(profile),
-                "robots_dir": str(CONFIG / "robots"),
-                "cells_dir": str(CONFIG / "cells"),
-                "recordings_url": f"s3://{BUCKET}/lab",
-                "recordings_endpoint": wire.endpoint,
-                "recordings_key_file": str(key_file(tmp_path)),
-                "recordings_retry": 0.2,
-            }
-        ),
-        "utf-8",
-    )
+    store = {"recordings_url": f"s3://{BUCKET}/lab", "recordings_endpoint": wire.endpoint, "recordings_retry": 0.2}
+    store |= {"recordings_key_file": str(key_file(tmp_path)), "data_dir": str(data)}
+    settings.write_text(json.dumps(settings_of(tmp_path, profile, **store)), "utf-8")
     wire.hold_after(100_000)  # in the middle of a recording
     with serving(settings) as (http, service):
         assert wire.held.wait(PATIENCE)

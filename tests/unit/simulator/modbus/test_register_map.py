@@ -1,6 +1,7 @@
-"""Register maps: the shipped ones hold what a sweep needs, bad ones are told with file and place."""
+"""Register maps, the shipped ones and bad ones, which are told with file and place; the page of the trace."""
 
 import math
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,17 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulator.modbus.register_map import RegisterMap, RegisterMapError, Wire, load_register_map
+from simulator.modbus.register_map import (
+    Page,
+    RegisterMap,
+    RegisterMapError,
+    SampleField,
+    TraceMap,
+    Wire,
+    WordOrder,
+    load_register_map,
+)
+from simulator.modbus.trace_page import page_registers
 
 REGISTERS = Path(__file__).parents[4] / "config/registers"
 NAMES = ("virtual-high-first", "virtual-low-first")
@@ -106,3 +117,38 @@ def test_a_bad_map_is_told_with_its_place(tmp_path: Path, change: Change, reason
     with pytest.raises(RegisterMapError, match=reason) as caught:
         load_register_map(path)
     assert str(caught.value).startswith(str(path))
+
+
+TRACE = TraceMap(
+    page=Page(address=0, registers=20),
+    sample=(
+        SampleField(signal="torque", type="i16", scale=0.5, unit="N m"),
+        SampleField(signal="cycle", type="u32"),
+        SampleField(signal="set_speed", type="f32", unit="rev/min"),
+        SampleField(signal="speed", type="u16", unit="rev/min"),
+        SampleField(signal="position", type="i16", scale=0.001, unit="rev"),
+        SampleField(signal="load_position", type="i32", scale=0.001, unit="rev"),
+    ),
+)
+PAGE = struct.pack("<Ifffdd", 70000, -2.0, 1.0, 7.4, -0.002, math.nan)
+PAGE += struct.pack("<Ifffdd", 70001, 1e9, -1.0, -7.0, 3000.0, 2.5)
+FIRST = [0xFFFC, 1, 4464, 0x3F80, 0, 7, 0xFFFE, 0x8000, 0]
+SECOND = [0x7FFF, 1, 4465, 0xBF80, 0, 0, 0x7FFF, 0, 2500]
+
+
+@pytest.mark.parametrize(
+    ("page", "order", "first", "count", "expected"),
+    [
+        (PAGE, "high_first", 0, 18, FIRST + SECOND),
+        (PAGE, "high_first", 0, 3, FIRST[:3]),
+        (PAGE, "high_first", 7, 4, FIRST[7:] + SECOND[:2]),
+        (PAGE, "high_first", 9, 9, SECOND),
+        (PAGE, "high_first", 16, 4, [0, 2500, 0, 0]),
+        (PAGE, "high_first", 18, 2, [0, 0]),
+        (PAGE, "low_first", 0, 9, [0xFFFC, 4464, 1, 0, 0x3F80, 7, 0xFFFE, 0, 0x8000]),
+        (b"", "high_first", 3, 4, [0] * 4),  # nothing was recorded
+        (PAGE * 2, "high_first", 15, 5, [*SECOND[6:], 0, 0]),  # more than the page holds
+    ],
+)
+def test_a_page_in_any_cut(page: bytes, order: WordOrder, first: int, count: int, expected: list[int]) -> None:
+    assert page_registers(page, TRACE, order, first, count) == expected
