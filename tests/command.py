@@ -36,10 +36,10 @@ def refused(*arguments: str, code: int = 2) -> str:
     return done.stderr
 
 
-def sweepid(*arguments: str) -> CompletedProcess[str]:
+def sweepid(*arguments: str, stdin: str = "") -> CompletedProcess[str]:
     """Exit code, stdout and stderr of a command that ends by itself."""
-    given, out, err = sys.argv, io.StringIO(), io.StringIO()
-    sys.argv = ["sweepid", *arguments]
+    given, out, err = (sys.argv, sys.stdin), io.StringIO(), io.StringIO()
+    sys.argv, sys.stdin = ["sweepid", *arguments], io.StringIO(stdin)
     try:
         with redirect_stdout(out), redirect_stderr(err):
             main()
@@ -47,7 +47,7 @@ def sweepid(*arguments: str) -> CompletedProcess[str]:
     except SystemExit as left:
         code = left.code
     finally:
-        sys.argv = given
+        sys.argv, sys.stdin = given
     return CompletedProcess(
         sys.argv, code if isinstance(code, int) else int(code is not None), out.getvalue(), err.getvalue()
     )

@@ -1,9 +1,11 @@
-"""The bus against a raw peer on python-can's virtual bus."""
+"""The bus against a raw peer on python-can's virtual bus, and behind a socketcand gateway."""
 
+import socket
 import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -13,9 +15,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.canopen import bus as bus_module
-from drivers.canopen import frames
+from drivers.canopen import frames, socketcand
 from drivers.canopen.bus import Bus
 from drivers.canopen.profile import BusProfile
+from drivers.cia402 import states
+from drivers.contract.bench import eventually
 from drivers.errors import CommunicationLost, ConnectionFailed
 
 NODE = 1
@@ -54,7 +58,7 @@ def pair() -> Iterator[Pair]:
     assert not [thread for thread in threading.enumerate() if thread.name == "can-receive"]
 
 
-def eventually(condition: Callable[[], bool]) -> None:
+def soon(condition: Callable[[], bool]) -> None:
     deadline = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < deadline
@@ -94,7 +98,7 @@ def test_the_controllers_state_is_logged_once_a_change_and_told_when_the_bus_is_
 def test_a_boot_up_message_is_a_restart_until_the_node_is_configured_again(pair: Pair) -> None:
     assert not pair.bus.restarted(NODE)
     pair.say(frames.HEARTBEAT + NODE, b"\0")
-    eventually(lambda: pair.bus.restarted(NODE))
+    soon(lambda: pair.bus.restarted(NODE))
     assert not pair.bus.restarted(2)
     pair.bus.note_configured(NODE)
     assert not pair.bus.restarted(NODE)
@@ -112,7 +116,7 @@ def test_a_stream_of_several_nodes_keeps_their_order_and_has_the_bus_own_events_
     pair.bus.close_stream(NODE, 2)
     pair.say(frames.HEARTBEAT + 2, b"\x05")
     pair.say(frames.HEARTBEAT + NODE, b"\0")
-    eventually(lambda: pair.bus.restarted(NODE))
+    soon(lambda: pair.bus.restarted(NODE))
     assert stream.empty()
 
 
@@ -148,10 +152,10 @@ def test_frames_with_29_bits_are_nobodys_word(pair: Pair) -> None:
 
 def test_emergencies_are_kept_until_withdrawn(pair: Pair) -> None:
     pair.say(frames.EMERGENCY + NODE, bytes.fromhex("057321 0000000000"))
-    eventually(lambda: pair.bus.emergency(NODE) is not None)
+    soon(lambda: pair.bus.emergency(NODE) is not None)
     assert pair.bus.emergency(2) is None
     pair.say(frames.EMERGENCY + NODE, bytes(8))
-    eventually(lambda: pair.bus.emergency(NODE) is None)
+    soon(lambda: pair.bus.emergency(NODE) is None)
 
 
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -175,3 +179,79 @@ def test_a_closed_port_is_told_with_its_address() -> None:
 def test_an_unknown_interface_is_told() -> None:
     with pytest.raises(ConnectionFailed, match="telegraph"):
         Bus(BusProfile(interface="telegraph", channel="can0"), (NODE,))
+
+
+def test_a_bus_on_which_nobody_is_heard_still_takes_the_stop() -> None:
+    channel = f"halt-{uuid.uuid4()}"
+    beats = {"host_heartbeat": 0.01, "drive_heartbeat": 0.01, "drive_timeout": 0.02}
+    profile = BusProfile.model_validate({"interface": "virtual", "channel": channel, **beats})
+    with can.Bus(interface="virtual", channel=channel) as peer:
+        ours = Bus(profile, (1, 2))
+        try:
+            while not ours.silent(1):
+                pass
+            with pytest.raises(CommunicationLost):
+                ours.check_alive()
+            with pytest.raises(CommunicationLost):
+                ours.send(frames.SYNC, b"")
+            for identifier, data in frames.stop([1, 2], deaf=[2]):
+                ours.shout(identifier, data)
+        finally:
+            ours.close()
+        heard = []
+        while (message := peer.recv(0.0)) is not None:
+            heard.append((message.arbitration_id, bytes(message.data)))
+    quick_stop = frames.rpdo1(states.QUICK_STOP, 0)
+    assert heard == [(0x201, quick_stop), (0x202, quick_stop), (frames.SYNC, b""), (frames.NMT, b"\x02\x02")]
+
+
+HEARTBEAT = b"< frame 701 12.5 7F >"
+
+
+@contextmanager
+def gateway(answers: list[bytes]) -> Iterator[int]:
+    """Its port. It says each answer in one packet, after a request of any kind, and stays until the host goes."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            server.accept()[0].close()  # the host asks first whether anybody is there
+            connection, _ = server.accept()
+            with connection:
+                for answer in answers:
+                    connection.sendall(answer)
+                    if not connection.recv(256):
+                        return
+                while connection.recv(256):
+                    pass
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        yield server.getsockname()[1]
+        thread.join(20)
+        assert not thread.is_alive()
+
+
+def profile(port: int) -> BusProfile:
+    return BusProfile(interface="socketcand", channel="can0", host="127.0.0.1", port=port)
+
+
+async def test_frames_in_the_packet_of_the_last_answer_are_frames() -> None:
+    with gateway([b"< hi >", b"< ok >", b"< ok >" + HEARTBEAT + b"< frame 081 12.6 0010000000000000 >"]) as port:
+        bus = Bus(profile(port), (1,))
+        try:
+            await eventually(lambda: bus.emergency(1) is not None)
+            bus.send(frames.SYNC, b"")
+        finally:
+            bus.close()
+
+
+@pytest.mark.parametrize("answers", [[b"< hi >", b"< no >"], [b"< hi >", b"< o"], [b"hello!"]])
+def test_a_gateway_that_answers_otherwise_is_refused_and_nothing_stays_open(
+    answers: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(socketcand, "ANSWER_TIMEOUT", 0.5)
+    with (
+        gateway(answers) as port,
+        pytest.raises(ConnectionFailed, match=r"could not be opened: (Expected|the gateway did not send) '< "),
+    ):
+        Bus(profile(port), (1,))

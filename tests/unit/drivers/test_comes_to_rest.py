@@ -298,3 +298,15 @@ async def test_the_end_of_the_moving_axis_is_told_before_that_of_one_that_stands
     with pytest.raises(CommunicationLost, match="the cable"):
         await lose()
     await thread.close()
+
+
+async def test_no_axis_waits_for_the_answer_of_another() -> None:
+    gate = Gate("statusword")
+    async with connected(Servo("joint_1", before=gate), Servo("joint_2")) as (port, link):
+        before = link.halted
+        gate.shut()
+        stop = asyncio.create_task(port.stop())
+        await gate.reached()  # the first drive was asked and has not answered
+        assert link.halted == before + 1
+        gate.open()
+        assert set(await asyncio.wait_for(stop, PATIENCE)) == {"joint_1", "joint_2"}

@@ -24,7 +24,7 @@ from drivers.canopen.heard_state import upload_request
 from drivers.canopen.objects import STATUSWORD
 from drivers.canopen.profile import BusProfile
 from drivers.cia402 import states
-from tests.unit.drivers.test_bus import eventually
+from tests.unit.drivers.test_bus import soon
 
 HOST, NODES = 127, (1, 2)
 
@@ -89,14 +89,14 @@ def test_a_bus_hears_them_once_it_was_alone() -> None:
         try:
             peer.send(message)
             peer.send(can.Message(arbitration_id=frames.HEARTBEAT + 1, data=b"\x00", is_extended_id=False))
-            eventually(lambda: bus.restarted(1))  # both were heard
+            soon(lambda: bus.restarted(1))  # both were heard
             assert bus.watch.reason == ""
             bus.expect_no_host()
             for own in (frames.stop(NODES, ()), [(frames.HEARTBEAT + HOST, b"\x05"), (frames.SYNC, b"")]):
                 for frame in own:
                     bus.send(*frame)
             peer.send(message)
-            eventually(lambda: bus.watch.reason != "")
+            soon(lambda: bus.watch.reason != "")
             assert what in bus.watch.reason
         finally:
             bus.close()

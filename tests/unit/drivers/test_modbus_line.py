@@ -15,7 +15,7 @@ from drivers.modbus import line as line_module
 from drivers.modbus.line import Line
 from drivers.modbus.profile import RtuLine, TcpLine
 from tests.unit.drivers.modbus_bank import TIMEOUT, Bank, Request, crc, rtu_frame, serving
-from tests.unit.drivers.test_bus import eventually
+from tests.unit.drivers.test_bus import soon
 
 pytestmark = pytest.mark.slow
 
@@ -153,12 +153,12 @@ def test_a_late_answer_is_never_taken_for_that_of_a_later_request(
 
     bank.spoil = hold_back
     for _ in range(2):
-        eventually(lambda: line.due(1))
+        soon(lambda: line.due(1))
         with pytest.raises(CommunicationLost):
             line.read(1, 0x10, 1, "late")
         assert line.read(2, 0x12, 1, "meanwhile") == [0x3333]
         bank.send(late[-1])
-    eventually(lambda: line.due(1))
+    soon(lambda: line.due(1))
     assert line.read(1, 0x11, 1, "next") == [0x2222]
 
 
@@ -201,7 +201,7 @@ def test_tell_waits_for_nothing_and_reaches_a_lost_unit(bank: Bank, hasty: Line)
         hasty.write(1, 0x10, [1], "lost")
     hasty.tell(1, 0x10, [2], "told")
     hasty.tell(1, 0x10, [3], "told")
-    eventually(lambda: bank.writes(0x10) == [1, 2, 3])
+    soon(lambda: bank.writes(0x10) == [1, 2, 3])
 
 
 def test_the_silence_between_frames_is_kept() -> None:

@@ -14,7 +14,7 @@ import pytest
 from service.people.permissions import Role
 from service.store.database import Database
 from service.store.people.users import UserStore
-from tests.command import console
+from tests.command import sweepid
 from tests.unit.service.hosting import hosting
 from tests.unit.service.people.conftest import Since, calling, stored_in
 
@@ -264,7 +264,7 @@ def test_a_service_whose_provider_is_gone_works_with_passwords(tmp_path: Path, p
     gone = provider_settings("http://127.0.0.1:1", tmp_path)
     with hosting(tmp_path, profile, login=True, oidc=gone) as url, calling(url, None) as http:
         where = ("--data-dir", str(tmp_path / "data"))
-        assert not console("people", "add-user", "anna", "--role", "viewer", *where, stdin=f"{PASSWORD}\n").returncode
+        assert not sweepid("people", "add-user", "anna", "--role", "viewer", *where, stdin=f"{PASSWORD}\n").returncode
         refused = http.post(BEGIN, headers={"Origin": url})
         assert refused.status_code == 503
         assert "http://127.0.0.1:1 does not answer correctly" in refused.json()["detail"]

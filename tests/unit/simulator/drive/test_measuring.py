@@ -136,21 +136,6 @@ def test_abort_brings_it_to_standstill_and_keeps_the_trace(
     assert dictionary[0x2100, 2] == Run.RUNNING
 
 
-@pytest.mark.parametrize("end", ["quick stop", "fault", "torque off"])
-def test_anything_that_ends_the_operation_ends_the_run(
-    dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable, end: str
-) -> None:
-    parameters(dictionary)
-    enable(1)
-    command(dictionary, 1)
-    turn(1600)
-    {"quick stop": axis.quick_stop, "fault": lambda: axis.fail(0x7305), "torque off": axis.disable_voltage}[end]()
-    turn(200)
-    assert dictionary[0x2100, 2] == Run.ABORTED
-    assert not axis.energised
-    assert turn(80) == pytest.approx(np.zeros(80))
-
-
 NOISE_RECORD = struct.Struct("<Ifffddf")
 EDS = Path(__file__).parents[4] / "config/eds/virtual-axis.eds"
 
@@ -252,6 +237,10 @@ def test_whatever_ends_the_run_ends_the_injection(
         "torque off": axis.disable_voltage,
     }[end]()
     assert axis.measuring.injection(80) == pytest.approx(np.zeros(80))
+    turn(400)
+    assert ready[0x2100, 2] == Run.ABORTED
+    assert axis.energised is (end == "abort")
+    assert turn(80) == pytest.approx(np.zeros(80))
 
 
 @pytest.mark.parametrize(

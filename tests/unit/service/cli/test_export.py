@@ -1,11 +1,12 @@
-"""`sweepid export sheet`: the values a control takes, from known truth, with what they are worth."""
+"""`sweepid export` as a person calls it: files that other tools load, and the values that a control takes."""
 
 import json
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -20,10 +21,60 @@ from service.results.identified.sheet import Sheet
 from service.store.files.bundle import read_bundle
 from tests.command import carried_out, refused, sweepid
 from tests.stored.documents import payload, stored
-from tests.unit.service.cli.test_export_model import side_file
 from tests.unit.service.cli.test_identify import INERTIA, bundle
 
-__all__ = ["bundle", "side_file"]  # the fixtures
+_mujoco = cast(Any, mujoco)  # a binary module without type stubs
+
+__all__ = ["bundle"]  # the fixture
+
+FILES = {"model.urdf", "model.xml", "model.yaml", "robot.yaml"}
+
+
+@pytest.fixture
+def side_file(bundle: Path, tmp_path: Path) -> Path:
+    """The bundle's robot as a side file beside its URDF, as a cell has it."""
+    description = json.loads((bundle / "bundle.json").read_text())["robot"]
+    path = tmp_path / "pair.yaml"
+    path.write_text(json.dumps(description | {"urdf": str(bundle / "robot.urdf")}))  # JSON is YAML
+    return path
+
+
+def estimated(bundle: Path, folder: Path) -> Path:
+    carried_out("identify", str(bundle), "--json", str(folder / "estimate.json"))
+    return folder / "estimate.json"
+
+
+def test_from_a_bundle(bundle: Path, tmp_path: Path) -> None:
+    assert carried_out("export", "model", str(bundle), str(tmp_path / "out")) == f"{tmp_path / 'out'}\n"
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
+    assert _mujoco.MjModel.from_xml_path(str(tmp_path / "out/model.xml")).dof_damping[0] == pytest.approx(4.0, rel=0.01)
+    again = read_robot(tmp_path / "out/robot.yaml")
+    assert again.axes[0].viscous_friction == pytest.approx(4.0, rel=0.01)
+    assert again.axes[1].motor_inertia is None  # unknown, and not measured
+
+
+def test_from_an_estimate(bundle: Path, side_file: Path, tmp_path: Path) -> None:
+    estimate = estimated(bundle, tmp_path)
+    assert sweepid("export", "model", str(bundle), str(tmp_path / "one")).returncode == 0
+    carried_out("export", "model", str(estimate), str(tmp_path / "two"), "--robot", str(side_file))
+    for name in FILES:
+        assert (tmp_path / "one" / name).read_text() == (tmp_path / "two" / name).read_text()
+
+
+def test_what_cannot_be_exported_is_told(bundle: Path, side_file: Path, tmp_path: Path) -> None:
+    (tmp_path / "no.json").write_text("[1]")
+    (tmp_path / "other.json").write_text("{}")
+    for arguments, reason in (
+        (["no.json", "out"], "--robot: is required with an estimate"),
+        (["no.json", "out", "--robot", str(side_file)], "no.json: is not a JSON object"),
+        (["other.json", "out", "--robot", str(side_file)], "other.json.axes: Field required"),
+        (["missing.json", "out", "--robot", str(side_file)], "missing.json: cannot be read"),
+        ([str(bundle), "."], "exists already and is not an empty folder"),
+    ):
+        places = [str(tmp_path / part) if part.endswith((".json", "out", ".")) else part for part in arguments[:2]]
+        assert reason in refused("export", "model", *places, *arguments[2:]).splitlines()[-1]
+        assert not (tmp_path / "out").exists()
+
 
 TOTAL = INERTIA + 1.0  # kg m^2 about the joint, its motor of 1e-4 behind a gear of 100 included
 GEAR = 100.0
@@ -76,8 +127,7 @@ def test_a_value_of_zero_has_no_share_of_std(change: Callable[[dict[str, Any]], 
 
 
 def test_a_ragged_covariance_is_refused(made: tuple[Sheet, str], bundle: Path, tmp_path: Path) -> None:
-    path = tmp_path / "estimate.json"
-    assert sweepid("identify", str(bundle), "--json", str(path)).returncode == 0
+    path = estimated(bundle, tmp_path)
     document = json.loads(path.read_text("utf-8"))
     document["base"]["covariance"][0] = [1.0, 2.0, 3.0, 4.0, 5.0]
     robot = read_bundle(bundle).robot
@@ -144,8 +194,7 @@ def test_the_fingerprint_is_that_of_the_result_and_tells_what_was_altered(
     sheet, text = made
     assert sheet.fingerprint in text
     check_sheet(sheet, "sheet")
-    estimate, again = tmp_path / "estimate.json", tmp_path / "again.json"
-    assert sweepid("identify", str(bundle), "--json", str(estimate)).returncode == 0
+    estimate, again = estimated(bundle, tmp_path), tmp_path / "again.json"
     told = carried_out("export", "sheet", str(estimate), "--robot", str(side_file), "--json", str(again))
     assert fingerprint(read(again)) == sheet.fingerprint
     assert "make the sheet from the bundle" in told  # for its poses
@@ -158,8 +207,7 @@ def test_the_fingerprint_is_that_of_the_result_and_tells_what_was_altered(
 def test_what_no_body_can_have_and_what_is_hardly_known_is_not_for_use(
     bundle: Path, side_file: Path, tmp_path: Path
 ) -> None:
-    path = tmp_path / "estimate.json"
-    assert sweepid("identify", str(bundle), "--json", str(path)).returncode == 0
+    path = estimated(bundle, tmp_path)
     estimate = json.loads(path.read_text("utf-8"))
     estimate["axes"]["j1"]["confidence_percent"] = 40.0
     path.write_text(json.dumps(estimate), encoding="utf-8")
