@@ -36,7 +36,7 @@ from tests.stored.documents import diagnosis
 from tests.unit.service.diagnosis.following import equations_of, known_to, swept
 from tests.unit.service.diagnosis.test_calibration import MASS, SLOW, TIGHT, measured
 from tests.unit.service.diagnosis.test_calibration import POSES as MASS_POSES
-from tests.unit.service.diagnosis.test_revision import axis_of
+from tests.unit.service.diagnosis.test_twin import axis_of
 
 JOINT = "joint_2"
 POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
