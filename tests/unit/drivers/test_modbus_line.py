@@ -1,5 +1,7 @@
-"""Requests over a real line, TCP and RTU, to units that answer well, badly, late or never."""
+"""Requests over a real line, TCP and RTU, to units that answer well, badly, late or never; the heartbeat."""
 
+import asyncio
+import threading
 import time
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
@@ -10,11 +12,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, WrongConfiguration
+from drivers.contract.bench import eventually
+from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady, WrongConfiguration, WrongIdentity
 from drivers.modbus import line as line_module
+from drivers.modbus.fieldbus import ModbusConnection, ModbusFieldbus
 from drivers.modbus.line import Line
 from drivers.modbus.profile import RtuLine, TcpLine
+from drivers.modbus.registers import RegisterMap
 from tests.unit.drivers.modbus_bank import TIMEOUT, Bank, Request, crc, rtu_frame, serving
+from tests.unit.drivers.modbus_drive import HIGH, KINDS, drive, following, profile_on
 from tests.unit.drivers.test_bus import soon
 
 pytestmark = pytest.mark.slow
@@ -288,3 +294,44 @@ def test_any_bytes_are_an_answer_or_a_drive_error(transport: str, data: st.DataO
             results.append(line.write(1, 0x10, [1, 2], "write"))
         assert set(results) <= {2, None}
     assert len([request for request in bank.requests if request.function == 16]) <= 1
+
+
+@KINDS
+async def test_the_heartbeat_speaks_to_every_unit_and_notices_a_loss(
+    kind: str, registers: RegisterMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(line_module, "LOOK_AGAIN", 0.3)
+    bank = Bank(kind)
+    for unit, torque in ((1, 17.544), (2, 18.717)):
+        drive(bank, registers, unit, torque)
+    following(bank, registers)
+    with serving(bank, PATIENCE) as served:
+        served = served.model_copy(update={"watchdog": 2 * PATIENCE})
+        connection = await ModbusFieldbus(profile_on(served, kind, axes=2)).open()
+        with pytest.raises(NotReady, match="not possible through Modbus"):
+            await connection.stream([], threading.Event())
+        bank.requests.clear()
+        await eventually(lambda: all([r.unit for r in bank.requests].count(unit) > 3 for unit in (1, 2)))
+        bank.spoil = lambda request, frame: None if request.unit == 2 else frame
+        await eventually(lambda: _lost(connection, "joint_2") and not _lost(connection, "joint_1"))
+        bank.spoil = lambda _, frame: frame
+        await eventually(lambda: not _lost(connection, "joint_2"))
+        await connection.close()
+
+
+def _lost(connection: ModbusConnection, joint: str) -> bool:
+    try:
+        connection.axes[joint].device.check_alive()
+    except CommunicationLost:
+        return True
+    return False
+
+
+async def test_a_wrong_drive_leaves_nothing_open() -> None:
+    bank = Bank("tcp")
+    drive(bank, HIGH, 1, 99.0)
+    following(bank, HIGH)
+    with serving(bank, PATIENCE) as served:
+        with pytest.raises(WrongIdentity, match="rated torque"):
+            await ModbusFieldbus(profile_on(served, "tcp")).open()
+        assert len(asyncio.all_tasks()) == 1

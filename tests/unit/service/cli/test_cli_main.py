@@ -1,7 +1,8 @@
-"""The console script as a person calls it: exit codes, one line on stderr, results on stdout, completions."""
+"""The console script as a person calls it: exit codes, what goes where, completions, a terminal."""
 
 import json
 import os
+import pty
 import subprocess
 import sys
 from importlib.metadata import version
@@ -10,11 +11,13 @@ from pathlib import Path
 import pytest
 
 from service.cli import build
+from service.cli.progress_indicator import waiting
 from service.errors import BadInput
 from service.geometry.cell import read_cell
 from tests.command import SWEEPID, console, refused, sweepid
 from tests.ports import free_port
 from tests.programs import needs
+from tests.unit.service.cli.test_identify import bundle
 
 pytestmark = pytest.mark.slow
 
@@ -191,3 +194,40 @@ def test_command_names_load_no_command() -> None:
     assert "export" in done.stdout
     assert "| typer" in done.stderr  # what is imported is told
     assert "| numpy" not in done.stderr
+
+
+__all__ = ["bundle"]  # the fixture
+
+
+def on_a_terminal(*arguments: str) -> tuple[int, str, str]:
+    """Exit code, stdout, and what a terminal at stderr was shown."""
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(
+        [SWEEPID, *arguments], stdout=subprocess.PIPE, stderr=theirs, env=os.environ | {"TERM": "xterm"}
+    ) as process:
+        os.close(theirs)
+        shown = b""
+        try:
+            while piece := os.read(ours, 4096):
+                shown += piece
+        except OSError:  # the other side is closed
+            pass
+        out = process.stdout.read() if process.stdout else b""
+    os.close(ours)
+    return process.returncode, out.decode(), shown.decode()
+
+
+@pytest.mark.parametrize(
+    ("command", "line"),
+    [("check", "checking the data"), ("diagnose", "diagnosing"), ("identify", "reading the bundle")],
+)
+def test_a_terminal_shows_what_is_waited_for(bundle: Path, command: str, line: str) -> None:
+    code, out, shown = on_a_terminal(command, str(bundle), "--json", "-")
+    assert (code, out[:1]) == (0, "{"), shown
+    assert line in shown
+    assert line not in out
+
+
+def test_one_in_another_shows_one_line() -> None:
+    with waiting("all of it"), waiting("a part"):
+        pass
