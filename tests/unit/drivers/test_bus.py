@@ -1,12 +1,13 @@
-"""The bus against a raw peer on python-can's virtual bus, and behind a socketcand gateway."""
+"""The bus against a raw peer on python-can's virtual bus, and behind a socketcand gateway; its load by hand."""
 
 import socket
 import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from pathlib import Path
 from types import SimpleNamespace
 
 import can
@@ -17,10 +18,13 @@ from hypothesis import strategies as st
 from drivers.canopen import bus as bus_module
 from drivers.canopen import frames, socketcand
 from drivers.canopen.bus import Bus
+from drivers.canopen.bus_load import bus_load, check_bus_load
+from drivers.canopen.configuration import Pdo, pdos
+from drivers.canopen.device_map import Way, load_device_map
 from drivers.canopen.profile import BusProfile
 from drivers.cia402 import states
 from drivers.contract.bench import eventually
-from drivers.errors import CommunicationLost, ConnectionFailed
+from drivers.errors import CommunicationLost, ConnectionFailed, LimitExceeded
 
 NODE = 1
 PATIENCE = 60.0  # s; a busy computer
@@ -255,3 +259,45 @@ def test_a_gateway_that_answers_otherwise_is_refused_and_nothing_stays_open(
         pytest.raises(ConnectionFailed, match=r"could not be opened: (Expected|the gateway did not send) '< "),
     ):
         Bus(profile(port), (1,))
+
+
+DEVICES = Path(__file__).parents[3] / "config" / "devices"
+
+
+def line_of(**changes: object) -> BusProfile:
+    return BusProfile.model_validate({"interface": "virtual", "channel": "can0", **changes})
+
+
+def cyclic_of(axes: int) -> list[tuple[Pdo, ...]]:
+    plain = load_device_map(DEVICES / "plain-402.yaml")
+    cyclic = tuple(p for p in pdos(plain, Way.CYCLIC_VELOCITY, 1) if len(p.mapped) > 1)
+    assert len(cyclic) == 3
+    return [cyclic] * axes
+
+
+# a cycle of three axes: 55 + 3 (115 + 135 + 135) bits = 1210; heartbeats: 65 bits 40 times a second
+@pytest.mark.parametrize(
+    ("settings", "axes", "told"),
+    [
+        ({"bitrate": 250_000}, 3, r"bus can0: .*takes 122% of 250000 bit/s, 70% are allowed; sync_period 0\.008 s"),
+        ({"bitrate": 250_000, "sync_period": 0.008}, 3, ""),
+        ({"bitrate": 250_000, "sync_period": 0.007}, 3, "70% are allowed"),
+        ({"bitrate": 1_000_000}, 3, ""),
+        ({"sync_period": 0.001}, 20, ""),  # an unknown bit rate is not judged
+        ({"bitrate": 10_000, "drive_heartbeat": 0.001}, 10, "no sync_period fits"),
+    ],
+)
+def test_what_does_not_fit_is_refused_with_the_figure_and_the_cycle_that_fits(
+    settings: dict[str, float], axes: int, told: str
+) -> None:
+    with pytest.raises(LimitExceeded, match=told) if told else nullcontext():
+        check_bus_load(line_of(**settings), cyclic_of(axes), axes)
+
+
+def test_the_load_by_hand() -> None:
+    # 1210 bits a cycle of 4 ms, and 65 bits 40 times a second (see above)
+    settings = line_of(bitrate=1_000_000, sync_period=0.004)
+    beats = 65 * (1 / settings.host_heartbeat + 3 / settings.drive_heartbeat)
+    found = bus_load(settings, cyclic_of(3), 3)
+    assert found == pytest.approx((1210 / 0.004 + beats) / 1e6)
+    assert bus_load(line_of(), cyclic_of(3), 3) == 0.0
