@@ -19,7 +19,7 @@ from drivers.modbus.fieldbus import ModbusConnection, ModbusFieldbus
 from drivers.modbus.line import Line
 from drivers.modbus.profile import RtuLine, TcpLine
 from drivers.modbus.registers import RegisterMap
-from tests.unit.drivers.modbus_bank import TIMEOUT, Bank, Request, crc, rtu_frame, serving
+from tests.unit.drivers.modbus_bank import TIMEOUT, Bank, Request, rtu_frame, serving
 from tests.unit.drivers.modbus_drive import HIGH, KINDS, drive, following, profile_on
 from tests.unit.drivers.test_bus import soon
 
@@ -258,10 +258,6 @@ def test_a_server_that_goes_away_is_a_loss() -> None:
     with pytest.raises(CommunicationLost):
         line.tell(1, 0x10, [1], "x")
     line.close()
-
-
-def test_crc_by_the_standards_example() -> None:
-    assert crc(b"\x02\x07") == b"\x41\x12"
 
 
 @pytest.mark.parametrize("transport", ["tcp", "rtu"])

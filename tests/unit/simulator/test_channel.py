@@ -73,11 +73,6 @@ def test_a_delay_between_two_steps_turns_a_line_by_just_that(
 WAVE = Waveform(offset_velocity=-0.01, sines=((2.0, 0.002, 0.5),), period=1.0, periods=3, ramp=0.4, settle=0.6)
 
 
-def test_times() -> None:
-    assert WAVE.measure_from == pytest.approx(1.0)
-    assert WAVE.duration == pytest.approx(4.4)
-
-
 def test_values() -> None:
     time = np.array([-0.1, 0.0, 0.2, 1.0, 1.125, 4.2, 4.4, 5.0])
     full = -0.01 + 0.002 * np.sin(2 * np.pi * 2.0 * (time - 1.0) + 0.5)

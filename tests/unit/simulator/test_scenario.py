@@ -41,12 +41,6 @@ def test_shipped_scenarios(scenario: Callable[[str], Scenario], name: str) -> No
     assert all(axis.load_encoder for axis in loaded.axes.values())
 
 
-def test_motors_are_five_percent_off(scenario: Callable[[str], Scenario]) -> None:
-    loaded = scenario("full")
-    for joint, axis in loaded.axes.items():
-        assert axis.train.motor_inertia == pytest.approx(1.05 * loaded.nominal(joint).motor_inertia)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "named"),
     [
