@@ -14,7 +14,7 @@ from service.cli import build
 from service.cli.progress_indicator import waiting
 from service.errors import BadInput
 from service.geometry.cell import read_cell
-from tests.command import SWEEPID, console, refused, sweepid
+from tests.command import SWEEPID, carried_out, console, refused, sweepid
 from tests.ports import free_port
 from tests.programs import needs
 from tests.unit.service.cli.test_identify import bundle
@@ -75,7 +75,7 @@ def test_what_is_not_there_is_told_with_what_is(root: Path) -> None:
     robots = root / "config" / "robots"
     done = sweepid("plan", str(robots / "max10.yaml"), "--axes", "a", "--varied", "b")
     assert f"{robots} has emps.yaml, max100-class.yaml" in done.stderr
-    done = console("drive", "--scenario", str(root / "config/scenarios/nope.yaml"))
+    done = sweepid("drive", "--scenario", str(root / "config/scenarios/nope.yaml"))
     assert done.returncode != 0
     assert "max100-full.yaml" in done.stderr
     with pytest.raises(BadInput, match=r"cell: there is no cell garage in .*cells; there is: workshop"):
@@ -90,7 +90,7 @@ def test_the_version_and_the_overview_of_own_and_installed_commands_are_told() -
     for name in ("demo", "serve", "plan", "measure", "import", "export", "identify", "estimate", "drive"):
         assert f"  {name} " in done.stdout
     for name in ("export", "drive"):  # commands that are the first word of others
-        assert "Commands:" in console(name, "--help").stdout
+        assert "Commands:" in carried_out(name, "--help")
 
 
 @pytest.mark.parametrize(
