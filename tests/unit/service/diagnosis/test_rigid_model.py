@@ -10,8 +10,8 @@ from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.fit.equations import Term, grouped, held_back
 from service.diagnosis.rows.rigid import load_rows, nominal_parameters
 from service.diagnosis.rows.signals import tracks
-from service.diagnosis.sensitivity.design import full_design
 from service.diagnosis.verdict import Verdict
+from service.identification.design.diagnosis_sweeps import full_design
 from service.identification.model.base_parameters import joint_ranges, reduce_columns
 from service.identification.model.regressor import parameter_names
 from service.recording import Sweep

@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from service.diagnosis import axis_document, diagnose_axis, started_from
+from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.equations import Term
 from service.diagnosis.fit.parameters import Parameter
 from service.diagnosis.rows.rigid import load_rows, nominal_parameters, parameter_spread
 from service.diagnosis.rows.signals import Tracks
-from service.diagnosis.sensitivity.design import full_design
 from service.errors import BadInput
 from service.estimation import estimate_document, sweep_spectrum
+from service.export.started_robot import started_from
+from service.identification.design.diagnosis_sweeps import full_design
 from service.recording import Sweep
 from service.robot import INERTIAL_NAMES, Robot
 from tests.numeric.campaign import max100

@@ -21,7 +21,7 @@ from service.diagnosis.model.scenario import AxisEntry, axis_entry
 from service.diagnosis.model.twin import Run, torques, ways
 from service.diagnosis.rows.rigid import load_rows, nominal_load, nominal_parameters
 from service.diagnosis.rows.signals import Tracks, laid_out, tracks
-from service.diagnosis.sensitivity.design import DesignedSweep, full_design
+from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design
 from service.recording import Recording, Sweep
 from service.results.diagnosis import DiagnosedModel
 from service.robot import Robot

@@ -6,8 +6,8 @@ import pytest
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.equations import applies
-from service.diagnosis.sensitivity.design import BLOCKS, REVISITED, full_design, paper_design
 from service.diagnosis.sensitivity.visibility import Hidden, untestable
+from service.identification.design.diagnosis_sweeps import BLOCKS, REVISITED, full_design, paper_design
 from service.results.diagnosis import AxisDiagnosis, standing_of
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, equations_of, following, known_to, swept
