@@ -75,7 +75,7 @@ class Sdo:
         """
         self._check_alive()
         try:
-            return entry.unpack(self.client.upload(entry.index, entry.sub))
+            return entry.unpack(self._answer(entry))
         except (SdoAbortedError, SdoCommunicationError, can.CanError, OSError) as error:
             raise self._explain(entry, error) from None
         except struct.error as error:
@@ -118,6 +118,9 @@ class Sdo:
                 return cast(bytes, stream.read())
         except (SdoAbortedError, SdoCommunicationError, can.CanError, OSError) as error:
             raise self._explain(entry, error) from None
+
+    def _answer(self, entry: Entry) -> bytes:
+        return self.client.upload(entry.index, entry.sub)
 
     def _explain(self, entry: Entry, error: Exception, value: str = "") -> WrongConfiguration | CommunicationLost:
         if not isinstance(error, SdoAbortedError):
