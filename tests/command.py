@@ -22,10 +22,24 @@ def console(*arguments: str, stdin: str = "", **environment: str) -> CompletedPr
     return subprocess.run(command, input=stdin, capture_output=True, text=True, check=False, env=around)
 
 
-def sweepid(*arguments: str) -> CompletedProcess[str]:
+def carried_out(*arguments: str) -> str:
+    """What a command that succeeds writes to stdout."""
+    done = sweepid(*arguments)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def refused(*arguments: str, code: int = 2) -> str:
+    """What a command that is refused writes to stderr; to stdout it writes nothing."""
+    done = sweepid(*arguments)
+    assert (done.returncode, done.stdout) == (code, ""), done.stderr
+    return done.stderr
+
+
+def sweepid(*arguments: str, stdin: str = "") -> CompletedProcess[str]:
     """Exit code, stdout and stderr of a command that ends by itself."""
-    given, out, err = sys.argv, io.StringIO(), io.StringIO()
-    sys.argv = ["sweepid", *arguments]
+    given, out, err = (sys.argv, sys.stdin), io.StringIO(), io.StringIO()
+    sys.argv, sys.stdin = ["sweepid", *arguments], io.StringIO(stdin)
     try:
         with redirect_stdout(out), redirect_stderr(err):
             main()
@@ -33,7 +47,7 @@ def sweepid(*arguments: str) -> CompletedProcess[str]:
     except SystemExit as left:
         code = left.code
     finally:
-        sys.argv = given
+        sys.argv, sys.stdin = given
     return CompletedProcess(
         sys.argv, code if isinstance(code, int) else int(code is not None), out.getvalue(), err.getvalue()
     )

@@ -53,6 +53,7 @@ from simulator.scenario import ScenarioError, load_scenario
 from sweepid.files import read_document, read_effects, read_gains
 from tests.fuzz import measurement_files, seeds
 from tests.fuzz.seeds import CONFIG, Seed
+from tests.stored.documents import payload
 
 ROBOT = "robots/max100-class.yaml"
 URDF = "robots/max100-class.urdf"
@@ -209,7 +210,7 @@ PARSERS: Mapping[str, Parser] = {
         lambda: [seeds.one("estimate.json", seeds.estimate())],
         lambda path, _: started_from(_robot(), read_document(path, Estimate).as_json(), "x", str(path)),
     ),
-    "payload": Parser(lambda: [seeds.one("payload.json", seeds.payload())], _payload),
+    "payload": Parser(lambda: [seeds.one("payload.json", json.dumps(payload()))], _payload),
     "model": Parser(lambda: [seeds.stored("model")], lambda path, _: read_effects(path, _robot())),
     "plan": Parser(lambda: [seeds.one("plan.json", seeds.plan())], _paths),
 }

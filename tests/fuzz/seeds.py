@@ -140,28 +140,6 @@ def plan() -> bytes:
     return json.dumps({"id": 7, "document": document.model_dump(mode="json")}).encode()
 
 
-def payload() -> bytes:
-    """As `sweepid estimate payload --json` writes it."""
-    known = {"value": 12.0, "std": 0.1, "std_total": 0.3, "excited": True}
-    inertia = {"Ixx": 0.3, "Ixy": 0.01, "Ixz": 0.0, "Iyy": 0.4, "Iyz": 0.0, "Izz": 0.2}
-    document = {
-        "link": "link_6",
-        "frame": "joint_6",
-        "mass": known,
-        "center": {name: known | {"value": 0.1} for name in "xyz"},
-        "inertia": {name: known | {"value": value} for name, value in inertia.items()},
-        "parameters": {"names": ["m"], "values": [12.0], "covariance": [[0.01]], "covariance_total": [[0.09]]},
-        "physical": {
-            "consistent": True,
-            "deviation_in_std": 0.0,
-            "nearest": {"mass": 12.0, "center": [0.01, 0.0, 0.15], "inertia": inertia},
-        },
-        "evidence": [{"axis": "joint_6", "from": "sweeps"}],
-        "sentences": [],
-    }
-    return json.dumps(document).encode()
-
-
 def manifest() -> str:
     """Of a backup."""
     file = StoredFile(size=3, sha256="0" * 64)

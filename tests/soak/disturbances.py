@@ -16,10 +16,9 @@ from contextlib import closing, suppress
 from dataclasses import dataclass
 from typing import Protocol
 
-import httpx
 import psutil
 
-from service.client import ServiceClient, ServiceProblem, ServiceUnreachable
+from service.client import ServiceClient, ServiceProblem
 from tests.faults import ADAPTERS, AXIS, FAULTS, Adapter, Order
 from tests.soak import data_faults
 from tests.system.rest_bench import PATIENCE, Service, VirtualMachine
@@ -81,33 +80,23 @@ def _fault(name: str, *, ends: bool) -> Disturbance:
     return Disturbance(name, make, tuple(map(_order, fault.undo)), ends, adapters=fault.adapters)
 
 
-def _other_drive(bench: Bench) -> None:
-    """Power fails; when it returns another drive is in the cabinet."""
-    bench.machine.power_off()
-    bench.machine.power_on()
-    _order(FAULTS["wrong identity"].make)(bench)
-    with suppress(ServiceProblem):
-        bench.client.connect()
-        raise AssertionError("a drive of another product was connected")
+def _in_a_power_cut(fault: str) -> Act:
+    """Power fails; when it returns the drives are not those that were there."""
 
+    def act(bench: Bench) -> None:
+        bench.machine.power_off()
+        bench.machine.power_on()
+        _order(FAULTS[fault].make)(bench)
+        with suppress(ServiceProblem):
+            bench.client.connect()
+            raise AssertionError(f"{fault}: the drives were connected")
 
-def _swapped(bench: Bench) -> None:
-    """Power fails; when it returns two drives have changed places."""
-    bench.machine.power_off()
-    bench.machine.power_on()
-    _order(FAULTS["swapped addresses"].make)(bench)
-    with suppress(ServiceProblem):
-        bench.client.connect()
-        raise AssertionError("drives that have changed places were connected")
+    return act
 
 
 def _power_cut(bench: Bench) -> None:
     bench.machine.power_off()
     time.sleep(bench.chance.uniform(0.0, 1.0))
-
-
-def _killed(bench: Bench) -> None:
-    bench.service.kill()
 
 
 def _restart(bench: Bench) -> None:
@@ -204,15 +193,6 @@ def _stop_process_killed(bench: Bench) -> None:
                 os.kill(process.pid, signal.SIGKILL)
 
 
-def _power_on(bench: Bench) -> None:
-    bench.machine.power_on()
-
-
-def _connected(bench: Bench) -> None:
-    with suppress(ServiceProblem, ServiceUnreachable, httpx.HTTPError):
-        bench.client.connect()
-
-
 DISTURBANCES = (
     *(_fault(name, ends=True) for name in ("drive fault", "fault of an axis that stands", "emergency stop", "bus-off")),
     *(
@@ -226,10 +206,18 @@ DISTURBANCES = (
             "duplicated PDOs",
         )
     ),
-    Disturbance("power cut of the drives", _power_cut, (_power_on,)),
-    Disturbance("another drive after a power cut", _other_drive, tuple(map(_order, FAULTS["wrong identity"].undo))),
-    Disturbance("drives swapped in a power cut", _swapped, tuple(map(_order, FAULTS["swapped addresses"].undo))),
-    Disturbance("service killed", _killed, (_restart,)),
+    Disturbance("power cut of the drives", _power_cut, (lambda bench: bench.machine.power_on(),)),
+    Disturbance(
+        "another drive after a power cut",
+        _in_a_power_cut("wrong identity"),
+        tuple(map(_order, FAULTS["wrong identity"].undo)),
+    ),
+    Disturbance(
+        "drives swapped in a power cut",
+        _in_a_power_cut("swapped addresses"),
+        tuple(map(_order, FAULTS["swapped addresses"].undo)),
+    ),
+    Disturbance("service killed", lambda bench: bench.service.kill(), (_restart,)),
     Disturbance("service told to end", _ended_kindly, (_restart,)),
     Disturbance("service suspended", _suspended, ends=False),
     Disturbance("workers killed", _worker_killed, ends=False),

@@ -73,11 +73,6 @@ class Watch:
         with self._lock:
             return self._leave is Leave.NONE
 
-    def ends_for(self, seconds: float) -> bool:
-        """Whether the axes have had so much time to come to rest, and have not."""
-        with self._lock:
-            return self._leave is Leave.END and time.monotonic() > self._since + seconds
-
     def _look_on(self) -> None:
         while not self._ending.wait(EVERY):
             with self._lock:

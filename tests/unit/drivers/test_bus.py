@@ -1,10 +1,13 @@
-"""The bus against a raw peer on python-can's virtual bus."""
+"""The bus against a raw peer on python-can's virtual bus, and behind a socketcand gateway; its load by hand."""
 
+import socket
 import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from pathlib import Path
 from types import SimpleNamespace
 
 import can
@@ -13,10 +16,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.canopen import bus as bus_module
-from drivers.canopen import frames
+from drivers.canopen import frames, socketcand
 from drivers.canopen.bus import Bus
+from drivers.canopen.bus_load import bus_load, check_bus_load
+from drivers.canopen.configuration import Pdo, pdos
+from drivers.canopen.device_map import Way, load_device_map
 from drivers.canopen.profile import BusProfile
-from drivers.errors import CommunicationLost, ConnectionFailed
+from drivers.cia402 import states
+from drivers.contract.bench import eventually
+from drivers.errors import CommunicationLost, ConnectionFailed, LimitExceeded
 
 NODE = 1
 PATIENCE = 60.0  # s; a busy computer
@@ -54,7 +62,7 @@ def pair() -> Iterator[Pair]:
     assert not [thread for thread in threading.enumerate() if thread.name == "can-receive"]
 
 
-def eventually(condition: Callable[[], bool]) -> None:
+def soon(condition: Callable[[], bool]) -> None:
     deadline = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < deadline
@@ -94,7 +102,7 @@ def test_the_controllers_state_is_logged_once_a_change_and_told_when_the_bus_is_
 def test_a_boot_up_message_is_a_restart_until_the_node_is_configured_again(pair: Pair) -> None:
     assert not pair.bus.restarted(NODE)
     pair.say(frames.HEARTBEAT + NODE, b"\0")
-    eventually(lambda: pair.bus.restarted(NODE))
+    soon(lambda: pair.bus.restarted(NODE))
     assert not pair.bus.restarted(2)
     pair.bus.note_configured(NODE)
     assert not pair.bus.restarted(NODE)
@@ -112,7 +120,7 @@ def test_a_stream_of_several_nodes_keeps_their_order_and_has_the_bus_own_events_
     pair.bus.close_stream(NODE, 2)
     pair.say(frames.HEARTBEAT + 2, b"\x05")
     pair.say(frames.HEARTBEAT + NODE, b"\0")
-    eventually(lambda: pair.bus.restarted(NODE))
+    soon(lambda: pair.bus.restarted(NODE))
     assert stream.empty()
 
 
@@ -148,10 +156,10 @@ def test_frames_with_29_bits_are_nobodys_word(pair: Pair) -> None:
 
 def test_emergencies_are_kept_until_withdrawn(pair: Pair) -> None:
     pair.say(frames.EMERGENCY + NODE, bytes.fromhex("057321 0000000000"))
-    eventually(lambda: pair.bus.emergency(NODE) is not None)
+    soon(lambda: pair.bus.emergency(NODE) is not None)
     assert pair.bus.emergency(2) is None
     pair.say(frames.EMERGENCY + NODE, bytes(8))
-    eventually(lambda: pair.bus.emergency(NODE) is None)
+    soon(lambda: pair.bus.emergency(NODE) is None)
 
 
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -175,3 +183,121 @@ def test_a_closed_port_is_told_with_its_address() -> None:
 def test_an_unknown_interface_is_told() -> None:
     with pytest.raises(ConnectionFailed, match="telegraph"):
         Bus(BusProfile(interface="telegraph", channel="can0"), (NODE,))
+
+
+def test_a_bus_on_which_nobody_is_heard_still_takes_the_stop() -> None:
+    channel = f"halt-{uuid.uuid4()}"
+    beats = {"host_heartbeat": 0.01, "drive_heartbeat": 0.01, "drive_timeout": 0.02}
+    profile = BusProfile.model_validate({"interface": "virtual", "channel": channel, **beats})
+    with can.Bus(interface="virtual", channel=channel) as peer:
+        ours = Bus(profile, (1, 2))
+        try:
+            while not ours.silent(1):
+                pass
+            with pytest.raises(CommunicationLost):
+                ours.check_alive()
+            with pytest.raises(CommunicationLost):
+                ours.send(frames.SYNC, b"")
+            for identifier, data in frames.stop([1, 2], deaf=[2]):
+                ours.shout(identifier, data)
+        finally:
+            ours.close()
+        heard = []
+        while (message := peer.recv(0.0)) is not None:
+            heard.append((message.arbitration_id, bytes(message.data)))
+    quick_stop = frames.rpdo1(states.QUICK_STOP, 0)
+    assert heard == [(0x201, quick_stop), (0x202, quick_stop), (frames.SYNC, b""), (frames.NMT, b"\x02\x02")]
+
+
+HEARTBEAT = b"< frame 701 12.5 7F >"
+
+
+@contextmanager
+def gateway(answers: list[bytes]) -> Iterator[int]:
+    """Its port. It says each answer in one packet, after a request of any kind, and stays until the host goes."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            server.accept()[0].close()  # the host asks first whether anybody is there
+            connection, _ = server.accept()
+            with connection:
+                for answer in answers:
+                    connection.sendall(answer)
+                    if not connection.recv(256):
+                        return
+                while connection.recv(256):
+                    pass
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        yield server.getsockname()[1]
+        thread.join(20)
+        assert not thread.is_alive()
+
+
+def profile(port: int) -> BusProfile:
+    return BusProfile(interface="socketcand", channel="can0", host="127.0.0.1", port=port)
+
+
+async def test_frames_in_the_packet_of_the_last_answer_are_frames() -> None:
+    with gateway([b"< hi >", b"< ok >", b"< ok >" + HEARTBEAT + b"< frame 081 12.6 0010000000000000 >"]) as port:
+        bus = Bus(profile(port), (1,))
+        try:
+            await eventually(lambda: bus.emergency(1) is not None)
+            bus.send(frames.SYNC, b"")
+        finally:
+            bus.close()
+
+
+@pytest.mark.parametrize("answers", [[b"< hi >", b"< no >"], [b"< hi >", b"< o"], [b"hello!"]])
+def test_a_gateway_that_answers_otherwise_is_refused_and_nothing_stays_open(
+    answers: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(socketcand, "ANSWER_TIMEOUT", 0.5)
+    with (
+        gateway(answers) as port,
+        pytest.raises(ConnectionFailed, match=r"could not be opened: (Expected|the gateway did not send) '< "),
+    ):
+        Bus(profile(port), (1,))
+
+
+DEVICES = Path(__file__).parents[3] / "config" / "devices"
+
+
+def line_of(**changes: object) -> BusProfile:
+    return BusProfile.model_validate({"interface": "virtual", "channel": "can0", **changes})
+
+
+def cyclic_of(axes: int) -> list[tuple[Pdo, ...]]:
+    plain = load_device_map(DEVICES / "plain-402.yaml")
+    cyclic = tuple(p for p in pdos(plain, Way.CYCLIC_VELOCITY, 1) if len(p.mapped) > 1)
+    assert len(cyclic) == 3
+    return [cyclic] * axes
+
+
+# a cycle of three axes: 55 + 3 (115 + 135 + 135) bits = 1210; heartbeats: 65 bits 40 times a second
+@pytest.mark.parametrize(
+    ("settings", "axes", "told"),
+    [
+        ({"bitrate": 250_000}, 3, r"bus can0: .*takes 122% of 250000 bit/s, 70% are allowed; sync_period 0\.008 s"),
+        ({"bitrate": 250_000, "sync_period": 0.008}, 3, ""),
+        ({"bitrate": 250_000, "sync_period": 0.007}, 3, "70% are allowed"),
+        ({"bitrate": 1_000_000}, 3, ""),
+        ({"sync_period": 0.001}, 20, ""),  # an unknown bit rate is not judged
+        ({"bitrate": 10_000, "drive_heartbeat": 0.001}, 10, "no sync_period fits"),
+    ],
+)
+def test_what_does_not_fit_is_refused_with_the_figure_and_the_cycle_that_fits(
+    settings: dict[str, float], axes: int, told: str
+) -> None:
+    with pytest.raises(LimitExceeded, match=told) if told else nullcontext():
+        check_bus_load(line_of(**settings), cyclic_of(axes), axes)
+
+
+def test_the_load_by_hand() -> None:
+    # 1210 bits a cycle of 4 ms, and 65 bits 40 times a second (see above)
+    settings = line_of(bitrate=1_000_000, sync_period=0.004)
+    beats = 65 * (1 / settings.host_heartbeat + 3 / settings.drive_heartbeat)
+    found = bus_load(settings, cyclic_of(3), 3)
+    assert found == pytest.approx((1210 / 0.004 + beats) / 1e6)
+    assert bus_load(line_of(), cyclic_of(3), 3) == 0.0

@@ -1,23 +1,43 @@
-"""Stop, close, cancel and refusals that meet: the drives lose their energy all the same, each of them."""
+"""Stop, close, cancel, refusals and trouble that meet: the drives lose their energy all the same, each of them."""
 
 import asyncio
 import threading
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
 
 import pytest
 
+from drivers.cia402 import states
+from drivers.cia402.axis import Axis
+from drivers.cia402.host_watch import HostWatch
+from drivers.cia402.idle_axes import Watched
+from drivers.cia402.machine import Cia402Machine
 from drivers.cia402.thread import DriveThread
-from drivers.errors import CommunicationLost, EnvelopeLeft, StopNotConfirmed, SweepInterrupted, WrongConfiguration
+from drivers.contract.bench import eventually
+from drivers.errors import (
+    CommunicationLost,
+    DriveFault,
+    EnvelopeLeft,
+    StopNotConfirmed,
+    SweepInterrupted,
+    WrongConfiguration,
+)
 from tests.unit.drivers.given import sweep
-from tests.unit.drivers.small_servo import PATIENCE, Gate, Servo, connected, eventually, machine
+from tests.unit.drivers.small_servo import PATIENCE, Gate, Link, Servo, connected, machine
 
 
-async def test_closed_twice_at_once_it_is_closed_once_and_both_wait() -> None:
+async def held_up() -> tuple[Cia402Machine, Link, Servo, Gate]:
+    """A machine whose only axis has energy and does not tell its statusword until the gate is opened."""
     gate = Gate("statusword")
-    servo = Servo("joint_1", before=gate)
-    port, link = machine(servo)
+    port, link = machine(servo := Servo("joint_1", before=gate))
     await port.connect()
     await port.enable("joint_1")
     gate.shut()
+    return port, link, servo, gate
+
+
+async def test_closed_twice_at_once_it_is_closed_once_and_both_wait() -> None:
+    port, link, servo, gate = await held_up()
     first, second = asyncio.create_task(port.close()), asyncio.create_task(port.close())
     await gate.reached()
     stop = asyncio.create_task(port.stop())  # a stop while closing waits for it, too
@@ -30,12 +50,7 @@ async def test_closed_twice_at_once_it_is_closed_once_and_both_wait() -> None:
 
 
 async def test_a_closing_that_is_cancelled_goes_on_to_its_end() -> None:
-    gate = Gate("statusword")
-    servo = Servo("joint_1", before=gate)
-    port, link = machine(servo)
-    await port.connect()
-    await port.enable("joint_1")
-    gate.shut()
+    port, link, servo, gate = await held_up()
     closing = asyncio.create_task(port.close())
     await gate.reached()
     closing.cancel()
@@ -51,11 +66,7 @@ async def test_a_closing_that_is_cancelled_goes_on_to_its_end() -> None:
 
 
 async def test_closing_survives_a_stop_that_failed_beside_it() -> None:
-    gate = Gate("statusword")
-    servo = Servo("joint_1", before=gate)
-    port, link = machine(servo)
-    await port.connect()
-    gate.shut()
+    port, link, servo, gate = await held_up()
     stop = asyncio.create_task(port.stop())
     await gate.reached()
     servo.before = lose
@@ -126,21 +137,29 @@ async def test_enabling_that_is_cancelled_leaves_no_axis_with_energy() -> None:
         assert silent.unheard
 
 
-@pytest.mark.parametrize("refused", ["statusword", "motion", "control 02"])
-async def test_a_refused_rung_does_not_keep_the_drive_from_the_next(refused: str) -> None:
+@pytest.mark.parametrize(
+    ("refused", "missing"),  # what would confirm it
+    [
+        (("statusword", "motion"), "statusword"),
+        (("motion",), "motion"),
+        (("control 02", "motion"), "motion"),
+        (("control 00",), "control 00"),
+    ],
+    ids=str,
+)
+async def test_a_refused_rung_does_not_keep_the_drive_from_the_next(refused: tuple[str, ...], missing: str) -> None:
     def refuse(exchange: str) -> None:
-        if exchange in (refused, "motion"):
+        if exchange in refused:
             raise WrongConfiguration(f"{exchange} refused")
 
     servo = Servo("joint_1")
     async with connected(servo) as (port, _):
         await port.enable("joint_1")
         servo.velocity, servo.before = 0.5, refuse
-        missing = "statusword" if refused == "statusword" else "motion"  # what would confirm it
         with pytest.raises(StopNotConfirmed, match=f"joint_1: {missing} refused"):
             await port.stop()
         assert servo.unheard
-        assert servo.told[-1] == 0
+        assert servo.told[-1] == 0 or missing == "control 00"
         assert not servo.energised
         servo.before = lambda _: None
 
@@ -159,21 +178,6 @@ async def test_an_axis_that_turns_without_energy_is_not_confirmed() -> None:
             await port.stop()
         servo.control = control
         assert await port.stop() == ("joint_1",)
-
-
-async def test_a_drive_that_refuses_to_be_disabled_is_told_by_what_needs_no_answer() -> None:
-    def refuse(exchange: str) -> None:
-        if exchange == "control 00":
-            raise WrongConfiguration("refused")
-
-    servo = Servo("joint_1")
-    async with connected(servo) as (port, _):
-        await port.enable("joint_1")
-        servo.before = refuse
-        with pytest.raises(StopNotConfirmed, match="joint_1: refused"):
-            await port.stop()
-        assert servo.unheard
-        assert not servo.energised
 
 
 async def test_a_stop_does_not_wait_for_a_set_point_that_is_never_acknowledged(
@@ -200,3 +204,109 @@ async def test_a_drive_side_sweep_that_goes_on_and_on_is_stopped() -> None:
                 pass
         assert not servo.energised
         assert servo.recorded < 5000
+
+
+WAYS: dict[str, Callable[[Cia402Machine], Awaitable[object]]] = {
+    "stop": lambda port: port.stop(),
+    "close": lambda port: port.close(),
+    "disable": lambda port: port.disable("joint_2"),
+}
+
+
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+async def test_no_further_step_is_told_to_a_drive(way: Callable[[Cia402Machine], Awaitable[object]]) -> None:
+    gate = Gate("control 07")
+    first, second = Servo("joint_1"), Servo("joint_2", before=gate)
+    async with connected(first, second) as (port, link):
+        gate.shut()
+        enabling = asyncio.create_task(port.enable("joint_1", "joint_2"))
+        await gate.reached()
+        assert first.energised
+        asked = link.thread.asked
+        ending = asyncio.ensure_future(way(port))
+        await eventually(lambda: link.thread.asked > asked)  # and waits for it
+        gate.open()
+        with pytest.raises(SweepInterrupted, match="stopped while it was being enabled"):
+            await asyncio.wait_for(enabling, PATIENCE)
+        await asyncio.wait_for(ending, PATIENCE)
+        assert states.ENABLE_OPERATION not in second.told
+        assert [first.energised, second.energised] == [False, False]
+
+
+@dataclass
+class Stuck(Servo):
+    """Stays "ready to switch on"."""
+
+    def control(self, controlword: int) -> None:
+        if controlword == states.SWITCH_ON:
+            self.told.append(controlword)
+        else:
+            super().control(controlword)
+
+
+async def test_a_stop_does_not_wait_for_a_step_that_the_drive_does_not_take(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.cia402.axis.TRANSITION_TIMEOUT", 2 * PATIENCE)
+    servo = Stuck("joint_1")
+    async with connected(servo) as (port, _):
+        enabling = asyncio.create_task(port.enable("joint_1"))
+        await eventually(lambda: states.SWITCH_ON in servo.told)
+        await asyncio.wait_for(port.stop(), PATIENCE)
+        with pytest.raises(SweepInterrupted):
+            await asyncio.wait_for(enabling, PATIENCE)
+        assert servo.told[-1] == states.DISABLE_VOLTAGE
+        await port.enable()  # what was stopped is over: the next is not
+
+
+COMMAND = sweep(periods=1000)
+
+
+async def test_a_drive_side_sweep_ends_while_its_consumer_hangs() -> None:
+    moving, standing = Servo("joint_1", samples_a_look=5), Servo("joint_2")
+    async with connected(moving, standing) as (port, _):
+        await port.enable("joint_1")
+        run = port.run_sweep(COMMAND)
+        await anext(run)
+        standing.announced = 0x4310
+        await eventually(lambda: not moving.energised)
+        with pytest.raises(DriveFault, match=r"joint_2 \(small\): error 4310h"):
+            async for _ in run:
+                pass
+
+
+async def test_a_stop_by_a_person_stays_a_stop() -> None:
+    moving, standing = Servo("joint_1", samples_a_look=5), Servo("joint_2")
+    async with connected(moving, standing) as (port, _):
+        await port.enable("joint_1")
+        run = port.run_sweep(COMMAND)
+        await anext(run)
+        await port.stop()
+        standing.announced = 0x4310
+        with pytest.raises(SweepInterrupted, match="sweep was stopped"):
+            async for _ in run:
+                pass
+
+
+async def test_the_end_of_the_moving_axis_is_told_before_that_of_one_that_stands() -> None:
+    standing, stop = Servo("joint_2", announced=0x4310), threading.Event()
+    thread, axis = DriveThread("test"), Axis(standing, HostWatch(60.0))
+
+    async def lose() -> None:
+        async with Watched(thread, [axis], stop):
+            await eventually(stop.is_set)
+            raise CommunicationLost("the cable")
+
+    with pytest.raises(CommunicationLost, match="the cable"):
+        await lose()
+    await thread.close()
+
+
+async def test_no_axis_waits_for_the_answer_of_another() -> None:
+    gate = Gate("statusword")
+    async with connected(Servo("joint_1", before=gate), Servo("joint_2")) as (port, link):
+        before = link.halted
+        gate.shut()
+        stop = asyncio.create_task(port.stop())
+        await gate.reached()  # the first drive was asked and has not answered
+        assert link.halted == before + 1
+        gate.open()
+        assert set(await asyncio.wait_for(stop, PATIENCE)) == {"joint_1", "joint_2"}

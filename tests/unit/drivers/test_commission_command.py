@@ -62,12 +62,16 @@ def filled(value: Any, key: str = "") -> Any:
 # -- drafts
 
 
+def drafted(eds: Path, out: Path, devices: Path, *more: str) -> None:
+    done = run("draft", "--eds", eds, "--out", out, "--devices", devices, *more)
+    assert done.exit_code == 0, done.output
+
+
 @pytest.mark.parametrize("maker", ["plain", *MAKERS])
 def test_a_draft_names_the_shipped_map_and_is_refused_until_it_is_filled_in(maker: str, tmp_path: Path) -> None:
     eds = file_of(maker)
     out = tmp_path / "drives"
-    done = run("draft", "--eds", eds, "--out", out, "--devices", DEVICES, "--joint", "a", "--joint", "b")
-    assert done.exit_code == 0, done.output
+    drafted(eds, out, DEVICES, "--joint", "a", "--joint", "b")
     profile = out / f"{eds.stem}.yaml"
     assert sorted(out.iterdir()) == [profile]
     with pytest.raises(
@@ -80,16 +84,15 @@ def test_a_draft_names_the_shipped_map_and_is_refused_until_it_is_filled_in(make
 
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
     eds = file_of("plain")
-    assert run("draft", "--eds", eds, "--out", tmp_path, "--devices", DEVICES).exit_code == 0
-    assert "nothing is overwritten" in str(
-        run("draft", "--eds", eds, "--out", tmp_path, "--devices", DEVICES).exception
-    )
+    drafted(eds, tmp_path, DEVICES)
+    again = run("draft", "--eds", eds, "--out", tmp_path, "--devices", DEVICES)
+    assert "nothing is overwritten" in str(again.exception)
 
 
 def test_a_drive_without_a_map_gets_one_with_a_line_for_each_missing_object(tmp_path: Path) -> None:
     eds = tmp_path / "other.dcf"
     shutil.copy(file_of("powerball"), eds)
-    assert run("draft", "--eds", eds, "--out", tmp_path, "--devices", tmp_path).exit_code == 0
+    drafted(eds, tmp_path, tmp_path)
     path = tmp_path / "other-device.yaml"
     with pytest.raises(BadProfile, match=r"units\.side: must be filled in: motor, or joint .*; \d+ more lines"):
         load_device_map(path)
@@ -117,7 +120,7 @@ def test_a_makers_name_that_yaml_does_not_read_still_makes_a_draft(letter: str, 
     eds = tmp_path / "odd.eds"
     text = file_of("plain").read_text()
     eds.write_text(text.replace("ProductName=", f"ProductName=a{letter}b"), encoding="utf-8")
-    assert run("draft", "--eds", eds, "--out", tmp_path, "--devices", tmp_path).exit_code == 0
+    drafted(eds, tmp_path, tmp_path)
     with pytest.raises(BadProfile, match="must be filled in"):
         load(tmp_path / "odd.yaml")
     with pytest.raises(BadProfile, match="must be filled in"):

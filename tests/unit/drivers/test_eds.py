@@ -1,4 +1,4 @@
-"""A dictionary from the cache is what canopen reads from the file, and belongs to who asked for it."""
+"""EDS files: a dictionary from the cache is what canopen reads and belongs to who asked; one without end is refused."""
 
 from pathlib import Path
 from typing import Any, cast
@@ -11,6 +11,13 @@ from tests.foreign_bench import file_of
 
 import canopen  # isort: skip - after lean_can
 from canopen.objectdictionary import ODVariable  # isort: skip
+from collections.abc import Callable
+
+from drivers.commission.dictionary import read_dictionary
+from drivers.errors import BadProfile
+from simulator.drive.dictionary import Dictionary
+from simulator.foreign.dictionary import ForeignDictionary
+from simulator.scenario import ScenarioError
 
 READERS = [drivers.canopen.eds.object_dictionary, simulator.eds.object_dictionary]
 OWN = Path(__file__).parents[3] / "config" / "eds" / "virtual-axis.eds"
@@ -50,3 +57,38 @@ def test_a_file_that_was_changed_is_read_again(read: Any, tmp_path: Path) -> Non
     before = len(read(file, 1))
     file.write_text(OWN.read_text("utf-8").partition("[6040]")[0], "utf-8")
     assert len(read(file, 1)) < before
+
+
+TEXT = (Path(__file__).parents[3] / "config/eds/virtual-axis.eds").read_text("utf-8")
+NAMES = "[8000]\nParameterName=x\nObjectType=8\nDataType=5\nAccessType=ro\nCompactSubObj=9\n[8000Name]\nNrOfEntries="
+DICTIONARIES: Any = {"drivers": read_dictionary, "virtual": Dictionary, "foreign": ForeignDictionary}
+
+
+@pytest.mark.parametrize("read", DICTIONARIES.values(), ids=DICTIONARIES)
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        (f"{NAMES}99999999999\n", "section 8000Name: NrOfEntries is 99999999999, limit 254"),
+        (f"{NAMES}\n  255\n", "section 8000Name: NrOfEntries is .*255, limit 254"),
+        (";" * 2**22, "is larger than 4194304 bytes"),
+    ],
+    ids=["number", "next line", "bytes"],
+)
+def test_an_eds_without_end_is_refused(
+    read: Callable[[Path, int], object], more: str, told: str, tmp_path: Path
+) -> None:
+    """The library counts up to the number of entries, whatever it is."""
+    path = tmp_path / "axis.eds"
+    path.write_text(f"{TEXT}\n{more}", "utf-8")
+    with pytest.raises((BadProfile, ScenarioError), match=told):
+        read(path, 3)
+
+
+def test_names_of_entries_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "axis.eds"
+    entries = "".join(f"{number}=name {number}\n" for number in range(1, 255))
+    path.write_text(f"{TEXT}\n{NAMES}254\n{entries}", "utf-8")
+    own, virtual, foreign = (read(path, 3) for read in DICTIONARIES.values())
+    assert (0x8000, 254) in own.objects
+    assert virtual.mapping((0x8000, 254)) is not None
+    assert foreign.bits((0x8000, 254)) == 8

@@ -1,18 +1,33 @@
-"""Which frames only another host can have sent, and that a stop is nobody's trespass."""
+"""Frames as events; which only another host can have sent; what is heard on a bus that another host uses."""
 
+import struct
 import uuid
+from pathlib import Path
 
 import can
 import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 
-from drivers.canopen import frames
+from drivers.canopen import frames, objects
 from drivers.canopen.bus import Bus
 from drivers.canopen.foreign_frames import READINGS, ForeignFrames
-from drivers.canopen.heard_state import upload_request
-from drivers.canopen.objects import STATUSWORD
-from drivers.canopen.profile import BusProfile
+from drivers.canopen.frames import (
+    Controller,
+    ControllerState,
+    Emergency,
+    Heartbeat,
+    MotionPdo,
+    PositionPdo,
+    SetPoint,
+    decode,
+)
+from drivers.canopen.heard_state import HeardState, upload_request
+from drivers.canopen.objects import STATUSWORD, Entry
+from drivers.canopen.profile import BusProfile, parse_profile
 from drivers.cia402 import states
-from tests.unit.drivers.test_bus import eventually
+from tests.unit.drivers.test_bus import soon
 
 HOST, NODES = 127, (1, 2)
 
@@ -77,14 +92,14 @@ def test_a_bus_hears_them_once_it_was_alone() -> None:
         try:
             peer.send(message)
             peer.send(can.Message(arbitration_id=frames.HEARTBEAT + 1, data=b"\x00", is_extended_id=False))
-            eventually(lambda: bus.restarted(1))  # both were heard
+            soon(lambda: bus.restarted(1))  # both were heard
             assert bus.watch.reason == ""
             bus.expect_no_host()
             for own in (frames.stop(NODES, ()), [(frames.HEARTBEAT + HOST, b"\x05"), (frames.SYNC, b"")]):
                 for frame in own:
                     bus.send(*frame)
             peer.send(message)
-            eventually(lambda: bus.watch.reason != "")
+            soon(lambda: bus.watch.reason != "")
             assert what in bus.watch.reason
         finally:
             bus.close()
@@ -97,3 +112,123 @@ def test_a_stop_by_an_rpdo_of_its_own_is_no_stranger_either() -> None:
     for identifier, data in frames.stop((3,), (3,), wires=wires):
         assert strangers.word(identifier, data) == ""
     assert "RPDO1 to node 3" in ForeignFrames((3,), 127).word(*wires.stop_frame(3))
+
+
+def test_events_by_hand() -> None:
+    assert decode(0x181, bytes.fromhex("3706 18fcffff 9cff")) == MotionPdo(1, 0x0637, -1000, -100)
+    assert decode(0x282, bytes.fromhex("ffffffff 2a000000")) == PositionPdo(2, -1, 42)
+    assert decode(0x083, bytes.fromhex("0573 21 0102030405")) == Emergency(3, 0x7305, 0x21, bytes([1, 2, 3, 4, 5]))
+    assert decode(0x704, b"\x85") == Heartbeat(4, 5)
+    assert decode(0x202, bytes(6)) == SetPoint(2, bytes(6))
+    assert decode(0x080, b"") is None  # SYNC
+    assert frames.rpdo1(0x0F, -2) == bytes.fromhex("0f00 feffffff")
+
+
+@given(st.integers(0, 0x1FFFFFFF), st.binary(max_size=64), st.booleans())
+def test_no_frame_can_break_the_decoder(identifier: int, data: bytes, error: bool) -> None:
+    event = decode(identifier, data, error)
+    assert event is None or isinstance(event, frames.Frame)
+
+
+@pytest.mark.parametrize(
+    ("classes", "data", "state"),
+    [
+        (0x040, "", ControllerState.BUS_OFF),
+        (0x244, "0030000000000000", ControllerState.BUS_OFF),
+        (0x100, "0000000000000000", ControllerState.RESTARTED),
+        (0x204, "0008000000000000", ControllerState.WARNING),
+        (0x204, "0004000000000000", ControllerState.WARNING),
+        (0x204, "0028000000000000", ControllerState.PASSIVE),
+        (0x204, "0040000000000000", ControllerState.ACTIVE),
+        (0x204, "0001000000000000", None),  # receive overflow
+        (0x008, "0000000000000000", None),  # protocol violation
+    ],
+)
+def test_error_frames_by_hand(classes: int, data: str, state: ControllerState | None) -> None:
+    expected = None if state is None else Controller(state, 0, 0)
+    assert decode(classes, bytes.fromhex(data), error=True) == expected
+
+
+def test_error_counters_are_told() -> None:
+    event = decode(0x204, bytes.fromhex("0020 00000000 80 07"), error=True)
+    assert str(event) == "error passive (transmit errors 128, receive errors 7)"
+
+
+OFF, ON = 0x40, 0x27  # switch on disabled, operation enabled
+
+
+@pytest.fixture
+def heard(root: Path) -> HeardState:
+    file = root / "config" / "drives" / "virtual-max100.yaml"
+    profile = parse_profile(yaml.safe_load(file.read_text("utf-8")), file.parent)
+    return HeardState(profile.axes[0], profile.device_map)
+
+
+def replied(entry: Entry, value: int) -> bytes:
+    data = struct.pack("<" + entry.type, value)
+    return struct.pack("<BHB", {2: 0x4B, 4: 0x43}[len(data)], entry.index, entry.sub) + data.ljust(4, b"\0")
+
+
+def exchanged(heard: HeardState, entry: Entry, value: int, at: float) -> None:
+    heard.requested(upload_request(entry), at)
+    heard.answered(replied(entry, value), at + 0.001)
+
+
+def test_process_data_confirm_standstill_without_energy(heard: HeardState) -> None:
+    assert heard.doubt(0.0) == "its state cannot be heard here"
+    heard.note(frames.Heartbeat(1, 5), 0.5)
+    assert heard.doubt(0.0) == "does not report its state"
+    for status, velocity, doubt in ((ON, 0, "is 'operation enabled'"), (OFF, 7, "turns at 7"), (OFF, 0, "")):
+        heard.note(frames.MotionPdo(1, status, velocity, 0), 1.0)
+        assert heard.doubt(0.0).startswith(doubt)
+    assert heard.doubt(1.0) == "does not report its state"  # older than the stop
+
+
+def test_answers_to_the_service_confirm_it_if_the_velocity_is_not_older_than_the_state(heard: HeardState) -> None:
+    exchanged(heard, objects.VELOCITY, 0, 1.0)
+    exchanged(heard, objects.STATUSWORD, OFF, 2.0)
+    assert heard.doubt(0.5) != ""  # it may have begun to turn since
+    exchanged(heard, objects.VELOCITY, 0, 3.0)
+    assert heard.doubt(0.5) == ""
+    exchanged(heard, objects.STATUSWORD, ON, 4.0)
+    assert heard.doubt(0.5) == "is 'operation enabled'"
+
+
+def test_a_segment_that_looks_like_an_answer_is_none(heard: HeardState) -> None:
+    exchanged(heard, objects.STATUSWORD, ON, 1.0)
+    heard.answered(replied(objects.STATUSWORD, OFF), 1.1)
+    heard.answered(replied(objects.VELOCITY, 0), 1.2)
+    assert heard.doubt(0.5) == "is 'operation enabled'"
+    heard.requested(b"\xa0" + upload_request(objects.STATUSWORD)[1:], 1.3)  # a block upload
+    heard.answered(replied(objects.STATUSWORD, OFF), 1.4)
+    assert heard.doubt(0.5) == "is 'operation enabled'"
+
+
+def test_a_velocity_within_the_noise_counts_only_in_a_unit_that_was_heard(heard: HeardState) -> None:
+    heard.note(frames.MotionPdo(1, OFF, 1, 0), 1.0)
+    assert heard.doubt(0.5).startswith("turns at 1 velocity units, standstill is at most 0")
+    exchanged(heard, objects.VELOCITY_UNIT, 0xFDB44700, 0.1)  # 1e-3 rev/min
+    exchanged(heard, objects.INCREMENTS, 1048576, 0.1)
+    exchanged(heard, objects.MOTOR_REVOLUTIONS, 1, 0.1)
+    assert heard.doubt(0.5) == ""
+
+
+def test_it_asks_for_what_is_missing_and_awaits_each_answer(heard: HeardState) -> None:
+    now, asked = 1.0, list[str]()
+    values = {"statusword": OFF, "velocity": 0, "velocity_unit": 0xFDB44700, "increments": 1, "motor_revolutions": 1}
+    entries = {
+        "statusword": objects.STATUSWORD,
+        "velocity": objects.VELOCITY,
+        "velocity_unit": objects.VELOCITY_UNIT,
+        "increments": objects.INCREMENTS,
+        "motor_revolutions": objects.MOTOR_REVOLUTIONS,
+    }
+    while heard.doubt(0.5) and len(asked) < 10:
+        request = heard.question(0.5, now)
+        assert heard.question(0.5, now + 0.01) == b""
+        name = next(name for name, entry in entries.items() if upload_request(entry) == request)
+        asked.append(name)
+        heard.answered(replied(entries[name], values[name]), now + 0.02)
+        now += 0.03
+    assert heard.doubt(0.5) == ""
+    assert asked[-1] == "velocity"

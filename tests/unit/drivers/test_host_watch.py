@@ -2,6 +2,8 @@
 
 import asyncio
 import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 
 import pytest
 
@@ -9,12 +11,15 @@ from drivers.cia402 import states
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
 from drivers.cia402.states import State
+from drivers.contract.bench import eventually
 from drivers.errors import MotionForbidden
 from drivers.ports import Sine
 from tests.unit.drivers.given import sweep
-from tests.unit.drivers.small_servo import Servo, connected, eventually, machine
+from tests.unit.drivers.small_servo import Servo, connected, machine
 
 LIMIT = 0.05  # s
+LOST = r"joint_1 \(small\) is 'switch on disabled', but this service did not disable it: find out what did"
+STEPS = ("control 06", "control 07", "control 0F", "control 1F")
 COMMAND = sweep(Sine(2.0, 0.01, 0.0), offset_velocity=0.02, periods=2)
 
 
@@ -60,12 +65,23 @@ def test_the_first_that_was_seen_is_told_and_what_follows_is_not() -> None:
     assert told[1:] == ["NMT of another"] * 2
 
 
+@asynccontextmanager
+async def watched(
+    servo: Servo, *, before: Callable[[HostWatch], None] = lambda _: None
+) -> AsyncIterator[tuple[Cia402Machine, HostWatch, list[str]]]:
+    """A connected machine, its watch, and the causes that it tells. `before`: the first connection."""
+    port, link = machine(servo)
+    told: list[str] = []
+    port.watch(lambda cause: told.append(str(cause)))
+    before(link.watch)
+    await port.connect()
+    yield port, link.watch, told
+    port.watch(None)
+    await port.close()
+
+
 def enabling(servo: Servo) -> list[int]:
     return [word for word in servo.told if word & 0x0F in (states.SHUTDOWN, states.SWITCH_ON, states.ENABLE_OPERATION)]
-
-
-LOST = r"joint_1 \(small\) is 'switch on disabled', but this service did not disable it: find out what did"
-STEPS = ("control 06", "control 07", "control 0F", "control 1F")
 
 
 async def enable_and_move(port: Cia402Machine) -> None:
@@ -112,17 +128,13 @@ async def test_a_gap_before_the_first_connection_counts_and_no_connection_clears
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("tests.unit.drivers.small_servo.HOST_TIMEOUT", LIMIT)
-    port, link = machine(Servo("joint_1"))
-    told: list[str] = []
-    port.watch(lambda cause: told.append(str(cause)))
-    miss(link.watch)
-    for _ in range(2):
-        await port.connect()
-        with pytest.raises(MotionForbidden, match="suspended"):
-            await port.enable("joint_1")
-        assert "the host was suspended" in told[0]
-        await port.close()
-    port.watch(None)
+    async with watched(Servo("joint_1"), before=miss) as (port, _, told):
+        for _ in range(2):
+            with pytest.raises(MotionForbidden, match="suspended"):
+                await port.enable("joint_1")
+            assert "the host was suspended" in told[0]
+            await port.close()
+            await port.connect()
 
 
 async def test_who_is_watched_by_nobody_and_not_connected_misses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,18 +150,13 @@ async def test_who_is_watched_by_nobody_and_not_connected_misses_nothing(monkeyp
 @pytest.mark.parametrize("state", [State.SWITCHED_ON, State.OPERATION_ENABLED])
 async def test_an_axis_that_nobody_here_enabled_is_told(state: State) -> None:
     servo = Servo("joint_1")
-    port, _ = machine(servo)
-    told: list[str] = []
-    port.watch(lambda cause: told.append(str(cause)))
-    await port.connect()
-    servo.state = state
-    await eventually(lambda: bool(told))
-    assert told == [f"joint_1 (small) is '{state.value}', but this service did not enable it: find out what did"]
-    with pytest.raises(MotionForbidden):
-        await port.enable("joint_1")
-    await port.stop()
-    port.watch(None)
-    await port.close()
+    async with watched(servo) as (port, _, told):
+        servo.state = state
+        await eventually(lambda: bool(told))
+        assert told == [f"joint_1 (small) is '{state.value}', but this service did not enable it: find out what did"]
+        with pytest.raises(MotionForbidden):
+            await port.enable("joint_1")
+        await port.stop()
 
 
 async def test_energy_that_nobody_here_took_is_missed_in_a_move() -> None:
@@ -167,32 +174,21 @@ async def test_energy_that_nobody_here_took_is_missed_in_a_move() -> None:
 
 async def test_energy_that_nobody_here_took_is_missed_in_a_sweep() -> None:
     servo = Servo("joint_1", samples_a_look=5)
-    port, _ = machine(servo)
-    told: list[str] = []
-    port.watch(lambda cause: told.append(str(cause)))
-    await port.connect()
-    await port.enable("joint_1")
-    run = port.run_sweep(COMMAND)
-    await anext(run)
-    servo.state = State.SWITCH_ON_DISABLED
-    with pytest.raises(MotionForbidden, match=LOST):
-        async for _ in run:
-            pass
-    assert len(told) == 1
-    port.watch(None)
-    await port.close()
+    async with watched(servo) as (port, _, told):
+        await port.enable("joint_1")
+        run = port.run_sweep(COMMAND)
+        await anext(run)
+        servo.state = State.SWITCH_ON_DISABLED
+        with pytest.raises(MotionForbidden, match=LOST):
+            async for _ in run:
+                pass
+        assert len(told) == 1
 
 
 async def test_energy_that_a_stop_took_is_not_missed() -> None:
-    servo = Servo("joint_1")
-    port, _ = machine(servo)
-    told: list[str] = []
-    port.watch(lambda cause: told.append(str(cause)))
-    await port.connect()
-    await port.enable("joint_1")
-    await port.stop()
-    await port.status()
-    assert told == []
-    await port.enable("joint_1")
-    port.watch(None)
-    await port.close()
+    async with watched(Servo("joint_1")) as (port, _, told):
+        await port.enable("joint_1")
+        await port.stop()
+        await port.status()
+        assert told == []
+        await port.enable("joint_1")

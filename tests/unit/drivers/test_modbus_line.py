@@ -1,8 +1,10 @@
-"""Requests over a real line, TCP and RTU, to units that answer well, badly, late or never."""
+"""Requests over a real line, TCP and RTU, to units that answer well, badly, late or never; the heartbeat."""
 
+import asyncio
+import threading
 import time
-from collections.abc import Callable, Generator
-from contextlib import suppress
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,11 +12,16 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, WrongConfiguration
+from drivers.contract.bench import eventually
+from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady, WrongConfiguration, WrongIdentity
 from drivers.modbus import line as line_module
+from drivers.modbus.fieldbus import ModbusConnection, ModbusFieldbus
 from drivers.modbus.line import Line
 from drivers.modbus.profile import RtuLine, TcpLine
-from tests.unit.drivers.modbus_bank import TIMEOUT, Bank, Request, crc, rtu_frame, serving
+from drivers.modbus.registers import RegisterMap
+from tests.unit.drivers.modbus_bank import TIMEOUT, Bank, Request, rtu_frame, serving
+from tests.unit.drivers.modbus_drive import HIGH, KINDS, drive, following, profile_on
+from tests.unit.drivers.test_bus import soon
 
 pytestmark = pytest.mark.slow
 
@@ -27,30 +34,26 @@ def bank(request: pytest.FixtureRequest) -> Bank:
     return Bank(request.param, {1: dict(REGISTERS), 2: dict(REGISTERS)})
 
 
+@contextmanager
+def opened(bank: Bank, timeout: float, **changes: float) -> Generator[Line]:
+    with serving(bank, timeout) as profile:
+        line = Line(profile.model_copy(update=changes))
+        line.open()
+        yield line
+        line.close()
+
+
 @pytest.fixture
 def line(bank: Bank) -> Generator[Line]:
-    with serving(bank, PATIENCE) as profile:
-        opened = Line(profile)
-        opened.open()
-        yield opened
-        opened.close()
+    with opened(bank, PATIENCE) as line:
+        yield line
 
 
 @pytest.fixture
 def hasty(bank: Bank) -> Generator[Line]:
     """A line on which nobody answers well."""
-    with serving(bank, TIMEOUT) as profile:
-        opened = Line(profile)
-        opened.open()
-        yield opened
-        opened.close()
-
-
-def eventually(condition: Callable[[], bool], within: float = 10.0) -> None:
-    deadline = time.monotonic() + within
-    while not condition():
-        assert time.monotonic() < deadline, "condition never came true"
-        time.sleep(0.005)
+    with opened(bank, TIMEOUT) as line:
+        yield line
 
 
 def test_read_and_write(bank: Bank, line: Line) -> None:
@@ -156,12 +159,12 @@ def test_a_late_answer_is_never_taken_for_that_of_a_later_request(
 
     bank.spoil = hold_back
     for _ in range(2):
-        eventually(lambda: line.due(1))
+        soon(lambda: line.due(1))
         with pytest.raises(CommunicationLost):
             line.read(1, 0x10, 1, "late")
         assert line.read(2, 0x12, 1, "meanwhile") == [0x3333]
         bank.send(late[-1])
-    eventually(lambda: line.due(1))
+    soon(lambda: line.due(1))
     assert line.read(1, 0x11, 1, "next") == [0x2222]
 
 
@@ -204,19 +207,15 @@ def test_tell_waits_for_nothing_and_reaches_a_lost_unit(bank: Bank, hasty: Line)
         hasty.write(1, 0x10, [1], "lost")
     hasty.tell(1, 0x10, [2], "told")
     hasty.tell(1, 0x10, [3], "told")
-    eventually(lambda: bank.writes(0x10) == [1, 2, 3])
+    soon(lambda: bank.writes(0x10) == [1, 2, 3])
 
 
 def test_the_silence_between_frames_is_kept() -> None:
-    bank = Bank("rtu", {1: dict(REGISTERS)})
-    with serving(bank, PATIENCE) as profile:
-        line = Line(profile.model_copy(update={"silence_between_frames": 0.03}))
-        line.open()
+    with opened(Bank("rtu", {1: dict(REGISTERS)}), PATIENCE, silence_between_frames=0.03) as line:
         start = time.monotonic()
         for _ in range(5):
             line.read(1, 0x10, 1, "x")
         assert time.monotonic() - start >= 4 * 0.03
-        line.close()
 
 
 def test_a_line_that_is_closed(bank: Bank, line: Line) -> None:
@@ -261,10 +260,6 @@ def test_a_server_that_goes_away_is_a_loss() -> None:
     line.close()
 
 
-def test_crc_by_the_standards_example() -> None:
-    assert crc(b"\x02\x07") == b"\x41\x12"
-
-
 @pytest.mark.parametrize("transport", ["tcp", "rtu"])
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())
@@ -287,14 +282,52 @@ def test_any_bytes_are_an_answer_or_a_drive_error(transport: str, data: st.DataO
         }[kind]
 
     bank.spoil = spoil
-    with serving(bank, timeout=0.01) as profile:
-        line = Line(profile)
-        line.open()
+    with opened(bank, 0.01) as line:
         results: list[object] = []
         with suppress(DriveError):
             results.append(len(line.read(1, 0x10, 2, "read")))
         with suppress(DriveError):
             results.append(line.write(1, 0x10, [1, 2], "write"))
         assert set(results) <= {2, None}
-        line.close()
     assert len([request for request in bank.requests if request.function == 16]) <= 1
+
+
+@KINDS
+async def test_the_heartbeat_speaks_to_every_unit_and_notices_a_loss(
+    kind: str, registers: RegisterMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(line_module, "LOOK_AGAIN", 0.3)
+    bank = Bank(kind)
+    for unit, torque in ((1, 17.544), (2, 18.717)):
+        drive(bank, registers, unit, torque)
+    following(bank, registers)
+    with serving(bank, PATIENCE) as served:
+        served = served.model_copy(update={"watchdog": 2 * PATIENCE})
+        connection = await ModbusFieldbus(profile_on(served, kind, axes=2)).open()
+        with pytest.raises(NotReady, match="not possible through Modbus"):
+            await connection.stream([], threading.Event())
+        bank.requests.clear()
+        await eventually(lambda: all([r.unit for r in bank.requests].count(unit) > 3 for unit in (1, 2)))
+        bank.spoil = lambda request, frame: None if request.unit == 2 else frame
+        await eventually(lambda: _lost(connection, "joint_2") and not _lost(connection, "joint_1"))
+        bank.spoil = lambda _, frame: frame
+        await eventually(lambda: not _lost(connection, "joint_2"))
+        await connection.close()
+
+
+def _lost(connection: ModbusConnection, joint: str) -> bool:
+    try:
+        connection.axes[joint].device.check_alive()
+    except CommunicationLost:
+        return True
+    return False
+
+
+async def test_a_wrong_drive_leaves_nothing_open() -> None:
+    bank = Bank("tcp")
+    drive(bank, HIGH, 1, 99.0)
+    following(bank, HIGH)
+    with serving(bank, PATIENCE) as served:
+        with pytest.raises(WrongIdentity, match="rated torque"):
+            await ModbusFieldbus(profile_on(served, "tcp")).open()
+        assert len(asyncio.all_tasks()) == 1

@@ -1,17 +1,21 @@
-"""Register maps: the two that stand, every rule once, and junk."""
+"""Profiles and register maps of drives on Modbus: those that stand, every rule once; values in registers."""
 
 import copy
-from contextlib import suppress
+import math
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.errors import BadProfile
-from drivers.modbus.registers import MEASURING, RegisterMap, load_registers, parse_registers, spans
+from drivers.errors import BadProfile, LimitExceeded
+from drivers.modbus import from_profile
+from drivers.modbus.codec import Format, WireType, WordOrder
+from drivers.modbus.profile import RtuLine, TcpLine, parse_profile
+from drivers.modbus.registers import MEASURING, load_registers, parse_registers, spans
+from drivers.registry import load_profile, open_drive
 
 MAPS = Path(__file__).parents[3] / "config" / "registers"
 HIGH: dict[str, Any] = yaml.safe_load((MAPS / "virtual-high-first.yaml").read_text())
@@ -95,31 +99,136 @@ def test_every_rule() -> None:
         "must be .*, the last only": trace(sample=sample[1:]),
         "sample torque: unit": trace(sample=[{**field, "unit": None} for field in sample]),
     }
+    bad["must be a mapping"] = cast(Any, [1])
     for message, content in bad.items():
         with pytest.raises(BadProfile, match=message):
             parse_registers(content)
 
 
-JUNK = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
-    max_leaves=8,
-)
+FIRST, LAST = WordOrder.HIGH_FIRST, WordOrder.LOW_FIRST
+RANGES: dict[WireType, tuple[int, int]] = {
+    "u16": (0, 2**16 - 1),
+    "i16": (-(2**15), 2**15 - 1),
+    "u32": (0, 2**32 - 1),
+    "i32": (-(2**31), 2**31 - 1),
+}
 
 
-@pytest.mark.slow
-@given(content=JUNK | st.fixed_dictionaries({}, optional=dict.fromkeys(HIGH, JUNK)))
-def test_junk_is_refused(content: object) -> None:
-    with pytest.raises(BadProfile):
-        parse_registers(content)
+def test_by_hand() -> None:
+    assert Format("u32", FIRST).encode(0x12345678) == [0x1234, 0x5678]
+    assert Format("u32", LAST).encode(0x12345678) == [0x5678, 0x1234]
+    assert Format("i16", LAST).encode(-2) == [0xFFFE]
+    assert Format("i32", FIRST, 0.001).encode(-1.5) == [0xFFFF, 0xFA24]  # -1500
+    assert Format("f32", FIRST).encode(-2.5) == [0xC020, 0]
+    assert Format("i32", FIRST, 0.001).decode([0xFFFF, 0xFA24, 0, 1500]).tolist() == [-1.5, 1.5]
+    assert Format("f32", LAST).decode([0, 0xC020]).tolist() == [-2.5]
 
 
-@settings(deadline=None)
+def test_rounding_is_the_callers() -> None:
+    assert Format("u16", FIRST).encode(7.9, math.floor) == [7]
+    assert Format("u16", FIRST).encode(7.1, math.ceil) == [8]
+
+
+@pytest.mark.parametrize("order", WordOrder)
+@pytest.mark.parametrize("kind", RANGES)
+@given(data=st.data(), scale=st.floats(1e-9, 1e6))
+def test_integers_come_back_exactly(kind: WireType, order: WordOrder, data: st.DataObject, scale: float) -> None:
+    raw = data.draw(st.integers(*RANGES[kind]))
+    form = Format(kind, order, scale)
+    registers = form.encode(raw * scale)
+    assert len(registers) == form.width
+    assert form.decode(registers).tolist() == [raw * scale]
+
+
 @given(
-    name=st.sampled_from(sorted(HIGH["signals"])),
-    key=st.sampled_from(["address", "type", "access", "scale", "unit", "count", "value"]),
-    junk=JUNK,
+    value=st.floats(width=32, allow_nan=False, allow_infinity=False, allow_subnormal=False),
+    order=st.sampled_from(WordOrder),
+    scale=st.floats(1e-3, 1e3),
 )
-def test_a_spoilt_signal_is_a_map_or_refused(name: str, key: str, junk: object) -> None:
-    with suppress(BadProfile):
-        assert isinstance(parse_registers(changed(**{name: {key: junk}})), RegisterMap)
+def test_floats_come_back_to_their_last_digits(value: float, order: WordOrder, scale: float) -> None:
+    form = Format("f32", order, scale)
+    wanted = form.clip(value)
+    assert form.decode(form.encode(wanted))[0] == pytest.approx(wanted, rel=1e-6, abs=1e-38 * scale)
+
+
+@given(words=st.lists(st.integers(0, 0xFFFF), min_size=2, max_size=2), kind=st.sampled_from(["u32", "i32", "f32"]))
+def test_the_other_word_order_is_the_turned_registers(words: list[int], kind: WireType) -> None:
+    here, turned = Format(kind, FIRST).decode(words)[0], Format(kind, LAST).decode(words[::-1])[0]
+    assert here == turned or (math.isnan(here) and math.isnan(turned))
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 2.0**31, -(2.0**31) - 1])
+def test_what_does_not_fit_is_refused(value: float) -> None:
+    with pytest.raises(LimitExceeded, match="i32"):
+        Format("i32", FIRST).encode(value)
+
+
+def test_clip_gives_what_fits() -> None:
+    form = Format("i16", FIRST, 0.1)
+    assert form.clip(1e9) == pytest.approx(3276.7)
+    assert form.clip(-1e9) == pytest.approx(-3276.8)
+    assert form.encode(form.clip(math.inf)) == [0x7FFF]
+
+
+DRIVES = Path(__file__).parents[3] / "config" / "drives"
+TCP, RTU = (load_profile(DRIVES / f"virtual-max100-modbus-{kind}.yaml") for kind in ("tcp", "rtu"))
+
+
+def other(profile: dict[str, object], **fields: Any) -> dict[str, Any]:
+    return {**copy.deepcopy(profile), **fields}
+
+
+def test_the_profiles_that_stand() -> None:
+    tcp, rtu = parse_profile(TCP, DRIVES), parse_profile(RTU, DRIVES)
+    assert isinstance(tcp.line, TcpLine)
+    assert isinstance(rtu.line, RtuLine)
+    assert [axis.unit_id for axis in rtu.axes] == [1, 2, 3, 4, 5, 6]
+    assert tcp.axes == rtu.axes
+    assert tcp.registers != rtu.registers
+    assert open_drive(TCP, DRIVES).joints == tuple(axis.joint for axis in tcp.axes)
+
+
+def test_the_axes_are_those_of_the_can_profile() -> None:
+    can: Any = load_profile(DRIVES / "virtual-max100.yaml")
+    modbus: Any = copy.deepcopy(TCP)
+    for node, unit in zip(can["axes"], modbus["axes"], strict=True):
+        assert node.pop("node") == unit.pop("unit_id")
+        assert node == unit
+
+
+def test_serial_silence_is_at_least_the_standards() -> None:
+    def silence(baudrate: int, own: float = 0.0) -> float:
+        return RtuLine(transport="rtu", device="x", baudrate=baudrate, parity="E", silence_between_frames=own).silence
+
+    assert silence(9600) == pytest.approx(3.5 * 11 / 9600)
+    assert silence(115200) == pytest.approx(1.75e-3)
+    assert silence(115200, 0.01) == pytest.approx(0.01)
+
+
+def test_what_a_read_takes_on_a_serial_line() -> None:
+    line = RtuLine(transport="rtu", device="x", baudrate=115200, parity="N")
+    assert line.read_time(120) == pytest.approx(1.75e-3 + 253 * 10 / 115200)  # 24 ms
+
+
+def test_what_is_refused() -> None:
+    line: Any = TCP["line"]
+    axes: Any = TCP["axes"]
+    bad = {
+        "line": other(TCP, line={**line, "transport": "ascii"}),
+        "line.tcp.host": other(TCP, line={key: value for key, value in line.items() if key != "host"}),
+        "line.tcp.device": other(TCP, line={**line, "device": "/dev/ttyUSB0"}),
+        "must be at least twice": other(TCP, line={**line, "watchdog": 1.0}),
+        "registers: no file": other(TCP, registers="none.yaml"),
+        "axes.0.unit_id": other(TCP, axes=[{**axes[0], "unit_id": 0}]),
+        "must each be different": other(TCP, axes=[axes[0], {**axes[1], "unit_id": 1}]),
+        "axes.0.node": other(TCP, axes=[{**axes[0], "node": 1}]),
+    }
+    for message, profile in bad.items():
+        with pytest.raises(BadProfile, match=message):
+            from_profile(profile, DRIVES)
+
+
+def test_a_bad_register_map_is_a_bad_profile(tmp_path: Path) -> None:
+    (tmp_path / "map.yaml").write_text("word_order: high_first\nsignals: {}\n")
+    with pytest.raises(BadProfile, match=r"registers: .*map\.yaml: signals: missing"):
+        from_profile(other(TCP, registers=str(tmp_path / "map.yaml")), DRIVES)

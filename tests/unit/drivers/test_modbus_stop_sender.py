@@ -1,6 +1,8 @@
 """The stop of Modbus TCP drives before units that answer at once, late, badly and never."""
 
 import time
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -8,7 +10,7 @@ import yaml
 
 from drivers.errors import ConnectionFailed
 from drivers.modbus.profile import RtuLine, TcpLine, parse_profile
-from drivers.modbus.registers import RegisterMap, load_registers
+from drivers.modbus.registers import load_registers
 from drivers.modbus.stop_sender import CONNECT_TIMEOUT, SENDING, ModbusStopSender
 from tests.unit.drivers.modbus_bank import Bank, Request, serving, tcp_frame
 from tests.unit.drivers.modbus_drive import HIGH, drive, following, profile_on, put
@@ -80,19 +82,20 @@ def test_a_unit_that_lost_its_request_to_another_that_was_slow_is_told_again(roo
 # -- confirmed
 
 
-def standing(root: Path, bank: Bank, line: TcpLine | RtuLine) -> tuple[ModbusStopSender, RegisterMap]:
+@contextmanager
+def standing(root: Path) -> Generator[tuple[Bank, ModbusStopSender]]:
     """Six units that follow their controlwords."""
-    told = sender(root, line)
-    for axis in profile_on(line, "tcp", axes=len(UNITS)).axes:
-        drive(bank, HIGH, axis.unit_id, axis.rated_torque)
-    following(bank, HIGH)
-    return told, HIGH
+    bank = Bank("tcp")
+    with serving(bank) as line:
+        told = sender(root, line)
+        for axis in profile_on(line, "tcp", axes=len(UNITS)).axes:
+            drive(bank, HIGH, axis.unit_id, axis.rated_torque)
+        following(bank, HIGH)
+        yield bank, told
 
 
 def test_standstill_without_energy_is_confirmed_and_nothing_is_written(root: Path) -> None:
-    bank = Bank("tcp")
-    with serving(bank) as line:
-        told, _ = standing(root, bank, line)
+    with standing(root) as (bank, told):
         assert set(told.send().values()) == {""}
         bank.requests.clear()
         assert told.confirm(5.0) == dict.fromkeys((f"joint_{unit}" for unit in UNITS), "")
@@ -100,12 +103,10 @@ def test_standstill_without_energy_is_confirmed_and_nothing_is_written(root: Pat
 
 
 def test_what_moves_has_energy_or_is_silent_is_not_confirmed_in_time(root: Path) -> None:
-    bank = Bank("tcp")
-    with serving(bank) as line:
-        told, registers = standing(root, bank, line)
-        put(bank, registers, 2, "statusword", 0x27)
-        put(bank, registers, 3, "velocity", 100.0)
-        put(bank, registers, 4, "statusword", 0x07)
+    with standing(root) as (bank, told):
+        put(bank, HIGH, 2, "statusword", 0x27)
+        put(bank, HIGH, 3, "velocity", 100.0)
+        put(bank, HIGH, 4, "statusword", 0x07)
         bank.spoil = lambda request, frame: None if request.unit in (1, 5) else frame
         begun = time.monotonic()
         found = told.confirm(1.0)
@@ -119,15 +120,14 @@ def test_what_moves_has_energy_or_is_silent_is_not_confirmed_in_time(root: Path)
 
 
 def test_an_axis_that_comes_to_rest_while_it_is_asked_is_confirmed(root: Path) -> None:
-    bank, asked = Bank("tcp"), list[int]()
-    with serving(bank) as line:
-        told, registers = standing(root, bank, line)
-        put(bank, registers, 1, "velocity", 50.0)
+    asked = list[int]()
+    with standing(root) as (bank, told):
+        put(bank, HIGH, 1, "velocity", 50.0)
 
         def spoil(request: Request, frame: bytes) -> bytes:
             asked.append(request.unit)
             if asked.count(1) == 4:
-                put(bank, registers, 1, "velocity", 0.0)
+                put(bank, HIGH, 1, "velocity", 0.0)
             return frame
 
         bank.spoil = spoil
@@ -156,10 +156,8 @@ def test_units_that_are_all_silent_take_no_more_than_their_part_of_the_time(root
 
 def test_no_answer_is_taken_for_that_of_another_unit_or_request(root: Path) -> None:
     """Unit 1 moves; a gateway answers its requests with frames of unit 2 and of transactions before."""
-    bank = Bank("tcp")
-    with serving(bank) as line:
-        told, registers = standing(root, bank, line)
-        put(bank, registers, 1, "statusword", 0x27)
+    with standing(root) as (bank, told):
+        put(bank, HIGH, 1, "statusword", 0x27)
 
         def spoil(request: Request, frame: bytes) -> bytes:
             if request.unit != 1:

@@ -1,4 +1,4 @@
-"""Drive profiles and the registry."""
+"""Drive profiles, the registry and device maps: those of the house are read, wrong ones refused with the place."""
 
 import copy
 import re
@@ -8,9 +8,26 @@ from typing import Any
 import pytest
 import yaml
 
+from drivers.canopen.configuration import pdos
+from drivers.canopen.device_map import (
+    STANDARD,
+    TYPES,
+    VIRTUAL_AXIS,
+    DeviceMap,
+    Pdos,
+    Units,
+    Way,
+    bits,
+    load_device_map,
+)
+from drivers.canopen.frames import MotionPdo, PositionPdo, SetPoint, Wires, decode, stop
 from drivers.canopen.profile import parse_profile
+from drivers.cia402.profile import parse
 from drivers.errors import BadProfile
+from drivers.modbus.registers import load_registers
 from drivers.registry import load_profile, open_drive, open_profile
+from simulator.modbus.register_map import RegisterMapError, load_register_map
+from simulator.scenario import ScenarioError, load_scenario
 
 DRIVES = Path(__file__).parents[3] / "config" / "drives"
 
@@ -51,6 +68,8 @@ def test_every_profile_of_the_house_opens() -> None:
         ("travel_limits.rad", 0.0, "travel_limits.rad: .*greater than 0"),
         ("bus.host_node", 3, "host_node 3"),
         ("eds", "nowhere.eds", "eds: no file .*nowhere.eds"),
+        ("device", "nowhere.yaml", r"device: no file .*nowhere\.yaml"),
+        ("axes.0.unit", "m", r"^axes\.0: load_encoder: not supported .* set it to false"),
         ("axes.0.identity.product", 0x999, "eds: .*is for vendor 00005357h, product 00000402h; joint_1 is .*00000999h"),
     ],
 )
@@ -77,12 +96,6 @@ def test_an_error_in_a_file_names_the_file(profile: dict[str, Any], tmp_path: Pa
         bad.write_text(yaml.safe_dump(profile | {"eds": eds} | change))
         with pytest.raises(BadProfile, match=f"^{re.escape(str(bad))}: {message}"):
             open_profile(bad)
-
-
-def test_a_linear_axis_has_no_load_encoder(profile: dict[str, Any]) -> None:
-    profile["axes"][0]["unit"] = "m"
-    with pytest.raises(BadProfile, match=r"^axes\.0: load_encoder: not supported .* set it to false"):
-        open_drive(profile, DRIVES)
 
 
 def test_a_long_value_is_shown_by_its_beginning(profile: dict[str, Any]) -> None:
@@ -119,3 +132,185 @@ def test_a_linear_axis_has_its_own_limit_of_travel(profile: dict[str, Any]) -> N
         parse_profile(profile | {"axes": [linear]}, DRIVES)
     near = linear | {"velocity_limit": 0.16}  # 0.4832 m
     assert parse_profile(profile | {"axes": [near]}, DRIVES).axes[0].travel_without_host(3.0) == pytest.approx(0.4832)
+
+
+CONFIG = Path(__file__).parents[3] / "config"
+DEVICES = sorted((CONFIG / "devices").glob("*.yaml"))
+
+
+PAGE = (CONFIG.parent / "docs/reference/device-map.md").read_text(encoding="utf-8")
+
+
+def table(after: str) -> list[str]:
+    """The names in the first column of the first table behind a heading."""
+    rows = PAGE.partition(f"{after}\n")[2].partition("\n#")[0].splitlines()
+    cells = [row.split("|")[1] for row in rows if row.startswith("| `")]
+    return [name for cell in cells for name in re.findall(r"`(\w+)`", cell)]
+
+
+def test_the_page_has_every_field_and_no_other() -> None:
+    for heading, model in (("## The file", DeviceMap), ("### `units`", Units), ("### `pdos`", Pdos)):
+        assert table(heading) == list(model.model_fields), heading
+    assert table("### Modes of excitation") == [way.value for way in Way]
+    assert table("### Names of objects") == list(STANDARD)
+    types = {code: name for name, code in TYPES.items()}
+    for name, entry in STANDARD.items():
+        assert f"| `{name}` | {entry.index:04X}h:{entry.sub:02X} | {types[entry.type]} |" in PAGE
+    assert {path.stem for path in DEVICES} == set(re.findall(r"`([a-z]+-[a-z0-9]+)`", PAGE.partition("## The file")[0]))
+
+
+def a_map(**changes: object) -> DeviceMap:
+    return parse(DeviceMap, {"pdos": {"stop": 2}, **changes})
+
+
+@pytest.mark.parametrize("path", DEVICES, ids=lambda path: path.stem)
+def test_every_map_of_the_house_is_one_and_its_pdos_fit(path: Path) -> None:
+    device_map = load_device_map(path)
+    assert device_map.description
+    for way in device_map.excitation:
+        for pdo in pdos(device_map, way, 5):
+            assert sum(bits(entry) for entry in pdo.mapped) <= 64
+            assert pdo.identifier & 0x7F == 5
+
+
+def test_a_profile_without_a_map_means_the_virtual_drive() -> None:
+    assert load_device_map(CONFIG / "devices/virtual-axis.yaml") == VIRTUAL_AXIS
+    profile = load_profile(CONFIG / "drives/virtual-max100.yaml")
+    assert "device" not in profile
+    assert parse_profile(profile, CONFIG / "drives").device_map == VIRTUAL_AXIS
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"objects": {"speed": {"index": 0x606C, "type": "i32"}}}, r"objects: \['speed'\] are unknown"),
+        ({"objects": {"velocity": {"index": 0x606C, "type": "i16"}}}, "objects.velocity: type must be i32"),
+        ({"objects": {"velocity": {"index": 0x606C, "type": "f32"}}}, "objects.velocity.type: .*given: 'f32'"),
+        ({"missing": {"velocity": "host"}}, r"missing: \['velocity'\] are needed to move and measure an axis"),
+        ({"missing": {"torque": "host"}}, r"missing: \['torque'\] are used by this map"),
+        ({"missing": {"target_velocity": "host"}}, r"\['target_velocity'\] are used by this map"),
+        ({"samples": "counter", "missing": {"sample_counter": "host"}}, r"\['sample_counter'\] are used by this map"),
+        (
+            {"units": {"effort": "current"}, "missing": {"rated_current": "host"}},
+            r"\['rated_current'\] are used by this map",
+        ),
+        ({"missing": {"increments": "profile"}}, r"\['increments'\] are used by this map"),
+        ({"missing": {"velocity_unit": "host"}}, r"\['velocity_unit'\] are used by this map"),
+        ({"excitation": []}, "excitation: .*at least 1 item"),
+        ({"pdos": {"state": 2}}, r"TPDO \[2, 2\] must each be different"),
+        ({"pdos": {"stop": 2, "unused_rpdos": [2]}}, r"RPDO \[1, 2, 2\] must each be different"),
+        ({"pdos": {"stop": 5}}, "pdos.stop: .*less than or equal to 4.*given: 5"),
+        (
+            {"pdos": {}, "excitation": ["cyclic_position"]},
+            "pdos.stop is missing: .*needs an RPDO with the controlword and no target",
+        ),
+        ({"excitation": ["torque_offset"]}, "excitation.0: .*given: 'torque_offset'"),
+        ({"units": {"velocity": "mph"}}, "units.velocity: .*given: 'mph'"),
+        ({"colour": "red"}, "colour: Extra inputs"),
+    ],
+)
+def test_a_wrong_map_is_refused_with_its_place(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(BadProfile, match=message):
+        a_map(**changes)
+
+
+@pytest.mark.parametrize(
+    ("content", "axis", "message"),
+    [
+        ({"vendor": 0x9A}, {}, "is for vendor 0000009Ah; joint_1 is 00005357h"),
+        (
+            {"units": {"increments": "profile"}},
+            {},
+            "axes: joint_1: increments is missing: the device map says `increments: profile`",
+        ),
+        (
+            {"units": {"effort": "current"}},
+            {},
+            "axes: joint_1: torque_constant is missing: .* the profile must give N m/A",
+        ),
+        ({"units": {"side": "joint"}}, {"gear_ratio": -100.0}, "axes: joint_1: gear_ratio must be above 0"),
+    ],
+)
+def test_a_profile_that_does_not_fit_its_map(
+    tmp_path: Path, content: dict[str, Any], axis: dict[str, Any], message: str
+) -> None:
+    path = tmp_path / "map.yaml"
+    path.write_text(yaml.safe_dump(content))
+    profile: Any = load_profile(CONFIG / "drives/virtual-max100.yaml") | {"device": str(path)}
+    profile["axes"][0] |= axis
+    with pytest.raises(BadProfile, match=message):
+        parse_profile(profile, CONFIG / "drives")
+
+
+def test_frames_are_read_where_the_map_has_them() -> None:
+    wires = Wires(set_point=1, stop=3, state=1, place=3, counted=False)
+    told = bytes.fromhex("2700 0a000000 0500")
+    assert decode(0x182, told, wires=wires) == MotionPdo(2, 0x27, 10, 5)
+    assert decode(0x382, bytes.fromhex("01000000 0a000000"), wires=wires) == PositionPdo(2, 1, 0, 10)
+    assert decode(0x282, bytes.fromhex("01000000 0a000000"), wires=wires) is None
+    assert decode(0x402, b"\2\0", wires=wires) == SetPoint(2, b"\2\0")
+    assert decode(0x202, bytes(6), wires=wires) == SetPoint(2, bytes(6))
+
+
+def test_a_stop_never_tells_a_position() -> None:
+    wires = Wires(set_point=1, stop=2)
+    assert stop([1, 2], [2], wires=wires) == [(0x301, b"\2\0"), (0x302, b"\2\0"), (0x80, b""), (0x000, b"\2\2")]
+    for path in DEVICES:
+        device_map = load_device_map(path)
+        assert device_map.pdos.stop is not None or set(device_map.excitation) == {Way.CYCLIC_VELOCITY}
+
+
+@pytest.mark.parametrize(
+    ("way", "supported", "mode"),
+    [
+        (Way.CYCLIC_VELOCITY, 0x100, 9),
+        (Way.CYCLIC_VELOCITY, 0x005, None),
+        (Way.VELOCITY_OFFSET, 0x105, 9),
+        (Way.VELOCITY_OFFSET, 0x005, 3),
+        (Way.VELOCITY_OFFSET, 0x041, None),
+        (Way.VELOCITY_OFFSET, None, 9),
+    ],
+)
+def test_a_way_takes_the_best_mode_that_the_drive_has(way: Way, supported: int | None, mode: int | None) -> None:
+    assert way.mode(supported) == mode
+
+
+def test_the_velocity_offset_is_the_last_choice_of_a_plain_drive() -> None:
+    assert load_device_map(CONFIG / "devices" / "plain-402.yaml").excitation[-1] is Way.VELOCITY_OFFSET
+
+
+READERS: dict[str, Any] = {
+    **{"profile": load_profile, "device map": load_device_map, "registers": load_registers},
+    **{"virtual registers": load_register_map, "scenario": load_scenario},
+}
+ERRORS = (BadProfile, RegisterMapError, ScenarioError)
+REFUSED = {
+    b"\xff\xfe": "not YAML|cannot be read: .*utf-8",
+    b"a: [": "not YAML",
+    b"a: 2001-13-45": "not YAML",
+    b"a: !!int ''": "not YAML",
+    b"a: !!timestamp x": "not YAML",
+    b"a: " + b"[" * 3000: "not YAML: nested too deeply, limit 32 levels",
+    b"axes: " + b"[" * 33 + b"]" * 33: "not YAML: nested too deeply, limit 32 levels",
+    b"&a {axes: *a}": r"not YAML: alias \*a is inside of its own anchor",
+    b"axes: &a [{identity: *a}]": r"not YAML: alias \*a is inside of its own anchor",
+    b"a: &a %s\nb: [%s]" % (b"n" * 100_000, b", ".join([b"*a"] * 100)): "aliases stand for more than 4194304 ",
+    b" " * 2**20 + b"a": "is larger than|YAML of 1048577 characters, limit 1048576",
+    b"- 1": "must be a mapping|map: Input|not a mapping",
+}
+
+
+@pytest.mark.parametrize("read", READERS.values(), ids=READERS)
+@pytest.mark.parametrize(("content", "message"), REFUSED.items(), ids=[repr(each[:12]) for each in REFUSED])
+def test_what_is_no_description_is_refused_by_name(read: Any, content: bytes, message: str, tmp_path: Path) -> None:
+    """A profile that holds itself took all of Python's stack when its open values were looked for."""
+    path = tmp_path / "it.yaml"
+    path.write_bytes(content)
+    with pytest.raises(ERRORS, match=rf"it\.yaml: .*({message})"):
+        read(path)
+
+
+@pytest.mark.parametrize("read", READERS.values(), ids=READERS)
+def test_a_file_that_is_not_there_is_named(read: Any, tmp_path: Path) -> None:
+    with pytest.raises(ERRORS, match=r"none\.yaml: .*No such file"):
+        read(tmp_path / "none.yaml")

@@ -1,9 +1,13 @@
-"""The CiA 402 table, exhaustively."""
+"""The CiA 402 table, exhaustively, and the stop sequence of a streaming axis."""
 
 from typing import NamedTuple
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from drivers.canopen.stop_sequence import StopSequence, StopStage
+from drivers.cia402 import states
 from drivers.cia402.states import ENERGISED, PATTERNS, STEPS, State, Wish, decode, operator_view, step
 from drivers.errors import NotReady
 from drivers.ports import AxisState
@@ -58,3 +62,97 @@ def test_every_statusword_has_one_state_or_none() -> None:
         assert decode(statusword) is (fitting[0] if fitting else State.UNKNOWN)
         unknown += not fitting
     assert 0 < unknown < 0x10000
+
+
+ENABLED, OFF = State.OPERATION_ENABLED, State.SWITCH_ON_DISABLED
+
+
+def stop_sequence() -> StopSequence:
+    return StopSequence(ramp_step=10, ramp_time=1.0, quick_stop_time=1.0, disable_time=1.0)
+
+
+RAMP, QUICK_STOP, DISABLE, DONE = StopStage.RAMP, StopStage.QUICK_STOP, StopStage.DISABLE, StopStage.DONE
+# the first stage and set-point; then: time, whether it stands, its state; what it is told, and the stage after that
+LADDERS = {
+    **{
+        f"from {sign * 25}": (
+            (RAMP, sign * 25),
+            *((0.1, False, ENABLED, (0x0F, sign * target), RAMP) for target in (15, 5, 0, 0)),
+            (0.2, True, ENABLED, (0x00, 0), DISABLE),
+            (0.3, True, OFF, (0x00, 0), DONE),
+        )
+        for sign in (1, -1)
+    },
+    "each stage gives way at its deadline": (
+        (RAMP, 10**6),
+        (0.9, False, ENABLED, (0x0F, 10**6 - 10), RAMP),
+        (1.1, False, ENABLED, (0x02, 0), QUICK_STOP),
+        (2.0, False, State.QUICK_STOP_ACTIVE, (0x02, 0), QUICK_STOP),
+        (2.2, False, State.QUICK_STOP_ACTIVE, (0x00, 0), DISABLE),
+        (3.3, False, State.QUICK_STOP_ACTIVE, (0x00, 0), DONE),
+    ),
+    "a silent drive is told until the end": (
+        (QUICK_STOP, 100),
+        (0.5, False, State.UNKNOWN, (0x02, 0), QUICK_STOP),
+        (1.1, False, State.UNKNOWN, (0x00, 0), DISABLE),
+        (2.2, False, State.UNKNOWN, (0x00, 0), DONE),
+    ),
+    "a fault ends it once the drive is off": (
+        (QUICK_STOP, 100),
+        (0.1, False, State.FAULT_REACTION, (0x02, 0), QUICK_STOP),
+        (0.2, False, State.FAULT, (0x00, 0), DONE),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", LADDERS)
+def test_rung_by_rung(case: str) -> None:
+    (first, start), *steps = LADDERS[case]
+    one = stop_sequence()
+    one.advance(first, 0.0, start)
+    for now, standing, state, command, stage in steps:
+        assert (one.command(now, standing, state), one.stage) == (command, stage), now
+
+
+def test_it_never_goes_back_and_never_enables_again() -> None:
+    one = stop_sequence()
+    one.advance(StopStage.QUICK_STOP, 0.0, 100)
+    one.advance(StopStage.RAMP, 0.1, 100)
+    assert one.stage is StopStage.QUICK_STOP
+    for state in State:
+        assert one.command(0.2, False, state)[0] in (0x00, 0x02)
+
+
+BIT_3 = 0x08  # enable operation
+Step = tuple[float, bool, int, StopStage | None]
+
+
+@given(
+    st.integers(-(2**31), 2**31 - 1),
+    st.lists(
+        st.tuples(
+            st.floats(0.0, 2.0),
+            st.booleans(),
+            st.integers(0, 0xFFFF) | st.sampled_from([0x27, 0x23, 0x21, 0x40, 0x07, 0x08, 0x0F, 0x00]),
+            st.none() | st.sampled_from(StopStage),
+        ),
+        max_size=60,
+    ),
+)
+def test_whatever_happens_it_enables_no_drive_that_is_not_enabled_and_only_slows_down(
+    start: int, steps: list[Step]
+) -> None:
+    """Any order of times, statuswords and calls to advance, from any set-point; the run itself is no stop sequence."""
+    one, now, last, stage = stop_sequence(), 0.0, abs(start), StopStage.RUN
+    for passed, standing, statusword, goal in steps:
+        now += passed
+        state = states.decode(statusword)
+        if goal is not None:
+            one.advance(goal, now, start)
+        controlword, target = one.command(now, standing, state)
+        assert not controlword & BIT_3 or state is ENABLED
+        assert controlword in (states.ENABLE_OPERATION, states.QUICK_STOP, states.DISABLE_VOLTAGE)
+        assert abs(target) <= last
+        assert one.stage >= max(stage, StopStage.RAMP)
+        last, stage = abs(target), one.stage
+        start = target

@@ -1,13 +1,22 @@
-"""Motor units <-> joint side, by numbers computed by hand and by round trips."""
+"""Motor units <-> joint side: by hand, by round trips, by the maps of the house; of the measuring function."""
 
 import math
+from collections.abc import Mapping
+from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.canopen import measuring
+from drivers.canopen.device_map import load_device_map
+from drivers.canopen.objects import Entry
 from drivers.canopen.units import Codec, velocity_unit
-from drivers.errors import LimitExceeded, WrongConfiguration
+from drivers.canopen.units import codec as codec_of
+from drivers.errors import CommunicationLost, LimitExceeded, WrongConfiguration
+from drivers.ports import NoiseCommand
+from tests.unit.drivers.given import axis, sweep
 
 MILLI_RPM, INCREMENTS_PER_SECOND = 0xFDB44700, 0x00B50300
 
@@ -78,3 +87,121 @@ def test_round_trips(gear: float, offset: float, raw: int) -> None:
     assert one.raw_velocity(float(one.velocity(raw))) == raw
     assert abs(one.raw_position(float(one.position(raw))) - raw) <= 1
     assert one.motor_velocity(one.rev_per_min(0.1)) == pytest.approx(0.1)
+
+
+DEVICES = Path(__file__).parents[3] / "config" / "devices"
+TURNS = 100 / math.tau  # motor revolutions in a radian behind a gear of 100
+
+
+def of(device: str, told: Mapping[str, float], **changes: float) -> Codec:
+    """The codec of a drive that tells these objects."""
+    device_map = load_device_map(DEVICES / f"{device}.yaml")
+    missing = dict.fromkeys(device_map.missing, 1.0)
+    return codec_of(axis(rated_torque=2.0, **changes), device_map.units, 2.0, lambda name: {**missing, **told}[name])
+
+
+FINE = {"increments": 131072, "motor_revolutions": 1, "velocity_unit": 0x00B50300}
+
+
+@pytest.mark.parametrize(
+    ("device", "told", "changes", "position", "velocity", "acceleration", "speed"),
+    [
+        ("plain-402", FINE, {}, 131072, 131072, 131072, 60),
+        ("maxon-epos4", {"increments": 4096, "velocity_unit": 0xFDB44700}, {}, 4096, 60e3, 60, 60e3),  # mixes units
+        *(  # the increments of the profile
+            (device, {}, {"increments": 8192.0}, 8192, 8192, 8192, 60) for device in ("elmo-gold", "elmo-simpliq")
+        ),
+    ],
+)
+def test_what_a_turn_of_the_motor_is(
+    device: str, told: dict[str, float], changes: dict[str, float], position: float, velocity: float,
+    acceleration: float, speed: float,
+) -> None:  # fmt: skip
+    one = of(device, told, **changes)
+    assert one.raw_position(1.0) == round(TURNS * position)
+    assert one.raw_velocity(1.0) == round(TURNS * velocity)
+    assert one.raw_acceleration(2.0) == round(2 * TURNS * acceleration)
+    assert one.raw_max_speed(1.0) == math.ceil(TURNS * speed)
+
+
+def test_powerball_counts_behind_the_gear_whatever_the_gear() -> None:
+    for gear_ratio in (100.0, 161.0):
+        one = of("schunk-powerball", {}, gear_ratio=gear_ratio)
+        assert one.raw_position(math.pi / 2) == 90_000
+        assert one.raw_velocity(math.radians(10)) == 10_000
+        assert one.raw_acceleration(math.radians(10)) == 10_000
+        assert one.position(90_000) == pytest.approx(math.pi / 2)
+        assert one.effort(500) == pytest.approx(0.5 * 2.0 * gear_ratio)
+        assert one.raw_window((-1.0, 1.0)) == (-57296, 57296)
+
+
+def test_a_current_becomes_a_torque_by_the_constant_of_the_profile(tmp_path: Path) -> None:
+    path = tmp_path / "map.yaml"
+    path.write_text("units: {effort: current}\n")
+    told = {"increments": 1000, "motor_revolutions": 1, "velocity_unit": 0x00B44700, "rated_current": 4000}
+    device_map = load_device_map(path)
+    plain = of("plain-402", told)
+    assert plain.effort(1000) == pytest.approx(2.0 * 100)
+    one = codec_of(axis(torque_constant=0.25), device_map.units, 2.0, told.__getitem__)
+    assert one.effort(1000) == pytest.approx(4.0 * 0.25 * 100)  # 4 A, 0.25 N m/A
+
+
+CODEC = Codec(gear_ratio=-100.0, position_offset=0.0, rated_torque=20.0, increments=2.0**20, velocity_unit=1e-3 / 60)
+AXIS = axis(joint="q", gear_ratio=-100.0, rated_torque=20.0)
+NOISE = NoiseCommand(
+    joint="q",
+    offset_velocity=math.tau / 6000,  # 1 rev/min of the motor
+    effort=30.0,
+    lowest=1.0,
+    highest=40.0,
+    period=2.0,
+    periods=5,
+    seed=123,
+    softening=0.5,
+    ramp=0.5,
+    settle=1.0,
+    sample_rate=250.0,
+    velocity_limit=0.1,
+    effort_limit=1000.0,
+    position_window=(-0.5, 0.5),
+)
+SWEEP = sweep(joint="q")
+
+
+def settings(pairs: list[tuple[Entry, float]]) -> dict[tuple[int, int], float]:
+    return {(entry.index, entry.sub): value for entry, value in pairs}
+
+
+def test_noise_in_drive_units_behind_a_gear_that_turns_round() -> None:
+    assert settings(measuring.noise_parameters(NOISE, CODEC)) == {
+        (0x2100, 4): pytest.approx(-1.0),  # rev/min
+        (0x2100, 5): 0.5,
+        (0x2100, 6): 1.0,
+        (0x2100, 7): 2.0,
+        (0x2100, 8): 5,
+        (0x2100, 10): 4,  # ms
+        (0x2100, 12): 1,
+        (0x2104, 1): pytest.approx(0.3),  # N m of the motor; an RMS has no sign
+        (0x2104, 2): 1.0,
+        (0x2104, 3): 40.0,
+        (0x2104, 4): 123,
+    }
+
+
+def test_a_sweep_says_nothing_of_noise() -> None:
+    assert {index for index, _ in settings(measuring.parameters(SWEEP, CODEC))} == {0x2100, 0x2101, 0x2102, 0x2103}
+    assert (0x2100, 12) not in settings(measuring.parameters(SWEEP, CODEC))
+
+
+def test_a_page_of_a_noise_run_holds_the_injected_torque() -> None:
+    page = np.zeros(3, measuring.NOISE_SAMPLE)
+    page["cycle"], page["torque"], page["injected"] = [4, 5, 6], [1.0, 2.0, 3.0], [0.1, -0.2, 0.3]
+    block = measuring.samples(page.tobytes(), 4, 3, AXIS, CODEC, 4, "q (node 1)", noise=True)
+    assert block.excitation_effort == pytest.approx(np.array([-10.0, 20.0, -30.0]))
+    assert block.effort == pytest.approx(np.array([-100.0, -200.0, -300.0]))
+    assert block.time == pytest.approx(np.array([0.016, 0.020, 0.024]))
+    with pytest.raises(CommunicationLost, match="page of 108 bytes instead of 3 samples"):
+        measuring.samples(page.tobytes(), 4, 3, AXIS, CODEC, 4, "q (node 1)")
+    of_a_sweep = np.zeros(3, measuring.SAMPLE)
+    of_a_sweep["cycle"] = [4, 5, 6]
+    assert measuring.samples(of_a_sweep.tobytes(), 4, 3, AXIS, CODEC, 4, "q (node 1)").excitation_effort is None

@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from service.errors import BadInput
-from service.robot import Axis, Robot, RobotDescription, build_robot, link_frames, rotation_about
+from service.robot import Axis, Robot, RobotDescription, build_robot, link_frames
 from service.urdf import read_chain
 
 pinocchio = (  # elsewhere it must be there
@@ -78,12 +78,6 @@ def test_frames_of_one_pose_and_of_a_grid_agree() -> None:
     one_rotation, one_origin = link_frames(chain, poses[1, 2])
     np.testing.assert_allclose(rotations[1, 2], one_rotation)
     np.testing.assert_allclose(origins[1, 2], one_origin)
-
-
-def test_a_quarter_turn_by_hand() -> None:
-    np.testing.assert_allclose(
-        rotation_about(np.array([0.0, 0, 1]), np.array(np.pi / 2)), [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-15
-    )
 
 
 def robot() -> Robot:

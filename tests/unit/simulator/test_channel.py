@@ -1,11 +1,11 @@
-"""A channel's delay and smoothing against the formula, sample by sample and in a sweep."""
+"""The set-point of a sweep by hand; a channel's delay and smoothing against the formula."""
 
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from simulator import Measurement, Scenario, SweepRun, run_sweeps
+from simulator import Measurement, Scenario, SweepRun, Waveform, run_sweeps
 from simulator.channel import Channel
 from tests.unit.simulator.conftest import line
 
@@ -68,3 +68,18 @@ def test_a_delay_between_two_steps_turns_a_line_by_just_that(
     (delayed,) = run_sweeps(late, [run], seed=1)
     turn = line(delayed, "effort", 5.0, run) / line(plain, "effort", 5.0, run)
     assert turn == pytest.approx(np.exp(-2j * np.pi * 5.0 * delay), abs=2e-5)
+
+
+WAVE = Waveform(offset_velocity=-0.01, sines=((2.0, 0.002, 0.5),), period=1.0, periods=3, ramp=0.4, settle=0.6)
+
+
+def test_values() -> None:
+    time = np.array([-0.1, 0.0, 0.2, 1.0, 1.125, 4.2, 4.4, 5.0])
+    full = -0.01 + 0.002 * np.sin(2 * np.pi * 2.0 * (time - 1.0) + 0.5)
+    envelope = np.array([0, 0, 0.5, 1, 1, 0.5, 0, 0])
+    np.testing.assert_allclose(WAVE.velocity(time), envelope * full, atol=1e-15)
+
+
+def test_no_ramp_is_a_step() -> None:
+    wave = Waveform(0.01, (), 1.0, 1, 0.0, 0.0)
+    np.testing.assert_array_equal(wave.velocity(np.array([-1e-3, 0.5, 1.001])), [0.0, 0.01, 0.0])

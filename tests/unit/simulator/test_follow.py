@@ -1,8 +1,6 @@
 """A path under position control: what feed-forward takes off the controllers, and what is refused."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +10,7 @@ from simulator.follow import Path as Wanted
 from simulator.follow import follow
 from simulator.scenario import ScenarioError, load_scenario
 from simulator.truth import true_inertia
+from tests.command import sweepid
 
 pytestmark = pytest.mark.slow
 
@@ -76,7 +75,7 @@ def test_what_does_not_fit_is_refused_in_one_line(
     still = [[0.0] * 6] * 2
     file = {"gain": 10.0, "position": still, "velocity": still, "feed_forwards": {"none": []}} | change
     (tmp_path / "path.json").write_text(json.dumps(file))
-    done = _command(scenario_file, tmp_path / "path.json")
+    done = sweepid("drive", "follow", str(scenario_file), str(tmp_path / "path.json"))
     assert done.returncode == 2
     assert told in done.stderr
     assert done.stdout == ""
@@ -86,7 +85,7 @@ def test_the_command_tells_each_feed_forward(scenario_file: Path, tmp_path: Path
     still = [[0.0] * 6] * 3
     file = {"gain": 10.0, "position": still, "velocity": still, "feed_forwards": {"none": [], "held": still}}
     (tmp_path / "path.json").write_text(json.dumps(file))
-    done = _command(scenario_file, tmp_path / "path.json")
+    done = sweepid("drive", "follow", str(scenario_file), str(tmp_path / "path.json"))
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["none"] == found["held"]
@@ -99,14 +98,3 @@ def test_a_number_that_is_none_is_refused(scenario_file: Path) -> None:
     bad[3, 0] = np.nan
     with pytest.raises(ScenarioError, match="not finite"):
         follow(load_scenario(scenario_file), Wanted(bad, path.velocity), 10.0)
-
-
-def _command(scenario: Path, path: Path) -> "subprocess.CompletedProcess[str]":
-    code = "from service.cli import main; main()"
-    return subprocess.run(
-        [sys.executable, "-c", code, "drive", "follow", str(scenario), str(path)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )

@@ -1,4 +1,4 @@
-"""What `--hide` puts into a machine: one effect of the seed's choice, large enough to be seen, and told to nobody."""
+"""What `--hide` puts into a machine, told to nobody; and what `sweepid drive truth` tells."""
 
 import json
 import subprocess
@@ -6,10 +6,13 @@ import sys
 from pathlib import Path
 
 import pytest
+import typer
+from typer.testing import CliRunner
 
 from service.diagnosis.effects import CATALOGUE
-from simulator import ScenarioError, load_scenario
+from simulator import ScenarioError, load_scenario, true_inertia
 from simulator.hidden import EFFECTS, hide
+from simulator.truth_command import truth
 from tests.command import sweepid
 
 ROOT = Path(__file__).parents[3]
@@ -99,3 +102,35 @@ def test_the_machine_says_on_which_axis_and_no_more() -> None:
     _, hidden = hide(load_scenario(MODELLED), 3)
     assert ready.pop("hidden_in") == hidden.joint
     assert set(ready) == {"ready", "fieldbus", "port", "control_port"}
+
+
+FULL = Path(__file__).parents[3] / "config" / "scenarios" / "max100-full.yaml"
+
+
+@pytest.fixture
+def command() -> typer.Typer:
+    app = typer.Typer()
+    app.command()(truth)
+    return app
+
+
+def test_prints_the_inertia_of_every_moving_joint(command: typer.Typer, tmp_path: Path) -> None:
+    poses = [[0.0] * 6, [0.0, 1.0, -0.5, 0.0, 0.0, 0.0]]
+    file = tmp_path / "poses.json"
+    file.write_text(json.dumps(poses))
+    result = CliRunner().invoke(command, [str(FULL), "--poses", str(file)])
+    assert result.exit_code == 0
+    found = json.loads(result.stdout)
+    assert list(found) == ["joint_1", "joint_2", "joint_3"]
+    assert found["joint_2"] == true_inertia(load_scenario(FULL), "joint_2", poses).tolist()
+
+
+@pytest.mark.parametrize(("text", "reason"), [("{", "not a list of poses"), ("[[0, 1]]", "(1, 2)"), ("7", "poses")])
+def test_bad_poses(command: typer.Typer, tmp_path: Path, text: str, reason: str) -> None:
+    file = tmp_path / "poses.json"
+    file.write_text(text)
+    result = CliRunner().invoke(command, [str(FULL), "--poses", str(file)])
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert reason in result.stderr
+    assert result.stderr.count("\n") == 1

@@ -1,12 +1,34 @@
-"""Sweeps of the plant: columns, seeds, batches, sample rates, cogging, delay."""
+"""Sweeps of the plant: columns, seeds, batches, rates, noise; axes that feel each other; replay."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-from simulator import NoiseRun, Scenario, ScenarioError, SweepRun, run_sweeps, true_inertia
+from simulator import (
+    DriveTrain,
+    Friction,
+    Measurement,
+    Motion,
+    MovingAxis,
+    NoiseRun,
+    Scenario,
+    ScenarioError,
+    SweepRun,
+    replay,
+    run_sweeps,
+    run_trajectories,
+    true_inertia,
+)
+from simulator.coupled import CoupledTrains
+from simulator.machine import Machine
+from simulator.moving_axis import moving_axis
+from simulator.plant import Plant
+from simulator.rigid_body import RigidBody, real_urdf
+from simulator.scenario import STEP
 from tests.unit.simulator.conftest import line
 
 pytestmark = pytest.mark.slow
@@ -35,13 +57,15 @@ def test_the_seed_decides_and_repeats_differ(scenario: Load, sweep: Make) -> Non
 
 
 @pytest.mark.parametrize("name", ["rigid", "full", "misfit"])
-def test_a_sweep_alone_equals_the_same_sweep_in_a_batch(noise_free: Load, sweep: Make, name: str) -> None:
-    wanted = sweep("joint_2", q2=-0.4, periods=1)
-    others = [sweep("joint_1"), sweep("joint_3", offset=-0.02), wanted, sweep("joint_2", q2=1.0)]
-    (alone,) = run_sweeps(noise_free(name), [wanted], seed=1)
-    together = run_sweeps(noise_free(name), others, seed=1)[2]
-    for column, values in alone.items():
-        np.testing.assert_allclose(together[column], values, rtol=1e-10, atol=1e-12, err_msg=column)
+def test_a_run_alone_equals_the_same_run_in_a_batch(noise_free: Load, sweep: Make, name: str) -> None:
+    wanted = [sweep("joint_2", q2=-0.4, periods=1), noise(periods=1)]
+    others = [sweep("joint_1"), sweep("joint_3", offset=-0.02), *wanted, sweep("joint_2", q2=1.0)]
+    together = run_sweeps(noise_free(name), others, seed=1)[2:4]
+    assert ["excitation_effort" in columns for columns in together] == [False, True]
+    for run, columns in zip(wanted, together, strict=True):
+        (alone,) = run_sweeps(noise_free(name), [run], seed=1)
+        for column, values in alone.items():
+            np.testing.assert_allclose(columns[column], values, rtol=1e-10, atol=1e-12, err_msg=column)
 
 
 def test_a_lower_rate_keeps_the_ratio_of_torque_and_speed(noise_free: Load, sweep: Make) -> None:
@@ -143,17 +167,6 @@ def test_injected_torque_moves_the_plant_as_its_physics_say(noise_free: Load) ->
     np.testing.assert_allclose(wanted[lines] / spectrum(columns, "velocity", run)[lines] / pi, 1.0, atol=0.05)
 
 
-@pytest.mark.slow
-def test_a_noise_run_beside_a_sweep_equals_each_alone(noise_free: Load, sweep: Make) -> None:
-    full, runs = noise_free("full"), [noise(periods=1), sweep("joint_3")]
-    together = run_sweeps(full, runs, seed=1)
-    assert "excitation_effort" not in together[1]
-    for run, columns in zip(runs, together, strict=True):
-        (alone,) = run_sweeps(full, [run], seed=1)
-        for column, values in alone.items():
-            np.testing.assert_allclose(columns[column], values, rtol=1e-10, atol=1e-12, err_msg=column)
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -167,3 +180,216 @@ def test_a_noise_run_beside_a_sweep_equals_each_alone(noise_free: Load, sweep: M
 def test_noise_that_cannot_be_is_refused(scenario: Load, changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
         run_sweeps(scenario("full"), [noise(**changes)], seed=1)
+
+
+POSE = (0.2, 0.3, -0.6, 0.4, 0.7, -0.3)
+
+
+def run(axis: str, amplitude: float = 0.05, phase: float = 0.0) -> SweepRun:
+    return SweepRun(axis, POSE, 0.0, ((1.0, amplitude, phase), (2.0, amplitude, 2 * phase)), 1.0, 1, 0.5, 0.25)
+
+
+def without_spring(scenario: Scenario) -> Scenario:
+    """Rigid trains that know viscous friction only, so that the equations of motion hold to the last digit."""
+    axes = {
+        joint: axis.model_copy(
+            update={
+                "train": axis.train.model_copy(
+                    update={
+                        "spring": None,
+                        "cogging": (),
+                        "motor_friction": Friction(viscous=axis.train.motor_friction.viscous),
+                        "load_friction": Friction(),
+                    }
+                )
+            }
+        )
+        for joint, axis in scenario.axes.items()
+    }
+    return scenario.model_copy(update={"axes": axes})
+
+
+def test_one_axis_alone_runs_as_in_a_sweep(noise_free: Load) -> None:
+    sweep = replace(run("joint_3"), offset_velocity=0.02)
+    (alone,) = run_sweeps(noise_free("six"), [sweep], seed=1)
+    ((coupled,),) = run_trajectories(noise_free("six"), [[sweep]], seed=1)
+    for column, values in alone.items():
+        np.testing.assert_allclose(coupled[column], values, rtol=1e-6, atol=1e-6, err_msg=column)
+
+
+def test_all_axes_move_by_the_equations_of_motion(noise_free: Load) -> None:
+    scenario = without_spring(noise_free("six"))
+    sweeps = [run(joint, 0.1, 0.4 + number) for number, joint in enumerate(scenario.joints)]
+    (columns,) = run_trajectories(scenario, [sweeps], seed=1)
+    position, velocity, effort = (
+        np.stack([c[name] for c in columns], -1) for name in ("position", "velocity", "effort")
+    )
+    acceleration = np.gradient(velocity, 1e-3, axis=0)
+    model = pin.buildModelFromXML(real_urdf(scenario))
+    data = model.createData()
+    trains = [scenario.driven(joint).train for joint in scenario.joints]
+    motor = [
+        t.motor_inertia * scenario.nominal(j).gear_ratio ** 2 for t, j in zip(trains, scenario.joints, strict=True)
+    ]
+    viscous = np.array([train.motor_friction.viscous for train in trains])
+    rated = np.array([scenario.nominal(joint).rated_effort for joint in scenario.joints])
+    for k in range(800, 1700, 90):  # the window: no corner of the set-point within reach of the difference quotient
+        torque = pin.rnea(model, data, position[k], velocity[k], acceleration[k])
+        expected = torque + motor * acceleration[k] + viscous * velocity[k]
+        np.testing.assert_array_less(np.abs(effort[k] - expected) / rated, 3e-5)
+
+
+def test_a_standing_robot_rests_on_its_holding_torque(noise_free: Load) -> None:
+    trains = CoupledTrains(noise_free("six"), STEP)
+    trains.stand(np.array(POSE))
+    effort = np.array([trains.settle(row) for row in range(6)])
+    effort = np.array([trains.settle(row) for row in range(6)])  # every load has sagged by now
+    trains.free[:] = 1.0
+    start = trains.position.copy()
+    for _ in range(400):
+        trains.step(effort)
+    np.testing.assert_allclose(trains.position, start, atol=1e-6)
+
+
+def test_dry_friction_holds_an_axis_that_another_shakes(noise_free: Load) -> None:
+    # joint 6 has no set-point: what joint 5 does to it stays below its friction, so it does not move at all
+    six = noise_free("six")
+    shaken, still = run("joint_5", 0.05), replace(run("joint_6"), sines=())
+    ((moved, stuck),) = run_trajectories(six, [[shaken, still]], seed=1)
+    assert np.ptp(moved["position"]) > 5e-3
+    assert np.ptp(stuck["position"]) < 2e-6
+
+
+def test_sweeps_that_are_no_trajectory_are_refused(noise_free: Load) -> None:
+    six = noise_free("six")
+    for sweeps, text in (
+        ([], "at least one"),
+        ([run("joint_1"), run("joint_1")], "twice"),
+        ([run("joint_1"), replace(run("joint_2"), periods=2)], "joint_2"),
+        ([run("joint_1"), replace(run("joint_2"), pose=(0.0,) * 6)], "joint_2"),
+        ([replace(run("joint_1"), pose=(0.0, 0.0))], "2 positions"),
+        ([replace(run("joint_1"), sample_rate=300.0)], "300"),
+    ):
+        with pytest.raises(ScenarioError, match=text):
+            run_trajectories(six, [sweeps], seed=1)
+    with pytest.raises(ScenarioError, match="cannot move"):
+        run_trajectories(noise_free("full"), [[run("joint_4")]], seed=1)
+
+
+def test_the_live_machine_couples_its_axes(noise_free: Load) -> None:
+    setpoints = np.zeros((600, 6))
+    setpoints[:, 2] = 0.1 * np.sin(np.pi * np.arange(600) / 600) ** 2
+    effort = {}
+    for energised in (("joint_3",), ("joint_2", "joint_3")):
+        machine = Machine(without_spring(noise_free("six")), seed=1)
+        for joint in energised:
+            machine.energise(joint, True)
+        effort[energised] = machine.advance(setpoints).effort[:, 1:3]
+    alone, both = effort.values()
+    assert not alone[:, 0].any()
+    assert np.ptp(both[:, 0]) > 50  # the forearm's swing has to be held against by the upper arm's drive
+    np.testing.assert_allclose(both[:, 1], alone[:, 1], atol=20)
+
+
+EFFECTS: list[dict[str, object]] = [
+    {"motor_friction": {"viscous": 140.0, "coulomb": 90.0, "backward_viscous": 100.0, "backward_coulomb": 60.0}},
+    {"load_friction": {"viscous": 60.0, "coulomb": 40.0, "backward_coulomb": 70.0}},
+    {"motor_friction": {"coulomb": 90.0, "stribeck": {"extra": 40.0, "velocity": 0.008, "exponent": 1.4}}},
+    {"motor_friction": {"coulomb": 90.0, "power": {"coefficient": 200.0, "exponent": 0.5}}},
+    {"motor_friction": {"coulomb": 90.0, "load_dependence": 0.05}},
+    {"load_friction": {"coulomb": 40.0, "patch": {"centre": 0.41, "width": 0.02, "coulomb": 30.0}}},
+    {"warming": {"heat_capacity": 3.0, "time_constant": 20.0, "coulomb_loss": 0.2, "viscous_loss": 0.1}},
+    {"hose": {"stiffness": 1500.0, "rest": 0.2, "damping": 200.0}},
+    {"appendage": {"inertia": 12.0, "stiffness": 2e4, "damping": 40.0}},
+    {"cogging": [{"order": 24, "amplitude": 15.0}, {"order": 48, "amplitude": 6.0, "phase": 1.0}]},
+    {"effort_gain": 1.05, "effort_offset": -20.0},
+]
+ELASTIC: list[dict[str, object]] = [
+    {"spring": {"stiffness": 1.75e6, "damping": 1400.0, "hardening": 2e10}},
+    {"spring": {"stiffness": 1.75e6, "damping": 1400.0, "backlash": 3e-4}},
+    {
+        "spring": {"stiffness": 1.75e6, "damping": 1400.0},
+        "gear_error": [{"order": 1, "amplitude": 3e-5}, {"order": 2, "amplitude": 1e-5, "phase": 2.0}],
+    },
+]
+
+
+def inside_of(run: SweepRun, time: np.ndarray) -> np.ndarray:
+    start = run.waveform.measure_from
+    return (time >= start) & (time < start + run.period * run.periods)
+
+
+@pytest.mark.parametrize(("name", "rms"), [("rigid", 1e-3), ("full", 0.06), ("misfit", 0.06)])
+def test_replay_reproduces_the_torque(
+    noise_free: Callable[[str], Scenario], sweep: Callable[..., SweepRun], name: str, rms: float
+) -> None:
+    scenario = noise_free(name)
+    body = RigidBody(scenario)
+    runs = [sweep(f"joint_{k}", sample_rate=rate, periods=k) for k in (1, 2, 3) for rate in (1000.0, 250.0)]
+    recorded = run_sweeps(scenario, runs, seed=1)
+    axes = [moving_axis(scenario, body, run.axis, run.pose) for run in runs]
+    motions = [Motion(columns["time"], columns["position"], columns["velocity"]) for columns in recorded]
+    for run, columns, effort in zip(runs, recorded, replay(axes, motions), strict=True):
+        inside = inside_of(run, columns["time"])
+        assert columns["effort"][inside].std() > 5.0
+        assert np.sqrt(np.mean((effort - columns["effort"])[inside] ** 2)) < rms
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("elastic", [False, True])
+def test_replay_knows_every_effect(
+    noise_free: Callable[[str], Scenario], sweep: Callable[..., SweepRun], elastic: bool
+) -> None:
+    """One row of the plant for each effect, weight and noise-free record; the effect alone would be far more."""
+    scenario, run = noise_free("full" if elastic else "rigid"), sweep("joint_2", periods=1)
+    axis = moving_axis(scenario, RigidBody(scenario), "joint_2", run.pose)
+    trains = [axis.train.model_dump() | effect for effect in (EFFECTS + ELASTIC if elastic else EFFECTS)]
+    axes = [replace(axis, train=DriveTrain.model_validate(train), warmth=0.5) for train in trains]
+    measurement = Measurement(effort_delay=0.0006, effort_smoothing=0.0004)
+    plant = Plant(axes, [scenario.driven("joint_2").control] * len(axes), measurement)
+    plant.trains.position[:] = run.pose[1]
+    for row in range(len(axes)):
+        plant.release(row)
+    time = np.arange(round(run.waveform.duration * 1000)) / 1000
+    setpoints = np.tile(run.waveform.velocity(time + 1e-3)[:, None], (1, len(axes)))
+    samples = plant.advance(setpoints)
+    motions = [Motion(time, samples.position[:, row], samples.velocity[:, row]) for row in range(len(axes))]
+    inside = inside_of(run, time)
+    for row, effort in enumerate(replay(axes, motions, measurement)):
+        gap = np.sqrt(np.mean((effort - samples.effort[:, row])[inside] ** 2))
+        assert gap < 0.12, trains[row]
+
+
+def test_a_warm_gear_is_replayed_warm(noise_free: Callable[[str], Scenario], sweep: Callable[..., SweepRun]) -> None:
+    scenario, run = noise_free("rigid"), sweep("joint_2", periods=1)
+    cold = moving_axis(scenario, RigidBody(scenario), "joint_2", run.pose)
+    warming = {"heat_capacity": 1e6, "time_constant": 1e6, "coulomb_loss": 0.1}
+    train = DriveTrain.model_validate(cold.train.model_dump() | {"warming": warming})
+    (columns,) = run_sweeps(scenario, [run], seed=1)
+    motion = Motion(columns["time"], columns["position"], columns["velocity"])
+    rows: list[MovingAxis] = [replace(cold, train=train), replace(cold, train=train, warmth=2.0)]
+    inside = inside_of(run, columns["time"])
+    first, second = replay(rows, [motion] * 2)
+    np.testing.assert_allclose((first - second)[inside], 155.0 * (1 - np.exp(-0.2)), rtol=1e-4)
+
+
+def test_each_row_has_its_own_channels(noise_free: Callable[[str], Scenario], sweep: Callable[..., SweepRun]) -> None:
+    """Torque told late, and speed told late, which is torque that comes early."""
+    scenario, run = noise_free("rigid"), sweep("joint_2", periods=1)
+    axis = moving_axis(scenario, RigidBody(scenario), "joint_2", run.pose)
+    (columns,) = run_sweeps(scenario, [run], seed=1)
+    time, inside = columns["time"], inside_of(run, columns["time"])
+    motion = Motion(time, columns["position"], columns["velocity"])
+    late = [Measurement(), Measurement(effort_delay=0.003), Measurement(velocity_delay=0.003)]
+    exact, effort, speed = replay([axis] * 3, [motion] * 3, late)
+    np.testing.assert_allclose(effort[inside], np.interp(time - 0.003, time, exact)[inside], atol=0.05)
+    early = np.interp(time + 0.003, time, exact)[inside]
+    # the position was told in time, and with it the weight
+    np.testing.assert_allclose(speed[inside], early, atol=0.003 * 0.025 * 3500.0)
+    assert np.abs(exact[inside] - early).max() > 2.0
+    with pytest.raises(ValueError, match="1 axes for 2 motions"):
+        replay([axis], [motion, motion])
+
+
+def test_nothing_in_nothing_out() -> None:
+    assert replay([], []) == []

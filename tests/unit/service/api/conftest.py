@@ -3,9 +3,8 @@
 import io
 import json
 import subprocess
-import sys
 import zipfile
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from service.configuration import read_robot
 from service.robot import Robot
 from service.settings import Settings
 from service.store.files.bundle import write_bundle
+from tests.command import SWEEPID
 from tests.rigid_sweep import rigid_sweep
 from tests.unit.service.hosting import CONFIG, hosting, settings_of
 
@@ -26,22 +26,34 @@ ZIP = {"Content-Type": "application/zip"}
 
 
 @contextmanager
-def serving(folder: Path, profile: Path, **settings_too: object) -> Iterator[str]:
-    """`sweepid serve` as a process with its data in `folder`; yields its address. It must end cleanly when told to."""
-    settings = folder / "service.yaml"
-    settings.write_text(json.dumps(settings_of(folder, profile, **settings_too)), encoding="utf-8")
-    command = [str(Path(sys.executable).with_name("sweepid")), "serve", "--config", str(settings), "--port", "0"]
-    log = folder / "service.log"
-    with log.open("wb") as stderr, subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr) as service:
+def started(
+    settings: Path, environment: Mapping[str, str] | None = None
+) -> Iterator[tuple[str, "subprocess.Popen[bytes]"]]:
+    """`sweepid serve` as a process: its address, until it is killed at the end. Its log is beside the settings."""
+    log = settings.with_suffix(".log")
+    command = [SWEEPID, "serve", "--config", str(settings), "--port", "0"]
+    with (
+        log.open("ab") as stderr,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, env=environment) as service,
+    ):
         try:
             line = service.stdout.readline() if service.stdout else b""
             if not line:
                 raise RuntimeError(f"the service did not start: {log.read_text('utf-8')}")
-            yield json.loads(line)["url"]
-            service.terminate()
-            assert service.wait(30) == 0, log.read_text("utf-8")
+            yield json.loads(line)["url"], service
         finally:
             service.kill()
+
+
+@contextmanager
+def serving(folder: Path, profile: Path, **settings_too: object) -> Iterator[str]:
+    """The same with its data in `folder`; yields its address. It must end cleanly when told to."""
+    settings = folder / "service.yaml"
+    settings.write_text(json.dumps(settings_of(folder, profile, **settings_too)), encoding="utf-8")
+    with started(settings) as (url, service):
+        yield url
+        service.terminate()
+        assert service.wait(30) == 0, settings.with_suffix(".log").read_text("utf-8")
 
 
 @pytest.fixture(scope="session")

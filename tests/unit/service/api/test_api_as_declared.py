@@ -1,7 +1,4 @@
-"""Whatever is sent to a route, it answers as the OpenAPI document says: statuses, media types, schemas, `Allow`.
-
-The service has no machine here, so nothing moves; commands are refused, or answer with a 503 that their route declares.
-"""
+"""The committed OpenAPI document is complete, and whatever is sent to a route, it answers as that says."""
 
 import json
 from collections import Counter
@@ -9,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, cast
 
+import jsonschema_rs
 import pytest
 import requests
 import schemathesis
@@ -25,11 +23,15 @@ from schemathesis.specs.openapi.checks import (
 )
 
 from service.api.openapi import COMMITTED
+from service.api.openapi import document as made_now
 from tests.unit.service.api.conftest import identified
 
 pytestmark = pytest.mark.slow
 
-DOCUMENT = json.loads(COMMITTED.read_text("utf-8"))
+Json = dict[str, Any]
+
+
+DOCUMENT: Json = json.loads(COMMITTED.read_text("utf-8"))
 # an answer of /events never ends (test_api_bundles reads them)
 SCHEMA = schemathesis.openapi.from_dict(DOCUMENT).exclude(path="/api/v1/events")
 EXAMPLES = 5  # beside those that each field's limits give
@@ -103,3 +105,46 @@ def checking(name: str) -> Callable[..., None]:
 # each with a name of its own: of tests that share one, xdist does the first alone
 NAMES = [route["operationId"] for methods in DOCUMENT["paths"].values() for route in methods.values()]
 globals().update({f"test_{name}": checking(name) for name in NAMES if name != "follow_events"})
+
+
+def test_the_committed_document_is_not_stale() -> None:
+    assert COMMITTED.read_text(encoding="utf-8") == made_now(), "run: python -m service.api.openapi"
+
+
+def answers(document: Json) -> Iterator[tuple[str, Json, Json]]:
+    """Where it is, the answer, and its body in one media type."""
+    for path, operations in document["paths"].items():
+        for method, operation in operations.items():
+            for status, response in operation["responses"].items():
+                for media, body in response.get("content", {"nothing": {}}).items():
+                    yield f"{method.upper()} {path} {status} {media}", response, body
+
+
+def missing(document: Json) -> list[str]:
+    """The answers that lack something, and what."""
+    found: list[str] = []
+    for where, response, body in answers(document):
+        lacks = [name for name in ("schema", "examples") if not body.get(name)]
+        if response.get("description", "Successful Response") == "Successful Response":
+            lacks.append("description (the docstring of its model)")
+        found += [f"{where}: {', '.join(lacks)}"] if lacks else []
+    return found
+
+
+def test_every_answer_has_schema_description_and_example() -> None:
+    assert next(iter(missing(DOCUMENT)), "") == ""
+
+
+def test_every_example_is_what_its_schema_says() -> None:
+    checked: set[str] = set()
+    for where, _, body in answers(DOCUMENT):
+        if "json" not in where.rpartition(" ")[2]:
+            continue
+        told = body["examples"]["answer"]
+        name = told.get("$ref", "").rpartition("/")[2]
+        value = DOCUMENT["components"]["examples"][name]["value"] if name else told["value"]
+        schema = {**body["schema"], "components": DOCUMENT["components"]}
+        problem = next(iter(jsonschema_rs.Draft202012Validator(schema).iter_errors(value)), None)
+        assert problem is None, f"{where}, example {name}: {problem}"
+        checked.add(name)
+    assert checked

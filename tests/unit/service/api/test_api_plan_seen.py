@@ -10,11 +10,10 @@ import httpx
 import pytest
 
 from drivers.registry import load_profile
-from service.app import create_app
 from service.configuration import read_robot
-from service.settings import Settings
-from tests.unit.service.api.conftest import CONFIG
+from tests.unit.service.api.conftest import opened as service_in
 from tests.unit.service.campaigns.formula_drive import FormulaDrive
+from tests.unit.service.hosting import CONFIG
 
 PROFILE = CONFIG / "drives" / "virtual-max100.yaml"
 JOINTS = tuple(f"joint_{number}" for number in range(1, 7))
@@ -45,14 +44,10 @@ def opened(tmp_path: Path, drive: FormulaDrive, monkeypatch: pytest.MonkeyPatch)
 
     @asynccontextmanager
     async def open_service(**given: object) -> AsyncIterator[HTTP]:
-        usual = {"robots_dir": CONFIG / "robots", "cells_dir": CONFIG / "cells", "drive": PROFILE}
-        app = create_app(Settings.model_validate({"data_dir": tmp_path / "data", **usual, **given}))
-        async with app.router.lifespan_context(app):
-            transport = httpx.ASGITransport(app=app)
-            async with HTTP(transport=transport, base_url="http://127.0.0.1/api/v1", timeout=60) as http:
-                yield http
-                drive.go.set()
-                await app.state.application.runner.finished()
+        async with service_in(tmp_path / "data", PROFILE, **given) as (application, http):
+            yield http
+            drive.go.set()
+            await application.runner.finished()
 
     return open_service
 

@@ -111,7 +111,6 @@ def test_the_command_plans_for_the_machine_and_names_it(url: str, http: httpx.Cl
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (("--poses", "2", "--confidence", "1"), "poses and confidence are budgets: give one of them"),
         (("--diagnosis", "--initial-analysis"), "--diagnosis: cannot be combined with --initial-analysis"),
     ],
 )

@@ -1,8 +1,13 @@
-"""Starting the service where it cannot start: one line, a code, and nothing made; what killed ones left is cleared."""
+"""Starting the service where it cannot start; readiness tells of worker, lease and disk."""
 
+import asyncio
 import json
+import os
+import signal
 import socket
+import sqlite3
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +16,7 @@ import pytest
 
 from service.store.files.recordings import RecordingFiles
 from tests.command import console
+from tests.unit.service.api.conftest import opened
 from tests.unit.service.hosting import hosting, settings_of
 
 pytestmark = pytest.mark.slow
@@ -85,3 +91,58 @@ def test_what_killed_transfers_left_is_cleared_at_the_start(tmp_path: Path, prof
     with hosting(tmp_path, profile) as url:
         assert list(transfer.iterdir()) == []
         assert httpx.get(f"{url}/api/v1/campaigns", trust_env=False).json()["items"] == []
+
+
+PATIENCE = 60.0  # s
+
+
+async def told(http: httpx.AsyncClient, word: str, *, there: bool = True) -> str:
+    """The cause that has `word`, as soon as there is one; or, not `there`, as soon as there is none."""
+    async with asyncio.timeout(PATIENCE):
+        while True:
+            answer = await http.get("/health/ready")
+            found = [cause for cause in answer.json()["causes"] if word in cause]
+            if bool(found) is there:
+                assert answer.status_code == 503  # there is no machine, in any case
+                return "".join(found)
+            await asyncio.sleep(0.02)
+
+
+async def test_a_worker_that_ended_is_told_until_it_is_replaced(tmp_path: Path, profile: Path) -> None:
+    async with opened(tmp_path, profile) as (application, http):
+        os.kill((await application.worker.processes())[0], signal.SIGKILL)
+        await told(http, "worker process ended")
+        await told(http, "worker process", there=False)
+
+
+async def test_a_lease_that_cannot_be_renewed_is_told(
+    tmp_path: Path, profile: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.store.engines.sqlite.BUSY_TIMEOUT", 0.05)
+    async with opened(tmp_path, profile, lease_time=0.5) as (_, http):
+        with closing(sqlite3.connect(tmp_path / "sweepid.sqlite", isolation_level=None)) as other:
+            other.execute("BEGIN EXCLUSIVE")
+            await told(http, "lease could not be renewed")
+            other.execute("ROLLBACK")
+        await told(http, "lease could not be renewed", there=False)
+
+
+async def test_a_disk_that_is_too_full_is_told(tmp_path: Path, profile: Path) -> None:
+    async with opened(tmp_path, profile, least_free_disk=2**62) as (_, http):
+        assert f"limit {2**62} bytes" in await told(http, "bytes free in")
+
+
+async def test_a_lost_database_is_told_and_nothing_is_stored_in_its_place(tmp_path: Path, profile: Path) -> None:
+    recordings = tmp_path / "recordings" / "campaign-000001"
+    recordings.mkdir(parents=True)
+    (recordings / "0001-1.parquet").write_bytes(b"samples")
+    stream = recordings / "0002-1.arrows"
+    stream.write_bytes(b"stream")
+    async with opened(tmp_path, profile) as (application, http):
+        assert "contains 1 recordings" in await told(http, "has no campaign")
+        plan = application.store.add_plan(application.store.robots()[0].id, {})
+        answer = await http.post("/campaigns", json={"plan_id": plan.id})
+        assert answer.status_code == 409
+        assert "restore it from a backup" in answer.json()["detail"]
+        assert application.store.campaigns() == ()
+    assert stream.read_bytes() == b"stream"

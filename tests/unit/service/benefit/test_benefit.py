@@ -1,16 +1,23 @@
-"""The worth of an estimate where every figure follows from a formula (`pair`)."""
+"""The worth of an estimate, the monitor and the feed-forward, where all follows from a formula (`pair`)."""
+
+import re
 
 import numpy as np
 import pytest
 
-from service.benefit import Benefit, benefit
+from service.benefit import Benefit, benefit, benefit_section, feed_forward, sentence
 from service.benefit.benefit import rms_with_std
+from service.benefit.feed_forward import path_between
 from service.benefit.held_out import held_out, poses_of
 from service.benefit.lever_arm import end_of, lever_arm
+from service.benefit.monitor import alarm_probability, smallest_effort
 from service.benefit.prediction import RigidBody, dry_friction, left_by, lines_power, window_of, without_friction
+from service.benefit.section import worth
 from service.errors import BadInput
 from service.identification import spectrum
 from service.identification.spectra.axis_inertia import DriveTrain
+from service.report import Page
+from service.report.plotting import svg
 from tests.unit.service.benefit import pair
 
 SLIDES = [0.0, 0.3, 0.6, 0.2, 0.9, 0.5, 0.1, 0.8]
@@ -127,3 +134,123 @@ def test_recordings_without_sines_are_refused() -> None:
     noise = sweep.spec.model_copy(update={"sines": (), "period": None, "periods": None, "excitation": "noise"})
     with pytest.raises(BadInput, match=r"^here: has no sweep of one axis with offset and sines"):
         benefit(pair.robot(), [type(sweep)(noise, sweep.recording)], "here")
+
+
+def test_a_path_is_smooth_and_as_fast_as_the_slowest_joint_allows() -> None:
+    motion = path_between(np.array([0.0, 1.0]), np.array([0.8, 0.6]), [1.0, 0.25])
+    assert motion.position[[0, -1]] == pytest.approx(np.array([[0.0, 1.0], [0.8, 0.6]]))
+    assert np.abs(motion.velocity).max(axis=0) == pytest.approx([0.3, 0.15], rel=1e-3)  # 0.6 of 0.25, in 5 s
+    for before, after in ((motion.position, motion.velocity), (motion.velocity, motion.acceleration)):
+        steps = np.diff(before, axis=0) / 1e-3
+        assert steps == pytest.approx((after[1:] + after[:-1]) / 2, abs=1e-5)
+
+
+def test_both_models_differ_by_their_rigid_bodies_alone() -> None:
+    """A slide of 2 kg where CAD has 1 kg, on an arm that turns with w, dw: dJ dw + 2 (1 + x) w dx about the axis."""
+    fed = feed_forward(pair.robot(), pair.sweeps(SLIDES))
+    x, dx = fed.motion.position[:, 1], fed.motion.velocity[:, 1]
+    w, dw = fed.motion.velocity[:, 0], fed.motion.acceleration[:, 0]
+    assert np.ptp(fed.motion.position, axis=0) == pytest.approx([0.4, 0.8])
+    differ = fed.identified[:, 0] - fed.cad[:, 0]
+    assert differ == pytest.approx((1 + x) ** 2 * dw + 2 * (1 + x) * w * dx, abs=2e-3)
+
+
+def test_friction_is_that_of_the_sweeps() -> None:
+    fed = feed_forward(pair.robot(), pair.sweeps(SLIDES))
+    x, dx = fed.motion.position[:, 1], fed.motion.velocity[:, 1]
+    w, dw = fed.motion.velocity[:, 0], fed.motion.acceleration[:, 0]
+    rigid = (5 + 2 * (1 + x) ** 2) * dw + 4 * (1 + x) * w * dx
+    assert fed.identified[:, 0] - rigid == pytest.approx(pair.VISCOUS * w + pair.DRY * np.sign(w), abs=5e-2)
+
+
+def test_without_sweeps_there_is_no_path() -> None:
+    with pytest.raises(BadInput, match=r"^here: has no sweep"):
+        feed_forward(pair.robot(), [], "here")
+
+
+def test_one_false_alarm_in_a_shift() -> None:
+    assert alarm_probability(1000.0, 8.0) == pytest.approx(1 / 28_800_000)
+
+
+def test_noise_alone_is_a_two_sided_tail() -> None:
+    three_sigma = 0.002699796  # of the normal table: outside of three standard deviations, both sides
+    assert smallest_effort(np.zeros(1), np.array([2.0]), 0.0, three_sigma) == pytest.approx(6.0, rel=1e-6)
+
+
+def test_a_pose_that_is_off_counts_from_its_mean_on_one_side() -> None:
+    one_sided = 0.001349898  # beyond three standard deviations, one side; the other one is 23 away
+    assert smallest_effort(np.array([20.0]), np.array([2.0]), 0.0, one_sided) == pytest.approx(26.0, rel=1e-6)
+
+
+def test_of_two_poses_that_are_off_alike_each_has_its_share() -> None:
+    limit = smallest_effort(np.array([20.0, 0.0]), np.array([2.0, 2.0]), 0.0, 0.001349898 / 2)
+    assert limit == pytest.approx(26.0, rel=1e-6)  # the pose that is right adds nothing there
+
+
+def test_never_below_what_was_recorded_without_a_collision() -> None:
+    assert smallest_effort(np.zeros(1), np.array([2.0]), 9.5, 0.002699796) == 9.5
+
+
+def test_a_model_that_leaves_nothing_but_a_constant() -> None:
+    assert smallest_effort(np.array([3.0, -5.0]), np.zeros(2), 0.0, 1e-8) == pytest.approx(5.0)
+
+
+def as_good_as_cad(found: Benefit) -> Benefit:
+    """As where the estimate has won nothing."""
+    axis = found.axes["j1"]
+    return found.model_copy(update={"axes": {"j1": axis.model_copy(update={"identified": axis.cad})}})
+
+
+def test_the_sentence_names_both_models(found: Benefit) -> None:
+    axis = found.axes["j1"]
+    numbers = [float(number) for number in re.findall(r"\d+(?:\.\d+)?(?:e-\d+)?", sentence(found))]
+    assert numbers == pytest.approx(
+        [
+            axis.identified.left_percent,
+            axis.cad.left_percent,
+            axis.identified.smallest_force,
+            axis.cad.smallest_force,
+        ],
+        rel=0.05,
+    )
+    assert "no better" not in sentence(found)
+
+
+def test_where_nothing_is_won_the_sentence_says_so(found: Benefit) -> None:
+    assert sentence(as_good_as_cad(found)).endswith("On j1 the estimate is no better than CAD.")
+
+
+def test_an_axis_through_the_end_of_the_robot_has_no_force(found: Benefit) -> None:
+    axis = found.axes["j1"]
+    models = {
+        name: model.model_copy(update={"smallest_force": None})
+        for name, model in (("cad", axis.cad), ("identified", axis.identified))
+    }
+    alone = found.model_copy(update={"axes": {"j1": axis.model_copy(update=models)}})
+    assert "push" not in sentence(alone)
+    page = Page("worth")
+    benefit_section(page, alone)
+    assert "–" in page.html()
+
+
+def test_figure_and_table_of_the_report(found: Benefit) -> None:
+    page = Page("worth")
+    benefit_section(page, found)
+    html = page.html()
+    assert "What you gain" in html
+    assert html.count("<figure>") == 1
+    assert "j1, estimate" in html
+    bars = worth(found)["data"]
+    assert [bar["y"] for bar in bars][:2] == [
+        [found.axes["j1"].cad.left_percent],
+        [found.axes["j1"].identified.left_percent],
+    ]
+    assert "smallest force seen in N" in svg(worth(found), "worth")
+
+
+def test_what_is_not_judged_is_told_without_a_figure() -> None:
+    page = Page("worth")
+    benefit_section(page, benefit(pair.robot(), pair.sweeps([0.0, 0.3, 0.6])))
+    html = page.html()
+    assert "Not judged: j1 has sweeps in 3 poses" in html
+    assert "<figure>" not in html

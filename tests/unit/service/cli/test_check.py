@@ -8,7 +8,7 @@ import pytest
 
 from service.recording import Sweep
 from service.store.files.bundle import write_bundle
-from tests.command import sweepid
+from tests.command import carried_out, sweepid
 from tests.unit.service.data_check.conftest import lift_sweep, pair
 
 
@@ -21,10 +21,9 @@ def reversed_torque(tmp_path: Path) -> Path:
 
 
 def test_a_table_for_people_and_zero_whatever_was_found(reversed_torque: Path) -> None:
-    done = sweepid("check", str(reversed_torque))
-    assert done.returncode == 0, done.stderr
+    told = carried_out("check", str(reversed_torque))
     for word in ("Check of 2 sweeps", "effort_sign", "wrong"):
-        assert word in done.stdout
+        assert word in told
 
 
 def test_json_alone_on_stdout(reversed_torque: Path) -> None:
@@ -37,9 +36,7 @@ def test_json_alone_on_stdout(reversed_torque: Path) -> None:
 
 def test_nothing_found_is_said(tmp_path: Path) -> None:
     write_bundle(tmp_path / "bundle", pair(), [lift_sweep(1)])
-    done = sweepid("check", str(tmp_path / "bundle"))
-    assert done.returncode == 0, done.stderr
-    assert "Nothing found in 1 sweep." in done.stdout
+    assert "Nothing found in 1 sweep." in carried_out("check", str(tmp_path / "bundle"))
 
 
 def test_what_cannot_be_read_is_one_line_and_two(reversed_torque: Path) -> None:

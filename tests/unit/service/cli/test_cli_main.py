@@ -1,7 +1,8 @@
-"""The console script as a person calls it: exit codes, one line on stderr, results only on stdout."""
+"""The console script as a person calls it: exit codes, what goes where, completions, a terminal."""
 
 import json
 import os
+import pty
 import subprocess
 import sys
 from importlib.metadata import version
@@ -10,10 +11,13 @@ from pathlib import Path
 import pytest
 
 from service.cli import build
+from service.cli.progress_indicator import waiting
 from service.errors import BadInput
 from service.geometry.cell import read_cell
-from tests.command import console, sweepid
+from tests.command import SWEEPID, carried_out, console, refused, sweepid
 from tests.ports import free_port
+from tests.programs import needs
+from tests.unit.service.cli.test_identify import bundle
 
 pytestmark = pytest.mark.slow
 
@@ -44,9 +48,7 @@ def test_bad_input_is_one_line_and_2(arguments: tuple[str, ...], place: str) -> 
 
 
 def test_export_refuses_a_folder_with_something_in_it(tmp_path: Path, plan_file: Path) -> None:
-    done = sweepid("export", "1", str(tmp_path))
-    assert (done.returncode, done.stdout) == (2, "")
-    assert str(tmp_path) in done.stderr
+    assert str(tmp_path) in refused("export", "1", str(tmp_path))
     assert list(tmp_path.iterdir()) == [plan_file]
 
 
@@ -61,9 +63,7 @@ def test_a_service_that_is_not_there_is_1_and_named(plan_file: Path) -> None:
 def test_a_misspelt_key_is_told_with_the_one_that_was_meant(tmp_path: Path, root: Path) -> None:
     settings = tmp_path / "settings.yaml"
     settings.write_text("data_dirr: var\n", encoding="utf-8")
-    done = sweepid("serve", "--config", str(settings))
-    assert done.returncode == 2
-    assert f"{settings} data_dirr: unknown key; did you mean data_dir?" in done.stderr
+    assert f"{settings} data_dirr: unknown key; did you mean data_dir?" in refused("serve", "--config", str(settings))
     robot = tmp_path / "robot.yaml"
     text = (root / "config/robots/max100-class.yaml").read_text("utf-8")
     robot.write_text(text.replace("gear_ratio:", "gear_ration:"), encoding="utf-8")
@@ -75,7 +75,7 @@ def test_what_is_not_there_is_told_with_what_is(root: Path) -> None:
     robots = root / "config" / "robots"
     done = sweepid("plan", str(robots / "max10.yaml"), "--axes", "a", "--varied", "b")
     assert f"{robots} has emps.yaml, max100-class.yaml" in done.stderr
-    done = console("drive", "--scenario", str(root / "config/scenarios/nope.yaml"))
+    done = sweepid("drive", "--scenario", str(root / "config/scenarios/nope.yaml"))
     assert done.returncode != 0
     assert "max100-full.yaml" in done.stderr
     with pytest.raises(BadInput, match=r"cell: there is no cell garage in .*cells; there is: workshop"):
@@ -90,7 +90,7 @@ def test_the_version_and_the_overview_of_own_and_installed_commands_are_told() -
     for name in ("demo", "serve", "plan", "measure", "import", "export", "identify", "estimate", "drive"):
         assert f"  {name} " in done.stdout
     for name in ("export", "drive"):  # commands that are the first word of others
-        assert "Commands:" in console(name, "--help").stdout
+        assert "Commands:" in carried_out(name, "--help")
 
 
 @pytest.mark.parametrize(
@@ -133,3 +133,101 @@ def test_algebra_runs_on_one_thread() -> None:
     bare = {key: value for key, value in os.environ.items() if not key.endswith("_NUM_THREADS")}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=bare)
     assert done.stdout.splitlines()[-1] == "1 1"
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_script_for_each_shell(shell: str) -> None:
+    done = sweepid("--completions", shell)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert f"_SWEEPID_COMPLETE=complete_{shell}" in done.stdout
+
+
+def test_a_shell_that_there_is_not() -> None:
+    assert "--completions: unknown shell csh: use bash, zsh or fish" in refused("--completions", "csh")
+
+
+@needs("bash")
+@pytest.mark.parametrize(
+    ("line", "expected", "unexpected"),
+    [
+        ("sweepid export s", {"sheet"}, {"model", "plan"}),
+        ("sweepid drive", {"drive"}, {"plan"}),  # of another package, by entry point
+        ("sweepid export sheet --kuka", {"--kuka-upright"}, {"--robot"}),
+        ("sweepid people add", {"add-key", "add-user"}, {"revoke-key"}),
+    ],
+)
+def test_bash_completes(line: str, expected: set[str], unexpected: set[str], tmp_path: Path) -> None:
+    script = tmp_path / "completions.bash"
+    script.write_text(sweepid("--completions", "bash").stdout, "utf-8")
+    words = line.split()
+    given = f"""
+        source {script}
+        function_of() {{ complete -p sweepid | sed 's/.*-F \\([^ ]*\\) .*/\\1/'; }}
+        COMP_WORDS=({" ".join(words)}); COMP_CWORD={len(words) - 1}
+        $(function_of) sweepid
+        printf '%s\\n' "${{COMPREPLY[@]}}"
+    """
+    environment = os.environ | {"PATH": f"{Path(SWEEPID).parent}:{os.environ['PATH']}"}
+    done = subprocess.run(
+        ["bash", "--norc", "-c", given], capture_output=True, text=True, timeout=120, check=False, env=environment
+    )
+    offered = set(done.stdout.split())
+    assert expected <= offered, done.stdout + done.stderr
+    assert not offered & unexpected
+
+
+def test_zsh_and_fish_ask_with_the_whole_line() -> None:
+    for shell in ("zsh", "fish"):
+        done = console(
+            _SWEEPID_COMPLETE=f"complete_{shell}",
+            _TYPER_COMPLETE_ARGS="sweepid export s",
+            _TYPER_COMPLETE_FISH_ACTION="get-args",
+        )
+        assert "sheet" in done.stdout, done.stderr
+        assert "payload" not in done.stdout
+
+
+def test_command_names_load_no_command() -> None:
+    """A person presses Tab often: names come without NumPy."""
+    asked = {"_SWEEPID_COMPLETE": "complete_bash", "COMP_WORDS": "sweepid exp", "COMP_CWORD": "1"}
+    done = console(**asked, PYTHONPROFILEIMPORTTIME="1")
+    assert "export" in done.stdout
+    assert "| typer" in done.stderr  # what is imported is told
+    assert "| numpy" not in done.stderr
+
+
+__all__ = ["bundle"]  # the fixture
+
+
+def on_a_terminal(*arguments: str) -> tuple[int, str, str]:
+    """Exit code, stdout, and what a terminal at stderr was shown."""
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(
+        [SWEEPID, *arguments], stdout=subprocess.PIPE, stderr=theirs, env=os.environ | {"TERM": "xterm"}
+    ) as process:
+        os.close(theirs)
+        shown = b""
+        try:
+            while piece := os.read(ours, 4096):
+                shown += piece
+        except OSError:  # the other side is closed
+            pass
+        out = process.stdout.read() if process.stdout else b""
+    os.close(ours)
+    return process.returncode, out.decode(), shown.decode()
+
+
+@pytest.mark.parametrize(
+    ("command", "line"),
+    [("check", "checking the data"), ("diagnose", "diagnosing"), ("identify", "reading the bundle")],
+)
+def test_a_terminal_shows_what_is_waited_for(bundle: Path, command: str, line: str) -> None:
+    code, out, shown = on_a_terminal(command, str(bundle), "--json", "-")
+    assert (code, out[:1]) == (0, "{"), shown
+    assert line in shown
+    assert line not in out
+
+
+def test_one_in_another_shows_one_line() -> None:
+    with waiting("all of it"), waiting("a part"):
+        pass

@@ -13,7 +13,7 @@ from service.identification.design.diagnosis_sweeps import full_design
 from service.recording import Sweep
 from service.store.files.bundle import write_bundle
 from simulator import load_scenario
-from tests.command import sweepid
+from tests.command import carried_out, refused, sweepid
 from tests.numeric.campaign import max100
 
 pytestmark = pytest.mark.slow
@@ -41,9 +41,7 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_json_alone_on_stdout(bundle: Path) -> None:
-    done = sweepid("diagnose", str(bundle), "--json", "-")
-    assert done.returncode == 0, done.stderr
-    document = json.loads(done.stdout)
+    document = json.loads(carried_out("diagnose", str(bundle), "--json", "-"))
     assert set(document) == {"axes", "model"}
     axis = document["axes"]["joint_1"]
     contract = {"verdict", "effects", "candidates", "where", "gap", "next_experiment", "untestable"}
@@ -59,16 +57,14 @@ def test_json_alone_on_stdout(bundle: Path) -> None:
 
 
 def test_words_for_people(bundle: Path) -> None:
-    done = sweepid("diagnose", str(bundle), "--axis", "joint_1")
-    assert done.returncode == 0, done.stderr
+    told = carried_out("diagnose", str(bundle), "--axis", "joint_1")
     for word in ("joint_1", "named", "coulomb_friction", "Dry friction of the same size", "rigid model"):
-        assert word in done.stdout
+        assert word in told
 
 
 def test_the_model_and_its_machine_are_written(bundle: Path, tmp_path: Path) -> None:
     model, scenario = tmp_path / "model.json", tmp_path / "twin.yaml"
-    done = sweepid("diagnose", str(bundle), "--no-twin", "--model", str(model), "--scenario", str(scenario))
-    assert done.returncode == 0, done.stderr
+    carried_out("diagnose", str(bundle), "--no-twin", "--model", str(model), "--scenario", str(scenario))
     axis = json.loads(model.read_text())["axes"]["joint_1"]
     assert [effect["effect"] for effect in axis["effects"]] == ["coulomb_friction"]
     assert axis["fit"]["inertia"][0]["value"] == pytest.approx(300.0, abs=1.0)
@@ -90,8 +86,6 @@ def test_the_rigid_model_starts_from_an_estimate_and_says_so(bundle: Path, tmp_p
 @pytest.mark.parametrize(
     ("text", "arguments", "reason"),
     [
-        ("{", ["--estimate", "estimate.json"], "estimate.json: cannot be read as JSON"),
-        ("[]", ["--estimate", "estimate.json"], "estimate.json: is not a JSON object"),
         ("{}", ["--estimate", "estimate.json"], "estimate.json.axes"),
         ("", ["--axis", "joint_9"], "joint_9: unknown joint"),
         ("", ["--axis", "joint_2"], "has no sweep that moves joint joint_2"),
@@ -103,6 +97,4 @@ def test_bad_input_is_one_line_and_two(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "estimate.json").write_text(text)
-    done = sweepid("diagnose", str(bundle), *arguments)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert reason in done.stderr.splitlines()[-1]
+    assert reason in refused("diagnose", str(bundle), *arguments).splitlines()[-1]

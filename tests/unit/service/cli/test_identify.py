@@ -11,11 +11,11 @@ from rich.console import Console
 
 from service.cli.tables import print_result
 from service.identification.estimates.analysis_document import analyses_document
-from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.results.estimate import Estimate
 from service.robot import Axis, RobotDescription, build_robot
 from service.store.files.bundle import write_bundle
-from tests.command import sweepid
+from tests.command import carried_out, refused, sweepid
+from tests.formula_sweep import Turning, by_formula, lines
 from tests.stored.documents import stored
 from tests.unit.service.identification.known import model
 from tests.unit.service.identification.test_ideal_frequency import STIFF, analysis
@@ -45,23 +45,13 @@ def rigid_pair(folder: Path, inertia: float, gain: float = 1.0, height: float = 
         Axis(joint="j2", gear_ratio=600.0, rated_effort=100.0),
     )
     robot = build_robot(RobotDescription(name="pair", urdf="robot.urdf", axes=axes), URDF)
-    sines = tuple(Sine(frequency=f, amplitude=0.01, phase=f) for f in (2.0, 3.0, 4.0, 5.0))
-    time = np.arange(2500) / 500.0
-    velocity, acceleration, position = np.full(2500, 0.1), np.zeros(2500), 0.1 * time
-    for sine in sines:
-        omega = 2 * np.pi * sine.frequency
-        velocity += sine.amplitude * np.sin(omega * time + sine.phase)
-        acceleration += omega * sine.amplitude * np.cos(omega * time + sine.phase)
-        position -= sine.amplitude / omega * np.cos(omega * time + sine.phase)
-    rest = {"axis": "j1", "pose": (0.0, height), "offset_velocity": 0.1, "sines": sines, "sample_rate": 500.0}
-    noise = np.random.default_rng(round(inertia)).normal(0, 1e-3, (4, 2500))
-    sweeps = [
-        Sweep(
-            SweepSpec.model_validate({"id": str(number), "repeat": number, "period": 1.0, "periods": 5, **rest}),
-            Recording(time, gain * (inertia * acceleration + 4.0 * velocity) + noise[number], velocity, position),
-        )
-        for number in range(4)
-    ]
+    random = np.random.default_rng(round(inertia))
+
+    def effort(m: Turning) -> np.ndarray:
+        return gain * (inertia * m.acceleration + 4.0 * m.velocity) + random.normal(0, 1e-3, len(m.time))
+
+    told = {"axis": "j1", "pose": (0.0, height), "offset_velocity": 0.1, "sines": lines((2.0, 3.0, 4.0, 5.0), 0.01)}
+    sweeps = [by_formula(effort, 5.0, **told, id=str(number), repeat=number, periods=5) for number in range(4)]
     write_bundle(folder, robot, sweeps)
     return folder
 
@@ -72,9 +62,7 @@ def bundle(tmp_path: Path) -> Path:
 
 
 def test_json_alone_on_stdout(bundle: Path) -> None:
-    done = sweepid("identify", str(bundle), "--json", "-")
-    assert done.returncode == 0, done.stderr
-    document = json.loads(done.stdout)
+    document = json.loads(carried_out("identify", str(bundle), "--json", "-"))
     assert set(document) >= {"axes", "base_parameters", "condition_number", "standard_parameters"}
     values = [sweep["value"] for sweep in document["axes"]["j1"]["inertia"]]
     assert values == pytest.approx([INERTIA + 1] * 4, rel=1e-3)
@@ -84,10 +72,9 @@ def test_json_alone_on_stdout(bundle: Path) -> None:
 
 
 def test_tables_for_people_and_json_for_a_file(bundle: Path, tmp_path: Path) -> None:
-    done = sweepid("identify", str(bundle), "--axis", "j1", "--json", str(tmp_path / "out.json"))
-    assert done.returncode == 0, done.stderr
+    told = carried_out("identify", str(bundle), "--axis", "j1", "--json", str(tmp_path / "out.json"))
     for word in ("j1", "14.29", "Base parameters", "Condition number"):
-        assert word in done.stdout
+        assert word in told
     assert json.loads((tmp_path / "out.json").read_text())["axes"].keys() == {"j1"}
 
 
@@ -111,7 +98,6 @@ def test_known_effects_of_a_model_are_taken_into_account_and_told(bundle: Path, 
     ("text", "arguments", "reason"),
     [
         ("no json", ["--model", "model.json"], "model.json: cannot be read as JSON"),
-        ("[]", ["--model", "model.json"], "model.json: is not a JSON object"),
         (
             '{"axes": {"j9": {}}}',
             ["--model", "model.json"],
@@ -127,9 +113,7 @@ def test_bad_input_is_one_line_and_two(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "model.json").write_text(text)
-    done = sweepid("identify", str(bundle), *arguments)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert reason in done.stderr.splitlines()[-1]
+    assert reason in refused("identify", str(bundle), *arguments).splitlines()[-1]
 
 
 def test_a_broken_bundle_is_told_by_file_and_sweep(bundle: Path) -> None:

@@ -24,7 +24,6 @@ from service.diagnosis.fit.select import Selection, settled
 from service.diagnosis.fit.solving import NotFinite, covariance, given_rest, solve
 from service.diagnosis.model.link_deviations import inertia_factors
 from service.diagnosis.rows.rigid import nominal_load
-from service.diagnosis.rows.signals import tracks
 from service.diagnosis.unfinished import unfinished
 from service.errors import BadInput
 from service.identification.design.diagnosis_sweeps import full_design
@@ -36,7 +35,7 @@ from tests.stored.documents import diagnosis
 from tests.unit.service.diagnosis.following import equations_of, known_to, swept
 from tests.unit.service.diagnosis.test_calibration import MASS, SLOW, TIGHT, measured
 from tests.unit.service.diagnosis.test_calibration import POSES as MASS_POSES
-from tests.unit.service.diagnosis.test_revision import axis_of
+from tests.unit.service.diagnosis.test_twin import axis_of
 
 JOINT = "joint_2"
 POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
@@ -89,12 +88,6 @@ def test_so_is_one_of_a_sweep_with_the_test_mass() -> None:
     weighed = Weighed(MASS, tuple(spoiled(sweeps, 1, "effort", np.nan)))
     with pytest.raises(BadInput, match=f"^sweep {sweeps[1].spec.id} of {JOINT}: 1 of .* values of effort"):
         diagnose_axis(max100(), JOINT, sweeps, weighed=weighed, twin=False)
-
-
-def test_tracks_are_never_made_of_it() -> None:
-    sweeps = sweeps_of()
-    with pytest.raises(BadInput, match=f"^sweep {sweeps[0].spec.id} of {JOINT}: 1 of .* values of position"):
-        tracks(max100(), JOINT, spoiled(sweeps, 0, "position", np.nan))
 
 
 def test_efforts_whose_squares_overflow_are_refused_with_axis_and_sweep() -> None:

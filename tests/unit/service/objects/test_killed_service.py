@@ -1,41 +1,21 @@
 """`sweepid serve` is killed in the middle of an upload: the next one brings the recording there once, as it was."""
 
 import json
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
 import pytest
 
 from tests.object_store_server import BUCKET, S3Server, Wire, key_file, without_keys
-from tests.unit.service.api.conftest import CONFIG, profile
+from tests.unit.service.api.conftest import profile, started
+from tests.unit.service.hosting import settings_of
 
 __all__ = ["profile"]
 
 pytestmark = pytest.mark.slow
 
 PATIENCE = 60.0  # s
-
-
-@contextmanager
-def serving(settings: Path) -> Iterator[tuple[httpx.Client, "subprocess.Popen[bytes]"]]:
-    command = [str(Path(sys.executable).with_name("sweepid")), "serve", "--config", str(settings), "--port", "0"]
-    log = settings.with_suffix(".log")
-    with (
-        log.open("ab") as words,
-        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=words, env=without_keys()) as service,
-    ):
-        try:
-            line = service.stdout.readline() if service.stdout else b""
-            assert line, log.read_text("utf-8")
-            with httpx.Client(base_url=json.loads(line)["url"], timeout=PATIENCE) as http:
-                yield http, service
-        finally:
-            service.kill()
 
 
 def metric(http: httpx.Client, name: str) -> float:
@@ -47,23 +27,11 @@ def test_what_was_on_its_way_arrives_once(data: Path, s3: S3Server, wire: Wire, 
     paths = sorted(data.glob("recordings/*/*.parquet"))
     before = [path.read_bytes() for path in paths]
     settings = tmp_path / "service.yaml"
-    settings.write_text(
-        json.dumps(
-            {
-                "data_dir": str(data),
-                "drive": str(profile),
-                "robots_dir": str(CONFIG / "robots"),
-                "cells_dir": str(CONFIG / "cells"),
-                "recordings_url": f"s3://{BUCKET}/lab",
-                "recordings_endpoint": wire.endpoint,
-                "recordings_key_file": str(key_file(tmp_path)),
-                "recordings_retry": 0.2,
-            }
-        ),
-        "utf-8",
-    )
+    store = {"recordings_url": f"s3://{BUCKET}/lab", "recordings_endpoint": wire.endpoint, "recordings_retry": 0.2}
+    store |= {"recordings_key_file": str(key_file(tmp_path)), "data_dir": str(data)}
+    settings.write_text(json.dumps(settings_of(tmp_path, profile, **store)), "utf-8")
     wire.hold_after(100_000)  # in the middle of a recording
-    with serving(settings) as (http, service):
+    with started(settings, without_keys()) as (url, service), httpx.Client(base_url=url, timeout=PATIENCE) as http:
         assert wire.held.wait(PATIENCE)
         told = http.get("/api/v1/health/ready").json()["recordings"]
         assert told["waiting"] == metric(http, "sweepid_recordings_waiting") == 2
@@ -73,7 +41,7 @@ def test_what_was_on_its_way_arrives_once(data: Path, s3: S3Server, wire: Wire, 
     assert s3.keys() == []
     assert [path.read_bytes() for path in paths] == before
     wire.hold_after(None)
-    with serving(settings) as (http, service):
+    with started(settings, without_keys()) as (url, service), httpx.Client(base_url=url, timeout=PATIENCE) as http:
         deadline = time.monotonic() + PATIENCE
         while metric(http, "sweepid_recordings_waiting"):
             assert time.monotonic() < deadline

@@ -1,4 +1,4 @@
-"""The table of permissions is that of the routes, and the page that of the table."""
+"""The table of permissions is that of the routes, and the page that of the table; keys are masked."""
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from service.app import create_app
+from service.people.keys import key_sha256, masked, new_key
 from service.people.page import page
 from service.people.permissions import LOGINS, PERMISSIONS, SOCKET, STOP, Permissions, Role, Route
 from service.people.scopes import SCOPES, lacking, scope_of
@@ -92,3 +93,27 @@ def test_what_a_key_lacks(route: Route | None, role: Role, scopes: tuple[str, ..
 def test_the_page_is_fresh(root: Path) -> None:
     told = "run: python -m service.people.page > docs/reference/permissions.md"
     assert (root / PAGE).read_text("utf-8") == page(), told
+
+
+KEY = f"sweepid-{'0123456789abcdef' * 4}"  # a fixed one: the processes of a run must agree on the names of tests
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (KEY, "sweepid-(key)"),
+        (f"Anna {KEY} smoke", "Anna sweepid-(key) smoke"),
+        (KEY[:-1], "sweepid-(key)"),  # cut off by the limit of a field
+        (f"{KEY}0", "sweepid-(key)"),
+        (f"{KEY},{KEY}", "sweepid-(key),sweepid-(key)"),
+        ("sweepid-0.2.0", "sweepid-0.2.0"),
+        ("sweepid-diagnosis of 2026", "sweepid-diagnosis of 2026"),
+    ],
+)
+def test_a_key_is_masked(text: str, expected: str) -> None:
+    assert masked(text) == expected
+
+
+def test_only_a_whole_key_has_a_hash() -> None:
+    assert None not in (key_sha256(KEY), key_sha256(new_key()))
+    assert [key_sha256(wrong) for wrong in (KEY[:-1], f"{KEY}0", f" {KEY}")] == [None] * 3

@@ -20,7 +20,7 @@ from service.store.database import Database, open_database
 from service.store.people.audit import AuditStore
 from service.store.people.keys import KeyStore
 from service.store.people.users import UserStore
-from tests.command import SWEEPID, console
+from tests.command import SWEEPID, sweepid
 
 pytestmark = pytest.mark.slow
 
@@ -120,7 +120,7 @@ def test_a_hash_of_old_parameters_is_replaced(own: Database) -> None:
 
 def test_the_commands_take_a_password_from_stdin(tmp_path: Path) -> None:
     def people(*words: str, stdin: str = "") -> tuple[int, str, str]:
-        done = console("people", *words, "--data-dir", str(tmp_path), stdin=stdin)
+        done = sweepid("people", *words, "--data-dir", str(tmp_path), stdin=stdin)
         return done.returncode, done.stdout, done.stderr
 
     def listed() -> dict[str, str]:

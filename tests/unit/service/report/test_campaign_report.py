@@ -21,21 +21,8 @@ from tests.unit.service.report.test_report import content, sweep
 
 SUSPECT = {"axis": "joint_1", "sweep": "0001", "why": "it is far off", "weight": 0.1}
 SOUND = DataCheck(findings=(), axes={})
-WRONG = DataCheck(
-    findings=(
-        Finding(
-            code="effort_sign",
-            severity="wrong",
-            axis="joint_1",
-            sweeps=(),
-            value=None,
-            limit=None,
-            sentence="It brakes.",
-            action="Turn it.",
-        ),
-    ),
-    axes={},
-)
+BRAKES = stored("check-wrong")["findings"][0] | {"sentence": "It brakes.", "action": "Turn it."}
+WRONG = DataCheck(findings=(Finding.model_validate(BRAKES),), axes={})
 
 
 def estimate(percent: float = 0.8, **more: Any) -> Estimate:

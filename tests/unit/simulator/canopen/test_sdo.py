@@ -1,10 +1,22 @@
+"""The SDO server and the PDOs of the virtual drive; and any frames at all."""
+
 import binascii
 import struct
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
+from simulator import Scenario
+from simulator.canopen.cabinet import Cabinet
+from simulator.canopen.node import Frame
+from simulator.canopen.pdo import Pdo, process_data
 from simulator.canopen.sdo import SdoServer
-from simulator.drive.dictionary import AbortCode, Dictionary
+from simulator.drive.axis import Axis
+from simulator.drive.dictionary import Abort, AbortCode, Dictionary
+from simulator.machine import Machine
 
 TRACE = bytes(range(256)) * 8
 
@@ -77,3 +89,151 @@ def test_what_goes_wrong_is_aborted(server: SdoServer) -> None:
     assert server.handle(head(0xA0, 0x2110, 3) + bytes(4)) == abort(0x2110, 3, AbortCode.BLOCK_SIZE)
     assert server.handle(b"\xe0" + bytes(7)) == abort(0x2110, 3, AbortCode.COMMAND)
     assert server.handle(b"\x40") == []
+
+
+INVALID = 1 << 31
+
+
+@pytest.fixture
+def pdos(dictionary: Dictionary) -> tuple[list[Pdo], list[Pdo]]:
+    return process_data(dictionary)
+
+
+def write(dictionary: Dictionary, index: int, subindex: int, value: int) -> None:
+    dictionary.download(index, subindex, struct.pack("<B" if subindex == 0 else "<I", value))
+
+
+def test_default_mapping(dictionary: Dictionary, pdos: tuple[list[Pdo], list[Pdo]]) -> None:
+    (receive,), (first, second) = pdos
+    dictionary[0x6041, 0], dictionary[0x606C, 0], dictionary[0x6077, 0] = 0x0637, -100_000, -7
+    dictionary[0x6064, 0], dictionary[0x2120, 1] = -5, 6
+    assert (first.cob_id, first.pack()) == (0x183, struct.pack("<Hih", 0x0637, -100_000, -7))
+    assert (second.cob_id, second.pack()) == (0x283, struct.pack("<iI", -5, 6))
+    assert receive.cob_id == 0x203
+    assert receive.unpack(b"\x0f\0\1\0\0\0") == [((0x6040, 0), b"\x0f\0"), ((0x60FF, 0), b"\1\0\0\0")]
+    assert receive.unpack(b"\x0f\0\1\0") == []
+
+
+def test_remapped_by_the_usual_procedure(dictionary: Dictionary, pdos: tuple[list[Pdo], list[Pdo]]) -> None:
+    _, (first, _) = pdos
+    write(dictionary, 0x1800, 1, 0x183 | INVALID)
+    assert not first.valid
+    write(dictionary, 0x1A00, 0, 0)
+    write(dictionary, 0x1A00, 1, 0x60640020)
+    write(dictionary, 0x1A00, 2, 0x60610008)
+    write(dictionary, 0x1A00, 0, 2)
+    write(dictionary, 0x1800, 1, 0x190)
+    dictionary[0x6064, 0], dictionary[0x6061, 0] = 77, 9
+    assert (first.valid, first.cob_id, first.pack()) == (True, 0x190, struct.pack("<ib", 77, 9))
+
+
+@pytest.mark.parametrize(
+    ("writes", "code"),
+    [
+        ([(0x1A00, 0, 0)], AbortCode.STATE),  # still valid
+        ([(0x1800, 1, 0x184)], AbortCode.STATE),  # another COB-ID while valid
+        ([(0x1800, 1, INVALID), (0x1800, 1, 0x80)], AbortCode.VALUE),
+        ([(0x1800, 1, INVALID), (0x1A00, 1, 0x60640020)], AbortCode.STATE),  # sub-index 0 not 0
+        ([(0x1800, 1, INVALID), (0x1A00, 0, 0), (0x1A00, 1, 0x70000010)], AbortCode.NO_OBJECT),
+        ([(0x1800, 1, INVALID), (0x1A00, 0, 0), (0x1A00, 1, 0x60640010)], AbortCode.NOT_MAPPABLE),  # wrong length
+        ([(0x1800, 1, INVALID), (0x1A00, 0, 0), (0x1A00, 1, 0x60720010)], AbortCode.NOT_MAPPABLE),
+        ([(0x1400, 1, INVALID), (0x1600, 0, 0), (0x1600, 1, 0x60410010)], AbortCode.NOT_MAPPABLE),  # read only
+        (
+            [
+                (0x1800, 1, INVALID),
+                (0x1A00, 0, 0),
+                (0x1A00, 1, 0x60640020),
+                (0x1A00, 2, 0x606C0020),
+                (0x1A00, 3, 0x60770010),
+                (0x1A00, 0, 3),
+            ],
+            AbortCode.PDO_LENGTH,
+        ),
+    ],
+)
+def test_wrong_configuration_is_refused(
+    dictionary: Dictionary,
+    pdos: tuple[list[Pdo], list[Pdo]],
+    writes: list[tuple[int, int, int]],
+    code: AbortCode,
+) -> None:
+    *before, last = writes
+    for step in before:
+        write(dictionary, *step)
+    with pytest.raises(Abort) as refused:
+        write(dictionary, *last)
+    assert refused.value.code is code
+
+
+EDS = Path(__file__).parents[4] / "config/eds"
+INDICES = (0x1003, 0x1016, 0x1400, 0x1600, 0x1A00, 0x2100, 0x2101, 0x2110, 0x6040, 0x6060, 0x607A, 0x6081, 0x60FF)
+LOOSE = settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def requests() -> st.SearchStrategy[bytes]:
+    """SDO requests: any bytes, and what looks like one to an object that matters."""
+    likely = st.builds(
+        lambda command, index, sub, data: struct.pack("<BHB", command, index, sub) + data,
+        st.integers(0, 255) | st.sampled_from([0x40, 0x21, 0x23, 0x2B, 0x2F, 0xA0, 0xA4]),
+        st.sampled_from(INDICES),
+        st.integers(0, 0x11),
+        st.binary(min_size=4, max_size=4),
+    )
+    segments = st.builds(
+        lambda head, data: bytes([head]) + data, st.integers(0, 255), st.binary(min_size=7, max_size=7)
+    )
+    return likely | segments | st.binary(max_size=9)
+
+
+@pytest.fixture(params=["virtual-axis", "virtual-axis-rpm", "virtual-axis-no-limits"])
+def any_server(request: pytest.FixtureRequest) -> tuple[SdoServer, Axis]:
+    dictionary = Dictionary(EDS / f"{request.param}.eds", 3)
+    return SdoServer(dictionary), Axis(dictionary, 0.001, can_move=True)
+
+
+@LOOSE
+@given(stream=st.lists(requests(), max_size=30))
+def test_the_sdo_server_answers_anything(any_server: tuple[SdoServer, Axis], stream: list[bytes]) -> None:
+    sdo, axis = any_server
+    for data in stream:
+        touches_controlword = len(data) == 8 and data[0] >> 5 == 1 and data[1:4] == b"\x40\x60\x00"
+        if touches_controlword:
+            continue
+        responses = sdo.handle(data)
+        assert all(len(response) == 8 for response in responses)
+        assert len(responses) <= 127
+    assert not axis.energised
+    assert not axis.setpoints(4).any()
+
+
+@LOOSE
+@given(
+    frames=st.lists(
+        st.tuples(
+            st.sampled_from([0x000, 0x080, 0x202, 0x602, 0x77F, 0x182]) | st.integers(0, 0x7FF), st.binary(max_size=8)
+        ),
+        max_size=30,
+    )
+)
+def test_an_axis_moves_only_when_a_controlword_enabled_it(cabinet: Cabinet, frames: list[tuple[int, bytes]]) -> None:
+    now = 0.0
+    for identifier, data in frames:
+        now += 0.004
+        cabinet.receive(Frame(identifier, data), now)
+        cabinet.run(now)
+    for number, node in enumerate(cabinet.nodes.values(), 1):
+        enabling = any(
+            identifier == 0x200 + number
+            or (identifier == 0x600 + number and data[1:4] == b"\x40\x60\x00")
+            or (identifier == 0x600 + number and len(data) == 8 and data[0] >> 5 == 0)
+            for identifier, data in frames
+        )
+        assert enabling or not node.axis.energised
+
+
+@pytest.fixture
+def cabinet(scenario: Callable[[str], Scenario]) -> Cabinet:
+    sent: list[Frame] = []
+    cabinet = Cabinet(Machine(scenario("rigid"), 1), EDS / "virtual-axis.eds", 1.0, sent.append)
+    cabinet.boot()
+    return cabinet

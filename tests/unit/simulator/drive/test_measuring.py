@@ -1,14 +1,23 @@
+"""The measuring function: sweeps, torque noise, and the speed control that is softened under it."""
+
 import struct
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from simulator import Scenario
+from simulator.canopen.cabinet import Cabinet
+from simulator.canopen.node import Frame
 from simulator.drive.axis import Axis
 from simulator.drive.dictionary import Abort, AbortCode, Dictionary
 from simulator.drive.excitation import Sweep
+from simulator.drive.host_loss import lose_host
 from simulator.drive.measuring import Rejection, Run, Samples, Trace
 from simulator.drive.states import State
+from simulator.machine import Machine
+from simulator.torque_noise import torque_noise
 
 Turn = Callable[..., np.ndarray]
 Enable = Callable[[int], None]
@@ -127,16 +136,194 @@ def test_abort_brings_it_to_standstill_and_keeps_the_trace(
     assert dictionary[0x2100, 2] == Run.RUNNING
 
 
-@pytest.mark.parametrize("end", ["quick stop", "fault", "torque off"])
-def test_anything_that_ends_the_operation_ends_the_run(
-    dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable, end: str
-) -> None:
-    parameters(dictionary)
+NOISE_RECORD = struct.Struct("<Ifffddf")
+EDS = Path(__file__).parents[4] / "config/eds/virtual-axis.eds"
+
+
+@pytest.fixture
+def ready(dictionary: Dictionary) -> Dictionary:
+    """Parameters of 0.2 N m (1 % of rated torque) from 1 to 40 Hz, two periods of 1 s; a commissioned control."""
+    d = dictionary
+    d[0x2100, 4], d[0x2100, 5], d[0x2100, 6], d[0x2100, 7] = 17.0, 0.5, 1.0, 1.0
+    d[0x2100, 8], d[0x2100, 9], d[0x2100, 0x0A], d[0x2100, 0x0C] = 2, 0, 4, 1
+    d[0x2104, 1], d[0x2104, 2], d[0x2104, 3], d[0x2104, 4] = 0.2, 1.0, 40.0, 11
+    d[0x2140, 1], d[0x2140, 2] = d[0x2140, 3], d[0x2140, 4] = 0.5, 0.1
+    return d
+
+
+def start(dictionary: Dictionary) -> None:
+    dictionary.download(0x2100, 1, struct.pack("<H", 1))
+
+
+def write(dictionary: Dictionary, sub: int, value: float) -> None:
+    dictionary.download(0x2140, sub, struct.pack("<d", value))
+
+
+def test_one_period_by_the_formula() -> None:
+    torque = torque_noise(3.0, 0.9, 5.2, 2.0, seed=5, cycle=0.001)
+    assert len(torque) == 2000
+    assert np.sqrt(np.mean(torque**2)) == pytest.approx(3.0)
+    lines, phases = np.arange(2, 11) / 2.0, np.random.default_rng(5).uniform(0, 2 * np.pi, 9)  # 1.0 to 5.0 Hz
+    by_hand = (3.0 * np.sqrt(2 / 9) * np.sin(2 * np.pi * lines * 0.345 + phases)).sum()
+    assert torque[344] == pytest.approx(by_hand)
+
+
+def test_a_noise_run_from_start_to_page(ready: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
     enable(1)
-    command(dictionary, 1)
+    start(ready)
+    assert ready[0x2100, 2] == Run.RUNNING
+    speeds = turn(4000, 10)
+    assert ready[0x2100, 2] == Run.DONE
+    assert speeds[1500:3500] == pytest.approx(np.full(2000, 17 / 60))
+    samples = []
+    for first in (0, 500):
+        ready[0x2110, 1], ready[0x2110, 2] = first, 512
+        samples += list(NOISE_RECORD.iter_unpack(ready.upload(0x2110, 3)))[:500]
+    assert [sample[0] for sample in samples] == list(range(1000))
+    injected = np.array([sample[6] for sample in samples])
+    assert injected == pytest.approx(np.array([sample[1] for sample in samples]))  # nothing else was in the torque
+    period = torque_noise(0.2, 1.0, 40.0, 1.0, seed=11, cycle=0.001).reshape(-1, 4).mean(axis=1)
+    assert injected[375:875] == pytest.approx(np.roll(np.tile(period, 2), -375)[:500], abs=1e-6)
+    assert abs(injected[[0, -1]]).max() < 1e-3
+    assert axis.measuring.injection(8) == pytest.approx(np.zeros(8))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "reason"),
+    [
+        ((0x2104, 1), -1.0, Rejection.PARAMETERS),
+        ((0x2104, 1), float("nan"), Rejection.PARAMETERS),
+        ((0x2104, 1), 20.0, Rejection.TORQUE),  # the rated torque, which 6072h allows: its peaks are above
+        ((0x2104, 2), 40.5, Rejection.PARAMETERS),
+        ((0x2104, 3), 501.0, Rejection.PARAMETERS),
+        ((0x2104, 3), float("inf"), Rejection.PARAMETERS),
+        ((0x2104, 3), 0.5, Rejection.PARAMETERS),
+        ((0x2100, 7), 1.0005, Rejection.PARAMETERS),  # the period is not whole cycles
+    ],
+)
+def test_rejections_of_noise(
+    ready: Dictionary, axis: Axis, enable: Enable, key: tuple[int, int], value: float, reason: Rejection
+) -> None:
+    ready[key] = value
+    enable(1)
+    start(ready)
+    assert (ready[0x2100, 2], ready[0x2100, 3]) == (Run.REJECTED, reason)
+    assert axis.measuring.injection(8) == pytest.approx(np.zeros(8))
+
+
+def test_a_sweep_after_it_has_no_noise(ready: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
+    enable(1)
+    start(ready)
+    turn(4000, 10)
+    ready[0x2100, 0x0C] = 0
+    start(ready)
+    assert axis.measuring.injection(4000) == pytest.approx(np.zeros(4000))
+    turn(400, 10)
+    assert len(ready.upload(0x2110, 3)) == 100 * 32
+
+
+@pytest.mark.parametrize("end", ["abort", "quick stop", "fault", "emergency stop", "torque off"])
+def test_whatever_ends_the_run_ends_the_injection(
+    ready: Dictionary, axis: Axis, turn: Turn, enable: Enable, end: str
+) -> None:
+    enable(1)
+    start(ready)
     turn(1600)
-    {"quick stop": axis.quick_stop, "fault": lambda: axis.fail(0x7305), "torque off": axis.disable_voltage}[end]()
-    turn(200)
-    assert dictionary[0x2100, 2] == Run.ABORTED
-    assert not axis.energised
+    {
+        "abort": lambda: ready.download(0x2100, 1, struct.pack("<H", 2)),
+        "quick stop": axis.quick_stop,
+        "fault": lambda: axis.fail(0x7305),
+        "emergency stop": lambda: axis.stop_safely(on=True),
+        "torque off": axis.disable_voltage,
+    }[end]()
+    assert axis.measuring.injection(80) == pytest.approx(np.zeros(80))
+    turn(400)
+    assert ready[0x2100, 2] == Run.ABORTED
+    assert axis.energised is (end == "abort")
     assert turn(80) == pytest.approx(np.zeros(80))
+
+
+@pytest.mark.parametrize(
+    ("sub", "value", "code"),
+    [
+        (1, 0.0, AbortCode.TOO_LOW),
+        (1, float("nan"), AbortCode.TOO_LOW),
+        (1, 0.51, AbortCode.TOO_HIGH),
+        (2, 0.09, AbortCode.TOO_LOW),
+        (2, float("nan"), AbortCode.TOO_LOW),
+        (2, float("inf"), AbortCode.TOO_HIGH),
+        (3, 0.4, AbortCode.READ_ONLY),
+        (4, 0.4, AbortCode.READ_ONLY),
+    ],
+)
+def test_the_speed_control_becomes_softer_only(
+    ready: Dictionary, axis: Axis, sub: int, value: float, code: AbortCode
+) -> None:
+    write(ready, 1, 0.25)
+    write(ready, 2, 0.2)
+    assert axis.speed_control.softened
+    with pytest.raises(Abort) as refused:
+        write(ready, sub, value)
+    assert refused.value.code is code
+    assert axis.speed_control.active == (0.25, 0.2)
+
+
+@pytest.mark.parametrize("end", ["fault", "emergency stop", "host lost", "host lost, no reaction"])
+@pytest.mark.parametrize("enabled", [True, False])
+def test_the_drive_itself_restores_the_commissioned_control(
+    ready: Dictionary, axis: Axis, enable: Enable, end: str, enabled: bool
+) -> None:
+    if enabled:
+        enable(1)
+    write(ready, 1, 0.25)
+    write(ready, 2, 0.2)
+    if end == "fault":
+        axis.fail(0x7305)
+    elif end == "emergency stop":
+        axis.stop_safely(on=True)
+    else:
+        ready[0x6007, 0] = 0 if "no" in end else 3
+        lose_host(axis, ready)
+    assert axis.speed_control.active == (0.5, 0.1)
+    assert not axis.speed_control.softened
+
+
+def test_a_command_does_not(ready: Dictionary, axis: Axis, enable: Enable) -> None:
+    enable(1)
+    write(ready, 1, 0.25)
+    axis.disable_voltage()
+    assert axis.speed_control.softened
+
+
+def test_the_machine_follows_and_a_reboot_restores(scenario: Callable[[str], Scenario]) -> None:
+    """The same step of the set-point under commissioned, softened and restored control."""
+    machine = Machine(scenario("rigid"), 1)
+    cabinet = Cabinet(machine, EDS, 1.0, lambda _: None)
+    cabinet.boot()
+    node = cabinet.nodes["joint_1"]
+    commissioned = machine.scenario.axes["joint_1"].control
+    ratio = machine.axes[0].gear_ratio
+    assert node.axis.speed_control.active == (pytest.approx(commissioned.gain / ratio**2), commissioned.reset_time)
+    gain = node.dictionary[0x2140, 3]
+
+    def torque() -> float:
+        """Of the first cycle of an abrupt start, N m."""
+        for controlword in (0x06, 0x07, 0x0F):
+            node.axis.control(controlword)
+        cabinet.switch()
+        node.dictionary[0x2100, 5] = 1e-3  # s, ramp
+        node.dictionary[0x2100, 4] = 10.0
+        node.receive(Frame(0x601, struct.pack("<BHBH2x", 0x2B, 0x2100, 1, 1)), 0.0)
+        assert node.axis.measuring.run is Run.RUNNING
+        cabinet.advance(4)
+        effort = float(node.dictionary[0x6077, 0])
+        node.axis.disable_voltage()
+        cabinet.switch()
+        return effort
+
+    stiff = torque()
+    write(node.dictionary, 1, gain / 4)
+    assert torque() == pytest.approx(stiff / 4, rel=0.2)
+    node.boot()
+    assert not node.axis.speed_control.softened
+    assert torque() == pytest.approx(stiff, rel=0.1)

@@ -17,6 +17,7 @@ from simulator.fault_orders import Plant, carry_out
 from simulator.foreign.cabinet import ForeignCabinet
 from simulator.machine import Machine
 from simulator.scenario import ScenarioError, load_scenario
+from tests.command import sweepid
 from tests.foreign_bench import PLAIN, ROOT, Foreign, bench, file_of
 from tests.unit.simulator.foreign.conftest import RIGID, mastered
 from tests.unit.simulator.foreign.master import ENABLE, Cycle, Master
@@ -140,8 +141,9 @@ def test_the_command_takes_a_dictionary_for_all_and_one_for_an_axis(tmp_path: Pa
 
 
 @pytest.mark.parametrize("option", ["joint_9=config/eds/plain-402.eds", "config/scenarios/max100-full.yaml"])
-def test_the_command_tells_what_is_no_dictionary(option: str) -> None:
-    done = subprocess.run(command("--foreign", option), cwd=ROOT, capture_output=True, text=True, timeout=120)
+def test_the_command_tells_what_is_no_dictionary(option: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    done = sweepid(*command("--foreign", option)[1:])
     assert done.returncode == 2
     assert re.search(r"--foreign: ('joint_9' is not one of|config/.*yaml is not an \.eds or \.dcf file)", done.stderr)
 

@@ -15,6 +15,13 @@ CSV, PV, PP = 9, 3, 1
 SPEED = 200_000  # increments a second
 
 
+def turning(master: Master) -> Cycle:
+    """In operation, on its way to `SPEED`."""
+    cycle = master.enabled(CSV, TARGET_VELOCITY)
+    cycle.run(ENABLE, SPEED, 50)
+    return cycle
+
+
 def test_the_package_walks_the_states(master: Master) -> None:
     node = master.node
     node.setup_402_state_machine()
@@ -157,8 +164,7 @@ def test_an_unknown_mode_is_not_shown(master: Master) -> None:
 @pytest.mark.parametrize(("option", "state"), [(0, 0x40), (2, 0x40), (6, 0x07)])
 def test_quick_stop_as_its_option_says(master: Master, option: int, state: int) -> None:
     master.write(0x605A, 0, option, 2)
-    cycle = master.enabled(CSV, TARGET_VELOCITY)
-    cycle.run(ENABLE, SPEED, 50)
+    cycle = turning(master)
     cycle.run(QUICK_STOP, SPEED, 1)
     master.settle(lambda: abs(master.truth()["velocity"]) < 1e-5)
     assert cycle.run(QUICK_STOP, SPEED, 20)[0] & 0x6F == state
@@ -168,8 +174,7 @@ def test_quick_stop_as_its_option_says(master: Master, option: int, state: int) 
 @pytest.mark.slow
 def test_a_host_that_falls_silent_stops_the_axis(master: Master) -> None:
     master.write(0x1016, 1, 127 << 16 | 300, 4)
-    cycle = master.enabled(CSV, TARGET_VELOCITY)
-    cycle.run(ENABLE, SPEED, 50)
+    turning(master)
     assert master.truth()["energised"]  # nobody is watched before the first heartbeat
     master.network.send_message(0x77F, bytes([Nmt.OPERATIONAL]))
     master.settle(lambda: 0x8130 in master.emergencies)
@@ -196,8 +201,7 @@ def test_a_set_point_left_behind_counts(master: Master) -> None:
 
 
 def test_a_mode_changes_at_standstill(master: Master) -> None:
-    cycle = master.enabled(CSV, TARGET_VELOCITY)
-    cycle.run(ENABLE, SPEED, 50)
+    cycle = turning(master)
     master.write(0x6060, 0, PV, 1)
     assert master.number(0x6061) == CSV
     cycle.run(ENABLE, 0, 100)
@@ -207,8 +211,7 @@ def test_a_mode_changes_at_standstill(master: Master) -> None:
 @pytest.mark.parametrize(("option", "state"), [(1, 0x08), (2, 0x40), (3, 0x40)])
 def test_nmt_stop_is_an_aborted_connection(master: Master, option: int, state: int) -> None:
     master.write(0x6007, 0, option, 2)
-    cycle = master.enabled(CSV, TARGET_VELOCITY)
-    cycle.run(ENABLE, SPEED, 50)
+    turning(master)
     master.node.nmt.state = "STOPPED"
     master.settle(lambda: not master.truth()["energised"])
     master.node.nmt.state = "PRE-OPERATIONAL"
@@ -217,8 +220,7 @@ def test_nmt_stop_is_an_aborted_connection(master: Master, option: int, state: i
 
 def test_pre_operational_alone_stops_nothing(master: Master) -> None:
     """Nor does a SYNC that stays away: the axis turns on until somebody says otherwise."""
-    cycle = master.enabled(CSV, TARGET_VELOCITY)
-    cycle.run(ENABLE, SPEED, 50)
+    turning(master)
     master.node.nmt.state = "PRE-OPERATIONAL"
     before = master.truth()["position"]
     master.settle(lambda: master.truth()["position"] > before + 0.01)
@@ -227,8 +229,7 @@ def test_pre_operational_alone_stops_nothing(master: Master) -> None:
 
 
 def test_a_halt_holds_and_its_end_goes_on(master: Master) -> None:
-    cycle = master.enabled(CSV, TARGET_VELOCITY)
-    cycle.run(ENABLE, SPEED, 50)
+    cycle = turning(master)
     cycle.run(ENABLE | 0x100, SPEED, 1)
     master.settle(lambda: abs(master.truth()["velocity"]) < 1e-5)
     cycle.run(ENABLE | 0x100, SPEED, 20)

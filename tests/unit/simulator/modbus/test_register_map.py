@@ -1,6 +1,7 @@
-"""Register maps: the shipped ones hold what a sweep needs, bad ones are told with file and place."""
+"""Register maps, the shipped ones and bad ones, which are told with file and place; the page of the trace."""
 
 import math
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,17 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulator.modbus.register_map import RegisterMap, RegisterMapError, Wire, load_register_map
+from simulator.modbus.register_map import (
+    Page,
+    RegisterMap,
+    RegisterMapError,
+    SampleField,
+    TraceMap,
+    Wire,
+    WordOrder,
+    load_register_map,
+)
+from simulator.modbus.trace_page import page_registers
 
 REGISTERS = Path(__file__).parents[4] / "config/registers"
 NAMES = ("virtual-high-first", "virtual-low-first")
@@ -39,16 +50,6 @@ def test_shipped_maps_are_wide_and_fine_enough(name: str) -> None:
             assert step <= resolution, signal
         back = wire.decode(wire.encode(largest, registers.word_order), registers.word_order)
         assert back == pytest.approx(largest, rel=1e-6), signal
-
-
-def test_shipped_maps_differ_in_all_that_may_differ() -> None:
-    high, low = (load(name) for name in NAMES)
-    assert (high.word_order, low.word_order) == ("high_first", "low_first")
-    assert {signal.registers for signal in high.signals.values()} == {2}
-    assert {signal.registers for signal in low.signals.values()} == {1, 2}
-    assert {signal.type for signal in low.signals.values()}.isdisjoint({"f32"})
-    assert all(high.signals[name].address != low.signals[name].address for name in high.signals)
-    assert [f.signal for f in high.trace.sample] != [f.signal for f in low.trace.sample]
 
 
 def test_words_in_either_order() -> None:
@@ -108,21 +109,36 @@ def test_a_bad_map_is_told_with_its_place(tmp_path: Path, change: Change, reason
     assert str(caught.value).startswith(str(path))
 
 
+TRACE = TraceMap(
+    page=Page(address=0, registers=20),
+    sample=(
+        SampleField(signal="torque", type="i16", scale=0.5, unit="N m"),
+        SampleField(signal="cycle", type="u32"),
+        SampleField(signal="set_speed", type="f32", unit="rev/min"),
+        SampleField(signal="speed", type="u16", unit="rev/min"),
+        SampleField(signal="position", type="i16", scale=0.001, unit="rev"),
+        SampleField(signal="load_position", type="i32", scale=0.001, unit="rev"),
+    ),
+)
+PAGE = struct.pack("<Ifffdd", 70000, -2.0, 1.0, 7.4, -0.002, math.nan)
+PAGE += struct.pack("<Ifffdd", 70001, 1e9, -1.0, -7.0, 3000.0, 2.5)
+FIRST = [0xFFFC, 1, 4464, 0x3F80, 0, 7, 0xFFFE, 0x8000, 0]
+SECOND = [0x7FFF, 1, 4465, 0xBF80, 0, 0, 0x7FFF, 0, 2500]
+
+
 @pytest.mark.parametrize(
-    ("text", "reason"),
+    ("page", "order", "first", "count", "expected"),
     [
-        (None, "cannot be read"),
-        ("a: [", "not YAML"),
-        ("a: !!bool x", "not YAML"),
-        ("- 1", "map: "),
-        ("a: &a [*a]", r"alias \*a is inside of its own anchor"),
-        (f"a: &a {'n' * 100_000}\nb: [{', '.join(['*a'] * 100)}]", "aliases stand for more than"),
-        ("#" * (2**20 + 1), "YAML of 1048577 characters, limit 1048576"),
+        (PAGE, "high_first", 0, 18, FIRST + SECOND),
+        (PAGE, "high_first", 0, 3, FIRST[:3]),
+        (PAGE, "high_first", 7, 4, FIRST[7:] + SECOND[:2]),
+        (PAGE, "high_first", 9, 9, SECOND),
+        (PAGE, "high_first", 16, 4, [0, 2500, 0, 0]),
+        (PAGE, "high_first", 18, 2, [0, 0]),
+        (PAGE, "low_first", 0, 9, [0xFFFC, 4464, 1, 0, 0x3F80, 7, 0xFFFE, 0, 0x8000]),
+        (b"", "high_first", 3, 4, [0] * 4),  # nothing was recorded
+        (PAGE * 2, "high_first", 15, 5, [*SECOND[6:], 0, 0]),  # more than the page holds
     ],
 )
-def test_what_is_no_map(tmp_path: Path, text: str | None, reason: str) -> None:
-    path = tmp_path / "map.yaml"
-    if text is not None:
-        path.write_text(text)
-    with pytest.raises(RegisterMapError, match=reason):
-        load_register_map(path)
+def test_a_page_in_any_cut(page: bytes, order: WordOrder, first: int, count: int, expected: list[int]) -> None:
+    assert page_registers(page, TRACE, order, first, count) == expected

@@ -1,11 +1,12 @@
-"""`sweepid export sheet`: the values a control takes, from known truth, with what they are worth."""
+"""`sweepid export` as a person calls it: files that other tools load, and the values that a control takes."""
 
 import json
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -18,11 +19,62 @@ from service.results.estimate import Estimate
 from service.results.identified.payload import Payload
 from service.results.identified.sheet import Sheet
 from service.store.files.bundle import read_bundle
-from tests.command import sweepid
-from tests.unit.service.cli.test_export_model import side_file
+from tests.command import carried_out, refused, sweepid
+from tests.stored.documents import payload, stored
 from tests.unit.service.cli.test_identify import INERTIA, bundle
 
-__all__ = ["bundle", "side_file"]  # the fixtures
+_mujoco = cast(Any, mujoco)  # a binary module without type stubs
+
+__all__ = ["bundle"]  # the fixture
+
+FILES = {"model.urdf", "model.xml", "model.yaml", "robot.yaml"}
+
+
+@pytest.fixture
+def side_file(bundle: Path, tmp_path: Path) -> Path:
+    """The bundle's robot as a side file beside its URDF, as a cell has it."""
+    description = json.loads((bundle / "bundle.json").read_text())["robot"]
+    path = tmp_path / "pair.yaml"
+    path.write_text(json.dumps(description | {"urdf": str(bundle / "robot.urdf")}))  # JSON is YAML
+    return path
+
+
+def estimated(bundle: Path, folder: Path) -> Path:
+    carried_out("identify", str(bundle), "--json", str(folder / "estimate.json"))
+    return folder / "estimate.json"
+
+
+def test_from_a_bundle(bundle: Path, tmp_path: Path) -> None:
+    assert carried_out("export", "model", str(bundle), str(tmp_path / "out")) == f"{tmp_path / 'out'}\n"
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
+    assert _mujoco.MjModel.from_xml_path(str(tmp_path / "out/model.xml")).dof_damping[0] == pytest.approx(4.0, rel=0.01)
+    again = read_robot(tmp_path / "out/robot.yaml")
+    assert again.axes[0].viscous_friction == pytest.approx(4.0, rel=0.01)
+    assert again.axes[1].motor_inertia is None  # unknown, and not measured
+
+
+def test_from_an_estimate(bundle: Path, side_file: Path, tmp_path: Path) -> None:
+    estimate = estimated(bundle, tmp_path)
+    assert sweepid("export", "model", str(bundle), str(tmp_path / "one")).returncode == 0
+    carried_out("export", "model", str(estimate), str(tmp_path / "two"), "--robot", str(side_file))
+    for name in FILES:
+        assert (tmp_path / "one" / name).read_text() == (tmp_path / "two" / name).read_text()
+
+
+def test_what_cannot_be_exported_is_told(bundle: Path, side_file: Path, tmp_path: Path) -> None:
+    (tmp_path / "no.json").write_text("[1]")
+    (tmp_path / "other.json").write_text("{}")
+    for arguments, reason in (
+        (["no.json", "out"], "--robot: is required with an estimate"),
+        (["no.json", "out", "--robot", str(side_file)], "no.json: is not a JSON object"),
+        (["other.json", "out", "--robot", str(side_file)], "other.json.axes: Field required"),
+        (["missing.json", "out", "--robot", str(side_file)], "missing.json: cannot be read"),
+        ([str(bundle), "."], "exists already and is not an empty folder"),
+    ):
+        places = [str(tmp_path / part) if part.endswith((".json", "out", ".")) else part for part in arguments[:2]]
+        assert reason in refused("export", "model", *places, *arguments[2:]).splitlines()[-1]
+        assert not (tmp_path / "out").exists()
+
 
 TOTAL = INERTIA + 1.0  # kg m^2 about the joint, its motor of 1e-4 behind a gear of 100 included
 GEAR = 100.0
@@ -64,7 +116,7 @@ def test_the_truth_comes_out_on_the_side_of_the_motor(made: tuple[Sheet, str]) -
     ids=["inertia", "gain", "next to 0"],
 )
 def test_a_value_of_zero_has_no_share_of_std(change: Callable[[dict[str, Any]], object]) -> None:
-    document = json.loads((Path(__file__).parents[3] / "stored/estimate.json").read_text("utf-8"))
+    document = stored("estimate")
     axis = document["axes"]["joint_2"] | {"confidence_percent": None}
     axis["inertia"] = axis["inertia"][:1]
     change(axis)
@@ -75,8 +127,7 @@ def test_a_value_of_zero_has_no_share_of_std(change: Callable[[dict[str, Any]], 
 
 
 def test_a_ragged_covariance_is_refused(made: tuple[Sheet, str], bundle: Path, tmp_path: Path) -> None:
-    path = tmp_path / "estimate.json"
-    assert sweepid("identify", str(bundle), "--json", str(path)).returncode == 0
+    path = estimated(bundle, tmp_path)
     document = json.loads(path.read_text("utf-8"))
     document["base"]["covariance"][0] = [1.0, 2.0, 3.0, 4.0, 5.0]
     robot = read_bundle(bundle).robot
@@ -106,29 +157,6 @@ def test_a_load_that_was_measured_stands_in_the_words_of_kuka_and_abb(made: tupl
 
 
 TENSOR = np.array([[0.3, 0.02, 0.0], [0.02, 0.25, 0.01], [0.0, 0.01, 0.2]])
-
-
-def payload() -> dict:
-    """As `sweepid estimate payload --json` writes it."""
-
-    def known(value: float) -> dict:
-        return {"value": value, "std": 0.1, "std_total": 0.3, "excited": True}
-
-    names = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
-    inertia = dict(zip(names, TENSOR[np.triu_indices(3)].tolist(), strict=True))
-    numbers = {"names": [], "values": [], "covariance": [], "covariance_total": []}
-    near = {"mass": 12.0, "center": [0.01, 0.0, 0.15], "inertia": inertia}
-    return {
-        "link": "link_6",
-        "frame": "joint_6",
-        "mass": known(12.0),
-        "center": {"x": known(0.01), "y": known(0.0), "z": known(0.15)},
-        "inertia": {name: known(value) for name, value in inertia.items()},
-        "parameters": numbers,
-        "physical": {"consistent": True, "deviation_in_std": 0.0, "nearest": near},
-        "evidence": [{"axis": "joint_6", "from": "sweeps"}],
-        "sentences": [],
-    }
 
 
 def load(document: dict) -> Load:
@@ -166,12 +194,10 @@ def test_the_fingerprint_is_that_of_the_result_and_tells_what_was_altered(
     sheet, text = made
     assert sheet.fingerprint in text
     check_sheet(sheet, "sheet")
-    estimate, again = tmp_path / "estimate.json", tmp_path / "again.json"
-    assert sweepid("identify", str(bundle), "--json", str(estimate)).returncode == 0
-    done = sweepid("export", "sheet", str(estimate), "--robot", str(side_file), "--json", str(again))
-    assert done.returncode == 0, done.stderr
+    estimate, again = estimated(bundle, tmp_path), tmp_path / "again.json"
+    told = carried_out("export", "sheet", str(estimate), "--robot", str(side_file), "--json", str(again))
     assert fingerprint(read(again)) == sheet.fingerprint
-    assert "make the sheet from the bundle" in done.stdout  # for its poses
+    assert "make the sheet from the bundle" in told  # for its poses
     (axis,) = sheet.axes
     altered = sheet.model_copy(update={"axes": (axis.model_copy(update={"motor": 1.01 * axis.motor}),)})
     with pytest.raises(BadInput, match="was altered"):
@@ -181,8 +207,7 @@ def test_the_fingerprint_is_that_of_the_result_and_tells_what_was_altered(
 def test_what_no_body_can_have_and_what_is_hardly_known_is_not_for_use(
     bundle: Path, side_file: Path, tmp_path: Path
 ) -> None:
-    path = tmp_path / "estimate.json"
-    assert sweepid("identify", str(bundle), "--json", str(path)).returncode == 0
+    path = estimated(bundle, tmp_path)
     estimate = json.loads(path.read_text("utf-8"))
     estimate["axes"]["j1"]["confidence_percent"] = 40.0
     path.write_text(json.dumps(estimate), encoding="utf-8")
@@ -191,9 +216,7 @@ def test_what_no_body_can_have_and_what_is_hardly_known_is_not_for_use(
     assert "(no value)" in done.stdout
     estimate["standard_parameters"]["links"]["one"]["m"] = -1.0
     path.write_text(json.dumps(estimate), encoding="utf-8")
-    done = sweepid("export", "sheet", str(path), "--robot", str(side_file))
-    assert (done.returncode, done.stdout) == (2, "")
-    assert "not physically possible for one" in done.stderr
+    assert "not physically possible for one" in refused("export", "sheet", str(path), "--robot", str(side_file))
     done = sweepid("export", "sheet", str(path))
     assert "--robot: is required with an estimate" in done.stderr
 
@@ -236,6 +259,4 @@ def test_what_cannot_be_compared_is_told(
 
 
 def test_a_source_that_does_not_exist_is_named() -> None:
-    done = sweepid("export", "sheet", "bundel")
-    assert done.returncode == 2
-    assert "bundel: cannot be read: No such file" in done.stderr
+    assert "bundel: cannot be read: No such file" in refused("export", "sheet", "bundel")
