@@ -107,7 +107,7 @@ def test_an_eds_that_is_none_is_refused(profile: dict[str, Any], tmp_path: Path)
     profile["eds"] = "other.eds"
     for content in ("", "no section", "[DeviceInfo]\nVendorNumber=x\nProductNumber=1\n", ";" * (2**22 + 1)):
         (tmp_path / "other.eds").write_text(content)
-        with pytest.raises(BadProfile, match="other.eds: (not an EDS or DCF|is larger than)"):
+        with pytest.raises(BadProfile, match=r"other\.eds: (not an EDS or DCF|is larger than)"):
             parse_profile(profile, tmp_path)
 
 
