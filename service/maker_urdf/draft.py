@@ -53,9 +53,9 @@ def side_file_text(check: UrdfCheck, name: str, urdf: str) -> str:
             "    transmission_orders: []",
         ]
     lines.append("prior: # how far the model may be off: one sigma, relative")
-    if check.guessed:
-        lines.append(f"  # the inertials of {', '.join(check.guessed)} are guesses from shapes")
-    spread = 1.0 if check.guessed else 0.3
+    if check.doubted:
+        lines.append(f"  # the inertials of {', '.join(check.doubted)} are guesses, placeholders or not possible")
+    spread = 1.0 if check.doubted else 0.3
     lines += [f"  inertia: {spread}", f"  gravity: {spread}"]
     lines += ["  viscous_friction: 0.5", "  motor_inertia: 0.1", "  effort_gain: 0.05"]
     return "\n".join(lines) + "\n"
