@@ -61,9 +61,8 @@ def side_file_text(check: UrdfCheck, name: str, urdf: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def cell_text(check: UrdfCheck, name: str) -> tuple[str, list[Finding]]:
+def cell_text(robot: Robot, name: str) -> tuple[str, list[Finding]]:
     """A cell without obstacles for a robot with all shapes known, and findings that the user should check."""
-    robot = _bare_robot(check)
     nested = _nested(robot)
     pairs = tuple(pair for pair, _ in nested)
     cell = Cell(name=name, clearance=CLEARANCE, joint_margin=MARGIN, ignored_pairs=pairs)
@@ -95,7 +94,7 @@ def cell_text(check: UrdfCheck, name: str) -> tuple[str, list[Finding]]:
     return "\n".join(lines) + "\n", found
 
 
-def _bare_robot(check: UrdfCheck) -> Robot:
+def bare_robot(check: UrdfCheck) -> Robot:
     """The chain with an arbitrary drive train, which collision checks do not use."""
     axes = tuple(Axis(joint=joint.name, gear_ratio=1.0, rated_effort=1.0) for joint in check.chain.joints)
     return build_robot(RobotDescription(name=check.name, urdf="", axes=axes), check.urdf_text)

@@ -92,7 +92,7 @@ def check_masses(chain: Chain, extent: float) -> list[Finding]:
             f"moving mass {mass:.4g} kg with a reach of {reach:.3g} m is not plausible: is the unit the kilogram?"
         )
         found.append(Finding("unusual", "all links", f"{sentence} {_WIDER}"))
-    most = np.abs(_gravity_efforts(chain)).max(axis=0)
+    most = np.abs(gravity_efforts(chain, random_poses(chain))).max(axis=0)
     for joint, effort in zip(chain.joints, most, strict=True):
         unit = "N" if joint.kind == "prismatic" else "N m"
         if 0 < joint.effort < effort:
@@ -107,11 +107,15 @@ def check_masses(chain: Chain, extent: float) -> list[Finding]:
     return found
 
 
-def _gravity_efforts(chain: Chain) -> Array:
-    """Efforts (200, n) against gravity along -z of the base, in random poses, N m (N)."""
+def random_poses(chain: Chain) -> Array:
+    """(200, n) within the limits, always the same."""
+    low, high = (np.array([getattr(joint, end) for joint in chain.joints]) for end in ("lower", "upper"))
+    return np.random.default_rng(1).uniform(low, high, (200, len(low)))
+
+
+def gravity_efforts(chain: Chain, poses: Array) -> Array:
+    """Efforts (p, n) against gravity along -z of the base, in poses (p, n), N m (N)."""
     joints = chain.joints
-    low, high = (np.array([getattr(joint, end) for joint in joints]) for end in ("lower", "upper"))
-    poses = np.random.default_rng(1).uniform(low, high, (200, len(joints)))
     rotations, origins = link_frames(chain, poses)
     mass = np.cumsum(chain.inertial[::-1, 0])[::-1]
     moments = np.einsum("pkij,kj->pki", rotations, chain.inertial[:, 1:4]) + chain.inertial[:, :1] * origins

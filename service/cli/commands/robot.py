@@ -27,7 +27,7 @@ def check(
 
     from service.cli.documents import write_file
     from service.cli.urdf_findings import drafts_of, print_findings
-    from service.maker_urdf import cell_text, check_urdf, read_description
+    from service.maker_urdf import bare_robot, cell_text, check_urdf, read_description
     from service.maker_urdf.packages import Packages
 
     named = {key: Path(folder) for key, folder in (_pair(option, "=", "--package") for option in package or [])}
@@ -38,7 +38,7 @@ def check(
     findings = checked.findings
     drafts: dict[Path, str] = {}
     if not checked.lacking:
-        cell, found = cell_text(checked, called)
+        cell, found = cell_text(bare_robot(checked), called)
         findings = (*findings, *found)
         if out is not None:
             drafts = drafts_of(checked, called, out, cell)
@@ -49,6 +49,42 @@ def check(
         path.parent.mkdir(parents=True, exist_ok=True)
         write_file(path, text.rstrip("\n"))
         typer.echo(str(path))
+
+
+def virtual(
+    robot: Annotated[Path, typer.Argument(help="Side file of the robot; values may be open.", show_default=False)],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for all files (usually NAME-virtual beside the folder of the side file)."),
+    ] = None,
+    eds: Annotated[Path, typer.Option(help="Object dictionary of the virtual drives.")] = Path(
+        "config/eds/virtual-axis.eds"
+    ),
+) -> None:
+    """Draft a virtual machine of a robot: files for `sweepid drive` and `sweepid serve`. Nothing is overwritten."""
+    import os
+
+    from service.cli.documents import write_file
+    from service.cli.urdf_findings import refuse_existing
+    from service.configuration import read_text, read_yaml
+    from service.errors import BadInput
+    from service.maker_urdf.virtual import DraftedRobot, virtual_machine
+
+    if not eds.is_file():
+        raise BadInput("--eds", f"there is no file {eds}; it is config/eds/virtual-axis.eds of sweepid's sources")
+    drafted = read_yaml(robot, DraftedRobot)
+    name = f"{drafted.name}-virtual"
+    folder = robot.parent.parent / name if out is None else out
+    relative = Path(os.path.relpath(eds.resolve(), folder.resolve() / "drives")).as_posix()
+    texts = virtual_machine(drafted, read_text(robot.parent / drafted.urdf), folder.as_posix(), relative, str(robot))
+    paths = {folder / path: text for path, text in texts.items()}
+    refuse_existing(paths)
+    for path, text in paths.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_file(path, text.rstrip("\n"))
+        typer.echo(str(path))
+    typer.echo(f"sweepid drive --scenario {folder / 'scenarios' / name}.yaml --eds {eds}", err=True)
+    typer.echo(f"sweepid serve --config {folder / 'service.yaml'}", err=True)
 
 
 def _pair(option: str, sign: str, name: str) -> tuple[str, str]:
