@@ -1,6 +1,7 @@
 """One serial chain of a URDF that may have several: joints that are not between base and tip are fixed."""
 
 import math
+import warnings
 import xml.etree.ElementTree as ET
 
 import numpy as np
@@ -195,7 +196,9 @@ def _shift(joint: ET.Element, position: float, here: str) -> None:
     for element in joint.findall("origin"):
         joint.remove(element)
     # fixed-axis roll, pitch, yaw as in URDF
-    rpy = Rotation.from_matrix(rotation).as_euler("xyz")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # at a pitch of 90 degrees several triples are the same rotation
+        rpy = Rotation.from_matrix(rotation).as_euler("xyz")
     ET.SubElement(joint, "origin", xyz=_text(translation), rpy=_text(rpy))
 
 

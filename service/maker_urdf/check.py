@@ -15,6 +15,7 @@ from service.maker_urdf.finding import Finding
 from service.maker_urdf.hulls import embed_hulls, link_shapes
 from service.maker_urdf.inertials import check_inertials, check_masses
 from service.maker_urdf.packages import Packages
+from service.physical_bounds import MOST_EFFORT, MOST_LIMIT, MOST_POSITION
 from service.urdf import MOST_LINKS, Chain, Joint, look_over, read_chain
 
 Array = NDArray[np.float64]
@@ -134,14 +135,14 @@ def _complete_limits(root: ET.Element, place: str) -> tuple[list[Finding], list[
             continue
         limit = joint.find("limit")
         limit = ET.SubElement(joint, "limit") if limit is None else limit
-        for key in ("velocity", "effort"):
+        for key, most in (("velocity", MOST_LIMIT), ("effort", MOST_EFFORT)):
             text = limit.get(key, "none")
-            if not 0 < _float(text) < math.inf:
+            if not 0 < _float(text) <= most:
                 limit.set(key, "0")
                 what = f"{key} limit: {text} is not a usable limit; the draft has 0, at which nothing moves"
                 found.append(Finding("missing", name, what))
         low, high = (_float(limit.get(key, "0")) for key in ("lower", "upper"))
-        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        if not -MOST_POSITION <= low < high <= MOST_POSITION:
             stated = f"{limit.get('lower', 'none')} to {limit.get('upper', 'none')}"
             reason = f"position limits {stated} leave no travel: enter those of the manufacturer in the URDF"
             errors.append(BadInput(f"{place} joint {name}", reason))

@@ -1,5 +1,6 @@
 """Packages of ROS by name, and their mesh files. No mesh outside the package folders is read."""
 
+import glob
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
@@ -42,9 +43,9 @@ class Packages:
         if package in self._named:
             yield self._named[package]
         yield from (folder for folder in self._folders if folder.name == package)
-        yield from (folder / package for folder in self._folders)
         for folder in self._folders:
             for depth in range(DEEPEST):
+                yield from folder.glob("*/" * depth + glob.escape(package))
                 for found in sorted(folder.glob("*/" * depth + "package.xml")):
                     name = re.search(rb"<name>\s*([^<\s]+)\s*</name>", re.sub(rb"(?s)<!--.*?-->", b"", _head(found)))
                     if name and name[1].decode(errors="replace") == package:

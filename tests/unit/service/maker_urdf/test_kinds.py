@@ -138,6 +138,8 @@ TOLD = {
     ),
     "position 0": (arm(j1=limit("0", "0")), "missing j1: position limits 0 to 0 leave no travel", False),
     "position infinite": (arm(j1=limit("-inf", "inf")), "missing j1: position limits -inf to inf leave no", False),
+    "position beyond all measure": (arm(j1=limit("-1e16", "1e16")), "missing j1: position limits -1e16 to 1e16", False),
+    "effort beyond all measure": (arm(j1=limit("-2", "2", effort="1e16")), "missing j1: effort limit: 1e16 is", False),
     "position missing": (arm(j1='<limit velocity="2" effort="9"/>'), "missing j1: position limits none to none", False),
     "limit missing": (arm(j1=""), "missing j1: position limits none to none leave no travel", False),
     "soft limits": (
@@ -220,9 +222,12 @@ def package(folder: Path, name: str = "arm_description") -> Path:
     return folder
 
 
-@pytest.mark.parametrize("given", [".", "src", "src/Arm-main", "named"])
+@pytest.mark.parametrize("given", [".", "src", "src/Arm-main", "named", "by its folder"])
 def test_a_package_is_found_by_its_name_wherever_its_folder_is(given: str, tmp_path: Path) -> None:
-    folder = package(tmp_path / "src" / "Arm-main")
+    folder = package(tmp_path / "src" / ("Arm-main" if given != "by its folder" else "a/arm_description"))
+    if given == "by its folder":
+        (folder / "package.xml").unlink()
+        given = "src"
     named = {"arm_description": folder} if given == "named" else {}
     packages = Packages([] if named else [tmp_path / given], folder, named)
     assert packages.read("package://arm_description/part.xacro", "x")
