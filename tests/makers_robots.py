@@ -8,7 +8,7 @@ import yaml
 
 from service.configuration import read_text
 from service.geometry.cell import Cell
-from service.maker_urdf import UrdfCheck, cell_text, check_urdf, side_file_text
+from service.maker_urdf import UrdfCheck, bare_robot, cell_text, check_urdf, side_file_text
 from service.maker_urdf.packages import Packages
 from service.robot import Robot, RobotDescription, build_robot
 
@@ -76,5 +76,5 @@ def completed(maker: Maker) -> tuple[Robot, Cell]:
         axis["rated_effort"] = 0.5 * joint.effort
         axis["motor_inertia"] = 2e-6 * joint.effort / 10
     description = RobotDescription.model_validate(side)
-    cell = Cell.model_validate(yaml.safe_load(cell_text(told, maker.name)[0]))
+    cell = Cell.model_validate(yaml.safe_load(cell_text(bare_robot(told), maker.name)[0]))
     return build_robot(description, told.urdf_text), cell

@@ -17,12 +17,12 @@ from can.interfaces.socketcan import SocketcanBus
 from canopen.sdo.client import SdoClient
 
 from drivers.canopen import frames
-from drivers.canopen.eds import object_dictionary
 from drivers.canopen.foreign_frames import ForeignFrames
 from drivers.canopen.profile import BusProfile
 from drivers.canopen.sdo import RemoteNode
 from drivers.canopen.socketcand import SocketcandBus
 from drivers.cia402.host_watch import HostWatch
+from drivers.eds import object_dictionary
 from drivers.errors import CommunicationLost, ConnectionFailed, Measured
 from drivers.ports import BusTraffic
 

@@ -1,10 +1,8 @@
 """The profile of drives on CANopen: bus, clocks and nodes."""
 
 from collections.abc import Mapping
-from configparser import ConfigParser
-from configparser import Error as ConfigError
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -20,7 +18,7 @@ from drivers.cia402.profile import (
     require_different,
     require_near,
 )
-from drivers.eds_file import read_eds
+from drivers.eds import object_dictionary
 from drivers.errors import BadProfile
 
 
@@ -147,15 +145,14 @@ def _check_map(profile: _Content, device_map: DeviceMap) -> None:
 def _check_eds(profile: _Content, eds: Path) -> None:
     """Raises BadProfile unless the EDS is for the devices of the profile (CiA 306, section DeviceInfo).
 
-    Some manufacturers omit vendor or product there; the drives report them at connect.
+    Some manufacturers omit vendor or product there, or write 0; the drives report them at connect.
     """
-    parser = ConfigParser(interpolation=None, strict=False)
     try:
-        parser.read_string(read_eds(eds).decode("utf-8"))
-        device = parser["DeviceInfo"]
-        found = {key: int(device[f"{key}Number"], 0) for key in ("Vendor", "Product") if f"{key}number" in device}
-    except (ConfigError, KeyError, OSError, ValueError) as error:
-        raise BadProfile(f"eds: {eds} has no usable section DeviceInfo: {error}") from None
+        about: Any = object_dictionary(eds, 1).device_information
+    except (OSError, ValueError) as error:
+        raise BadProfile(f"eds: {eds}: {error}") from None
+    stated_numbers = {"Vendor": about.vendor_number, "Product": about.product_number}
+    found = {key: number for key, number in stated_numbers.items() if number}
     for axis in profile.axes:
         given = {"Vendor": axis.identity.vendor, "Product": axis.identity.product}
         if found != {key: given[key] for key in found}:

@@ -36,7 +36,7 @@ def draft(
     """
     from drivers.cia402.profile import FILL_IN
     from drivers.commission.dictionary import read_dictionary
-    from drivers.commission.draft import map_text, profile_text, unfilled
+    from drivers.commission.draft import map_text, profile_text, shortcomings, unfilled
     from drivers.commission.fitting import fitting
 
     dictionary = read_dictionary(eds, 1)
@@ -59,6 +59,8 @@ def draft(
     for path, text in texts.items():
         path.write_text(text, encoding="utf-8")
         typer.echo(f"{path}: {unfilled(text)} values to fill in")
+    for sentence in () if maps else shortcomings(dictionary):
+        typer.echo(f"{eds}: {sentence}", err=True)
 
 
 @commission.command()

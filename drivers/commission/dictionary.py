@@ -3,15 +3,14 @@
 import drivers.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
 # isort: split
-import configparser
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from canopen.objectdictionary import ObjectDictionaryError, ODVariable, datatypes
+from canopen.objectdictionary import ODVariable, datatypes
 
-from drivers.canopen.eds import object_dictionary
+from drivers.eds import object_dictionary
 from drivers.errors import BadProfile
 
 Key = tuple[int, int]
@@ -41,7 +40,7 @@ class Listed:
 @dataclass(frozen=True, slots=True)
 class Dictionary:
     """The objects of a file by index and sub-index, and the manufacturer of the drive; None if the file does not state
-    it.
+    it, or states 0, which no manufacturer has.
     """
 
     objects: Mapping[Key, Listed]
@@ -60,8 +59,8 @@ def read_dictionary(path: Path, node: int) -> Dictionary:
     """BadProfile names the file and the reason. `node` resolves ``$NODEID``."""
     try:
         whole: Any = object_dictionary(path, node)
-    except (OSError, configparser.Error, ObjectDictionaryError, KeyError, ValueError, UnicodeError) as error:
-        raise BadProfile(f"eds: {path}: not an EDS or DCF: {' '.join(str(error).split())}") from None
+    except (OSError, ValueError) as error:
+        raise BadProfile(f"eds: {path}: {getattr(error, 'strerror', None) or error}") from None
     objects: dict[Key, Listed] = {}
     for entry in whole.values():
         for variable in [entry] if isinstance(entry, ODVariable) else entry.values():
@@ -70,9 +69,9 @@ def read_dictionary(path: Path, node: int) -> Dictionary:
     identity = [objects[0x1018, sub].value if (0x1018, sub) in objects else None for sub in (1, 2, 3)]
     return Dictionary(
         objects,
-        vendor=about.vendor_number or identity[0],
-        product=about.product_number or identity[1],
-        revision=about.revision_number or identity[2],
+        vendor=about.vendor_number or identity[0] or None,
+        product=about.product_number or identity[1] or None,
+        revision=about.revision_number or identity[2] or None,
         name=_printable(f"{about.vendor_name or ''} {about.product_name or ''}"),
     )
 

@@ -10,7 +10,9 @@ from drivers.commission.dictionary import Dictionary
 from drivers.commission.fitting import ways
 
 _WIRE = {letter: name for name, letter in TYPES.items()}
+WITHOUT_EFFORT = "without 6077h or 6078h the drive cannot be used"
 _NEEDLESS = {  # object: (object that makes it unnecessary, reason)
+    "torque": ("current", "6078h gives the current"),
     "current": ("torque", "6077h gives the torque"),
     "rated_current": ("torque", "6077h gives the torque"),
     "sync_period": ("cycle_value", "not needed: 60C2h has the cycle"),
@@ -26,15 +28,15 @@ def profile_text(
     lines = [
         f"# {dictionary.name or 'A drive'}: drafted from its dictionary. Values that begin with {FILL_IN} are refused.",
         "adapter: canopen",
-        f"eds: {json.dumps(eds)}",
-        f"device: {json.dumps(device)}",
+        f"eds: {_text(eds)}",
+        f"device: {_text(device)}",
         f"bus: {{interface: socketcan, channel: can0, bitrate: {bitrate}, sync_period: 0.004}}",
         "emergency_stop_codes: [] # values of 603Fh that mean safe torque off; the first emergency stop shows them",
         "axes:",
     ]
     for node, joint in enumerate(joints, 1):
         lines += [
-            f"  - joint: {json.dumps(joint)}",
+            f"  - joint: {_text(joint)}",
             f"    node: {node}",
             *(f"    {line}" for line in _axis(dictionary, device_map)),
         ]
@@ -49,7 +51,7 @@ def map_text(dictionary: Dictionary) -> str:
     )
     lines = [
         f"# Drafted from a dictionary: compare it with its manual. Values that begin with {FILL_IN} are refused.",
-        f"description: {json.dumps(dictionary.name or 'unknown drive')}",
+        f"description: {_text(dictionary.name or 'unknown drive')}",
         *(f"{key}: 0x{value:08X}" for key, value in _maker(dictionary) if value),
         f"excitation: {excitation}",
         f"pdos: {_pdos(dictionary, able)}",
@@ -62,9 +64,31 @@ def map_text(dictionary: Dictionary) -> str:
     return "\n".join([*lines, ""])
 
 
+def shortcomings(dictionary: Dictionary) -> list[str]:
+    """What the drive lacks for a measurement, and the excitation that remains; empty if it lacks nothing."""
+    lost = [STANDARD[name] for name in STANDARD if name in NEEDED and not _has(dictionary, name)]
+    able = ", ".join(f"{STANDARD[way.target].index:04X}h ({way.value})" for way in ways(dictionary))
+    found: list[str] = []
+    if lost:
+        shown = ", ".join(f"{entry.index:04X}h" for entry in lost)
+        found.append(f"{shown} are not in the file: without them the drive cannot be used")
+    if not _efforts(dictionary):
+        found.append(WITHOUT_EFFORT)
+    if not able:
+        found.append("no object for set-points that 6502h allows: the axis can be moved, but not measured")
+    elif found:
+        found.append(f"excitation that remains: {able}")
+    return found
+
+
 def unfilled(text: str) -> int:
     """Number of values that a person must fill in."""
     return text.count(f'"{FILL_IN}')
+
+
+def _text(text: str) -> str:
+    """In YAML notation, umlauts as they are."""
+    return json.dumps(text, ensure_ascii=False)
 
 
 def _open(what: str) -> str:
@@ -109,6 +133,10 @@ def _has(dictionary: Dictionary, name: str) -> bool:
     return (entry.index, entry.sub) in dictionary.objects
 
 
+def _efforts(dictionary: Dictionary) -> list[str]:
+    return [name for name in ("torque", "current") if _has(dictionary, name)]
+
+
 def _units(dictionary: Dictionary) -> Iterator[str]:
     yield f"side: {_open('motor, or joint where the drive counts behind the gear')}"
     counts = dictionary.value(0x608F, 1)
@@ -122,7 +150,7 @@ def _units(dictionary: Dictionary) -> Iterator[str]:
         yield "max_speed: rev/min # as CiA 402 has it; velocity where the maker says so"
     if _has(dictionary, "rated_torque"):
         yield f"rated_torque: {_open('N m in one step of 6076h; CiA 402 has 1.0e-3')}"
-    yield "effort: torque" if _has(dictionary, "torque") else "effort: current"
+    yield f"effort: {(_efforts(dictionary) or [_open('torque or current')])[0]}"
 
 
 def _pdos(dictionary: Dictionary, able: Sequence[Way]) -> str:
@@ -172,6 +200,8 @@ def _instead(dictionary: Dictionary, name: str, entry: Entry, able: set[str], ta
         return _open(f"{entry} is not in the file: without it the drive cannot be used")
     if name in targets and able:
         return json.dumps(f"the set-points go into {', '.join(sorted(able))}")
+    if name in ("torque", "current") and not _efforts(dictionary):
+        return _open(f"{WITHOUT_EFFORT}; an object of its own goes into `objects`, and this line away")
     other, why = _NEEDLESS.get(name, ("", ""))
     return (
         json.dumps(why) if other and _has(dictionary, other) else _open(f"what replaces it: {entry} is not in the file")

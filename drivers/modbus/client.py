@@ -11,7 +11,7 @@ from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ConnectionException
 from pymodbus.pdu import ModbusPDU
 
-from drivers.modbus.profile import RtuLine, TcpLine
+from drivers.modbus.profile import DIRECT, RtuLine, TcpLine
 
 
 class Client(Protocol):
@@ -100,13 +100,30 @@ class _Waiting:
 
 
 class TcpClient(ModbusTcpClient):
-    """pymodbus' client with the waiting of this module. `garbled`: bytes of an answer have come."""
+    """pymodbus' client with the waiting of this module. `garbled`: bytes of an answer have come.
+
+    A device that is addressed directly may answer with unit 0 or 255, whatever was asked (`DIRECT`); pymodbus would
+    not take this for an answer. The transaction identifies it.
+    """
 
     def __init__(self, left: Callable[[], float], host: str, **others: Any) -> None:
-        super().__init__(host, **others)
+        super().__init__(host, trace_packet=self._as_asked, **others)
         self.garbled = False
+        self._unit = 0
         self._waiting = _Waiting(left)
         self.wake = self._waiting.wake
+
+    def _as_asked(self, sending: bool, data: bytes) -> bytes:
+        """Frames of the line, in which answers of unit 0 and 255 have the unit that was asked."""
+        if sending:
+            self._unit = data[6]
+            return data
+        frames, at = bytearray(data), 6
+        while at < len(frames):
+            if frames[at] in DIRECT:
+                frames[at] = self._unit
+            at += 6 + int.from_bytes(frames[at - 2 : at], "big")
+        return bytes(frames)
 
     def connect(self) -> bool:
         self._waiting.open()

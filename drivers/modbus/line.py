@@ -1,7 +1,8 @@
 """One Modbus line, TCP or RTU: one request at a time, and the last reception of every unit. Blocking.
 
 A write is never repeated: it is unknown whether the drive executed it, and a motion command must not be sent twice.
-An RTU read is repeated once if the answer was damaged, because then no answer is pending. After a time-out nothing
+A read that the drive answers by "busy" is repeated after `BUSY_PAUSES`. An RTU read is repeated once if the answer was
+damaged, because then no answer is pending. After a time-out nothing
 is repeated: an RTU answer does not show to which request it belongs. A unit that did not answer is lost. It is only
 stopped, and not asked, until `due` lets the heartbeat look for it again; its late answers have then been discarded
 with the buffer of the line. On TCP the transaction id identifies an answer, and the connection is opened again.
@@ -33,13 +34,17 @@ STOP_WAIT = 0.1  # s that a stop waits for the answer to a request before it; dr
 STOP_TIMEOUT = 0.5  # s for an answer while the machine is being stopped
 STOP_TIME = 3.0  # s after a stop during which the machine is being stopped
 
+BUSY_PAUSES = (0.01, 0.02, 0.04, 0.08, 0.16)  # s before a read is asked again; in all less than `STOP_TIMEOUT`
+
 READ, WRITE = 3, 16  # function codes
+BUSY = frozenset({5, 6})  # exceptions: the request is in process, or has to be asked again (Modbus V1.1b3, 7)
 GATEWAY = frozenset({0x0A, 0x0B})  # exceptions of a gateway that cannot reach the unit
 EXCEPTIONS = {
     1: "the drive does not know this function",
     2: "no such register",
     3: "the drive refuses the value",
     4: "the drive refuses in its present state",
+    5: "the drive is still processing the request",
     6: "the drive is busy",
 }
 # pymodbus does not convert all errors of its decoders.
@@ -198,6 +203,18 @@ class Line:
     # -- inside --------------------------------------------------------------------------------------------------
 
     def _ask(self, unit: int, what: str, function: int, request: Callable[[], ModbusPDU]) -> ModbusPDU:
+        response = self._answered(unit, what, function, request)
+        for pause in BUSY_PAUSES:
+            if function != READ or not response.isError() or response.exception_code not in BUSY:
+                break
+            self._clock.sleep(pause)
+            response = self._answered(unit, what, function, request)
+        if response.isError():
+            meaning = EXCEPTIONS.get(response.exception_code, "refused")
+            raise WrongConfiguration(f"{what}: Modbus exception {response.exception_code}: {meaning}")
+        return response
+
+    def _answered(self, unit: int, what: str, function: int, request: Callable[[], ModbusPDU]) -> ModbusPDU:
         self._require_open()
         if unit in self._lost:
             raise _lost(self._lost[unit][1])
@@ -218,8 +235,6 @@ class Line:
             self._lose(unit, f"{what}: answered by {response}")
         if response.isError():
             self._heard[unit] = self._clock.monotonic()
-            meaning = EXCEPTIONS.get(response.exception_code, "refused")
-            raise WrongConfiguration(f"{what}: Modbus exception {response.exception_code}: {meaning}")
         return response
 
     def _exchange(self, unit: int, request: Callable[[], ModbusPDU]) -> ModbusPDU:

@@ -18,6 +18,7 @@ from drivers.cia402.profile import (
 )
 
 TURNAROUND = 0.02  # s, maximum time until a drive begins its answer
+DIRECT = (0, 255)  # units of a TCP device that is no gateway (Modbus Messaging on TCP/IP V1.0b, 4.4.2.2)
 ROUND_TRIP = 4e-3  # s, of a Modbus TCP request: most drives answer in a cycle of a few ms
 
 
@@ -100,9 +101,9 @@ Line = Annotated[TcpLine | RtuLine, Field(discriminator="transport")]
 
 
 class ModbusAxis(AxisProfile):
-    """One axis and its unit on the line. Unit 0 is the broadcast address and not allowed."""
+    """One axis and its unit on the line. 255 and, for one drive alone, 0: a TCP drive that is addressed directly."""
 
-    unit_id: int = Field(ge=1, le=247)
+    unit_id: int = Field(ge=0, le=255)
 
 
 class ModbusProfile(Frozen):
@@ -119,6 +120,13 @@ class ModbusProfile(Frozen):
     @model_validator(mode="after")
     def _consistent(self) -> "ModbusProfile":
         require_different(self.axes, "unit ids", [axis.unit_id for axis in self.axes])
+        for number, axis in enumerate(self.axes):
+            direct = self.line.transport == "tcp" and axis.unit_id in DIRECT
+            if not (1 <= axis.unit_id <= 247 or (direct and (axis.unit_id or len(self.axes) == 1))):
+                raise ValueError(
+                    f"axes.{number}.unit_id: {axis.unit_id} is not 1 to 247; a single drive with Modbus TCP of its own "
+                    "may have 0 or 255"
+                )
         require_near(self.axes, self.travel_limits, self.line.watchdog, "line.watchdog")
         return self
 

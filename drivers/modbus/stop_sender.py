@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping
 from drivers.cia402 import states
 from drivers.errors import ConnectionFailed, NotReady
 from drivers.modbus.line import READ, WRITE
-from drivers.modbus.profile import ModbusAxis, ModbusProfile, TcpLine
+from drivers.modbus.profile import DIRECT, ModbusAxis, ModbusProfile, TcpLine
 from drivers.modbus.registers import RegisterMap
 from drivers.modbus.units import Gear
 
@@ -146,7 +146,7 @@ class _Readings:
         found = None
         while len(data) > _HEAD.size and len(data) >= (whole := 6 + _HEAD.unpack_from(data)[2]):
             transaction, _, _, sender = _HEAD.unpack_from(data)
-            if (transaction, sender) == (number, unit):
+            if transaction == number and sender in (unit, *DIRECT):
                 found = data[_HEAD.size : whole]
             data = data[whole:]
         self._data = data

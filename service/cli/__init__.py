@@ -40,6 +40,7 @@ _OWN = {
     "export path": "export:export_path",
     "export recording": "export:export_recording",
     "robot check": "robot:check",
+    "robot virtual": "robot:virtual",
     "plant fleet": "plant:fleet",
     "plant reidentify": "plant:reidentify",
     "plant jobs": "plant:list_jobs",

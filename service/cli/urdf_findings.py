@@ -1,6 +1,7 @@
 """What was found in a maker's URDF, on the terminal and as drafts of files."""
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 from rich.console import Console
@@ -19,10 +20,15 @@ def drafts_of(checked: UrdfCheck, name: str, out: Path, cell: str) -> dict[Path,
         out / "robots" / f"{name}.yaml": side_file_text(checked, name, f"{name}.urdf"),
         out / "cells" / f"{name}.yaml": cell,
     }
+    refuse_existing(drafts)
+    return drafts
+
+
+def refuse_existing(drafts: Iterable[Path]) -> None:
+    """BadInput names the first file that is there already."""
     for path in drafts:
         if path.exists():
             raise BadInput(str(path), "exists already; nothing is overwritten")
-    return drafts
 
 
 def print_findings(findings: tuple[Finding, ...], checked: UrdfCheck, name: str, console: Console) -> None:

@@ -49,8 +49,16 @@ def as_yaml(model: IdentifiedModel) -> str:
             "axis": joint.axis.tolist(),
             "motor_inertia": float(motor),
             "viscous_friction": friction,
+            "dry_friction": dry,
+            "effects": {
+                effect.effect: {name: value.model_dump() for name, value in effect.parameters.items()}
+                for effect in model.effects
+                if effect.axis == joint.name
+            },
         }
-        for joint, motor, friction in zip(model.robot.chain.joints, model.motor_inertias, model.friction, strict=True)
+        for joint, motor, friction, dry in zip(
+            model.robot.chain.joints, model.motor_inertias, model.friction, model.dry_friction, strict=True
+        )
     }
     return _dump(
         {

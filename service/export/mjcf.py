@@ -1,4 +1,5 @@
-"""The robot as a MuJoCo model: one body per moving link, armature = motor inertia, damping = identified friction.
+"""The robot as a MuJoCo model: one body per moving link, armature = motor inertia, damping and frictionloss
+= identified viscous and dry friction.
 
 Collision shapes that are boxes, cylinders or spheres become visual geoms without collision, because shapes
 of neighbours may overlap. Meshes are omitted.
@@ -24,13 +25,15 @@ def as_mjcf(model: IdentifiedModel) -> str:
     carrier = ET.SubElement(root, "worldbody")
     found = shapes(model.robot.urdf_text)
     _add_shapes(carrier, found.get(None, []))
-    parts = zip(model.robot.chain.joints, model.bodies, model.motor_inertias, model.friction, strict=True)
-    for joint, body, motor, friction in parts:
+    frictions = zip(model.friction, model.dry_friction, strict=True)
+    parts = zip(model.robot.chain.joints, model.bodies, model.motor_inertias, frictions, strict=True)
+    for joint, body, motor, (friction, dry) in parts:
         carrier = _body(carrier, joint, body)
         element = ET.SubElement(carrier, "joint", name=joint.name, axis=_text(joint.axis))
         element.set("type", "slide" if joint.kind == "prismatic" else "hinge")
         element.set("armature", repr(float(motor)))
         element.set("damping", repr(friction or 0.0))
+        element.set("frictionloss", repr(dry or 0.0))
         if np.isfinite([joint.lower, joint.upper]).all():
             element.set("range", _text([joint.lower, joint.upper]))
         _add_shapes(carrier, found.get(body.link, []))

@@ -1,13 +1,14 @@
 """The robot with the parameters of an estimate: the source of all exported files."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.errors import BadInput
-from service.results.estimate import BaseParameter, Estimate, EstimatedAxis, StandardParameters, Symbol
+from service.results.estimate import BaseParameter, Estimate, EstimatedAxis, StandardParameters, Symbol, UsedEffect
 from service.results.table import Column, Shown, Table
 from service.robot import INERTIAL_NAMES, Robot
 from service.urdf import inertia_matrix
@@ -34,6 +35,8 @@ class IdentifiedModel(Shown):
     bodies: tuple[Body, ...]
     motor_inertias: Array  # (n,) kg m^2 (kg) on the joint side, 0 if unknown
     friction: tuple[float | None, ...]  # viscous, N m s/rad (N s/m); None: the axis was not measured
+    dry_friction: tuple[float | None, ...]  # Coulomb, N m (N); None: no effect of the accepted model states it
+    effects: tuple[UsedEffect, ...]  # of the accepted model
     base_parameters: tuple[BaseParameter, ...]
     symbols: dict[str, Symbol]
     deviation_in_std: float
@@ -48,6 +51,7 @@ class IdentifiedModel(Shown):
                 Column("mass", tuple(body.mass for body in self.bodies)),
                 Column("motor inertia", tuple(self.motor_inertias.tolist())),
                 Column("viscous friction", self.friction),
+                Column("dry friction", self.dry_friction),
             ),
         )
 
@@ -75,6 +79,8 @@ def model_of(robot: Robot, found: Estimate, place: str = "estimate") -> Identifi
         bodies=tuple(_body(standard, joint.link, place) for joint in robot.chain.joints),
         motor_inertias=np.array([_motor(standard, joint, place) for joint in robot.joints]),
         friction=tuple(_friction(found.axes.get(joint), f"{place} axes {joint}") for joint in robot.joints),
+        dry_friction=tuple(_dry_friction(found.effects, joint, place) for joint in robot.joints),
+        effects=found.effects,
         base_parameters=found.base_parameters,
         symbols=found.symbols,
         deviation_in_std=_finite(deviation, f"{place} physical deviation_in_std"),
@@ -114,6 +120,15 @@ def _friction(axis: EstimatedAxis | None, place: str) -> float | None:
     if not frictions or len(frictions) < len(axis.inertia):
         raise BadInput(place, "has a sweep without viscous_friction, or no sweep at all")
     return max(float(np.median([_finite(value, f"{place} viscous_friction") for value in frictions])), 0.0)
+
+
+def _dry_friction(effects: Iterable[UsedEffect], joint: str, place: str) -> float | None:
+    """Several effects may contain dry friction, each the whole of it: the largest."""
+    stated = [
+        effect.parameters["coulomb"] for effect in effects if effect.axis == joint and "coulomb" in effect.parameters
+    ]
+    values = [_finite(each.value, f"{place} effects {joint} coulomb") for each in stated]
+    return max([*values, 0.0]) if values else None
 
 
 def _finite(value: float, place: str) -> float:

@@ -33,9 +33,10 @@ def as_urdf(model: IdentifiedModel) -> str:
                 link.element.remove(old)
             link.element.insert(0, _inertial(part))
     joints = {element.get("name"): element for element in root.findall("joint")}
-    for joint, friction in zip(model.robot.joints, model.friction, strict=True):
-        if friction is not None:
-            _child(joints[joint], "dynamics").set("damping", repr(friction))
+    for key, values in (("damping", model.friction), ("friction", model.dry_friction)):
+        for joint, value in zip(model.robot.joints, values, strict=True):
+            if value is not None:
+                _child(joints[joint], "dynamics").set(key, repr(value))
     _child(_child(root, "mujoco"), "compiler").set("inertiafromgeom", "false")
     ET.indent(root)
     return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"

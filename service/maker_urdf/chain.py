@@ -1,6 +1,7 @@
 """One serial chain of a URDF that may have several: joints that are not between base and tip are fixed."""
 
 import math
+import warnings
 import xml.etree.ElementTree as ET
 
 import numpy as np
@@ -9,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from service.errors import BadInput
 from service.maker_urdf.finding import Finding
 from service.robot import rotation_about
-from service.urdf import read_axis, read_origin
+from service.urdf import read_axis, read_inertial, read_origin
 
 MOVING = ("revolute", "continuous", "prismatic")
 
@@ -27,6 +28,7 @@ def choose_chain(root: ET.Element, tip: str | None, place: str) -> list[Finding]
     moving = [joint for joint in way if joint.get("type") != "fixed"]
     for joint in moving:
         _check_moving(joint, place)
+    done += _linkages(root, [joint.get("name", "") for joint in moving], place)
     for joint in root.findall("joint"):
         if joint.get("type") != "fixed" and joint not in moving:
             done.append(_fix(joint, place))
@@ -43,7 +45,12 @@ class _Tree:
         for joint in root.findall("joint"):
             child = _end(joint, "child", place)
             if child in self._carrier:
-                raise BadInput(place, f"link {child!r} is the child of two joints: a closed loop is not a serial chain")
+                both = f"{self._carrier[child].get('name')} and {joint.get('name')}"
+                raise BadInput(
+                    place,
+                    f"link {child!r} is the child of two joints, {both}: a closed chain (parallel linkage) is not a "
+                    "serial chain, and sweepid cannot measure its axes",
+                )
             self._carrier[child] = joint
             for link in (child, _end(joint, "parent", place)):
                 if link not in self._links:
@@ -119,8 +126,41 @@ def _check_moving(joint: ET.Element, place: str) -> None:
     if mimic is not None:
         raise BadInput(
             here,
-            f"follows joint {mimic.get('joint')!r} (<mimic>) and is between base and tip: it is not an axis of its own",
+            f"follows joint {mimic.get('joint')!r} (<mimic>) and is between base and tip: a parallel linkage, whose "
+            "axes sweepid cannot measure; choose a link before it by --tip",
         )
+
+
+def _linkages(root: ET.Element, axes: list[str], place: str) -> list[Finding]:
+    """Joints beside the chain that follow one of its axes: bars through which the motor of another axis acts."""
+    joints = root.findall("joint")
+    leaders = {
+        joint.get("name", ""): mimic.get("joint", "") for joint in joints if (mimic := joint.find("mimic")) is not None
+    }
+    children: dict[str, list[str]] = {}
+    for joint in joints:
+        children.setdefault(_end(joint, "parent", place), []).append(_end(joint, "child", place))
+    masses = {link.get("name", ""): float(read_inertial(link, place)[0]) for link in root.findall("link")}
+    found: list[Finding] = []
+    for joint in joints:
+        name = leader = joint.get("name", "")
+        for _ in leaders:
+            leader = leaders.get(leader, leader)
+        if name == leader or name in axes or leader not in axes:
+            continue
+        carried = [_end(joint, "child", place)]
+        for link in carried:  # extended during the loop
+            carried += children.get(link, ())
+        mass, at = sum(masses.get(link, 0.0) for link in carried), axes.index(leader)
+        found.append(
+            Finding(
+                "unusual",
+                ", ".join(axes[at : at + 2]),
+                f"part of a parallel linkage: {name} follows {leader} (<mimic>) beside the chain. sweepid cannot "
+                f"measure these axes; {mass:.4g} kg of moving mass are treated as if fixed",
+            )
+        )
+    return found
 
 
 def _fix(joint: ET.Element, place: str) -> Finding:
@@ -156,7 +196,9 @@ def _shift(joint: ET.Element, position: float, here: str) -> None:
     for element in joint.findall("origin"):
         joint.remove(element)
     # fixed-axis roll, pitch, yaw as in URDF
-    rpy = Rotation.from_matrix(rotation).as_euler("xyz")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # at a pitch of 90 degrees several triples are the same rotation
+        rpy = Rotation.from_matrix(rotation).as_euler("xyz")
     ET.SubElement(joint, "origin", xyz=_text(translation), rpy=_text(rpy))
 
 

@@ -1,6 +1,7 @@
 """Unusual and missing data of a manufacturer's URDF, and the URDF with which the service can plan."""
 
 import math
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,12 +13,15 @@ from service.errors import BadInput
 from service.maker_urdf.chain import choose_chain
 from service.maker_urdf.finding import Finding
 from service.maker_urdf.hulls import embed_hulls, link_shapes
-from service.maker_urdf.inertials import complete_inertials, look_at_inertials
+from service.maker_urdf.inertials import check_inertials, check_masses
 from service.maker_urdf.packages import Packages
+from service.physical_bounds import MOST_EFFORT, MOST_LIMIT, MOST_POSITION
 from service.urdf import MOST_LINKS, Chain, Joint, look_over, read_chain
 
 Array = NDArray[np.float64]
 
+MOST_TURN = 4 * math.pi  # rad: wrists turn up to 7.9
+_HIDDEN = re.compile("counter_?(balance|weight)|balancer|gas_?spring|spring_?(cyl|rod)|parallel|linkage", re.I)
 LONGEST_SHAPE, SHORTEST_SHAPE = 5.0, 0.002  # m: outside, a mesh is probably in mm, or scaled twice
 FASTEST = {"revolute": 20.0, "prismatic": 10.0}  # rad/s, m/s
 STRONGEST = 1e5  # N m, N
@@ -25,15 +29,17 @@ STRONGEST = 1e5  # N m, N
 
 @dataclass(frozen=True)
 class UrdfCheck:
-    """`urdf_text`: one serial chain with all data for planning. `guessed`: links with an estimated inertial."""
+    """`urdf_text`: one serial chain with all data for planning. `doubted`: links whose inertial is a guess, a
+    placeholder, or none of a body.
+    """
 
     name: str
     urdf_text: str
     chain: Chain
     findings: tuple[Finding, ...]
     gear_ratios: Mapping[str, float | None]  # by joint, of its <transmission>
-    guessed: tuple[str, ...]
-    unread: tuple[BadInput, ...]  # meshes missing in `urdf_text`
+    doubted: tuple[str, ...]
+    lacking: tuple[BadInput, ...]  # meshes and position limits without which nothing is drafted
 
 
 def check_urdf(text: str, packages: Packages, tip: str | None, place: str) -> UrdfCheck:
@@ -41,20 +47,23 @@ def check_urdf(text: str, packages: Packages, tip: str | None, place: str) -> Ur
     look_over(text, place)
     root = ET.fromstring(text)
     if root.tag != "robot":
-        raise BadInput(place, f"is not a URDF: begins with <{root.tag}>, not <robot>; expand a xacro file first")
+        raise BadInput(place, f"is not a URDF: begins with <{root.tag}>, not <robot>")
     for tag in ("link", "joint"):
         if len(root.findall(tag)) > MOST_LINKS:
             raise BadInput(place, f"has {len(root.findall(tag))} {tag}s, limit {MOST_LINKS}")
     found = choose_chain(root, tip, place)
+    limits, lacking = _complete_limits(root, place)
     offs, unread = embed_hulls(root, packages, place)
+    found += [*_hidden(root), *limits]
     found += [Finding("missing", error.place.removeprefix(place).strip(), error.reason) for error in unread]
     if offs:
         worst = max(offs, key=lambda name: offs[name])
         larger = f"The hull of this one is larger than its mesh by up to {1e3 * offs[worst]:.1f} mm, the most of all"
         found.append(Finding("changed", worst, f"{len(offs)} collision meshes are used as convex hulls. {larger}"))
-    guessed = complete_inertials(root, place)
+    inertials, doubted = check_inertials(root, place)
     chain = read_chain(ET.tostring(root, encoding="unicode"), place)
-    found += [*guessed, *look_at_inertials(root, place), *_shapes(root, chain, place)]
+    found += [*inertials, *check_masses(chain, _extent(root, chain.joints[-1].link, place))]
+    found += _shapes(root, chain, place)
     for joint in chain.joints:
         found += _limits(joint)
     ratios = {joint.name: _gear_ratio(root, joint.name, place) for joint in chain.joints}
@@ -65,8 +74,8 @@ def check_urdf(text: str, packages: Packages, tip: str | None, place: str) -> Ur
         chain=chain,
         findings=tuple(found),
         gear_ratios=ratios,
-        guessed=tuple(finding.place for finding in guessed if finding.kind == "changed"),
-        unread=tuple(unread),
+        doubted=tuple(doubted),
+        lacking=(*unread, *lacking),
     )
 
 
@@ -95,6 +104,62 @@ def _shapes(root: ET.Element, chain: Chain, place: str) -> list[Finding]:
     return reported
 
 
+def _extent(root: ET.Element, link: str, place: str) -> float:
+    """Of the shapes of a link from its joint, m."""
+    element = next(one for one in root.findall("link") if one.get("name") == link)
+    try:
+        return max((float(np.linalg.norm(shape, axis=1).max()) for shape in link_shapes(element, place)), default=0.0)
+    except BadInput:  # told as missing
+        return 0.0
+
+
+def _hidden(root: ET.Element) -> list[Finding]:
+    names = [one.get("name", "") for one in root if one.tag in ("link", "joint")]
+    shown = ", ".join(name for name in names if _HIDDEN.search(name))
+    what = (
+        "named like a counterbalance or a parallel linkage, whose force is not in a URDF: sweepid takes it for gravity"
+    )
+    return [Finding("unusual", shown, f"{what} and friction of the axis that it acts on")] if shown else []
+
+
+def _complete_limits(root: ET.Element, place: str) -> tuple[list[Finding], list[BadInput]]:
+    """Give each moving joint limits that are numbers: without velocity or effort limit 0, at which nothing moves.
+
+    Returns what is missing, and errors for positions: the limits of a turn that a check needs are none of a machine.
+    """
+    found: list[Finding] = []
+    errors: list[BadInput] = []
+    for joint in root.findall("joint"):
+        name, kind = joint.get("name", ""), joint.get("type")
+        if kind == "fixed":
+            continue
+        limit = joint.find("limit")
+        limit = ET.SubElement(joint, "limit") if limit is None else limit
+        for key, most in (("velocity", MOST_LIMIT), ("effort", MOST_EFFORT)):
+            text = limit.get(key, "none")
+            if not 0 < _float(text) <= most:
+                limit.set(key, "0")
+                what = f"{key} limit: {text} is not a usable limit; the draft has 0, at which nothing moves"
+                found.append(Finding("missing", name, what))
+        low, high = (_float(limit.get(key, "0")) for key in ("lower", "upper"))
+        if not -MOST_POSITION <= low < high <= MOST_POSITION:
+            stated = f"{limit.get('lower', 'none')} to {limit.get('upper', 'none')}"
+            reason = f"position limits {stated} leave no travel: enter those of the manufacturer in the URDF"
+            errors.append(BadInput(f"{place} joint {name}", reason))
+            found.append(Finding("missing", name, reason))
+            end = math.pi if kind == "revolute" else 1.0
+            limit.set("lower", f"{-end:.6f}")
+            limit.set("upper", f"{end:.6f}")
+    return found, errors
+
+
+def _float(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
 def _limits(joint: Joint) -> list[Finding]:
     unit = "m" if joint.kind == "prismatic" else "rad"
     effort = "N" if joint.kind == "prismatic" else "N m"
@@ -103,14 +168,18 @@ def _limits(joint: Joint) -> list[Finding]:
         limits = f"{joint.lower:g} to {joint.upper:g} {unit}"
         what = "the soft limits of <safety_controller> are narrower than <limit> and are used"
         reported.append(Finding("unusual", joint.name, f"position limits {limits}: {what}"))
+    farthest = max(abs(joint.lower), abs(joint.upper))
+    if joint.kind == "revolute" and farthest > MOST_TURN:
+        turns = f"{joint.lower:g} to {joint.upper:g} rad, {farthest / 2 / math.pi:.3g} turns"
+        reported.append(Finding("unusual", joint.name, f"position limits {turns}: is the unit the degree?"))
     for name, value, most, of in (
         ("velocity", joint.velocity, FASTEST[joint.kind], f"{unit}/s"),
         ("effort", joint.effort, STRONGEST, effort),
     ):
-        if not np.isfinite(value) or value <= 0:
-            reported.append(Finding("missing", joint.name, f"{name} limit: {value:g} {of} is not a usable limit"))
-        elif value > most:
-            reported.append(Finding("unusual", joint.name, f"{name} limit {value:g} {of} is not plausible"))
+        if value > most:
+            reported.append(
+                Finding("unusual", joint.name, f"{name} limit {value:g} {of} is not plausible: check its unit")
+            )
     return reported
 
 

@@ -53,17 +53,16 @@ def side_file_text(check: UrdfCheck, name: str, urdf: str) -> str:
             "    transmission_orders: []",
         ]
     lines.append("prior: # how far the model may be off: one sigma, relative")
-    if check.guessed:
-        lines.append(f"  # the inertials of {', '.join(check.guessed)} are guesses from shapes")
-    spread = 1.0 if check.guessed else 0.3
+    if check.doubted:
+        lines.append(f"  # the inertials of {', '.join(check.doubted)} are guesses, placeholders or not possible")
+    spread = 1.0 if check.doubted else 0.3
     lines += [f"  inertia: {spread}", f"  gravity: {spread}"]
     lines += ["  viscous_friction: 0.5", "  motor_inertia: 0.1", "  effort_gain: 0.05"]
     return "\n".join(lines) + "\n"
 
 
-def cell_text(check: UrdfCheck, name: str) -> tuple[str, list[Finding]]:
+def cell_text(robot: Robot, name: str) -> tuple[str, list[Finding]]:
     """A cell without obstacles for a robot with all shapes known, and findings that the user should check."""
-    robot = _bare_robot(check)
     nested = _nested(robot)
     pairs = tuple(pair for pair, _ in nested)
     cell = Cell(name=name, clearance=CLEARANCE, joint_margin=MARGIN, ignored_pairs=pairs)
@@ -95,7 +94,7 @@ def cell_text(check: UrdfCheck, name: str) -> tuple[str, list[Finding]]:
     return "\n".join(lines) + "\n", found
 
 
-def _bare_robot(check: UrdfCheck) -> Robot:
+def bare_robot(check: UrdfCheck) -> Robot:
     """The chain with an arbitrary drive train, which collision checks do not use."""
     axes = tuple(Axis(joint=joint.name, gear_ratio=1.0, rated_effort=1.0) for joint in check.chain.joints)
     return build_robot(RobotDescription(name=check.name, urdf="", axes=axes), check.urdf_text)

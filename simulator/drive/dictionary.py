@@ -14,11 +14,10 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any, cast
 
-from canopen.objectdictionary import ObjectDictionaryError, ODVariable, datatypes
+from canopen.objectdictionary import ODVariable, datatypes
 
+from drivers.eds import object_dictionary, read_sections
 from simulator.drive.defaults import ABSENT, Key
-from simulator.eds import object_dictionary
-from simulator.eds_file import read_eds
 from simulator.scenario import ScenarioError
 
 Value = int | float | str | bytes
@@ -87,8 +86,8 @@ class Dictionary:
         """Dictionary of another node id, with every value as at power-on."""
         try:
             objects = object_dictionary(self._eds, node)
-        except (configparser.Error, ObjectDictionaryError, KeyError, ValueError) as error:
-            raise ScenarioError(f"{self._eds}: not an EDS: {' '.join(str(error).split())}") from None
+        except (OSError, ValueError) as error:
+            raise ScenarioError(f"{self._eds}: {error}") from None
         self._variables = {}
         for entry in objects.values():
             for variable in [entry] if isinstance(entry, ODVariable) else entry.values():
@@ -187,12 +186,11 @@ class Dictionary:
 
 
 def _traits(eds: Path) -> Traits:
-    parser = configparser.RawConfigParser(strict=False)
     try:
-        parser.read_string(read_eds(eds).decode("utf-8"))
-        return Traits(
-            block_upload=parser.getboolean("VirtualDrive", "BlockUpload", fallback=True),
-            load_encoder=parser.getboolean("VirtualDrive", "LoadEncoder", fallback=True),
-        )
-    except (OSError, ValueError, configparser.Error) as error:
-        raise ScenarioError(f"{eds}: not an EDS: {' '.join(str(error).split())}") from None
+        section = read_sections(eds).get("virtualdrive")
+        given = [(section and section.text(key)) or "yes" for key in ("BlockUpload", "LoadEncoder")]
+        return Traits(*(configparser.RawConfigParser.BOOLEAN_STATES[text.lower()] for text in given))
+    except (OSError, ValueError) as error:
+        raise ScenarioError(f"{eds}: {error}") from None
+    except KeyError as error:
+        raise ScenarioError(f"{eds}: [VirtualDrive]: {error} is neither yes nor no") from None

@@ -8,15 +8,14 @@ objects that the file lacks; on the bus these objects do not exist.
 import simulator.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
 # isort: split
-import configparser
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
-from canopen.objectdictionary import ObjectDictionaryError, ODVariable, datatypes
+from canopen.objectdictionary import ODVariable, datatypes
 
+from drivers.eds import object_dictionary
 from simulator.drive.dictionary import Abort, AbortCode, Key, Traits, Value
-from simulator.eds import object_dictionary
 from simulator.foreign.makers import Maker, maker_of
 from simulator.scenario import ScenarioError
 
@@ -61,8 +60,8 @@ class ForeignDictionary:
     def _read(self, node: int) -> None:
         try:
             objects = object_dictionary(self._file, node)
-        except (OSError, configparser.Error, ObjectDictionaryError, KeyError, ValueError, UnicodeError) as error:
-            raise ScenarioError(f"{self._file}: not an EDS or DCF: {' '.join(str(error).split())}") from None
+        except (OSError, ValueError) as error:
+            raise ScenarioError(f"{self._file}: {error}") from None
         self._objects: Any = objects
         self._variables: dict[Key, ODVariable] = {}
         self._dummies: dict[int, int] = {}

@@ -4,21 +4,29 @@
 """
 
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+import yaml
 
-from service.geometry.cell import Cell
+from drivers.canopen.profile import parse_profile
+from drivers.registry import load_profile
+from service.configuration import read_robot
+from service.geometry.cell import Cell, read_cell
 from service.geometry.hull import collision_meshes
 from service.identification import Estimate, identify, spectrum
 from service.identification.model.regressor import inertia_rows
+from service.maker_urdf import side_file_text
 from service.maker_urdf.meshes import mesh_points
 from service.maker_urdf.packages import Packages
+from service.maker_urdf.virtual import DraftedRobot, virtual_machine
 from service.planning.plan import PlanDocument, PlanRequest, build_plan
 from service.recording import Sweep
 from service.robot import Robot
+from service.safety.robot_and_machine import DriveProfile, differences
 from simulator import (
     DrivenAxis,
     DriveTrain,
@@ -27,10 +35,11 @@ from simulator import (
     Measurement,
     Scenario,
     SpeedControl,
+    load_scenario,
     true_inertia,
 )
 from simulator.scenario import NominalRobot
-from tests.makers_robots import MAKERS, Maker, completed, share
+from tests.makers_robots import MAKERS, Maker, completed, share, told_of
 from tests.numeric.campaign import run_plan
 
 ROBOTS = share() / "example-robot-data" / "robots"
@@ -93,6 +102,31 @@ def test_from_a_makers_urdf_to_its_inertia(maker: Maker) -> None:
 @pytest.mark.parametrize("maker", [m for m in MAKERS if m.name in IMPOSSIBLE], ids=lambda maker: maker.name)
 def test_a_robot_that_cannot_be_built_is_planned(maker: Maker) -> None:
     assert len(plan_of(maker, *completed(maker), POSES).sweeps) == 3 * POSES
+
+
+@pytest.mark.parametrize("maker", [m for m in MAKERS if m.name not in IMPOSSIBLE], ids=lambda maker: maker.name)
+def test_the_virtual_machine_that_is_drafted_of_it_is_measured(maker: Maker, tmp_path: Path) -> None:
+    """Without an edit: gear ratios, motors and efforts are open in the side file."""
+    told = told_of(maker)
+    side = yaml.safe_load(side_file_text(told, maker.name, f"{maker.name}.urdf"))
+    eds = Path(__file__).parents[2] / "config/eds/virtual-axis.eds"
+    files = virtual_machine(DraftedRobot.model_validate(side), told.urdf_text, "x", str(eds), "side.yaml")
+    for path, text in files.items():
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).write_text(text)
+    name = f"{maker.name}-virtual"
+    robot, cell = read_robot(tmp_path / f"robots/{name}.yaml"), read_cell(tmp_path / f"cells/{name}.yaml")
+    profile = load_profile(tmp_path / f"drives/{name}.yaml")
+    assert len(parse_profile(profile, tmp_path).axes) == len(robot.joints)
+    assert differences(robot, "robot", DriveProfile.model_validate(profile).of(robot.joints), "drives") == ""
+    machine = load_scenario(tmp_path / f"scenarios/{name}.yaml")
+    request = PlanRequest(robot_id=1, axes=maker.axes, varied=maker.varied, poses=4)
+    sweeps = run_plan(machine, build_plan(robot, request, cell).sweeps, seed=3)
+    estimate = identify(robot, [spectrum(robot, sweep) for sweep in sweeps])
+    for joint in maker.axes:
+        error, std = errors(estimate, machine, sweeps, joint)
+        print(f"{name} {joint}: J off by {100 * np.abs(error).max():.2f} %, std {100 * std.max():.2f} %")
+        assert np.abs(error).max() < max(0.03, 4 * float(std.max()))
 
 
 def plan_of(maker: Maker, robot: Robot, cell: Cell, poses: int) -> PlanDocument:

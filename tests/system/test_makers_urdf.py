@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 from service.demo.processes import running
+from tests.ports import free_port
 
 ROOT = Path(__file__).parents[2]
 DOCUMENT = ROOT / "docs/how-to/from-a-makers-urdf.md"
@@ -17,7 +18,7 @@ TIMEOUT = 300.0  # s, of a command
 
 def test_the_commands_lead_to_a_plan(tmp_path: Path) -> None:
     commands = re.findall(r"^```sh\n(.*?)\n```$", DOCUMENT.read_text("utf-8"), re.MULTILINE | re.DOTALL)
-    assert [command.split()[0] for command in commands] == ["ln", "sweepid", "sweepid", "sed", "sweepid", "sweepid"]
+    assert [command.split()[0] for command in commands] == ["ln", *["sweepid"] * 3, "sed", *["sweepid"] * 2]
     shutil.copytree(ROOT / "config", tmp_path / "config")
     *before, serve, plan = commands
     for command in before:
@@ -33,6 +34,26 @@ def test_the_commands_lead_to_a_plan(tmp_path: Path) -> None:
     document = json.loads((tmp_path / "plan.json").read_text("utf-8"))["document"]
     assert document["robot"] == "ur5"
     assert document["dropped"] == []
+
+
+def test_a_virtual_machine_of_it_is_measured(tmp_path: Path) -> None:
+    """What a user types in section 3, on free ports."""
+    text = DOCUMENT.read_text("utf-8")
+    shutil.copytree(ROOT / "config", tmp_path / "config")
+    for command in re.findall(r"^```sh\n(.*?)\n```$", text, re.MULTILINE | re.DOTALL)[:4]:
+        run(command, tmp_path)
+    plan, measure = re.findall(r"^\$ (sweepid (?:plan|measure) .*)$", text, re.MULTILINE)
+    folder, port = tmp_path / "config/ur5-virtual", free_port()
+    profile, settings = folder / "drives/ur5-virtual.yaml", folder / "service.yaml"
+    profile.write_text(profile.read_text().replace("port: 29536", f"port: {port}"))
+    settings.write_text(settings.read_text().replace("config/", f"{tmp_path / 'config'}/"))
+    scenario, eds = str(folder / "scenarios/ur5-virtual.yaml"), str(tmp_path / "config/eds/virtual-axis.eds")
+    drives = running(("drive", "--scenario", scenario, "--eds", eds, "--port", str(port)), tmp_path / "drive.log")
+    with drives, running(("serve", "--config", str(settings), "--port", "0"), tmp_path / "serve.log") as service:
+        told = run(f"{plan.replace('--poses 5', '--poses 1')} --url {service.url}", tmp_path)
+        assert " 3 sweeps" in told.stderr
+        told = run(f"{measure} --url {service.url}", tmp_path)
+        assert "3/3 completed" in told.stderr
 
 
 def run(command: str, folder: Path) -> subprocess.CompletedProcess[str]:

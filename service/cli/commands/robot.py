@@ -7,10 +7,14 @@ import typer
 
 
 def check(
-    urdf: Annotated[Path, typer.Argument(help="URDF of the maker (a xacro file expanded).", show_default=False)],
+    urdf: Annotated[Path, typer.Argument(help="URDF or xacro file of the manufacturer.", show_default=False)],
     packages: Annotated[
         list[Path] | None,
-        typer.Option(help="Folder of mesh packages, or one package; repeatable."),
+        typer.Option(help="Folder of ROS packages, or one package; repeatable."),
+    ] = None,
+    package: Annotated[list[str] | None, typer.Option(help="NAME=FOLDER of one package; repeatable.")] = None,
+    xacro_arg: Annotated[
+        list[str] | None, typer.Option(help="NAME:=VALUE of an argument of the xacro file; repeatable.")
     ] = None,
     tip: Annotated[str | None, typer.Option(help="Last link of the axes to measure, where there are several.")] = None,
     name: Annotated[str | None, typer.Option(help="Name of the robot (usually the URDF's).")] = None,
@@ -23,23 +27,70 @@ def check(
 
     from service.cli.documents import write_file
     from service.cli.urdf_findings import drafts_of, print_findings
-    from service.configuration import read_text
-    from service.maker_urdf import cell_text, check_urdf
+    from service.maker_urdf import bare_robot, cell_text, check_urdf, read_description
     from service.maker_urdf.packages import Packages
 
-    checked = check_urdf(read_text(urdf), Packages(packages or [], urdf.parent), tip, str(urdf))
+    named = {key: Path(folder) for key, folder in (_pair(option, "=", "--package") for option in package or [])}
+    given = dict(_pair(option, ":=", "--xacro-arg") for option in xacro_arg or [])
+    where = Packages(packages or [], urdf.parent, named)
+    checked = check_urdf(read_description(urdf, where, given), where, tip, str(urdf))
     called = name or checked.name
     findings = checked.findings
     drafts: dict[Path, str] = {}
-    if not checked.unread:
-        cell, found = cell_text(checked, called)
+    if not checked.lacking:
+        cell, found = cell_text(bare_robot(checked), called)
         findings = (*findings, *found)
         if out is not None:
             drafts = drafts_of(checked, called, out, cell)
     print_findings(findings, checked, called, Console(stderr=out is not None))
-    if out is not None and checked.unread:
-        raise checked.unread[0]
+    if out is not None and checked.lacking:
+        raise checked.lacking[0]
     for path, text in drafts.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         write_file(path, text.rstrip("\n"))
         typer.echo(str(path))
+
+
+def virtual(
+    robot: Annotated[Path, typer.Argument(help="Side file of the robot; values may be open.", show_default=False)],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for all files (usually NAME-virtual beside the folder of the side file)."),
+    ] = None,
+    eds: Annotated[Path, typer.Option(help="Object dictionary of the virtual drives.")] = Path(
+        "config/eds/virtual-axis.eds"
+    ),
+) -> None:
+    """Draft a virtual machine of a robot: files for `sweepid drive` and `sweepid serve`. Nothing is overwritten."""
+    import os
+
+    from service.cli.documents import write_file
+    from service.cli.urdf_findings import refuse_existing
+    from service.configuration import read_text, read_yaml
+    from service.errors import BadInput
+    from service.maker_urdf.virtual import DraftedRobot, virtual_machine
+
+    if not eds.is_file():
+        raise BadInput("--eds", f"there is no file {eds}; it is config/eds/virtual-axis.eds of sweepid's sources")
+    drafted = read_yaml(robot, DraftedRobot)
+    name = f"{drafted.name}-virtual"
+    folder = robot.parent.parent / name if out is None else out
+    relative = Path(os.path.relpath(eds.resolve(), folder.resolve() / "drives")).as_posix()
+    texts = virtual_machine(drafted, read_text(robot.parent / drafted.urdf), folder.as_posix(), relative, str(robot))
+    paths = {folder / path: text for path, text in texts.items()}
+    refuse_existing(paths)
+    for path, text in paths.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_file(path, text.rstrip("\n"))
+        typer.echo(str(path))
+    typer.echo(f"sweepid drive --scenario {folder / 'scenarios' / name}.yaml --eds {eds}", err=True)
+    typer.echo(f"sweepid serve --config {folder / 'service.yaml'}", err=True)
+
+
+def _pair(option: str, sign: str, name: str) -> tuple[str, str]:
+    from service.errors import BadInput
+
+    key, found, value = option.partition(sign)
+    if not (key and found):
+        raise BadInput(name, f"{option!r} is not NAME{sign}VALUE")
+    return key, value

@@ -195,6 +195,41 @@ def test_answers_of_somebody_else_are_no_answers(bank: Bank, hasty: Line, monkey
             hasty.read(1, 0x10, 1, f"read {number}")
 
 
+@pytest.mark.parametrize("sender", [0, 255, 2])
+def test_a_tcp_drive_may_answer_as_unit_0_or_255(sender: int, bank: Bank, hasty: Line) -> None:
+    """The transaction identifies the answer; on a serial line, and from another unit, it is none."""
+    place = 6 if bank.transport == "tcp" else 0
+    bank.spoil = lambda _, frame: frame[:place] + bytes([sender]) + frame[place + 1 :]
+    if bank.transport == "tcp" and sender != 2:
+        assert hasty.read(1, 0x10, 2, "x") == [0x1111, 0x2222]
+        hasty.write(1, 0x10, [3], "x")
+    else:
+        with pytest.raises(CommunicationLost):
+            hasty.read(1, 0x10, 2, "x")
+
+
+@pytest.mark.parametrize("code", [5, 6])
+@pytest.mark.parametrize("times", [1, 5, 6])
+def test_a_read_that_meets_a_busy_drive_is_repeated(code: int, times: int, bank: Bank, line: Line) -> None:
+    def spoil(request: Request, frame: bytes) -> bytes:
+        if len(bank.requests) > times:
+            return frame
+        pdu = bytes([request.function | 0x80, code])
+        return frame[:4] + b"\0\x03" + frame[6:7] + pdu if bank.transport == "tcp" else rtu_frame(request.unit, pdu)
+
+    bank.spoil = spoil
+    if times <= len(line_module.BUSY_PAUSES):
+        assert line.read(1, 0x10, 1, "x") == [0x1111]
+    else:
+        with pytest.raises(WrongConfiguration, match=f"x: Modbus exception {code}: the drive is"):
+            line.read(1, 0x10, 1, "x")
+    assert len(bank.requests) == min(times, len(line_module.BUSY_PAUSES)) + 1
+    bank.requests.clear()
+    with pytest.raises(WrongConfiguration, match=f"exception {code}"):
+        line.write(1, 0x10, [1], "no write is repeated")
+    assert len(bank.requests) == 1
+
+
 def test_the_answer_to_a_write_elsewhere_is_no_answer(bank: Bank, line: Line) -> None:
     answer(bank, 1, b"\x10\x00\x11\x00\x01")
     with pytest.raises(CommunicationLost, match="another request"):

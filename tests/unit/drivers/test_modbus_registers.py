@@ -219,13 +219,21 @@ def test_what_is_refused() -> None:
         "line.tcp.device": other(TCP, line={**line, "device": "/dev/ttyUSB0"}),
         "must be at least twice": other(TCP, line={**line, "watchdog": 1.0}),
         "registers: no file": other(TCP, registers="none.yaml"),
-        "axes.0.unit_id": other(TCP, axes=[{**axes[0], "unit_id": 0}]),
+        "axes.0.unit_id: 0 is not 1 to 247": other(TCP, axes=[{**axes[0], "unit_id": 0}, axes[1]]),
+        "axes.1.unit_id: 255 is not": other(RTU, axes=[axes[0], {**axes[1], "unit_id": 255}]),
+        "axes.0.unit_id: 248 is not": other(TCP, axes=[{**axes[0], "unit_id": 248}]),
         "must each be different": other(TCP, axes=[axes[0], {**axes[1], "unit_id": 1}]),
         "axes.0.node": other(TCP, axes=[{**axes[0], "node": 1}]),
     }
     for message, profile in bad.items():
         with pytest.raises(BadProfile, match=message):
             from_profile(profile, DRIVES)
+
+
+@pytest.mark.parametrize("unit", [0, 255])
+def test_a_drive_that_is_addressed_directly(unit: int) -> None:
+    axes: Any = TCP["axes"]
+    assert parse_profile(other(TCP, axes=[{**axes[0], "unit_id": unit}]), DRIVES).axes[0].unit_id == unit
 
 
 def test_a_bad_register_map_is_a_bad_profile(tmp_path: Path) -> None:

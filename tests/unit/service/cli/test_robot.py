@@ -113,7 +113,7 @@ ODD = {  # what a person should know of each before it is measured
 @pytest.mark.parametrize("maker", MAKERS, ids=lambda maker: maker.name)
 def test_what_is_odd_about_a_makers_urdf_is_told(maker: Maker) -> None:
     told = told_of(maker)
-    assert told.unread == ()
+    assert told.lacking == ()
     assert any(f"{one.kind}: {one.sentence}".startswith(ODD[maker.name]) for one in told.findings)
     assert set(maker.axes) <= {joint.name for joint in told.chain.joints}
 
@@ -129,6 +129,6 @@ def test_the_side_file_says_that_inertials_are_guessed(tmp_path: Path) -> None:
     done = sweepid("robot", "check", str(path), "--out", str(tmp_path / "config"))
     assert done.returncode == 0, done.stderr
     text = (tmp_path / "config/robots/r.yaml").read_text()
-    assert "# the inertials of b are guesses from shapes" in text
+    assert "# the inertials of b are guesses, placeholders" in text
     assert yaml.safe_load(text)["prior"]["inertia"] == 1.0
     assert "has no <inertial>: 8 kg" in words(done.stderr)

@@ -74,6 +74,36 @@ def test_urdf_holds_the_friction(max100: Robot, document: dict[str, Any]) -> Non
     assert not any(found.values())
 
 
+def test_every_file_holds_what_it_can_of_the_accepted_model(max100: Robot, document: dict[str, Any]) -> None:
+    """Effects of which several contain dry friction; those that no target can hold are in the YAML."""
+    found = {
+        "coulomb_friction": {"coulomb": 100.0},
+        "stribeck_friction": {"coulomb": 120.0, "extra": 9.0},
+        "measurement_delay": {"delay": 1e-3},
+    }
+    document["effects"] = [
+        {
+            "axis": "joint_1",
+            "effect": name,
+            "parameters": {key: {"value": value, "std": 0.1, "unit": "x"} for key, value in values.items()},
+            "used": True,
+            "how": "",
+        }
+        for name, values in found.items()
+    ] + [{"axis": "joint_2", "effect": "coulomb_friction", "parameters": {}, "used": False, "how": ""}]
+    files = model_files(identified_model(max100, document))
+    urdf = {joint.get("name"): joint.find("dynamics") for joint in ET.fromstring(files["model.urdf"]).iter("joint")}
+    first = urdf["joint_1"]
+    assert first is not None
+    assert (first.get("damping"), first.get("friction"), urdf["joint_2"]) == ("150.5", "120.0", None)
+    loaded = _mujoco.MjModel.from_xml_string(files["model.xml"])
+    np.testing.assert_allclose(loaded.dof_frictionloss, [120, 0, 0, 0, 0, 0])
+    np.testing.assert_allclose(loaded.dof_damping, [150.5, 0, 0, 0, 0, 0])
+    joints = yaml.safe_load(files["model.yaml"])["joints"]
+    assert (joints["joint_1"]["dry_friction"], joints["joint_2"]["dry_friction"]) == (120.0, None)
+    assert joints["joint_1"]["effects"]["measurement_delay"]["delay"] == {"value": 1e-3, "std": 0.1, "unit": "x"}
+
+
 def test_yaml_holds_all_parameters(max100: Robot, document: dict[str, Any]) -> None:
     content = yaml.safe_load(model_files(identified_model(max100, document))["model.yaml"])
     assert content["links"]["link_2"]["mass"] == pytest.approx(1.1 * 176)

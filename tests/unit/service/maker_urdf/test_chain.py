@@ -103,7 +103,11 @@ def test_another_tree_is_left_out_and_told() -> None:
     [
         (robot("ab", joint("one", "revolute", "ab")), "z", "--tip: 'z' is not a link of x"),
         (robot("ab", joint("one", "fixed", "ab")), None, "has no moving joint"),
-        (robot("abc", joint("one", "revolute", "ac"), joint("two", "revolute", "bc")), None, "a closed loop"),
+        (
+            robot("abc", joint("one", "revolute", "ac"), joint("two", "revolute", "bc")),
+            None,
+            "joints, one and two: a closed chain",
+        ),
         (robot("ab", joint("one", "revolute", "ab"), joint("two", "revolute", "ba")), None, "is its own ancestor"),
         (robot("a", joint("one", "revolute", "ab")), None, "link 'b' of joint 'one' is not defined"),
         (robot("ab", joint("one", "floating", "ab")), "b", "type 'floating' is not supported between base and tip"),

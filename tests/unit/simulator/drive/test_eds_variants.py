@@ -169,8 +169,8 @@ def test_a_dictionary_of_one_object_drives_an_axis_by_the_defaults(tmp_path: Pat
     ("text", "named"),
     [
         ("no section at all", "not an EDS"),
-        (MINIMAL.replace("DataType=6", "DataType=six"), "not an EDS"),
-        (MINIMAL + "[VirtualDrive]\nBlockUpload=perhaps\n", "not an EDS"),
+        (MINIMAL.replace("DataType=6", "DataType=six"), r"\[6040\] line \d+: DataType=six"),
+        (MINIMAL + "[VirtualDrive]\nBlockUpload=perhaps\n", "perhaps"),
         (
             MINIMAL + "[60A9]\nParameterName=u\nObjectType=7\nDataType=7\nAccessType=const\nDefaultValue=0x00010000\n",
             "60A9h",
