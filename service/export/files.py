@@ -1,6 +1,7 @@
 """The files of an identified robot: URDF, MJCF, YAML, and the side file that sweepid needs to read it again."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import yaml
@@ -75,6 +76,9 @@ def as_yaml(model: IdentifiedModel) -> str:
                 for name, one in model.symbols.items()
             },
             "deviation_in_std": model.deviation_in_std,
+            "workspace": {
+                one.joint: {"inertia": asdict(one.inertia), "gravity": asdict(one.gravity)} for one in model.worth
+            },
         }
     )
 

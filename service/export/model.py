@@ -3,11 +3,14 @@
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.errors import BadInput
+from service.export.workspace import worth_of
+from service.identification.estimates.worth import AxisWorth
 from service.results.estimate import BaseParameter, Estimate, EstimatedAxis, StandardParameters, Symbol, UsedEffect
 from service.results.table import Column, Shown, Table
 from service.robot import INERTIAL_NAMES, Robot
@@ -40,6 +43,18 @@ class IdentifiedModel(Shown):
     base_parameters: tuple[BaseParameter, ...]
     symbols: dict[str, Symbol]
     deviation_in_std: float
+    estimate: Estimate
+
+    @cached_property
+    def worth(self) -> tuple[AxisWorth, ...]:
+        """Inertia and gravity of each axis over the workspace, CAD's beside; empty if the estimate does not say."""
+        parameters = np.concatenate([*(body.parameters for body in self.bodies), self.motor_inertias])
+        return worth_of(self.robot, self.estimate, parameters)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to know before the model is used."""
+        return tuple(axis.warning for axis in self.worth if axis.warning)
 
     def table(self) -> Table:
         """One row a joint."""
@@ -84,6 +99,7 @@ def model_of(robot: Robot, found: Estimate, place: str = "estimate") -> Identifi
         base_parameters=found.base_parameters,
         symbols=found.symbols,
         deviation_in_std=_finite(deviation, f"{place} physical deviation_in_std"),
+        estimate=found,
     )
 
 

@@ -15,10 +15,12 @@ import yaml
 from drivers.canopen.profile import parse_profile
 from drivers.registry import load_profile
 from service.configuration import read_robot
+from service.export import model_of
 from service.geometry.cell import Cell, read_cell
 from service.geometry.hull import collision_meshes
-from service.identification import Estimate, identify, spectrum
-from service.identification.model.regressor import inertia_rows
+from service.identification import Estimate, as_document, identify, spectrum
+from service.identification.estimates.worth import TOLERANCE
+from service.identification.model.regressor import gravity_rows, inertia_rows
 from service.maker_urdf import side_file_text
 from service.maker_urdf.meshes import mesh_points
 from service.maker_urdf.packages import Packages
@@ -27,6 +29,7 @@ from service.planning.plan import PlanDocument, PlanRequest, build_plan
 from service.recording import Sweep
 from service.robot import Robot
 from service.safety.robot_and_machine import DriveProfile, differences
+from service.urdf import transform_inertial
 from simulator import (
     DrivenAxis,
     DriveTrain,
@@ -45,6 +48,7 @@ from tests.numeric.campaign import run_plan
 ROBOTS = share() / "example-robot-data" / "robots"
 POSES = 12
 SCATTER = 1.5  # standard deviations, RMS over the sweeps of an axis
+WORTH = 3.0  # standard deviations, RMS over the workspace
 INSIDE = 0.75  # of the sweeps of an axis, within 1.96 standard deviations
 
 
@@ -97,6 +101,7 @@ def test_from_a_makers_urdf_to_its_inertia(maker: Maker) -> None:
         )
         assert scatter < SCATTER
         assert inside >= INSIDE
+    check_worth(robot, machine, estimate)
 
 
 @pytest.mark.parametrize("maker", [m for m in MAKERS if m.name in IMPOSSIBLE], ids=lambda maker: maker.name)
@@ -127,6 +132,36 @@ def test_the_virtual_machine_that_is_drafted_of_it_is_measured(maker: Maker, tmp
         error, std = errors(estimate, machine, sweeps, joint)
         print(f"{name} {joint}: J off by {100 * np.abs(error).max():.2f} %, std {100 * std.max():.2f} %")
         assert np.abs(error).max() < max(0.03, 4 * float(std.max()))
+
+
+def check_worth(robot: Robot, machine: Scenario, estimate: Estimate) -> None:
+    """An exported model states how wrong inertia and gravity torque may be over the workspace."""
+    low, high = np.array([(joint.lower, joint.upper) for joint in robot.chain.joints]).T
+    poses = np.random.default_rng(9).uniform(low, high, (100, len(robot.joints)))
+    model = model_of(robot, as_document(estimate, poses))
+    links, count = np.ravel([body.parameters for body in model.bodies]), len(robot.joints)
+    true = np.ravel([_built(robot, machine, k) for k in range(count)])
+    assert [one.joint for one in model.worth] == list(robot.joints)
+    for k, one in enumerate(model.worth):
+        for rows, stated in (
+            (inertia_rows(robot.chain, k, poses), one.inertia),
+            (gravity_rows(robot.chain, robot.gravity, k, poses)[:, 0], one.gravity),
+        ):
+            error = float(np.sqrt(np.mean((rows @ (links - true)) ** 2)))
+            print(
+                f"{robot.name} {one.joint}: error {error:.3g}, expected {stated.error:.3g} ({stated.error_of_cad:.3g})"
+            )
+            assert error <= WORTH * stated.error, (one, error)
+            assert stated.error <= TOLERANCE * stated.error_of_cad, one
+
+
+def _built(robot: Robot, machine: Scenario, k: int) -> np.ndarray:
+    """Parameters (10,) of a link of `machine_of`."""
+    nominal, deviation = robot.chain.inertial[k], machine.links.get(robot.chain.joints[k].link, LinkDeviation())
+    centre = nominal[1:4] / nominal[0]
+    own = transform_inertial(nominal, np.eye(3), -centre)
+    own[0], own[4:] = own[0] * deviation.mass, own[4:] * deviation.inertia
+    return transform_inertial(own, np.eye(3), centre)
 
 
 def plan_of(maker: Maker, robot: Robot, cell: Cell, poses: int) -> PlanDocument:

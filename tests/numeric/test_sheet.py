@@ -10,12 +10,13 @@ import pinocchio as pin
 import pytest
 
 from service.errors import BadInput
+from service.export import model_of
 from service.export.sheets.inertias import of_estimate
 from service.export.sheets.making import fingerprint, sheet
 from service.export.sheets.same_robot import compare
 from service.export.sheets.text import as_markdown
 from service.identification import Estimate, as_document, identify
-from service.identification.model.regressor import fold
+from service.identification.model.regressor import axis_rows, fold
 from service.results import estimate as results
 from service.results.identified.sheet import Sheet
 from service.robot import INERTIAL_NAMES, Robot, link_frames
@@ -148,9 +149,12 @@ def test_mujoco_reads_the_sheet(differing: tuple[Robot, Estimate, Sheet]) -> Non
         for one in sheet_.bodies
     ]
     standard.__dict__["chain"] = replace(robot.chain, inertial=np.array(inertial))
+    model = model_of(robot, as_document(estimate, poses))
+    exported = np.concatenate([*(body.parameters for body in model.bodies), model.motor_inertias])
     for k, joint in enumerate(AXES):
         total = inertia_about(standard, joint, poses) + sheet_.bodies[k].armature
-        assert total == pytest.approx(estimate.identified(joint, poses), rel=1e-6)
+        assert total == pytest.approx(axis_rows(robot.chain, k, poses) @ exported, rel=1e-6)
+        assert np.abs(total - estimate.identified(joint, poses)).max() < model.worth[k].inertia.error
 
 
 def _at_origin(body: Any) -> np.ndarray:

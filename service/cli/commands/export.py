@@ -56,10 +56,12 @@ def export_model(
     model = sweepid.export(known, estimate, folder, place=str(source))
     if model.deviation_in_std:
         typer.echo(
-            "these base parameters are not physically possible; the model contains the nearest possible ones, "
-            f"{model.deviation_in_std:.2g} standard deviations away",
+            "the model is the most probable physical robot, given CAD and the sweeps: its base parameters are "
+            f"{model.deviation_in_std:.2g} standard deviations from the identified ones",
             err=True,
         )
+    for warning in model.warnings:
+        typer.echo(warning, err=True)
     typer.echo(str(folder))
 
 

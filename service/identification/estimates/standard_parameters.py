@@ -1,7 +1,9 @@
 """Standard parameters of every link and motor of a robot, from an estimate that determines only combinations of them.
 
 They are the physical parameters closest to the nominal model that give the identified base parameters
-(`physical_consistency`). Links after joints that never moved are included: the identified parameters of such a rigid
+(`physical_consistency`). If that robot is expected to be worse than CAD in the inertia or the gravity of an axis,
+because uncertain base parameters are reproduced exactly at the cost of what the sweeps do not determine, they are the
+most probable ones instead. Links after joints that never moved are included: the identified parameters of such a rigid
 group are distributed among its links by the same rule.
 """
 
@@ -11,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.estimates.estimate import AxisEstimate, Estimate
+from service.identification.estimates.worth import Observation, worse_than_cad, worth
 from service.identification.model.physical_consistency import Ended, nearest_physical
 from service.identification.model.regressor import fold
 
@@ -40,14 +43,14 @@ def standard_parameters(estimate: Estimate) -> StandardParameters:
         locked = {k: float(position[k]) for k in range(len(robot.axes)) if k not in estimate.unlocked}
         combination = combination @ fold(robot.chain, locked)
     seen = _seen(np.vstack(list(estimate.observation.values())))
-    motors, spread = _nominal_motors(estimate)
-    found = nearest_physical(
-        np.concatenate([robot.chain.inertial.ravel(), motors]),
-        (robot.prior.inertia, spread),
-        seen @ combination,
-        seen @ estimate.solution.values,
-        seen @ estimate.solution.covariance @ seen.T,
-    )
+    motors, motor_spread = _nominal_motors(estimate)
+    nominal, spread = np.concatenate([robot.chain.inertial.ravel(), motors]), (robot.prior.inertia, motor_spread)
+    values, covariance = seen @ estimate.solution.values, seen @ estimate.solution.covariance @ seen.T
+    found = nearest_physical(nominal, spread, seen @ combination, values, covariance)
+    if found.ended is Ended.EXACT:
+        observed = Observation(seen @ combination, values, covariance)
+        if worse_than_cad(worth(robot, nominal, spread, observed, found.parameters)):
+            found = nearest_physical(nominal, spread, seen @ combination, values, covariance, exactly=False)
     return StandardParameters(found.parameters, found.deviation, found.ended)
 
 

@@ -52,7 +52,7 @@ class Ended(Enum):
     """How the search for physical parameters ended."""
 
     EXACT = "the base parameters are reproduced"
-    MOST_PROBABLE = "no physical robot has these base parameters, or none was found; the most probable one"
+    MOST_PROBABLE = "the most probable physical robot, given CAD and the base parameters"
     UNFINISHED = "Newton's method did not reach the most probable robot; the last physical one on the way"
 
 
@@ -66,11 +66,18 @@ class Physical:
 
 
 def nearest_physical(
-    nominal: Array, spread: tuple[float, Array], rows: Array, values: Array, covariance: Array
+    nominal: Array,
+    spread: tuple[float, Array],
+    rows: Array,
+    values: Array,
+    covariance: Array,
+    *,
+    exactly: bool = True,
 ) -> Physical:
     """Parameters (11 n,) closest to `nominal` with ``rows @ parameters = values``, all links and motors physical.
 
-    If there are none, the most probable ones given both: `deviation` is then their distance from `values`.
+    If there are none, or without `exactly`, the most probable ones given both: `deviation` is then their distance from
+    `values`.
 
     spread: relative standard deviation of the nominal links, and (n,) of the nominal motors. rows (k, 11 n) linearly
     independent, values (k,), covariance (k, k) positive definite. Motors that are nominally 0 stay 0: they must not
@@ -80,7 +87,7 @@ def nearest_physical(
     for name, given in (("nominal model", nominal), ("rows", rows), ("values", values), ("covariance", covariance)):
         finite(given, "base parameters", f"their {name}")
     problem = _Problem.of(nominal, spread, rows, values)
-    parameters = _exactly(problem)
+    parameters = _exactly(problem) if exactly else None
     if parameters is not None:
         size = np.abs(rows) @ np.abs(parameters) + np.abs(values) + np.sqrt(np.diag(problem.nominal_covariance()))
         if np.all(np.abs(rows @ parameters - values) <= EXACT * size):
@@ -91,6 +98,15 @@ def nearest_physical(
     parameters = problem.parameters(white.blocks(multipliers))
     ended = Ended.MOST_PROBABLE if reached else Ended.UNFINISHED
     return Physical(parameters, float(np.linalg.norm(noise @ (rows @ parameters - values))), ended)
+
+
+def nominal_factor(nominal: Array, spread: tuple[float, Array], rows: Array) -> Array:
+    """F (k, j) with F F' the covariance of ``rows @ parameters`` that the nominal model's spread makes, to first order
+    in its divergence: mass, centre and inertia of a link are correlated. Arguments as `nearest_physical`.
+    """
+    problem = _Problem.of(nominal, spread, rows, np.zeros(len(rows)))
+    links = problem.link_rows.reshape(len(rows), -1) / np.sqrt(problem.link_weight)
+    return np.hstack([links, problem.motor_rows / np.sqrt(problem.motor_weight)])
 
 
 def pseudo_inertia(parameters: Array) -> Array:

@@ -13,6 +13,7 @@ from service.configuration import read_robot
 from service.errors import BadInput
 from service.export import identified_model, model_files, write_model
 from service.export.mjcf import quaternion
+from service.identification.estimates.worth import AxisWorth, Worth
 from service.identification.model.physical_consistency import is_physical
 from service.robot import INERTIAL_NAMES, Axis, Robot, RobotDescription, build_robot, rotation_about
 from service.urdf import read_chain, read_inertial
@@ -102,6 +103,21 @@ def test_every_file_holds_what_it_can_of_the_accepted_model(max100: Robot, docum
     joints = yaml.safe_load(files["model.yaml"])["joints"]
     assert (joints["joint_1"]["dry_friction"], joints["joint_2"]["dry_friction"]) == (120.0, None)
     assert joints["joint_1"]["effects"]["measurement_delay"]["delay"] == {"value": 1e-3, "std": 0.1, "unit": "x"}
+
+
+@pytest.mark.parametrize(
+    ("error", "told"), [(9.9, ""), (10.4, ""), (11.0, "gravity torque of j2: expected error 11, CAD's 10")]
+)
+def test_a_gravity_torque_that_is_worse_than_cads_is_told(error: float, told: str) -> None:
+    worth = AxisWorth("j2", Worth(1, 0, 0, 0), Worth(100.0, 20.0, error, 10.0))
+    assert worth.warning.startswith(told)
+    assert bool(worth.warning) == bool(told)
+
+
+def test_an_estimate_with_other_base_parameters_states_no_worth(max100: Robot, document: dict[str, Any]) -> None:
+    model = identified_model(max100, document)
+    assert (model.worth, model.warnings) == ((), ())
+    assert yaml.safe_load(model_files(model)["model.yaml"])["workspace"] == {}
 
 
 def test_yaml_holds_all_parameters(max100: Robot, document: dict[str, Any]) -> None:
