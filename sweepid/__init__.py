@@ -143,12 +143,14 @@ def import_trace(mapping: str | Path, source: str | Path | None = None, out: str
     BadInput
         File, column and reason.
     """
+    from service.errors import writing
     from service.store.files.bundle import Bundle, write_bundle
     from service.traces import trace_import
 
     robot, sweeps = trace_import.import_trace(Path(mapping), None if source is None else Path(source))
     if out is not None:
-        write_bundle(Path(out), robot, sweeps)
+        with writing(out):
+            write_bundle(Path(out), robot, sweeps)
     return Bundle(robot, sweeps, str(mapping))
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from service.cli.documents import put_json
-from service.errors import BadInput
+from service.errors import BadInput, writing
 from service.sinumerik import measurement, tuning
 from service.sinumerik.document import (
     Given,
@@ -50,7 +50,7 @@ def import_control_file(path: Path, given: Given, out: Path | None, json_to: str
 
 
 def _write(out: Path, text: str, tables: dict[str, dict[str, Array]]) -> None:
-    try:
+    with writing(out):
         out.mkdir(parents=True, exist_ok=True)
         if any(out.iterdir()):
             raise BadInput(str(out), "is not empty")
@@ -58,8 +58,6 @@ def _write(out: Path, text: str, tables: dict[str, dict[str, Array]]) -> None:
         for name, columns in tables.items():
             rows = np.stack(list(columns.values()), -1)
             np.savetxt(out / f"{name}.csv", rows, delimiter=",", header=",".join(columns), comments="", fmt="%.17g")
-    except OSError as error:
-        raise BadInput(str(out), f"cannot be written: {error.strerror or error}") from None
 
 
 def _print(document: MeasuredResponse | ServoTuning, console: Console) -> None:
