@@ -27,6 +27,19 @@ Array = NDArray[np.float64]
 SOME = 6  # unread members that stderr names; all of them stand in the JSON
 
 
+def is_measurement(path: Path) -> bool:
+    """True for XML that is no trace of time."""
+    if path.suffix.lower() != ".xml" and path.suffix.lower() in (".yaml", ".yml"):
+        return False
+    try:
+        with path.open("rb") as file:
+            head = file.read(4096)
+    except OSError:
+        return path.suffix.lower() == ".xml"  # its reader tells what is wrong
+    mark = head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \r\n")
+    return (mark.startswith(b"<") or path.suffix.lower() == ".xml") and b"<traceSession" not in head.replace(b"\0", b"")
+
+
 def import_control_file(path: Path, given: Given, out: Path | None, json_to: str | None) -> None:
     """Read, print or write; BadInput for what is not of the family."""
     root = read_members(path)
