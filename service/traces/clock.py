@@ -67,6 +67,13 @@ def unit_of_time(time: Array, sample_rate: float | None) -> tuple[str, float]:
     return next(((name, unit) for name, unit in _UNITS if 1 / (step * unit) >= _SLOWEST), _UNITS[0])
 
 
+def spacing(time: Array) -> float:
+    """s between rows, by least squares; 1 where there is none."""
+    rows = np.arange(len(time)) - (len(time) - 1) / 2
+    power = float(rows @ rows)
+    return float(rows @ time) / power if power and np.isfinite(time).all() else 1.0
+
+
 def even(time: Array, columns: dict[str, Array], place: str) -> tuple[Array, dict[str, Array], tuple[str, ...]]:
     """The record on an even grid. Stamps that are rounded or doubled take the grid's; a record of uneven rate is
     interpolated. A gap stays, for a bundle to refuse.
@@ -74,7 +81,7 @@ def even(time: Array, columns: dict[str, Array], place: str) -> tuple[Array, dic
     steps = np.diff(time)
     if len(steps) < 2 or not np.isfinite(time).all() or not (steps >= 0).all():
         return time, columns, ()
-    mean = float(np.polyfit(np.arange(len(time)), time - time[0], 1)[0])
+    mean = spacing(time)
     grid = time[0] + mean * np.arange(len(time))
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     off = float(np.abs(time - grid).max())

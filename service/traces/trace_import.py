@@ -34,7 +34,7 @@ from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Axis, Robot, RobotDescription, robot_from_outside
 from service.store.files.columns import check_samples
 from service.traces.alignment import check_follows, motion_start
-from service.traces.clock import even, filled, unit_of_time
+from service.traces.clock import even, filled, spacing, unit_of_time
 from service.traces.mapping import CncAxis, Columns, FromPosition, Mapping, SingleAxis, TraceSweep
 from service.traces.meaning import Channel, Train, find_kind, scalings
 from service.traces.raw import Raw, read_raw, sessions_of
@@ -271,7 +271,7 @@ def _convert(mapping: Mapping, train: Train, entry: TraceSweep, raw: Raw, place:
     for one in told:
         train.tell(one)
     if rate is None:
-        step = float(np.polyfit(np.arange(len(time)), time, 1)[0]) if len(time) > 1 and np.isfinite(time).all() else 1.0
+        step = spacing(time)
         rate = float(f"{1 / step:.6g}") if step > 0 else 1.0
     channels = {
         name: Channel(raw.sources[name], raw.units.get(name, ""), values, name not in raw.found)

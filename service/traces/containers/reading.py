@@ -63,9 +63,8 @@ def format_of(path: Path) -> str:
     if kind is None and b"\x89HDF\r\n" in head[512:520]:
         kind = "hdf5"
     kind = kind or _SUFFIXES.get(path.suffix.lower())
-    if kind is None and any(
-        mark in head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \r\n")[:20] for mark in _XML
-    ):
+    bare = head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \r\n")
+    if kind is None and bare.startswith(b"<") and any(mark in bare for mark in _XML):
         return "xml"
     for mark, what in _FOREIGN.items():
         if kind is None and head.startswith(mark):
