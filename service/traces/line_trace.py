@@ -39,10 +39,11 @@ _NAMES = (
     (r"ActVelMot", "velocity"), (r"ActVel1stEnc", "velocity 1"), (r"ActVel2ndEnc", "load_velocity"),
     (r"(Cmd|Des|Set|Ctrl\w*)(Vel|Speed)", "velocity_setpoint"), (r"ActTorque|ActTrq", "effort"),
     (r"CmdTorque|CmdTrq", "effort 1"), (r"ActCurr", "current"), (r"DrvLoad", "load"),
-    (r"(Ctrl|Cont|Pos|Meas)\w*(Dev|Diff|Err)", ""),
+    (r"(Ctrl|Cont|Pos|Meas)\w*(Dev|Diff|Err)|Tool|Base|[WM]cs", ""),
 )  # fmt: skip
 _INSTEAD = {"position": "load_position", "velocity": "load_velocity"}  # of an axis with one of the two
-_FOLLOWS = 0.9  # correlation of a torque and its current
+_FOLLOWS = 0.8  # correlation of a torque and its current, which is some samples later
+_SMOOTH = 8  # samples
 
 
 @dataclass(slots=True)
@@ -108,6 +109,8 @@ class LineTrace:
         ]
 
     def _unit(self, signal: _Signal, role: str) -> str:
+        if role == "velocity" and re.search("VelMot", signal.name):
+            return "velo motor"
         return _UNITS.get(signal.units) or _UNITS.get(self._set_up.get(signal.name, "")) or _BY_ROLE.get(role, "")
 
     def read(self, channels: Sequence[Channel]) -> Taken:
@@ -161,16 +164,14 @@ class LineTrace:
                 None,
             )
             if current is not None and current.values:
-                flow = _on(current, grid)
-                power = float(flow @ flow) * float(value @ value)
-                if power > 0 and float(flow @ value) / power**0.5 > _FOLLOWS:
-                    constant = float(flow @ value) / float(flow @ flow)
-                    per = f"{constant:.3g} N m per A of i_q, {current.identifier}"
+                flow, pull = (np.convolve(one, np.ones(_SMOOTH), "valid") for one in (_on(current, grid), value))
+                power, along = float(flow @ flow) * float(pull @ pull), float(flow @ pull)
+                if power > 0 and abs(along) / power**0.5 > _FOLLOWS:
+                    per = f"{along / float(flow @ flow):.3g} N m per A of i_q, {current.identifier}"
                     notes.append(f"{signal.identifier} is {per}: the motor's torque")
                 else:
-                    notes.append(
-                        f"{signal.identifier} does not follow i_q, {current.identifier}: check that it is the torque"
-                    )
+                    told = f"does not follow i_q, {current.identifier}: check that it is the torque"
+                    notes.append(f"{signal.identifier} {told}")
         return notes
 
 

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 FITS = math.log(1.15)  # a ratio of speeds may be off by 15 %; units differ by more
 _SEEN, _SURE = 0.8, 0.98  # least part of the variance of position that the speed's integral explains; for a gear ratio
 _DRIVES = 1.5  # a ratio of motor and axis above it (or below its inverse) is a gear
+_SHOWN = ("", "velo", "velo motor")  # no unit, or the one that a control shows
 _SPEEDS = ("velocity", "velocity_setpoint", "load_velocity")
 
 
@@ -105,56 +106,60 @@ def _slides(train: Train, channels: Mapping[str, Channel], time: Array) -> bool:
         known = measures(channels[name].unit) if name in channels else None
         if known and known[0] in ("length", "speed", "force", "angle", "angular speed"):
             return known[0] in ("length", "speed", "force")
-    if "position" in channels and channels["position"].unit == "posn":
-        # the control shows deg with rev/min, mm with mm/min
-        for name in ("load_velocity", "velocity"):
-            if name in channels:
-                ratio = slope(channels["position"].values, time, channels[name].values)
-                if ratio and abs(math.log(abs(ratio) * 60)) < FITS:
-                    train.tell("the axis is linear: its speed is in mm/min where position is in mm")
-                    return True
-                if ratio and abs(math.log(abs(ratio) / 6)) < FITS:
-                    train.tell("the axis is rotary: its speed is in rev/min where position is in deg")
-                    return False
+    found = _shown(train, channels, time) if "position" in channels and channels["position"].unit == "posn" else None
+    if found is not None:
+        return found
     train.tell("the axis is taken as rotary; --kind, or `kind` of the robot, overrules it")
     return False
 
 
+def _shown(train: Train, channels: Mapping[str, Channel], time: Array) -> bool | None:
+    """By a control that shows deg with rev/min, and mm with mm/min, of the axis; rev/min of its motor."""
+    for name in ("load_velocity", "velocity"):
+        if name not in channels:
+            continue
+        ratio = slope(channels["position"].values, time, channels[name].values)
+        gear = abs(train.gear_ratio or 1.0) if channels[name].unit == "velo motor" else 1.0
+        for slides, unit, factor in ((True, "mm/min", 1 / 60), (True, "m/min", 1e3 / 60), (False, "rev/min", 6.0)):
+            if ratio and _off(factor, ratio * (1.0 if slides else gear)) < FITS:
+                train.tell(
+                    f"the axis is {'linear' if slides else 'rotary'}: {name} is in {unit} of what position is in"
+                )
+                return slides
+        if ratio and gear != 1 and _off(1e3 * math.tau / 60, ratio * gear) < FITS:
+            train.tell(f"the axis is linear: its position is in mm, by the {train.gear_ratio:g} rad/m of the motor")
+            return True
+    return None
+
+
 def _gear(train: Train, channels: Mapping[str, Channel], time: Array) -> float | None:
-    """From the speed of the motor in turns and the position or the speed of the axis."""
+    """From the speed of the motor in turns and the position of the axis."""
     motor, position = channels.get("velocity"), channels.get("position")
-    turns = motor is not None and (measures(motor.unit) or ("",))[0] == "turns per time"
-    if motor is None or position is None or not (turns or motor.unit in ("velo", "")):
+    if motor is None or position is None or not _open(motor):
         return None
-    kind = quantity_of("position", bool(train.prismatic))
-    known = measures(position.unit)
-    unit = (
-        (QUANTITIES[kind]["mm" if train.prismatic else "deg"])
-        if position.unit == "posn"
-        else known[1]
-        if known and known[0] == kind
-        else None
-    )
+    turns, control = (measures(motor.unit) or ("",))[0] == "turns per time", motor.unit == "velo motor"
+    kind, known = quantity_of("position", bool(train.prismatic)), measures(position.unit)
+    unit = known[1] if known and known[0] == kind else None
+    if position.unit == "posn":
+        unit = QUANTITIES[kind]["mm" if train.prismatic else "deg"]
     if position.column.scaled:
         unit = position.column.scale
-    if unit is None or not _open(motor):
+    if unit is None or not (turns or control or (not motor.unit and not train.prismatic)):
         return None
     ratio = slope(position.values * unit, time, motor.values, _SURE)
-    if ratio is None or ratio == 0 or (motor.unit != "" and abs(ratio) > 1e6):
+    if not ratio:
         return None
-    if motor.unit == "velo" and train.prismatic and abs(math.log(abs(ratio) * 60e3)) < FITS:
-        return None  # mm/min of the axis
-    gear = math.tau / 60 / ratio
-    if motor.unit == "" and not train.prismatic and _named(ratio, "angular speed", 1.0):
+    if control and train.prismatic and _named(ratio, "speed"):
+        train.tell("the motor is linear: gear ratio 1")
+        return 1.0
+    if not motor.unit and _named(ratio, "angular speed"):
         return None  # a unit of the axis itself
-    if motor.unit == "" and train.prismatic:
-        return None
-    if 1 / _DRIVES < abs(gear) < _DRIVES and not train.prismatic:
-        return None
-    found = float(f"{gear:.3g}") if abs(float(f"{gear:.3g}") / gear - 1) < 2e-3 else float(f"{gear:.5g}")
-    train.tell(
-        f"gear ratio {found:g}: the motor's speed over that of the axis; --gear-ratio, or `gear_ratio`, overrules it"
-    )
+    gear = math.tau / 60 / ratio
+    if not train.prismatic and 1 / _DRIVES < abs(gear) < _DRIVES:
+        return 1.0 if control else None
+    short = float(f"{gear:.3g}")
+    found = short if abs(short / gear - 1) < 2e-3 else float(f"{gear:.5g}")
+    train.tell(f"gear ratio {found:g}: the motor's speed over that of the axis; --gear-ratio overrules it")
     return found
 
 
@@ -185,10 +190,9 @@ def _way(train: Train, name: str, one: Channel, channels: Mapping[str, Channel],
     return QUANTITIES[quantity][unit]
 
 
-def _named(scale: float, quantity: str, gear: float) -> str | None:
-    fits = {unit: abs(math.log(abs(scale * gear / factor))) for unit, factor in QUANTITIES[quantity].items()}
-    unit = min(fits, key=lambda each: fits[each])
-    return unit if fits[unit] < FITS else None
+def _named(scale: float, quantity: str) -> bool:
+    """Whether it is the factor of a unit."""
+    return min(_off(factor, scale) for factor in QUANTITIES[quantity].values()) < FITS
 
 
 def _speed(train: Train, name: str, one: Channel, position: Array | None, time: Array, place: str) -> float:
@@ -199,7 +203,7 @@ def _speed(train: Train, name: str, one: Channel, position: Array | None, time: 
     units: dict[str, tuple[str, float]]
     if known is not None and known[0] in ("angular speed", "speed", "turns per time"):
         units = {one.unit: known}
-    elif one.unit in ("", "velo"):
+    elif one.unit in _SHOWN:
         units = {
             unit: (kind, factor) for kind in (quantity, "turns per time") for unit, factor in QUANTITIES[kind].items()
         }
@@ -220,7 +224,7 @@ def _speed(train: Train, name: str, one: Channel, position: Array | None, time: 
     if best is None or seen is None or best[0] > FITS:
         if known and known[0] == quantity:
             return known[1]
-        if one.unit in ("", "velo") and seen is None and best is not None and name != "velocity":
+        if one.unit in _SHOWN and seen is None and best is not None and name != "velocity":
             return best[1]
         if one.unit == "" and best is not None:
             train.tell(
@@ -242,7 +246,7 @@ def _speed(train: Train, name: str, one: Channel, position: Array | None, time: 
     if on_motor and scale * seen < 0 and train.gear_ratio is not None and name == "velocity" and not train.fixed:
         train.gear_ratio, scale = -train.gear_ratio, -scale
         train.tell(f"the motor turns against the axis: gear ratio {train.gear_ratio:g}")
-    if one.unit in ("", "velo") or on_motor or known is None or known[0] != quantity:
+    if one.unit in _SHOWN or on_motor or known is None or known[0] != quantity:
         train.tell(f"{name}, {one.column.name}: {unit} of the {'motor' if on_motor else 'axis'}, as position moves")
     return scale
 

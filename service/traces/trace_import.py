@@ -45,6 +45,7 @@ Array = NDArray[np.float64]
 # f'(x) h of order 8 from samples at x+1 h ... x+4 h minus those at x-1 h ... x-4 h (Fornberg 1988, table 1)
 _CENTRAL = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
 _SETTLED = 10  # periods of the corner
+_SHOWN = 3.0  # standard deviations of an inertia that a trace shows
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,13 +124,13 @@ def read_traces(mapping: Mapping, mapping_file: Path, source: Path | None = None
         raise BadInput(str(mapping_file), "has no robot")
     sweeps = [_sweep(robot, entry, converted, place) for entry, converted, place in made]
     if isinstance(given, SingleAxis) and given.inertia is None:
-        given = given.model_copy(update={"inertia": _nominal(robot, sweeps)})
+        inertia = _nominal(robot, sweeps)
+        given = given.model_copy(update={"inertia": inertia or 1.0})
         robot = _single_axis_robot(given, str(mapping_file))
         unit = "kg" if given.kind == "prismatic" else "kg m^2"
-        told = (
-            f"nominal inertia {given.inertia:.4g} {unit}: that of this trace; check compares with one of a data sheet"
-        )
-        notes[told] = None
+        shown = f"{given.inertia:.4g} {unit}"
+        found = f"nominal inertia {shown}: that of this trace; check compares with one of a data sheet"
+        notes[found if inertia else f"this trace shows no inertia: the nominal one is set to {shown}"] = None
     whole = [
         entry.model_copy(update=sweep.spec.model_dump() | {"source": path})
         for (path, entry), sweep in zip(traces, sweeps, strict=True)
@@ -190,14 +191,14 @@ def _drafted(
     return whole, _single_axis_robot(whole, place), told
 
 
-def _nominal(robot: Robot, sweeps: Sequence[Sweep]) -> float:
-    """kg m^2 (kg) about the axis, by the sweeps; 1 where they do not show it."""
+def _nominal(robot: Robot, sweeps: Sequence[Sweep]) -> float | None:
+    """kg m^2 (kg) about the axis, by the sweeps; None where they do not show it."""
     try:
         (axis,) = identify(robot, [spectrum(robot, sweep) for sweep in sweeps]).axes
-        values = [one.value for one in axis.sweeps if one.value > 0 and math.isfinite(one.value)]
+        values = [one.value for one in axis.sweeps if one.value > _SHOWN * one.std]
     except (BadInput, ValueError, ArithmeticError, np.linalg.LinAlgError):
-        return 1.0
-    return float(f"{np.median(values):.6g}") if values else 1.0
+        return None
+    return float(f"{np.median(values):.6g}") if values else None
 
 
 def _sweep(robot: Robot, entry: TraceSweep, converted: "_Converted", place: str) -> Sweep:
@@ -281,9 +282,8 @@ def _convert(mapping: Mapping, train: Train, entry: TraceSweep, raw: Raw, place:
         if one.column.unit is not None and one.unit:
             check_same(one.column.unit, one.unit, f"{place} column {name}")
     find_kind(train, channels, time)
-    for one, other in (("load_velocity", "load_position"), ("load_position", "load_velocity")):
-        if one in raw.found and other not in channels:
-            channels.pop(one, None)  # of no use alone
+    if "load_velocity" in raw.found and "load_position" not in channels:
+        del channels["load_velocity"]  # of the encoder that position is of
     found = scalings(train, channels, time, place)
     axis = _axis(train, entry.axis, channels, place)
     cnc = mapping.axes.get(entry.axis, CncAxis(name="axis"))

@@ -398,6 +398,30 @@ def test_solution_line_trace_of_a_linear_axis_with_two_encoders(tmp_path: Path) 
         imported(path)
 
 
+@pytest.mark.parametrize("slides", [False, True], ids=["torque motor", "linear motor"])
+def test_solution_line_trace_of_a_direct_drive(slides: bool, tmp_path: Path) -> None:
+    step = 1 / RATE
+    signals = {
+        "nckServoDataCmdTorque64": ("torque", "611DTime1", TORQUE, step),
+        "nckServoDataActVelMot64": ("velo", "velo", SPEED * (60 if slides else RPM), step),
+        "nckServoDataActPos1stEnc64": ("posn", "posn", WAY * 1e3 if slides else np.degrees(WAY), step),
+        "actToolBasePos": ("posn", "posn", WAY * 0 + 7, step),
+    }
+    made = imported(written(tmp_path, line_trace({"4": signals}), "trace.xml"))
+    shows(made)
+    assert made.robot.axes[0].gear_ratio == 1.0
+    assert made.robot.chain.joints[0].kind == ("prismatic" if slides else "revolute")
+
+
+def test_a_screw_is_told_from_a_gear_by_its_ratio(tmp_path: Path) -> None:
+    ratio = math.tau / 0.01
+    signals = {name: one for name, one in linear().items() if "Vel" not in name}
+    signals |= {"nckServoDataActVelMot64": ("velo", "velo", SPEED * ratio * RPM, 1 / RATE)}
+    made = imported(written(tmp_path, line_trace({"4": signals}), "trace.xml"), gear_ratio=ratio)
+    np.testing.assert_allclose(made.sweeps[0].recording.effort, TORQUE, atol=1e-3)
+    assert made.robot.chain.joints[0].kind == "prismatic"
+
+
 def test_sessions_and_axes_of_a_solution_line_trace(tmp_path: Path) -> None:
     still = {name: (*one[:2], one[2] * 0 + 1, one[3]) for name, one in rotary().items()}
     path = written(tmp_path, line_trace({"5": still, "3": rotary()}, sessions=2), "trace.xml")
@@ -411,7 +435,9 @@ def test_sessions_and_axes_of_a_solution_line_trace(tmp_path: Path) -> None:
 def test_an_axis_that_stops_and_steps_by_the_micrometre(tmp_path: Path) -> None:
     """An emergency stop: nothing changes, so that nothing is written; then steps of one increment."""
     stopped = np.where(TIME < 1, WAY, WAY[250]) + 1e-6 * np.floor(np.maximum(TIME - 1.5, 0) * 20)
-    speed = np.gradient(stopped, 1 / RATE)
+    jitter = 1e-7 * np.random.default_rng(0).standard_normal(ROWS)  # of the control loop, about the steps
+    stopped = stopped + np.where(TIME < 1, 0, jitter)
+    speed = np.concatenate([[0.0], np.diff(stopped)]) * RATE  # as the control has it
     signals = linear() | {
         name: (*one[:2], stopped * 1e3 - (800 if "1st" in name else 0), one[3])
         for name, one in linear().items()
