@@ -71,7 +71,11 @@ class TextTable:
             lines.pop()
         self._odd: list[tuple[int, int, str]] = []  # lines of another number of cells
         self._delimiter, self._point, self._first = _form(lines, form, self._place)
-        self._body = text.split("\n", self._first)[-1]
+        body = text.split("\n", self._first)[-1]
+        del text
+        if self._delimiter == " ":
+            body = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", body))
+        self._body = body.encode()
         cells = partial(_cells, delimiter=self._delimiter)
         self._width = len(cells(lines[self._first]))
         heading = [cells(line) for line in lines[form.skip_rows : self._first]]
@@ -132,7 +136,7 @@ class TextTable:
         raise BadInput(self._place, f"column {source!r} is missing; there are {there}")
 
     def _columns(self, wanted: tuple[int, ...]) -> dict[int, Array]:
-        lines = self._body.count("\n") + 1
+        lines = self._body.count(b"\n") + 1
         check_numbers(lines, len(wanted), MOST_NUMBERS, self._place)
         stamps = {k for k in wanted if k < len(self._sample) and timelike(self._sample[k])}
         try:
@@ -151,11 +155,8 @@ class TextTable:
         }
 
     def _parsed(self, wanted: tuple[int, ...], text: set[int]) -> Any:
-        body = self._body
-        if self._delimiter == " ":
-            body = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", body))
         return _csv.read_csv(
-            _arrow.py_buffer(body.encode("utf-8")),
+            _arrow.py_buffer(self._body),
             read_options=_csv.ReadOptions(column_names=[str(k) for k in range(self._width)], use_threads=False),
             parse_options=_csv.ParseOptions(
                 delimiter="\t" if self._delimiter == " " else self._delimiter, invalid_row_handler=self._odd_row

@@ -100,10 +100,11 @@ def read_traces(mapping: Mapping, mapping_file: Path, source: Path | None = None
     for path, entry in traces:
         if entry.axis not in joints or len(entry.pose) not in ((0, 1) if len(joints) == 1 else (len(joints),)):
             name = given.name if isinstance(given, SingleAxis) else robot.name if robot is not None else ""
-            raise BadInput(
-                f"{path} sweep {entry.id}",
-                f"axis {entry.axis} in pose {entry.pose} does not exist on robot {name}, which has {', '.join(joints)}",
-            )
+            there = f"robot {name}, which has {', '.join(joints)}"
+            reason = f"axis {entry.axis} in pose {entry.pose} does not exist on {there}"
+            if entry.axis in joints and not entry.pose:
+                reason = f"has no pose: give the positions of all axes at its start, rad (m), of {there}"
+            raise BadInput(f"{path} sweep {entry.id}", reason)
     notes: dict[str, None] = {}
     made: list[tuple[TraceSweep, _Converted, str]] = []
     columns = mapping.columns
