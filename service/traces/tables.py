@@ -102,7 +102,7 @@ class TextTable:
             clock = None if self._interval is None else rows * self._interval
             return Taken(np.array(values), units, clock, self.notes)
         clocks = [own.get(k) for k in found]
-        return on_one_clock(values, clocks, units, self.notes)
+        return _on_one_clock(values, clocks, units, self.notes, self._place)
 
     def _scaled(self, time: Array, column: int) -> Array:
         """s; TwinCAT writes ms, or a count of samples, and states the interval."""
@@ -150,12 +150,12 @@ class TextTable:
         return {
             k: seconds_of(table.column(str(k)).to_pylist(), f"{self._place} column {self._head.names[k]!r}")
             if k in stamps
-            else np.array(table.column(str(k)).to_numpy(zero_copy_only=False), dtype=np.float64)
+            else _numbers(table.column(str(k)))
             for k in wanted
         }
 
     def _parsed(self, wanted: tuple[int, ...], text: set[int]) -> Any:
-        return _csv.read_csv(
+        with _csv.open_csv(
             _arrow.py_buffer(self._body),
             read_options=_csv.ReadOptions(column_names=[str(k) for k in range(self._width)], use_threads=False),
             parse_options=_csv.ParseOptions(
@@ -168,7 +168,8 @@ class TextTable:
                 null_values=_NULLS,
                 strings_can_be_null=True,
             ),
-        )
+        ) as file:
+            return file.read_all()
 
     def _odd_row(self, row: Any) -> str:
         """A line with another number of cells, as ``EOF``, is passed over if it holds no number."""
@@ -178,7 +179,10 @@ class TextTable:
 
     def _tell_text(self, wanted: tuple[int, ...], stamps: set[int]) -> None:
         """BadInput with line and column of the first cell that is no number."""
-        table = self._parsed(wanted, set(wanted))
+        try:
+            table = self._parsed(wanted, set(wanted))
+        except _arrow.ArrowInvalid:
+            return  # what is wrong is not in a cell
         for k in wanted:
             if k in stamps:
                 continue
@@ -188,6 +192,12 @@ class TextTable:
                     raise BadInput(
                         f"{self._place} line {self._first + row + 1}, column {name!r}", f"{cell[:40]!r} is not a number"
                     )
+
+
+def _numbers(column: Any) -> Array:
+    """Missing values as NaN; without them Arrow converts nothing, for which it would reserve 1 GiB."""
+    parts = [np.array(part.fill_null(np.nan).to_numpy(), dtype=np.float64) for part in column.chunks]
+    return np.concatenate(parts) if parts else np.empty(0)
 
 
 def decoded(path: Path) -> tuple[str, str]:
@@ -217,21 +227,24 @@ def decoded(path: Path) -> tuple[str, str]:
     return text.replace("\r\n", "\n").replace("\r", "\n"), encoding
 
 
-def on_one_clock(
-    values: Sequence[Array], clocks: Sequence[Array | None], units: tuple[str, ...], notes: tuple[str, ...]
+def _on_one_clock(
+    values: Sequence[Array], clocks: Sequence[Array | None], units: tuple[str, ...], notes: tuple[str, ...], place: str
 ) -> Taken:
     """Channels with clocks of their own, interpolated to the finest of them if they differ."""
-    kept = [
-        (value[there], clock[there])
-        for value, clock in zip(values, clocks, strict=True)
-        if clock is not None
-        for there in [np.isfinite(clock) & np.isfinite(value)]
-    ]
+    first = next(clock for clock in clocks if clock is not None)
+    kept: list[tuple[Array, Array]] = []
+    for value, clock in zip(values, (first if clock is None else clock for clock in clocks), strict=True):
+        there = np.isfinite(clock) & np.isfinite(value)
+        if there.sum() < 2 or not (np.diff(clock[there]) > 0).all():
+            raise BadInput(place, f"a channel has {there.sum()} values, or its time does not increase")
+        kept.append((value[there], clock[there]))
     finest = max((clock for _, clock in kept), key=len)
     if all(len(clock) == len(finest) and np.allclose(clock, finest, rtol=0, atol=1e-9) for _, clock in kept):
         return Taken(np.array([value for value, _ in kept]), units, finest, notes)
     start, end = max(clock[0] for _, clock in kept), min(clock[-1] for _, clock in kept)
     common = finest[(finest >= start) & (finest <= end)]
+    if len(common) < 2:
+        raise BadInput(place, "its channels have no time in common")
     told = "channels have clocks of their own; all are interpolated to the finest"
     return Taken(np.array([np.interp(common, clock, value) for value, clock in kept]), units, common, (*notes, told))
 
