@@ -108,8 +108,8 @@ def _trace(path: Path, work: Path) -> None:
 
 
 def _trace_alone(path: Path, work: Path) -> None:
-    known: dict[str, Any] = {"rated_effort": 50.0, "torque_constant": 1.0, "gear_ratio": 5.0, "inertia": 4.0}
-    read_traces(mapping_of(path, **known), path)
+    known = mapping_of(path, rated_effort=50.0, torque_constant=1.0, gear_ratio=5.0, inertia=4.0)
+    read_traces(known, path)
 
 
 def _paths(path: Path, work: Path) -> None:
