@@ -7,13 +7,13 @@ from pathlib import Path
 from pygments.lexers import JsonLexer, TextLexer
 from sphinx.application import Sphinx
 
-sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+sys.path[:0] = [str(Path(__file__).parent / "_ext"), str(Path(__file__).parents[1])]
 
 project = "sweepid"
 author = "the authors of sweepid"
 version = release = installed("sweepid")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "commands", "http_api"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "commands", "constants", "http_api"]
 exclude_patterns = ["_build", "_ext"]
 source_suffix = {".md": "markdown"}
 

@@ -67,7 +67,7 @@ def effects_of(given: Diagnosis | str | Path | None, robot: Robot) -> KnownEffec
 
 def started(robot: Robot, given: Estimate | str | Path) -> Robot:
     """The robot whose nominal model is that of an estimate, also from a file; BadInput if it is of another robot."""
-    from service.diagnosis import started_from
+    from service.export.started_robot import started_from
 
     if isinstance(given, str | Path):
         path = Path(given)

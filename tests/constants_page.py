@@ -1,4 +1,4 @@
-"""Numeric constants of the mathematics: those in the code, and those on the page `docs/reference/constants.md`."""
+"""Numeric constants of the mathematics: those in the code, and those with a source on `docs/reference/constants.md`."""
 
 import ast
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ FOLDERS = ("identification", "diagnosis", "data_check", "planning", "safety")
 PLAIN = frozenset({0.0, 0.5, 1.0, 2.0, 1e3})  # halves, wholes, milli: no one sets them
 GUARD = 1e-30  # and below: it guards a division by zero
 
-Row = tuple[str, str]  # of the code or the page: name with its folder, value
+Row = tuple[str, str]  # name, value
 
 
 def in_code() -> dict[str, str]:
@@ -33,17 +33,13 @@ def in_code() -> dict[str, str]:
 
 
 def on_page(text: str) -> dict[str, list[str]]:
-    """Cells of each row after the name, by `folder name`."""
+    """Cells of each row after the name, by `file.NAME`."""
     found: dict[str, list[str]] = {}
-    folder = ""
-    for line in text.splitlines():
-        if line.startswith("## "):
-            folder = line.removeprefix("## ").strip("`")
-        elif line.startswith("| `") and folder.startswith("service/"):
+    for line in text.partition("\n## ")[0].splitlines():
+        if line.startswith("| `"):
             name, *cells = [cell.strip() for cell in line.replace(r"\|", "¦").strip("| ").split(" | ")]
-            key = f"{folder} {name.strip('`')}"
-            assert key not in found, f"{key} has two rows"
-            found[key] = cells
+            assert name.strip("`") not in found, f"{name} has two rows"
+            found[name.strip("`")] = cells
     return found
 
 

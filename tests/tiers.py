@@ -17,6 +17,17 @@ _DIAGNOSIS = "tests/browser/test_diagnosis_page.py"
 _PORT = "tests/contract/test_drive_port.py"
 _PORT_FAULTS = "tests/contract/test_faults.py"
 
+_BENCHES = {  # processor time of a whole suite, s
+    "canopen-socketcand": 10.0,
+    "canopen-virtual": 8.0,
+    "durand-socketcand": 7.0,
+    "epos4-virtual": 5.0,
+    "modbus-rtu": 8.0,
+    "modbus-tcp": 8.0,
+    "node-socketcand": 7.0,
+    "plain-virtual": 5.0,
+}
+
 SHORT = (  # stays in the first tier although a line of LONG names it: file[::function][[first parameters]
     # the wiring of each bus and each stack
     *(
@@ -30,7 +41,14 @@ SHORT = (  # stays in the first tier although a line of LONG names it: file[::fu
             f"{_PORT_FAULTS}::test_emergency_stop_in_a_sweep",
             f"{_PORT_FAULTS}::test_fault_in_a_sweep_delivers_what_there_is_and_waits_for_a_person",
         )
-        for bench in ("canopen-virtual", "durand-socketcand", "epos4-virtual", "modbus-rtu", "node-socketcand")
+        for bench in (
+            "canopen-socketcand",
+            "durand-socketcand",
+            "epos4-virtual",
+            "modbus-rtu",
+            "modbus-tcp",
+            "node-socketcand",
+        )
     ),
     # that of the kernel's bus, beside tests/vcan
     f"{_PORT}::test_move_arrives_at_standstill[canopen-vcan",
@@ -58,17 +76,9 @@ SHORT = (  # stays in the first tier although a line of LONG names it: file[::fu
 )
 
 LONG: dict[str, float] = {  # file[::function][[first parameters]: processor time in s, on an idle computer
-    # the same contract on another transport, dictionary, stack or line
-    f"{_PORT}[canopen-virtual": 8,
-    f"{_PORT}[durand-socketcand": 7,
-    f"{_PORT}[epos4-virtual": 5,
-    f"{_PORT}[modbus-rtu": 8,
-    f"{_PORT}[node-socketcand": 7,
-    f"{_PORT_FAULTS}[canopen-virtual": 5,
-    f"{_PORT_FAULTS}[durand-socketcand": 4,
-    f"{_PORT_FAULTS}[epos4-virtual": 3,
-    f"{_PORT_FAULTS}[modbus-rtu": 6,
-    f"{_PORT_FAULTS}[node-socketcand": 4,
+    # the contract that tests/virtual_time/test_drive_port.py shows, on each transport, dictionary, stack and line
+    **{f"{_PORT}[{bench}": cost for bench, cost in _BENCHES.items()},
+    **{f"{_PORT_FAULTS}[{bench}": cost / 2 for bench, cost in _BENCHES.items()},
     "tests/contract/test_canopen.py[canopen-virtual": 4,
     "tests/contract/test_noise.py[canopen-virtual": 4,
     "tests/contract/test_other_makers.py": 10,

@@ -26,7 +26,7 @@ PAGE = ROOT / "docs/reference/benchmarks.md"
 NAMES = ("planning", "identification", "plant", "wire", "service", "stop", "help")
 SHORT = ("planning", "identification", "plant", "help")
 PACKAGES = ("numpy", "scipy", "mujoco-core", "pin", "python-can", "fastapi", "uvicorn", "pyarrow")
-HEAD = ("what", "ours", "compared with", "peer or limit", "times better", "repeats", "spread", "target", "met")
+HEAD = ("what", "ours (repeats, spread)", "peer or limit", "times better", "target; note")
 
 
 def short() -> Iterator[Measured]:
@@ -41,16 +41,17 @@ def number(value: float) -> str:
 
 
 def row(found: Measured) -> Sequence[str]:
-    peer = "" if found.peer is None else f"{number(found.peer)} {found.unit}"
+    peer = "" if found.peer is None else f"{number(found.peer)} {found.unit}: {found.beside}"
     ratio = "" if found.ratio is None else number(found.ratio)
-    spread = f"{100 * found.spread:.0f} %" if found.spread else ""
-    met = {True: "yes", False: "**no**", None: ""}[found.met]
-    ours = f"{number(found.ours)} {found.unit}"
-    return found.name, ours, found.beside, peer, ratio, str(found.repeats), spread, found.target, met
+    spread = f", {100 * found.spread:.0f} %" if found.spread else ""
+    met = {True: ": met", False: ": **missed**", None: ""}[found.met]
+    ours = f"{number(found.ours)} {found.unit} ({found.repeats}{spread})"
+    return found.name, ours, peer, ratio, "; ".join(filter(None, (f"{found.target}{met}", found.note)))
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    return "".join(f"| {' | '.join(cells)} |\n" for cells in (head, ["---"] * len(head), *rows))
+    lines = [f"| {' | '.join(cells)} |" for cells in (head, *rows)]
+    return "\n".join([lines[0], f"|{'---|' * len(head)}", *lines[1:], ""])
 
 
 def section(name: str) -> str:
@@ -58,16 +59,13 @@ def section(name: str) -> str:
     before, began, rows = os.getloadavg()[0], time.process_time(), list[Measured]()
     for found in short() if name == "short" else import_module(f"docs.benchmarks.{name}").run():
         rows.append(found)
-        print(" | ".join(row(found)), found.note, flush=True)
+        print(" | ".join(row(found)), flush=True)
     if name == "short":
         cells = [(each.name, each.beside, number(each.ratio or 0.0)) for each in rows]
         return table(("what", "compared with", "times better"), cells)
-    notes = "".join(f"- {each.name}: {each.note}\n" for each in rows if each.note)
-    told = table(HEAD, list(map(row, rows))) + (f"\n{notes}" if notes else "")
-    return (
-        f"{told}\n{datetime.now(UTC):%Y-%m-%d}; load average before and after {before:.1f}, {os.getloadavg()[0]:.1f}; "
-        f"{time.process_time() - began:.0f} s of processor time.\n"
-    )
+    load = f"load average before and after {before:.1f}, {os.getloadavg()[0]:.1f}"
+    spent = f"{time.process_time() - began:.0f} s of processor time"
+    return f"{table(HEAD, list(map(row, rows)))}\n{datetime.now(UTC):%Y-%m-%d}; {load}; {spent}.\n"
 
 
 def computer() -> str:

@@ -209,7 +209,7 @@ def run() -> Iterator[Measured]:
         )  # fmt: skip
     late, usual = (1e3 * side.missed / side.cycles for side in (watched, alone))
     yield Measured(
-        name="set-points left out, of 1,000, three browsers and a slow reader watching", unit="", ours=late,
+        name="set-points left out, of 1,000, watched", unit="", ours=late,
         peer=usual, beside="nobody watches", repeats=TURNS, note=f"{watched.missed} of {watched.cycles} set-points",
     )  # fmt: skip
     median, p95, worst = np.quantile(queued, (0.5, 0.95, 1.0))

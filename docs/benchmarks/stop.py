@@ -145,7 +145,7 @@ def run() -> Iterator[Measured]:
             until(lambda: all(stop["id"] > 0 for stop in client.stops()), "every stop is latched")
             release(client, "benchmark")
             yield Measured(
-                name=f"stop to the wire, {what}: longest", unit="ms", ours=1e3 * max(needed), repeats=TIMES,
+                name=f"{what}: longest", unit="ms", ours=1e3 * max(needed), repeats=TIMES,
                 target=f"<= {1e3 * MOST:g} ms", met=max(needed) <= MOST,
                 note=f"shortest {1e3 * min(needed):.1f}, median {1e3 * statistics.median(needed):.1f} ms",
             )  # fmt: skip

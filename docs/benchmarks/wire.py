@@ -182,7 +182,7 @@ def run() -> Iterator[Measured]:
         mine, theirs = ([each.samples / getattr(each, unit) for each in side] for side in zip(*turns, strict=True))
         ours, peer = statistics.median(mine), statistics.median(theirs)
         yield Measured(
-            name=f"from the wire to the disk, samples per second of the {unit}", unit="samples/s", ours=ours,
+            name=f"samples per second of the {unit}", unit="samples/s", ours=ours,
             peer=peer, beside="python-can's recv and struct alone", less=False, repeats=REPEATS,
             spread=(max(mine) - min(mine)) / ours, note=f"{turns[0][0].samples} samples, none lost",
             target=f">= {LEAST_SHARE:.0%} of the bare loop", met=ours >= LEAST_SHARE * peer,

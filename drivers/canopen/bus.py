@@ -9,6 +9,7 @@ import socket
 import threading
 import time
 from pathlib import Path
+from typing import Any, cast
 
 import can
 import canopen
@@ -19,6 +20,7 @@ from drivers.canopen import frames
 from drivers.canopen.eds import object_dictionary
 from drivers.canopen.foreign_frames import ForeignFrames
 from drivers.canopen.profile import BusProfile
+from drivers.canopen.sdo import RemoteNode
 from drivers.canopen.socketcand import SocketcandBus
 from drivers.cia402.host_watch import HostWatch
 from drivers.errors import CommunicationLost, ConnectionFailed, Measured
@@ -80,7 +82,8 @@ class Bus:
         received.
         """
         objects = None if eds is None else object_dictionary(Path(eds), node)
-        remote: canopen.RemoteNode = self._network.add_node(node, objects)
+        remote = RemoteNode(node, cast(Any, objects))
+        self._network.add_node(remote)
         client: SdoClient = remote.sdo
         client.RESPONSE_TIMEOUT = self._profile.sdo_timeout
         self._heard[node] = time.monotonic()  # reading the dictionary took time

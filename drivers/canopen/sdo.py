@@ -2,19 +2,47 @@
 
 import struct
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import can
+import canopen
 from canopen.sdo.client import BlockUploadStream, SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from drivers.canopen.objects import Entry
 from drivers.errors import CauseCode, CommunicationLost, WrongConfiguration
 
-T = TypeVar("T")
-
-NO_ANSWER = "No SDO response received"  # canopen's words for a time-out
+_INITIATE = frozenset({*range(0x20, 0x30), 0x40, *range(0xA0, 0xA8, 4), *range(0xC0, 0xC8, 2)})
+"""Requests that name an object: download, upload, block upload, block download."""
+_NONE = bytes(3)
 ABSENT = frozenset({0x06020000, 0x06090011})  # object, sub-index does not exist
+
+
+class SharedSdoClient(SdoClient):
+    """One of several clients of a node: the stop process also asks it for its state, and its answers reach everybody.
+
+    An answer that names another object than the request (CiA 301, initiate services) is somebody else's; an abort that
+    names none is taken for ours.
+    """
+
+    _object: bytes | None = None  # index and sub-index of the request; None: a segment or block, which names none
+
+    def send_request(self, request: bytes) -> None:
+        self._object = bytes(request[1:4]) if request[0] in _INITIATE else None
+        cast(Any, super()).send_request(request)
+
+    def on_response(self, can_id: int, data: bytes, timestamp: float) -> None:
+        if self._object is None or bytes(data[1:4]) in (self._object, _NONE):
+            cast(Any, super()).on_response(can_id, data, timestamp)
+
+
+class RemoteNode(canopen.RemoteNode):
+    """With this client."""
+
+    def add_sdo(self, rx_cobid: int, tx_cobid: int) -> SdoClient:
+        client = SharedSdoClient(rx_cobid, tx_cobid, self.object_dictionary)
+        cast(Any, self).sdo_channels.append(client)
+        return client
 
 
 class _BlockUpload(BlockUploadStream):
@@ -47,7 +75,7 @@ class Sdo:
         """
         self._check_alive()
         try:
-            return entry.unpack(self._answer(entry))
+            return entry.unpack(self.client.upload(entry.index, entry.sub))
         except (SdoAbortedError, SdoCommunicationError, can.CanError, OSError) as error:
             raise self._explain(entry, error) from None
         except struct.error as error:
@@ -62,8 +90,7 @@ class Sdo:
         """Errors as `read`; the value is not read back."""
         self._check_alive()
         try:
-            packed = entry.pack(value)
-            self._asked(lambda: self.client.download(entry.index, entry.sub, packed))
+            self.client.download(entry.index, entry.sub, entry.pack(value))
         except (SdoAbortedError, SdoCommunicationError, can.CanError, OSError) as error:
             raise self._explain(entry, error, f" = {value:g}") from None
         except struct.error as error:
@@ -91,22 +118,6 @@ class Sdo:
                 return cast(bytes, stream.read())
         except (SdoAbortedError, SdoCommunicationError, can.CanError, OSError) as error:
             raise self._explain(entry, error) from None
-
-    def _answer(self, entry: Entry) -> bytes:
-        return self._asked(lambda: self.client.upload(entry.index, entry.sub))
-
-    def _asked(self, ask: Callable[[], T]) -> T:
-        """Once more after an answer to another question: the stop process also asks a node for its state, and a node
-        sends its answers to everybody.
-        """
-        try:
-            return ask()
-        except SdoAbortedError:
-            raise
-        except SdoCommunicationError as error:
-            if str(error) == NO_ANSWER:
-                raise
-            return ask()
 
     def _explain(self, entry: Entry, error: Exception, value: str = "") -> WrongConfiguration | CommunicationLost:
         if not isinstance(error, SdoAbortedError):

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from service.diagnosis.document import as_document, axis_document, compose
     from service.diagnosis.model.revision import model_document
     from service.diagnosis.rows.signals import is_evidence
-    from service.diagnosis.start import started_from
 
 _MODULES = {
     "AxisDiagnosis": "diagnose",
@@ -23,7 +22,6 @@ _MODULES = {
     "diagnose_axis": "diagnose",
     "is_evidence": "rows.signals",
     "model_document": "model.revision",
-    "started_from": "start",
 }
 
 __all__ = [
@@ -34,7 +32,6 @@ __all__ = [
     "diagnose_axis",
     "is_evidence",
     "model_document",
-    "started_from",
 ]
 
 

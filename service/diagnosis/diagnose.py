@@ -32,7 +32,6 @@ from service.diagnosis.model.rigid_model import RigidParameter, rigid_model
 from service.diagnosis.rows.periods import in_periods
 from service.diagnosis.rows.signals import SHORTEST, finite_samples, sticking_within, tracks
 from service.diagnosis.sensitivity.visibility import Hidden, untestable
-from service.diagnosis.start import source_of
 from service.diagnosis.unfinished import Unfinished, unfinished
 from service.diagnosis.verdict import Verdict, at_floor, judge, of_one_record, share, tie_sets, without
 from service.errors import BadInput
@@ -50,6 +49,7 @@ CHANGED = 4.0  # standard deviations: above, a parameter of the model has change
 GAIN, GAIN_ERROR = "torque_constant_error", "gain_error"
 HEAVIER = "The mass that was weighed is too light to decide it: take a heavier one, or bolt it further out."
 OFF = "The test mass is to be off."
+CAD = "cad"  # initial rigid model without an estimate
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ def diagnose_axis(
     """Diagnose `joint` from its sweeps. BadInput if no sweep moves, if an effect of `known` is not in the catalogue, or
     with axis and sweep if a sample or a column of an effect is not finite; with the axis if its equations are not.
 
-    `robot`: with the rigid model of CAD or of an estimate (`start.started_from`).
+    `robot`: with the rigid model of CAD or of an estimate (`service.export.started_robot`).
 
     `known`: effects of the model, with the values of their parameters as far as the model has them. Effects that are
     impossible for this axis (for example gravity on a vertical axis) are ignored.
@@ -371,3 +371,8 @@ def _weighed(gain: TorqueGain) -> NamedEffect:
     parameters = {GAIN_ERROR: Parameter(error, gain.std, "")}
     patch: Patch = {"train": {"effort_gain": error}}
     return NamedEffect(GAIN, parameters, np.array([[gain.std**2]]), patch, squares, squares)
+
+
+def source_of(robot: Robot) -> str:
+    """Source of the initial rigid model of a robot: `CAD`, or which estimate."""
+    return CAD if robot.knowledge is None else robot.knowledge.source

@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 
 from service.diagnosis.fit.equations import Term
 from service.diagnosis.fit.select import RIVAL, TOLERANCE, Selection
-from service.diagnosis.sensitivity.design import (
+from service.diagnosis.sensitivity.predicted_sweeps import PredictedSweeps, predict_sweeps
+from service.diagnosis.sensitivity.visibility import Hidden
+from service.diagnosis.summary import in_words
+from service.diagnosis.verdict import Verdict
+from service.errors import BadInput
+from service.identification.design.diagnosis_sweeps import (
     BLOCKS,
     REVISITED,
     DesignedSweep,
@@ -26,11 +31,6 @@ from service.diagnosis.sensitivity.design import (
     other_poses,
     warm_up,
 )
-from service.diagnosis.sensitivity.predicted_sweeps import PredictedSweeps, predict_sweeps
-from service.diagnosis.sensitivity.visibility import Hidden
-from service.diagnosis.summary import in_words
-from service.diagnosis.verdict import Verdict
-from service.errors import BadInput
 from service.recording import Sweep
 
 Array = NDArray[np.float64]

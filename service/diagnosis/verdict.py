@@ -13,8 +13,8 @@ from service.diagnosis.fit.gap import noise_floor
 from service.diagnosis.fit.search import CurrentModel, Explanation
 from service.diagnosis.fit.select import CERTAIN, RIVAL, TOLERANCE, Selection, allowed_by_physics
 from service.diagnosis.fit.solving import solve
-from service.diagnosis.sensitivity.design import is_partial
 from service.diagnosis.sensitivity.visibility import grid, left, shows_beside, visible_part
+from service.identification.design.diagnosis_sweeps import is_partial
 
 Array = NDArray[np.float64]
 

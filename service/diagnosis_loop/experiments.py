@@ -13,13 +13,13 @@ import structlog
 
 from drivers.errors import DriveError
 from service.campaigns.live import EventFeed
-from service.diagnosis.sensitivity.design import DesignedSweep
 from service.diagnosis.verdict import Verdict
 from service.diagnosis_loop.diagnosing import Diagnosing
 from service.errors import BadInput, Conflict, SweepidError
 from service.execution.epoch import Intention
 from service.execution.runner import Runner
 from service.geometry.cell import read_cell
+from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.planning.ahead import Range
 from service.planning.diagnosis.documents import ExperimentPlan, ExperimentRequest
 from service.planning.diagnosis.plan import build_experiment_plan

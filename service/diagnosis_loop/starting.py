@@ -6,8 +6,8 @@ from enum import Enum
 import structlog
 
 from service.campaigns.linked_campaign import campaign_beside
-from service.diagnosis import started_from
 from service.errors import BadInput
+from service.export.started_robot import started_from
 from service.results.estimate import Estimate
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis_documents import EstimateOf, NewDiagnosis

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from functools import partial
 from types import MappingProxyType
+from typing import Protocol
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
@@ -21,12 +22,11 @@ from service.execution.epoch import Intention
 from service.execution.machine import Machine
 from service.execution.sign_of_life import SignOfLife
 from service.execution.sweep_executor import SweepExecutor, cause_of
-from service.jobs.jobs import Jobs
 from service.logs.about import MACHINE
 from service.planning.ahead import Range, check_seen, positions_of
 from service.planning.compiled_plan import CompiledPlan
 from service.store.database import refusal
-from service.store.documents import CampaignDocument, CampaignState, SweepState
+from service.store.documents import CampaignDocument, CampaignState, SweepDocument, SweepState
 from service.store.store import CampaignMove, StaleVersion, Store, SweepMove
 from service.tasks.run_to_end import run_to_end
 from service.telemetry.spans import TRACING
@@ -35,6 +35,18 @@ _log = structlog.get_logger(__name__)
 
 RETRY = 2.0  # s between attempts to store the end of a campaign
 _IN_PARTS = "the remaining trajectories were measured in part and can only be repeated completely"
+
+
+class Identification(Protocol):
+    """Where recorded sweeps go: `service.jobs`."""
+
+    def submit(self, sweep: SweepDocument) -> None:
+        """Identify a recorded sweep; returns at once."""
+        ...
+
+    async def settle(self, campaign_id: int) -> None:
+        """Complete a measured campaign, if no sweep is left to identify."""
+        ...
 
 
 class Runner:
@@ -47,7 +59,7 @@ class Runner:
         store: Store,
         machine: Machine,
         executor: SweepExecutor,
-        jobs: Jobs,
+        jobs: Identification,
         compile_plan: Callable[[CampaignDocument], CompiledPlan],
         approvals: Approvals,
     ) -> None:

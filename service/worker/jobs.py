@@ -134,8 +134,9 @@ class DiagnosisJob:
         return 0
 
     def __call__(self) -> dict[str, JsonValue]:
-        from service.diagnosis import axis_document, diagnose_axis, started_from
+        from service.diagnosis import axis_document, diagnose_axis
         from service.diagnosis.fit.calibration import Weighed
+        from service.export.started_robot import started_from
 
         robot = build_robot(self.robot, self.urdf_text)
         if self.estimate is not None:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.constants_page import in_code
+
 pytestmark = pytest.mark.slow
 
 CPU = 60.0  # s, at most, of one build
@@ -34,3 +36,6 @@ def test_the_site_builds(root: Path, tmp_path: Path) -> None:
         ("drive-port", "drivers.ports.DrivePort.halt"),
     ):
         assert f'id="{anchor}"' in (tmp_path / "site" / "reference" / f"{page}.html").read_text("utf-8")
+    constants = (tmp_path / "site" / "reference" / "constants.html").read_text("utf-8")
+    names = {key.partition(".")[2].partition(",")[0] for key in in_code()}
+    assert {name for name in names if f">{name}" not in constants} == set()

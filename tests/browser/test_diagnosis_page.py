@@ -10,7 +10,7 @@ from playwright.sync_api import Page, Route, expect
 
 from service.client import ServiceClient
 from service.configuration import read_robot
-from service.diagnosis.sensitivity.design import DesignedSweep, full_design, paper_design
+from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design, paper_design
 from service.recording import Recording, Sweep
 from service.store.files.bundle import write_bundle
 from simulator import Scenario, SweepRun, load_scenario, run_sweeps

@@ -17,6 +17,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any, cast
 
+import pytest
+
 from drivers import contract
 from drivers.ports import DrivePort, NoiseCommand, SweepCommand, SweepMode
 from drivers.registry import load_profile, open_drive
@@ -74,6 +76,29 @@ class Virtual:
 
     def open(self) -> DrivePort:
         return open_drive(self.profile, DRIVES)
+
+
+def leave_out(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """A hook: what a bench lacks is no test of it, and no skip."""
+    vcan, every = bool(config.getoption("vcan")), bool(config.getoption("every_drive"))
+    items[:] = [item for item in items if _exists(item, vcan, every)]
+
+
+def _exists(item: pytest.Item, vcan: bool, every: bool) -> bool:
+    given: dict[str, Any] = (
+        item.callspec.params if isinstance(item, pytest.Function) and hasattr(item, "callspec") else {}
+    )
+    name = given.get("virtual", given.get("mortal"))
+    if name is None:
+        return not vcan or "vcan" in item.path.parts
+    bench, adapter = BENCHES[name], item.get_closest_marker("adapter")
+    return (
+        bench.vcan is vcan
+        and (every or not bench.alike)
+        and (bench.own_process or "mortal" not in given)
+        and (adapter is None or adapter.args == (bench.adapter,))
+        and not contract.lacking(cast("pytest.Function", item).function, bench, given.get("mode"))
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

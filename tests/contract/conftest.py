@@ -4,14 +4,12 @@ There is one mark, ``adapter(name)``: a test of this adapter alone. The rest is 
 """
 
 from collections.abc import AsyncIterator, Iterator
-from typing import Any, cast
 
 import pytest
 
-from drivers.contract import lacking
 from drivers.contract.suite import connected_port
 from drivers.ports import DrivePort, SweepMode
-from tests.contract.bench import BENCHES, Virtual
+from tests.contract.bench import BENCHES, Virtual, leave_out
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -19,25 +17,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    vcan, every = bool(config.getoption("vcan")), bool(config.getoption("every_drive"))
-    items[:] = [item for item in items if _exists(item, vcan, every)]
-
-
-def _exists(item: pytest.Item, vcan: bool, every: bool) -> bool:
-    given: dict[str, Any] = (
-        item.callspec.params if isinstance(item, pytest.Function) and hasattr(item, "callspec") else {}
-    )
-    name = given.get("virtual", given.get("mortal"))
-    if name is None:
-        return not vcan or "vcan" in item.path.parts
-    bench, adapter = BENCHES[name], item.get_closest_marker("adapter")
-    return (
-        bench.vcan is vcan
-        and (every or not bench.alike)
-        and (bench.own_process or "mortal" not in given)
-        and (adapter is None or adapter.args == (bench.adapter,))
-        and not lacking(cast("pytest.Function", item).function, bench, given.get("mode"))
-    )
+    leave_out(config, items)
 
 
 @pytest.fixture(params=list(SweepMode), ids=lambda mode: mode.value)

@@ -22,13 +22,13 @@ from service.cli.campaign.measure import plan_number
 from service.cli.commands.export import export_path
 from service.cli.recordings.control_file import import_control_file
 from service.configuration import read_robot, read_text
-from service.diagnosis.start import started_from
 from service.errors import BadInput
 from service.execution.recording.recorder import read_stream
 from service.export import identified_model
 from service.export.sheets.load import load_of
 from service.export.sheets.making import check_sheet, sheet
 from service.export.sheets.text import as_markdown
+from service.export.started_robot import started_from
 from service.geometry.cell import read_cell
 from service.geometry.collision import CollisionChecker
 from service.maker_urdf.check import check_urdf

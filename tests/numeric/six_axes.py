@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.diagnosis.sensitivity.design import DesignedSweep
 from service.geometry.cell import read_cell
 from service.geometry.collision import CollisionChecker
 from service.identification import Spectrum, spectrum
+from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.identification.design.excitation import design_sweep
 from service.identification.design.exciting_trajectory import Shape, Trajectory, TrajectoryLimits, design_trajectory
 from service.identification.estimates.combination import Combination

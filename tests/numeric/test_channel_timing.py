@@ -8,10 +8,10 @@ import pytest
 
 from drivers.ports import ChannelTiming
 from service.channels import align
-from service.diagnosis.sensitivity.design import DesignedSweep
 from service.errors import BadInput
 from service.identification import identify, spectrum
 from service.identification.axis.channel_timing import ChannelLags, channel_lags
+from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.identification.design.excitation import LINES, design_sweep
 from service.identification.model.regressor import inertia_rows, lock
 from service.recording import Sweep

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from service.diagnosis.sensitivity.design import DesignedSweep
 from service.identification import identify, spectrum
 from service.identification.axis.distortion import Distortion
+from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.identification.design.excitation import design_sweep, realisations
 from simulator import Scenario
 from simulator.scenario import Stribeck

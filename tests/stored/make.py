@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from service.diagnosis.rows.responses import in_frequency
-from service.diagnosis.sensitivity.design import full_design
 from service.diagnosis.sensitivity.predicted_sweeps import expected
+from service.identification.design.diagnosis_sweeps import full_design
 from service.recording import Sweep
 from service.store.files.bundle import write_bundle
 from tests.command import sweepid

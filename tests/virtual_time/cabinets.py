@@ -33,12 +33,17 @@ class EventDriven(Cabinet[Any]):
         super().__init__(*parts)
 
     def switch(self) -> None:
-        before = {info.joint for info, _ in self._axes if self._machine.energised(info.joint)}
+        changed = {
+            info.joint: axis.energised
+            for info, axis in self._axes
+            if axis.energised != self._machine.energised(info.joint)
+        }
+        if not changed:
+            return
         super().switch()
-        after = {info.joint for info, _ in self._axes if self._machine.energised(info.joint)}
-        for joint in sorted(before ^ after):
-            self.energy.append((primitives.world.now, joint, joint in after))
-            self.changed(joint, joint in after)
+        for joint, on in sorted(changed.items()):
+            self.energy.append((primitives.world.now, joint, on))
+            self.changed(joint, on)
 
     def run(self, now: float) -> None:
         if self.frozen:

@@ -157,8 +157,12 @@ class Scheduler:
         if self._preemptions and self.points >= self._preemptions[-1]:
             self._preemptions.pop()
             self.let_others(lowest=True)
-        elif self.seed and any(other.priority > self.current.priority for other in self._ready):
-            self.let_others()
+        elif self.seed:  # a loop: this is called two million times a minute
+            mine = self.current.priority
+            for other in self._ready:
+                if other.priority > mine:
+                    self.let_others()
+                    break
 
     def interrupt(self, points: int, call: Callable[[], None]) -> None:
         """`call` after so many points, in whatever thread is there; replaces an earlier one that is still to come."""
@@ -216,11 +220,15 @@ class Scheduler:
 
     def _next(self) -> SimThread:
         while True:
-            able = [thread for thread in self._ready if not thread.process.suspended]
-            if able:
-                thread = max(able, key=lambda each: each.priority) if self.seed else able[0]
-                self._ready.remove(thread)
-                return thread
+            first: SimThread | None = None
+            for thread in self._ready:
+                if not thread.process.suspended and (first is None or thread.priority > first.priority):
+                    first = thread
+                    if not self.seed:
+                        break
+            if first is not None:
+                self._ready.remove(first)
+                return first
             if not self._timers:
                 self._give_up(f"nobody can run any more:\n{self.report()}")
             when, _, action, turn = heapq.heappop(self._timers)

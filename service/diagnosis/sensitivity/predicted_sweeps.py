@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from service.diagnosis.fit.equations import Equations, Term, equations
 from service.diagnosis.fit.solving import solve
 from service.diagnosis.rows.signals import Tracks, tracks
-from service.diagnosis.sensitivity.design import DesignedSweep
+from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.identification.design.excitation import Excitation, velocity_setpoint
 from service.recording import Recording, Sweep
 

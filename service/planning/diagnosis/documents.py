@@ -7,8 +7,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.ports import SweepMode
 from service.campaigns.plan_subject import MadeFor
-from service.diagnosis.sensitivity.design import BLOCKS, FAST, SLOW, WIDE, WIDE_LINES
 from service.errors import BadInput
+from service.identification.design.diagnosis_sweeps import BLOCKS, FAST, SLOW, WIDE, WIDE_LINES
 from service.identification.estimates.torque_gain import KnownMass
 from service.planning.documents import (
     CELL_NAME,

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.sensitivity.design import DesignedSweep
 from service.errors import EnvelopeViolation
+from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.planning.diagnosis.documents import DiagnosisRequest, ExperimentRequest
 from service.planning.documents import DroppedPose, PlannedLeg, PlannedSweep
 from service.planning.sweep_sequence import LEG_OVERHEAD

@@ -13,9 +13,9 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.sensitivity.design import DesignedSweep, full_design
 from service.errors import BadInput, EnvelopeViolation
 from service.geometry.cell import Cell
+from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design
 from service.identification.model.regressor import gravity_terms
 from service.planning.candidates import grid, room
 from service.planning.diagnosis.documents import (

@@ -67,7 +67,9 @@ def desk() -> Iterator[Desk]:
         if message.arbitration_id == frames.NMT:
             node.send(can.Message(arbitration_id=frames.HEARTBEAT + NODE, data=[0], is_extended_id=False))
         if message.arbitration_id == 0x600 + NODE and message.data[0] != 0x80 and not answers.empty():
-            node.send(can.Message(arbitration_id=frames.SDO_RESPONSE + NODE, data=answers.get(), is_extended_id=False))
+            said = answers.get()
+            for one in (said[:8], said[8:]) if len(said) > 8 else (said,):
+                node.send(can.Message(arbitration_id=frames.SDO_RESPONSE + NODE, data=one, is_extended_id=False))
 
     listening = can.Notifier(node, [answer], timeout=0.05)
     bus = Bus(BusProfile(interface="virtual", channel=channel, drive_timeout=3600.0), (NODE,))
@@ -110,6 +112,6 @@ def test_an_answer_that_the_stop_process_asked_for_is_no_lost_communication(
 ) -> None:
     """Two clients ask one node: found by a stop in virtual time, whose axis was then not confirmed."""
     desk.client.RESPONSE_TIMEOUT = PATIENT
-    for each in ("4b41600050020000", answer):  # the statusword, at first
-        desk.answers.put(bytes.fromhex(each))
-    assert REQUESTS[request_name](desk.sdo) == {"read": 7, "write": None}[request_name]
+    for others in ("4b41600050020000", "8041600000000706"):  # the statusword, and that it is refused
+        desk.answers.put(bytes.fromhex(others + answer))
+        assert REQUESTS[request_name](desk.sdo) == {"read": 7, "write": None}[request_name]

@@ -11,9 +11,9 @@ import yaml
 
 from service.client import ServiceClient, ServiceProblem
 from service.data_check import check, findings_document
-from service.diagnosis.sensitivity.design import full_design
 from service.diagnosis.sensitivity.predicted_sweeps import expected
 from service.errors import BadInput
+from service.identification.design.diagnosis_sweeps import full_design
 from service.recording import Sweep
 from service.robot import Robot
 from service.store.files.bundle import write_bundle

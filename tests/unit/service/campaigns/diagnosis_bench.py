@@ -9,10 +9,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from service.diagnosis.sensitivity.design import full_design
 from service.diagnosis.sensitivity.predicted_sweeps import expected
 from service.diagnosis_loop.diagnosing import Diagnosing
 from service.errors import SweepidError
+from service.identification.design.diagnosis_sweeps import full_design
 from service.identification.estimates.torque_gain import KnownMass
 from service.identification.model.regressor import gravity_terms, inertia_rows
 from service.recording import Sweep

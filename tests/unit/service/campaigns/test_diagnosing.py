@@ -13,13 +13,13 @@ import pytest
 
 from service.campaigns.state_machine import SweepEvent, sweep_move
 from service.diagnosis import axis_document, diagnose_axis
-from service.diagnosis.sensitivity.design import full_design
 from service.diagnosis.sensitivity.predicted_sweeps import expected
 from service.diagnosis_loop.acceptance import accept_model
 from service.diagnosis_loop.evidence import campaigns_of, recorded_sweeps
 from service.diagnosis_loop.starting import Start
 from service.errors import BadInput, Conflict
 from service.estimation import estimate_document, sweep_spectrum
+from service.identification.design.diagnosis_sweeps import full_design
 from service.identification.estimates.torque_gain import KnownMass
 from service.robot import Robot
 from service.store.database import open_database

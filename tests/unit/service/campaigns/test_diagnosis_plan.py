@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from drivers.ports import SweepMode
-from service.diagnosis.sensitivity.design import BLOCKS, DesignedSweep, full_design
 from service.errors import BadInput
 from service.geometry.cell import Cell, read_cell
+from service.identification.design.diagnosis_sweeps import BLOCKS, DesignedSweep, full_design
 from service.identification.estimates.torque_gain import KnownMass
 from service.identification.model.regressor import gravity_terms
 from service.planning.compiled_plan import plan_of

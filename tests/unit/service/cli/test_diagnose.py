@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from service.diagnosis.rows.responses import in_frequency
-from service.diagnosis.sensitivity.design import full_design
 from service.diagnosis.sensitivity.predicted_sweeps import expected
+from service.identification.design.diagnosis_sweeps import full_design
 from service.recording import Sweep
 from service.store.files.bundle import write_bundle
 from simulator import load_scenario

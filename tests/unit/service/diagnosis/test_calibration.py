@@ -10,9 +10,9 @@ from service.diagnosis.fit.calibration import Weighed, corrected, is_decided, is
 from service.diagnosis.fit.parameters import Parameter
 from service.diagnosis.rows.rigid import load_rows, nominal_load
 from service.diagnosis.rows.signals import tracks
-from service.diagnosis.sensitivity.design import DesignedSweep, full_design
 from service.diagnosis.sensitivity.predicted_sweeps import expected
 from service.errors import BadInput
+from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design
 from service.identification.estimates.torque_gain import KnownMass
 from service.recording import Sweep
 from service.robot import Robot

@@ -10,8 +10,8 @@ from service.diagnosis.effects.drive_train.backlash import missing
 from service.diagnosis.effects.effect import Model
 from service.diagnosis.effects.friction.friction_temperature_drift import warmth
 from service.diagnosis.rows.signals import Tracks, bristle, tracks
-from service.diagnosis.sensitivity.design import full_design
 from service.diagnosis.sensitivity.predicted_sweeps import expected
+from service.identification.design.diagnosis_sweeps import full_design
 from tests.numeric.campaign import max100
 
 

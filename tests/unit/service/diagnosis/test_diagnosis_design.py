@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from service.diagnosis.sensitivity.design import (
+from service.identification.design.diagnosis_sweeps import (
     BLOCKS,
     FAST,
     ROOM,

@@ -10,9 +10,9 @@ from service.diagnosis.experiments import BOLTING, NextExperiment, next_experime
 from service.diagnosis.fit.equations import Term
 from service.diagnosis.fit.select import select
 from service.diagnosis.rows.signals import Tracks
-from service.diagnosis.sensitivity.design import BLOCKS, full_design, machine_time, paper_design
 from service.diagnosis.sensitivity.visibility import Hidden
 from service.diagnosis.verdict import Verdict, tie_set
+from service.identification.design.diagnosis_sweeps import BLOCKS, full_design, machine_time, paper_design
 from service.identification.estimates.torque_gain import KnownMass
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import (

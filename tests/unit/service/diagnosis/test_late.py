@@ -8,8 +8,8 @@ from scipy.interpolate import CubicSpline
 
 from service.diagnosis.diagnose import diagnose_axis
 from service.diagnosis.fit.equations import Term
-from service.diagnosis.sensitivity.design import full_design
 from service.diagnosis.verdict import Verdict
+from service.identification.design.diagnosis_sweeps import full_design
 from service.recording import Sweep
 from tests.unit.service.diagnosis.following import following, known_to
 

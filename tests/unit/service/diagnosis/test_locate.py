@@ -9,7 +9,7 @@ from service.diagnosis.diagnose import diagnose_axis
 from service.diagnosis.fit.equations import Term, nominal_right
 from service.diagnosis.localisation.locate import Cell, lines, sentences
 from service.diagnosis.rows.signals import tracks
-from service.diagnosis.sensitivity.design import full_design
+from service.identification.design.diagnosis_sweeps import full_design
 from service.recording import Sweep
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import FORWARD, RATE, SLOW, following, swept

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.diagnosis import axis_document, diagnose_axis
-from service.diagnosis.sensitivity.design import BLOCKS, REVISITED, full_design, paper_design
+from service.identification.design.diagnosis_sweeps import BLOCKS, REVISITED, full_design, paper_design
 from service.results.diagnosis import AxisDiagnosis, standing_of
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, following

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from service.diagnosis import axis_document, diagnose_axis, started_from
+from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.rows.rigid import load_rows, nominal_parameters, parameter_spread
 from service.diagnosis.rows.signals import Tracks
-from service.diagnosis.sensitivity.design import full_design
 from service.errors import BadInput
 from service.estimation import estimate_document, sweep_spectrum
+from service.export.started_robot import started_from
+from service.identification.design.diagnosis_sweeps import full_design
 from service.robot import INERTIAL_NAMES, Robot
 from tests.unit.service.diagnosis.following import RATE, SLOW, following, known_to
 

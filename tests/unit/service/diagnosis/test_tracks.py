@@ -9,8 +9,8 @@ import pytest
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.fit.equations import Term, grouped
 from service.diagnosis.rows.signals import tracks
-from service.diagnosis.sensitivity.design import full_design
 from service.errors import BadInput
+from service.identification.design.diagnosis_sweeps import full_design
 from service.recording import Sweep
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import FORWARD, RATE, SLOW, following, swept

@@ -16,7 +16,7 @@ from service.diagnosis.model.scenario import AxisEntry, axis_entry
 from service.diagnosis.model.twin import Run, torques, ways
 from service.diagnosis.rows.rigid import nominal_load
 from service.diagnosis.rows.signals import Tracks, laid_out, tracks
-from service.diagnosis.sensitivity.design import DesignedSweep, full_design
+from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design
 from service.recording import Recording, Sweep
 from service.robot import Robot
 from simulator import Measurement, SweepRun, run_sweeps

@@ -5,8 +5,8 @@ import pytest
 
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.equations import applies
-from service.diagnosis.sensitivity.design import BLOCKS, paper_design
 from service.diagnosis.sensitivity.visibility import Hidden, untestable
+from service.identification.design.diagnosis_sweeps import BLOCKS, paper_design
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, equations_of, following, known_to, swept
 

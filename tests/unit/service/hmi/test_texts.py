@@ -10,8 +10,8 @@ from drivers.ports import AxisState
 from service.data_check.finding import Severity
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.experiments import FULL_DESIGN, MORE_POSES, TEST_MASS, WARM_UP
-from service.diagnosis.sensitivity.design import BLOCKS
 from service.hmi.pages import texts
+from service.identification.design.diagnosis_sweeps import BLOCKS
 from service.people.permissions import PERMISSIONS, Role
 from service.results.diagnosis import Verdict
 from service.store.diagnosis_documents import DiagnosisState

@@ -31,18 +31,11 @@ from service.robot import Knowledge, Robot, build_robot
 
 Array = NDArray[np.float64]
 
-CAD = "cad"  # initial rigid model without an estimate
-
 
 class _Base(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
     locked: dict[str, float] = {}
     covariance: tuple[tuple[float, ...], ...] = ()
-
-
-def source_of(robot: Robot) -> str:
-    """Source of the initial rigid model of a robot: `CAD`, or which estimate."""
-    return CAD if robot.knowledge is None else robot.knowledge.source
 
 
 def started_from(robot: Robot, estimate: Mapping[str, Any], source: str, place: str = "estimate") -> Robot:
