@@ -1,5 +1,8 @@
 """The errors of the service: invalid input of a user, and internal errors."""
 
+from collections.abc import Generator
+from contextlib import contextmanager
+
 from drivers.errors import CauseCode, CausedError
 
 
@@ -18,6 +21,15 @@ class BadInput(SweepidError):
         super().__init__(f"{place}: {reason}")
         self.place = place
         self.reason = reason
+
+
+@contextmanager
+def writing(place: object) -> Generator[None]:
+    """BadInput for a file or folder, asked for by a user, that cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        raise BadInput(str(place), f"cannot be written: {error.strerror or error}") from None
 
 
 class NotFound(SweepidError):

@@ -121,17 +121,23 @@ def read_bundle(folder: str | Path) -> Bundle:
     return bundle.read_bundle(Path(folder))
 
 
-def import_trace(mapping: str | Path, source: str | Path | None = None, out: str | Path | None = None) -> Bundle:
-    """Turn trace files of a CNC or a logger (CSV, MAT, Parquet, MDF4, HDF5) into a bundle.
+def import_trace(
+    mapping: str | Path, source: str | Path | None = None, out: str | Path | None = None, **known: Any
+) -> Bundle:
+    """Turn a trace of a control, drive, robot or logger into a bundle.
 
     Parameters
     ----------
     mapping
-        Mapping file (YAML): columns, units and sweeps (docs/how-to/your-own-trace.md).
+        Trace file, recognised by its content; or a mapping file (YAML) of columns, units and sweeps
+        (docs/how-to/your-own-trace.md).
     source
         Trace file in place of the one that the mapping names.
     out
         Folder to write the bundle to; must be empty or not exist. None: it is not written.
+    **known
+        Of a trace without mapping what its file cannot know: ``axis``, ``kind``, ``gear_ratio``, ``rated_effort``,
+        ``torque_constant``, ``inertia``, ``sample_rate``. ``tell`` is called with each guess, as `print`.
 
     Returns
     -------
@@ -143,13 +149,20 @@ def import_trace(mapping: str | Path, source: str | Path | None = None, out: str
     BadInput
         File, column and reason.
     """
+    from service.errors import writing
     from service.store.files.bundle import Bundle, write_bundle
-    from service.traces import trace_import
+    from service.traces.drafts import mapping_of
+    from service.traces.trace_import import read_traces
 
-    robot, sweeps = trace_import.import_trace(Path(mapping), None if source is None else Path(source))
+    path, tell = Path(mapping), known.pop("tell", None)
+    made = read_traces(mapping_of(path, **known), path, None if source is None else Path(source))
+    if tell is not None:
+        for note in made.notes:
+            tell(note)
     if out is not None:
-        write_bundle(Path(out), robot, sweeps)
-    return Bundle(robot, sweeps, str(mapping))
+        with writing(out):
+            write_bundle(Path(out), made.robot, made.sweeps)
+    return Bundle(made.robot, made.sweeps, str(mapping))
 
 
 def check(bundle: Bundle | str | Path) -> DataCheck:

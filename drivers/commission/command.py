@@ -52,13 +52,16 @@ def draft(
     texts[profile] = profile_text(
         dictionary, joint or ["joint_1"], _relative(eds, out), device, next(iter(maps.values()), None)
     )
-    for path in texts:
-        if path.exists():
-            raise BadProfile(f"{path}: exists already; nothing is overwritten")
-    out.mkdir(parents=True, exist_ok=True)
-    for path, text in texts.items():
-        path.write_text(text, encoding="utf-8")
-        typer.echo(f"{path}: {unfilled(text)} values to fill in")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for path in texts:
+            if path.exists():
+                raise BadProfile(f"{path}: exists already; nothing is overwritten")
+        for path, text in texts.items():
+            path.write_text(text, encoding="utf-8")
+            typer.echo(f"{path}: {unfilled(text)} values to fill in")
+    except OSError as error:
+        raise BadProfile(f"{out}: cannot be written: {error.strerror or error}") from None
     for sentence in () if maps else shortcomings(dictionary):
         typer.echo(f"{eds}: {sentence}", err=True)
 

@@ -37,11 +37,13 @@ class Ready(BaseModel):
     recordings: WaitingRecordings | None
 
 
+@router.head("/live", include_in_schema=False)  # monitors ask so
 @router.get("/live")
 async def get_live() -> Live:
     return Live(alive=True)
 
 
+@router.head("/ready", include_in_schema=False)
 @router.get("/ready", responses={503: {"model": Ready, "description": "not ready to measure"}})
 async def get_ready(response: Response, application: ApplicationOf) -> Ready:
     causes = await application.troubles()

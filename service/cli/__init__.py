@@ -3,6 +3,7 @@
 Exit codes: 0 done, 2 bad input, 1 any other failure; 1 and 2 come with one line on stderr.
 """
 
+import io
 import os
 import sys
 from importlib.metadata import entry_points, version
@@ -97,6 +98,9 @@ def main() -> None:
     """Console script `sweepid`."""
     # before NumPy is imported: our matrices are small, and more threads of its algebra than one only wait for another
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    for stream in (sys.stdout, sys.stderr):  # a letter that the terminal lacks is told as its number
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         if any(name.endswith("_COMPLETE") for name in os.environ):
             from service.cli.shell.completions import prepare

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import typer
 
-from service.errors import BadInput
+from service.errors import writing
 from service.results.part import Part
 
 
@@ -19,7 +19,6 @@ def put_json(document: Part, json_to: str | None) -> bool:
 
 def write_file(path: Path, content: str | bytes) -> None:
     """Write a result where a person asked for it, text with an end of line; BadInput if that cannot be."""
-    try:
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content if isinstance(content, bytes) else f"{content}\n".encode())
-    except OSError as error:
-        raise BadInput(str(path), f"cannot be written: {error.strerror or error}") from None

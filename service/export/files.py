@@ -6,7 +6,7 @@ from pathlib import Path
 
 import yaml
 
-from service.errors import BadInput
+from service.errors import BadInput, writing
 from service.export.mjcf import as_mjcf
 from service.export.model import Body, IdentifiedModel
 from service.export.urdf import as_urdf
@@ -29,15 +29,13 @@ def model_files(model: IdentifiedModel) -> dict[str, str]:
 
 def write_model(folder: Path, model: IdentifiedModel) -> None:
     """Write the files into a folder that is empty or new; BadInput if it is not empty or cannot be written."""
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise BadInput(str(folder), "exists already and is not an empty folder")
     files = model_files(model)
-    try:
+    with writing(folder):
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise BadInput(str(folder), "exists already and is not an empty folder")
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in files.items():
             (folder / name).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise BadInput(str(folder), f"cannot be written: {error.strerror or error}") from None
 
 
 def as_yaml(model: IdentifiedModel) -> str:

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 
+from service.physical_bounds import MOST_FREQUENCY, Position, Velocity
 from service.recording import Name, SweepSpec
 from service.robot import Axis, Prior
 
@@ -33,9 +34,10 @@ class _Part(BaseModel):
 class CncAxis(_Part):
     """A joint in the CNC: the CNC position is ``zero + direction * joint position``, in deg (mm)."""
 
-    name: str = Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,30}$")
+    name: str = Field(default="axis", pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,30}$")
     direction: Literal[1, -1] = 1
     zero: float = 0.0
+    torque_constant: float | None = Field(default=None, gt=0)  # N m per A, of the motor
 
 
 class Column(_Part):
@@ -44,11 +46,17 @@ class Column(_Part):
     Without any of them, the unit in the file itself is converted; without a unit the values are SI.
     """
 
-    source: str
+    source: str  # of a matrix a column, from 0: `q[2]`
     group: Group | None = None  # instead of that of the sweep
+    column: int | None = Field(default=None, ge=0)  # the same
     unit: Unit | None = None
     scale: float = 1.0
     offset: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """The source, with the column of a matrix."""
+        return self.source if self.column is None else f"{self.source}[{self.column}]"
 
     @property
     def scaled(self) -> bool:
@@ -98,18 +106,22 @@ def _robot_kind(given: Any) -> str:
 
 
 class Columns(_Part):
-    """Source of each column of the bundle. Without `time`, the clock of an MDF4 group is used, else it follows from the
-    sample rate.
+    """Source of each column of the bundle. Those that are not named are found by name and unit in the file;
+    without `time`, the clock of the file is used, else it follows from the sample rate.
 
     `set_position` is not a column of the bundle: it is used to find the start of the sweep in the trace.
     """
 
     time: Column | None = None
-    effort: Column
-    velocity: Annotated[
-        Annotated[Column, Tag("measured")] | Annotated[FromPosition, Tag("derived")], Discriminator(_velocity_kind)
-    ]
-    position: Column
+    effort: Column | None = None
+    velocity: (
+        Annotated[
+            Annotated[Column, Tag("measured")] | Annotated[FromPosition, Tag("derived")],
+            Discriminator(_velocity_kind),
+        ]
+        | None
+    ) = None
+    position: Column | None = None
     velocity_setpoint: Column | None = None
     excitation_effort: Column | None = None
     load_velocity: Column | None = None
@@ -125,27 +137,30 @@ class Columns(_Part):
 
 
 class SingleAxis(_Part):
-    """A robot with one axis, defined without a URDF: it rotates about or moves along the base's x."""
+    """A robot with one axis, defined without a URDF: it rotates about or moves along the base's x.
+
+    What is not given is taken from the trace.
+    """
 
     name: Name
     joint: str = Field(min_length=1, pattern=r"^[\w.-]+$")
-    kind: Literal["revolute", "prismatic"]
-    inertia: float = Field(gt=0)  # nominal, load side: kg m^2 about the axis; prismatic: kg
-    lower: float  # rad (m)
-    upper: float
-    velocity: float = Field(gt=0)  # rad/s (m/s)
-    rated_effort: float = Field(gt=0)  # N m (N)
-    gear_ratio: float = 1.0
+    kind: Literal["revolute", "prismatic"] | None = None
+    inertia: float | None = Field(default=None, gt=0)  # nominal, load side: kg m^2 about the axis; prismatic: kg
+    lower: float | None = None  # rad (m)
+    upper: float | None = None
+    velocity: float | None = Field(default=None, gt=0)  # rad/s (m/s)
+    rated_effort: float | None = Field(default=None, gt=0)  # N m (N)
+    gear_ratio: float | None = None  # None: that of two speeds in the file, else 1
     motor_inertia: float | None = Field(default=None, ge=0)
     viscous_friction: float | None = Field(default=None, ge=0)
     prior: Prior = Prior()
 
 
 class Csv(_Part):
-    """Format of a CSV source."""
+    """Format of a text source, where it is not to be found by content; rows before the heading are skipped."""
 
-    delimiter: str = Field(default=",", min_length=1, max_length=1)
-    decimal_point: str = Field(default=".", min_length=1, max_length=1)
+    delimiter: str | None = Field(default=None, min_length=1, max_length=1)
+    decimal_point: str | None = Field(default=None, min_length=1, max_length=1)
     skip_rows: int = Field(default=0, ge=0, le=10**6)
 
 
@@ -157,10 +172,18 @@ class Motion(_Part):
 
 
 class TraceSweep(SweepSpec):
-    """One sweep of BUNDLE.md with its trace file, relative to the mapping file."""
+    """One sweep of BUNDLE.md with its trace file, relative to the mapping file. What is not given is taken from the
+    trace: the axis of a robot with one, the pose of such, the sample rate; a motion without sines is a trajectory.
+    """
 
+    id: Name = "0001"
+    axis: Name = "axis"
+    pose: tuple[Position, ...] = ()
+    offset_velocity: Velocity = 0.0
+    sample_rate: float = Field(default=1.0, gt=0, le=MOST_FREQUENCY)
     source: Path
-    group: Group | None = None  # of its channels in an MDF4 or HDF5 file
+    group: Group | None = None  # of its channels in an MDF4 or HDF5 file; the session of a control's trace
+    file_axis: str | int | None = None  # number or name of the axis in a file of several
     path: Motion | None = None
 
     @model_validator(mode="after")
@@ -175,7 +198,7 @@ class Mapping(_Part):
 
     robot: Annotated[Annotated[Path, Tag("file")] | Annotated[SingleAxis, Tag("axis")], Discriminator(_robot_kind)]
     axes: dict[str, CncAxis] = {}  # by joint; default: the joint's direction and zero
-    columns: Columns
+    columns: Columns = Columns()
     csv: Csv = Csv()
     sweeps: tuple[TraceSweep, ...] = Field(min_length=1)
 

@@ -44,7 +44,8 @@ from service.store.files.bundle import write_bundle
 from service.store.files.columns import read_columns
 from service.store.files.intake import read_from
 from service.store.files.stream import UnreadableStream
-from service.traces.trace_import import import_trace
+from service.traces.drafts import mapping_of
+from service.traces.trace_import import import_trace, read_traces
 from service.urdf import read_chain
 from simulator.drive.dictionary import Dictionary
 from simulator.foreign.dictionary import ForeignDictionary
@@ -105,6 +106,11 @@ def _payload(path: Path, work: Path) -> None:
 def _trace(path: Path, work: Path) -> None:
     robot, sweeps = import_trace(path)
     write_bundle(work / "bundle", robot, sweeps)
+
+
+def _trace_alone(path: Path, work: Path) -> None:
+    known = mapping_of(path, rated_effort=50.0, torque_constant=1.0, gear_ratio=5.0, inertia=4.0)
+    read_traces(known, path)
 
 
 def _paths(path: Path, work: Path) -> None:
@@ -196,6 +202,7 @@ PARSERS: Mapping[str, Parser] = {
     "foreign eds": Parser(_dictionaries, lambda path, _: ForeignDictionary(path, 3), (ScenarioError,)),
     "scenario": Parser(_scenarios, lambda path, _: load_scenario(path), (ScenarioError,)),
     "trace": Parser(lambda: list(seeds.traces()), _trace),
+    "trace alone": Parser(lambda: list(seeds.traces_alone()), _trace_alone),
     "backup": Parser(
         lambda: [seeds.one("manifest.json", seeds.manifest())], lambda path, _: read_manifest(path.parent)
     ),

@@ -195,6 +195,32 @@ def traces() -> Iterator[Seed]:
     yield Seed({"mapping.yaml": ALIGNED.encode(), "trace.csv": aligned_trace()}, "mapping.yaml", targets)
 
 
+LINE_TRACE = (
+    '<?xml version="1.0"?><traceSession><traceCaptureSetup><signal unitsType="torque" name="CmdTorque64 [u1, 1]"/>'
+    '</traceCaptureSetup><traceData><dataFrame><frameHeader dropOuts="0"/>'
+    '<dataSignal id="f1" unitsType="posn" name="ActPos1stEnc64 [u1, 1]" interval="0.02"/>'
+    '<dataSignal id="f2" unitsType="velo" name="ActVelMot64 [u1, 1]" interval="0.02"/>'
+    '<dataSignal id="f3" unitsType="611DTime1" name="CmdTorque64 [u1, 1]" interval="0.04"/>{}</dataFrame></traceData>'
+    "</traceSession>"
+)
+
+
+def traces_alone() -> Iterator[Seed]:
+    """A table with units and stamps of a wall clock, one of TwinCAT's Scope, and a trace of a Solution Line."""
+    time = np.arange(100) / 50
+    rows = [(at, np.cos(at), 9.5 * np.sin(at), np.degrees(1 - np.cos(at))) for at in time]
+    lines = [f"15.01.2026 08:00:{at:06.3f};" + f"{m:.4f};{n:.4f};{phi:.4f}".replace(".", ",") for at, m, n, phi in rows]
+    yield one("a.csv", "\n".join(["Zeit;M;n;phi", ";Nm;1/min;°", *lines]))
+    pairs = "\n".join(f"{1000 * at}\t{m}\t{1000 * at}\t{n}\t{1000 * at}\t{phi}" for at, m, n, phi in rows)
+    head = "\n".join(
+        "\t".join(f"{key}\t{one}" for one in of)
+        for key, of in (("Name", ["M", "n", "phi"]), ("Unit", ("Nm", "rpm", "deg")))
+    )
+    yield one("b.csv", f"Name\tx\n\n{head}\n\n{pairs}\nEOF")
+    records = "".join(f'<rec time="{at}" f1="{phi}" f2="{n}" f3="{m}"/>' for at, m, n, phi in rows)
+    yield one("c.xml", LINE_TRACE.format(records))
+
+
 def controls() -> Iterator[Seed]:
     yield one("response.xml", Loop().xml())
     yield one("tuning.xml", tuning_xml())

@@ -20,8 +20,12 @@ router = APIRouter(tags=["bundles"], route_class=SpooledRoute)
 
 BUNDLES = "/bundles"
 _ZIP = "application/zip"
+_BYTES = "application/octet-stream"  # a zip as well: what generated clients of Python know
 _BODY: dict[str, Any] = {
-    "requestBody": {"required": True, "content": {_ZIP: {"schema": {"type": "string", "format": "binary"}}}}
+    "requestBody": {
+        "required": True,
+        "content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in (_ZIP, _BYTES)},
+    }
 }
 
 

@@ -38,7 +38,7 @@ class Attended(BaseModel):
     within_s: float = Field(ge=1, le=3600)
 
 
-class Start(BaseModel):
+class StartRequest(BaseModel):
     """`attended`: null if no sign of life is required. `seen`: `range` of GET ahead that was shown to the person; null:
     none was shown.
     """
@@ -52,7 +52,7 @@ class Start(BaseModel):
         return None if self.attended is None else self.attended.within_s
 
 
-class Resume(Start):
+class Resume(StartRequest):
     """`repeat`: failed and interrupted sweeps are measured again."""
 
     repeat: bool = False
@@ -122,14 +122,14 @@ async def start_campaign(
     application: ApplicationOf,
     version: IfMatch,
     intention: IntentionOf,
-    start: Start | None = None,
+    start: StartRequest | None = None,
 ) -> CampaignView:
     """Start to move and measure. 409 with the reason, also if the plan needs an approval and has no valid one, if its
     robot or cell is not the machine's and nobody confirmed it, or if an axis has left what was `seen`.
 
     409 `superseded`: a stop, a gap of the host or trouble with the lease came after the request.
     """
-    wanted = start or Start()
+    wanted = start or StartRequest()
     audit_trail_of(request.scope).facts = await _facts(application, campaign_id, wanted)
     campaign = await application.runner.start(campaign_id, intention, version, wanted.within, wanted.seen)
     return await _answer(application, campaign, response)
@@ -203,7 +203,7 @@ def view(application: Application, campaign: CampaignDocument) -> CampaignView:
     )
 
 
-async def _facts(application: Application, campaign_id: int, start: Start) -> dict[str, Fact]:
+async def _facts(application: Application, campaign_id: int, start: StartRequest) -> dict[str, Fact]:
     """What the audit has of a start."""
     campaign = await run_in_threadpool(application.store.campaign, campaign_id)
     facts: dict[str, Fact] = {"attended": start.within}

@@ -10,7 +10,7 @@ from service.export import model_files, model_of
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["estimates"])
 
 
-class ModelFile(StrEnum):
+class ModelEnding(StrEnum):
     """Selected by the file extension: URDF, MJCF (MuJoCo), or all parameters as YAML."""
 
     URDF = "urdf"
@@ -19,7 +19,11 @@ class ModelFile(StrEnum):
 
 
 _CONTENT = {"application/xml": {"schema": {"type": "string"}}, "application/yaml": {"schema": {"type": "object"}}}
-_TYPES = {ModelFile.URDF: "application/xml", ModelFile.MJCF: "application/xml", ModelFile.YAML: "application/yaml"}
+_TYPES = {
+    ModelEnding.URDF: "application/xml",
+    ModelEnding.MJCF: "application/xml",
+    ModelEnding.YAML: "application/yaml",
+}
 
 
 @router.get(
@@ -27,7 +31,7 @@ _TYPES = {ModelFile.URDF: "application/xml", ModelFile.MJCF: "application/xml", 
     response_class=Response,
     responses={200: {"content": _CONTENT}},
 )
-def get_model(campaign_id: Id, ending: ModelFile, application: ApplicationOf) -> Response:
+def get_model(campaign_id: Id, ending: ModelEnding, application: ApplicationOf) -> Response:
     """404 until the first sweep is identified; 422 while no sweep gives an inertia."""
     robot = application.store.robot(application.store.campaign(campaign_id).robot_id).build()
     estimate = application.store.estimate(campaign_id)

@@ -7,15 +7,10 @@ import re
 from pathlib import Path
 
 from service.cli.documents import write_file
-from service.errors import BadInput
 
 
 def write_tables(folder: Path, content: str | bytes) -> None:
-    """`content`: the report's JSON form. Makes the folder; BadInput if that cannot be."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInput(str(folder), f"cannot be made: {error.strerror or error}") from None
+    """`content`: the report's JSON form. BadInput if they cannot be written."""
     write_file(folder / "tables.json", content)
     for number, table in enumerate(json.loads(content)["tables"], start=1):
         text = io.StringIO()

@@ -27,6 +27,7 @@ def check(
 
     from service.cli.documents import write_file
     from service.cli.urdf_findings import drafts_of, print_findings
+    from service.errors import writing
     from service.maker_urdf import bare_robot, cell_text, check_urdf, read_description
     from service.maker_urdf.packages import Packages
 
@@ -41,12 +42,12 @@ def check(
         cell, found = cell_text(bare_robot(checked), called)
         findings = (*findings, *found)
         if out is not None:
-            drafts = drafts_of(checked, called, out, cell)
+            with writing(out):
+                drafts = drafts_of(checked, called, out, cell)
     print_findings(findings, checked, called, Console(stderr=out is not None))
     if out is not None and checked.lacking:
         raise checked.lacking[0]
     for path, text in drafts.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
         write_file(path, text.rstrip("\n"))
         typer.echo(str(path))
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from service.cli.documents import put_json
-from service.errors import BadInput
+from service.errors import BadInput, writing
 from service.sinumerik import measurement, tuning
 from service.sinumerik.document import (
     Given,
@@ -25,6 +25,19 @@ from service.sinumerik.models import LoopInertia, MeasuredResponse, Response, Se
 Array = NDArray[np.float64]
 
 SOME = 6  # unread members that stderr names; all of them stand in the JSON
+
+
+def is_measurement(path: Path) -> bool:
+    """True for XML that is no trace of time."""
+    if path.suffix.lower() != ".xml" and path.suffix.lower() in (".yaml", ".yml"):
+        return False
+    try:
+        with path.open("rb") as file:
+            head = file.read(4096)
+    except OSError:
+        return path.suffix.lower() == ".xml"  # its reader tells what is wrong
+    mark = head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \r\n")
+    return (mark.startswith(b"<") or path.suffix.lower() == ".xml") and b"<traceSession" not in head.replace(b"\0", b"")
 
 
 def import_control_file(path: Path, given: Given, out: Path | None, json_to: str | None) -> None:
@@ -50,7 +63,7 @@ def import_control_file(path: Path, given: Given, out: Path | None, json_to: str
 
 
 def _write(out: Path, text: str, tables: dict[str, dict[str, Array]]) -> None:
-    try:
+    with writing(out):
         out.mkdir(parents=True, exist_ok=True)
         if any(out.iterdir()):
             raise BadInput(str(out), "is not empty")
@@ -58,8 +71,6 @@ def _write(out: Path, text: str, tables: dict[str, dict[str, Array]]) -> None:
         for name, columns in tables.items():
             rows = np.stack(list(columns.values()), -1)
             np.savetxt(out / f"{name}.csv", rows, delimiter=",", header=",".join(columns), comments="", fmt="%.17g")
-    except OSError as error:
-        raise BadInput(str(out), f"cannot be written: {error.strerror or error}") from None
 
 
 def _print(document: MeasuredResponse | ServoTuning, console: Console) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Protocol, cast
 from uuid import uuid4
 
-from service.errors import BadInput
+from service.errors import BadInput, writing
 from service.export.recordings.metadata import UNKNOWN, Recordings
 from service.recording import Recording
 from service.store.files.bundle import Bundle, write_bundle
@@ -34,10 +34,11 @@ def write_recordings(
             raise BadInput("--sweep", f"sweep {wanted!r} does not exist; there are {', '.join(there)}")
     sweeps = [sweep for sweep in bundle.sweeps if not ids or sweep.spec.id in ids]
     recordings = Recordings(bundle.robot, sweeps, began or UNKNOWN)
-    if out.suffix == "":
-        write_bundle(out, bundle.robot, sweeps, ".csv")
-    else:
-        _write_file(out, recordings)
+    with writing(out):
+        if out.suffix == "":
+            write_bundle(out, bundle.robot, sweeps, ".csv")
+        else:
+            _write_file(out, recordings)
     return tuple(sweep.spec.id for sweep in sweeps)
 
 
@@ -49,7 +50,7 @@ def _write_file(out: Path, recordings: Recordings) -> None:
         )
     if out.exists():
         raise BadInput(str(out), "exists already")
-    partial = out.with_name(f".{out.stem}.{uuid4().hex}.partial{suffix}")
+    partial = out.with_name(f".{out.stem[:100]}.{uuid4().hex}.partial{suffix}")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         if suffix == ".csv":
@@ -57,8 +58,6 @@ def _write_file(out: Path, recordings: Recordings) -> None:
         else:
             _writer(_MODULES[suffix], out).write(partial, recordings)
         partial.rename(out)
-    except OSError as error:
-        raise BadInput(str(out), f"cannot be written: {error.strerror or error}") from None
     finally:
         if partial.exists():
             partial.unlink()

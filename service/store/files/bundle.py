@@ -99,7 +99,7 @@ def write_bundle(
         check_possible(sweep.recording, f"{directory} sweep {sweep.spec.id}")
         check_clock(sweep, f"{directory} sweep {sweep.spec.id}")
     directory.parent.mkdir(parents=True, exist_ok=True)
-    partial = directory.parent / f".{directory.name}.{uuid4().hex}.partial"
+    partial = directory.parent / f".{directory.name[:100]}.{uuid4().hex}.partial"
     try:
         _write_into(partial, robot, sweeps, samples)
         if directory.exists():

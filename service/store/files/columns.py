@@ -3,7 +3,6 @@ pyarrow's readers; all numbers are float64.
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -26,18 +25,6 @@ _arrow, _csv, _parquet = cast(Any, pa), cast(Any, pa_csv), cast(Any, pa_parquet)
 MOST_NUMBERS = 50_000_000  # per file: more than an hour of all columns at 1 kHz
 LARGEST_CSV = 2**29  # bytes
 _MOST_SHOWN = 20  # names of columns in an error message
-
-
-@dataclass(frozen=True, slots=True)
-class CsvForm:
-    """Format of a CSV file: bundles use only the plain form, trace exports differ."""
-
-    delimiter: str = ","
-    decimal_point: str = "."
-    skip_rows: int = 0  # lines before the line of column names
-
-
-PLAIN = CsvForm()
 
 
 def read_columns(path: Path, place: str | None = None) -> Recording:
@@ -98,20 +85,19 @@ def check_possible(recording: Recording, place: str) -> None:
             raise BadInput(place, f"column {name!r} is {value:g} in row {row}; limit {most_of_column(name):g}")
 
 
-def read_table(
-    path: Path, place: str, required: Collection[str], optional: Collection[str] = (), form: CsvForm = PLAIN
-) -> dict[str, Array]:
+def read_table(path: Path, place: str, required: Collection[str], optional: Collection[str] = ()) -> dict[str, Array]:
     """The named columns of a Parquet or CSV file by name, each (n,); empty values are NaN.
 
     Raises BadInput (at `place`) for a file that cannot be read, a missing required column, a duplicate column, or
     text instead of a number.
     """
-    if path.suffix not in (".csv", ".parquet"):
+    suffix = path.suffix.lower()
+    if suffix not in (".csv", ".parquet"):
         raise BadInput(place, "a file of samples must be .parquet or .csv")
     wanted = tuple(dict.fromkeys((*required, *optional)))
     try:
-        if path.suffix == ".csv":
-            return _read_csv(path, required, wanted, form, place)
+        if suffix == ".csv":
+            return _read_csv(path, required, wanted, place)
         return _read_parquet(path, required, wanted, place)
     except FileNotFoundError:
         raise BadInput(place, "file does not exist") from None
@@ -119,6 +105,14 @@ def read_table(
         raise
     except (OSError, ValueError, _arrow.ArrowException) as error:
         raise BadInput(place, f"cannot be read: {' '.join(str(error).split())}") from None
+
+
+def table_names(path: Path) -> tuple[str, ...]:
+    """Names of the columns of a Parquet file; BadInput if it cannot be read."""
+    try:
+        return tuple(map(str, _parquet.read_schema(str(path)).names))
+    except (OSError, ValueError, _arrow.ArrowException) as error:
+        raise BadInput(str(path), f"cannot be read: {' '.join(str(error).split())}") from None
 
 
 def columns_of(recording: Recording) -> dict[str, Array]:
@@ -171,9 +165,7 @@ def _shown(names: list[str]) -> str:
     return ", ".join(name[:60] for name in names[:_MOST_SHOWN]) + more if names else "none"
 
 
-def _read_csv(
-    path: Path, required: Collection[str], wanted: Sequence[str], form: CsvForm, place: str
-) -> dict[str, Array]:
+def _read_csv(path: Path, required: Collection[str], wanted: Sequence[str], place: str) -> dict[str, Array]:
     """The wanted columns. Lines are counted before anything is parsed.
 
     The file is read block by block into the columns, so that no more than a block is in memory twice.
@@ -181,16 +173,13 @@ def _read_csv(
     size = path.stat().st_size
     if size > LARGEST_CSV:
         raise BadInput(place, f"is {size} bytes large, limit {LARGEST_CSV} bytes")
-    how = {
-        "read_options": _csv.ReadOptions(skip_rows=form.skip_rows, use_threads=False),  # errors then name the row
-        "parse_options": _csv.ParseOptions(delimiter=form.delimiter),
-    }
+    how = {"read_options": _csv.ReadOptions(use_threads=False)}  # errors then name the row
     with _csv.open_csv(_arrow.py_buffer(_first_lines(path)), **how) as file:  # a path is read ahead
         names = cast(list[str], file.schema.names)
     present = _present(names, required, wanted, place)
     lines = _lines(path)
     _check_numbers(lines, len(present), place)
-    options = _csv.ConvertOptions(decimal_point=form.decimal_point, include_columns=present)
+    options = _csv.ConvertOptions(include_columns=present)
     with _csv.open_csv(str(path), convert_options=options, **how) as file:
         for name in present:
             _check_type(file.schema.field(name).type, name, place)

@@ -73,8 +73,9 @@ def read_from(source: Path, folder: Path) -> Bundle:
     if source.is_dir():
         return read_bundle(source)
     _unpack(source, folder)
+    inner = [folder, *(path.parent for path in folder.glob("*/bundle.json"))]  # of a folder that was zipped as a whole
     try:
-        return read_bundle(folder)
+        return read_bundle(inner[1] if len(inner) == 2 and not (folder / "bundle.json").exists() else folder)
     except BadInput as error:  # the sender knows the bundle, not this folder
         raise BadInput(_own_place(error.place, folder), _own_place(error.reason, folder)) from None
 
@@ -87,6 +88,7 @@ def _unpack(archive: Path, folder: Path) -> None:
             if len(members) > _MOST_MEMBERS:
                 raise BadInput("bundle", f"has {len(members)} files, limit {_MOST_MEMBERS}")
             for member in members:
+                member.filename = member.filename.replace("\\", "/")  # of a program of Windows
                 if member.compress_type not in _METHODS:
                     raise BadInput(
                         f"bundle {member.filename[:60]!r}",
@@ -96,7 +98,7 @@ def _unpack(archive: Path, folder: Path) -> None:
             size = sum(member.file_size for member in members)
             if size > _MAX_UNPACKED:
                 raise BadInput("bundle", f"unpacks to {size} bytes, limit {_MAX_UNPACKED} bytes")
-            content.extractall(folder)
+            content.extractall(folder, members)
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
         raise BadInput("bundle", f"cannot be unpacked: {error}") from None
     except OSError as error:

@@ -12,7 +12,17 @@ import numpy as np
 
 from service.errors import BadInput
 from service.store.files.columns import MOST_NUMBERS
-from service.traces.containers.request import Channel, Taken, check_numbers, in_rows, shown
+from service.traces.containers.request import (
+    Channel,
+    Listed,
+    Taken,
+    check_numbers,
+    columns_in,
+    one_column,
+    shown,
+    split_source,
+    taken_of,
+)
 
 _h5: Any = h5py  # has no types; each value is checked when it is read
 LIBRARY_ERRORS: tuple[type[Exception], ...] = ()
@@ -23,25 +33,43 @@ def read(path: Path, sweeps: Sequence[Sequence[Channel]]) -> Iterator[Taken]:
     """The datasets, one sweep after the other; HDF5 has no clock."""
     with _h5.File(str(path), "r") as file:
         for channels in sweeps:
-            datasets = [_dataset(file, channel, str(path)) for channel in channels]
-            names = [_name(channel) for channel in channels]
-            lengths = {name: int(dataset.size) for name, dataset in zip(names, datasets, strict=True)}
-            if len(set(lengths.values())) > 1:
-                sizes = ", ".join(f"{name} has {length}" for name, length in lengths.items())
-                raise BadInput(str(path), f"datasets of one sweep differ in length, nothing is resampled: {sizes}")
-            length = next(iter(lengths.values()), 0)
-            check_numbers(length, len(datasets), MOST_NUMBERS, str(path))
-            columns = (np.asarray(dataset[()], np.float64).ravel() for dataset in datasets)
-            yield Taken(in_rows(columns, len(datasets), length), tuple(_unit(dataset) for dataset in datasets), None)
+            named = [Channel(source=_name(channel), group=None) for channel in channels]
+            datasets = [_dataset(file, split_source(channel.source)[0], str(path)) for channel in named]
+            check_numbers(sum(int(each.size) for each in datasets), 1, MOST_NUMBERS, str(path))
+            columns = [
+                one_column(np.asarray(dataset[()]), channel.source, f"{path} dataset {channel.source}")
+                for channel, dataset in zip(named, datasets, strict=True)
+            ]
+            yield taken_of(named, columns, tuple(_unit(dataset) for dataset in datasets), f"{path} dataset")
+
+
+def listed(path: Path) -> tuple[Listed, ...]:
+    """The columns of numbers, reached only by links inside the file."""
+    with _h5.File(str(path), "r") as file:
+        return tuple(_below(file, ""))
+
+
+def _below(group: Any, path: str) -> Iterator[Listed]:
+    for name in map(str, group):
+        link, place = group.get(name, getlink=True), f"{path}{name}"
+        if not isinstance(link, _h5.HardLink) or name.startswith("#"):  # MATLAB keeps its references in #refs#
+            continue
+        here = group[name]
+        if isinstance(here, _h5.Group):
+            yield from _below(here, f"{place}/")
+        elif not (here.is_virtual or here.external) and here.shape:
+            shape = np.lib.stride_tricks.as_strided(np.zeros(1, here.dtype), here.shape, (0,) * len(here.shape))
+            yield from (Listed(name=each, unit=_unit(here)) for each in columns_in(place, shape))
 
 
 def _name(channel: Channel) -> str:
     return channel.source if channel.group is None else f"{channel.group}/{channel.source}"
 
 
-def _dataset(file: Any, channel: Channel, path: str) -> Any:
-    """The dataset, reached only by links inside the file, if it is a numeric column."""
-    name = _name(channel)
+def _dataset(file: Any, name: str, path: str) -> Any:
+    """The dataset of numbers, by links inside the file; fields of a MATLAB struct also as ``log.q``."""
+    if name not in file and name.replace(".", "/") in file:
+        name = name.replace(".", "/")
     place, here = f"{path} dataset {name}", file
     for part in (part for part in name.split("/") if part):
         link = here.get(part, getlink=True) if isinstance(here, _h5.Group) else None
@@ -58,7 +86,7 @@ def _dataset(file: Any, channel: Channel, path: str) -> Any:
         raise BadInput(place, "is a group, not a dataset")
     if here.is_virtual or here.external:
         raise BadInput(place, "has its values in other files, which are not read: export it into one file")
-    if here.dtype.kind not in "iuf" or here.shape is None or here.size != max(here.shape, default=0):
+    if here.dtype.kind not in "iuf" or here.shape is None or len(here.shape) > 2:
         raise BadInput(place, f"is not a column of numbers: {here.dtype} {here.shape}")
     return here
 

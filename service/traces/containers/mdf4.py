@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from service.errors import BadInput
 from service.store.files.columns import MOST_NUMBERS
-from service.traces.containers.request import Array, Channel, Taken, check_numbers, shown
+from service.traces.containers.request import Array, Channel, Listed, Taken, check_numbers, shown
 from service.traces.units import to_si
 
 try:
@@ -50,6 +50,19 @@ def read(path: Path, sweeps: Sequence[Sequence[Channel]]) -> Iterator[Taken]:
     with path.open("rb") as stream, closing(_File(stream, **_OPENED)) as file:
         for channels in sweeps:
             yield _sweep(file, channels, str(path))
+
+
+def listed(path: Path) -> tuple[Listed, ...]:
+    """The channels but for the clocks."""
+    _check_head(path)
+    with path.open("rb") as stream, closing(_File(stream, **_OPENED)) as file:
+        groups = cast("list[Any]", cast(Any, file).groups)
+        return tuple(
+            Listed(name=str(channel.name), unit=_unit(file, (k, number)), group=k)
+            for k, group in enumerate(groups)
+            for number, channel in enumerate(group.channels)
+            if channel.channel_type not in _MASTERS
+        )
 
 
 def _check_head(path: Path) -> None:
@@ -170,5 +183,11 @@ def _conversion(conversion: Any, place: str) -> tuple[float, float]:
     kind = int(conversion.conversion_type)
     if kind == v4_constants.CONVERSION_TYPE_LIN:
         return float(conversion.a), float(conversion.b)
+    if (
+        kind == v4_constants.CONVERSION_TYPE_RAT
+        and not (conversion.P1 or conversion.P4 or conversion.P5)
+        and conversion.P6
+    ):
+        return float(conversion.P2 / conversion.P6), float(conversion.P3 / conversion.P6)
     named = v4_constants.CONVERSION_TYPE_TO_STRING.get(kind, str(kind))
-    raise BadInput(place, f"has the conversion {named}; only none and linear can be read")
+    raise BadInput(place, f"has the conversion {named}; only none and linear (also as rational) can be read")

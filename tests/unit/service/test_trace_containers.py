@@ -22,7 +22,7 @@ from service.traces.trace_import import import_trace
 from tests.command import sweepid
 from tests.forked import forked
 from tests.recorded_bundle import bundle
-from tests.unit.service.test_trace_import import mapping
+from tests.unit.service.test_trace_import import mapping, trace, write_csv
 
 pytestmark = pytest.mark.slow
 
@@ -107,7 +107,7 @@ def entries(source: str) -> list[dict[str, object]]:
 @pytest.mark.parametrize(
     ("unit", "column", "reason"),
     [
-        ("rpm", {"source": "velocity"}, "unit 'rpm' of the file is not a unit of velocity (rad/s, rad/min, mrad"),
+        ("rpm", {"source": "velocity"}, "unit 'rpm' of the file is not a unit of velocity that follows position"),
         ("mm/s", {"source": "velocity"}, "unit 'mm/s' of the file is not a unit of velocity"),
         ("rad/s", {"source": "velocity", "unit": "motor rev/min"}, "says 'motor rev/min', the file says 'rad/s'"),
     ],
@@ -225,7 +225,7 @@ def test_a_torn_file_is_one_refusal(tmp_path: Path, suffix: str) -> None:
 def test_a_file_of_a_name_alone(tmp_path: Path) -> None:
     for suffix, told in (
         (".mf4", "is not a finalised MDF file: it begins with b'UnFinMF '"),
-        (".h5", "cannot be read by"),
+        (".h5", "is not a finalised MDF file"),  # the content tells the format
     ):
         (tmp_path / f"a{suffix}").write_bytes(b"UnFinMF 4.10    ".ljust(100))
         assert told in refusal(tmp_path / f"a{suffix}", "effort")
@@ -260,8 +260,11 @@ def test_without_its_library_the_extra_is_named(
 
 
 def test_other_traces_have_no_groups(tmp_path: Path) -> None:
+    write_csv(tmp_path / "a.csv", trace())
     file = mapping(tmp_path, "a.csv", columns=NAMED, sweeps=[entry | {"group": "x"} for entry in entries("a.csv")])
-    with pytest.raises(BadInput, match=r"a.csv: has no groups, but the mapping names 'x': only MDF4 and HDF5 have"):
+    with pytest.raises(
+        BadInput, match=r"a.csv: has no groups, but the mapping names 'x': only MDF4, HDF5, ROS bags and"
+    ):
         import_trace(file)
 
 

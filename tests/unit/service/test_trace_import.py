@@ -121,14 +121,14 @@ def test_a_trace_with_a_gap_is_not_written(tmp_path: Path) -> None:
     [
         ("none.csv", {}, "none.csv: file does not exist"),
         ("none.mat", {}, "none.mat: file does not exist"),
-        ("mapping.yaml", {}, "a file of samples must be .parquet or .csv"),
+        ("mapping.yaml", {}, "mapping.yaml: has no table of numbers; it begins with 'columns:'"),
         ("torn.mat", {}, "torn.mat: cannot be read"),
         ("text.mat", {}, "variable 'TORQUE': is not a column of numbers"),
         ("trace.mat", {"robots": "x"}, "robots: unknown key; did you mean robot?"),
         ("trace.mat", {"robot": "robot.yaml"}, "robot.yaml: cannot be read"),
         ("trace.mat", {"robot": {"name": "table"}}, "robot.axis.joint: Field required"),
         ("trace.mat", {"sweeps": []}, "sweeps: Tuple should have at least 1 item"),
-        ("trace.mat", {"columns": {"effort": {"source": "TORQUE"}}}, "columns.velocity: Field required"),
+        ("trace.mat", {"columns": {"effort": {"source": "M"}}}, "has no variable 'M'; there are CYCLE, TORQUE, SPEED"),
         (
             "trace.mat",
             {"columns": POSITION | {"velocity": {"from_position": 0}}},

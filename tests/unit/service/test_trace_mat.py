@@ -43,7 +43,10 @@ def changed(offset: int, value: int) -> bytes:
         (written()[:121], "cannot be read by SciPy: index out of range"),
         (b"PK\x03\x04", "cannot be read by SciPy: Mat file appears to be truncated"),
         (b"", "cannot be read by SciPy: Mat file appears to be truncated"),
-        (b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM", "cannot be read by SciPy: Please use HDF reader"),
+        (
+            b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM",
+            "cannot be read by h5py: Unable to synchronously open file",
+        ),
     ],
 )
 def test_a_file_made_to_break_its_reader_is_one_error(content: bytes, reason: str, tmp_path: Path) -> None:
@@ -71,5 +74,5 @@ MOST = 50_000_000
 def test_groups_are_refused(tmp_path: Path) -> None:
     (tmp_path / "trace.mat").write_bytes(written())
     grouped = {"columns": {name: {"source": "TORQUE", "group": 1} for name in ("effort", "velocity", "position")}}
-    with pytest.raises(BadInput, match="has no groups, but the mapping names 1: only MDF4 and HDF5 have"):
+    with pytest.raises(BadInput, match="has no groups, but the mapping names 1: only MDF4, HDF5, ROS bags and"):
         import_trace(mapping(tmp_path, "trace.mat", **grouped))

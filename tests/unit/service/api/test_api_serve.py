@@ -110,6 +110,8 @@ async def told(http: httpx.AsyncClient, word: str, *, there: bool = True) -> str
 
 async def test_a_worker_that_ended_is_told_until_it_is_replaced(tmp_path: Path, profile: Path) -> None:
     async with opened(tmp_path, profile) as (application, http):
+        assert (await http.head("/health/live")).status_code == 200  # monitors ask so
+        assert (await http.head("/health/ready")).status_code == 503
         os.kill((await application.worker.processes())[0], signal.SIGKILL)
         await told(http, "worker process ended")
         await told(http, "worker process", there=False)

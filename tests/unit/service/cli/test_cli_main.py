@@ -14,10 +14,13 @@ from service.cli import build
 from service.cli.progress_indicator import waiting
 from service.errors import BadInput
 from service.geometry.cell import read_cell
+from service.store.files.bundle import write_bundle
 from tests.command import SWEEPID, carried_out, console, refused, sweepid
 from tests.ports import free_port
 from tests.programs import needs
+from tests.recorded_bundle import bundle as recorded
 from tests.unit.service.cli.test_identify import bundle
+from tests.unit.service.test_trace_import import mapping, trace, write_csv
 
 pytestmark = pytest.mark.slow
 
@@ -231,3 +234,37 @@ def test_a_terminal_shows_what_is_waited_for(bundle: Path, command: str, line: s
 def test_one_in_another_shows_one_line() -> None:
     with waiting("all of it"), waiting("a part"):
         pass
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("robot", "check", "config/robots/emps.urdf"),
+        ("commission", "draft", "--eds", "config/eds/plain-402.eds"),
+        ("export", "recording", "{bundle}"),
+        ("import", "trace", "{mapping}"),
+    ],
+    ids=" ".join,
+)
+@pytest.mark.parametrize("out", ["{file}/b", "{folder}/" + 300 * "n", "/proc/none"])
+def test_a_folder_that_cannot_be_made_is_one_line(
+    arguments: tuple[str, ...], out: str, tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(root)
+    (tmp_path / "file").touch()
+    write_bundle(tmp_path / "bundle", recorded().robot, bundle().sweeps)
+    write_csv(tmp_path / "trace.csv", trace())
+    places = {"file": tmp_path / "file", "folder": tmp_path, "bundle": tmp_path / "bundle"}
+    given = [one.format(**places, mapping=mapping(tmp_path, "trace.csv")) for one in (*arguments, "--out", out)]
+    told = sweepid(*given[: -2 if "export" in given else None], *(given[-1:] if "export" in given else ()))
+    assert told.returncode == 2, told.stderr
+    assert "cannot be written: " in told.stderr.splitlines()[-1]
+    assert not (tmp_path / "b").exists()
+
+
+def test_a_letter_that_the_terminal_lacks_is_told_as_its_number(tmp_path: Path, root: Path) -> None:
+    text = (root / "config/robots/emps.urdf").read_text("utf-8").replace('"slide"', '"\u5173\u8282"')
+    (tmp_path / "arm.urdf").write_text(text, encoding="utf-8")
+    told = console("robot", "check", str(tmp_path / "arm.urdf"), PYTHONIOENCODING="iso8859-1")
+    assert (told.returncode, told.stderr) == (0, "")
+    assert r"\u5173\u8282" in told.stdout

@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 
 from service.errors import BadInput
+from service.store.files.bundle import write_bundle
 from service.store.files.intake import read_from
+from tests.recorded_bundle import bundle
 
 
 def archive(*names: str, kind: int = zipfile.ZIP_STORED) -> bytearray:
@@ -47,3 +49,13 @@ def test_an_archive_that_wants_too_much_is_refused(tmp_path: Path, content: byte
     with pytest.raises(BadInput, match=told):
         read_from(tmp_path / "bundle.zip", tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["bundle.json", "b/bundle.json", "b\\bundle.json"])
+def test_a_bundle_is_found_in_the_folder_that_was_zipped(tmp_path: Path, name: str) -> None:
+    write_bundle(tmp_path / "given", bundle().robot, bundle().sweeps)
+    with zipfile.ZipFile(tmp_path / "bundle.zip", "w") as made:
+        for path in (tmp_path / "given").rglob("*.*"):
+            inside = name.replace("bundle.json", str(path.relative_to(tmp_path / "given")))
+            made.writestr(inside.replace("/", "\\") if "\\" in name else inside, path.read_bytes())
+    assert read_from(tmp_path / "bundle.zip", tmp_path / "out").robot.joints == bundle().robot.joints

@@ -1,0 +1,581 @@
+"""Traces as controls, drives and robots write them, each made from one stated motion: what comes out is that motion."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, cast
+
+import asammdf
+import h5py
+import numpy as np
+import pytest
+import yaml
+from asammdf.blocks.v4_blocks import ChannelConversion
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from scipy.io import savemat
+
+from service.errors import BadInput
+from service.recording import Recording
+from service.store.files.columns import write_columns
+from service.traces.drafts import mapping_of, mapping_text
+from service.traces.trace_import import Imported, import_trace, read_traces
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+_h5 = cast(Any, h5py)  # without types
+
+pytestmark = pytest.mark.slow
+
+RATE, ROWS, GEAR = 250.0, 500, 50.0
+TIME = np.arange(ROWS) / RATE
+_LINES = ((1.0, 0.4, 0.0), (2.0, 0.1, 1.0), (3.0, 0.05, 2.0))
+SPEED = np.asarray(0.3 + sum(size * np.sin(math.tau * hertz * TIME + phase) for hertz, size, phase in _LINES))
+WAY = 0.3 * TIME - np.asarray(
+    sum(size / (math.tau * hertz) * np.cos(math.tau * hertz * TIME + phase) for hertz, size, phase in _LINES)
+)
+_PULL = sum(math.tau * hertz * size * np.cos(math.tau * hertz * TIME + phase) for hertz, size, phase in _LINES)
+TORQUE = np.asarray(4.0 * _PULL + 6.0 * SPEED + 2.5 * np.sign(SPEED))
+RPM = 60 / math.tau
+
+
+def imported(path: Path, **given: Any) -> Imported:
+    return read_traces(mapping_of(path, **given), path)
+
+
+def shows(made: Imported, rows: slice = slice(None), tolerance: float = 2e-5) -> Recording:
+    """The stated motion, and an inertia of 4 kg m^2 (kg)."""
+    recording = made.sweeps[0].recording
+    for name, truth in (("effort", TORQUE), ("velocity", SPEED), ("position", WAY)):
+        np.testing.assert_allclose(getattr(recording, name), truth[rows], atol=tolerance * np.ptp(truth), err_msg=name)
+    assert made.sweeps[0].spec.sample_rate == pytest.approx(RATE, rel=1e-3)
+    return recording
+
+
+def text(
+    columns: Mapping[str, Sequence[Any] | Array], delimiter: str = ",", point: str = ".", head: str | None = None
+) -> str:
+    rows = zip(*columns.values(), strict=True)
+    cells = [
+        delimiter.join(one if isinstance(one, str) else f"{one:.9f}".replace(".", point) for one in row) for row in rows
+    ]
+    return "\n".join([delimiter.join(columns) if head is None else head, *cells, ""])
+
+
+def written(folder: Path, content: str, name: str = "trace.csv", encoding: str = "utf-8") -> Path:
+    (folder / name).write_bytes(content.encode(encoding))
+    return folder / name
+
+
+PLAIN: dict[str, Array] = {"time [s]": TIME, "M [Nm]": TORQUE, "n [rad/s]": SPEED, "phi [rad]": WAY}
+
+
+@given(
+    form=st.sampled_from(
+        [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("|", ","), ("  ", "."), ("\t ", ",")]
+    ),
+    encoding=st.sampled_from(["utf-8", "utf-8-sig", "cp1252", "utf-16", "utf-16-le", "utf-16-be", "utf-32"]),
+    end=st.sampled_from(["\n", "\r\n", "\r"]),
+    order=st.permutations(list(PLAIN)),
+    around=st.sampled_from(["", " "]),
+    name=st.sampled_from(["trace.csv", "TRACE.CSV", "trace.txt", "trace.dat", "trace.log", "trace"]),
+    more=st.sampled_from([{}, {"Temperatur Gehäuse [°C]": np.full(ROWS, 21.0)}]),
+)
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_text_of_the_same_table(
+    form: tuple[str, str],
+    encoding: str,
+    end: str,
+    order: list[str],
+    around: str,
+    name: str,
+    more: dict[str, Array],
+    tmp_path: Path,
+) -> None:
+    delimiter, point = form
+    columns = {one: (PLAIN | more)[one] for one in (*order, *more)}
+    joint = around + delimiter if delimiter.strip() else delimiter
+    if delimiter.isspace() and delimiter != "\t":  # blanks separate: no blanks in names
+        columns = {one.replace(" ", ""): column for one, column in columns.items()}
+    content = text(columns, joint, point).replace("\n", end)
+    shows(imported(written(tmp_path, content, name, encoding)))
+
+
+HEADINGS: dict[str, tuple[str, str, str]] = {
+    "names and units in rows": (";", ",", "Zeit;Drehmoment;Drehzahl;Winkel\ns;Nm;rad/s;rad"),
+    "units in brackets, in a row": (";", ".", "t;Torque;Speed;Position\n[s];[Nm];[rad/s];[rad]"),
+    "a block of keys before": (
+        ",",
+        ".",
+        "Projekt,Test 7\nBediener,Müller\nDatum,15.01.2026\n\ntime,M,n,phi\ns,N m,rad/s,rad",
+    ),
+    "a row of types between": (";", ".", "time;M;n;phi\nLREAL;LREAL;LREAL;LREAL\ns;Nm;rad/s;rad"),
+    "the separator of Excel": (";", ",", "sep=;\nt [s];M [Nm];n [rad/s];phi [rad]"),
+    "quoted": (",", ".", '"t [s]","M [Nm]","n [rad/s]","phi [rad]"'),
+    "a comment": (" ", ".", "# t_s M_Nm qd_rad_s q_rad"),
+    "a comment without blank": (",", ".", "%t (s),M (Nm),n (rad/s),phi (rad)"),
+    "variables of a PLC": (
+        ";",
+        ".",
+        '"Timestamp [s]";"PLC.Axis1.ActTorque [Nm]";"PLC.Axis1.ActVelocity [rad/s]";"PLC.Axis1.ActPosition [rad]"',
+    ),
+}
+
+
+@pytest.mark.parametrize(("delimiter", "point", "head"), HEADINGS.values(), ids=HEADINGS.keys())
+def test_headings(delimiter: str, point: str, head: str, tmp_path: Path) -> None:
+    shows(imported(written(tmp_path, text(PLAIN, delimiter, point, head))))
+
+
+def scope(step: Array, point: str, rows: Sequence[str], keys: Mapping[str, Sequence[str]]) -> str:
+    """TwinCAT's Scope: pairs of time and value."""
+    head = [
+        *rows,
+        "",
+        *("\t".join(cell for value in values for cell in (key, value)) for key, values in keys.items()),
+        "",
+    ]
+    pairs: dict[str, Array] = {}
+    for k, column in enumerate((TORQUE, SPEED, WAY)):
+        pairs |= {f"t{k}": step, f"v{k}": column}
+    return "\n".join(head) + "\n" + text(pairs, "\t", point).split("\n", 1)[1] + "EOF"
+
+
+SCOPE = [
+    "Name\tYT Scope Project",
+    "File\tC:\\x.svdx",
+    "Starttime of export\t132959733843760000\tMontag, 2. Mai 2022\t15:56:24.376",
+]
+KEYS = {"Name": ["M", "n", "phi"], "SymbolComment": [""] * 3, "Data-Type": ["REAL64"] * 3, "SampleTime[ms]": ["4"] * 3,
+        "IndexGroup": ["16448"] * 3, "Unit": ["Nm", "rad/s", "rad"]}  # fmt: skip
+
+
+@pytest.mark.parametrize("step", [TIME * 1000, np.arange(ROWS) * 1.0], ids=["ms", "samples"])
+@pytest.mark.parametrize("point", [",", "."])
+def test_twincat_scope(step: Array, point: str, tmp_path: Path) -> None:
+    shows(imported(written(tmp_path, scope(step, point, SCOPE, KEYS))))
+
+
+def test_twincat_scope_with_names_alone(tmp_path: Path) -> None:
+    columns = {"t": TIME * 1000, "M": TORQUE, "n": SPEED, "phi": WAY}
+    shows(imported(written(tmp_path, text(columns, head="Name,proj\nFile,x.svdx\n\nName,M,n,phi"))))
+
+
+STAMPS: dict[str, Callable[[datetime], str]] = {
+    "German": lambda at: f"{at:%d.%m.%Y %H:%M:%S},{at.microsecond // 1000:03}",
+    "ISO": lambda at: at.isoformat(timespec="milliseconds"),
+    "American": lambda at: f"{at:%m/%d/%Y %I:%M:%S}.{at.microsecond // 1000:03} {at:%p}",
+    "time of day": lambda at: f"{at:%H:%M:%S.%f}",
+}
+
+
+@pytest.mark.parametrize("stamp", STAMPS.values(), ids=STAMPS.keys())
+@pytest.mark.parametrize(
+    "start",
+    [datetime(2026, 1, 15, 8, tzinfo=UTC), datetime(2026, 1, 15, 23, 59, 59, tzinfo=UTC)],
+    ids=["day", "midnight"],
+)
+def test_stamps_of_a_wall_clock(stamp: Callable[[datetime], str], start: datetime, tmp_path: Path) -> None:
+    stamps = [stamp(start + timedelta(seconds=float(at))) for at in TIME]
+    shows(imported(written(tmp_path, text({"Zeitstempel": stamps, **dict(list(PLAIN.items())[1:])}, ";"))))
+
+
+def test_summer_time_ends_within_a_record(tmp_path: Path) -> None:
+    start = datetime(2026, 10, 25, 2, 59, 59, tzinfo=UTC)
+    stamps = [start + timedelta(seconds=float(at) - (3600 if at >= 1 else 0)) for at in TIME]
+    named = [f"{at:%d.%m.%Y %H:%M:%S.%f}" for at in stamps]
+    shows(imported(written(tmp_path, text({"time": named, **dict(list(PLAIN.items())[1:])}, ";"))))
+
+
+CLOCKS: dict[str, tuple[dict[str, Any], float]] = {
+    "ms without unit": ({"time": TIME * 1000}, 2e-5),
+    "us of an epoch": ({"timestamp": 1.7e15 + np.round(TIME * 1e6)}, 2e-5),
+    "ns [ns]": ({"stamp [ns]": TIME * 1e9}, 2e-5),
+    "rounded to 10 ms": ({"time [s]": np.round(TIME, 2)}, 2e-5),
+    "none": ({}, 2e-5),
+}
+
+
+@pytest.mark.parametrize(("clock", "tolerance"), CLOCKS.values(), ids=CLOCKS.keys())
+def test_clocks(clock: dict[str, Any], tolerance: float, tmp_path: Path) -> None:
+    columns = {**clock, **dict(list(PLAIN.items())[1:])}
+    shows(imported(written(tmp_path, text(columns)), sample_rate=None if clock else RATE), tolerance=tolerance)
+
+
+def test_an_interval_in_the_heading_is_the_clock(tmp_path: Path) -> None:
+    columns = dict(list(PLAIN.items())[1:])
+    for told in ("Abtastrate;250 Hz", "SampleTime[ms];4", "sample period: 0.004 s", "# sampling period = 4000000 nSec"):
+        shows(imported(written(tmp_path, f"{told}\n\n" + text(columns, ";"))))
+
+
+def test_an_uneven_rate_is_interpolated_and_told_and_a_gap_is_refused(tmp_path: Path) -> None:
+    uneven = TIME + 0.0016 * np.sin(12 * TIME)
+    columns = {
+        "time [s]": uneven,
+        **{name: np.interp(uneven, TIME, column) for name, column in list(PLAIN.items())[1:]},
+    }
+    made = imported(written(tmp_path, text(columns)))
+    assert any("interpolated to" in note for note in made.notes)
+    recording = made.sweeps[0].recording
+    np.testing.assert_allclose(recording.position, np.interp(recording.time, TIME, WAY), atol=2e-3)
+    kept = np.delete(np.arange(ROWS), range(200, 203))
+    made = imported(written(tmp_path, text({name: column[kept] for name, column in PLAIN.items()})))
+    assert float(np.diff(made.sweeps[0].recording.time).max()) == pytest.approx(0.016)  # for a bundle to refuse
+
+
+def test_a_channel_of_a_slower_rate_is_interpolated(tmp_path: Path) -> None:
+    slow = [f"{one:.9f}" if k % 2 == 0 else "" for k, one in enumerate(WAY)]
+    made = imported(written(tmp_path, text({**PLAIN, "phi [rad]": slow})))
+    np.testing.assert_allclose(made.sweeps[0].recording.position[:-1], WAY[:-1], atol=1e-4)
+
+
+MOTOR = {"M": TORQUE / GEAR, "n": SPEED * GEAR}
+IN_DEG, IN_RAD, IN_RPM = {"phi [deg]": np.degrees(WAY)}, {"phi [rad]": WAY}, MOTOR["n"] * RPM
+BY_MOTOR = {"M [Nm]": MOTOR["M"], "n [rpm]": IN_RPM}
+UNITS: dict[str, tuple[dict[str, Array], dict[str, Any]]] = {
+    "deg": ({"M [Nm]": TORQUE, "n [deg/s]": np.degrees(SPEED), **IN_DEG}, {}),
+    "°, U/min": ({"M [Nm]": TORQUE, "n [U/min]": SPEED * RPM, "phi [°]": np.degrees(WAY)}, {}),
+    "motor rpm": ({"M [Nm]": MOTOR["M"], "n [min-1]": IN_RPM, "phi [Grad]": np.degrees(WAY)}, {"gear_ratio": GEAR}),
+    "gear found": ({**BY_MOTOR, "phi [mrad]": WAY * 1e3}, {}),
+    "motor against axis": ({"M [Nm]": -MOTOR["M"], "n [rpm]": -IN_RPM, **IN_RAD}, {"gear_ratio": GEAR}),
+    "motor turns": ({**BY_MOTOR, "phi [rev]": WAY * GEAR / math.tau}, {"gear_ratio": GEAR}),
+    "speed without unit": ({"M [Nm]": TORQUE, "n": np.degrees(SPEED), **IN_DEG}, {}),
+    "percent": ({"M [%]": TORQUE / 0.6, "n [rad/s]": SPEED, **IN_RAD}, {"rated_effort": 60.0}),
+    "per mille": ({"M [‰]": TORQUE / 0.06, "n [rad/s]": SPEED, **IN_RAD}, {"rated_effort": 60.0}),
+    "A": ({"i_q [A]": MOTOR["M"] / 0.9, "n [rpm]": IN_RPM, **IN_DEG}, {"torque_constant": 0.9}),
+    "mA": ({"current [mA]": TORQUE / 9e-3, "n [rad/s]": SPEED, **IN_RAD}, {"torque_constant": 9.0}),
+    "mNm": ({"tau [mNm]": TORQUE * 1e3, "qd [rad/s]": SPEED, "q [rad]": WAY}, {}),
+    "mm": ({"F [kN]": TORQUE / 1e3, "v [mm/min]": SPEED * 6e4, "s [mm]": WAY * 1e3}, {}),
+    "m/min": ({"Kraft [N]": TORQUE, "Geschwindigkeit [m/min]": SPEED * 60, "Weg [m]": WAY}, {}),
+}
+
+
+@pytest.mark.parametrize(("columns", "known"), UNITS.values(), ids=UNITS.keys())
+def test_units_and_sides(columns: dict[str, Array], known: dict[str, Any], tmp_path: Path) -> None:
+    path = written(tmp_path, text({"t [s]": TIME, **columns}))
+    made = imported(path, **known)
+    shows(made, tolerance=1e-3)
+    assert made.robot.axes[0].gear_ratio in (1.0, pytest.approx(GEAR, rel=1e-3), pytest.approx(-GEAR, rel=1e-3))
+    (tmp_path / "mapping.yaml").write_text(mapping_text(made), encoding="utf-8")  # what is found can be written out
+    _, (again,) = import_trace(tmp_path / "mapping.yaml")
+    np.testing.assert_allclose(again.recording.effort, made.sweeps[0].recording.effort)
+    np.testing.assert_allclose(again.recording.time, made.sweeps[0].recording.time, atol=1e-9)
+
+
+def test_a_robot_of_several_axes_needs_the_number_of_one(tmp_path: Path) -> None:
+    columns = {"timestamp": TIME + 1e5}
+    for k in range(6):
+        moves = k == 2
+        columns |= {f"actual_q_{k}": WAY if moves else WAY * 0 + k, f"actual_qd_{k}": SPEED * moves}
+        columns |= {f"actual_current_{k}": TORQUE / 9 * moves, f"target_moment_{k}": TORQUE * 2}
+    path = written(tmp_path, text(columns, " "))
+    shows(imported(path, axis="2", torque_constant=9.0))
+    with pytest.raises(BadInput, match=r"has channels of axes 0, 1, 2, 3, 4, 5: choose one by --axis"):
+        imported(path)
+    with pytest.raises(BadInput, match=r"has no channel of axis '7'; there are those of 0, 1"):
+        imported(path, axis="7")
+    with pytest.raises(BadInput, match=r"'actual_current_2' is in A: give the motor's torque constant"):
+        imported(path, axis="2")
+
+
+REFUSED: dict[str, tuple[str, str]] = {
+    "letter": (text(PLAIN).replace(f"\n{TIME[300]:.9f},", "\nx,"), r"line 302, column 'time': 'x' is not a number"),
+    "cells": (text(PLAIN).replace(f"\n{TIME[300]:.9f},", "\n"), r"line 302: has 3 cells, the lines before have 4"),
+    "no torque": (
+        text({"#time": TIME, "accel_x": SPEED, "accel_y": SPEED}),
+        r"no channel that is known as effort or position",
+    ),
+    "no table": ("<html>no\n", r"has no table of numbers; it begins with '<html>no'"),
+    "no time": (text(dict(list(PLAIN.items())[1:])), r"has no time: give `sample_rate`"),
+    "zip": ("PK\x03\x04", r"is a zip file, as Excel writes it: export it as CSV"),
+    "unit": (
+        text({**dict(list(PLAIN.items())[:3]), "phi [furlong]": WAY}),
+        r"unit 'furlong' of the file is not a unit of position",
+    ),
+}
+
+
+@pytest.mark.parametrize(("content", "told"), REFUSED.values(), ids=REFUSED.keys())
+def test_refusals_name_place_value_and_next_step(content: str, told: str, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=told):
+        imported(written(tmp_path, content))
+
+
+def line_trace(
+    axes: Mapping[str, Mapping[str, tuple[str, str, Array, float]]],
+    *,
+    family: str = "_V20",
+    sessions: int = 1,
+    skip: bool = True,
+) -> str:
+    """By axis and name: units of set-up and data, values, interval. A value is written when it changes."""
+    signals = [
+        (f"f{k}", f"/Nck/!SD/{name} [u1, {axis}]", *one)
+        for k, (axis, name, one) in enumerate(
+            ((axis, *pair) for axis, held in axes.items() for pair in held.items()), start=1
+        )
+    ]
+    head = "".join(f'<signal key="s{key}" unitsType="{setup}" name="{name}"/>' for key, name, setup, _, _, _ in signals)
+    frame = "".join(
+        f'<dataSignal key="s{key}" unitsType="{units}" name="{name}" interval="{step:.6f}" id="{key}"/>'
+        for key, name, _, units, _, step in signals
+    )
+    records: list[str] = []
+    last: dict[str, str] = {}
+    for row, at in enumerate(TIME):
+        now = {key: f"{values[row]:.9f}" for key, _, _, _, values, step in signals if row % round(step * RATE) == 0}
+        changed = {key: value for key, value in now.items() if last.get(key) != value}
+        last |= now
+        if changed or not skip or row == ROWS - 1:
+            records.append(
+                f'<rec time="{at:.6f}" ' + " ".join(f'{key}="{value}"' for key, value in changed.items()) + "/>"
+            )
+    data = (
+        f'<dataFrame><frameHeader dropOuts="0" startTime="2026-01-15T08:00:00Z"/>{frame}{"".join(records)}</dataFrame>'
+    )
+    return (
+        '<?xml version="1.0" encoding="utf-8" ?><traceSession version="01.00"><traceCaptureSetup'
+        f"{family}><signalSettings>{head}</signalSettings></traceCaptureSetup{family}>"
+        f'<traceData dataFrames="{sessions}">'
+        f"{data * sessions}</traceData></traceSession>"
+    )
+
+
+def rotary(torque: str = "611DTime1") -> dict[str, tuple[str, str, Array, float]]:
+    step = 1 / RATE
+    return {
+        "nckServoDataDrvLoad64": ("percent", "percent", np.abs(TORQUE), 2 * step),
+        "nckServoDataCmdTorque64": ("torque", torque, TORQUE / GEAR, step),
+        "nckServoDataActPos2ndEnc64": ("posn", "posn", np.degrees(WAY), step),
+        "nckServoDataActVelMot64": ("velo", "velo", SPEED * GEAR * RPM, step),
+        "nckServoDataActVel2ndEnc64": ("velo", "velo", SPEED * RPM, step),
+        "nckServoDataActCurr64": ("current", "current", TORQUE / GEAR / 0.9, step),
+    }
+
+
+def linear(lead: float = 0.01) -> dict[str, tuple[str, str, Array, float]]:
+    """Two encoders of different zero; force by a screw of `lead`, m."""
+    step, ratio = 1 / RATE, math.tau / lead
+    return {
+        "nckServoDataCmdPos64": ("posn", "posn", WAY * 1e3, step),
+        "nckServoDataActPos1stEnc64": ("posn", "posn", WAY * 1e3 - 800, step),
+        "nckServoDataActPos2ndEnc64": ("posn", "posn", WAY * 1e3, step),
+        "nckServoDataActVel1stEnc64": ("velo", "velo", SPEED * 6e4, step),
+        "nckServoDataActVel2ndEnc64": ("velo", "velo", SPEED * 6e4, step),
+        "nckServoDataCtrlDev64": ("posn", "posn", WAY * 0 + 0.01, step),
+        "nckServoDataCmdTorque64": ("torque", "611DTime1", TORQUE / ratio, step),
+        "nckServoDataActCurr64": ("current", "current", TORQUE / ratio / 0.9, step),
+    }
+
+
+@pytest.mark.parametrize("family", ["", "_V20"])
+@pytest.mark.parametrize("torque", ["torque", "611DTime1"])
+def test_solution_line_trace_of_a_rotary_axis(family: str, torque: str, tmp_path: Path) -> None:
+    """Nothing but the file: its two speeds tell the gear ratio."""
+    made = imported(written(tmp_path, line_trace({"3": rotary(torque)}, family=family), "trace.xml"))
+    shows(made)
+    assert made.robot.axes[0].gear_ratio == pytest.approx(GEAR)
+    assert any("0.9 N m per A of i_q" in note for note in made.notes)
+    assert any("611DTime1" in note for note in made.notes) == (torque == "611DTime1")
+
+
+def test_solution_line_trace_of_a_linear_axis_with_two_encoders(tmp_path: Path) -> None:
+    path = written(tmp_path, line_trace({"1": linear()}), "trace.xml")
+    made = imported(path, gear_ratio=math.tau / 0.01)
+    recording = made.sweeps[0].recording
+    shifted = recording.position - recording.position[0]
+    np.testing.assert_allclose(shifted, WAY - WAY[0], atol=1e-6)
+    np.testing.assert_allclose(recording.velocity, SPEED, atol=1e-6)
+    np.testing.assert_allclose(recording.effort, TORQUE, atol=1e-3)
+    assert recording.load_position is not None
+    np.testing.assert_allclose(
+        recording.load_position, recording.position, atol=1e-6
+    )  # zeros differ, the motion does not
+    assert made.robot.chain.joints[0].kind == "prismatic"
+    with pytest.raises(BadInput, match="is the motor's torque: give the gear ratio as --gear-ratio"):
+        imported(path)
+
+
+@pytest.mark.parametrize("slides", [False, True], ids=["torque motor", "linear motor"])
+def test_solution_line_trace_of_a_direct_drive(slides: bool, tmp_path: Path) -> None:
+    step = 1 / RATE
+    signals = {
+        "nckServoDataCmdTorque64": ("torque", "611DTime1", TORQUE, step),
+        "nckServoDataActVelMot64": ("velo", "velo", SPEED * (60 if slides else RPM), step),
+        "nckServoDataActPos1stEnc64": ("posn", "posn", WAY * 1e3 if slides else np.degrees(WAY), step),
+        "actToolBasePos": ("posn", "posn", WAY * 0 + 7, step),
+    }
+    made = imported(written(tmp_path, line_trace({"4": signals}), "trace.xml"))
+    shows(made)
+    assert made.robot.axes[0].gear_ratio == 1.0
+    assert made.robot.chain.joints[0].kind == ("prismatic" if slides else "revolute")
+
+
+def test_a_screw_is_told_from_a_gear_by_its_ratio(tmp_path: Path) -> None:
+    ratio = math.tau / 0.01
+    signals = {name: one for name, one in linear().items() if "Vel" not in name}
+    signals |= {"nckServoDataActVelMot64": ("velo", "velo", SPEED * ratio * RPM, 1 / RATE)}
+    made = imported(written(tmp_path, line_trace({"4": signals}), "trace.xml"), gear_ratio=ratio)
+    np.testing.assert_allclose(made.sweeps[0].recording.effort, TORQUE, atol=1e-3)
+    assert made.robot.chain.joints[0].kind == "prismatic"
+
+
+def test_sessions_and_axes_of_a_solution_line_trace(tmp_path: Path) -> None:
+    still = {name: (*one[:2], one[2] * 0 + 1, one[3]) for name, one in rotary().items()}
+    path = written(tmp_path, line_trace({"5": still, "3": rotary()}, sessions=2), "trace.xml")
+    made = imported(path, axis="3")
+    assert [sweep.spec.id for sweep in made.sweeps] == ["0001", "0002"]
+    shows(made)
+    with pytest.raises(BadInput, match="has channels of axes 3, 5"):
+        imported(path)
+
+
+def test_an_axis_that_stops_and_steps_by_the_micrometre(tmp_path: Path) -> None:
+    """An emergency stop: nothing changes, so that nothing is written; then steps of one increment."""
+    stopped = np.where(TIME < 1, WAY, WAY[250]) + 1e-6 * np.floor(np.maximum(TIME - 1.5, 0) * 20)
+    jitter = 1e-7 * np.random.default_rng(0).standard_normal(ROWS)  # of the control loop, about the steps
+    stopped = stopped + np.where(TIME < 1, 0, jitter)
+    speed = np.concatenate([[0.0], np.diff(stopped)]) * RATE  # as the control has it
+    signals = linear() | {
+        name: (*one[:2], stopped * 1e3 - (800 if "1st" in name else 0), one[3])
+        for name, one in linear().items()
+        if "Pos" in name
+    }
+    signals |= {name: (*one[:2], speed * 6e4, one[3]) for name, one in linear().items() if "Vel" in name}
+    made = imported(written(tmp_path, line_trace({"1": signals}), "trace.xml"), gear_ratio=math.tau / 0.01)
+    recording = made.sweeps[0].recording
+    np.testing.assert_allclose(recording.position - recording.position[0], stopped - stopped[0], atol=1e-9)
+    np.testing.assert_allclose(recording.time, TIME, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (line_trace({"3": rotary()})[:9000], "is not a complete XML file"),
+        (line_trace({"3": rotary()}).replace("<rec ", "<reck "), "has no session with records"),
+        (line_trace({"3": rotary()}).replace('f2="', 'f2="x', 1), "f2 at 0.0 s is 'x"),
+        (
+            '<?xml version="1.0"?><!DOCTYPE a [<!ENTITY b "c">]>' + line_trace({"3": rotary()}).partition("?>")[2],
+            "declares a DOCTYPE",
+        ),
+    ],
+    ids=["torn", "empty", "letter", "doctype"],
+)
+def test_a_solution_line_trace_that_is_none(content: str, told: str, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=told):
+        imported(written(tmp_path, content, "trace.xml"))
+
+
+NAMES = {"t": TIME, "q": WAY, "dq": SPEED, "tau": TORQUE}
+LOG: dict[str, Any] = {
+    name: np.stack([column * 0, column], 1) if name != "t" else column for name, column in NAMES.items()
+}
+
+
+def write_matlab(path: Path, content: Mapping[str, Any], version: str) -> Path:
+    if version == "5":
+        savemat(path, dict(content))
+        return path
+    with _h5.File(str(path), "w", userblock_size=512) as file:  # MATLAB writes its arrays with their sides exchanged
+
+        def put(group: Any, name: str, value: Any) -> None:
+            if isinstance(value, dict):
+                inner = group.create_group(name)
+                for key, one in cast("dict[str, Any]", value).items():
+                    put(inner, key, one)
+            else:
+                group[name] = np.atleast_2d(np.asarray(value).T)
+
+        for name, value in content.items():
+            put(file, name, value)
+    with path.open("r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+    return path
+
+
+CONTENTS: dict[str, tuple[dict[str, Any], str | None]] = {
+    "vectors": (NAMES, None),
+    "matrices": (LOG, "1"),
+    "struct": ({"log": LOG}, "1"),
+    "nested": ({"log": {"joint": NAMES}}, None),
+}
+
+
+@pytest.mark.parametrize("version", ["5", "7.3"])
+@pytest.mark.parametrize(("content", "axis"), CONTENTS.values(), ids=CONTENTS.keys())
+def test_matlab(version: str, content: dict[str, Any], axis: str | None, tmp_path: Path) -> None:
+    shows(imported(write_matlab(tmp_path / "trace.mat", content, version), axis=axis))
+
+
+@pytest.mark.parametrize("given", [{"source": "q[1]"}, {"source": "q", "column": 1}], ids=["index", "column"])
+def test_a_mapping_names_the_column_of_a_matrix(given: dict[str, Any], tmp_path: Path) -> None:
+    write_matlab(tmp_path / "trace.mat", LOG, "5")
+    columns = {
+        "time": {"source": "t"},
+        "position": given,
+        "velocity": {"source": "dq[1]"},
+        "effort": {"source": "tau[1]"},
+    }
+    robot = {"name": "table", "joint": "c", "kind": "revolute", "inertia": 4.0}
+    content = {"robot": robot, "columns": columns, "sweeps": [{"source": "trace.mat"}]}
+    (tmp_path / "mapping.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    _, (sweep,) = import_trace(tmp_path / "mapping.yaml")
+    np.testing.assert_allclose(sweep.recording.position, WAY)
+    with pytest.raises(
+        BadInput, match=r"variable 'q': is not a column of numbers: float64 \(500, 2\); give a column, q\[0\] to q\[1\]"
+    ):
+        imported_with(tmp_path, content, "q")
+    with pytest.raises(BadInput, match=r"variable 'q\[2\]': has columns 0 to 1, not 2"):
+        imported_with(tmp_path, content, "q[2]")
+
+
+def imported_with(folder: Path, content: dict[str, Any], source: str) -> None:
+    columns = content["columns"] | {"position": {"source": source}}
+    (folder / "mapping.yaml").write_text(yaml.safe_dump(content | {"columns": columns}), encoding="utf-8")
+    import_trace(folder / "mapping.yaml")
+
+
+def test_mdf4_with_rational_conversions_that_are_linear(tmp_path: Path) -> None:
+    halved = ChannelConversion(conversion_type=2, P1=0.0, P2=1.0, P3=6.0, P4=0.0, P5=0.0, P6=2.0)
+    signals = [
+        asammdf.Signal(samples=(column * 2 - 6), timestamps=TIME, name=name, unit=unit, conversion=halved)
+        for name, unit, column in (
+            ("M_ist", "Nm", TORQUE),
+            ("n_ist", "min-1", SPEED * RPM),
+            ("phi_ist", "Grad", np.degrees(WAY)),
+        )
+    ]
+    with asammdf.MDF(version="4.10") as file:
+        file.append(signals, common_timebase=True)
+        file.save(tmp_path / "trace.mf4")
+    shows(imported(tmp_path / "trace.mf4"))
+
+
+def test_parquet(tmp_path: Path) -> None:
+    write_columns(tmp_path / "trace.parquet", Recording(time=TIME, effort=TORQUE, velocity=SPEED, position=WAY))
+    shows(imported(tmp_path / "trace.parquet"))
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP], ids=["sqlite", "mcap"])
+@pytest.mark.parametrize("stamped", [True, False], ids=["stamped", "recorded"])
+@pytest.mark.parametrize("alone", [True, False], ids=["file", "folder"])
+def test_ros_bag(storage: StoragePlugin, stamped: bool, alone: bool, tmp_path: Path) -> None:
+    """Joint states whose names come in any order."""
+    store = get_typestore(Stores.LATEST)
+    kind: Any = store.types["sensor_msgs/msg/JointState"]
+    header, stamp = (cast(Any, store.types[name]) for name in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time"))
+    with Writer(tmp_path / "bag", version=9, storage_plugin=storage) as writer:
+        connection = writer.add_connection("/joint_states", kind.__msgtype__, typestore=store)
+        for row, at in enumerate(TIME):
+            now = 10**18 + round(at * 1e9)
+            order = [0, 1] if row % 2 else [1, 0]
+            values = [np.array([0.0, column[row]])[order] for column in (WAY, SPEED, TORQUE)]
+            said = stamp(sec=now // 10**9, nanosec=now % 10**9) if stamped else stamp(sec=0, nanosec=0)
+            message = kind(header(said, "base"), [["shoulder", "elbow"][k] for k in order], *values)
+            writer.write(connection, now, store.serialize_cdr(message, kind.__msgtype__))
+    path = next(one for one in (tmp_path / "bag").iterdir() if one.suffix != ".yaml") if alone else tmp_path / "bag"
+    shows(imported(path, axis="elbow"))
+    with pytest.raises(BadInput, match="has channels of axes elbow, shoulder"):
+        imported(path)
