@@ -217,7 +217,7 @@ def decoded(path: Path) -> tuple[str, str]:
     if encoding == "utf-8" and b"\0" in head:
         odd, even = head[1::2].count(0), head[::2].count(0)
         encoding = "utf-16-le" if odd > even else "utf-16-be"
-        if max(odd, even) < len(head) // 4:
+        if max(odd, even) < len(head) // 4 or min(odd, even) > max(odd, even) // 8:
             raise BadInput(str(path), f"is not a trace that is known: it begins with {content[:8]!r}")
     try:
         text = content.decode(encoding)
