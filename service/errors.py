@@ -29,7 +29,9 @@ def writing(place: object) -> Generator[None]:
     try:
         yield
     except OSError as error:
-        raise BadInput(str(place), f"cannot be written: {error.strerror or error}") from None
+        # a folder that is to be made where a file is
+        reason = "Not a directory" if isinstance(error, FileExistsError) else error.strerror or error
+        raise BadInput(str(place), f"cannot be written: {reason}") from None
 
 
 class NotFound(SweepidError):

@@ -83,9 +83,11 @@ class TextTable:
         self._interval = _stated_interval(lines[form.skip_rows : self._first])
         self._sample = cells(lines[self._first])
         times = set(self._head.clocks.values())
+        names = self._head.names
+        self._numbered = tuple(f"{name} (column {k})" for k, name in enumerate(names, start=1))
         self.listed = tuple(
-            Listed(name=name, unit=unit)
-            for k, (name, unit) in enumerate(zip(self._head.names, self._head.units, strict=True))
+            Listed(name=name if names.count(name) == 1 else self._numbered[k], unit=self._head.units[k])
+            for k, name in enumerate(names)
             if k not in times and name
         )
 
@@ -115,24 +117,23 @@ class TextTable:
         )
 
     def _index(self, source: str) -> int:
-        names = [name.casefold() for name in self._head.names]
-        wanted = source.strip().casefold()
-        full = [
-            f"{name} [{unit}]".casefold() if unit else name for name, unit in zip(names, self._head.units, strict=True)
-        ]
-        for candidates in (self._head.names, names, full):
-            found = [
-                k
-                for k, name in enumerate(candidates)
-                if name == (source.strip() if candidates is self._head.names else wanted)
-            ]
+        """Of a column by its name, with its unit or its number too; else whatever the case of letters."""
+        wanted, names = source.strip(), self._head.names
+        full = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, self._head.units, strict=True)]
+        folded = [name.casefold() for name in names]
+        for given, candidates in (
+            (wanted, names),
+            (wanted, self._numbered),
+            (wanted, full),
+            (wanted.casefold(), folded),
+        ):
+            found = [k for k, name in enumerate(candidates) if name == given]
             if len(found) == 1:
                 return found[0]
             if len(found) > 1:
-                raise BadInput(
-                    self._place, f"column {source!r} occurs twice, as columns {', '.join(str(k + 1) for k in found)}"
-                )
-        there = shown([name for name in self._head.names if name])
+                told = " or ".join(repr(self._numbered[k]) for k in found)
+                raise BadInput(self._place, f"column {source!r} occurs twice: name it as {told}")
+        there = shown([name for name in names if name])
         raise BadInput(self._place, f"column {source!r} is missing; there are {there}")
 
     def _columns(self, wanted: tuple[int, ...]) -> dict[int, Array]:
@@ -216,7 +217,7 @@ def decoded(path: Path) -> tuple[str, str]:
     if encoding == "utf-8" and b"\0" in head:
         odd, even = head[1::2].count(0), head[::2].count(0)
         encoding = "utf-16-le" if odd > even else "utf-16-be"
-        if max(odd, even) < len(head) // 4:
+        if max(odd, even) < len(head) // 4 or min(odd, even) > max(odd, even) // 8:
             raise BadInput(str(path), f"is not a trace that is known: it begins with {content[:8]!r}")
     try:
         text = content.decode(encoding)

@@ -74,7 +74,7 @@ def of_file(
     count = sessions_of(path)
     sweeps = tuple(
         TraceSweep(
-            source=path.resolve(), id=f"{k:04d}", axis=robot.joint, file_axis=file_axis, group=k if count > 1 else None
+            source=Path(path.name), id=f"{k:04d}", axis=robot.joint, file_axis=file_axis, group=k if count > 1 else None
         )
         for k in range(1, count + 1)
     )
@@ -133,7 +133,7 @@ def read_traces(mapping: Mapping, mapping_file: Path, source: Path | None = None
         found = f"nominal inertia {shown}: that of this trace; check compares with one of a data sheet"
         notes[found if inertia else f"this trace shows no inertia: the nominal one is set to {shown}"] = None
     whole = [
-        entry.model_copy(update=sweep.spec.model_dump() | {"source": path})
+        entry.model_copy(update=sweep.spec.model_dump() | {"source": path.resolve()})
         for (path, entry), sweep in zip(traces, sweeps, strict=True)
     ]
     written = mapping.model_copy(update={"robot": given, "columns": columns, "sweeps": tuple(whole)})

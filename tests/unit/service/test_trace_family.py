@@ -129,6 +129,18 @@ def test_headings(delimiter: str, point: str, head: str, tmp_path: Path) -> None
     shows(imported(written(tmp_path, text(PLAIN, delimiter, point, head))))
 
 
+def test_a_column_that_occurs_twice_is_named_by_its_number(tmp_path: Path) -> None:
+    path = written(tmp_path, text({**PLAIN, "time": TIME}, head="time [s],M [Nm],n [rad/s],phi [rad],time [s]"))
+    shows(imported(path))
+    robot = {"name": "table", "joint": "c", "kind": "revolute", "inertia": 4.0}
+    content = {"robot": robot, "columns": {"time": {"source": "time"}}, "sweeps": [{"source": "trace.csv"}]}
+    (tmp_path / "mapping.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    with pytest.raises(
+        BadInput, match=r"column 'time' occurs twice: name it as 'time \(column 1\)' or 'time \(column 5\)'"
+    ):
+        import_trace(tmp_path / "mapping.yaml")
+
+
 def scope(step: Array, point: str, rows: Sequence[str], keys: Mapping[str, Sequence[str]]) -> str:
     """TwinCAT's Scope: pairs of time and value."""
     head = [
