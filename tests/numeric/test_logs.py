@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import sweepid
 from service.estimation import estimate_document
 from service.identification.estimates.combination import Combination, combine
 from service.identification.model.regressor import axis_rows
@@ -13,7 +15,9 @@ from service.identification.motion.along_motion import whole_parameters
 from service.identification.motion.free_motion import free_motions
 from service.recording import Sweep
 from service.results.combination import Combination as Document
+from service.results.estimate import Estimate
 from service.robot import Robot, build_robot
+from service.store.files.bundle import Bundle
 from tests.numeric.second_plant.logs import Log, log
 from tests.numeric.simple_estimators import errors, simple
 
@@ -145,3 +149,14 @@ def test_what_no_robot_can_have_is_told() -> None:
     warnings = document(one.robot, (wrong, *rest)).warnings
     assert any("Fc(joint_1) is -" in warning and "positive on every robot" in warning for warning in warnings)
     assert not document(one.robot, one.sweeps).warnings
+
+
+def test_the_model_of_a_free_motion_is_exported(tmp_path: Path) -> None:
+    one = log(225, family="arm", motion="wander", elastic=False, duration=30.0, unknown_rotors=True)
+    estimate = sweepid.identify(Bundle(one.robot, one.sweeps, "log"))
+    model = sweepid.export(one.robot, estimate, tmp_path / "model")
+    assert (tmp_path / "model" / "model.urdf").is_file()
+    for friction, true in zip(model.friction, one.viscous, strict=True):
+        assert friction == pytest.approx(true, rel=0.3)
+    again = sweepid.export(one.robot, Estimate.read(estimate.as_json(), "file"), tmp_path / "again")
+    np.testing.assert_allclose(again.motor_inertias, model.motor_inertias)

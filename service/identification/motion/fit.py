@@ -314,7 +314,9 @@ def _lacking(
         if power[k] <= OPEN * np.sum(columns[:, k] ** 2):
             continue
         scores = np.bincount(where, beyond[:, k] * residual, count)
-        total, noise = float(scores.sum()), float(np.var(scores, ddof=1)) * count if count > 1 else np.inf
+        total, noise = float(scores.sum()), float(np.var(scores, ddof=1)) * count if count > 1 else 0.0
+        if noise <= 0:
+            continue
         certain = 2 * cast(float, stdtr(count - 1, -abs(total) / noise**0.5))
         if certain < SHOWS:
             yield TESTS[k], along[:, k] * (total**2 - noise) ** 0.5 / power[k], certain
