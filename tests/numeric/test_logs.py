@@ -1,5 +1,6 @@
 """Logs of all axes from the second plant, beside what anybody would try first; none of these seeds was tuned on."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -145,9 +146,8 @@ def test_what_no_robot_can_have_is_told() -> None:
     """The efforts of one axis have the wrong sign."""
     one = log(224, family="arm", motion="wander", duration=30.0)
     first, *rest = one.sweeps
-    wrong = replace(first, recording=replace(first.recording, effort=-first.recording.effort))
-    warnings = document(one.robot, (wrong, *rest)).warnings
-    assert any("Fc(joint_1) is -" in warning and "positive on every robot" in warning for warning in warnings)
+    warnings = document(one.robot, (with_effort(first, -first.recording.effort), *rest)).warnings
+    assert any("Fc(joint_1) is -" in warning and "change the sign" in warning for warning in warnings)
     assert not document(one.robot, one.sweeps).warnings
 
 
@@ -160,3 +160,37 @@ def test_the_model_of_a_free_motion_is_exported(tmp_path: Path) -> None:
         assert friction == pytest.approx(true, rel=0.3)
     again = sweepid.export(one.robot, Estimate.read(estimate.as_json(), "file"), tmp_path / "again")
     np.testing.assert_allclose(again.motor_inertias, model.motor_inertias)
+
+
+def exchanged(one: Log) -> tuple[Robot, list[Sweep]]:
+    first, second, *rest = one.sweeps
+    return one.robot, [with_effort(first, second.recording.effort), with_effort(second, first.recording.effort), *rest]
+
+
+def late(one: Log) -> tuple[Robot, list[Sweep]]:
+    time = one.sweeps[0].recording.time
+    return one.robot, [with_effort(s, np.interp(time - 0.2, time, s.recording.effort)) for s in one.sweeps]
+
+
+def turned(one: Log) -> tuple[Robot, list[Sweep]]:
+    description = one.robot.description.model_copy(update={"gravity": (0.0, -9.81, 0.0)})
+    return replace(one.robot, description=description), list(one.sweeps)
+
+
+def with_effort(sweep: Sweep, effort: np.ndarray) -> Sweep:
+    return replace(sweep, recording=replace(sweep.recording, effort=effort))
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        (exchanged, "the efforts of joint_1 and joint_2 seem to be exchanged"),
+        (late, "the efforts seem to be 200 ms late"),
+        (turned, "gravity seems to act along -z of the base"),
+    ],
+)
+def test_a_fault_of_the_records_is_located(fault: Callable[[Log], tuple[Robot, list[Sweep]]], told: str) -> None:
+    one = log(226, family="arm", motion="program", wall=False, duration=20.0)
+    assert not document(one.robot, one.sweeps).warnings
+    robot, sweeps = fault(one)
+    assert told in document(robot, tuple(sweeps)).warnings[0]

@@ -46,6 +46,7 @@ from service.identification.model.whole_base import dynamic_base
 from service.identification.motion import free_motion
 from service.identification.motion.choice import Chosen, FrictionLaw, choose, extended, scales, wider
 from service.identification.motion.equations import LINK_RATE, STILL
+from service.identification.motion.faults import faults
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.held_out import HeldOut, held_out
 from service.identification.motion.trajectory_record import TrajectoryRecord, calibrated, with_loads
@@ -139,6 +140,7 @@ class Combination:
     free_axes: dict[str, HeldOut]  # by joint, prediction error of free motions
     friction: dict[str, FrictionLaw]  # by joint, beyond Coulomb and viscous friction
     chosen: Chosen | None  # the fit of free motions
+    faults: tuple[str, ...]  # of their records
 
     def effort(self, load: Motion, motor: Motion | None = None) -> Array:
         """Predicted efforts (m, n) along a motion, without ripple, N m (N)."""
@@ -250,6 +252,7 @@ def combine(
         free_axes={} if free is None else held_out(motions, free.fit, free.others.plus(of_runs), free.start),
         friction={} if free is None else free.friction(robot, base, of_runs, of),
         chosen=free,
+        faults=() if free is None else faults(robot, base, motions, of, free.least_errors),
     )
 
 

@@ -14,6 +14,7 @@ from service.results import combination as results
 POSES = 200  # of the workspace, in which an inertia must be positive
 FAR = 3.0  # standard deviations: greatest distance of the base parameters from those of a physical robot
 CHECK = "Check signs and units of the efforts, the gear ratios and gravity's direction, or record a longer motion"
+SIGN = "The effort of this axis and its velocity seem to count in opposite directions: change the sign of one of them"
 UNSETTLED_FIT = 0.5  # standard deviations by which the last round may move the fit of free motions without a warning
 
 
@@ -93,11 +94,11 @@ def _friction(combination: Combination, joint: str) -> tuple[results.FrictionPoi
 def _warnings(combination: Combination, deviation: float) -> tuple[str, ...]:
     """What no robot can have, with the next step."""
     robot = combination.robot
-    found = [
-        f"{one.name} is {one.value:.3g} ± {one.std:.2g}: it is positive on every robot. {CHECK}"
-        for one in combination.parameters
-        if one.name.startswith(POSITIVE) and " " not in one.name and one.value < 0 and one.std < np.inf
-    ]
+    found = list(combination.faults)
+    for one in combination.parameters:
+        if one.name.startswith(POSITIVE) and " " not in one.name and one.value + 2 * one.std < 0:
+            mend = SIGN if one.name.startswith("Fc(") else CHECK
+            found.append(f"{one.name} is {one.value:.3g} ± {one.std:.2g}: it is positive on every robot. {mend}")
     poses = spread_evenly(POSES, *joint_ranges(robot.chain))
     for joint in robot.joints:
         least = float(combination.inertia(joint, poses).min())

@@ -6,10 +6,10 @@ spring is. Friction beyond Coulomb and viscous (`friction_laws`) takes an error 
 nominal model that the data contradict must weigh less. So every candidate predicts parts of the motion that
 it has not seen, and the one with the least error is used,
 
-    mean over the axes of log(error / error of the simple estimator),    no axis above `NOT_WORSE` times it,
+    mean over the axes of log(error / error of the simple estimator) + sum over the axes above `NOT_WORSE` times it,
 
 where the simple estimator is least squares weighted by axis, with Coulomb and viscous friction and no nominal model:
-what anybody would try first. It is itself a candidate, so the result is never worse on these parts.
+what anybody would try first. It is itself a candidate, so the result is no worse on these parts.
 """
 
 from collections.abc import Mapping, Sequence
@@ -80,6 +80,11 @@ class Chosen:
     def score(self) -> float:
         ratios = np.array([self.errors[joint] / max(self.simple[joint], 1e-300) for joint in self.simple])
         return float(np.mean(np.log(ratios)) + np.sum(np.log(np.maximum(ratios / NOT_WORSE, 1.0))))
+
+    @property
+    def least_errors(self) -> dict[str, float]:
+        """By joint, the smaller one of `errors` and `simple`."""
+        return {joint: min(error, self.simple[joint]) for joint, error in self.errors.items()}
 
     def friction(
         self, robot: Robot, base: BaseParameters, more: Information, of: Mapping[str, Scale]
@@ -163,10 +168,11 @@ def choose(
     better = frozenset(joint for joint, error in everywhere.items() if error < LAW_GAIN * best.errors[joint])
     if better:
         best = min(best, candidate(order, better, 1.0), key=lambda one: one.score)
+    others = [candidate(0, frozenset(), OPEN)]
     contradicted = contradiction(best.evidence(len(start))[0], prior, start)
-    if contradicted < CONTRADICTED:
-        return best
-    return min(best, candidate(order, best.laws, contradicted), key=lambda one: one.score)
+    if contradicted > CONTRADICTED:
+        others.append(candidate(order, best.laws, contradicted))
+    return min(best, *others, key=lambda one: one.score)
 
 
 def contradiction(data: Information, prior: Information, start: Array) -> float:
