@@ -66,7 +66,9 @@ def estimate_document(
         estimate = identify(robot, sweeps, {**(analyses or {}), **own}, gains or {}, known)
     tracks = [each for each in spectra if isinstance(each, AxisTrack)]
     combination = _combination(robot, estimate, tracks, motions, gains or {})
-    also = {"analysis": analyses_document(own), "combination": combination}
+    also: dict[str, object] = {"analysis": analyses_document(own), "combination": combination}
+    if estimate is None and combination is not None:
+        also |= {"standard_parameters": combination.standard_parameters, "physical": combination.physical}
     return _document(robot, estimate).model_copy(update=also)
 
 

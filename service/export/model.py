@@ -79,8 +79,8 @@ def identified_model(robot: Robot, document: object, place: str = "estimate") ->
 def model_of(robot: Robot, found: Estimate, place: str = "estimate") -> IdentifiedModel:
     """The robot with the values of an estimate; BadInput if that is of another robot, is empty or is not finite."""
     deviation = found.physical.deviation_in_std
-    if not found.axes or deviation is None:
-        raise BadInput(place, "contains no identified parameters: there was no sweep that shows inertia")
+    if deviation is None or not (found.axes or found.combination):
+        raise BadInput(place, "contains no identified parameters: no sweep and no free motion shows inertia")
     for joint in found.axes:
         robot.index(joint)
     for one in found.base_parameters:
@@ -93,7 +93,10 @@ def model_of(robot: Robot, found: Estimate, place: str = "estimate") -> Identifi
         robot=robot,
         bodies=tuple(_body(standard, joint.link, place) for joint in robot.chain.joints),
         motor_inertias=np.array([_motor(standard, joint, place) for joint in robot.joints]),
-        friction=tuple(_friction(found.axes.get(joint), f"{place} axes {joint}") for joint in robot.joints),
+        friction=tuple(
+            _friction(found.axes[joint], f"{place} axes {joint}") if joint in found.axes else _of_motion(found, joint)
+            for joint in robot.joints
+        ),
         dry_friction=tuple(_dry_friction(found.effects, joint, place) for joint in robot.joints),
         effects=found.effects,
         base_parameters=found.base_parameters,
@@ -128,10 +131,15 @@ def _motor(standard: StandardParameters, joint: str, place: str) -> float:
     return _finite(value, f"{place} standard_parameters Jm({joint})")
 
 
-def _friction(axis: EstimatedAxis | None, place: str) -> float | None:
+def _of_motion(found: Estimate, joint: str) -> float | None:
+    """Viscous friction that trajectories or free motions identified."""
+    parameters = () if found.combination is None else found.combination.base_parameters
+    values = [one.value for one in parameters if one.name == f"Fv({joint})" and one.identified]
+    return max(values[0], 0.0) if values else None
+
+
+def _friction(axis: EstimatedAxis, place: str) -> float | None:
     """Noise can make a very small friction negative, which would accelerate the joint."""
-    if axis is None:
-        return None
     frictions = [sweep.viscous_friction for sweep in axis.inertia if sweep.viscous_friction is not None]
     if not frictions or len(frictions) < len(axis.inertia):
         raise BadInput(place, "has a sweep without viscous_friction, or no sweep at all")

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pydantic import Field
 
 from service.results.part import Part
+from service.results.standard import Physical, StandardParameters
 from service.results.table import Column, Shown, Table
 
 
@@ -34,21 +35,49 @@ class EffortNoise(Part):
     warning: str = ""
 
 
+class FrictionPoint(Part):
+    """Friction at a velocity, rad/s (m/s): Coulomb, viscous and beyond, N m (N)."""
+
+    velocity: float
+    effort: float
+    std: float
+
+
 class FreeMotionAxis(Part):
     """Residual of an axis' effort in free motion, N m (N): in the fit, held out, and between equal motions.
 
-    `warning` if the fit still changed in its last round.
+    `simple_held_out_rms`: of the simple estimator on the same parts. `friction`: where more than Coulomb and viscous
+    friction predicts held-out parts better. `lacks`: what the residual shows that the model
+    lacks; it has widened the standard deviations. `warning` if the fit still changed in its last round.
     """
 
     residual_rms: float
     held_out_rms: float
     held_out_percent: float
     noise_floor_rms: float | None
+    simple_held_out_rms: float | None = None
+    friction: tuple[FrictionPoint, ...] = ()
+    lacks: tuple[str, ...] = ()
     warning: str = ""
 
 
+class FreeMotionFit(Part):
+    """How free motions are weighted, chosen by held-out parts.
+
+    `simple_estimator`: the one beside it; `coloured`: whether residuals are whitened; `prior_widened`: factor of the
+    nominal model's standard deviations.
+    """
+
+    simple_estimator: str
+    coloured: bool
+    prior_widened: float
+
+
 class Combination(Shown, Part):
-    """The joint estimate; `became_identifiable`: parameters that neither sweeps nor trajectories identify alone."""
+    """The joint estimate; `became_identifiable`: parameters that neither sweeps nor trajectories identify alone.
+
+    `covariance` of the base parameters, in their order. `warnings`: what is not physical.
+    """
 
     base_parameters: tuple[CombinedParameter, ...]
     became_identifiable: tuple[str, ...] = ()
@@ -56,6 +85,11 @@ class Combination(Shown, Part):
     noise: dict[str, EffortNoise] = Field(default={})
     free_motions: tuple[tuple[str, ...], ...] = ()
     free_motion_axes: dict[str, FreeMotionAxis] = Field(default={})
+    free_motion_fit: FreeMotionFit | None = None
+    covariance: tuple[tuple[float, ...], ...] = ()
+    standard_parameters: StandardParameters | None = None
+    physical: Physical | None = None
+    warnings: tuple[str, ...] = ()
 
     def table(self) -> Table:
         """Every base parameter of the whole dynamics, what determines it, or why nothing does."""
@@ -88,8 +122,12 @@ class Combination(Shown, Part):
                 Column("axis", tuple(axes)),
                 Column("left by the fit", tuple(axis.residual_rms for axis in axes.values()), ".3g"),
                 Column("held out", tuple(axis.held_out_rms for axis in axes.values()), ".3g"),
+                Column("simple estimator", tuple(axis.simple_held_out_rms for axis in axes.values()), ".3g"),
                 Column("% of rated", tuple(axis.held_out_percent for axis in axes.values()), ".3g"),
                 Column("noise floor", tuple(axis.noise_floor_rms for axis in axes.values()), ".3g"),
+                Column("the model lacks", tuple(", ".join(axis.lacks) for axis in axes.values())),
             )
             parts.append(Table("Free motions, effort below the band's end, RMS, SI", columns))
-        return parts
+            if self.free_motion_fit is not None:
+                parts.append(f"The simple estimator is {self.free_motion_fit.simple_estimator}.")
+        return parts + [f"Warning: {warning}" for warning in self.warnings]

@@ -1,7 +1,6 @@
 """An estimate: `sweepid identify --json`, and each revision of a campaign."""
 
 from collections.abc import Sequence
-from typing import Annotated
 
 from pydantic import Field
 
@@ -10,10 +9,8 @@ from service.results.combination import Combination
 from service.results.effect import Value
 from service.results.part import Document, Part
 from service.results.revision import ModelSource
+from service.results.standard import Bounded, Physical, StandardParameters
 from service.results.table import Column, Shown, Table
-
-LARGEST = 1e15  # of a value in SI, as in a URDF: above any robot; its square does not overflow
-Bounded = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 
 
 class ResponseLine(Part):
@@ -152,21 +149,6 @@ class Symbol(Part):
     value: float
     unit: str
     meaning: str
-
-
-class StandardParameters(Part):
-    """One physical robot with these base parameters: ten numbers per link, and the motors' inertias, by name."""
-
-    links: dict[str, dict[str, Bounded]]
-    motor_inertias: dict[str, Bounded]
-
-
-class Physical(Part):
-    """Change of the base parameters to be physically consistent, standard deviations; `warning` if the search for the
-    nearest robot did not converge."""
-
-    deviation_in_std: float | None
-    warning: str = ""
 
 
 class Suspect(Part):

@@ -141,8 +141,9 @@ def test_sweeps_and_free_motion_are_one_estimate() -> None:
     motion = free_motions(truth.robot, log(truth, wander(np.random.default_rng(180), 4), 180, duration=15.0))
     alone, both = combine(truth.robot, (), (), motion), combine(truth.robot, sweeps, (), motion)
     assert np.mean(np.abs(z(both, truth)) < 2) > 0.85
-    assert (both.solution.std <= alone.solution.std * 1.2).all()
-    assert np.median(both.solution.std / alone.solution.std) < 0.9
+    shown = np.array(both.base.columns) < 11 * len(truth.robot.axes)  # sweeps contain no friction
+    assert (both.solution.std <= alone.solution.std * 1.2)[shown].all()
+    assert np.median((both.solution.std / alone.solution.std)[shown]) < 0.9
     by_name = {parameter.name: parameter for parameter in both.parameters}
     assert by_name["Fc(joint_1)"].source is Source.TRAJECTORIES
 

@@ -9,6 +9,7 @@ import pytest
 
 from service.errors import BadInput
 from service.identification.estimates.torque_gain import KnownMass
+from service.identification.payloads.document import sentences
 from service.identification.payloads.payload import Payload, body_of, payload
 from service.recording import Sweep
 from service.store.files.bundle import write_bundle
@@ -153,3 +154,11 @@ def test_sweeps_tell_the_payload(tmp_path: Path) -> None:
     assert found.mass.std < 2.0
     assert found.mass.std_total > found.mass.std
     assert [each.axis for each in found.evidence] == ["joint_1", "joint_2", "joint_3"]
+
+
+def test_bundles_in_the_wrong_order_or_the_same_end_in_words() -> None:
+    truth = draw(231, 4)
+    before, after = before_and_after(truth, 231)
+    assert any("exchange the bundles" in note for note in sentences(payload(truth.robot, after, before)))
+    with pytest.raises(BadInput, match="no effort differs"):
+        payload(truth.robot, before, before)

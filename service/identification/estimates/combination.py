@@ -44,8 +44,9 @@ from service.identification.model.parameter_prior import nominal_parameters, par
 from service.identification.model.regressor import axis_rows
 from service.identification.model.whole_base import dynamic_base
 from service.identification.motion import free_motion
+from service.identification.motion.choice import Chosen, FrictionLaw, choose, extended, scales, wider
 from service.identification.motion.equations import LINK_RATE, STILL
-from service.identification.motion.fit import fit_free_motions
+from service.identification.motion.faults import faults
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.held_out import HeldOut, held_out
 from service.identification.motion.trajectory_record import TrajectoryRecord, calibrated, with_loads
@@ -56,6 +57,8 @@ from service.robot import Robot
 Array = NDArray[np.float64]
 
 IDENTIFIED = 0.5  # of the prior's standard deviation: maximum for an identified parameter
+HALF = 0.5  # of its value: maximum standard deviation of a parameter that is positive on every robot
+POSITIVE = ("Jm(", "Fv(", "Fc(")  # alone: names of parameters that are positive on every robot
 SHOWN = 0.9  # of the prior's: above, no measurement shows the parameter
 ONE_SOURCE = 1.5  # times the standard deviation of both together: below, one source is sufficient
 DRIVE_RATE = 2000.0  # Hz, at which friction and ripple are computed: sign and cogging extend far above the band
@@ -135,12 +138,19 @@ class Combination:
     trajectories: tuple[tuple[str, ...], ...]  # ids of the sweeps of each
     free: tuple[tuple[str, ...], ...]  # the same of free motions
     free_axes: dict[str, HeldOut]  # by joint, prediction error of free motions
-    free_moved: float  # standard deviations by which the last round moved the fit of free motions; 0 without any
+    friction: dict[str, FrictionLaw]  # by joint, beyond Coulomb and viscous friction
+    chosen: Chosen | None  # the fit of free motions
+    faults: tuple[str, ...]  # of their records
 
     def effort(self, load: Motion, motor: Motion | None = None) -> Array:
         """Predicted efforts (m, n) along a motion, without ripple, N m (N)."""
         rows = dynamics_rows(self.robot.chain, self.robot.gravity, load, motor)
-        return rows[..., list(self.base.columns)] @ self.solution.values
+        efforts = rows[..., list(self.base.columns)] @ self.solution.values
+        velocity = (motor or load).velocity
+        for joint, law in self.friction.items():
+            index = self.robot.index(joint)
+            efforts[:, index] += law.effort(velocity[:, index])
+        return efforts
 
     def inertia(self, joint: str, poses: Array) -> Array:
         """Identified inertia (m,) of an axis at poses (m, n), kg m^2 (kg)."""
@@ -183,18 +193,20 @@ def combine(
     for track in (track for record in records for track in record.tracks):
         finite(np.append(track.effort, track.position), f"sweep {track.spec.id} of {track.joint}", "its harmonics")
     base = dynamic_base(robot)
-    start, prior = base.combination @ nominal_parameters(robot), prior_information(robot, base)
+    of = scales(motions)
+    start, prior = base.combination @ nominal_parameters(robot), prior_information(robot, base, of)
     trains = {axis.joint: axis.train for axis in inertias if axis.train is not None}
     gain = {joint: one.gain for joint, one in (gains or {}).items()} | {axis.joint: axis.gain for axis in inertias}
     records = [with_loads(calibrated(record, gain), trains) for record in records]
     equations = [equation for record in records for equation in _equations(robot, base, record)]
     sweeps = _sweep_information(robot, base, inertias)
-    others = _sum(sweeps, len(start)).plus(prior)
-    free = None
+    free, evidence, free_gains = None, Information.empty(len(start)), np.zeros((len(start), len(robot.axes)))
     if motions:
         motions = [free_motion.with_loads(free_motion.calibrated(motion, gain), trains) for motion in motions]
-        free = fit_free_motions(robot, base, motions, others, start)
-        others = others.plus(free.honest)
+        free = choose(robot, base, motions, _sum(sweeps, len(start)), prior, start, of)
+        prior = wider(prior, free.widened)
+        evidence, free_gains = free.evidence(len(start))
+    others = _sum(sweeps, len(start)).plus(prior).plus(evidence)
     scatter = {joint: _scatter(records, joint) for joint in dict.fromkeys(each.joint for each in equations)}
     noise = {joint: value or HARMONIC_NOISE_GUESS * robot.axis(joint).rated_effort for joint, value in scatter.items()}
     at_once = _motion_information(equations, noise, len(start))
@@ -205,12 +217,12 @@ def combine(
         finite(np.array(list(noise.values())), ", ".join(noise), "the noise of its trajectories")
         at_once = _motion_information(equations, noise, len(start))
     alone, moved = _sum(sweeps, len(start)), _sum(at_once, len(start))
-    moved = moved if free is None else moved.plus(free.honest)
+    moved = moved.plus(evidence)
     solution = alone.plus(moved).plus(prior).solve(start)
     by_gain = np.zeros((len(start), len(robot.axes)))
     for joint, own in [*sweeps.items(), *at_once.items()]:
         by_gain[:, robot.index(joint)] += own.vector
-    by_gain += 0.0 if free is None else free.gain_vector
+    by_gain += free_gains
     spread = [one.std / one.gain for one in ((gains or {}).get(joint) or uncalibrated(robot) for joint in robot.joints)]
     total = np.sqrt(solution.std**2 + (solution.covariance @ by_gain) ** 2 @ np.square(spread))
     left_open = prior.solve(start).std
@@ -220,8 +232,10 @@ def combine(
         np.where(np.isfinite(std), total, np.inf),
         _shown(alone.plus(prior).solve(start).std, left_open),
         _shown(moved.plus(prior).solve(start).std, left_open),
-        np.sqrt(base.combination**2 @ parameter_spread(robot) ** 2),
+        np.sqrt(base.combination**2 @ parameter_spread(robot, of) ** 2),
     )
+    of_runs = _sum(at_once, len(start))
+    of_runs = of_runs if free is None else extended(of_runs, len(free.start))
     return Combination(
         robot=robot,
         base=base,
@@ -235,10 +249,10 @@ def combine(
         scatter=scatter,
         trajectories=tuple(tuple(track.spec.id for track in record.tracks) for record in records),
         free=tuple(motion.ids for motion in motions),
-        free_moved=0.0 if free is None else free.moved,
-        free_axes={}
-        if free is None
-        else held_out(robot, motions, free, alone.plus(_sum(at_once, len(start))).plus(prior), start),
+        free_axes={} if free is None else held_out(motions, free.fit, free.others.plus(of_runs), free.start),
+        friction={} if free is None else free.friction(robot, base, of_runs, of),
+        chosen=free,
+        faults=() if free is None else faults(robot, base, motions, of, free.least_errors),
     )
 
 
@@ -373,6 +387,8 @@ def _judged(
         source, reason = Source.NONE, "no sweep and no trajectory shows it"
     elif std > IDENTIFIED * std_prior:
         reason = f"too weakly excited: standard deviation {std:.3g}, the nominal model's is {std_prior:.3g}"
+    elif name.startswith(POSITIVE) and " " not in name and std > HALF * abs(value):
+        reason = f"the standard deviation {std:.3g} is above half of the value"
     return CombinedParameter(name, value, std, std_total, std_sweeps, std_trajectories, std_prior, source, reason)
 
 

@@ -5,12 +5,11 @@ from numpy.typing import NDArray
 
 from service.identification.estimates.axis_document import axis_document, used_effects
 from service.identification.estimates.estimate import Estimate
-from service.identification.estimates.standard_parameters import StandardParameters, standard_parameters
+from service.identification.estimates.standard_document import physical_document, standard_document
+from service.identification.estimates.standard_parameters import standard_parameters
 from service.identification.model.base_parameters import combination_of
-from service.identification.model.physical_consistency import Ended
 from service.identification.model.symbols import Dimension, symbolic_names
 from service.results import estimate as results
-from service.robot import INERTIAL_NAMES
 
 Array = NDArray[np.float64]
 
@@ -43,8 +42,8 @@ def as_document(estimate: Estimate, workspace: Array) -> results.Estimate:
             for symbol in symbols
         },
         condition_number=_finite(estimate.condition_number),
-        standard_parameters=_standard(estimate, standard.parameters),
-        physical=_physical(standard),
+        standard_parameters=standard_document(estimate.robot, standard),
+        physical=physical_document(standard),
         suspect=estimate.suspects,
         effects=used_effects(estimate.known, estimate.axes),
         model=estimate.known.source,
@@ -65,12 +64,6 @@ def nothing_known() -> results.Estimate:
         effects=(),
         model=None,
     )
-
-
-def _physical(standard: StandardParameters) -> results.Physical:
-    """`warning` where the search of the most probable robot did not converge."""
-    warning = standard.ended.value if standard.ended is Ended.UNFINISHED else ""
-    return results.Physical(deviation_in_std=standard.deviation).with_nonempty(warning=warning)
 
 
 def _base_parameter(name: str, symbolic: str, value: float, std: float, spread: float) -> results.BaseParameter:
@@ -98,21 +91,6 @@ def _in_words(estimate: Estimate) -> tuple[tuple[str, ...], tuple[Dimension, ...
     columns = estimate.base.columns
     return symbolic_names(
         estimate.chain, columns, estimate.base.combination, lambda chain: combination_of(chain, axes, columns)
-    )
-
-
-def _standard(estimate: Estimate, parameters: Array) -> results.StandardParameters:
-    """Parameters (11 n,) of all links and motors of the robot, by name."""
-    joints = estimate.robot.chain.joints
-    count = 10 * len(joints)
-    return results.StandardParameters(
-        links={
-            joint.link: dict(zip(INERTIAL_NAMES, values.tolist(), strict=True))
-            for joint, values in zip(joints, parameters[:count].reshape(-1, 10), strict=True)
-        },
-        motor_inertias={
-            f"Jm({joint.name})": float(value) for joint, value in zip(joints, parameters[count:], strict=True)
-        },
     )
 
 

@@ -12,14 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.estimates.combination import Combination
 from service.identification.estimates.estimate import AxisEstimate, Estimate
 from service.identification.estimates.worth import Observation, worse_than_cad, worth
+from service.identification.model.base_parameters import joint_ranges
 from service.identification.model.physical_consistency import Ended, nearest_physical
-from service.identification.model.regressor import fold
+from service.identification.model.regressor import fold, inertia_rows
 
 Array = NDArray[np.float64]
 
 SEEN = 1e-6  # of the largest singular value: a combination of base parameters above it is determined by the poses
+LEAST_ROTOR = 0.1  # of the inertia of its axis: a motor that no data sheet gives
 UNKNOWN_ROTOR = 1.0  # relative standard deviation of a motor inertia that no data sheet gives
 
 
@@ -52,6 +55,31 @@ def standard_parameters(estimate: Estimate) -> StandardParameters:
         if worse_than_cad(worth(robot, nominal, spread, observed, found.parameters)):
             found = nearest_physical(nominal, spread, seen @ combination, values, covariance, exactly=False)
     return StandardParameters(found.parameters, found.deviation, found.ended)
+
+
+def combined_parameters(found: Combination) -> StandardParameters:
+    """Parameters of the whole robot. A motor without data sheet is nominally what its axis has more than the links of
+    CAD, a tenth of it at least.
+    """
+    robot, count = found.robot, 11 * len(found.robot.axes)
+    own = np.array(found.base.columns) < count
+    middle = np.mean(joint_ranges(robot.chain), axis=0)[None]
+    nominal, spread = np.zeros(len(robot.axes)), np.full(len(robot.axes), UNKNOWN_ROTOR)
+    for k, axis in enumerate(robot.axes):
+        if axis.reflected_motor_inertia:
+            nominal[k], spread[k] = axis.reflected_motor_inertia, robot.prior.motor_inertia
+            continue
+        whole = abs(float(found.inertia(axis.joint, middle)[0]))
+        links = float((inertia_rows(robot.chain, k, middle) @ robot.chain.inertial.ravel())[0])
+        nominal[k] = max(whole - links, LEAST_ROTOR * whole)
+    physical = nearest_physical(
+        np.concatenate([robot.chain.inertial.ravel(), nominal]),
+        (robot.prior.inertia, spread),
+        found.base.combination[own, :count],
+        found.solution.values[own],
+        found.solution.covariance[np.ix_(own, own)],
+    )
+    return StandardParameters(physical.parameters, physical.deviation, physical.ended)
 
 
 def _seen(rows: Array) -> Array:

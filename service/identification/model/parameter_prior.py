@@ -1,4 +1,11 @@
-"""The nominal model of the whole dynamics, (14 n,) parameters as in `inverse_dynamics`, and its uncertainty."""
+"""The nominal model of the whole dynamics, (14 n,) parameters as in `inverse_dynamics`, and its uncertainty.
+
+What no data sheet gives may be anything that the measured efforts allow: an unknown rotor behind its gear can be 500
+times as heavy as the wrist that it turns, so the model of the links says nothing about it (`Scale`).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +18,21 @@ from service.robot import Robot
 Array = NDArray[np.float64]
 
 COULOMB_PRIOR, OFFSET_PRIOR = 0.1, 0.02  # of the rated effort: one sigma of values that are in no data sheet
+RATED = 3.0  # times the RMS effort of a motion that is measured, in place of the rated effort
 LEAST_MASS, LEAST_RADIUS = 1e-9, 1e-3  # kg, m: of a link, so that no parameter is certain
 DRY_FRICTION_OPEN = 10.0  # times these values is the prior of dry friction in the fit
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Size of the measurements of an axis, all positive, and the largest values that they allow; None where nothing was
+    measured.
+    """
+
+    inertia: float | None = None  # kg m^2 (kg)
+    viscous: float | None = None  # N m s/rad (N s/m)
+    effort: float | None = None  # N m (N), RMS
+    speed: float | None = None  # rad/s (m/s), the highest
 
 
 def nominal_parameters(robot: Robot) -> Array:
@@ -32,30 +52,40 @@ def link_sizes(links: Array, lightest: float = 0.0) -> Array:
     return np.hstack([mass, np.repeat(mass * radius, 3, 1), np.repeat(mass * radius**2, 6, 1)]).ravel()
 
 
-def parameter_spread(robot: Robot) -> Array:
-    """Standard deviations (14 n,). For a motor without data sheet, the inertia that it moves; for its viscous friction,
-    the rated effort at the joint's highest speed.
+def parameter_spread(robot: Robot, scales: Mapping[str, Scale] | None = None) -> Array:
+    """Standard deviations (14 n,). For values without data sheet those of `scales`, by joint; where nothing was
+    measured, the inertia that a motor moves, and the rated effort at the joint's highest speed.
     """
     size = link_sizes(robot.chain.inertial)
     prior = robot.prior
-    rated = np.array([axis.rated_effort for axis in robot.axes])
+    measured = [(scales or {}).get(axis.joint, Scale()) for axis in robot.axes]
+    rated = np.array(
+        [
+            RATED * one.effort if one.effort else axis.rated_effort
+            for axis, one in zip(robot.axes, measured, strict=True)
+        ]
+    )
     motors = [
-        prior.motor_inertia * axis.reflected_motor_inertia if axis.reflected_motor_inertia else _moved(robot, k)
+        prior.motor_inertia * axis.reflected_motor_inertia
+        if axis.reflected_motor_inertia
+        else measured[k].inertia or _moved(robot, k)
         for k, axis in enumerate(robot.axes)
     ]
     speeds = [
         joint.velocity if np.isfinite(joint.velocity) and joint.velocity > 0 else 1.0 for joint in robot.chain.joints
     ]
     viscous = [
-        prior.viscous_friction * axis.viscous_friction if axis.viscous_friction else axis.rated_effort / speed
-        for axis, speed in zip(robot.axes, speeds, strict=True)
+        prior.viscous_friction * axis.viscous_friction
+        if axis.viscous_friction
+        else one.viscous or axis.rated_effort / speed
+        for axis, speed, one in zip(robot.axes, speeds, measured, strict=True)
     ]
     return np.concatenate([prior.inertia * size, motors, viscous, COULOMB_PRIOR * rated, OFFSET_PRIOR * rated])
 
 
-def prior_information(robot: Robot, base: BaseParameters) -> Information:
+def prior_information(robot: Robot, base: BaseParameters, scales: Mapping[str, Scale] | None = None) -> Information:
     """The prior of the base parameters (r,) as a measurement of them; dry friction has a wide prior."""
-    spread = parameter_spread(robot)
+    spread = parameter_spread(robot, scales)
     spread[12 * len(robot.axes) :] *= DRY_FRICTION_OPEN
     covariance = (base.combination * spread**2) @ base.combination.T
     start = base.combination @ nominal_parameters(robot)

@@ -8,6 +8,7 @@ measures it, drives from the motor's. An axis at rest gives no equation: dry fri
 motion. Cogging of the known orders is eliminated by a cosine and a sine each, before `least_squares`.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,13 +26,18 @@ STILL = 0.01  # of the largest velocity: below, an axis counts as at rest
 AT_REST = 0.1  # share of the filter's weight on samples at rest from which an equation is left out
 MOVED = 1e-3  # rad (m) that an axis moves at least
 LINK_RATE = 200.0  # Hz, at which the links' rows are computed: products of a few smoothed motions
+LOW_SPEEDS = (0.05, 0.1, 0.2)  # of the largest velocity: where friction at low speed has fallen to 37 %
+ANGLES = (1.0, 2.0, 3.0)  # periods per revolution (per 2 pi m)
+OF_SPEED, OF_ANGLE = "friction of the speed", "a torque of the angle"
+LACKS = (*[OF_SPEED for _ in LOW_SPEEDS], OF_SPEED, OF_SPEED, *[OF_ANGLE for _ in (*ANGLES, *ANGLES)])
 CHUNK = 4000  # instants whose rows are computed together, to limit memory
 
 
 @dataclass(frozen=True)
 class AxisEquations:
     """Rows (m, r) and values (m,) of one axis along one record, N m (N), every `step` seconds; `sound` (m,): equations
-    that are used. `ripple` (m, 2 orders): columns eliminated by least squares.
+    that are used. `ripple` (m, 2 orders): columns eliminated by least squares. `lacks` (m, t): what the model of the
+    axis may lack, `friction_laws` first.
     """
 
     joint: str
@@ -39,6 +45,7 @@ class AxisEquations:
     rows: Array
     values: Array
     ripple: Array
+    lacks: Array
     sound: NDArray[np.bool_]
     time: Array  # (m,) s since the record's start
 
@@ -58,8 +65,19 @@ def load_and_motor(robot: Robot, record: FreeMotion) -> tuple[Motion, Motion]:
     return Motion(*load), Motion(*motor)
 
 
-def equations(robot: Robot, base: BaseParameters, record: FreeMotion, number: int) -> list[AxisEquations]:
-    """Equations of every axis that moves in record `number`."""
+def all_equations(
+    robot: Robot, base: BaseParameters, records: Sequence[FreeMotion], fastest: Mapping[str, float] | None = None
+) -> list[AxisEquations]:
+    """Of every axis that moves in one of the records; `fastest`: as for `equations`."""
+    return [each for number, record in enumerate(records) for each in equations(robot, base, record, number, fastest)]
+
+
+def equations(
+    robot: Robot, base: BaseParameters, record: FreeMotion, number: int, fastest: Mapping[str, float] | None = None
+) -> list[AxisEquations]:
+    """Equations of every axis that moves in record `number`. `fastest`: highest speed of an axis in all records, rad/s
+    (m/s); None: in this one.
+    """
     load, motor = load_and_motor(robot, record)
     rate, band = record.rate, record.band
     coarse = max(1, int(rate / LINK_RATE))
@@ -78,6 +96,8 @@ def equations(robot: Robot, base: BaseParameters, record: FreeMotion, number: in
         index = robot.index(joint)
         if np.ptp(motor.position[:, index]) < MOVED:
             continue
+        velocity = motor.velocity[:, index]
+        highest = float(np.abs(velocity).max())
         drives = low_pass(drive_along(motor, index), rate, band)[kept]
         rows = np.hstack([links[:, index], drives[:, columns[len(of_links) :] - 10 * len(robot.axes)]])
         found.append(
@@ -87,7 +107,8 @@ def equations(robot: Robot, base: BaseParameters, record: FreeMotion, number: in
                 rows=rows,
                 values=effort[:, k],
                 ripple=low_pass(_ripple(robot, index, motor.position[:, index]), rate, band)[kept],
-                sound=inside & ~_at_rest(motor.velocity[:, index], rate, band)[kept],
+                lacks=low_pass(_lacks(motor, index, (fastest or {}).get(joint, highest)), rate, band)[kept],
+                sound=inside & ~_at_rest(velocity, rate, band)[kept],
                 time=time,
             )
         )
@@ -119,6 +140,21 @@ def mean_sign(velocity: Array) -> Array:
     change = np.abs(np.gradient(velocity))
     crossing = 2 * np.abs(velocity) < change
     return np.where(crossing, 2 * velocity / np.where(crossing, change, 1.0), np.sign(velocity))
+
+
+def friction_laws(velocity: Array, reference: float) -> Array:
+    """(m, len(`LOW_SPEEDS`)) at `velocity` (m,), 1 or below: friction that falls with the speed."""
+    speed = velocity / reference
+    return np.stack([mean_sign(velocity) * np.exp(-np.square(speed / width)) for width in LOW_SPEEDS], -1)
+
+
+def _lacks(motor: Motion, index: int, reference: float) -> Array:
+    """(m, t), in the order of `LACKS`: friction at low speed; friction that grows with the square of the speed, or with
+    it in one direction more than in the other; what a cable, an eccentric wheel or a spring does over the angle.
+    """
+    speed, angle = motor.velocity[:, index] / reference, np.outer(motor.position[:, index], ANGLES)
+    low, turns = friction_laws(motor.velocity[:, index], reference), (np.cos(angle), np.sin(angle))
+    return np.hstack([low, np.stack([speed * np.abs(speed), np.abs(speed)], -1), *turns])
 
 
 def _part(motion: Motion, part: slice) -> Motion:

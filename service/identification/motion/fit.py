@@ -13,22 +13,35 @@ share in the fit so that noise alone gives A (CR2: Bell and McCaffrey 2002): wit
 G blocks cannot determine p^2 numbers, so C is shrunk towards its mean (Ledoit and Wolf 2004); and it is multiplied by
 Student's factor for G - 1 degrees of freedom, so that two standard deviations cover 95 %. Runs of the same
 motion have the same model error at the same position: their intervals are one block.
+
+An axis whose residual is an error of the model, and slower than the noise, tells less than its size says. So the
+equations of every axis are first divided by the root of its own factor, with A_kb the share of axis k in A_b,
+
+    c_k = max(1, sum_b |s_kb|^2 / sum_b tr(A_kb - A_kb^2)),
+
+the ratio of its scores to those of white noise: what one axis lacks does not weigh on the others.
+
+The blocks' scores cannot show an error that is the same in all of them: it is in the parameters. So what a robot often
+has beside the model (`TESTS`) is tried column by column. Where the residual shows it, the change that it would make to
+the parameters, beyond noise, is added to the spread, and it is told.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property, reduce
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, stdtrit
+from scipy.special import ndtr, stdtr, stdtrit
 
 from service.errors import BadInput
 from service.identification.model.base_parameters import BaseParameters
 from service.identification.model.convergence import finite
 from service.identification.model.least_squares import RANK_TOLERANCE, Information, span
-from service.identification.motion.equations import AxisEquations, equations
+from service.identification.motion.equations import LACKS, AxisEquations, all_equations
 from service.identification.motion.free_motion import FreeMotion
-from service.identification.motion.noise import Colour, stretches
+from service.identification.motion.noise import ORDER, Colour, stretches
 from service.identification.spectra.low_pass import memory
 from service.robot import Robot
 
@@ -36,38 +49,79 @@ Array = NDArray[np.float64]
 
 BLOCK = 2.0  # s
 ROUNDS = 4  # of fit and colour
-NOISE_LEAST = 1e-5  # of the rated effort: smallest standard deviation of a residual
+NOISE_LEAST = 1e-5  # of the RMS effort of an axis: smallest standard deviation of a residual
+LEAST_EFFORT = 1e-9  # N m (N), RMS of an axis
+TESTS = (*LACKS, "elasticity of the gear")
+OPEN = 1e-4  # of the square of a column: least part outside the span of the rows with which it is tested
+SHOWS, TOLD = 0.01, 0.01  # probability by chance below which a lack widens the spread, and below which any is told
+FOLDS = 5  # every fifth block is held out together
+LEAST = 1e-9  # of a parameter: smallest share of an axis in the information
 OWN_SHARE = 0.99  # share of a direction determined by a single block at which its correction is limited
 
 
 @dataclass(frozen=True)
-class FreeFit:
-    """Fit of all records together. `information`: of least squares, for the base parameters (r,), by block and joint.
-
-    `honest`: with a covariance consistent with the residuals. `gain_vector` (r, n): contribution of the efforts
-    of each axis to `honest.vector`. `moved`: change of the values in the last round of
-    fit and colour, in standard deviations of `information` (RMS over the observed directions).
+class Evidence:
+    """`honest`: information with a covariance consistent with the residuals. `gain_vector` (r, n): contribution of the
+    efforts of each axis to `honest.vector`. `lacks`: by joint, what the residual shows that the model lacks.
     """
 
-    equations: tuple[AxisEquations, ...]
-    white: tuple["WhiteEquations", ...]  # of the same
-    information: Information
     honest: Information
     gain_vector: Array
+    lacks: dict[str, tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class FreeFit:
+    """Fit of all records together to `values` (r,). `moved`: change of them in the last round of fit and colour, in
+    standard deviations of least squares (RMS over the parameters).
+    """
+
+    joints: tuple[str, ...]  # of the robot
+    equations: tuple[AxisEquations, ...]
+    white: tuple["WhiteEquations", ...]  # of the same
+    values: Array
     moved: float
+    folds: tuple[Information, ...]  # of least squares, of every fold of blocks
+
+    @property
+    def information(self) -> Information:
+        """Of least squares."""
+        return reduce(Information.plus, self.folds)
+
+    def without(self, fold: int) -> Information:
+        """Information of the other folds."""
+        return reduce(Information.plus, (own for number, own in enumerate(self.folds) if number != fold))
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """Computed in coordinates with information 1; directions that no record shows are left out."""
+        to_white, from_white = _coordinates(self.information)
+        spread, lacks = _spread(self.white, to_white, self.values)
+        shrunk = np.asarray(np.linalg.inv(spread), dtype=float)
+        own = np.zeros((len(self.values), len(self.joints)))
+        for each in self.white:
+            own[:, self.joints.index(each.joint)] += each.rows.T @ each.values
+        gain_vector = from_white.T @ shrunk @ (to_white.T @ own)
+        honest = Information(from_white.T @ shrunk @ from_white, gain_vector.sum(axis=1), self.information.count)
+        return Evidence(honest, gain_vector, lacks)
 
 
 @dataclass(frozen=True)
 class WhiteEquations:
-    """White rows (m, r) and values (m,) of one axis in one record, with ripple eliminated; block and time (m,)
-    of each.
+    """White rows (m, r) and values (m,) of one axis in one record, with ripple eliminated; block (m,) of each.
+
+    `lacks` (m, t): what the model may lack, in the order of `TESTS`.
     """
 
     joint: str
     rows: Array
     values: Array
+    lacks: Array
     block: NDArray[np.int_]
-    time: Array
+
+    def over(self, factor: float) -> "WhiteEquations":
+        """All divided by a factor."""
+        return WhiteEquations(self.joint, self.rows / factor, self.values / factor, self.lacks / factor, self.block)
 
 
 def fit_free_motions(
@@ -76,14 +130,20 @@ def fit_free_motions(
     """Fit all records together. `prior` and `start` (r,) keep undetermined parameters at their start, for the
     residuals.
     """
-    parts = [each for number, record in enumerate(records) for each in equations(robot, base, record, number)]
-    return fit_equations(robot, records, parts, prior, start)
+    return fit_equations(robot, records, all_equations(robot, base, records), prior, start)
 
 
 def fit_equations(
-    robot: Robot, records: Sequence[FreeMotion], parts: Sequence[AxisEquations], prior: Information, start: Array
+    robot: Robot,
+    records: Sequence[FreeMotion],
+    parts: Sequence[AxisEquations],
+    prior: Information,
+    start: Array,
+    order: int = ORDER,
 ) -> FreeFit:
     """Fit given equations: rows (m, r) of any r parameters, with `record` as their index in `records`.
+
+    `order` of the residuals' colour; 0: only their size is a weight.
 
     BadInput where no axis moves for long enough, and where an equation or a fitted parameter is not finite.
     """
@@ -98,22 +158,61 @@ def fit_equations(
         ids = ", ".join(record.ids[0] for record in records)
         raise BadInput(f"free motion {ids}", f"no axis moves for more than {2 * memory(records[0].band):.1f} s")
     blocks = _blocks(records, parts)
-    least = {axis.joint: NOISE_LEAST * axis.rated_effort for axis in robot.axes}
-    colours = {each.joint: Colour(np.zeros((1, 0)), np.array([robot.axis(each.joint).rated_effort])) for each in parts}
+    size = {joint: _rms(each for each in parts if each.joint == joint) for joint in {each.joint for each in parts}}
+    colours = {joint: Colour(np.zeros((1, 0)), np.array([own])) for joint, own in size.items()}
     values, before = start, start
     white: list[WhiteEquations] = []
     for turn in range(ROUNDS):
-        white = [_whitened(each, colours[each.joint], block) for each, block in zip(parts, blocks, strict=True)]
+        white = [_whitened(each, colours[each.joint], block, values) for each, block in zip(parts, blocks, strict=True)]
         information = _sum(white, len(start))
         before, values = values, information.plus(prior).solve(start).values
         if turn < ROUNDS - 1:
-            colours = _colours(parts, values, information, least)
+            colours = _colours(parts, values, information, size, order)
     finite(values, f"free motion {records[0].ids[0]}", "the fitted parameters")
-    return _honest(robot, parts, white, _sum(white, len(start)), values, values - before)
+    information = _sum(white, len(start))
+    change = values - before
+    squares, seen = float(change @ information.matrix @ change), int(np.sum(np.diag(information.matrix) > 0))
+    white = _levelled(white, information, values)
+    folds = tuple(_sum(white, len(start), fold) for fold in range(FOLDS))
+    values = reduce(Information.plus, folds).plus(prior).solve(start).values
+    moved = float(np.sqrt(max(squares, 0.0) / max(seen, 1)))
+    return FreeFit(robot.joints, tuple(parts), tuple(white), values, moved, folds)
+
+
+def _levelled(white: Sequence[WhiteEquations], information: Information, values: Array) -> list[WhiteEquations]:
+    """All equations of an axis divided by the root of its factor c_k."""
+    to_white, _ = _coordinates(information)
+    squares, expected = ({each.joint: 0.0 for each in white} for _ in range(2))
+    for each in white:
+        rows, residual = each.rows @ to_white, each.values - each.rows @ values
+        for block in np.unique(each.block):
+            own = each.block == block
+            share = rows[own].T @ rows[own]
+            squares[each.joint] += float(np.sum((rows[own].T @ residual[own]) ** 2))
+            expected[each.joint] += float(np.trace(share) - np.sum(share**2))
+    return [each.over(np.sqrt(max(1.0, squares[each.joint] / max(expected[each.joint], LEAST)))) for each in white]
+
+
+def _coordinates(information: Information) -> tuple[Array, Array]:
+    """(r, p) with beta = start + to_white z, and (p, r) back; z has information 1. Directions without information are
+    left out.
+    """
+    scale = np.sqrt(np.diag(information.matrix))
+    scale = np.where(scale > 0, scale, 1.0)
+    moments, vectors = np.linalg.eigh(information.matrix / np.outer(scale, scale))
+    seen = moments > RANK_TOLERANCE * max(moments[-1], 1e-300)
+    to_white = vectors[:, seen] / np.sqrt(moments[seen]) / scale[:, None]
+    return to_white, (vectors[:, seen] * np.sqrt(moments[seen])).T * scale
+
+
+def _rms(parts: Iterable[AxisEquations]) -> float:
+    """RMS of the efforts, N m (N)."""
+    efforts = np.concatenate([each.values[each.sound] for each in parts])
+    return max(float(np.sqrt(np.mean(efforts**2))), LEAST_EFFORT)
 
 
 def _colours(
-    parts: Sequence[AxisEquations], values: Array, information: Information, least: dict[str, float]
+    parts: Sequence[AxisEquations], values: Array, information: Information, size: dict[str, float], order: int
 ) -> dict[str, Colour]:
     """By joint, from the residuals of a fit; its parameters are attributed to all equations evenly."""
     freedom = 1 - len(values) / max(information.count, len(values) + 1)
@@ -123,16 +222,22 @@ def _colours(
         whole = np.zeros(len(each.values))
         whole[each.sound] = left
         residuals.setdefault(each.joint, []).extend(whole[part] for part in stretches(each.sound))
-    return {joint: Colour.of(own, least[joint], freedom * sum(map(len, own))) for joint, own in residuals.items()}
+    return {
+        joint: Colour.of(own, NOISE_LEAST * size[joint], freedom * sum(map(len, own)), order)
+        for joint, own in residuals.items()
+    }
 
 
-def _whitened(each: AxisEquations, colour: Colour, block: NDArray[np.int_]) -> WhiteEquations:
+def _whitened(each: AxisEquations, colour: Colour, block: NDArray[np.int_], values: Array) -> WhiteEquations:
     parts = stretches(each.sound)
-    together = np.column_stack([each.rows, each.values, each.ripple])
+    step = each.time[1] - each.time[0]
+    twist = np.gradient(np.gradient(each.rows @ values, step), step)  # of a spring, by the effort that `values` predict
+    together = np.column_stack([each.rows, each.values, each.lacks, twist, each.ripple])
     white = np.concatenate([colour.whiten(together[part]) for part in parts]) if parts else together[:0]
     width = each.rows.shape[1]
-    left = _without(white[:, width + 1 :], white[:, : width + 1])
-    return WhiteEquations(each.joint, left[:, :width], left[:, width], block[each.sound], each.time[each.sound])
+    last = white.shape[1] - each.ripple.shape[1]
+    left = _without(white[:, last:], white[:, :last])
+    return WhiteEquations(each.joint, left[:, :width], left[:, width], left[:, width + 1 :], block[each.sound])
 
 
 def _without(columns: Array, signals: Array) -> Array:
@@ -143,11 +248,13 @@ def _without(columns: Array, signals: Array) -> Array:
     return signals - spanned @ (spanned.T @ signals)
 
 
-def _sum(white: Sequence[WhiteEquations], size: int) -> Information:
+def _sum(white: Sequence[WhiteEquations], size: int, fold: int | None = None) -> Information:
+    """Of all blocks, or of those of a fold."""
     information = Information.empty(size)
     for each in white:
-        own = Information(each.rows.T @ each.rows, each.rows.T @ each.values, len(each.values))
-        information = information.plus(own)
+        kept = slice(None) if fold is None else each.block % FOLDS == fold
+        rows, values = each.rows[kept], each.values[kept]
+        information = information.plus(Information(rows.T @ rows, rows.T @ values, len(values)))
     return information
 
 
@@ -161,48 +268,20 @@ def _blocks(records: Sequence[FreeMotion], parts: Sequence[AxisEquations]) -> li
     ]
 
 
-def _honest(
-    robot: Robot,
-    parts: Sequence[AxisEquations],
-    white: Sequence[WhiteEquations],
-    information: Information,
-    values: Array,
-    change: Array,
-) -> FreeFit:
-    """Computed in coordinates with information 1; directions that no record shows are left out.
-
-    `change` (r,): of the values in the last round.
-    """
-    scale = np.sqrt(np.diag(information.matrix))
-    scale = np.where(scale > 0, scale, 1.0)
-    moments, vectors = np.linalg.eigh(information.matrix / np.outer(scale, scale))
-    seen = moments > RANK_TOLERANCE * max(moments[-1], 1e-300)
-    to_white = vectors[:, seen] / np.sqrt(moments[seen]) / scale[:, None]  # beta = start + to_white z
-    from_white = (vectors[:, seen] * np.sqrt(moments[seen])).T * scale  # z
-    spread = _spread(white, to_white, values)
-    shrunk = np.asarray(np.linalg.inv(spread), dtype=float)
-    matrix = from_white.T @ shrunk @ from_white
-    own = np.zeros((len(values), len(robot.axes)))
-    for each in white:
-        own[:, robot.index(each.joint)] += each.rows.T @ each.values
-    gain_vector = from_white.T @ shrunk @ (to_white.T @ own)
-    honest = Information(matrix, gain_vector.sum(axis=1), information.count)
-    moved = float(np.sqrt(np.mean((from_white @ change) ** 2))) if seen.any() else 0.0
-    return FreeFit(tuple(parts), tuple(white), information, honest, gain_vector, moved)
-
-
-def _spread(white: Sequence[WhiteEquations], to_white: Array, values: Array) -> Array:
-    """C* (p, p)."""
+def _spread(
+    white: Sequence[WhiteEquations], to_white: Array, values: Array
+) -> tuple[Array, dict[str, tuple[str, ...]]]:
+    """C* (p, p) with what the model lacks, and that by joint."""
     size = to_white.shape[1]
-    count = 1 + max((int(each.block.max(initial=-1)) for each in white), default=-1)
+    blocks, where = np.unique(np.concatenate([each.block for each in white]), return_inverse=True)
+    count = len(blocks)
     shares, scores = np.zeros((count, size, size)), np.zeros((count, size))
-    for each in white:
-        rows = each.rows @ to_white
-        residual = each.values - each.rows @ values
-        for number in range(count):
-            own = each.block == number
-            shares[number] += rows[own].T @ rows[own]
-            scores[number] += rows[own].T @ residual[own]
+    rows = np.vstack([each.rows for each in white]) @ to_white
+    residual = np.concatenate([each.values - each.rows @ values for each in white])
+    for number in range(count):
+        own = where == number
+        shares[number] = rows[own].T @ rows[own]
+        scores[number] = rows[own].T @ residual[own]
     middle = np.zeros((size, size))
     for share, score in zip(shares, scores, strict=True):
         part, directions = np.linalg.eigh(share)
@@ -210,4 +289,34 @@ def _spread(white: Sequence[WhiteEquations], to_white: Array, values: Array) -> 
         middle += np.outer(corrected, corrected)
     mean = max(1.0, float(np.trace(middle)) / max(size, 1))
     few = float(stdtrit(max(count - 1, 1), ndtr(2.0))) / 2.0
-    return few**2 * (count * middle + size * mean * np.eye(size)) / (count + size)
+    spread = few**2 * (count * middle + size * mean * np.eye(size)) / (count + size)
+    lacking: dict[str, list[str]] = {}
+    tests = sum(each.lacks.shape[1] for each in white)
+    for joint in dict.fromkeys(each.joint for each in white):
+        columns = np.vstack([each.lacks if each.joint == joint else 0 * each.lacks for each in white])
+        for name, moved, certain in _lacking(columns, rows, residual, where, count):
+            spread += np.outer(moved, moved)
+            if certain < TOLD / tests and name not in lacking.setdefault(joint, []):
+                lacking[joint].append(name)
+    return spread, {joint: tuple(names) for joint, names in lacking.items()}
+
+
+def _lacking(
+    columns: Array, rows: Array, residual: Array, where: NDArray[np.int_], count: int
+) -> Iterator[tuple[str, Array, float]]:
+    """Name of each column (m, t) that the residual (m,) shows, the change of the parameters (p,) with it beyond noise,
+    and the probability of that by noise: a t-test of the blocks' scores. `rows` (m, p) with `rows.T @ rows` = 1.
+    """
+    along = rows.T @ columns
+    beyond = columns - rows @ along
+    power = np.sum(beyond**2, axis=0)
+    for k in range(len(power)):
+        if power[k] <= OPEN * np.sum(columns[:, k] ** 2):
+            continue
+        scores = np.bincount(where, beyond[:, k] * residual, count)
+        total, noise = float(scores.sum()), float(np.var(scores, ddof=1)) * count if count > 1 else 0.0
+        if noise <= 0:
+            continue
+        certain = 2 * cast(float, stdtr(count - 1, -abs(total) / noise**0.5))
+        if certain < SHOWS:
+            yield TESTS[k], along[:, k] * (total**2 - noise) ** 0.5 / power[k], certain

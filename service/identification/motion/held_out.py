@@ -14,13 +14,10 @@ from numpy.typing import NDArray
 
 from service.identification.model.least_squares import Information
 from service.identification.motion.equations import AxisEquations
-from service.identification.motion.fit import FreeFit
+from service.identification.motion.fit import FOLDS, FreeFit
 from service.identification.motion.free_motion import FreeMotion
-from service.robot import Robot
 
 Array = NDArray[np.float64]
-
-FOLDS = 5
 
 
 @dataclass(frozen=True)
@@ -32,39 +29,32 @@ class HeldOut:
     floor: float | None
 
 
-def held_out(
-    robot: Robot, records: Sequence[FreeMotion], fit: FreeFit, others: Information, start: Array
-) -> dict[str, HeldOut]:
+def held_out(records: Sequence[FreeMotion], fit: FreeFit, others: Information, start: Array) -> dict[str, HeldOut]:
     """By joint. `others`: information without the free motions, including the nominal model's prior."""
-    values = fit.information.plus(others).solve(start).values
-    errors: dict[str, list[Array]] = {}
-    for fold in range(FOLDS):
-        left = others
-        for each, white in zip(fit.equations, fit.white, strict=True):
-            kept = _fold(white.time, each) != fold
-            rows = white.rows[kept]
-            left = left.plus(Information(rows.T @ rows, rows.T @ white.values[kept]))
-        without = left.solve(start).values
-        for each in fit.equations:
-            out = each.sound & (_fold(each.time, each) == fold)
-            errors.setdefault(each.joint, []).append(each.values[out] - each.rows[out] @ without)
+    values = fit.evidence.honest.plus(others).solve(start).values
     return {
         joint: HeldOut(
             residual=_rms([each.values - each.rows @ values for each in _of(fit, joint)], _of(fit, joint)),
-            error=float(np.sqrt(np.mean(np.concatenate(parts) ** 2))),
+            error=error,
             floor=_floor(records, _of(fit, joint), values),
         )
-        for joint, parts in errors.items()
-        if any(len(part) for part in parts)
+        for joint, error in held_out_errors(fit, others, start).items()
     }
+
+
+def held_out_errors(fit: FreeFit, others: Information, start: Array) -> dict[str, float]:
+    """RMS of what the rest of the records leaves unpredicted in each fold, N m (N), by joint."""
+    errors: dict[str, list[Array]] = {}
+    for fold in range(FOLDS):
+        without = fit.without(fold).plus(others).solve(start).values
+        for each, white in zip(fit.equations, fit.white, strict=True):
+            out = white.block % FOLDS == fold
+            errors.setdefault(each.joint, []).append((each.values - each.rows @ without)[each.sound][out])
+    return {joint: float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) for joint, parts in errors.items()}
 
 
 def _of(fit: FreeFit, joint: str) -> list[AxisEquations]:
     return [each for each in fit.equations if each.joint == joint]
-
-
-def _fold(time: Array, each: AxisEquations) -> NDArray[np.int_]:
-    return np.minimum((FOLDS * time / each.time[-1]).astype(int), FOLDS - 1)
 
 
 def _rms(signals: Sequence[Array], parts: Sequence[AxisEquations]) -> float:

@@ -24,9 +24,9 @@ class Colour:
     std: Array
 
     @classmethod
-    def of(cls, stretches: list[Array], least: float, freedom: float) -> "Colour":
+    def of(cls, stretches: list[Array], least: float, freedom: float, order: int = ORDER) -> "Colour":
         """From residuals (m_i,) of all intervals; `freedom`: samples minus fitted parameters, `least`: smallest std."""
-        order = min(ORDER, max(len(stretch) for stretch in stretches) - 1)
+        order = min(order, max(len(stretch) for stretch in stretches) - 1)
         lags = np.array(
             [sum(float(x[lag:] @ x[: len(x) - lag]) for x in stretches if len(x) > lag) for lag in range(order + 1)]
         )

@@ -54,6 +54,8 @@ def sentences(found: Payload) -> list[str]:
     notes: list[str] = []
     if not abs(found.parameters[0]) > 3 * np.sqrt(found.covariance[0, 0]) and found.excited[0]:
         notes.append(f"No mass detected: {found.body[0]:.3g} kg, standard deviation {found.body_std[0]:.2g} kg.")
+    if found.parameters[0] < -3 * np.sqrt(found.covariance[0, 0]):
+        notes.append("The mass is negative: exchange the bundles before and after, or check the signs of the efforts.")
     missing = [name for name, seen in zip(("mass", *CENTER, *TENSOR), found.excited, strict=True) if not seen]
     if missing:
         notes.append(f"The motions do not excite {', '.join(missing)}: these remain unknown.")

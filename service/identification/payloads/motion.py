@@ -46,13 +46,13 @@ def motion_evidence(
     base = dynamic_base(robot)
     start, prior = base.combination @ nominal_parameters(robot), prior_information(robot, base)
     fit = fit_free_motions(robot, base, empty, prior, start)
-    known = whole_parameters(robot, base, fit.honest.plus(prior).solve(start).values)
+    known = whole_parameters(robot, base, fit.evidence.honest.plus(prior).solve(start).values)
     parts = [
         each for k, pair in enumerate(zip(empty, loaded, strict=True)) for each in _differences(robot, known, *pair, k)
     ]
     found = fit_equations(robot, loaded, parts, Information.empty(BODY), np.zeros(BODY))
     source = ", ".join(f"{one.ids[0]} and {other.ids[0]}" for one, other in both)
-    return [BodyEvidence("all axes", found.honest, found.gain_vector, source)]
+    return [BodyEvidence("all axes", found.evidence.honest, found.evidence.gain_vector, source)]
 
 
 def _match(before: Sequence[FreeMotion], loaded: FreeMotion) -> tuple[FreeMotion, FreeMotion] | None:

@@ -63,7 +63,7 @@ def payload(
     robot: Robot, before: Sequence[Sweep], after: Sequence[Sweep], gains: Mapping[str, TorqueGain] | None = None
 ) -> Payload:
     """The body that is mounted in `after` and not in `before`; `gains` calibrated by joint. BadInput without common
-    motions.
+    motions, and where no effort differs.
     """
     known = gains or {}
     values = {joint: one.gain for joint, one in known.items()}
@@ -90,6 +90,8 @@ def _solve(robot: Robot, evidence: Sequence[BodyEvidence], gain_spread: Array) -
     for each in evidence:
         information = information.plus(each.information)
     solution = information.solve(np.zeros(BODY))
+    if not solution.values[0]:
+        raise BadInput("payload", "no effort differs between the bundles: name one without the payload and one with it")
     by_gain = solution.covariance @ sum((each.gain_vector for each in evidence), np.zeros((BODY, len(robot.axes))))
     total = solution.covariance + (by_gain * gain_spread**2) @ by_gain.T
     jacobian = _jacobian(body_of, solution.values)

@@ -28,7 +28,7 @@ from service.errors import BadInput
 from service.identification.spectra.pairs import from_pairs, pairs
 from service.recording import Array, Recording, Sweep, SweepSpec
 from service.results.identified.spectrum import SpectrumDocument
-from service.robot import Axis, Robot
+from service.robot import Axis, Robot, link_frames
 
 Complex = NDArray[np.complex128]
 Bins = NDArray[np.int_]
@@ -38,6 +38,8 @@ MARGIN = 3.0  # Hz above the last line
 FREE_BAND = 20.0  # Hz
 BELOW_NYQUIST = 0.4  # of the sample rate: above, filters against aliasing distort
 WHOLE = 1e-6  # relative, by which a number of samples or of periods may differ from a whole one
+VERTICAL = 1e-3  # rad between an axis and gravity
+REST, AT_REST = 0.1, 0.005  # s; of the highest velocity: longer and slower, an axis of a free record rests
 SAME_WAY = 0.5  # allowed relative difference of load and motor travel over the window
 
 
@@ -47,8 +49,9 @@ class Spectrum:
 
     `regressors` (r, b): DFTs of the signals named by `names`: "gravity_torque" cos d and "gravity_stiffness" sin d
     of the travel d since the start pose (revolute), "ripple" cos and sin of each cogging and transmission order of
-    the motor angle, "coulomb" sign of the velocity if it reverses. A free record also has "acceleration", "offset"
-    and "drag", the velocity times its magnitude. `load_velocity` (b,) is that of the direct encoder, None without
+    the motor angle, "coulomb" sign of the velocity if it reverses. A free record also has "acceleration", "offset",
+    "drag", the velocity times its magnitude, and "rest", a step and a slope over every rest; it has no gravity about
+    a vertical axis. `load_velocity` (b,) is that of the direct encoder, None without
     one.
     """
 
@@ -164,7 +167,12 @@ def _free(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> Spect
     frequency = bins / length
     part = slice(first, None)
     names, signals = _signals(robot, index, spec, record, part)
+    if _vertical(robot, index, spec):
+        kept = [not name.startswith("gravity") for name in names]
+        names, signals = tuple(name for name, keep in zip(names, kept, strict=True) if keep), signals[kept]
     speed = record.velocity[part]
+    rests = _rests(speed, spec.sample_rate)
+    names, signals = (*names, *["rest"] * len(rests)), np.vstack([signals, rests])
     velocity = _trapezoidal_dft(speed, bins)
     # by parts: DFT[dv/dt] = [v e^(-iwt)]/T + iw DFT[v]; at the bins e^(-iwT) = 1. No differentiation, no noise gain
     acceleration = 2j * np.pi * frequency * velocity + (speed[-1] - speed[0]) / length
@@ -228,6 +236,26 @@ def _bins(spec: SweepSpec, count: int) -> tuple[Bins, NDArray[np.bool_]]:
     first = max(1, min(round(LOW / step), int(lines.min())))
     bins = np.arange(first, last + 1)
     return bins, np.isin(bins, lines)
+
+
+def _vertical(robot: Robot, index: int, spec: SweepSpec) -> bool:
+    """Whether gravity has no torque about the axis in the pose of a sweep."""
+    rotations, _ = link_frames(robot.chain, np.array([spec.pose]))
+    axis = rotations[0, index] @ robot.chain.joints[index].axis
+    return float(np.linalg.norm(np.cross(axis, robot.gravity))) < VERTICAL * float(np.linalg.norm(robot.gravity))
+
+
+def _rests(velocity: Array, rate: float) -> Array:
+    """(2 k, n): a step and a slope over every stretch in which the axis rests: friction then balances any torque."""
+    still = np.abs(velocity) < AT_REST * np.abs(velocity).max()
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]))).reshape(-1, 2)
+    rows: list[Array] = []
+    for first, last in edges[(edges[:, 1] - edges[:, 0]) > REST * rate]:
+        for value in (1.0, np.linspace(-1.0, 1.0, last - first)):
+            row = np.zeros(len(velocity))
+            row[first:last] = value
+            rows.append(row)
+    return np.array(rows).reshape(len(rows), len(velocity))
 
 
 def _signals(

@@ -7,6 +7,9 @@ a low-pass filter applied to every term alike, and the acceleration comes from i
 nor difference quotient biases J. Back in time the K + 1 bins are 2 K + 1 equations at equal distances over the record,
 with the same normal matrix (Parseval).
 
+While an axis rests, dry friction balances any torque: each rest has a step and a slope of its own. A vertical axis has
+no gravity.
+
 Gravity of an axis that moves little is a constant to first order and replaces the offset. An axis that moves far
 separates both: then the constant is kept, because it contains the dry friction of a motor that moves in one direction.
 
@@ -33,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.errors import BadInput
-from service.identification.model.least_squares import jackknife_factor
+from service.identification.model.least_squares import jackknife_factor, span
 from service.identification.spectra.frequency_response import Complex, Spectrum
 
 Array = NDArray[np.float64]
@@ -64,7 +67,8 @@ class FreeFit:
 def fit_record(spectrum: Spectrum) -> FreeFit:
     """Fit one free record with every term that its motion excites. Raises BadInput if J is then undetermined."""
     columns = _columns(spectrum)
-    rows, values = _in_time(np.stack(list(columns.values()), -1)), _in_time(spectrum.effort[:, None])[:, 0]
+    rows = _unrested(spectrum, np.stack(list(columns.values()), -1))
+    values = _unrested(spectrum, spectrum.effort[:, None])[:, 0]
     scale = np.linalg.norm(rows, axis=0)
     scaled = rows / np.where(scale > 0, scale, 1.0)
     if len(values) <= len(scale) or np.linalg.svd(scaled, compute_uv=False)[-1] < OPEN:
@@ -115,6 +119,15 @@ def _in_time(bins: Complex) -> Array:
     return np.fft.irfft(bins, count, axis=0) * count
 
 
+def _unrested(spectrum: Spectrum, bins: Complex) -> Array:
+    """`_in_time` without what a torque of any size at every rest explains: there, dry friction balances it."""
+    signals, rests = _in_time(bins), spectrum.named("rest")
+    if not len(rests):
+        return signals
+    spanned = span(_in_time(rests.T))
+    return signals - spanned @ (spanned.T @ signals)
+
+
 def _variance(rows: Array, residual: Array, inverse: Array) -> Array:
     """Variances (p,) by noise of a fit with rows (m, p) of unit length and its residual (m,); see the module
     docstring.
@@ -163,7 +176,7 @@ def _by_drag(rows: Array, residual: Array, spectrum: Spectrum, inverse: Array) -
     drag = spectrum.named("drag")
     if not len(drag):  # spectra stored by earlier versions
         return 0.0
-    column = _in_time(drag.T)[:, 0]
+    column = _unrested(spectrum, drag.T)[:, 0]
     along = float(inverse @ rows.T @ column)
     beyond = column - rows @ np.linalg.lstsq(rows, column, rcond=None)[0]
     power = float(beyond @ beyond)

@@ -16,6 +16,7 @@ from service.traces.trace_import import import_trace
 
 INERTIA, VISCOUS, DRY = 1.5e-3, 4e-4, 0.25  # of a servo motor on its bench: kg m^2, N m s/rad, N m
 RATE, DURATION, TOP = 1000.0, 6.0, 200.0  # Hz, s, rad/s
+TABLE = 0.02  # kg m^2
 SEEDS = 60
 ROTOR = """<robot name="bench"><link name="base"/><link name="rotor"><inertial><mass value="2"/>
 <inertia ixx="0.0015" iyy="0.0015" izz="0.0015" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -154,3 +155,34 @@ def test_what_is_no_number_is_refused_by_axis_and_sweep(bench: Robot, value: flo
     sweep.recording.velocity[17] = value
     with pytest.raises(BadInput, match="sweep 0001 of motor: velocity is not a number at sample 17"):
         spectrum(bench, sweep)
+
+
+def table(seed: int) -> Sweep:
+    """A table turns about the vertical by 0.3 rad and back, and rests for 1 s between, each time held by another
+    torque within dry friction."""
+    rng, move, rest = np.random.default_rng(seed), round(0.6 * RATE), round(1.0 * RATE)
+    phase = 2 * np.pi * np.arange(move) / move
+    speed, effort, side = [np.zeros(rest)], [np.full(rest, rng.uniform(-DRY, DRY))], 1.0
+    for _ in range(8):
+        own = side * 0.5 * (1 - np.cos(phase))
+        gain = side * 0.5 * np.sin(phase) * 2 * np.pi * RATE / move
+        speed += [own, np.zeros(rest)]
+        effort += [TABLE * gain + VISCOUS * own + DRY * np.sign(own), np.full(rest, rng.uniform(-DRY, DRY))]
+        side = -side
+    velocity = np.concatenate(speed)
+    torque = np.concatenate(effort) + rng.normal(0, 0.002, len(velocity))
+    time = np.arange(len(velocity)) / RATE
+    spec = SweepSpec(id="0001", axis="motor", pose=(0.0,), offset_velocity=0, excitation="trajectory", sample_rate=RATE)
+    return Sweep(spec, Recording(time, torque, velocity, np.cumsum(velocity) / RATE))
+
+
+def test_what_holds_a_resting_table_is_no_gravity() -> None:
+    axis = Axis(joint="motor", gear_ratio=1.0, motor_inertia=None, rated_effort=10.0, viscous_friction=None)
+    upright = ROTOR.replace('<axis xyz="1 0 0"/>', '<axis xyz="0 0 1"/>')
+    robot = build_robot(RobotDescription(name="table", urdf="robot.urdf", axes=(axis,)), upright)
+    found = [fit_record(spectrum(robot, table(seed))) for seed in range(20)]
+    assert "gravity_torque" not in found[0].terms
+    for fit in found:
+        assert fit.inertia == pytest.approx(TABLE, rel=0.02)
+        assert fit.terms["coulomb_friction"][0] == pytest.approx(DRY, rel=0.02)
+    assert np.mean([abs(fit.inertia - TABLE) < 2 * fit.inertia_std for fit in found]) > 0.85

@@ -1,0 +1,196 @@
+"""Logs of all axes from the second plant, beside what anybody would try first; none of these seeds was tuned on."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sweepid
+from service.estimation import estimate_document
+from service.identification.estimates.combination import Combination, combine
+from service.identification.model.regressor import axis_rows
+from service.identification.motion.along_motion import whole_parameters
+from service.identification.motion.free_motion import free_motions
+from service.recording import Sweep
+from service.results.combination import Combination as Document
+from service.results.estimate import Estimate
+from service.robot import Robot, build_robot
+from service.store.files.bundle import Bundle
+from tests.numeric.second_plant.logs import Log, log
+from tests.numeric.simple_estimators import errors, simple
+
+HELD_BACK = range(200, 210)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One log and its estimate; `ours` and `best` (n,): errors on a motion of the same kind, the best of five simple
+    ones; `inertia`, `simple_inertia` (n,): RMS error over poses, relative.
+    """
+
+    log: Log
+    found: Combination
+    ours: np.ndarray
+    best: np.ndarray
+    inertia: np.ndarray
+    simple_inertia: np.ndarray
+
+    @property
+    def z(self) -> np.ndarray:
+        """Of what counts as identified of links and motors."""
+        count = 11 * len(self.log.robot.axes)
+        truth = np.concatenate([self.log.links.ravel(), self.log.rotors])
+        own = [k for k, p in enumerate(self.found.parameters) if p.identified and self.found.base.columns[k] < count]
+        error = self.found.solution.values - self.found.base.combination[:, :count] @ truth
+        return (error / self.found.solution.std)[own]
+
+
+@cache
+def measured(seed: int) -> Measured:
+    one = log(seed)
+    found = combine(one.robot, (), (), free_motions(one.robot, one.sweeps))
+    ours = whole_parameters(one.robot, found.base, found.solution.values)
+    others = simple(one.robot, one.sweeps).values()
+    lower, upper = np.array([(joint.lower, joint.upper) for joint in one.robot.chain.joints]).T
+    poses = np.random.default_rng(seed).uniform(lower, upper, (30, len(one.robot.axes)))
+    truth = one.inertia(poses)
+
+    def off(parameters: np.ndarray) -> np.ndarray:
+        count = len(one.robot.axes)
+        rows = [axis_rows(one.robot.chain, k, poses) for k in range(count)]
+        values = np.stack([row @ parameters[: 11 * count] for row in rows], -1)
+        return np.sqrt(np.mean((values / truth - 1) ** 2, axis=0))
+
+    laws = {joint: law.effort for joint, law in found.friction.items()}
+    return Measured(
+        log=one,
+        found=found,
+        ours=errors(one.robot, one.held_out, ours, laws),
+        best=np.min([errors(one.robot, one.held_out, other) for other in others], axis=0),
+        inertia=off(ours),
+        simple_inertia=np.min([off(other) for other in others], axis=0),
+    )
+
+
+def document(robot: Robot, sweeps: tuple[Sweep, ...]) -> Document:
+    found = estimate_document(robot, (), motions=free_motions(robot, sweeps)).combination
+    assert found is not None
+    return found
+
+
+def test_no_worse_than_least_squares() -> None:
+    """Against the best of five on every axis, which nobody knows beforehand."""
+    every = [measured(seed) for seed in HELD_BACK]
+    ratios = np.concatenate([one.ours / one.best for one in every])
+    z = np.abs(np.concatenate([one.z for one in every]))
+    rough = np.abs(np.concatenate([one.z for one in every if one.log.kind.rough]))
+    inertia = 100 * np.concatenate([one.inertia for one in every])
+    simple_inertia = 100 * np.concatenate([one.simple_inertia for one in every])
+    print(f"held out, of the best of five: median {np.median(ratios):.2f}, worst {ratios.max():.2f}")
+    print(f"{100 * np.mean(ratios < 1.05):.0f} % of {len(ratios)} axes below 1.05")
+    print(
+        f"J: median {np.median(inertia):.1f} %, worst {inertia.max():.1f} %; simple {np.median(simple_inertia):.1f} %"
+    )
+    print(f"within two: {100 * np.mean(z < 2):.0f} % of {len(z)}, rough friction {100 * np.mean(rough < 2):.0f} %")
+    assert np.median(ratios) < 1.0
+    assert np.mean(ratios < 1.05) > 0.8
+    assert ratios.max() < 1.6
+    assert np.median(inertia) < np.median(simple_inertia)
+    assert np.mean(z < 2) > 0.93
+    assert np.mean(rough < 2) > 0.93
+
+
+@pytest.mark.parametrize("small", [False, True])
+def test_rotors_that_nobody_knows_are_found(small: bool) -> None:
+    """Behind its gear a wrist's rotor is up to 550 times as heavy as what it turns."""
+    one = log(220, small=small, family="arm", unknown_rotors=True, motion="wander", elastic=False, duration=40.0)
+    found = document(one.robot, one.sweeps)
+    assert found.standard_parameters is not None
+    assert found.physical is not None
+    for joint, rotor in list(zip(one.robot.joints, one.rotors, strict=True))[3:]:
+        assert found.standard_parameters.motor_inertias[f"Jm({joint})"] == pytest.approx(rotor, rel=0.1)
+    assert not found.warnings
+    count = len(found.base_parameters)
+    assert np.shape(found.covariance) == (count, count)
+
+
+def test_the_rated_effort_changes_nothing() -> None:
+    one = log(221, unknown_rotors=True)
+    values = []
+    for factor in (0.1, 1.0, 10.0):
+        description = one.robot.description
+        axes = tuple(axis.model_copy(update={"rated_effort": factor * axis.rated_effort}) for axis in description.axes)
+        robot = build_robot(description.model_copy(update={"axes": axes}), one.robot.urdf_text)
+        values.append([p.value for p in document(robot, one.sweeps).base_parameters])
+    np.testing.assert_allclose(values, [values[1]] * 3, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", [222, 223])
+def test_every_answer_keeps_the_invariants(seed: int) -> None:
+    one = log(seed)
+    found = document(one.robot, one.sweeps)
+    for axis in found.free_motion_axes.values():
+        assert axis.simple_held_out_rms is not None
+        assert axis.held_out_rms <= 1.05 * axis.simple_held_out_rms
+        assert axis.residual_rms <= 1.05 * axis.held_out_rms
+    alone = [p for p in found.base_parameters if p.name[:3] in ("Jm(", "Fv(", "Fc(") and " " not in p.name]
+    for parameter in (p for p in alone if p.identified):
+        assert parameter.std is not None
+        assert parameter.std <= 0.5 * abs(parameter.value), parameter.name
+
+
+def test_what_no_robot_can_have_is_told() -> None:
+    """The efforts of one axis have the wrong sign."""
+    one = log(224, family="arm", motion="wander", duration=30.0)
+    first, *rest = one.sweeps
+    warnings = document(one.robot, (with_effort(first, -first.recording.effort), *rest)).warnings
+    assert any("Fc(joint_1) is -" in warning and "change the sign" in warning for warning in warnings)
+    assert not document(one.robot, one.sweeps).warnings
+
+
+def test_the_model_of_a_free_motion_is_exported(tmp_path: Path) -> None:
+    one = log(225, family="arm", motion="wander", elastic=False, duration=30.0, unknown_rotors=True)
+    estimate = sweepid.identify(Bundle(one.robot, one.sweeps, "log"))
+    model = sweepid.export(one.robot, estimate, tmp_path / "model")
+    assert (tmp_path / "model" / "model.urdf").is_file()
+    for friction, true in zip(model.friction, one.viscous, strict=True):
+        assert friction == pytest.approx(true, rel=0.3)
+    again = sweepid.export(one.robot, Estimate.read(estimate.as_json(), "file"), tmp_path / "again")
+    np.testing.assert_allclose(again.motor_inertias, model.motor_inertias)
+
+
+def exchanged(one: Log) -> tuple[Robot, list[Sweep]]:
+    first, second, *rest = one.sweeps
+    return one.robot, [with_effort(first, second.recording.effort), with_effort(second, first.recording.effort), *rest]
+
+
+def late(one: Log) -> tuple[Robot, list[Sweep]]:
+    time = one.sweeps[0].recording.time
+    return one.robot, [with_effort(s, np.interp(time - 0.2, time, s.recording.effort)) for s in one.sweeps]
+
+
+def turned(one: Log) -> tuple[Robot, list[Sweep]]:
+    description = one.robot.description.model_copy(update={"gravity": (0.0, -9.81, 0.0)})
+    return replace(one.robot, description=description), list(one.sweeps)
+
+
+def with_effort(sweep: Sweep, effort: np.ndarray) -> Sweep:
+    return replace(sweep, recording=replace(sweep.recording, effort=effort))
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        (exchanged, "the efforts of joint_1 and joint_2 seem to be exchanged"),
+        (late, "the efforts seem to be 200 ms late"),
+        (turned, "gravity seems to act along -z of the base"),
+    ],
+)
+def test_a_fault_of_the_records_is_located(fault: Callable[[Log], tuple[Robot, list[Sweep]]], told: str) -> None:
+    one = log(226, family="arm", motion="program", wall=False, duration=20.0)
+    assert not document(one.robot, one.sweeps).warnings
+    robot, sweeps = fault(one)
+    assert told in document(robot, tuple(sweeps)).warnings[0]
