@@ -1,5 +1,6 @@
 """Whether the process runs, and whether it can measure now."""
 
+import asyncio
 from datetime import datetime
 
 from fastapi import APIRouter, Response
@@ -55,5 +56,5 @@ async def _recordings(application: Application) -> WaitingRecordings | None:
     moving = None if application.cell is None else application.cell.moving
     if moving is None:
         return None
-    found = await moving.waiting()
-    return WaitingRecordings(waiting=found.number, since=found.since, trouble=found.trouble)
+    found = await asyncio.to_thread(moving.backlog)
+    return WaitingRecordings.model_validate(found, from_attributes=True)

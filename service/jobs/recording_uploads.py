@@ -6,8 +6,7 @@ after all of it was read back, and its file is removed only after that. Only the
 
 import asyncio
 import time
-from dataclasses import dataclass
-from datetime import datetime
+from dataclasses import dataclass, replace
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
@@ -19,22 +18,13 @@ from service.store.database import refusal
 from service.store.documents import RecordingDocument
 from service.store.files.recordings import RecordingFiles
 from service.store.objects.cache import make_room
-from service.store.objects.moves import MoveStore
+from service.store.objects.moves import Backlog, MoveStore
 from service.worker.transfers import Transfers
 
 _log = structlog.get_logger(__name__)
 
 LOOK = 2.0  # s between searches for new recordings
 _AT_ONCE = 50  # rows
-
-
-@dataclass(frozen=True, slots=True)
-class Waiting:
-    """`number` recordings are only here, the oldest since `since`; `trouble`: the reason, if the store fails."""
-
-    number: int
-    since: datetime | None
-    trouble: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,15 +44,12 @@ class RecordingUploads:
         self._away = ""
         self._refused: dict[int, _Refusal] = {}  # by the recording's row
 
-    async def waiting(self) -> Waiting:
-        return await asyncio.to_thread(self.backlog)
-
-    def backlog(self) -> Waiting:
+    def backlog(self) -> Backlog:
         """The waiting recordings. Blocks."""
         backlog = self._moves.backlog()
         refused = [each.why for each in self._refused.values()]
         lines = [line for line in (self._away, self._transfers.trouble, *refused[:3]) if line]
-        return Waiting(backlog.waiting, backlog.since, "; ".join(lines))
+        return replace(backlog, trouble="; ".join(lines))
 
     async def follow(self) -> None:
         """Move recordings until cancelled."""

@@ -72,6 +72,6 @@ def stored(application: Application) -> Iterator[Metric]:
     yield SAMPLES.by({(state.value,): of.samples for state, of in recorded.items()})
     if cell is not None and cell.moving is not None:
         backlog = cell.moving.backlog()
-        yield HERE_ALONE.of(backlog.number)
+        yield HERE_ALONE.of(backlog.waiting)
         yield OLDEST.of(0.0 if backlog.since is None else (datetime.now(UTC) - backlog.since).total_seconds())
         yield REFUSED.of(bool(backlog.trouble))

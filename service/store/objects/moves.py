@@ -13,10 +13,11 @@ from service.store.rows import document, of_own
 
 @dataclass(frozen=True, slots=True)
 class Backlog:
-    """Number of recordings to be moved, and age of the oldest one."""
+    """Recordings that are only here: number, and time of the oldest; `trouble`: the reason, if the store fails."""
 
     waiting: int
     since: datetime | None
+    trouble: str = ""
 
 
 class MoveStore(Transactions):

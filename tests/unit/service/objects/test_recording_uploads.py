@@ -40,8 +40,8 @@ class Bench:
         """Of the number that waits, and the trouble."""
         async with asyncio.timeout(PATIENCE):
             while True:
-                found = await self.moving.waiting()
-                if holds(found.number, found.trouble):
+                found = await asyncio.to_thread(self.moving.backlog)
+                if holds(found.waiting, found.trouble):
                     return
                 await asyncio.sleep(0.02)
 
@@ -97,7 +97,7 @@ async def test_a_store_that_is_gone_is_waited_for(
     wire.cut()
     async with moving(data, through_wire) as bench:
         await bench.until(lambda waiting, trouble: waiting == 2 and "Could not connect" in trouble)
-        assert (await bench.moving.waiting()).since is not None
+        assert (await asyncio.to_thread(bench.moving.backlog)).since is not None
         assert len(recordings(data)) == 2
         wire.mend()
         await bench.until(lambda waiting, trouble: (waiting, trouble) == (0, ""))
