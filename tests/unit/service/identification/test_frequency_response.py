@@ -118,9 +118,3 @@ def test_a_direct_encoder_in_degrees_is_refused(robot: Robot) -> None:
     recording = replace(sweep.recording, load_position=np.degrees(sweep.recording.position))
     with pytest.raises(BadInput, match=r"load_position: moves 57\.3 times as far as position, limit 1 \+- 0\.5"):
         spectrum(robot, replace(sweep, recording=recording))
-
-
-def test_a_spectrum_of_earlier_versions_has_no_load(robot: Robot) -> None:
-    document = spectrum(robot, _sweep()).to_document()
-    del document["load_velocity"]
-    assert Spectrum.from_document(document).load_velocity is None
