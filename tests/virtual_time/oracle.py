@@ -22,6 +22,7 @@ from tests.virtual_time.machine import VirtualMachine
 from tests.virtual_time.service import VirtualService
 
 REACTION = 0.5  # s from a stop until no axis has energy, where the bus works
+RAMPED = 1.0  # s, the same from a missed sign of life: by the ramp of a move, 0.45 s from its speed, and no quick stop
 BY_THEMSELVES = 4.5  # s without their host until no axis has energy: time-out of the drives (3 s) and their ramps
 STORED = 2.0  # s after which a stop is stored, if the host runs and the database is free
 STALE = 2.1  # s after which an axis that did not tell its velocity is not said to stand, with the way of the answer
@@ -130,13 +131,13 @@ class Oracle:
     def _shown(self, command: Command) -> None:
         if command.attended < float("inf"):
             command.alive = now = primitives.world.now
-            primitives.world.at(now + command.attended + REACTION, lambda: self._missed(command, now))
+            primitives.world.at(now + command.attended + RAMPED, lambda: self._missed(command, now))
 
     def _missed(self, command: Command, alive: float) -> None:
         now, missed = primitives.world.now, alive + command.attended
         asleep = self.service.process.suspended or self.service.process.killed or self.held_up > alive
         if command.alive == alive and not command.over and not asleep and not self._excused(now):
-            self._has_reacted("a sign of life was missed", missed, REACTION)
+            self._has_reacted("a sign of life was missed", missed, RAMPED)
 
     def approval(self, campaign: int) -> None:
         self.approved[campaign] = next(self._order)

@@ -18,7 +18,7 @@ import httpx
 from tests.virtual_time import primitives
 from tests.virtual_time.clock import Clock
 from tests.virtual_time.machine import VirtualMachine
-from tests.virtual_time.oracle import BY_THEMSELVES, IN_FLIGHT, REACTION, Oracle
+from tests.virtual_time.oracle import BY_THEMSELVES, IN_FLIGHT, RAMPED, REACTION, Oracle
 from tests.virtual_time.service import VirtualService
 
 PATIENCE = 60.0  # s for an answer that a person waits for
@@ -219,7 +219,7 @@ def attended(it: Session) -> None:
             answer = it.post(f"/campaigns/{campaign}/sign_of_life")
             if answer is not None:
                 answer.add_done_callback(lambda _, campaign=campaign: it.oracle.shown(campaign))
-    it.clock.sleep(within + REACTION)
+    it.clock.sleep(within + RAMPED)
 
 
 def change_of_mind(it: Session) -> None:
@@ -270,7 +270,7 @@ def pause_taken_back(it: Session) -> None:
     within = it.draw(ATTENDED) if it.chance.random() < 0.5 else None
     it.wait(it.command(campaign, it.post(f"/campaigns/{campaign}/resume", _attended(within)), within))
     if within is not None:
-        it.clock.sleep(within + 2 * REACTION)
+        it.clock.sleep(within + 2 * RAMPED)
 
 
 def abort(it: Session) -> None:
