@@ -21,7 +21,7 @@ GUEST := VCAN_OPTIONAL=1 VCAN_TIMEOUT=1800 tests/vcan/run $(BIN)/python -m pytes
 NODES := $(BIN)/python -m tests.node_canopen.install  # the guest has no network
 TESTS := test-computing test-machines test-vcan
 
-MUTANTS ?=  # more words for the mutants, as: make mutants MUTANTS="--each 5 --room service/safety"
+MUTANTS ?=  # more words for the mutants, as: make mutants MUTANTS="--each 5 --room service/planning/safety"
 
 SEED ?=  # of an order that test-random printed, to have it again
 
@@ -119,7 +119,7 @@ audit: $(READY)  ## known vulnerabilities of what the lock names; needs the netw
 	$(BIN)/pip-audit --require-hashes --disable-pip -r requirements.lock
 
 openapi: $(READY)  ## write docs/reference/openapi.json
-	$(BIN)/python -m service.api.openapi
+	$(BIN)/python -m service.web.api.openapi
 
 clean:  ## forget the environment and what was made
 	rm -rf .venv demo-out docs/_build sbom.json

@@ -12,7 +12,7 @@ from typing import ClassVar, NamedTuple
 
 
 class CauseCode(StrEnum):
-    """Why a motion, a sweep or a campaign ended. Each has a sentence and a next step in `service/hmi/texts`."""
+    """Why a motion, a sweep or a campaign ended. Each has a sentence and a next step in `service/web/hmi/texts`."""
 
     DRIVE_FAULT = "drive_fault"
     EMERGENCY_STOP = "emergency_stop"

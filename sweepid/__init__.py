@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from service.client import ServiceClient as Client
-    from service.export.model import IdentifiedModel
-    from service.geometry.cell import Cell
+    from service.formats.export.model import IdentifiedModel
     from service.identification.axis.nominal_priors import TorqueGain
+    from service.model.geometry.cell import Cell
+    from service.model.results.check import DataCheck
+    from service.model.results.combination import Combination
+    from service.model.results.diagnosis import Diagnosis
+    from service.model.results.estimate import Estimate
+    from service.model.results.identified.payload import Payload
+    from service.model.robot import Robot
     from service.planning.documents import PlanDocument
-    from service.results.check import DataCheck
-    from service.results.combination import Combination
-    from service.results.diagnosis import Diagnosis
-    from service.results.estimate import Estimate
-    from service.results.identified.payload import Payload
-    from service.robot import Robot
     from service.store.files.bundle import Bundle
+    from service.web.client import ServiceClient as Client
 
 __all__ = [
     "Client",
@@ -56,7 +56,7 @@ def _silent(items: Sequence[Item], of_what: str, /) -> Iterable[Item]:
 def __getattr__(name: str) -> Any:
     if name != "Client":
         raise AttributeError(f"module 'sweepid' has no attribute {name!r}")
-    from service.client import ServiceClient
+    from service.web.client import ServiceClient
 
     return ServiceClient
 
@@ -86,7 +86,7 @@ def read_robot(path: str | Path) -> Robot:
     >>> robot.joints[:2]
     ('joint_1', 'joint_2')
     """
-    from service import configuration
+    from service.model import configuration
 
     return configuration.read_robot(Path(path))
 
@@ -149,10 +149,10 @@ def import_trace(
     BadInput
         File, column and reason.
     """
-    from service.errors import writing
+    from service.formats.traces.drafts import mapping_of
+    from service.formats.traces.trace_import import read_traces
+    from service.model.errors import writing
     from service.store.files.bundle import Bundle, write_bundle
-    from service.traces.drafts import mapping_of
-    from service.traces.trace_import import read_traces
 
     path, tell = Path(mapping), known.pop("tell", None)
     made = read_traces(mapping_of(path, **known), path, None if source is None else Path(source))
@@ -186,7 +186,7 @@ def check(bundle: Bundle | str | Path) -> DataCheck:
     """
     from service.data_check import check as check_data
     from service.data_check import findings_document
-    from service.results.check import DataCheck
+    from service.model.results.check import DataCheck
 
     measured = _read(bundle)
     findings = check_data(measured.robot, measured.sweeps)
@@ -236,7 +236,7 @@ def identify(
     >>> estimate.axes["j1"].rmse_percent.identified_measured < 0.1
     True
     """
-    from service.estimation import estimate_document, sweep_spectrum
+    from service.identification.estimation import estimate_document, sweep_spectrum
     from service.identification.motion.free_motion import at_once, free_motions
     from service.identification.motion.trajectory_record import runs_at_once
     from service.identification.spectra.noise_response import has_reference
@@ -258,7 +258,7 @@ def identify(
         and (sweep.spec.shows_inertia or sweep.spec.stepped or has_reference(sweep))
     ]
     if not sweeps and not motions:
-        from service.errors import BadInput
+        from service.model.errors import BadInput
 
         of_joint = "" if axis is None else f" of joint {axis}"
         raise BadInput(measured.place, f"has no sweep{of_joint} with sines, a trajectory or injected torque noise")
@@ -284,8 +284,8 @@ def combine(*bundles: Bundle | str | Path) -> Combination:
     BadInput
         The bundles are of different robots, or have no motion of several axes.
     """
-    from service.errors import BadInput
-    from service.recording import Sweep
+    from service.model.errors import BadInput
+    from service.model.recording import Sweep
     from service.store.files.bundle import Bundle
 
     read = [_read(bundle) for bundle in bundles]
@@ -341,8 +341,8 @@ def diagnose(
         No sweep moves an axis, or the estimate is of another robot.
     """
     from service.diagnosis import as_document, diagnose_axis, is_evidence
-    from service.errors import BadInput
-    from service.results.diagnosis import Diagnosis
+    from service.model.errors import BadInput
+    from service.model.results.diagnosis import Diagnosis
     from sweepid.files import started
 
     measured = _read(bundle)
@@ -434,8 +434,8 @@ def plan(
     """
     from pydantic import ValidationError
 
-    from service.configuration import bad_field
-    from service.geometry.cell import Cell, read_cell
+    from service.model.configuration import bad_field
+    from service.model.geometry.cell import Cell, read_cell
     from service.planning.plan import PlanRequest, build_plan
 
     around = cell if isinstance(cell, Cell) else read_cell(Path(cell))
@@ -479,7 +479,7 @@ def export(robot: Robot, estimate: Estimate, folder: str | Path, *, place: str =
     >>> [body.link for body in model.bodies]
     ['one', 'two']
     """
-    from service.export import model_of, write_model
+    from service.formats.export import model_of, write_model
 
     model = model_of(robot, estimate, place)
     write_model(Path(folder), model)
@@ -492,7 +492,7 @@ def _read(bundle: Bundle | str | Path) -> Bundle:
 
 def _same_robot(first: Bundle, other: Bundle) -> None:
     if (first.robot.description, first.robot.urdf_text) != (other.robot.description, other.robot.urdf_text):
-        from service.errors import BadInput
+        from service.model.errors import BadInput
 
         raise BadInput(
             other.place, f"is not of robot {first.robot.name} of the first bundle: robot file or URDF differs"

@@ -8,15 +8,15 @@ from typing import TypeVar, cast
 
 from pydantic import ConfigDict, Field
 
-from service.configuration import read_text, read_yaml
-from service.errors import BadInput
 from service.identification.axis.known_effects import KnownEffects, known_effects
 from service.identification.axis.nominal_priors import TorqueGain
-from service.results.diagnosis import Diagnosis
-from service.results.estimate import Estimate
-from service.results.part import Document, Part
-from service.results.revision import KnownModel, ModelFile
-from service.robot import Robot
+from service.model.configuration import read_text, read_yaml
+from service.model.errors import BadInput
+from service.model.results.diagnosis import Diagnosis
+from service.model.results.estimate import Estimate
+from service.model.results.part import Document, Part
+from service.model.results.revision import KnownModel, ModelFile
+from service.model.robot import Robot
 
 Kind = TypeVar("Kind", bound=Document)
 
@@ -67,7 +67,7 @@ def effects_of(given: Diagnosis | str | Path | None, robot: Robot) -> KnownEffec
 
 def started(robot: Robot, given: Estimate | str | Path) -> Robot:
     """The robot whose nominal model is that of an estimate, also from a file; BadInput if it is of another robot."""
-    from service.export.started_robot import started_from
+    from service.formats.export.started_robot import started_from
 
     if isinstance(given, str | Path):
         path = Path(given)

@@ -11,9 +11,9 @@ from pathlib import Path
 from drivers.commission.dictionary import read_dictionary
 from drivers.commission.draft import map_text, profile_text, shortcomings
 from drivers.errors import BadProfile
-from service.errors import BadInput
-from service.maker_urdf import check_urdf, read_description, side_file_text
-from service.maker_urdf.packages import Packages
+from service.formats.maker_urdf import check_urdf, read_description, side_file_text
+from service.formats.maker_urdf.packages import Packages
+from service.model.errors import BadInput
 
 
 def robot(path: Path, folder: Path) -> str:

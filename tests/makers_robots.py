@@ -6,11 +6,11 @@ from pathlib import Path
 
 import yaml
 
-from service.configuration import read_text
-from service.geometry.cell import Cell
-from service.maker_urdf import UrdfCheck, bare_robot, cell_text, check_urdf, side_file_text
-from service.maker_urdf.packages import Packages
-from service.robot import Robot, RobotDescription, build_robot
+from service.formats.maker_urdf import UrdfCheck, bare_robot, cell_text, check_urdf, side_file_text
+from service.formats.maker_urdf.packages import Packages
+from service.model.configuration import read_text
+from service.model.geometry.cell import Cell
+from service.model.robot import Robot, RobotDescription, build_robot
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,9 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 CAMPAIGNS, DRIVERS, MODEL = (
-    f"tests/unit/{name}" for name in ("service/campaigns", "drivers", "service/identification")
+    f"tests/unit/{name}" for name in ("service/planning/campaigns", "drivers", "service/identification")
 )
-ROOMS = {"service/execution": CAMPAIGNS, "service/safety": CAMPAIGNS, "service/planning": CAMPAIGNS}
+ROOMS = {"service/machine/execution": CAMPAIGNS, "service/planning/safety": CAMPAIGNS, "service/planning": CAMPAIGNS}
 ROOMS |= {"drivers/cia402": DRIVERS, "drivers/canopen": DRIVERS}
 ROOMS |= {"service/identification/model": MODEL, "service/identification/axis": MODEL}
 CPU = 120  # s for the tests of one mutant: one that goes round for ever is noticed

@@ -10,7 +10,8 @@ import numpy as np
 
 from service.jobs.batches import Batches
 from service.jobs.jobs import Jobs
-from service.recording import Sweep
+from service.jobs.worker import Worker
+from service.model.recording import Sweep
 from service.store.database import Database, open_database
 from service.store.diagnosis.model_revisions import ModelStore
 from service.store.documents import BatchState, CampaignState
@@ -20,7 +21,6 @@ from service.store.files.intake import save_bundle
 from service.store.files.recordings import RecordingFiles
 from service.store.plant.batches import BatchStore
 from service.store.store import Store
-from service.worker import Worker
 from tests.numeric.campaign import max100, measure_at, scenario_named
 
 

@@ -13,13 +13,13 @@ from scipy.linalg import qr, solve_triangular
 from docs.benchmarks.measured import Measured, beside, timed
 from docs.benchmarks.plant import random_poses
 from service.diagnosis import diagnose_axis
-from service.estimation import SweepSpectrum, estimate_document, sweep_spectrum
 from service.identification.estimates.estimate import moving_chain
+from service.identification.estimation import SweepSpectrum, estimate_document, sweep_spectrum
 from service.identification.model.base_parameters import TOLERANCE, base_parameters, joint_ranges, reduce_columns
 from service.identification.model.regressor import axis_rows, inertia_rows, parameter_names
 from service.identification.spectra.frequency_response import window
-from service.recording import Sweep
-from service.robot import Robot
+from service.model.recording import Sweep
+from service.model.robot import Robot
 from tests.numeric.campaign import SimulatedCampaign, max100, measure_at, scenario_named
 from tests.numeric.second_plant.cases import Kind, case, make
 

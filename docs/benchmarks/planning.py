@@ -7,15 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docs.benchmarks.measured import Measured, Timed, beside, timed
-from service.configuration import read_robot
-from service.geometry.cell import Cell, read_cell
 from service.identification.design.pose_selection import RIDGE, TIE, Criterion, condition_numbers, select_poses
 from service.identification.model.base_parameters import base_parameters, joint_ranges
+from service.model.configuration import read_robot
+from service.model.geometry.cell import Cell, read_cell
+from service.model.robot import Robot
 from service.planning.candidates import has_room
 from service.planning.observability import observe
 from service.planning.plan import PlanRequest, build_plan
-from service.robot import Robot
-from service.safety.envelope import Envelope
+from service.planning.safety.envelope import Envelope
 from tests.naive_selection import naive_condition
 from tests.numeric.campaign import CONFIG
 

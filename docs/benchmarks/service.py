@@ -32,7 +32,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from docs.benchmarks.measured import Measured
-from service.client import ServiceClient
+from service.web.client import ServiceClient
 from tests.system.rest_bench import PATIENT_LEASE, Service, add_plan, release, serving, virtual_machine
 
 AXES = ("joint_1", "joint_2")

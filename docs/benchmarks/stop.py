@@ -19,7 +19,7 @@ import httpx
 import psutil
 
 from docs.benchmarks.measured import Measured
-from service.client import ServiceClient
+from service.web.client import ServiceClient
 from tests.system.bus_listener import Ear, listening
 from tests.system.rest_bench import Service, VirtualMachine, release, serving, until, virtual_machine
 

@@ -13,7 +13,7 @@ import typer
 
 from drivers.errors import BadProfile, DriveError
 from service.cli.lazy import Commands
-from service.errors import BadInput, SweepidError
+from service.model.errors import BadInput, SweepidError
 
 GROUP = "sweepid.commands"
 _VERSION = "--version"

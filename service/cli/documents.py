@@ -4,8 +4,8 @@ from pathlib import Path
 
 import typer
 
-from service.errors import writing
-from service.results.part import Part
+from service.model.errors import writing
+from service.model.results.part import Part
 
 
 def put_json(document: Part, json_to: str | None) -> bool:

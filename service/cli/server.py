@@ -15,13 +15,13 @@ from fastapi import FastAPI
 from starlette.types import Receive, Scope, Send
 
 from drivers.errors import DriveError
-from service.app import create_app, end_motion, end_streams, halt
 from service.cli.logs import HeldBack
-from service.errors import SweepidError
-from service.logs.lines import configure_logs
-from service.people.permissions import LOCAL
-from service.settings import Settings
-from service.stop_process.handle import StopNotStarted, StopProcess
+from service.machine.stop_process.handle import StopNotStarted, StopProcess
+from service.model.errors import SweepidError
+from service.process.logs.lines import configure_logs
+from service.process.settings import Settings
+from service.store.access.permissions import LOCAL
+from service.web.app import create_app, end_motion, end_streams, halt
 
 _log = structlog.get_logger(__name__)
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from service.settings import Settings, load_settings
+from service.process.settings import Settings, load_settings
 
 
 def settings_of(config: Path | None, data_dir: Path | None) -> Settings:

@@ -3,7 +3,7 @@
 from rich.console import Console
 from rich.table import Table as RichTable
 
-from service.results.table import Shown, Table
+from service.model.results.table import Shown, Table
 
 
 def print_result(found: Shown, console: Console | None = None) -> None:

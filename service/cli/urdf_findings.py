@@ -7,8 +7,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from service.errors import BadInput
-from service.maker_urdf import Finding, UrdfCheck, side_file_text
+from service.formats.maker_urdf import Finding, UrdfCheck, side_file_text
+from service.model.errors import BadInput
 
 
 def drafts_of(checked: UrdfCheck, name: str, out: Path, cell: str) -> dict[Path, str]:

@@ -20,8 +20,8 @@ from service.data_check.samples.quantisation import quantisation
 from service.data_check.samples.repeatability import repeatability
 from service.data_check.samples.spikes import spikes
 from service.data_check.start import start
-from service.recording import Sweep
-from service.robot import Robot
+from service.model.recording import Sweep
+from service.model.robot import Robot
 
 DISPLACED: tuple[Code, ...] = ("position_unit", "position_sign", "motion_sign")  # then positions differ from their pose
 

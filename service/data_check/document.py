@@ -5,8 +5,8 @@ from dataclasses import asdict
 from typing import Any
 
 from service.data_check.finding import Finding, untrustworthy
-from service.recording import Sweep
-from service.robot import Robot
+from service.model.recording import Sweep
+from service.model.robot import Robot
 
 
 def findings_document(robot: Robot, sweeps: Sequence[Sweep], findings: Sequence[Finding]) -> dict[str, Any]:

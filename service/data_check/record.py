@@ -9,8 +9,8 @@ import numpy as np
 
 from service.identification.model.regressor import inertia_rows
 from service.identification.motion.trajectory_record import runs_at_once
-from service.recording import Array, Sweep, SweepSpec
-from service.robot import Axis, Robot
+from service.model.recording import Array, Sweep, SweepSpec
+from service.model.robot import Axis, Robot
 
 Channel = Literal["effort", "velocity", "position"]
 

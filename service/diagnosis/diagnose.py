@@ -34,11 +34,11 @@ from service.diagnosis.rows.signals import SHORTEST, finite_samples, sticking_wi
 from service.diagnosis.sensitivity.visibility import Hidden, untestable
 from service.diagnosis.unfinished import Unfinished, unfinished
 from service.diagnosis.verdict import Verdict, at_floor, judge, of_one_record, share, tie_sets, without
-from service.errors import BadInput
 from service.identification.axis.nominal_priors import TorqueGain
 from service.identification.motion.free_motion import at_once
-from service.recording import Sweep
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.recording import Sweep
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 Known = Mapping[str, Mapping[str, Parameter]]
@@ -125,7 +125,7 @@ def diagnose_axis(
     """Diagnose `joint` from its sweeps. BadInput if no sweep moves, if an effect of `known` is not in the catalogue, or
     with axis and sweep if a sample or a column of an effect is not finite; with the axis if its equations are not.
 
-    `robot`: with the rigid model of CAD or of an estimate (`service.export.started_robot`).
+    `robot`: with the rigid model of CAD or of an estimate (`service.formats.export.started_robot`).
 
     `known`: effects of the model, with the values of their parameters as far as the model has them. Effects that are
     impossible for this axis (for example gravity on a vertical axis) are ignored.

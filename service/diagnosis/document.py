@@ -9,9 +9,9 @@ from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.parameters import Parameter
 from service.diagnosis.model.revision import model_of
 from service.diagnosis.summary import summary
-from service.results.diagnosis import AxisDiagnosis as StoredDiagnosis
-from service.results.diagnosis import standing_of
-from service.robot import Robot
+from service.model.results.diagnosis import AxisDiagnosis as StoredDiagnosis
+from service.model.results.diagnosis import standing_of
+from service.model.robot import Robot
 
 if TYPE_CHECKING:  # the service composes documents of axes that its worker has diagnosed
     from service.diagnosis.diagnose import AxisDiagnosis, NamedEffect

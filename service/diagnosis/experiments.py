@@ -18,7 +18,6 @@ from service.diagnosis.sensitivity.predicted_sweeps import PredictedSweeps, pred
 from service.diagnosis.sensitivity.visibility import Hidden
 from service.diagnosis.summary import in_words
 from service.diagnosis.verdict import Verdict
-from service.errors import BadInput
 from service.identification.design.diagnosis_sweeps import (
     BLOCKS,
     REVISITED,
@@ -31,7 +30,8 @@ from service.identification.design.diagnosis_sweeps import (
     other_poses,
     warm_up,
 )
-from service.recording import Sweep
+from service.model.errors import BadInput
+from service.model.recording import Sweep
 
 Array = NDArray[np.float64]
 

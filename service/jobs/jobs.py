@@ -21,16 +21,16 @@ import structlog
 from structlog.contextvars import bound_contextvars
 
 from drivers.errors import Cause, CauseCode
-from service.campaigns.linked import analysis_behind, campaign_beside
-from service.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
-from service.errors import BadInput
 from service.jobs.open_jobs import OpenJobs
+from service.jobs.worker import Job, JobFailed, RecordedSweep, Result, Worker
+from service.model.errors import BadInput
+from service.planning.campaigns.linked import analysis_behind, campaign_beside
+from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
+from service.process.telemetry.spans import TRACING
 from service.store.diagnosis.model_revisions import ModelStore
 from service.store.documents import CampaignState, RecordingDocument, SpectrumRecord, SweepDocument, SweepState
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
-from service.telemetry.spans import TRACING
-from service.worker import Job, JobFailed, RecordedSweep, Result, Worker
 
 _log = structlog.get_logger(__name__)
 

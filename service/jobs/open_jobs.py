@@ -12,7 +12,7 @@ import structlog
 from sqlalchemy.exc import OperationalError
 from structlog.contextvars import bound_contextvars
 
-from service.errors import NotNow
+from service.model.errors import NotNow
 from service.store.database import refusal
 
 _log = structlog.get_logger(__name__)

@@ -12,14 +12,14 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 from structlog.contextvars import bound_contextvars
 
-from service.errors import NotNow
-from service.settings import Settings
+from service.jobs.worker.transfers import Transfers
+from service.model.errors import NotNow
+from service.process.settings import Settings
 from service.store.database import refusal
 from service.store.documents import RecordingDocument
 from service.store.files.recordings import RecordingFiles
 from service.store.objects.cache import make_room
 from service.store.objects.moves import Backlog, MoveStore
-from service.worker.transfers import Transfers
 
 _log = structlog.get_logger(__name__)
 

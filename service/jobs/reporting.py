@@ -10,23 +10,23 @@ from importlib.metadata import version
 from pydantic import BaseModel, ConfigDict
 
 from drivers.ports import AxisIdentity
-from service.campaigns.linked import campaign_beside
-from service.campaigns.plan_subject import plan_subject
-from service.causes import in_words
-from service.errors import Conflict, NotFound
-from service.fleet.document import Fleet
+from service.identification.fleet.document import Fleet
 from service.identification.motion.trajectory_record import runs_at_once
+from service.jobs.worker import DiagnosisReportJob, FleetReportJob, RecordedSweep, ReportJob
+from service.model.causes import in_words
+from service.model.errors import Conflict, NotFound
+from service.model.results.check import DataCheck
+from service.model.results.estimate import Estimate
+from service.model.results.revision import ModelFile
+from service.planning.campaigns.linked import campaign_beside
+from service.planning.campaigns.plan_subject import plan_subject
 from service.report import CampaignReport, Drive, Form, example_of, used_sweeps
-from service.results.check import DataCheck
-from service.results.estimate import Estimate
-from service.results.revision import ModelFile
 from service.store.checks import CheckStore
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis_documents import DiagnosisDocument
 from service.store.documents import CampaignDocument, EstimateDocument, RecordingDocument, SweepDocument, SweepState
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
-from service.worker import DiagnosisReportJob, FleetReportJob, RecordedSweep, ReportJob
 
 CONVERGENCE = 100  # maximum number of revisions whose parameters are drawn
 

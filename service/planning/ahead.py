@@ -7,11 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from drivers.errors import CommunicationLost
 from drivers.ports import AxisState, AxisStatus
-from service.errors import Conflict
+from service.model.errors import Conflict
 from service.planning.analysis.documents import PlannedNoise
 from service.planning.compiled_plan import CompiledPlan
 from service.planning.documents import PlannedSweep
-from service.safety.travel import Leg
+from service.planning.safety.travel import Leg
 
 Range = tuple[float, float]
 

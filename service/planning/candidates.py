@@ -7,11 +7,11 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import BadInput
-from service.geometry.cell import Cell
+from service.model.errors import BadInput
+from service.model.geometry.cell import Cell
+from service.model.robot import Robot
 from service.planning.documents import PlanRequest
-from service.robot import Robot
-from service.safety.envelope import Envelope
+from service.planning.safety.envelope import Envelope
 
 Array = NDArray[np.float64]
 

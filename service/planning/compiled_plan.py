@@ -3,19 +3,19 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-from service.errors import Conflict
-from service.geometry.cell import read_cell
+from service.model.errors import Conflict
+from service.model.geometry.cell import read_cell
+from service.model.robot import Robot
 from service.planning.analysis.documents import AnalysisPlan
 from service.planning.diagnosis.documents import DiagnosisPlan, ExperimentPlan
 from service.planning.machine_setup import MachineSetup
 from service.planning.motion_hash import motion_sha256
 from service.planning.plan import PlanDocument
+from service.planning.safety.envelope import Envelope
+from service.planning.safety.noise_motion import Command
+from service.planning.safety.robot_and_machine import DriveAxis, differences, on_machine
 from service.planning.trajectories.documents import TrajectoryPlan
-from service.robot import Robot
-from service.safety.envelope import Envelope
-from service.safety.noise_motion import Command
-from service.safety.robot_and_machine import DriveAxis, differences, on_machine
-from service.settings import Settings
+from service.process.settings import Settings
 from service.store.documents import CampaignDocument, NewSweep, PlanRecord, SweepDocument, SweepState
 from service.store.store import Store
 

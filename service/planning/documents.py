@@ -6,13 +6,13 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from drivers.ports import Sine as PortSine
 from drivers.ports import SweepCommand, SweepMode
-from service.campaigns.plan_subject import MadeFor
-from service.errors import BadInput
 from service.identification.design.excitation import LINES
 from service.identification.design.pose_selection import Criterion
-from service.recording import SweepSpec
-from service.results.table import Shown, Table, columns_of_sweeps
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.recording import SweepSpec
+from service.model.results.table import Shown, Table, columns_of_sweeps
+from service.model.robot import Robot
+from service.planning.campaigns.plan_subject import MadeFor
 from service.store.documents import LARGEST_ID
 
 MOVE_VELOCITY = 0.1  # rad/s (m/s), between poses; default of a request

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import structlog
 
-from service.campaigns.plan_subject import MadeFor
-from service.errors import BadInput, Conflict
-from service.geometry.cell import read_cell
+from service.model.errors import BadInput, Conflict
+from service.model.geometry.cell import read_cell
+from service.planning.campaigns.plan_subject import MadeFor
 from service.planning.motion_hash import machine_sha256
-from service.safety.robot_and_machine import DriveAxis, DriveProfile
-from service.settings import Settings
+from service.planning.safety.robot_and_machine import DriveAxis, DriveProfile
+from service.process.settings import Settings
 from service.store.documents import RobotDocument
 
 _log = structlog.get_logger(__name__)

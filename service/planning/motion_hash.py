@@ -7,8 +7,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import cast
 
-from service.geometry.cell import Cell
-from service.settings import Settings
+from service.model.geometry.cell import Cell
+from service.process.settings import Settings
 from service.store.documents import PlanRecord, RobotDocument
 
 

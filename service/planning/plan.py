@@ -20,10 +20,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import BadInput
-from service.geometry.cell import Cell
 from service.identification.axis.ideal_frequency import AxisAnalysis
 from service.identification.design.predicted_confidence import without_gain
+from service.model.errors import BadInput
+from service.model.geometry.cell import Cell
+from service.model.robot import Robot
 from service.planning.candidates import grid, has_room, workspace_grid
 from service.planning.documents import (
     DroppedPose,
@@ -35,10 +36,9 @@ from service.planning.documents import (
 )
 from service.planning.observability import observe
 from service.planning.pose_choice import PoseChooser
+from service.planning.safety.envelope import Envelope
 from service.planning.sweep_design import SweepDesign
 from service.planning.sweep_sequence import ChosenPose, SweepSequence
-from service.robot import Robot
-from service.safety.envelope import Envelope
 
 __all__ = ["PlanDocument", "PlanRequest", "PlannedLeg", "PlannedSweep", "build_plan", "workspace_grid"]
 

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import BadInput, EnvelopeViolation
 from service.identification.design.excitation import Excitation
 from service.identification.design.pose_selection import choices, conditions
 from service.identification.design.predicted_confidence import PredictedConfidence, needed
+from service.model.errors import BadInput, EnvelopeViolation
 from service.planning.documents import LARGEST_CHOICE, USUAL_CHOICE, DroppedPose, PlanRequest
 from service.planning.observability import Observation
+from service.planning.safety.envelope import Envelope
 from service.planning.sweep_design import SweepDesign
 from service.planning.sweep_sequence import ChosenPose, least_duration
-from service.safety.envelope import Envelope
 
 Array = NDArray[np.float64]
 

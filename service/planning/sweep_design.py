@@ -6,16 +6,16 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import BadInput
 from service.identification.axis.ideal_frequency import AxisAnalysis
 from service.identification.axis.nominal_priors import pose_prior
 from service.identification.design.excitation import Excitation, design_sweep
 from service.identification.design.predicted_confidence import sweep_information
 from service.identification.model.regressor import gravity_terms, inertia_rows
+from service.model.errors import BadInput
+from service.model.robot import Robot
 from service.planning.candidates import room
 from service.planning.documents import PlanRequest
-from service.robot import Robot
-from service.safety.envelope import Envelope
+from service.planning.safety.envelope import Envelope
 
 Array = NDArray[np.float64]
 

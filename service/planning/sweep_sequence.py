@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.ports import SweepMode
-from service.errors import BadInput, EnvelopeViolation
 from service.identification.design.excitation import Excitation, realisations
+from service.model.errors import BadInput, EnvelopeViolation
+from service.model.recording import Sine, SweepPurpose, SweepSpec
+from service.model.robot import Robot
 from service.planning.documents import DroppedPose, PlannedLeg, PlannedSweep, PlanRequest
-from service.recording import Sine, SweepPurpose, SweepSpec
-from service.robot import Robot
-from service.safety.envelope import Envelope
-from service.safety.travel import order_poses
+from service.planning.safety.envelope import Envelope
+from service.planning.safety.travel import order_poses
 
 Array = NDArray[np.float64]
 

@@ -8,11 +8,11 @@ import structlog
 from pydantic import JsonValue
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.campaigns.estimate_quality import quality_of
-from service.campaigns.live import EventFeed
-from service.errors import BadInput, NotFound
-from service.execution.machine import Machine
-from service.execution.runner import Runner
+from service.machine.execution.machine import Machine
+from service.machine.execution.runner import Runner
+from service.model.errors import BadInput, NotFound
+from service.planning.campaigns.estimate_quality import quality_of
+from service.planning.campaigns.live import EventFeed
 from service.publishing.publisher import Publisher
 from service.publishing.state import (
     AxisQuality,

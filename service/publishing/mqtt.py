@@ -14,8 +14,8 @@ from contextlib import suppress
 from aiomqtt import Client, MqttError, Will
 from pydantic import BaseModel
 
+from service.process.settings.publishing import Mqtt
 from service.publishing.state import FromPublisher, Notice, State
-from service.settings.publishing import Mqtt
 
 WAITING = 1000  # notices
 _FIRST, _LONGEST = 1.0, 30.0  # s between attempts to reach the broker

@@ -9,10 +9,10 @@ import sys
 from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING
 
-from service.logs.lines import configure_logs
+from service.process.logs.lines import configure_logs
+from service.process.tasks.background import Background
+from service.process.tasks.child import give_way
 from service.publishing.state import Configuration, FromPublisher, ToPublisher
-from service.tasks.background import Background
-from service.tasks.child import give_way
 
 if TYPE_CHECKING:
     from service.publishing.mqtt import Broker

@@ -5,8 +5,8 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, JsonValue
 
-from service.settings import Settings
-from service.settings.publishing import Mqtt, OpcUa
+from service.process.settings import Settings
+from service.process.settings.publishing import Mqtt, OpcUa
 from service.store.documents import CampaignState
 
 
@@ -24,8 +24,9 @@ class Held(_Part):
 
 
 class MachineState(_Part):
-    """`state`: `moves`, `unknown`, `energised` or `stands` (`service.execution.statement`). `reason`: why it may not
-    move, or does not answer; else empty.
+    """`state`: `moves`, `unknown`, `energised` or `stands` (`service.machine.execution.statement`).
+
+    `reason`: why it may not move, or does not answer; else empty.
     """
 
     name: str

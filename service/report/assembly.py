@@ -6,11 +6,11 @@ from itertools import product
 
 import numpy as np
 
-from service.geometry.collision import reachable
-from service.recording import Sweep, SweepSpec
+from service.model.geometry.collision import reachable
+from service.model.recording import Sweep, SweepSpec
+from service.model.results.estimate import BaseParameter, Estimate
+from service.model.robot import Robot
 from service.report.content import SAME_POSITION, Array, Content, revision
-from service.results.estimate import BaseParameter, Estimate
-from service.robot import Robot
 
 DRAWN = 2000  # poses for the drawing of models, at most
 FINEST = 25  # largest number of positions of one joint

@@ -4,14 +4,14 @@ of a diagnosis."""
 from collections.abc import Sequence
 from html import escape
 
+from service.model.results.check import DataCheck
+from service.model.results.combination import Combination
+from service.model.results.estimate import Estimate, Suspect
 from service.report.content import CampaignReport, Content
 from service.report.diagnosis import diagnosis_section, findings, not_looked_at
 from service.report.html import Page
 from service.report.page import analysis_section, estimate_sections, parameters_section
 from service.report.verdict import CONFIRMED, CONTRADICTED, OPEN, verdict
-from service.results.check import DataCheck
-from service.results.combination import Combination
-from service.results.estimate import Estimate, Suspect
 
 _LOOK = {CONFIRMED: "settled", OPEN: "open", CONTRADICTED: "unexplained"}  # CSS class of the card; the word is on it
 

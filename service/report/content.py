@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from drivers.ports import AxisIdentity
 from service.identification.model.regressor import axis_rows, lock
-from service.recording import Sweep, SweepSpec
+from service.model.recording import Sweep, SweepSpec
+from service.model.results.check import DataCheck
+from service.model.results.diagnosis import Diagnosis
+from service.model.results.estimate import BaseParameter, Estimate
+from service.model.robot import INERTIAL_NAMES, Robot
 from service.report.drawing import slides
-from service.results.check import DataCheck
-from service.results.diagnosis import Diagnosis
-from service.results.estimate import BaseParameter, Estimate
-from service.robot import INERTIAL_NAMES, Robot
 
 Array = NDArray[np.float64]
 

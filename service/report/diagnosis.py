@@ -4,12 +4,12 @@ import math
 from collections.abc import Mapping, Sequence
 from html import escape
 
+from service.model.results.check import Finding
+from service.model.results.diagnosis import AxisDiagnosis, Diagnosis, Gap, RigidParameter, standing_of
+from service.model.results.effect import AxisFit, Effect, PoseInertia, Value
 from service.report import gap_figures as drawn
 from service.report.drawing import Figure
 from service.report.html import Page
-from service.results.check import Finding
-from service.results.diagnosis import AxisDiagnosis, Diagnosis, Gap, RigidParameter, standing_of
-from service.results.effect import AxisFit, Effect, PoseInertia, Value
 
 _BUILDERS = {
     "map": drawn.gap_map,

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from service.recording import Sweep
+from service.model.recording import Sweep
+from service.model.robot import Robot
 from service.report.content import Axis, Revision
 from service.report.drawing import (
     DECADES,
@@ -26,7 +27,6 @@ from service.report.drawing import (
     scale,
     symbols,
 )
-from service.robot import Robot
 
 Array = NDArray[np.float64]
 

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from service.model.results.cell import Bin, Cell
+from service.model.results.diagnosis import AxisDiagnosis, Rival
 from service.report.drawing import IDENTIFIED, Drawn, Figure, Part, figure, line, rounded, scale
-from service.results.cell import Bin, Cell
-from service.results.diagnosis import AxisDiagnosis, Rival
 
 BEFORE, AFTER, FLOOR, QUIET = "#c2410c", IDENTIFIED, "#15803d", "#e0b8a2"
 RECORDED = "#64748b"

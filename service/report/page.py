@@ -6,14 +6,14 @@ from html import escape
 
 from service.identification.estimates.analysis_document import analyses_from
 from service.identification.model.certainty import UNSURE, not_for_use
+from service.model.results.analysis import Analyses
+from service.model.results.estimate import Estimate
+from service.model.robot import Robot
 from service.report import figures, initial_analysis
 from service.report.content import Axis, Content, axes_of
 from service.report.diagnosis import diagnosis_section
 from service.report.drawing import slides
 from service.report.html import Page
-from service.results.analysis import Analyses
-from service.results.estimate import Estimate
-from service.robot import Robot
 
 
 def estimate_page(content: Content) -> Page:

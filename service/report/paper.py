@@ -10,7 +10,7 @@ from importlib import import_module
 from itertools import zip_longest
 from typing import Protocol
 
-from service.errors import NoPdf
+from service.model.errors import NoPdf
 from service.report.drawing import Figure
 from service.report.plotting import PAPER, svg
 

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from service.identification.model.certainty import UNSURE, share_of_value
+from service.model.results.check import DataCheck
+from service.model.results.diagnosis import Diagnosis, standing_of
+from service.model.results.estimate import Estimate
 from service.report.diagnosis import plain
-from service.results.check import DataCheck
-from service.results.diagnosis import Diagnosis, standing_of
-from service.results.estimate import Estimate
 
 CONFIRMED, OPEN, CONTRADICTED = "Confirmed", "Not confirmed", "Contradicted"
 

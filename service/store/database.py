@@ -17,9 +17,9 @@ from sqlalchemy import Connection, Engine, Table, select
 from sqlalchemy.exc import DBAPIError, OperationalError, SQLAlchemyError
 from sqlalchemy.orm import Session
 
-from service.errors import BadInput
-from service.people.steady_clock import SteadyClock
+from service.model.errors import BadInput
 from service.store import tables as t
+from service.store.access.steady_clock import SteadyClock
 from service.store.engines.address import kind_of
 from service.store.engines.kind import BUSY_TIMEOUT, PATIENCE, WRITE, Kind
 

@@ -6,10 +6,10 @@ from typing import Annotated
 
 from pydantic import ConfigDict, Field, JsonValue
 
-from service.errors import Conflict
-from service.results.diagnosis import Diagnosis
-from service.results.revision import ModelRevision
-from service.results.stored_json import JsonOf
+from service.model.errors import Conflict
+from service.model.results.diagnosis import Diagnosis
+from service.model.results.revision import ModelRevision
+from service.model.results.stored_json import JsonOf
 from service.store.documents import LARGEST_ID, StoredDocument
 
 

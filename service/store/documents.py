@@ -1,6 +1,6 @@
 """Documents returned by the store: frozen, one per row, ready to be sent as JSON.
 
-The states are defined here because rows contain them. `service.campaigns.state_machine` has the transitions.
+The states are defined here because rows contain them. `service.planning.campaigns.state_machine` has the transitions.
 """
 
 import hashlib
@@ -15,10 +15,10 @@ from pydantic import BaseModel, ConfigDict, JsonValue
 
 from drivers.errors import Cause
 from drivers.ports import SweepMode
-from service.recording import SweepSpec
-from service.results.estimate import Estimate
-from service.results.stored_json import JsonOf
-from service.robot import Robot, RobotDescription, build_robot
+from service.model.recording import SweepSpec
+from service.model.results.estimate import Estimate
+from service.model.results.stored_json import JsonOf
+from service.model.robot import Robot, RobotDescription, build_robot
 
 Json = Mapping[str, JsonValue]
 

@@ -12,7 +12,7 @@ from sqlalchemy import Select, delete, select, update
 from sqlalchemy.orm import Session
 
 from drivers.errors import Cause
-from service.errors import Conflict, NotFound
+from service.model.errors import Conflict, NotFound
 from service.store import rows
 from service.store import tables as t
 from service.store.database import Database, OwnMachine, Transactions

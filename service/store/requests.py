@@ -2,7 +2,7 @@
 
 from sqlalchemy import delete
 
-from service.errors import Conflict
+from service.model.errors import Conflict
 from service.store import rows
 from service.store import tables as t
 from service.store.database import Transactions

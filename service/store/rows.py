@@ -8,7 +8,7 @@ from sqlalchemy import ColumnElement, Select, func, select
 from sqlalchemy.orm import Session
 
 from drivers.errors import Cause
-from service.errors import Conflict, NotFound
+from service.model.errors import Conflict, NotFound
 from service.store import tables as t
 from service.store.database import OWN, OwnMachine
 from service.store.documents import (

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
-from service.errors import BadInput
+from service.model.errors import BadInput
 from service.store.database import known_schemas, unknown_schema
 from service.store.engines.address import parsed_url
 from service.store.engines.kind import BUSY_TIMEOUT

@@ -12,9 +12,9 @@ from pydantic import JsonValue
 from sqlalchemy import func, select
 
 from drivers.errors import Cause
-from service.errors import Conflict, NotFound
-from service.recording import SweepSpec
-from service.robot import Robot
+from service.model.errors import Conflict, NotFound
+from service.model.recording import SweepSpec
+from service.model.robot import Robot
 from service.store import rows
 from service.store import tables as t
 from service.store.database import Transactions

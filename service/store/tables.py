@@ -10,7 +10,7 @@ from sqlalchemy import Enum as SqlEnum
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from drivers.ports import SweepMode
-from service.people.permissions import Role
+from service.store.access.permissions import Role
 from service.store.diagnosis_documents import DiagnosisState
 from service.store.documents import BatchState, CampaignState, EventKind, RecordingState, SweepState
 
@@ -374,7 +374,7 @@ class SessionRow(Base):
 
 
 class SteadyTimeRow(Base):
-    """One row: the latest time of sessions and keys, see `service.people.steady_clock`."""
+    """One row: the latest time of sessions and keys, see `service.store.access.steady_clock`."""
 
     __tablename__ = "steady_time"
     id: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
@@ -382,7 +382,7 @@ class SteadyTimeRow(Base):
 
 
 class AuditRow(Base):
-    """Append-only, enforced by a trigger. `entry` is canonical JSON; `sha256`: see `service.people.audit_chain`."""
+    """Append-only, by a trigger. `entry` is canonical JSON; `sha256`: see `service.store.access.audit_chain`."""
 
     __tablename__ = "audit"
     number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)

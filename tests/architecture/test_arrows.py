@@ -10,20 +10,20 @@ import pytest
 
 PLANTED = (  # file, and what it must not import
     ("simulator/__init__.py", "drivers.errors"),
-    ("drivers/errors.py", "service.errors"),
+    ("drivers/errors.py", "service.model.errors"),
     ("service/store/__init__.py", "simulator"),
     ("service/diagnosis/model/held_out.py", "simulator"),
-    ("service/campaigns/__init__.py", "drivers.registry"),
-    ("service/estimation.py", "sweepid"),
+    ("service/planning/campaigns/__init__.py", "drivers.registry"),
+    ("service/identification/estimation.py", "sweepid"),
     ("sweepid/files.py", "service.cli.tables"),
-    ("service/errors.py", "service.store"),
+    ("service/model/errors.py", "service.store"),
     ("service/identification/model/regressor.py", "time"),
     ("service/data_check/check.py", "time"),
     ("service/data_check/check.py", "service.diagnosis"),
-    ("service/urdf.py", "pathlib"),
-    ("service/campaigns/state_machine.py", "scipy"),
+    ("service/model/urdf.py", "pathlib"),
+    ("service/planning/campaigns/state_machine.py", "scipy"),
     ("drivers/registry.py", "drivers.contract"),
-    ("service/hmi/__init__.py", "service.store"),
+    ("service/web/hmi/__init__.py", "service.store"),
 )
 CIRCLE = ("service/identification/axis/outliers.py", "service.identification.estimates.estimate")
 

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from service.cli import build
-from service.configuration import read_robot, read_yaml
-from service.traces.trace_import import Mapping
+from service.formats.traces.trace_import import Mapping
+from service.model.configuration import read_robot, read_yaml
 
 pytestmark = pytest.mark.slow
 

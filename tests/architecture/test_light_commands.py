@@ -120,7 +120,7 @@ def test_a_light_command_loads_nothing_heavy(root: Path, command: str, heavy: se
 
 def test_identify_loads_only_what_it_uses(root: Path, bundle: Path) -> None:
     found = modules(root, LOADED, "identify", str(bundle), "--json", "-")
-    assert "service.estimation" in found
+    assert "service.identification.estimation" in found
     heavy = SERVER | {"can", "dask", "distributed", "httpx", "plotly", "rich"}
     assert {name.partition(".")[0] for name in found} & heavy == set()
     assert not {name for name in found if name.startswith(("service.data_check", "service.report", "service.planning"))}
@@ -132,7 +132,7 @@ def test_the_public_face_is_imported_at_once(root: Path) -> None:
 
 
 def test_the_stop_process_loads_nothing_heavy(root: Path) -> None:
-    code = f"import service.stop_process.__main__, drivers.canopen, json, sys\n{TELL}"
+    code = f"import service.machine.stop_process.__main__, drivers.canopen, json, sys\n{TELL}"
     assert loaded(root, code) & (MATHEMATICS | SERVER | PHYSICS | {"httpx", "pydantic_settings"}) == set()
 
 
@@ -151,15 +151,16 @@ def test_a_virtual_can_machine_loads_no_modbus(root: Path) -> None:
 
 def test_a_worker_that_has_no_job_yet_loads_nothing_heavy(root: Path) -> None:
     """Nor does who only hands jobs over: the mathematics comes with the first job that reckons with it."""
-    found = modules(root, f"import service.worker.process, json, sys\n{TELL}")
+    found = modules(root, f"import service.jobs.worker.process, json, sys\n{TELL}")
     assert {name.partition(".")[0] for name in found} & (MATHEMATICS | SERVER | PHYSICS) == set()
-    assert found & {"service.data_check", "service.diagnosis", "service.identification", "service.report"} == set()
+    late = {"service.data_check", "service.diagnosis", "service.identification.estimates", "service.report"}
+    assert found & late == set()
 
 
 @pytest.mark.parametrize(
     "module",
     [
-        "service.estimation",
+        "service.identification.estimation",
         "service.planning.plan",
         "service.planning.trajectories.plan",
         "service.diagnosis.diagnose",

@@ -1,4 +1,4 @@
-"""One file of the service gives energy and moves, `service/execution/motion.py`; one other holds the port for it.
+"""One file of the service gives energy and moves, `service/machine/execution/motion.py`; one other holds its port.
 
 Each way to it needs an `Intention`, which is made only where a request arrives. So the list of entries is complete by
 construction: the gate wants the value, nobody else can make one, none is left out by default, and the type checker
@@ -14,13 +14,14 @@ from pathlib import Path
 
 import pytest
 
-GATE, HOLDER = "execution/motion.py", "execution/machine.py"
-ARRIVAL = "api/dependencies.py"  # makes the intentions
+GATE, HOLDER = "machine/execution/motion.py", "machine/execution/machine.py"
+MOTION = "service.machine.execution.motion"
+ARRIVAL = "web/api/dependencies.py"  # makes the intentions
 GUARDED = {
     HOLDER: {"check_may_move", "used_by", "motion"},
-    "execution/sweep_executor.py": {"run"},
-    "execution/runner.py": {"start", "resume", "check_free"},
-    "diagnosis_loop/experiments.py": {"approve", "permit"},
+    "machine/execution/sweep_executor.py": {"run"},
+    "machine/execution/runner.py": {"start", "resume", "check_free"},
+    "jobs/diagnosis_loop/experiments.py": {"approve", "permit"},
 }
 ENTRIES = {  # routes of the API that lead to motion; a new one is added here on purpose
     "start_campaign",
@@ -40,8 +41,8 @@ def violations(path: str, source: str) -> Iterator[str]:
             yield f"{path}:{node.lineno}: the port of the machine"
         if isinstance(node, ast.alias) and node.name == "DrivePort" and path not in (GATE, HOLDER):
             yield f"{path}: imports DrivePort"
-        taken = isinstance(node, ast.alias) and node.name == "Motion" and "service.execution.motion import" in source
-        if taken and path not in (HOLDER, "execution/sweep_executor.py"):
+        taken = isinstance(node, ast.alias) and node.name == "Motion" and f"{MOTION} import" in source
+        if taken and path not in (HOLDER, "machine/execution/sweep_executor.py"):
             yield f"{path}: imports Motion"
 
 
@@ -115,7 +116,7 @@ def test_an_intention_is_made_only_where_a_request_arrives(root: Path) -> None:
     assert code[ARRIVAL].count("Intention(") == 1
     for path, names in GUARDED.items():
         assert names - wanting(code[path], "Intention") == set()
-    entries = [wanting(source, "IntentionOf") for path, source in code.items() if path.startswith("api/")]
+    entries = [wanting(source, "IntentionOf") for path, source in code.items() if path.startswith("web/api/")]
     assert set().union(*entries) == ENTRIES
 
 
@@ -126,7 +127,7 @@ def test_an_intention_is_made_only_where_a_request_arrives(root: Path) -> None:
         "self._machine._port.enable('joint_1')",
         "port.move_to('joint_1', 0.0, 1.0)",
         "from drivers.ports import DrivePort",
-        "from service.execution.motion import Motion",
+        "from service.machine.execution.motion import Motion",
         "anything.run_sweep(command)",
         "runner.start(1, Intention(epochs.now))",
         "runner.start(1, epoch.Intention(epochs.now))",
@@ -135,24 +136,24 @@ def test_an_intention_is_made_only_where_a_request_arrives(root: Path) -> None:
         "async def start(self, intention: Intention | None) -> None: ...",
         "async def start(self, intention: Intention = NOBODYS) -> None: ...",
         "async def start(self, *, intention: 'Intention' = NOBODYS) -> None: ...",
-        "from service.execution.epoch import Intention as Wanted",
+        "from service.machine.execution.epoch import Intention as Wanted",
         "class Always(Intention): ...",
     ],
 )
 def test_a_planted_violation_is_found(source: str) -> None:
-    path = "diagnosis_loop/experiments.py"
+    path = "jobs/diagnosis_loop/experiments.py"
     assert [*violations(path, source), *made_elsewhere(path, source)]
 
 
 PLANTED = """
 from fastapi import APIRouter
 
-from service.api.dependencies import ApplicationOf, IntentionOf
-from service.diagnosis_loop.experiments import Experiments
-from service.execution.epoch import Epochs
-from service.execution.machine import Machine
-from service.execution.motion import Bounds
-from service.execution.runner import Runner
+from service.web.api.dependencies import ApplicationOf, IntentionOf
+from service.jobs.diagnosis_loop.experiments import Experiments
+from service.machine.execution.epoch import Epochs
+from service.machine.execution.machine import Machine
+from service.machine.execution.motion import Bounds
+from service.machine.execution.runner import Runner
 
 router = APIRouter()
 

@@ -31,7 +31,7 @@ def test_the_site_builds(root: Path, tmp_path: Path) -> None:
         ("http-api", "post-api-v1-stop-reset"),
         ("http-api", "campaignview"),
         ("options", "sweepid-people-add-key"),
-        ("client", "service.client.ServiceClient.stop"),
+        ("client", "service.web.client.ServiceClient.stop"),
         ("python", "sweepid.identify"),
         ("drive-port", "drivers.ports.DrivePort.halt"),
     ):

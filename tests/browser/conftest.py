@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page
 
-from service.client import ServiceClient, ServiceProblem
+from service.web.client import ServiceClient, ServiceProblem
 from tests.browser.browsing import browsing, chromium
 from tests.system.rest_bench import Service, VirtualMachine, serving, until, virtual_machine
 

@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from PIL import Image
 from playwright.sync_api import Page, expect
 
-from service.client import Json, ServiceClient
+from service.web.client import Json, ServiceClient
 from tests.browser.browsing import browsing
 from tests.browser.conftest import connected
 from tests.browser.looking import settled

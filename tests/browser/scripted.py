@@ -21,7 +21,7 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
-from service.hmi.pages import add_pages
+from service.web.hmi.pages import add_pages
 
 Json = dict[str, Any]
 JOINTS = ("joint_1", "joint_2")

@@ -2,7 +2,7 @@
 
 from playwright.sync_api import Page, expect
 
-from service.client import ServiceClient
+from service.web.client import ServiceClient
 from tests.browser.accessible import both_schemes, findings
 from tests.browser.browsing import window
 from tests.browser.looking import faint, settled, small, too_wide

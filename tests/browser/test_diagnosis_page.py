@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from service.client import ServiceClient
-from service.configuration import read_robot
 from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design, paper_design
-from service.recording import Recording, Sweep
+from service.model.configuration import read_robot
+from service.model.recording import Recording, Sweep
 from service.store.files.bundle import write_bundle
+from service.web.client import ServiceClient
 from simulator import Scenario, SweepRun, load_scenario, run_sweeps
 from tests.browser.browsing import browsing, load_again
 from tests.programs import needs

@@ -2,7 +2,7 @@
 
 from playwright.sync_api import Locator, Page, expect
 
-from service.client import ServiceClient
+from service.web.client import ServiceClient
 from tests.programs import needs
 from tests.system.rest_bench import Service, VirtualMachine, until
 

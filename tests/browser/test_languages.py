@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Page, expect
 
-from service.client import ServiceClient
+from service.web.client import ServiceClient
 from tests.browser.browsing import browsing, load_again
 from tests.browser.looking import cut, faint, settled, small, too_wide
 from tests.browser.scripted import scripted

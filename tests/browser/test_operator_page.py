@@ -5,7 +5,7 @@ import math
 import httpx
 from playwright.sync_api import Page, Route, expect
 
-from service.client import ServiceClient
+from service.web.client import ServiceClient
 from tests.browser.browsing import load_again
 from tests.programs import needs
 from tests.system.rest_bench import Service, VirtualMachine, add_plan, release, until

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from playwright.sync_api import expect
 
-from service.client import ServiceClient
+from service.web.client import ServiceClient
 from tests.browser.browsing import browsing
 from tests.browser.conftest import connected
 from tests.programs import needs

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from service.configuration import read_robot
+from service.model.configuration import read_robot
 from service.report import estimate_page
 from tests.browser.accessible import both_schemes
 from tests.browser.browsing import browsing

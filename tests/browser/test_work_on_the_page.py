@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, expect
 
-from service.client import ServiceClient
+from service.web.client import ServiceClient
 from tests.browser.accessible import both_schemes
 from tests.browser.browsing import browsing
 from tests.browser.looking import cut, faint, settled, small, too_wide, unlike_ink

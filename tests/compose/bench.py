@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from service.client import Json, ServiceClient, ServiceUnreachable
+from service.web.client import Json, ServiceClient, ServiceUnreachable
 from tests.ports import free_port
 from tests.system.rest_bench import until
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import httpx
 
-from service.client import ServiceClient
+from service.web.client import ServiceClient
 from tests.compose.bench import COMMAND, ROOT, Containers, ready
 from tests.ports import free_port
 from tests.system.rest_bench import PATIENT_LEASE, until

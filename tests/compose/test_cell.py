@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from service.client import ServiceClient
-from service.demo.operator import Operator
+from service.cli.demo.operator import Operator
+from service.web.client import ServiceClient
 from tests.compose.bench import Cell, positions, stands
 from tests.system.rest_bench import add_plan, until
 

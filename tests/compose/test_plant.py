@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from service.client import ServiceClient, ServiceProblem
-from service.demo.operator import Operator
+from service.cli.demo.operator import Operator
+from service.web.client import ServiceClient, ServiceProblem
 from tests.compose.bench import COMMAND, ROOT, inspected, stands
 from tests.compose.plant_bench import CELLS, MACHINES, Plant, build_images
 from tests.system.rest_bench import add_plan, until

@@ -11,10 +11,11 @@ import yaml
 from numpy.typing import NDArray
 
 from drivers.ports import DrivePort, SampleBlock, Sine, SweepCommand, SweepMode
-from service.identification import identify, spectrum
-from service.recording import Recording, Sweep, SweepSpec
-from service.recording import Sine as RecordedSine
-from service.robot import Robot, RobotDescription, build_robot
+from service.identification.estimates.estimate import identify
+from service.identification.spectra.frequency_response import spectrum
+from service.model.recording import Recording, Sweep, SweepSpec
+from service.model.recording import Sine as RecordedSine
+from service.model.robot import Robot, RobotDescription, build_robot
 
 ROBOT = Path(__file__).parents[2] / "config" / "robots" / "max100-class.yaml"
 # Hz; each axis has lines of its own, so that on a real arm what one axis does to another shows at neither's lines

@@ -13,7 +13,8 @@ from drivers.commission.survey import survey
 from drivers.contract.bench import closing, column
 from drivers.ports import AxisState, DrivePort, SweepMode
 from drivers.registry import open_drive
-from service.identification import identify, spectrum
+from service.identification.estimates.estimate import identify
+from service.identification.spectra.frequency_response import spectrum
 from tests.contract.bench import AXIS, BENCHES, SYNC_PERIOD
 from tests.contract.sweeps import POSE, move, robot, run, wide
 from tests.independent_bench import STACKS, IndependentMachine, machine

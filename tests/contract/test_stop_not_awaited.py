@@ -6,9 +6,9 @@ from pathlib import Path
 import httpx
 
 from drivers.contract.bench import eventually
-from service.app import create_app
-from service.settings import Settings
-from service.stop_process.handle import StopProcess
+from service.machine.stop_process.handle import StopProcess
+from service.process.settings import Settings
+from service.web.app import create_app
 from tests.contract.bench import BENCHES, EDS, ROOT
 
 STOP = "http://127.0.0.1/api/v1/stop"

@@ -13,11 +13,11 @@ import h5py
 import numpy as np
 from scipy.io import savemat
 
-from service.configuration import read_robot
-from service.export.recordings import write_recordings
+from service.formats.export.recordings import write_recordings
+from service.formats.traces.containers.reading import read_here
+from service.formats.traces.containers.request import Channel
+from service.model.configuration import read_robot
 from service.store.files.bundle import Bundle
-from service.traces.containers.reading import read_here
-from service.traces.containers.request import Channel
 from tests.forked import forked
 from tests.fuzz.seeds import CONFIG, Seed, columns, one, sweep
 

@@ -17,36 +17,36 @@ from drivers.errors import BadProfile
 from drivers.modbus.profile import parse_profile as modbus_profile
 from drivers.modbus.registers import load_registers
 from drivers.registry import load_profile
-from service.backup.manifest import read_manifest
 from service.cli.campaign.measure import plan_number
 from service.cli.commands.export import export_path
 from service.cli.recordings.control_file import import_control_file
-from service.configuration import read_robot, read_text
-from service.errors import BadInput
-from service.execution.recording.recorder import read_stream
-from service.export import identified_model
-from service.export.sheets.load import load_of
-from service.export.sheets.making import check_sheet, sheet
-from service.export.sheets.text import as_markdown
-from service.export.started_robot import started_from
-from service.geometry.cell import read_cell
-from service.geometry.collision import CollisionChecker
-from service.maker_urdf.check import check_urdf
-from service.maker_urdf.draft import side_file_text
-from service.maker_urdf.packages import Packages
-from service.paths.control import read_control
-from service.results.estimate import Estimate
-from service.results.identified.payload import Payload
-from service.robot import Robot
-from service.settings import load_settings
-from service.sinumerik.document import Given
+from service.formats.export import identified_model
+from service.formats.export.sheets.load import load_of
+from service.formats.export.sheets.making import check_sheet, sheet
+from service.formats.export.sheets.text import as_markdown
+from service.formats.export.started_robot import started_from
+from service.formats.maker_urdf.check import check_urdf
+from service.formats.maker_urdf.draft import side_file_text
+from service.formats.maker_urdf.packages import Packages
+from service.formats.sinumerik.document import Given
+from service.formats.traces.drafts import mapping_of
+from service.formats.traces.trace_import import import_trace, read_traces
+from service.machine.execution.recording.recorder import read_stream
+from service.machine.paths.control import read_control
+from service.model.configuration import read_robot, read_text
+from service.model.errors import BadInput
+from service.model.geometry.cell import read_cell
+from service.model.geometry.collision import CollisionChecker
+from service.model.results.estimate import Estimate
+from service.model.results.identified.payload import Payload
+from service.model.robot import Robot
+from service.model.urdf import read_chain
+from service.process.settings import load_settings
+from service.store.backup.manifest import read_manifest
 from service.store.files.bundle import write_bundle
 from service.store.files.columns import read_columns
 from service.store.files.intake import read_from
 from service.store.files.stream import UnreadableStream
-from service.traces.drafts import mapping_of
-from service.traces.trace_import import import_trace, read_traces
-from service.urdf import read_chain
 from simulator.drive.dictionary import Dictionary
 from simulator.foreign.dictionary import ForeignDictionary
 from simulator.modbus.register_map import RegisterMapError, load_register_map

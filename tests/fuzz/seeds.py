@@ -19,13 +19,13 @@ import numpy as np
 import pyarrow as pa
 
 import sweepid
-from service.backup.manifest import Manifest, StoredFile
-from service.configuration import read_robot
-from service.geometry.cell import read_cell
 from service.identification.design.excitation import Excitation
 from service.identification.design.sweep_path import way
+from service.model.configuration import read_robot
+from service.model.geometry.cell import read_cell
+from service.model.recording import Sine, Sweep
 from service.planning.plan import PlanRequest, build_plan
-from service.recording import Sine, Sweep
+from service.store.backup.manifest import Manifest, StoredFile
 from service.store.files.bundle import write_bundle
 from tests.control_file import Loop, tuning_xml
 from tests.rigid_sweep import rigid_sweep

@@ -19,7 +19,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from service.errors import BadInput
+from service.model.errors import BadInput
 from tests.forked import copied
 from tests.fuzz.edits import edited
 from tests.fuzz.parsers import PARSERS

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from service.recording import Array, Sweep, SweepSpec
-from service.robot import Axis, build_robot
+from service.model.recording import Array, Sweep, SweepSpec
+from service.model.robot import Axis, build_robot
 from service.store.files.bundle import Bundle
 from tests.numeric.check_bundles import Sound
 

@@ -20,15 +20,14 @@ import numpy as np
 from scipy.signal import lsim
 from scipy.stats import t as student
 
-from service.identification import Spectrum
 from service.identification.axis.axis_estimate import identify_axis
 from service.identification.axis.known_effects import KnownAxis
 from service.identification.axis.nominal_priors import pose_prior, shared_prior, uncalibrated
 from service.identification.estimates.estimate import moving_chain, nominal_parameters
 from service.identification.model.regressor import axis_rows, gravity_terms
-from service.identification.spectra.frequency_response import window
-from service.recording import Sweep
-from service.robot import Robot
+from service.identification.spectra.frequency_response import Spectrum, window
+from service.model.recording import Sweep
+from service.model.robot import Robot
 from simulator import Measurement
 from tests.numeric.campaign import SimulatedCampaign, measure_at, scenario_named
 

@@ -9,8 +9,8 @@ from service.identification.design.noise_excitation import design_noise
 from service.identification.estimates.initial_analysis import analyse
 from service.identification.model.regressor import inertia_rows
 from service.identification.spectra.noise_response import NoiseSpectrum, noise_spectrum
-from service.recording import Recording, Sweep, SweepSpec
-from service.robot import Robot
+from service.model.recording import Recording, Sweep, SweepSpec
+from service.model.robot import Robot
 from simulator import DriveTrain, NoiseRun, Scenario, load_scenario, run_sweeps, true_inertia
 from tests.numeric.campaign import CONFIG, max100
 

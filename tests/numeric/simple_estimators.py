@@ -11,8 +11,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
-from service.recording import Sweep
-from service.robot import Robot
+from service.model.recording import Sweep
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 Moves = NDArray[np.bool_]

@@ -4,9 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.geometry.cell import read_cell
-from service.geometry.collision import CollisionChecker
-from service.identification import Spectrum, spectrum
 from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.identification.design.excitation import design_sweep
 from service.identification.design.exciting_trajectory import Shape, Trajectory, TrajectoryLimits, design_trajectory
@@ -15,10 +12,12 @@ from service.identification.model.base_parameters import joint_ranges
 from service.identification.model.regressor import inertia_rows
 from service.identification.model.whole_base import dynamic_base
 from service.identification.motion.trajectory_record import TrajectoryRecord, axis_track, trajectory
-from service.identification.spectra.frequency_response import window
-from service.recording import Recording, Sweep
-from service.robot import Robot
-from service.urdf import read_chain
+from service.identification.spectra.frequency_response import Spectrum, spectrum, window
+from service.model.geometry.cell import read_cell
+from service.model.geometry.collision import CollisionChecker
+from service.model.recording import Recording, Sweep
+from service.model.robot import Robot
+from service.model.urdf import read_chain
 from simulator import Scenario, run_trajectories
 from simulator.rigid_body import real_urdf
 from tests.numeric.campaign import CONFIG, run_of, run_plan, spec_of

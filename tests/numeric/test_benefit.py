@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.benefit import AxisBenefit, benefit, feed_forward
 from service.identification.model.regressor import axis_rows
+from service.report.benefit import AxisBenefit, benefit, feed_forward
 from service.store.files.bundle import read_bundle
 from simulator.follow import Path as Wanted
 from simulator.follow import follow

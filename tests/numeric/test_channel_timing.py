@@ -7,15 +7,16 @@ import numpy as np
 import pytest
 
 from drivers.ports import ChannelTiming
-from service.channels import align
-from service.errors import BadInput
-from service.identification import identify, spectrum
 from service.identification.axis.channel_timing import ChannelLags, channel_lags
 from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.identification.design.excitation import LINES, design_sweep
+from service.identification.estimates.estimate import identify
 from service.identification.model.regressor import inertia_rows, lock
-from service.recording import Sweep
-from service.robot import Robot
+from service.identification.spectra.frequency_response import spectrum
+from service.model.channels import align
+from service.model.errors import BadInput
+from service.model.recording import Sweep
+from service.model.robot import Robot
 from simulator import Scenario, true_inertia
 from tests.numeric.campaign import AXES, max100, run_plan, scenario_named, spec_of
 

@@ -6,17 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.configuration import read_robot
-from service.errors import BadInput
-from service.geometry.cell import read_cell
-from service.identification import identify, spectrum
-from service.paths.control import read_control
-from service.paths.export import export_paths
+from service.formats.traces.trace_import import import_trace
+from service.identification.estimates.estimate import identify
+from service.identification.spectra.frequency_response import spectrum
+from service.machine.paths.control import read_control
+from service.machine.paths.export import export_paths
+from service.model.configuration import read_robot
+from service.model.errors import BadInput
+from service.model.geometry.cell import read_cell
+from service.model.recording import Recording, Sweep
+from service.model.robot import Robot
 from service.planning.plan import PlanDocument, PlannedSweep, PlanRequest, build_plan
-from service.recording import Recording, Sweep
-from service.robot import Robot
 from service.store.files.bundle import write_bundle
-from service.traces.trace_import import import_trace
 from simulator import load_scenario
 from tests.cnc_trace import Array, cnc_columns, simulate, write_trace
 

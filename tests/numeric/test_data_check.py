@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from service.data_check import check, untrustworthy
+from service.formats.traces.trace_import import import_trace
 from service.store.files.bundle import read_bundle
-from service.traces.trace_import import import_trace
 from tests.numeric.check_bundles import Sound, sound
 from tests.numeric.check_faults import FAULTS
 from tests.numeric.second_plant.cases import Case, Kind, make

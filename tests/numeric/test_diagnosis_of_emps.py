@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from service.diagnosis import axis_document, diagnose_axis
-from service.traces.trace_import import import_trace
+from service.formats.traces.trace_import import import_trace
 
 
 def test_friction_that_differs_with_the_direction_is_named_first(root: Path, shared: Path) -> None:

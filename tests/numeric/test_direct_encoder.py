@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.identification import Estimate, as_document, identify
+from service.identification.estimates.document import as_document
+from service.identification.estimates.estimate import Estimate, identify
 from tests.numeric.campaign import AXES, SimulatedCampaign, measure
 
 

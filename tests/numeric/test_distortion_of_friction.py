@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from service.identification import identify, spectrum
 from service.identification.axis.distortion import Distortion
 from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.identification.design.excitation import design_sweep, realisations
+from service.identification.estimates.estimate import identify
+from service.identification.spectra.frequency_response import spectrum
 from simulator import Scenario
 from simulator.scenario import Stribeck
 from tests.numeric.campaign import max100, run_plan, scenario_named, spec_of

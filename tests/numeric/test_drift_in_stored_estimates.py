@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.campaigns.fleet_history import FleetHistory
-from service.estimation import estimate_document, sweep_spectrum
-from service.fleet.document import FleetType
-from service.fleet.survey import Rules
-from service.recording import Sweep
-from service.robot import Robot, build_robot
+from service.identification.estimation import estimate_document, sweep_spectrum
+from service.identification.fleet.document import FleetType
+from service.identification.fleet.survey import Rules
+from service.model.recording import Sweep
+from service.model.robot import Robot, build_robot
+from service.planning.campaigns.fleet_history import FleetHistory
 from service.store import tables as t
 from service.store.database import Database, open_database
 from service.store.documents import NewRecording, NewSweep, RecordingState, SpectrumRecord, SweepState

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import sweepid
-from service.errors import BadInput
 from service.identification.estimates.combination import AxisInertias, Combination, Source, combine
 from service.identification.model.inverse_dynamics import Motion
 from service.identification.motion.free_motion import free_motions
-from service.recording import Sweep
+from service.model.errors import BadInput
+from service.model.recording import Sweep
 from service.store.files.bundle import Bundle, read_bundle, write_bundle
 from tests.numeric.free_motion import Truth, draw, log, program, wander
 

@@ -5,7 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from service.identification import as_document, identify, spectrum
+from service.identification.estimates.document import as_document
+from service.identification.estimates.estimate import identify
+from service.identification.spectra.frequency_response import spectrum
 from tests.numeric.campaign import measure
 
 

@@ -8,8 +8,9 @@ import pinocchio as pin
 import pytest
 from pydantic import JsonValue
 
-from service.export import IdentifiedModel, identified_model, model_files
-from service.identification import Estimate, as_document, identify
+from service.formats.export import IdentifiedModel, identified_model, model_files
+from service.identification.estimates.document import as_document
+from service.identification.estimates.estimate import Estimate, identify
 from service.identification.model.physical_consistency import is_physical
 from service.identification.model.regressor import gravity_rows
 from simulator.rigid_body import RigidBody

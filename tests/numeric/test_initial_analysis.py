@@ -12,7 +12,7 @@ import pytest
 
 from service.identification.axis.ideal_frequency import nearest_line
 from service.identification.spectra.axis_inertia import DriveTrain, impedance
-from service.recording import Sweep
+from service.model.recording import Sweep
 from tests.numeric.noise_campaign import SimulatedAnalysis, measure_noise
 
 NAMES = ("motor inertia", "motor friction", "load friction", "compliance", "damping time")

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.identification import Estimate, identify
 from service.identification.axis.known_effects import KnownEffects
+from service.identification.estimates.estimate import Estimate, identify
 from simulator import Scenario
 from simulator.scenario import DriveTrain, Friction, Hose, PowerLaw, Stribeck
 from tests.numeric.campaign import AXES, SimulatedCampaign, measure_at, scenario_named

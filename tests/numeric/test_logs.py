@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 import sweepid
-from service.estimation import estimate_document
 from service.identification.estimates.combination import Combination, combine
+from service.identification.estimation import estimate_document
 from service.identification.model.regressor import axis_rows
 from service.identification.motion.along_motion import whole_parameters
 from service.identification.motion.free_motion import free_motions
-from service.recording import Sweep
-from service.results.combination import Combination as Document
-from service.results.estimate import Estimate
-from service.robot import Robot, build_robot
+from service.model.recording import Sweep
+from service.model.results.combination import Combination as Document
+from service.model.results.estimate import Estimate
+from service.model.robot import Robot, build_robot
 from service.store.files.bundle import Bundle
 from tests.numeric.second_plant.logs import Log, log
 from tests.numeric.simple_estimators import errors, simple

@@ -14,22 +14,24 @@ import yaml
 
 from drivers.canopen.profile import parse_profile
 from drivers.registry import load_profile
-from service.configuration import read_robot
-from service.export import model_of
-from service.geometry.cell import Cell, read_cell
-from service.geometry.hull import collision_meshes
-from service.identification import Estimate, as_document, identify, spectrum
+from service.formats.export import model_of
+from service.formats.maker_urdf import side_file_text
+from service.formats.maker_urdf.meshes import mesh_points
+from service.formats.maker_urdf.packages import Packages
+from service.formats.maker_urdf.virtual import DraftedRobot, virtual_machine
+from service.identification.estimates.document import as_document
+from service.identification.estimates.estimate import Estimate, identify
 from service.identification.estimates.worth import TOLERANCE
 from service.identification.model.regressor import gravity_rows, inertia_rows
-from service.maker_urdf import side_file_text
-from service.maker_urdf.meshes import mesh_points
-from service.maker_urdf.packages import Packages
-from service.maker_urdf.virtual import DraftedRobot, virtual_machine
+from service.identification.spectra.frequency_response import spectrum
+from service.model.configuration import read_robot
+from service.model.geometry.cell import Cell, read_cell
+from service.model.geometry.hull import collision_meshes
+from service.model.recording import Sweep
+from service.model.robot import Robot
+from service.model.urdf import transform_inertial
 from service.planning.plan import PlanDocument, PlanRequest, build_plan
-from service.recording import Sweep
-from service.robot import Robot
-from service.safety.robot_and_machine import DriveProfile, differences
-from service.urdf import transform_inertial
+from service.planning.safety.robot_and_machine import DriveProfile, differences
 from simulator import (
     DrivenAxis,
     DriveTrain,

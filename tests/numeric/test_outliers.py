@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.identification import Estimate, Spectrum, as_document, identify, spectrum
-from service.recording import Sweep
+from service.identification.estimates.document import as_document
+from service.identification.estimates.estimate import Estimate, identify
+from service.identification.spectra.frequency_response import Spectrum, spectrum
+from service.model.recording import Sweep
 from simulator import true_inertia
 from tests.numeric.campaign import AXES, SimulatedCampaign, measure
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.errors import BadInput
 from service.identification.estimates.torque_gain import KnownMass
 from service.identification.payloads.document import sentences
 from service.identification.payloads.payload import Payload, body_of, payload
-from service.recording import Sweep
+from service.model.errors import BadInput
+from service.model.recording import Sweep
 from service.store.files.bundle import write_bundle
 from simulator import LinkDeviation
 from simulator.scenario import AddedBody

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from service.estimation import estimate_document
-from service.geometry.cell import read_cell
-from service.identification import Spectrum, identify, spectrum
 from service.identification.design.pose_selection import Criterion
+from service.identification.estimates.estimate import identify
+from service.identification.estimation import estimate_document
+from service.identification.spectra.frequency_response import Spectrum, spectrum
+from service.model.geometry.cell import read_cell
+from service.model.robot import Robot, build_robot
 from service.planning.plan import PlanDocument, PlanRequest, build_plan, workspace_grid
-from service.robot import Robot, build_robot
 from simulator import true_inertia
 from tests.numeric.campaign import AXES, CONFIG, max100, measure_at, run_plan, scenario_named
 

@@ -9,18 +9,19 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from service.errors import BadInput
-from service.export import model_of
-from service.export.sheets.inertias import of_estimate
-from service.export.sheets.making import fingerprint, sheet
-from service.export.sheets.same_robot import compare
-from service.export.sheets.text import as_markdown
-from service.identification import Estimate, as_document, identify
+from service.formats.export import model_of
+from service.formats.export.sheets.inertias import of_estimate
+from service.formats.export.sheets.making import fingerprint, sheet
+from service.formats.export.sheets.same_robot import compare
+from service.formats.export.sheets.text import as_markdown
+from service.identification.estimates.document import as_document
+from service.identification.estimates.estimate import Estimate, identify
 from service.identification.model.regressor import axis_rows, fold
-from service.results import estimate as results
-from service.results.identified.sheet import Sheet
-from service.robot import INERTIAL_NAMES, Robot, link_frames
-from service.urdf import inertia_vector, transform_inertial
+from service.model.errors import BadInput
+from service.model.results import estimate as results
+from service.model.results.identified.sheet import Sheet
+from service.model.robot import INERTIAL_NAMES, Robot, link_frames
+from service.model.urdf import inertia_vector, transform_inertial
 from tests.numeric.campaign import AXES, SimulatedCampaign, measure
 
 mujoco: Any = untyped  # a compiled module without types

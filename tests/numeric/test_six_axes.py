@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import sweepid
-from service.identification import identify
 from service.identification.design.exciting_trajectory import Shape
 from service.identification.estimates.combination import Combination, combine, inertias_of
-from service.recording import Sweep
-from service.robot import Robot
+from service.identification.estimates.estimate import identify
+from service.model.recording import Sweep
+from service.model.robot import Robot
 from service.store.files.bundle import read_bundle, write_bundle
 from simulator import Scenario, load_scenario, true_inertia
 from tests.numeric.campaign import CONFIG, max100

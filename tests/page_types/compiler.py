@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.hmi.pages import texts
+from service.web.hmi.pages import texts
 from tests.npm import NODE, installed
 from tests.page_types.declarations import declarations, read
 

@@ -16,7 +16,7 @@ from typing import Protocol
 
 import httpx
 
-from service.client import ServiceClient
+from service.web.client import ServiceClient
 from tests.system.rest_bench import PATIENCE, Service
 
 _TAIL = 65536  # bytes of a file that a power cut may leave unwritten, or zeroed

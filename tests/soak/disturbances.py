@@ -18,7 +18,7 @@ from typing import Protocol
 
 import psutil
 
-from service.client import ServiceClient, ServiceProblem
+from service.web.client import ServiceClient, ServiceProblem
 from tests.faults import ADAPTERS, AXIS, FAULTS, Adapter, Order
 from tests.soak import data_faults
 from tests.system.rest_bench import PATIENCE, Service, VirtualMachine
@@ -189,7 +189,7 @@ def _crossing(bench: Bench) -> None:
 def _stop_process_killed(bench: Bench) -> None:
     for process in psutil.Process(bench.service.running().pid).children():
         with suppress(psutil.NoSuchProcess):
-            if "service.stop_process" in process.cmdline():
+            if "service.machine.stop_process" in process.cmdline():
                 os.kill(process.pid, signal.SIGKILL)
 
 

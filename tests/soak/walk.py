@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from service.client import Json, ServiceClient, ServiceProblem, ServiceUnreachable
+from service.web.client import Json, ServiceClient, ServiceProblem, ServiceUnreachable
 from tests.faults import MODBUS, OWN_SWEEP, STREAMED, Adapter
 from tests.soak.disturbances import DISTURBANCES, Disturbance
 from tests.soak.watch import Watch

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from service.results.diagnosis import Diagnosis
+from service.model.results.diagnosis import Diagnosis
 
 HERE = Path(__file__).parent
 

@@ -14,7 +14,7 @@ import numpy as np
 from service.diagnosis.rows.responses import in_frequency
 from service.diagnosis.sensitivity.predicted_sweeps import expected
 from service.identification.design.diagnosis_sweeps import full_design
-from service.recording import Sweep
+from service.model.recording import Sweep
 from service.store.files.bundle import write_bundle
 from tests.command import sweepid
 from tests.numeric.campaign import max100, measure

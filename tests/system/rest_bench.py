@@ -16,7 +16,7 @@ from typing import Any
 import psutil
 import yaml
 
-from service.client import Json, ServiceClient, ServiceProblem
+from service.web.client import Json, ServiceClient, ServiceProblem
 
 CONFIG = Path(__file__).parents[2] / "config"
 ROBOT = CONFIG / "robots" / "max100-class.yaml"

@@ -10,18 +10,18 @@ import pytest
 
 import sweepid
 from drivers.ports import AxisState
-from service.application import Application, open_application
-from service.estimation import estimate_document
-from service.execution.epoch import Intention
-from service.geometry.cell import read_cell
-from service.identification import spectrum
+from service.identification.estimation import estimate_document
+from service.identification.spectra.frequency_response import spectrum
+from service.machine.execution.epoch import Intention
+from service.model.geometry.cell import read_cell
 from service.planning.plan import PlanRequest, build_plan
 from service.planning.trajectories.documents import TrajectoryRequest
 from service.planning.trajectories.plan import build_trajectory_plan
-from service.settings import Settings
+from service.process.settings import Settings
 from service.store.documents import CampaignDocument, CampaignState, SweepState
 from service.store.files.bundle import read_bundle
 from service.store.guards import MachineTaken
+from service.web.application import Application, open_application
 from tests.system.rest_bench import PATIENT_LEASE, VirtualMachine, virtual_machine
 
 ROOT = Path(__file__).resolve().parents[2]

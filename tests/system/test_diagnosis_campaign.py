@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from service.client import Json, ServiceClient, ServiceProblem
+from service.web.client import Json, ServiceClient, ServiceProblem
 from tests.command import sweepid
 from tests.system.rest_bench import CONFIG, Service, VirtualMachine, serving, until, virtual_machine
 from tests.system.test_runbooks import BAD_INPUT, DONE, FAILED, STOPPED, Books, results

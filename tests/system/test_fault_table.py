@@ -14,7 +14,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.client import Json, ServiceClient, ServiceProblem
+from service.web.client import Json, ServiceClient, ServiceProblem
 from tests.faults import ADAPTERS, AXIS, FAULTS, MODBUS, OWN_SWEEP, STREAMED, Adapter, Fault, Order
 from tests.system.rest_bench import (
     Fieldbus,

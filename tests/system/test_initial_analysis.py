@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from service.client import Json, ServiceClient
-from service.errors import BadInput
+from service.model.errors import BadInput
+from service.web.client import Json, ServiceClient
 from tests.system.rest_bench import (
     ROBOT,
     Fieldbus,

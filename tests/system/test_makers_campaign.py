@@ -18,12 +18,12 @@ import pytest
 import yaml
 
 from drivers.registry import load_profile
-from service.application import open_application
-from service.execution.epoch import Intention
-from service.geometry.cell import read_cell
+from service.machine.execution.epoch import Intention
+from service.model.geometry.cell import read_cell
 from service.planning.plan import PlanRequest, build_plan
-from service.settings import Settings
+from service.process.settings import Settings
 from service.store.documents import CampaignState
+from service.web.application import open_application
 from tests.contract.makers import DEVICES, profile
 from tests.foreign_bench import ROOT, Foreign, file_of
 

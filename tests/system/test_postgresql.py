@@ -4,10 +4,10 @@ import json
 from contextlib import suppress
 from pathlib import Path
 
-from service.client import ServiceClient, ServiceProblem
-from service.estimation import estimate_document
-from service.identification import spectrum
+from service.identification.estimation import estimate_document
+from service.identification.spectra.frequency_response import spectrum
 from service.store.files.bundle import read_bundle
+from service.web.client import ServiceClient, ServiceProblem
 from tests.postgresql_server import PASSWORD, running_server
 from tests.system.rest_bench import VirtualMachine, add_plan, differences, run, serving, until, virtual_machine
 

@@ -9,7 +9,7 @@ import psutil
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from service.client import ServiceClient
+from service.web.client import ServiceClient
 from tests.mosquitto import broker
 from tests.node_opcua import node_client
 from tests.ports import free_port

@@ -12,10 +12,10 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.client import Json, ServiceClient
-from service.estimation import estimate_document
-from service.identification import spectrum
+from service.identification.estimation import estimate_document
+from service.identification.spectra.frequency_response import spectrum
 from service.store.files.bundle import read_bundle
+from service.web.client import Json, ServiceClient
 from tests.otlp_collector import Collector, Received, collecting
 from tests.system.rest_bench import (
     PATIENT_LEASE,

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 import yaml
 
-from service.client import Json, ServiceClient
 from service.store.files.bundle import read_bundle
+from service.web.client import Json, ServiceClient
 from tests.system.rest_bench import (
     CONFIG,
     PATIENCE,

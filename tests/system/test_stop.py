@@ -26,10 +26,10 @@ import pytest
 from websockets.sync.client import connect
 
 from drivers.canopen import frames
-from service.client import ServiceClient, ServiceProblem
-from service.people.audit_chain import verify
+from service.store.access.audit_chain import verify
 from service.store.database import open_database
 from service.store.people.audit import AuditStore
+from service.web.client import ServiceClient, ServiceProblem
 from tests.system.bus_listener import Ear, listening
 from tests.system.rest_bench import (
     PATIENCE,
@@ -164,7 +164,8 @@ def suspended(service: Service) -> Iterator[None]:
 
 
 def stop_process(service: Service) -> psutil.Process:
-    (beside,) = (each for each in service_process(service).children() if "service.stop_process" in each.cmdline())
+    children = service_process(service).children()
+    (beside,) = (each for each in children if "service.machine.stop_process" in each.cmdline())
     return beside
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from service.client import ServiceClient, ServiceProblem
+from service.web.client import ServiceClient, ServiceProblem
 from tests.postgresql_server import running_server
 from tests.system.rest_bench import (
     PATIENT_LEASE,

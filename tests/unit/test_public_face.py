@@ -10,11 +10,11 @@ import pandas as pd
 import pytest
 
 import sweepid
-from service.errors import BadInput
-from service.results.diagnosis import Diagnosis
-from service.results.estimate import Estimate
-from service.results.part import Part
-from service.results.table import Column, Table
+from service.model.errors import BadInput
+from service.model.results.diagnosis import Diagnosis
+from service.model.results.estimate import Estimate
+from service.model.results.part import Part
+from service.model.results.table import Column, Table
 from tests.command import sweepid as command
 from tests.stored.documents import stored
 from tests.unit.service.cli.test_identify import INERTIA, bundle
@@ -86,7 +86,7 @@ def test_what_is_known_of_an_axis_comes_from_a_file_or_a_mapping(desk: Path) -> 
 
 
 def test_the_client_is_that_of_the_service() -> None:
-    from service.client import ServiceClient
+    from service.web.client import ServiceClient
 
     assert sweepid.Client is ServiceClient
     with pytest.raises(AttributeError, match="nothing"):

@@ -1,8 +1,8 @@
 """The pipes and processes that the service's stop process needs, in memory.
 
-`service.stop_process.handle` and `service.stop_process.__main__` run unchanged, each in its own simulated process: only
-their `os`, `subprocess` and `sys` are those of this module, and the port of the stop process is at the level of
-`Request` and `Answer` (`Listener`) instead of HTTP.
+`handle` and `__main__` of `service.machine.stop_process` run unchanged, each in its own simulated process: only their
+`os`, `subprocess` and `sys` are those of this module, and the port of the stop process is at the level of `Request` and
+`Answer` (`Listener`) instead of HTTP.
 """
 
 import itertools
@@ -14,10 +14,10 @@ from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
 
-from service.stop_process import __main__ as stop_process
-from service.stop_process import handle, telling
-from service.stop_process.answers import Answer, Request
-from service.stop_process.listener import BEAT, Answered
+from service.machine.stop_process import __main__ as stop_process
+from service.machine.stop_process import handle, telling
+from service.machine.stop_process.answers import Answer, Request
+from service.machine.stop_process.listener import BEAT, Answered
 from tests.virtual_time import primitives
 from tests.virtual_time.primitives import SimpleQueue
 from tests.virtual_time.scheduler import Process
@@ -75,11 +75,11 @@ def _exit(_code: int) -> None:
 
 
 class Popen:
-    """subprocess.Popen of `python -P -m service.stop_process ...`: a simulated process with one thread."""
+    """subprocess.Popen of `python -P -m service.machine.stop_process ...`: a simulated process with one thread."""
 
     def __init__(self, command: Sequence[str], stdin: int, stdout: int, start_new_session: bool) -> None:
         del stdout, start_new_session
-        assert command[1:4] == ["-P", "-m", "service.stop_process"], command
+        assert command[1:4] == ["-P", "-m", "service.machine.stop_process"], command
         self.argv = command[3:]
         self.stdin, self.stdout = _files[stdin], Pipe()
         self.process = Process("stop process")

@@ -12,7 +12,7 @@ from tests.npm import NODE
 from tests.virtual_time.stops import ANSWERED, HEARD, Stop
 
 SCRIPT = Path(__file__).with_name("page.mjs")
-MODULE = Path(str(files("service.hmi"))) / "static" / "pressed.js"
+MODULE = Path(str(files("service.web.hmi"))) / "static" / "pressed.js"
 
 
 def check_page(stops: Sequence[Stop], folder: Path) -> None:

@@ -23,17 +23,17 @@ from drivers.canopen.stop_sender import CanopenStopSender
 from drivers.cia402.axis import Axis
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
-from service.execution import statement
-from service.execution.approvals import Approvals
-from service.execution.epoch import Epochs, Intention
-from service.execution.machine import Machine
-from service.execution.motion import Motion
-from service.execution.runner import Runner
-from service.execution.state import lease_renewal
-from service.execution.state.latched_stops import LatchedStops
-from service.execution.state.stop_sequences import StopSequences
-from service.execution.statement import Reports
-from service.stop_process.bus import Bus, Outcome
+from service.machine.execution import statement
+from service.machine.execution.approvals import Approvals
+from service.machine.execution.epoch import Epochs, Intention
+from service.machine.execution.machine import Machine
+from service.machine.execution.motion import Motion
+from service.machine.execution.runner import Runner
+from service.machine.execution.state import lease_renewal
+from service.machine.execution.state.latched_stops import LatchedStops
+from service.machine.execution.state.stop_sequences import StopSequences
+from service.machine.execution.statement import Reports
+from service.machine.stop_process.bus import Bus, Outcome
 from service.store import approvals
 from service.store.guards import MachineLease
 from service.store.store import Store

@@ -21,17 +21,17 @@ from fastapi import FastAPI
 from sqlalchemy import Connection, Engine, create_engine
 from sqlalchemy.exc import OperationalError
 
-import service.application
 import service.store.engines.sqlite
-from service.app import create_app, end_motion, end_streams
-from service.client import ServiceClient
-from service.execution.machine import Machine
-from service.settings import Settings
-from service.stop_process.answers import LONGEST_WAIT, Request
-from service.stop_process.handle import StopProcess
+import service.web.application
+from service.jobs.worker import Worker
+from service.jobs.worker.jobs import Answer, Work
+from service.machine.execution.machine import Machine
+from service.machine.stop_process.answers import LONGEST_WAIT, Request
+from service.machine.stop_process.handle import StopProcess
+from service.process.settings import Settings
 from service.store.engines.kind import BUSY_TIMEOUT, PATIENCE, WRITE
-from service.worker import Worker
-from service.worker.jobs import Answer, Work
+from service.web.app import create_app, end_motion, end_streams
+from service.web.client import ServiceClient
 from tests.virtual_time import operating_system, primitives
 from tests.virtual_time.clock import Clock
 from tests.virtual_time.machine import CONFIG, VirtualMachine
@@ -323,7 +323,7 @@ def _install(service_of_tests: VirtualService) -> None:
     async def open_worker(*_: object) -> AsyncIterator[Worker]:
         yield WorkerInProcess(service_of_tests)
 
-    application: Any = service.application
+    application: Any = service.web.application
     application.open_worker = open_worker
     sqlite: Any = service.store.engines.sqlite
     sqlite._begin = _begin

@@ -15,8 +15,8 @@ from functools import partial
 from reached import confidence
 from runbook import Exit, Runbook, ending, parser_of, run
 
-from service.client import Json
-from service.errors import BadInput
+from service.model.errors import BadInput
+from service.web.client import Json
 
 NOTHING = "moves nothing"
 

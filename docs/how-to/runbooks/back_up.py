@@ -13,11 +13,11 @@ from tempfile import TemporaryDirectory
 
 from runbook import Exit, Runbook, parser_of, run
 
-from service.backup.examination import examine
-from service.backup.making import DATABASE, make_backup
-from service.backup.restoring import restore
-from service.errors import BadInput
-from service.settings import load_settings
+from service.model.errors import BadInput
+from service.process.settings import load_settings
+from service.store.backup.examination import examine
+from service.store.backup.making import DATABASE, make_backup
+from service.store.backup.restoring import restore
 from service.store.snapshot import sqlite_file
 
 

@@ -18,9 +18,9 @@ from moves import STILL
 from numpy.typing import NDArray
 from runbook import CELL_HELP, Exit, Runbook, judged, optional_list, parser_of, run, worst
 
-from service.client import Json
-from service.errors import BadInput
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.robot import Robot
+from service.web.client import Json
 
 
 def main() -> int:

@@ -13,9 +13,9 @@ import sys
 
 from runbook import CELL_HELP, Exit, Runbook, minutes, optional_list, parser_of, run, worst
 
-from service.client import Json
-from service.errors import BadInput
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.robot import Robot
+from service.web.client import Json
 
 SETTLED = ("none", "named")
 

@@ -15,9 +15,9 @@ from runbook import Exit, Runbook, parser_of, run
 import sweepid
 from service.cli.documents import write_file
 from service.data_check import check, findings_document
-from service.errors import BadInput
+from service.formats.traces.trace_import import import_trace
+from service.model.errors import BadInput
 from service.store.files.bundle import write_bundle
-from service.traces.trace_import import import_trace
 
 
 def main() -> int:

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.export.sheets.inertias import of_estimate
-from service.results.estimate import Estimate
-from service.robot import Robot
+from service.formats.export.sheets.inertias import of_estimate
+from service.model.results.estimate import Estimate
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 Json = Mapping[str, Any]

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from service.benefit.lever_arm import ON_THE_AXIS, lever_arm
-from service.export.sheets.inertias import STILL
-from service.robot import Robot, RobotDescription, build_robot
+from service.formats.export.sheets.inertias import STILL
+from service.model.robot import Robot, RobotDescription, build_robot
+from service.report.benefit.lever_arm import ON_THE_AXIS, lever_arm
 
 Json = Mapping[str, Any]
 

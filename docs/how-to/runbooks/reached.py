@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from runbook import Exit, Runbook
 
-from service.client import Json
+from service.web.client import Json
 
 LEFT_OPEN = (
     "J is left open: the sweeps determine a base parameter no better than CAD does; measure more poses, and see that "

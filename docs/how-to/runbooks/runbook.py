@@ -19,11 +19,11 @@ from typing import Any
 
 from moves import Move, moves, robot_of
 
-from service.campaigns.plan_subject import PlanSubject
 from service.cli.termination_signals import TerminationSignals
-from service.client import HOST_WATCH, Json, ServiceClient
-from service.errors import BadInput, SweepidError
-from service.robot import Robot
+from service.model.errors import BadInput, SweepidError
+from service.model.robot import Robot
+from service.planning.campaigns.plan_subject import PlanSubject
+from service.web.client import HOST_WATCH, Json, ServiceClient
 
 OVER = ("completed", "paused", "aborted")
 TOLD = ("recorded", "failed", "interrupted")  # states of a sweep that make a step

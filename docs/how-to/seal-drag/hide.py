@@ -3,10 +3,10 @@ from pathlib import Path
 
 import numpy as np
 
-from service.configuration import read_robot
 from service.diagnosis.rows.responses import in_frequency
 from service.diagnosis.sensitivity.predicted_sweeps import expected
 from service.identification.design.diagnosis_sweeps import full_design
+from service.model.configuration import read_robot
 from service.store.files.bundle import write_bundle
 
 robot, noise = read_robot(Path("config/robots/max100-class.yaml")), np.random.default_rng(5)

@@ -4,7 +4,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from service.benefit import Benefit, ModelBenefit
+from service.report.benefit import Benefit, ModelBenefit
 
 SAME = 0.03  # relative: values that differ by less are called the same
 

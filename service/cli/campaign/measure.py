@@ -8,11 +8,11 @@ from pydantic import BaseModel, ConfigDict
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from service.campaigns.plan_subject import PlanSubject
-from service.causes import in_words, read
 from service.cli.termination_signals import TerminationSignals
-from service.client import Json, ServiceClient
-from service.errors import BadInput, SweepidError
+from service.model.causes import in_words, read
+from service.model.errors import BadInput, SweepidError
+from service.planning.campaigns.plan_subject import PlanSubject
+from service.web.client import Json, ServiceClient
 
 
 class _PlanFile(BaseModel):

@@ -3,10 +3,10 @@
 import sys
 from pathlib import Path
 
-from service.campaigns.plan_subject import plan_subject
-from service.client import Json, ServiceClient
-from service.configuration import read_robot
-from service.errors import BadInput
+from service.model.configuration import read_robot
+from service.model.errors import BadInput
+from service.planning.campaigns.plan_subject import plan_subject
+from service.web.client import Json, ServiceClient
 
 
 def robot_number(client: ServiceClient, side_file: Path | None) -> int:

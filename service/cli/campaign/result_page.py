@@ -8,11 +8,11 @@ from pydantic import Field, JsonValue
 
 import sweepid
 from service.cli.recordings.bundle_page import bundle_page, made_now
-from service.errors import BadInput
+from service.model.errors import BadInput
+from service.model.results.diagnosis import Diagnosis
+from service.model.results.estimate import Estimate
+from service.model.results.part import Document, Part
 from service.report import CampaignReport, Page, campaign_page, diagnosis_page
-from service.results.diagnosis import Diagnosis
-from service.results.estimate import Estimate
-from service.results.part import Document, Part
 from sweepid.files import read_document
 
 

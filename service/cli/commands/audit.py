@@ -25,7 +25,7 @@ def verify_audit(
     the first entry that does not fit.
     """
     from service.cli.people.open_database import audit_heads_file, opened
-    from service.people.audit_chain import heads_in, read_head, verify
+    from service.store.access.audit_chain import heads_in, read_head, verify
     from service.store.people.audit import AuditStore
 
     file = Path(head) if head is not None else audit_heads_file(config, data_dir)

@@ -7,7 +7,7 @@ import typer
 
 import sweepid
 from service.cli.options import DEFAULT_URL, Bundle, JsonTo, Url
-from service.errors import BadInput
+from service.model.errors import BadInput
 
 
 def check(
@@ -41,8 +41,8 @@ def check_sheet(
     from service.cli.documents import put_json
     from service.cli.exports.check_sheet import as_text, of_bundle, of_campaign
     from service.cli.progress_indicator import waiting
-    from service.export.sheets.same_robot import compare
-    from service.results.identified.sheet import Sheet
+    from service.formats.export.sheets.same_robot import compare
+    from service.model.results.identified.sheet import Sheet
     from sweepid.files import read_document
 
     stored = read_document(sheet, Sheet)

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from service.cli.options import Config, DataDir
-from service.errors import BadInput
+from service.model.errors import BadInput
 
 _NICE = 10  # it gives way to the process that streams set-points
 _URL = "sqlite:///PATH or postgresql+psycopg://USER@HOST/NAME, without a password"
@@ -23,9 +23,9 @@ def backup(
     data_dir: DataDir = None,
 ) -> None:
     """Copy database and recordings, each with its SHA-256, into a folder; the service may run and measure."""
-    from service.backup.making import make_backup
     from service.cli.progress_indicator import waiting
     from service.cli.settings_of import settings_of
+    from service.store.backup.making import make_backup
     from service.store.snapshot import sqlite_file
 
     settings = settings_of(config, data_dir)
@@ -46,8 +46,8 @@ def restore(
     data_dir: Annotated[Path, typer.Option(help="Folder to make; must be empty or not exist.", show_default=False)],
 ) -> None:
     """Check all of a backup, then make a data folder of it, on which the service can be started. Prints the folder."""
-    from service.backup.restoring import restore as restore_backup
     from service.cli.progress_indicator import waiting
+    from service.store.backup.restoring import restore as restore_backup
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: nothing is left
     with waiting("the check and the copy"):
@@ -64,10 +64,10 @@ def doctor(config: Config = None, data_dir: DataDir = None) -> None:
 
     Recordings that are in an object store are read there. Nothing is changed; the service may run.
     """
-    from service.backup.examination import examine
-    from service.backup.examined import examined
     from service.cli.progress_indicator import waiting
     from service.cli.settings_of import settings_of
+    from service.store.backup.examination import examine
+    from service.store.backup.examined import examined
 
     settings = settings_of(config, data_dir)
     database = examined(settings.url, settings.database_password_file)
@@ -89,7 +89,7 @@ def copy(
     stdout: how many rows.
     """
     from service.cli.progress_indicator import waiting
-    from service.settings import Settings
+    from service.process.settings import Settings
     from service.store.copying import copy_rows
     from service.store.database import open_database
     from service.store.engines.address import parsed_url

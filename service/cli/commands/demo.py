@@ -19,6 +19,6 @@ def demo(
     Then the same with a machine that hides an effect: diagnosed first, its truth told afterwards. A wrong name is no
     failure of the demo (exit code 0): it is told as it is.
     """
-    from service.cli.demo import show_demo
+    from service.cli.demo.command import show_demo
 
     show_demo(out, seed, poses)

@@ -7,10 +7,10 @@ import typer
 
 import sweepid
 from service.cli.options import Bundle, Gains, JsonTo
-from service.errors import BadInput
+from service.model.errors import BadInput
 
 if TYPE_CHECKING:
-    from service.robot import Robot
+    from service.model.robot import Robot
 
 
 def channels(
@@ -107,11 +107,11 @@ def benefit(
     """Predict the drive torque of held-out sweeps by CAD and by an estimate of the other sweeps."""
     from rich.console import Console
 
-    from service.benefit import benefit as benefit_of
     from service.cli.benefit.table import print_benefit
     from service.cli.documents import put_json
     from service.cli.progress_indicator import waiting
-    from service.configuration import read_robot
+    from service.model.configuration import read_robot
+    from service.report.benefit import benefit as benefit_of
     from service.store.files.bundle import read_bundle
 
     measured = read_bundle(bundle)

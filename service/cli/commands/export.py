@@ -11,7 +11,7 @@ import typer
 
 import sweepid
 from service.cli.options import DEFAULT_URL, Bundle, JsonTo, SideFile, Source, Url
-from service.errors import BadInput
+from service.model.errors import BadInput
 
 
 def campaign_number(text: str) -> int:
@@ -31,7 +31,7 @@ def export_bundle(
 ) -> None:
     """Write the recorded sweeps of a campaign as a bundle. Prints the folder."""
     from service.cli.progress_indicator import waiting
-    from service.client import ServiceClient
+    from service.web.client import ServiceClient
 
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise BadInput(str(folder), "exists already and is not an empty folder")
@@ -84,11 +84,11 @@ def export_sheet(
     """Tell the identified inertias as the values that controls take, with uncertainty and the place to type them."""
     from service.cli.documents import put_json
     from service.cli.exports.estimates import read_estimate
-    from service.export.sheets.load import load_of
-    from service.export.sheets.making import sheet
-    from service.export.sheets.supplementary import UPRIGHT
-    from service.export.sheets.text import as_markdown
-    from service.results.identified.payload import Payload
+    from service.formats.export.sheets.load import load_of
+    from service.formats.export.sheets.making import sheet
+    from service.formats.export.sheets.supplementary import UPRIGHT
+    from service.formats.export.sheets.text import as_markdown
+    from service.model.results.identified.payload import Payload
     from sweepid.files import read_document
 
     known, estimate, bundle = read_estimate(source, robot)
@@ -109,10 +109,10 @@ def export_path(
 ) -> None:
     """Write every sweep of a plan as table (.csv) and Sinumerik part program (.MPF), and the mapping for the traces."""
     from service.cli.exports.plan_file import read_plan
-    from service.configuration import read_robot
-    from service.geometry.cell import read_cell
-    from service.paths.control import read_control
-    from service.paths.export import export_paths
+    from service.machine.paths.control import read_control
+    from service.machine.paths.export import export_paths
+    from service.model.configuration import read_robot
+    from service.model.geometry.cell import read_cell
 
     document = read_plan(plan)
     known = read_robot(robot)
@@ -138,7 +138,7 @@ def export_recording(
 ) -> None:
     """Write recordings of a bundle as MDF4, HDF5, MCAP or CSV."""
     from service.cli.progress_indicator import waiting
-    from service.export.recordings import write_recordings
+    from service.formats.export.recordings import write_recordings
     from service.store.files.bundle import read_bundle
 
     moment = None if began is None else _moment(began)

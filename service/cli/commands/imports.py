@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from service.cli.options import DEFAULT_URL, Url
-from service.errors import BadInput, writing
+from service.model.errors import BadInput, writing
 
 
 def import_bundle(
@@ -25,8 +25,8 @@ def import_bundle(
 
     from service.cli.campaign.import_check import findings_of
     from service.cli.progress_indicator import waiting
-    from service.client import ServiceClient
     from service.store.files.isolated_reader import read_isolated
+    from service.web.client import ServiceClient
 
     with ServiceClient(url) as client, tempfile.TemporaryDirectory() as folder:
         archive = _pack(bundle, Path(folder) / "bundle.zip") if bundle.is_dir() else bundle
@@ -106,7 +106,7 @@ def import_trace(
             raise BadInput("--source", f"{mapping} is the measurement itself, not a mapping")
         _refuse(trace, f"does not apply to a measurement of a Sinumerik, {mapping}")
         from service.cli.recordings.control_file import import_control_file
-        from service.sinumerik.document import Given
+        from service.formats.sinumerik.document import Given
 
         import_control_file(mapping, Given(speed_gain, reset_time, gear_ratio), out, json_to)
         return
@@ -124,9 +124,9 @@ def import_trace(
     from service.cli.progress_indicator import waiting
     from service.cli.recordings.check import warn
     from service.data_check import check
+    from service.formats.traces.drafts import mapping_of, mapping_text
+    from service.formats.traces.trace_import import read_traces
     from service.store.files.bundle import write_bundle
-    from service.traces.drafts import mapping_of, mapping_text
-    from service.traces.trace_import import read_traces
 
     with waiting("reading the traces"):
         given = mapping_of(

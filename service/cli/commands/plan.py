@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from service.cli.options import DEFAULT_URL, CellName, ConfirmCell, ConfirmRobot, RobotFile, Url
-from service.errors import BadInput
+from service.model.errors import BadInput
 
 if TYPE_CHECKING:
-    from service.client import Json
+    from service.web.client import Json
 
 
 Criterion = Literal["d_optimal", "condition", "condition_and_travel"]
@@ -78,7 +78,7 @@ def plan(
     """Plan a campaign. Nothing moves. Prints the number of the plan, and on stderr what the plan promises."""
     from service.cli.campaign.planned import robot_number, tell_subject
     from service.cli.progress_indicator import waiting
-    from service.client import ServiceClient
+    from service.web.client import ServiceClient
 
     numbers = {"--step": step, "--sample-rate": sample_rate, "--duration": duration, "--confidence": confidence}
     numbers["--warm-up"] = warm_up
@@ -144,7 +144,7 @@ def plan_trajectories(
     """Plan exciting trajectories. Nothing moves. Prints the number of the plan."""
     from service.cli.campaign.planned import robot_number, tell_subject
     from service.cli.progress_indicator import waiting
-    from service.client import ServiceClient
+    from service.web.client import ServiceClient
 
     options: Json = {
         "trajectories": trajectories,

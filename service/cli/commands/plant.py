@@ -30,8 +30,8 @@ def fleet(
     from service.cli.documents import put_json, write_file
     from service.cli.plant.lines import fleet_lines
     from service.cli.progress_indicator import waiting
-    from service.client import ServiceClient
-    from service.fleet.document import Fleet
+    from service.identification.fleet.document import Fleet
+    from service.web.client import ServiceClient
 
     wanted: list[tuple[Form, Path | None]] = [("html", report), ("pdf", pdf), ("json", tables)]
     with ServiceClient(url) as client, waiting("reading the estimates of the plant"):
@@ -55,8 +55,8 @@ def reidentify(
     """Identify stored campaigns of the service's machine again; prints the job. Stored estimates stay as they are."""
     from service.cli.plant.lines import job_line
     from service.cli.progress_indicator import waiting
-    from service.client import ServiceClient
     from service.store.plant.batches import BatchDocument
+    from service.web.client import ServiceClient
 
     with ServiceClient(url) as client:
         job = client.add_job(campaign)
@@ -69,8 +69,8 @@ def reidentify(
 def list_jobs(as_json: AsJson = False, url: Url = DEFAULT_URL) -> None:
     """Print a line for each job of the plant, the oldest first."""
     from service.cli.plant.lines import job_line
-    from service.client import ServiceClient
     from service.store.plant.batches import BatchDocument
+    from service.web.client import ServiceClient
 
     with ServiceClient(url) as client:
         for job in client.jobs():
@@ -80,8 +80,8 @@ def list_jobs(as_json: AsJson = False, url: Url = DEFAULT_URL) -> None:
 def show(job: Job, as_json: AsJson = False, url: Url = DEFAULT_URL) -> None:
     """Print a job and a line for each campaign that is done: largest change of J, or why there is no result."""
     from service.cli.plant.lines import job_line, result_line
-    from service.client import ServiceClient
     from service.store.plant.batches import BatchDocument, BatchEntry
+    from service.web.client import ServiceClient
 
     with ServiceClient(url) as client:
         found, results = client.job(job), client.job_results(job)
@@ -96,8 +96,8 @@ def show(job: Job, as_json: AsJson = False, url: Url = DEFAULT_URL) -> None:
 def cancel(job: Job, url: Url = DEFAULT_URL) -> None:
     """Compute no more of a job; what was computed stays."""
     from service.cli.plant.lines import job_line
-    from service.client import ServiceClient
     from service.store.plant.batches import BatchDocument
+    from service.web.client import ServiceClient
 
     with ServiceClient(url) as client:
         typer.echo(job_line(BatchDocument.model_validate(client.cancel_job(job))))

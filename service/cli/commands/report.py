@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from service.cli.options import DEFAULT_URL, Url
-from service.errors import BadInput
+from service.model.errors import BadInput
 
 Form = Literal["html", "pdf", "json"]
 
@@ -54,7 +54,7 @@ def report(
 
 
 def _of_service(number: int, diagnosis: bool, forms: list[Form], url: str) -> list[str | bytes]:
-    from service.client import ServiceClient
+    from service.web.client import ServiceClient
 
     with ServiceClient(url) as client:
         drawn = client.diagnosis_report if diagnosis else client.campaign_report

@@ -27,9 +27,9 @@ def check(
 
     from service.cli.documents import write_file
     from service.cli.urdf_findings import drafts_of, print_findings
-    from service.errors import writing
-    from service.maker_urdf import bare_robot, cell_text, check_urdf, read_description
-    from service.maker_urdf.packages import Packages
+    from service.formats.maker_urdf import bare_robot, cell_text, check_urdf, read_description
+    from service.formats.maker_urdf.packages import Packages
+    from service.model.errors import writing
 
     named = {key: Path(folder) for key, folder in (_pair(option, "=", "--package") for option in package or [])}
     given = dict(_pair(option, ":=", "--xacro-arg") for option in xacro_arg or [])
@@ -67,9 +67,9 @@ def virtual(
 
     from service.cli.documents import write_file
     from service.cli.urdf_findings import refuse_existing
-    from service.configuration import read_text, read_yaml
-    from service.errors import BadInput
-    from service.maker_urdf.virtual import DraftedRobot, virtual_machine
+    from service.formats.maker_urdf.virtual import DraftedRobot, virtual_machine
+    from service.model.configuration import read_text, read_yaml
+    from service.model.errors import BadInput
 
     if not eds.is_file():
         raise BadInput("--eds", f"there is no file {eds}; it is config/eds/virtual-axis.eds of sweepid's sources")
@@ -89,7 +89,7 @@ def virtual(
 
 
 def _pair(option: str, sign: str, name: str) -> tuple[str, str]:
-    from service.errors import BadInput
+    from service.model.errors import BadInput
 
     key, found, value = option.partition(sign)
     if not (key and found):

@@ -20,7 +20,7 @@ def serve(
 ) -> None:
     """Serve the REST API and the operator's page; prints one JSON line with its address once it is ready."""
     from service.cli.server import run_service
-    from service.settings import load_settings
+    from service.process.settings import load_settings
 
     options = {"host": host, "port": port, "data_dir": data_dir, "drive": drive, "robot": robot, "cell": cell}
     given = {name: value for name, value in options.items() if value is not None}

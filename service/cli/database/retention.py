@@ -9,8 +9,8 @@ import typer
 
 from service.cli.people.open_database import opened, shell_entry
 from service.cli.settings_of import settings_of
-from service.errors import BadInput
-from service.settings import Settings
+from service.model.errors import BadInput
+from service.process.settings import Settings
 from service.store.files.data_folder import read_owner
 from service.store.objects.object_store import ObjectStore
 from service.store.plant.pruning import Pruned, prune

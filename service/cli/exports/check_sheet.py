@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import sweepid
-from service.client import ServiceClient
-from service.results.estimate import Estimate
-from service.results.identified.sheet_check import AxisCheck, SheetCheck
-from service.robot import Robot, RobotDescription, build_robot
+from service.model.results.estimate import Estimate
+from service.model.results.identified.sheet_check import AxisCheck, SheetCheck
+from service.model.robot import Robot, RobotDescription, build_robot
+from service.web.client import ServiceClient
 
 Poses = dict[str, NDArray[np.float64]]
 

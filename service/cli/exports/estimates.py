@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import sweepid
-from service.configuration import read_text
-from service.errors import BadInput
-from service.results.estimate import Estimate
-from service.robot import Robot
+from service.model.configuration import read_text
+from service.model.errors import BadInput
+from service.model.results.estimate import Estimate
+from service.model.robot import Robot
 from service.store.files.bundle import Bundle
 from sweepid.files import LARGEST, read_document
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from service.configuration import bad_field, read_text
+from service.model.configuration import bad_field, read_text
 from service.planning.plan import PlanDocument
 
 

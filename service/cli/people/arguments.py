@@ -3,10 +3,10 @@
 import getpass
 import sys
 
-from service.errors import BadInput
-from service.people.names import LONGEST_NAME, is_name
-from service.people.permissions import Role
-from service.people.scopes import SCOPES
+from service.model.errors import BadInput
+from service.store.access.names import LONGEST_NAME, is_name
+from service.store.access.permissions import Role
+from service.store.access.scopes import SCOPES
 
 ROLES = {role.word: role for role in Role}
 

@@ -10,10 +10,10 @@ from pathlib import Path
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.cli.settings_of import settings_of
-from service.errors import BadInput
-from service.people.audit_chain import Entry
-from service.people.permissions import Role
-from service.settings import load_settings
+from service.model.errors import BadInput
+from service.process.settings import load_settings
+from service.store.access.audit_chain import Entry
+from service.store.access.permissions import Role
 from service.store.database import Database, open_database
 from service.store.engines.address import parsed_url
 from service.store.people.keys import KeyDocument

@@ -1,6 +1,6 @@
 """Robots and jobs of a plant, one line each."""
 
-from service.fleet.document import Fleet, FleetRobot, FleetType
+from service.identification.fleet.document import Fleet, FleetRobot, FleetType
 from service.store.plant.batches import BatchDocument, BatchEntry
 
 

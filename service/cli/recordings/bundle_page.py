@@ -4,10 +4,10 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 
 from service.data_check import check, findings_document
-from service.errors import BadInput
+from service.model.errors import BadInput
+from service.model.results.check import DataCheck
+from service.model.results.estimate import Estimate
 from service.report import CampaignReport, Page, campaign_page, content_of, used_sweeps
-from service.results.check import DataCheck
-from service.results.estimate import Estimate
 from service.store.files.bundle import Bundle
 
 

@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from service.cli.documents import put_json
-from service.errors import BadInput, writing
-from service.sinumerik import measurement, tuning
-from service.sinumerik.document import (
+from service.formats.sinumerik import measurement, tuning
+from service.formats.sinumerik.document import (
     Given,
     measurement_document,
     recording_table,
     response_table,
     tuning_document,
 )
-from service.sinumerik.members import read_members
-from service.sinumerik.models import LoopInertia, MeasuredResponse, Response, ServoTuning, Size
+from service.formats.sinumerik.members import read_members
+from service.formats.sinumerik.models import LoopInertia, MeasuredResponse, Response, ServoTuning, Size
+from service.model.errors import BadInput, writing
 
 Array = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import yaml
 
 from service.cli.documents import write_file
-from service.results.diagnosis import DiagnosedModel
-from service.robot import Robot
+from service.model.results.diagnosis import DiagnosedModel
+from service.model.robot import Robot
 
 
 def write_scenario(path: Path, robot: Robot, model: DiagnosedModel) -> None:

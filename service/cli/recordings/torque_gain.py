@@ -5,11 +5,11 @@ import math
 from rich.console import Console
 from rich.table import Table
 
-from service.errors import BadInput
-from service.identification import spectrum
 from service.identification.axis.nominal_priors import TorqueGain
 from service.identification.estimates.torque_gain import Calibration, KnownMass, torque_gains
-from service.robot import Robot
+from service.identification.spectra.frequency_response import spectrum
+from service.model.errors import BadInput
+from service.model.robot import Robot
 from service.store.files.bundle import Bundle
 
 SENSIBLE = (0.5, 2.0)  # gains of a drive whose motor is the one that it was told of

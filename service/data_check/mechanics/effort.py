@@ -15,7 +15,7 @@ from service.data_check.mechanics.other_axis import FITS, REFUSED, Origin, anoth
 from service.data_check.mechanics.response import Response
 from service.data_check.record import AxisRecords
 from service.data_check.units import effort_unit
-from service.recording import Array
+from service.model.recording import Array
 
 OFF = 2.5  # largest factor of a correct axis, above or below CAD
 SURE = 4.0  # standard errors

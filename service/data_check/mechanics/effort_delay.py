@@ -13,7 +13,7 @@ from service.data_check.finding import Finding, named
 from service.data_check.mechanics.response import Response
 from service.data_check.record import AxisRecords
 from service.identification.spectra.frequency_response import Complex
-from service.recording import Array
+from service.model.recording import Array
 
 LIMIT = 5e-3  # s
 DELAYS = np.arange(-30e-3, 30.25e-3, 0.25e-3)  # s

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.data_check.record import AxisRecords, Record
-from service.recording import Array
+from service.model.recording import Array
 
 TRAVEL = 20.0  # steps of the position: minimum travel in a window
 VARIES = 0.02  # of the maximum: with less variation of velocity, a delay is invisible

@@ -14,7 +14,7 @@ from service.data_check.mechanics.response import Response
 from service.data_check.record import AxisRecords, Record
 from service.data_check.units import effort_units
 from service.identification.model.regressor import gravity_rows
-from service.recording import Array
+from service.model.recording import Array
 
 SURE = 4.0  # standard errors: minimum significance of the inertia
 INERTIA = 0.2  # of that in CAD, standard deviation, common to all poses

@@ -13,10 +13,10 @@ import numpy as np
 
 from service.data_check.mechanics.motion import Commanded
 from service.data_check.record import AxisRecords, Record
-from service.errors import BadInput
 from service.identification.spectra.frequency_response import Complex, ripple_orders, spectrum
 from service.identification.spectra.time_domain import fit_record
-from service.recording import Array
+from service.model.errors import BadInput
+from service.model.recording import Array
 
 LOWEST = 4.5  # Hz: below it, with locked-rotor frequencies of 5 Hz and more, a line shows the inertia, not the spring
 ABOVE = 3.0  # Hz above the last line: upper end of the noise band

@@ -4,7 +4,7 @@ import numpy as np
 
 from service.data_check.finding import Finding, named
 from service.data_check.record import AxisRecords
-from service.robot import Robot
+from service.model.robot import Robot
 
 EARTH = (9.7, 9.9)  # m/s^2, 9.76 to 9.84 on the ground; a tilted base does not change the magnitude
 WIDEST = 1.0  # relative standard deviation: a larger one is no information (or is in percent)

@@ -4,7 +4,7 @@ import numpy as np
 
 from service.data_check.finding import Finding, named
 from service.data_check.record import AxisRecords, Record
-from service.recording import Array
+from service.model.recording import Array
 
 HOLD = 0.02  # s: shorter holds have no effect below 20 Hz
 LIKELY = 1e-6  # probability of a run of equal values in one record: below, the run is a hold

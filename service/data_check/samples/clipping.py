@@ -10,7 +10,7 @@ import numpy as np
 from service.data_check.finding import Finding, named
 from service.data_check.probabilities import poisson_quantile
 from service.data_check.record import AxisRecords
-from service.recording import Array
+from service.model.recording import Array
 
 PILE = 10  # samples on the extreme value
 SHARE = 0.003  # of the window

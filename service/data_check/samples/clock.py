@@ -7,7 +7,7 @@ import numpy as np
 
 from service.data_check.finding import Finding, named
 from service.data_check.record import AxisRecords
-from service.recording import Sweep
+from service.model.recording import Sweep
 
 JITTER = 0.1  # of a sample, RMS: at 1 kHz and 5 Hz a phase error of 0.003 rad per sample
 GAP = 1.5  # samples

@@ -9,7 +9,7 @@ import numpy as np
 
 from service.data_check.finding import Code, Finding, named
 from service.data_check.record import AxisRecords, Record, spread
-from service.recording import Array
+from service.model.recording import Array
 
 FAR = 15.0  # robust standard deviations
 LEAST = 0.7  # samples

@@ -19,7 +19,7 @@ from service.data_check.finding import Finding, named
 from service.data_check.probabilities import hypergeometric_tail
 from service.data_check.record import AxisRecords, Record
 from service.identification.spectra.frequency_response import Complex
-from service.recording import Array
+from service.model.recording import Array
 
 BAND = (1.0, 20.0)  # Hz
 OWN = (25.0, 100.0)  # Hz, noise of the sensor

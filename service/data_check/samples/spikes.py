@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter, median_filter
 
 from service.data_check.finding import Finding, named
 from service.data_check.record import AxisRecords, Record, spread
-from service.recording import Array
+from service.model.recording import Array
 
 Indices = NDArray[np.intp]
 

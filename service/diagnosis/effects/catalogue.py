@@ -5,7 +5,7 @@ from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
 
 from service.diagnosis.effects.effect import Effect
-from service.errors import BadInput
+from service.model.errors import BadInput
 
 GROUP = "sweepid.effects"
 

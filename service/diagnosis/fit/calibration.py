@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from service.diagnosis.fit.equations import nominal_right
 from service.diagnosis.rows.rigid import load_rows
 from service.diagnosis.rows.signals import Tracks, tracks
-from service.errors import BadInput
-from service.identification import spectrum
 from service.identification.axis.nominal_priors import TorqueGain
 from service.identification.estimates.torque_gain import KnownMass, torque_gains
 from service.identification.model.convergence import finite
-from service.recording import Sweep, SweepSpec
-from service.robot import Robot
+from service.identification.spectra.frequency_response import spectrum
+from service.model.errors import BadInput
+from service.model.recording import Sweep, SweepSpec
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 Visit = tuple[int, tuple[int, ...]]

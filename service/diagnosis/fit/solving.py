@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import SweepidError
+from service.model.errors import SweepidError
 
 Array = NDArray[np.float64]
 

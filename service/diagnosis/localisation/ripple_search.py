@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from service.data_check import Finding
 from service.diagnosis.fit.equations import Equations
 from service.diagnosis.rows.signals import BAND, row_samples
-from service.robot import Axis, Robot
+from service.model.robot import Axis, Robot
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from service.diagnosis.model.link_deviations import gravity_of_fit
 from service.diagnosis.model.scenario import axis_entry
 from service.diagnosis.model.twin import Run, torques, ways
 from service.diagnosis.rows.signals import laid_out
-from service.recording import Sweep
+from service.model.recording import Sweep
 
 Array = NDArray[np.float64]
 

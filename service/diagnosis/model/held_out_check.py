@@ -17,7 +17,7 @@ from service.diagnosis.fit.gap import by_prior, improves, residual
 from service.diagnosis.fit.parameters import Parameter, parameters
 from service.diagnosis.fit.select import local
 from service.diagnosis.model.held_out import simulated
-from service.recording import Sweep
+from service.model.recording import Sweep
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from scipy.optimize import lsq_linear
 
 from service.diagnosis.effects.patch import Inexpressible
 from service.identification.model.regressor import gravity_terms, inertia_rows
-from service.robot import Robot
-from service.urdf import inertia_vector, read_inertial, transform_inertial
+from service.model.robot import Robot
+from service.model.urdf import inertia_vector, read_inertial, transform_inertial
 
 Array = NDArray[np.float64]
 Links = Mapping[str, Mapping[str, Any]]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from service.diagnosis.effects.patch import Inexpressible, Patch, merged
-from service.robot import Robot
+from service.model.robot import Robot
 
 UNKNOWN_MOTOR = 0.1  # of the axis' inertia: assumed motor inertia if the robot file has none
 STIFF = 350.0  # Hz, locked rotor, for a gear with backlash or transmission error but no known elasticity

@@ -10,8 +10,8 @@ from pydantic import ValidationError
 
 from service.diagnosis.effects.patch import Inexpressible, Patch
 from service.diagnosis.model.scenario import AxisEntry
-from service.recording import Sweep
-from service.robot import Robot
+from service.model.recording import Sweep
+from service.model.robot import Robot
 from simulator import DriveTrain, Gravity, Measurement, Motion, MovingAxis, Turn, replay, warmth
 
 Array = NDArray[np.float64]

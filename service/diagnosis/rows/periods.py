@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.rows.signals import is_evidence
-from service.errors import BadInput
-from service.recording import Recording, Sweep
+from service.model.errors import BadInput
+from service.model.recording import Recording, Sweep
 
 Array = NDArray[np.float64]
 

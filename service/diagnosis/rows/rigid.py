@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.model.regressor import axis_rows, gravity_rows
-from service.robot import Knowledge, Robot
+from service.model.robot import Knowledge, Robot
 
 Array = NDArray[np.float64]
 

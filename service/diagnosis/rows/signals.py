@@ -15,12 +15,12 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from service.diagnosis.rows.responses import Complex, back, derivative_spectrum, in_frequency
-from service.errors import BadInput
 from service.identification.model.convergence import finite
 from service.identification.model.regressor import gravity_rows
 from service.identification.motion.trajectory_record import runs_at_once
-from service.recording import Recording, Sweep, SweepSpec
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.recording import Recording, Sweep, SweepSpec
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

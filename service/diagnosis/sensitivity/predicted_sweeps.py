@@ -16,7 +16,7 @@ from service.diagnosis.fit.solving import solve
 from service.diagnosis.rows.signals import Tracks, tracks
 from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.identification.design.excitation import Excitation, velocity_setpoint
-from service.recording import Recording, Sweep
+from service.model.recording import Recording, Sweep
 
 Array = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from service.diagnosis.fit.cross_products import Gathered
 from service.diagnosis.fit.equations import Equations, Term
 from service.diagnosis.fit.solving import solve
 from service.diagnosis.sensitivity.predicted_sweeps import PredictedSweeps, predict_sweeps
-from service.errors import BadInput
 from service.identification.design.diagnosis_sweeps import BLOCKS, DesignedSweep, full_design, measured_blocks
-from service.recording import Sweep
+from service.model.errors import BadInput
+from service.model.recording import Sweep
 
 Array = NDArray[np.float64]
 

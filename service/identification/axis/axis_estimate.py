@@ -39,9 +39,9 @@ from service.identification.model.regressor import axis_rows, gravity_terms
 from service.identification.spectra.axis_inertia import DriveTrain, impedance, paper_inertia
 from service.identification.spectra.frequency_response import Spectrum
 from service.identification.spectra.time_domain import fit_record
-from service.results.estimate import Suspect
-from service.robot import Robot
-from service.urdf import Chain
+from service.model.results.estimate import Suspect
+from service.model.robot import Robot
+from service.model.urdf import Chain
 
 Array = NDArray[np.float64]
 

@@ -29,7 +29,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from service.errors import BadInput
 from service.identification.axis.joint_fit import SHARED, STARTS
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
 from service.identification.design.excitation import LINE_MARGIN, LINES
@@ -37,6 +36,7 @@ from service.identification.model.convergence import Fit, converged, finite
 from service.identification.model.least_squares import scaled_inverse
 from service.identification.spectra.axis_inertia import DriveTrain, impedance
 from service.identification.spectra.noise_response import Response
+from service.model.errors import BadInput
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

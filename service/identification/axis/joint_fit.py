@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.special import chdtri
 
-from service.errors import BadInput
 from service.identification.axis.load_motion import spring
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
 from service.identification.axis.sweep_model import SHARED, Stack, direct_terms, stack_residual, stacks
@@ -31,6 +30,7 @@ from service.identification.model.convergence import finite
 from service.identification.model.least_squares import scaled_inverse, scaled_solution
 from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Complex, Spectrum
+from service.model.errors import BadInput
 
 Array = NDArray[np.float64]
 

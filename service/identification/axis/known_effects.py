@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import BadInput
-from service.results.effect import Effect
-from service.results.revision import KnownModel, ModelSource
+from service.model.errors import BadInput
+from service.model.results.effect import Effect
+from service.model.results.revision import KnownModel, ModelSource
 
 Array = NDArray[np.float64]
 

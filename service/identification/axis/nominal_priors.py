@@ -12,8 +12,8 @@ from service.identification.axis.known_effects import ELASTICITY, GAIN, HOSE, Kn
 from service.identification.design.predicted_confidence import SOFTEST
 from service.identification.model.parameter_prior import link_sizes
 from service.identification.spectra.frequency_response import Spectrum
-from service.robot import Robot
-from service.urdf import Chain
+from service.model.robot import Robot
+from service.model.urdf import Chain
 
 Array = NDArray[np.float64]
 

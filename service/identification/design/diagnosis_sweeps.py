@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from service.identification.design.excitation import RAMP, Excitation, design_sweep
 from service.identification.model.regressor import inertia_rows
-from service.recording import Sine, SweepSpec
-from service.robot import Robot
+from service.model.recording import Sine, SweepSpec
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 

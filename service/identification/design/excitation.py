@@ -30,9 +30,9 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import BadInput
-from service.recording import Sine
-from service.robot import Axis, Robot
+from service.model.errors import BadInput
+from service.model.recording import Sine
+from service.model.robot import Axis, Robot
 
 Array = NDArray[np.float64]
 

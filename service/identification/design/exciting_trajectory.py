@@ -20,13 +20,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import BadInput
 from service.identification.design.excitation import Excitation, velocity_setpoint
 from service.identification.design.sweep_path import way
 from service.identification.model.base_parameters import condition_number
 from service.identification.model.inverse_dynamics import Motion, dynamics_rows
-from service.recording import Sine
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.recording import Sine
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from math import ceil, floor
 
 import numpy as np
 
-from service.errors import BadInput
 from service.identification.design.excitation import ripple_free_offset
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.robot import Robot
 
 OFFSET = 0.1 * 2 * np.pi / 60  # rad/s (m/s)
 SHARE = 0.01  # of the rated effort

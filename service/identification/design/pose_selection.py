@@ -37,7 +37,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import BadInput
+from service.model.errors import BadInput
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from service.identification.design.pose_selection import SINGULAR
 from service.identification.model.least_squares import Information
-from service.recording import Sine
+from service.model.recording import Sine
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from service.identification.axis.ideal_frequency import AxisAnalysis, Figure, Ideal, PoseAnalysis, PoseClass
 from service.identification.spectra.noise_response import Response
-from service.results import analysis as results
-from service.results.effect import Value
+from service.model.results import analysis as results
+from service.model.results.effect import Value
 
 TRAIN = ("motor_inertia", "motor_friction", "load_friction", "compliance", "damping_time")
 

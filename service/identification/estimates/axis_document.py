@@ -10,8 +10,8 @@ from service.identification.axis.known_effects import DELAY, ELASTICITY, GAIN, H
 from service.identification.axis.known_torque import LAWS
 from service.identification.estimates.analysis_document import TRAIN
 from service.identification.estimates.estimate import AxisEstimate, Estimate
-from service.results import estimate as results
-from service.results.effect import Value
+from service.model.results import estimate as results
+from service.model.results.effect import Value
 
 Array = NDArray[np.float64]
 

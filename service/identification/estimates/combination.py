@@ -33,7 +33,6 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import BadInput
 from service.identification.axis.nominal_priors import TorqueGain, uncalibrated
 from service.identification.estimates.estimate import Estimate
 from service.identification.model.base_parameters import BaseParameters
@@ -52,7 +51,8 @@ from service.identification.motion.held_out import HeldOut, held_out
 from service.identification.motion.trajectory_record import TrajectoryRecord, calibrated, with_loads
 from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Complex
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from service.identification.estimates.standard_parameters import combined_parame
 from service.identification.model.base_parameters import joint_ranges
 from service.identification.model.convergence import unsettled
 from service.identification.motion.choice import SIMPLE
-from service.results import combination as results
+from service.model.results import combination as results
 
 POSES = 200  # of the workspace, in which an inertia must be positive
 FAR = 3.0  # standard deviations: greatest distance of the base parameters from those of a physical robot

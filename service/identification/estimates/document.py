@@ -9,7 +9,7 @@ from service.identification.estimates.standard_document import physical_document
 from service.identification.estimates.standard_parameters import standard_parameters
 from service.identification.model.base_parameters import combination_of
 from service.identification.model.symbols import Dimension, symbolic_names
-from service.results import estimate as results
+from service.model.results import estimate as results
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from service.errors import BadInput
 from service.identification.axis.axis_estimate import AxisEstimate, identify_axis
 from service.identification.axis.ideal_frequency import AxisAnalysis
 from service.identification.axis.joint_fit import CHANCE, FEW_FREEDOM
@@ -31,9 +30,10 @@ from service.identification.model.least_squares import Information, LeftOut, Sol
 from service.identification.model.regressor import axis_rows, lock
 from service.identification.spectra.frequency_response import Spectrum
 from service.identification.spectra.single_axis import check_moved_alone
-from service.results.estimate import Suspect
-from service.robot import Robot
-from service.urdf import Chain
+from service.model.errors import BadInput
+from service.model.results.estimate import Suspect
+from service.model.robot import Robot
+from service.model.urdf import Chain
 
 Array = NDArray[np.float64]
 

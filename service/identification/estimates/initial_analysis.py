@@ -12,8 +12,8 @@ from service.identification.estimates.estimate import SAME_POSITION
 from service.identification.model.regressor import axis_rows, gravity_terms
 from service.identification.spectra.frequency_response import Spectrum
 from service.identification.spectra.noise_response import NoiseSpectrum, Response, noise_response, stepped_response
-from service.recording import SweepSpec
-from service.robot import Robot
+from service.model.recording import SweepSpec
+from service.model.robot import Robot
 
 FEWEST_LINES = 8  # of a pose: with fewer, resonance and friction cannot be separated
 

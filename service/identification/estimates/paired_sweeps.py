@@ -16,8 +16,8 @@ from service.identification.estimates.estimate import SAME_POSITION, nominal_par
 from service.identification.model.least_squares import Information, LeftOut
 from service.identification.model.regressor import axis_rows, gravity_terms
 from service.identification.spectra.frequency_response import Spectrum
-from service.recording import SweepSpec
-from service.robot import Robot
+from service.model.recording import SweepSpec
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 

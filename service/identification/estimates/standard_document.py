@@ -2,8 +2,8 @@
 
 from service.identification.estimates.standard_parameters import StandardParameters
 from service.identification.model.physical_consistency import Ended
-from service.results import standard as results
-from service.robot import INERTIAL_NAMES, Robot
+from service.model.results import standard as results
+from service.model.robot import INERTIAL_NAMES, Robot
 
 
 def standard_document(robot: Robot, standard: StandardParameters) -> results.StandardParameters:

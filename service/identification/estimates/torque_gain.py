@@ -16,13 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import BadInput
 from service.identification.axis.nominal_priors import TorqueGain
 from service.identification.estimates.paired_sweeps import fit_pairs, pairs
 from service.identification.model.regressor import inertia_rows
 from service.identification.spectra.frequency_response import Spectrum
-from service.robot import Robot
-from service.urdf import transform_inertial
+from service.model.errors import BadInput
+from service.model.robot import Robot
+from service.model.urdf import transform_inertial
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from service.identification.model.physical_consistency import nominal_factor
 from service.identification.model.regressor import axis_rows, gravity_rows
-from service.robot import Robot
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import BadInput
 from service.identification.model.regressor import axis_rows, parameter_names
-from service.urdf import Chain
+from service.model.errors import BadInput
+from service.model.urdf import Chain
 
 Array = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from service.results.estimate import BaseParameter, EstimatedAxis
+from service.model.results.estimate import BaseParameter, EstimatedAxis
 
 UNSURE = 0.25  # of the value: a value with a larger standard deviation should not be used
 

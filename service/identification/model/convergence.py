@@ -5,7 +5,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import BadInput
+from service.model.errors import BadInput
 
 UNSETTLED = 0.05  # relative change of a noise estimate in the last round of reweighting: a warning above
 

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.model.regressor import parameter_names
-from service.robot import link_frames
-from service.urdf import Chain
+from service.model.robot import link_frames
+from service.model.urdf import Chain
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from service.identification.model.base_parameters import BaseParameters, joint_ranges
 from service.identification.model.least_squares import Information
 from service.identification.model.regressor import inertia_rows
-from service.robot import Robot
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.model.convergence import finite
-from service.urdf import inertia_matrix
+from service.model.urdf import inertia_matrix
 
 Array = NDArray[np.float64]
 

@@ -18,8 +18,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.robot import INERTIAL_NAMES, link_frames, rotation_about
-from service.urdf import Chain, Joint, transform_inertial
+from service.model.robot import INERTIAL_NAMES, link_frames, rotation_about
+from service.model.urdf import Chain, Joint, transform_inertial
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from service.identification.model.expressions import Expression, Search, Term, products, squared_sums, times
 from service.identification.model.regressor import parameter_names
-from service.robot import rotation_about
-from service.urdf import Chain, Joint
+from service.model.robot import rotation_about
+from service.model.urdf import Chain, Joint
 
 Array = NDArray[np.float64]
 

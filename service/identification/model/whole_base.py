@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from service.identification.model.base_parameters import BaseParameters, joint_ranges, reduce_columns
 from service.identification.model.inverse_dynamics import Motion, dynamics_names, dynamics_rows
-from service.robot import Robot
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 

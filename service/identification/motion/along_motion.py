@@ -20,7 +20,7 @@ from service.identification.model.regressor import inertia_rows
 from service.identification.motion.equations import CHUNK, load_and_motor
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.spectra.low_pass import memory
-from service.robot import Robot
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 

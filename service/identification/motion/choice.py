@@ -27,7 +27,7 @@ from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.held_out import held_out_errors
 from service.identification.motion.noise import ORDER
 from service.identification.spectra.low_pass import low_pass
-from service.robot import Robot
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from service.identification.model.base_parameters import BaseParameters
 from service.identification.model.inverse_dynamics import Motion, link_rows
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.spectra.low_pass import low_pass, memory
-from service.robot import Robot
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from service.identification.motion.equations import AxisEquations, all_equations
 from service.identification.motion.fit import fit_equations
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.held_out import held_out_errors
-from service.robot import Robot
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 

@@ -35,7 +35,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, stdtr, stdtrit
 
-from service.errors import BadInput
 from service.identification.model.base_parameters import BaseParameters
 from service.identification.model.convergence import finite
 from service.identification.model.least_squares import RANK_TOLERANCE, Information, span
@@ -43,7 +42,8 @@ from service.identification.motion.equations import LACKS, AxisEquations, all_eq
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.noise import ORDER, Colour, stretches
 from service.identification.spectra.low_pass import memory
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 

@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import BadInput
 from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import check_numbers
 from service.identification.spectra.low_pass import low_pass
-from service.recording import Sweep, SweepSpec
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.recording import Sweep, SweepSpec
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 

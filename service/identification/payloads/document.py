@@ -4,8 +4,8 @@ import numpy as np
 
 from service.identification.model.physical_consistency import Ended
 from service.identification.payloads.payload import Payload, body_of
-from service.results.identified import payload as results
-from service.robot import INERTIAL_NAMES, Robot
+from service.model.results.identified import payload as results
+from service.model.robot import INERTIAL_NAMES, Robot
 
 CENTER = ("x", "y", "z")
 TENSOR = INERTIAL_NAMES[4:]

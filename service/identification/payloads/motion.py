@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import BadInput
 from service.identification.model.base_parameters import BaseParameters
 from service.identification.model.inverse_dynamics import dynamics_names
 from service.identification.model.least_squares import Information
@@ -24,7 +23,8 @@ from service.identification.motion.equations import AxisEquations, equations
 from service.identification.motion.fit import fit_equations, fit_free_motions
 from service.identification.motion.free_motion import FreeMotion, calibrated
 from service.identification.payloads.sweeps import BODY, BodyEvidence, last_link
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 

@@ -16,16 +16,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import BadInput
 from service.identification.axis.nominal_priors import TorqueGain, uncalibrated
 from service.identification.model.least_squares import Information
 from service.identification.model.physical_consistency import Ended, is_physical, nearest_physical
 from service.identification.motion.free_motion import free_motions
 from service.identification.payloads.motion import motion_evidence
 from service.identification.payloads.sweeps import BODY, BodyEvidence, sweep_evidence
-from service.recording import Sweep
-from service.robot import Robot
-from service.urdf import inertia_matrix, inertia_vector
+from service.model.errors import BadInput
+from service.model.recording import Sweep
+from service.model.robot import Robot
+from service.model.urdf import inertia_matrix, inertia_vector
 
 Array = NDArray[np.float64]
 

@@ -19,8 +19,8 @@ from service.identification.model.inverse_dynamics import Motion, link_rows
 from service.identification.model.least_squares import Information
 from service.identification.model.regressor import inertia_rows
 from service.identification.spectra.frequency_response import Spectrum, spectrum, window
-from service.recording import Sweep
-from service.robot import Robot
+from service.model.recording import Sweep
+from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 

@@ -24,11 +24,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import BadInput
 from service.identification.spectra.pairs import from_pairs, pairs
-from service.recording import Array, Recording, Sweep, SweepSpec
-from service.results.identified.spectrum import SpectrumDocument
-from service.robot import Axis, Robot, link_frames
+from service.model.errors import BadInput
+from service.model.recording import Array, Recording, Sweep, SweepSpec
+from service.model.results.identified.spectrum import SpectrumDocument
+from service.model.robot import Axis, Robot, link_frames
 
 Complex = NDArray[np.complex128]
 Bins = NDArray[np.int_]

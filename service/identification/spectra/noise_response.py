@@ -35,7 +35,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import BadInput
 from service.identification.spectra.frequency_response import (
     BELOW_NYQUIST,
     Spectrum,
@@ -44,9 +43,10 @@ from service.identification.spectra.frequency_response import (
     window,
 )
 from service.identification.spectra.pairs import from_pairs, pairs
-from service.recording import Array, Sweep, SweepSpec
-from service.results.identified.spectrum import NoiseDocument
-from service.robot import Axis, Robot
+from service.model.errors import BadInput
+from service.model.recording import Array, Sweep, SweepSpec
+from service.model.results.identified.spectrum import NoiseDocument
+from service.model.robot import Axis, Robot
 
 Complex = NDArray[np.complex128]
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from service.results.identified.spectrum import Pairs
+from service.model.results.identified.spectrum import Pairs
 
 Complex = NDArray[np.complex128]
 

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from itertools import combinations
 
-from service.errors import BadInput
 from service.identification.spectra.frequency_response import Spectrum
+from service.model.errors import BadInput
 
 
 def check_moved_alone(spectra: Sequence[Spectrum]) -> None:

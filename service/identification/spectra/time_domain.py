@@ -35,9 +35,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import BadInput
 from service.identification.model.least_squares import jackknife_factor, span
 from service.identification.spectra.frequency_response import Complex, Spectrum
+from service.model.errors import BadInput
 
 Array = NDArray[np.float64]
 

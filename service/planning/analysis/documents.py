@@ -5,8 +5,9 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.ports import NoiseCommand, SweepMode
-from service.campaigns.plan_subject import MadeFor
 from service.identification.design.noise_excitation import HIGHEST
+from service.model.recording import SweepSpec
+from service.planning.campaigns.plan_subject import MadeFor
 from service.planning.documents import (
     CELL_NAME,
     MOVE_VELOCITY,
@@ -16,7 +17,6 @@ from service.planning.documents import (
     PlannedSweep,
     PlanRequest,
 )
-from service.recording import SweepSpec
 from service.store.documents import LARGEST_ID
 
 

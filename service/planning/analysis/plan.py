@@ -12,21 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.ports import SweepMode
-from service.errors import BadInput, EnvelopeViolation
-from service.geometry.cell import Cell
 from service.identification.design.excitation import Excitation, design_sweep
 from service.identification.design.noise_excitation import NoiseExcitation, design_noise
 from service.identification.model.regressor import inertia_rows
+from service.model.errors import BadInput, EnvelopeViolation
+from service.model.geometry.cell import Cell
+from service.model.recording import Sine, SweepPurpose, SweepSpec
+from service.model.robot import Robot
 from service.planning.analysis.documents import AnalysisPlan, AnalysisRequest, PlannedNoise
 from service.planning.candidates import grid, has_room, room
 from service.planning.documents import DroppedPose, PlannedLeg, PlannedSweep
+from service.planning.safety.envelope import Envelope
+from service.planning.safety.noise_motion import noise_way
+from service.planning.safety.travel import order_poses
 from service.planning.sweep_design import TRAVEL_SHARE
 from service.planning.sweep_sequence import LEG_OVERHEAD
-from service.recording import Sine, SweepPurpose, SweepSpec
-from service.robot import Robot
-from service.safety.envelope import Envelope
-from service.safety.noise_motion import noise_way
-from service.safety.travel import order_poses
 
 Array = NDArray[np.float64]
 Run = PlannedNoise | PlannedSweep

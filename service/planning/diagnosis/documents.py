@@ -6,10 +6,11 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.ports import SweepMode
-from service.campaigns.plan_subject import MadeFor
-from service.errors import BadInput
 from service.identification.design.diagnosis_sweeps import BLOCKS, FAST, SLOW, WIDE, WIDE_LINES
 from service.identification.estimates.torque_gain import KnownMass
+from service.model.errors import BadInput
+from service.model.robot import Robot
+from service.planning.campaigns.plan_subject import MadeFor
 from service.planning.documents import (
     CELL_NAME,
     MOVE_VELOCITY,
@@ -18,8 +19,7 @@ from service.planning.documents import (
     PlannedSweep,
     PlanRequest,
 )
-from service.robot import Robot
-from service.safety.envelope import Limits
+from service.planning.safety.envelope import Limits
 from service.store.diagnosis_documents import BoltedMass
 from service.store.documents import LARGEST_ID
 

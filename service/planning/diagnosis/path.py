@@ -6,13 +6,13 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import EnvelopeViolation
 from service.identification.design.diagnosis_sweeps import DesignedSweep
+from service.model.errors import EnvelopeViolation
+from service.model.robot import Robot
 from service.planning.diagnosis.documents import DiagnosisRequest, ExperimentRequest
 from service.planning.documents import DroppedPose, PlannedLeg, PlannedSweep
+from service.planning.safety.envelope import Envelope
 from service.planning.sweep_sequence import LEG_OVERHEAD
-from service.robot import Robot
-from service.safety.envelope import Envelope
 
 Array = NDArray[np.float64]
 Place = tuple[tuple[float, ...], str]  # pose and block

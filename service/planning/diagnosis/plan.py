@@ -13,10 +13,11 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import BadInput, EnvelopeViolation
-from service.geometry.cell import Cell
 from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design
 from service.identification.model.regressor import gravity_terms
+from service.model.errors import BadInput, EnvelopeViolation
+from service.model.geometry.cell import Cell
+from service.model.robot import Robot
 from service.planning.candidates import grid, room
 from service.planning.diagnosis.documents import (
     DiagnosisPlan,
@@ -27,9 +28,8 @@ from service.planning.diagnosis.documents import (
 )
 from service.planning.diagnosis.path import DesignedWay
 from service.planning.documents import DroppedPose
-from service.robot import Robot
-from service.safety.envelope import Envelope
-from service.safety.travel import order_poses
+from service.planning.safety.envelope import Envelope
+from service.planning.safety.travel import order_poses
 
 Array = NDArray[np.float64]
 

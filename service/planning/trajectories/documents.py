@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.campaigns.plan_subject import MadeFor
+from service.planning.campaigns.plan_subject import MadeFor
 from service.planning.documents import CELL_NAME, MOVE_VELOCITY, PlannedSweep
 from service.store.documents import LARGEST_ID
 

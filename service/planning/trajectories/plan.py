@@ -4,17 +4,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.ports import SweepMode
-from service.errors import BadInput, EnvelopeViolation
-from service.geometry.cell import Cell
 from service.identification.design.exciting_trajectory import Shape, Trajectory, TrajectoryLimits, design_trajectory
 from service.identification.model.base_parameters import joint_ranges
 from service.identification.model.whole_base import dynamic_base
+from service.model.errors import BadInput, EnvelopeViolation
+from service.model.geometry.cell import Cell
+from service.model.recording import SweepSpec, together
+from service.model.robot import Robot
 from service.planning.documents import PlannedLeg, PlannedSweep
+from service.planning.safety.envelope import Envelope
 from service.planning.sweep_sequence import LEG_OVERHEAD
 from service.planning.trajectories.documents import TrajectoryPlan, TrajectoryRequest
-from service.recording import SweepSpec, together
-from service.robot import Robot
-from service.safety.envelope import Envelope
 
 Array = NDArray[np.float64]
 

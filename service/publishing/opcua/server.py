@@ -10,11 +10,11 @@ from asyncua.ua.uaerrors import UaError
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 
+from service.process.settings.publishing import OpcUa
 from service.publishing.opcua.access import Clients, ReadOnly, certificate_in, trusted_in
 from service.publishing.opcua.library import Node, UaServer, ua
 from service.publishing.opcua.nodes import Nodes
 from service.publishing.state import FromPublisher, State
-from service.settings.publishing import OpcUa
 
 _log = logging.getLogger(__name__)
 

@@ -7,7 +7,7 @@ from html import escape
 
 import numpy as np
 
-from service.fleet.document import Fleet, FleetAxis, FleetRobot, FleetType
+from service.identification.fleet.document import Fleet, FleetAxis, FleetRobot, FleetType
 from service.report.drawing import Figure, Part, colours, figure, line, points, scale, symbols
 from service.report.html import Page
 

@@ -4,7 +4,7 @@ from pydantic import JsonValue
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from service.errors import Conflict
+from service.model.errors import Conflict
 from service.store import rows
 from service.store import tables as t
 from service.store.database import Transactions

@@ -5,7 +5,7 @@ from pathlib import Path
 from sqlalchemy import URL, make_url
 from sqlalchemy.exc import ArgumentError
 
-from service.errors import BadInput
+from service.model.errors import BadInput
 from service.store.engines.kind import Kind
 from service.store.engines.postgresql import Postgresql
 from service.store.engines.sqlite import Sqlite

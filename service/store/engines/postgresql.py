@@ -12,7 +12,7 @@ from sqlalchemy.engine import ExceptionContext
 from sqlalchemy.exc import DBAPIError, OperationalError
 from sqlalchemy.pool import ConnectionPoolEntry
 
-from service.errors import BadInput, SweepidError
+from service.model.errors import BadInput, SweepidError
 from service.store.engines.kind import BUSY_TIMEOUT, PATIENCE, WRITE
 
 _WRITERS = 0x73776565706964  # the lock's number: "sweepid"

@@ -15,11 +15,11 @@ from uuid import uuid4
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from service.configuration import bad_field, read_text
-from service.errors import BadInput
-from service.recording import Sweep, SweepSpec
-from service.results.table import Column, Shown, Table, columns_of_sweeps
-from service.robot import Robot, RobotDescription, robot_from_outside
+from service.model.configuration import bad_field, read_text
+from service.model.errors import BadInput
+from service.model.recording import Sweep, SweepSpec
+from service.model.results.table import Column, Shown, Table, columns_of_sweeps
+from service.model.robot import Robot, RobotDescription, robot_from_outside
 from service.store.files.columns import check_possible, check_samples, columns_of, read_columns, write_columns
 
 FORMAT = "sweepid-bundle/1"

@@ -12,9 +12,9 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pa_parquet
 from numpy.typing import NDArray
 
-from service.errors import BadInput
-from service.physical_bounds import most_of_column
-from service.recording import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, Recording
+from service.model.errors import BadInput
+from service.model.physical_bounds import most_of_column
+from service.model.recording import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, Recording
 
 Array = NDArray[np.float64]
 

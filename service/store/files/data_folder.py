@@ -13,7 +13,7 @@ from uuid import uuid4
 from pydantic import BaseModel, ConfigDict, ValidationError
 from sqlalchemy import select
 
-from service.errors import BadInput, Conflict
+from service.model.errors import BadInput, Conflict
 from service.store import tables as t
 from service.store.database import Database
 from service.store.files.atomic_files import place_new

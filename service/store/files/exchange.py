@@ -1,8 +1,8 @@
 """Imports and exports whole campaigns as bundles."""
 
-from service.errors import Conflict
-from service.recording import Sweep
-from service.robot import build_robot
+from service.model.errors import Conflict
+from service.model.recording import Sweep
+from service.model.robot import build_robot
 from service.store.documents import CampaignDocument, NewSweep, SweepState
 from service.store.files.bundle import Bundle
 from service.store.files.intake import SavedBundle

@@ -10,9 +10,9 @@ from uuid import uuid4
 
 from pydantic import BaseModel, ConfigDict, StringConstraints
 
-from service.errors import BadInput
-from service.recording import SweepSpec
-from service.robot import RobotDescription
+from service.model.errors import BadInput
+from service.model.recording import SweepSpec
+from service.model.robot import RobotDescription
 from service.store.documents import NewRecording, RecordingState
 from service.store.files.bundle import Bundle, read_bundle
 from service.store.files.recordings import RecordingFiles

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from service.errors import BadInput
+from service.model.errors import BadInput
 
 _ENVIRONMENT: Mapping[str, str] = {
     # address space is limited: no pools and stacks for as many threads as there are cores

@@ -12,8 +12,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from service.errors import BadInput
-from service.tasks.child import give_way
+from service.model.errors import BadInput
+from service.process.tasks.child import give_way
 
 
 def main(arguments: list[str]) -> None:

@@ -22,11 +22,11 @@ from typing import cast
 
 from pydantic import JsonValue
 
-from service.errors import BadInput
-from service.recording import Recording
-from service.results.identified.manifest import Facts
-from service.results.identified.spectrum import AnySpectrum
-from service.settings.object_store import StoreAddress
+from service.model.errors import BadInput
+from service.model.recording import Recording
+from service.model.results.identified.manifest import Facts
+from service.model.results.identified.spectrum import AnySpectrum
+from service.process.settings.object_store import StoreAddress
 from service.store.documents import NewRecording, RecordingDocument, RecordingState, SpectrumRecord
 from service.store.files.atomic_files import place, place_folder, place_new
 from service.store.files.columns import read_columns, write_columns

@@ -8,8 +8,8 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.errors import BadInput
-from service.results.identified.spectrum import AnySpectrum
+from service.model.errors import BadInput
+from service.model.results.identified.spectrum import AnySpectrum
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from service.errors import SweepidError
+from service.model.errors import SweepidError
 
 Array = NDArray[np.float64]
 Column = Array | NDArray[np.int64]

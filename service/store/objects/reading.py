@@ -5,8 +5,8 @@ from contextlib import suppress
 from pathlib import Path
 from uuid import uuid4
 
-from service.errors import BadInput
-from service.recording import Recording
+from service.model.errors import BadInput
+from service.model.recording import Recording
 from service.store.files.atomic_files import place_new
 from service.store.files.columns import read_columns
 from service.store.files.recordings import FETCHED, RecordingFile, check_file, still_here

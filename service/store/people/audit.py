@@ -9,10 +9,10 @@ from sqlalchemy import func, select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
-from service.errors import SweepidError
-from service.people.audit_chain import FIRST, Entry, Head, Link, canonical, sha256
+from service.model.errors import SweepidError
 from service.store import rows
 from service.store import tables as t
+from service.store.access.audit_chain import FIRST, Entry, Head, Link, canonical, sha256
 from service.store.database import Transactions
 
 _PIECE = 1000  # entries read per query

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import structlog
 
-from service.people.audit_chain import FIRST, Head
+from service.store.access.audit_chain import FIRST, Head
 from service.store.database import Database
 from service.store.people.audit import AuditStore
 from service.store.people.time import keep_time

@@ -8,12 +8,12 @@ from datetime import datetime, timedelta
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import select
 
-from service.errors import NotFound
-from service.people.audit_chain import Entry, Fact
-from service.people.keys import key_sha256, new_key
-from service.people.permissions import Role
+from service.model.errors import NotFound
 from service.store import rows
 from service.store import tables as t
+from service.store.access.audit_chain import Entry, Fact
+from service.store.access.keys import key_sha256, new_key
+from service.store.access.permissions import Role
 from service.store.database import Transactions
 from service.store.people.audit import append
 from service.store.people.time import keep

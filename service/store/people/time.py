@@ -4,8 +4,8 @@ import structlog
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
-from service.people.steady_clock import SET_BACK
 from service.store import tables as t
+from service.store.access.steady_clock import SET_BACK
 from service.store.database import Database
 from service.store.people.audit import append
 

@@ -8,13 +8,13 @@ from pydantic import BaseModel, ConfigDict
 from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
-from service.errors import Conflict, NotFound
-from service.people.audit_chain import Entry
-from service.people.names import unique_name
-from service.people.passwords import fits, outdated, password_hash
-from service.people.permissions import Role
+from service.model.errors import Conflict, NotFound
 from service.store import rows
 from service.store import tables as t
+from service.store.access.audit_chain import Entry
+from service.store.access.names import unique_name
+from service.store.access.passwords import fits, outdated, password_hash
+from service.store.access.permissions import Role
 from service.store.database import Transactions
 from service.store.people.audit import append
 

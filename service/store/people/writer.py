@@ -20,9 +20,9 @@ from typing import Self
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.errors import SweepidError
-from service.people.audit_chain import Entry
-from service.people.callers import Callers
+from service.model.errors import SweepidError
+from service.store.access.audit_chain import Entry
+from service.store.access.callers import Callers
 from service.store.people.audit import AuditStore, AuditUnreadable
 from service.store.tables import now
 

@@ -11,9 +11,9 @@ from pydantic import JsonValue
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from service.errors import BadInput, NotFound
-from service.results.estimate import Estimate
-from service.results.stored_json import JsonOf
+from service.model.errors import BadInput, NotFound
+from service.model.results.estimate import Estimate
+from service.model.results.stored_json import JsonOf
 from service.store import rows
 from service.store import tables as t
 from service.store.checks import OVER

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
-from service.errors import Conflict
-from service.people.audit_chain import Entry
+from service.model.errors import Conflict
+from service.store.access.audit_chain import Entry
 from service.store.objects.object_store import ObjectStore
 from service.store.plant.retention import Doomed, RetentionStore, Rules, Sample
 

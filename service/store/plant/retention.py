@@ -14,10 +14,10 @@ from pydantic import JsonValue
 from sqlalchemy import ColumnElement, delete, func, select
 from sqlalchemy.orm import Session
 
-from service.errors import Conflict, NotFound
-from service.people.audit_chain import Entry
+from service.model.errors import Conflict, NotFound
 from service.store import rows
 from service.store import tables as t
+from service.store.access.audit_chain import Entry
 from service.store.database import Database
 from service.store.diagnosis_documents import DiagnosisState
 from service.store.documents import BatchState, CampaignState, StoredDocument

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.recording import Recording, Sweep
-from service.robot import Robot
+from service.model.recording import Recording, Sweep
+from service.model.robot import Robot
 from tests.numeric.second_plant.bodies import Rigid
 from tests.numeric.second_plant.build import Scene, Wanted, build
 from tests.numeric.second_plant.effects import CATALOGUE

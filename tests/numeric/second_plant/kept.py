@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from service.recording import Recording, Sweep, SweepSpec
-from service.robot import Robot, RobotDescription, build_robot
+from service.model.recording import Recording, Sweep, SweepSpec
+from service.model.robot import Robot, RobotDescription, build_robot
 
 COLUMNS = ("time", "effort", "velocity", "position", "velocity_setpoint")
 

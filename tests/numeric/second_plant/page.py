@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[3]
 SCORED = (
     "service/diagnosis",
     "service/data_check",
-    "service/export/started_robot.py",
+    "service/formats/export/started_robot.py",
     "service/identification/design/diagnosis_sweeps.py",
 )
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from service.diagnosis.effects import CATALOGUE as NAMES
-from service.recording import Sweep
-from service.robot import Robot
+from service.model.recording import Sweep
+from service.model.robot import Robot
 from tests.numeric.second_plant.cases import Case, Kind, Truth, case, cases, make
 from tests.numeric.second_plant.effects import CATALOGUE
 from tests.numeric.second_plant.faults import FAULTS
@@ -17,7 +17,7 @@ from tests.numeric.second_plant.outside import OUTSIDE
 
 HERE = Path(__file__).parent
 MAY_COMPUTE = {"score.py", "scoring.py", "page.py"}  # they judge; the plant is all else but the tests
-FOREIGN = ("simulator", "service.identification", "service.diagnosis", "service.cli", "service.estimation")
+FOREIGN = ("simulator", "service.identification", "service.diagnosis", "service.cli")
 
 
 def foreign(text: str) -> list[str]:

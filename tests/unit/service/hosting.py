@@ -19,12 +19,12 @@ import httpx
 import structlog
 from fastapi import FastAPI
 
-import service.application
-from service.app import create_app, end_motion, end_streams
-from service.errors import NotNow
-from service.settings import Settings
-from service.worker import JobFailed, Worker
-from service.worker.jobs import Answer, Work
+import service.web.application
+from service.jobs.worker import JobFailed, Worker
+from service.jobs.worker.jobs import Answer, Work
+from service.model.errors import NotNow
+from service.process.settings import Settings
+from service.web.app import create_app, end_motion, end_streams
 
 CONFIG = Path(__file__).parents[3] / "config"
 HERE = "127.0.0.1"
@@ -52,7 +52,7 @@ class Hosted:
             processors=[structlog.contextvars.merge_contextvars, structlog.processors.format_exc_info, _note]
         )
         # a test that keeps this process from running is no suspended host
-        with patch.multiple(service.application, open_worker=_in_threads, watching=lambda *_: nullcontext()):
+        with patch.multiple(service.web.application, open_worker=_in_threads, watching=lambda *_: nullcontext()):
             self._thread.start()
             error = self._ready.get()
         if error is not None:

@@ -9,15 +9,15 @@ import pytest
 from sqlalchemy.exc import OperationalError
 
 import drivers
-import service.execution
-import service.safety
+import service.machine.execution
+import service.planning.safety
 from drivers.errors import Cause, CauseCode, CausedError, DriveFault, EnvelopeLeft, LimitExceeded, Measured, NotReady
-from service.causes import in_words, read
-from service.errors import BadInput, Conflict, EnvelopeViolation, NotFound, SweepidError
-from service.execution.sweep_executor import cause_of_error
-from service.hmi.pages import texts
+from service.machine.execution.sweep_executor import cause_of_error
+from service.model.causes import in_words, read
+from service.model.errors import BadInput, Conflict, EnvelopeViolation, NotFound, SweepidError
+from service.web.hmi.pages import texts
 
-ROOMS = (drivers, service.execution, service.safety)
+ROOMS = (drivers, service.machine.execution, service.planning.safety)
 
 
 def errors() -> set[type[BaseException]]:

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from service.settings.workers import Certificates, Cluster
-from service.worker import JobFailed, Worker, WorkerLost, open_worker
+from service.jobs.worker import JobFailed, Worker, WorkerLost, open_worker
+from service.process.settings.workers import Certificates, Cluster
 from tests.programs import needs
 from tests.unit.service.cluster import DaskProcesses, certificates
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from service.errors import BadInput
-from service.robot import Axis, Robot, RobotDescription, build_robot, link_frames
-from service.urdf import read_chain
+from service.model.errors import BadInput
+from service.model.robot import Axis, Robot, RobotDescription, build_robot, link_frames
+from service.model.urdf import read_chain
 
 pinocchio = (  # elsewhere it must be there
     pytest.importorskip("pinocchio", reason="the oracle has no Windows wheels")

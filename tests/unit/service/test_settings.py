@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from service.configuration import DEEPEST, LARGEST_YAML, MOST_CHARACTERS, read_text, read_yaml
-from service.errors import BadInput
-from service.geometry.cell import Cell
-from service.settings import Settings, load_settings
+from service.model.configuration import DEEPEST, LARGEST_YAML, MOST_CHARACTERS, read_text, read_yaml
+from service.model.errors import BadInput
+from service.model.geometry.cell import Cell
+from service.process.settings import Settings, load_settings
 
 
 def test_the_shipped_file_gives_the_defaults(root: Path) -> None:

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.errors import BadInput
+from service.formats.traces.alignment import check_follows, motion_start
 from service.identification.design.excitation import Excitation
 from service.identification.design.sweep_path import way
-from service.recording import Sine
-from service.traces.alignment import check_follows, motion_start
+from service.model.errors import BadInput
+from service.model.recording import Sine
 
 SINES = tuple(Sine(frequency=f, amplitude=0.003, phase=p) for f, p in ((2.0, 0.0), (3.0, 4.7), (4.0, 1.6), (5.0, 3.1)))
 SWEEP = Excitation(0.0162, SINES, 1.0, 3, 0.5, 0.5)

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from asammdf.blocks.v4_blocks import ChannelConversion
 
-from service.errors import BadInput
-from service.export.recordings import write_recordings
+from service.formats.export.recordings import write_recordings
+from service.formats.traces.containers.reading import read_containers, read_here
+from service.formats.traces.containers.request import Channel, Taken
+from service.formats.traces.trace_import import import_trace
+from service.model.errors import BadInput
 from service.store.files.isolated_reader import Limits
-from service.traces.containers.reading import read_containers, read_here
-from service.traces.containers.request import Channel, Taken
-from service.traces.trace_import import import_trace
 from tests.command import sweepid
 from tests.forked import forked
 from tests.recorded_bundle import bundle
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.slow
 
 _h5, _mf4 = cast(Any, h5py), cast(Any, mf4_rs)  # without types
 TIME = np.arange(500) / 250
-WRITERS = "service.export.recordings"
+WRITERS = "service.formats.export.recordings"
 NAMED = {name: {"source": name} for name in ("effort", "velocity", "position")}
 
 
@@ -249,7 +249,8 @@ def test_without_its_library_the_extra_is_named(
 ) -> None:
     (tmp_path / f"a{suffix}").write_bytes(b"")
     for name in list(sys.modules):
-        if name.startswith(f"{library}.") or name in (f"service.traces.containers.{extra}", f"{WRITERS}.{extra}"):
+        readers = f"service.formats.traces.containers.{extra}"
+        if name.startswith(f"{library}.") or name in (readers, f"{WRITERS}.{extra}"):
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, library, None)
     wanted = rf"needs {library}[.\w]*: install sweepid with its extra, `sweepid\[{extra}\]`"

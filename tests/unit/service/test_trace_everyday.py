@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 import sweepid
-from service.errors import BadInput
-from service.traces.trace_import import import_trace
+from service.formats.traces.trace_import import import_trace
+from service.model.errors import BadInput
 
 pytestmark = pytest.mark.slow
 

@@ -18,11 +18,11 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
-from service.errors import BadInput
-from service.recording import Recording
+from service.formats.traces.drafts import mapping_of, mapping_text
+from service.formats.traces.trace_import import Imported, import_trace, read_traces
+from service.model.errors import BadInput
+from service.model.recording import Recording
 from service.store.files.columns import write_columns
-from service.traces.drafts import mapping_of, mapping_text
-from service.traces.trace_import import Imported, import_trace, read_traces
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 _h5 = cast(Any, h5py)  # without types

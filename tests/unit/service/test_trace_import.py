@@ -10,11 +10,12 @@ import pytest
 import yaml
 from scipy.io import savemat
 
-from service.errors import BadInput
-from service.identification import identify, spectrum
-from service.recording import Recording, Sweep
+from service.formats.traces.trace_import import differentiate, import_trace
+from service.identification.estimates.estimate import identify
+from service.identification.spectra.frequency_response import spectrum
+from service.model.errors import BadInput
+from service.model.recording import Recording, Sweep
 from service.store.files.bundle import read_bundle, write_bundle
-from service.traces.trace_import import differentiate, import_trace
 
 pytestmark = pytest.mark.slow
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from service.errors import BadInput
+from service.formats.traces.containers.reading import read_containers
+from service.formats.traces.containers.request import Channel
+from service.formats.traces.trace_import import import_trace
+from service.model.errors import BadInput
 from service.store.files.isolated_reader import Limits
-from service.traces.containers.reading import read_containers
-from service.traces.containers.request import Channel
-from service.traces.trace_import import import_trace
 from tests.unit.service.test_trace_import import mapping, trace
 
 pytestmark = pytest.mark.slow

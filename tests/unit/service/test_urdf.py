@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from service.errors import BadInput
-from service.urdf import (
+from service.model.errors import BadInput
+from service.model.urdf import (
     DEEPEST,
     MOST_ELEMENTS,
     MOST_LINKS,

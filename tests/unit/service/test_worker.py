@@ -12,13 +12,13 @@ from pathlib import Path
 import psutil
 import pytest
 
-from service.configuration import read_robot
-from service.geometry.cell import Cell
-from service.robot import Robot
-from service.safety.envelope import Envelope
-from service.settings.workers import Cluster
+from service.jobs.worker import Job, JobFailed, RecordedSweep, Worker, WorkerLost, open_worker, work
+from service.model.configuration import read_robot
+from service.model.geometry.cell import Cell
+from service.model.robot import Robot
+from service.planning.safety.envelope import Envelope
+from service.process.settings.workers import Cluster
 from service.store.files.spectra import SpectrumFile
-from service.worker import Job, JobFailed, RecordedSweep, Worker, WorkerLost, open_worker, work
 from tests.unit.service.campaigns.conftest import ROOT, open_bench, until
 
 pytestmark = pytest.mark.slow
@@ -147,7 +147,7 @@ def test_a_worker_ends_with_the_service(tmp_path: Path) -> None:
     """Which was killed, so that nobody is left to end it."""
     code = """
 import asyncio, os, sys
-from service.worker import open_worker
+from service.jobs.worker import open_worker
 async def main():
     async with open_worker(None) as worker:
         print((await worker.processes())[0], flush=True)

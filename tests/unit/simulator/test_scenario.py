@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import yaml
 
-from service.robot import RobotDescription, build_robot
-from service.urdf import inertia_matrix, transform_inertial
+from service.model.robot import RobotDescription, build_robot
+from service.model.urdf import inertia_matrix, transform_inertial
 from simulator import Scenario, ScenarioError, load_scenario
 
 CONFIG = Path(__file__).parents[3] / "config"

@@ -11,13 +11,13 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.app import create_app
-from service.application import Application
-from service.client import ServiceClient
-from service.configuration import read_robot
-from service.robot import Robot
-from service.settings import Settings
+from service.model.configuration import read_robot
+from service.model.robot import Robot
+from service.process.settings import Settings
 from service.store.files.bundle import write_bundle
+from service.web.app import create_app
+from service.web.application import Application
+from service.web.client import ServiceClient
 from tests.command import SWEEPID
 from tests.rigid_sweep import rigid_sweep
 from tests.unit.service.hosting import CONFIG, hosting, settings_of

@@ -6,8 +6,8 @@ import httpx
 import pytest
 import yaml
 
-from service.app import create_app
-from service.settings import Settings
+from service.process.settings import Settings
+from service.web.app import create_app
 
 LOOPBACK = {"127.0.0.1", "localhost", "::1"}
 

@@ -22,8 +22,8 @@ from schemathesis.specs.openapi.checks import (
     unsupported_method,
 )
 
-from service.api.openapi import COMMITTED
-from service.api.openapi import document as made_now
+from service.web.api.openapi import COMMITTED
+from service.web.api.openapi import document as made_now
 from tests.unit.service.api.conftest import identified
 
 pytestmark = pytest.mark.slow
@@ -108,7 +108,7 @@ globals().update({f"test_{name}": checking(name) for name in NAMES if name != "f
 
 
 def test_the_committed_document_is_not_stale() -> None:
-    assert COMMITTED.read_text(encoding="utf-8") == made_now(), "run: python -m service.api.openapi"
+    assert COMMITTED.read_text(encoding="utf-8") == made_now(), "run: python -m service.web.api.openapi"
 
 
 def answers(document: Json) -> Iterator[tuple[str, Json, Json]]:

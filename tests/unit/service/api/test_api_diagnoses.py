@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import yaml
 
-from service.client import ServiceClient, ServiceProblem
 from service.data_check import check, findings_document
 from service.diagnosis.sensitivity.predicted_sweeps import expected
-from service.errors import BadInput
 from service.identification.design.diagnosis_sweeps import full_design
-from service.recording import Sweep
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.recording import Sweep
+from service.model.robot import Robot
 from service.store.files.bundle import write_bundle
+from service.web.client import ServiceClient, ServiceProblem
 from tests.unit.service.api.conftest import packed
 
 pytestmark = pytest.mark.slow

@@ -8,8 +8,8 @@ from typing import Any
 import httpx
 import pytest
 
-from service.api.gate import BODY_LIMIT, ROBOT_LIMIT
-from service.configuration import read_robot
+from service.model.configuration import read_robot
+from service.web.api.gate import BODY_LIMIT, ROBOT_LIMIT
 from tests.unit.service.api.conftest import ZIP
 from tests.unit.service.hosting import CONFIG
 

@@ -14,8 +14,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from service.recording import Sweep
-from service.robot import Robot
+from service.model.recording import Sweep
+from service.model.robot import Robot
 from service.store.files.bundle import read_bundle, write_bundle
 from tests.unit.service.api.conftest import ZIP, packed
 

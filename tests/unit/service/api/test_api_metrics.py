@@ -9,9 +9,9 @@ import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from service.api.metrics import machine, work
-from service.api.metrics.page import GROUPS, page
-from service.client import ServiceClient
+from service.web.api.metrics import machine, work
+from service.web.api.metrics.page import GROUPS, page
+from service.web.client import ServiceClient
 from tests.unit.service.api.conftest import opened
 
 pytestmark = pytest.mark.slow
@@ -77,5 +77,5 @@ async def test_a_database_that_refuses_takes_only_its_own_figures_away(tmp_path:
 
 
 def test_the_page_is_fresh(root: Path) -> None:
-    told = "run: python -m service.api.metrics.page > docs/reference/metrics.md"
+    told = "run: python -m service.web.api.metrics.page > docs/reference/metrics.md"
     assert (root / "docs" / "reference" / "metrics.md").read_text("utf-8") == page(), told

@@ -7,7 +7,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.people.permissions import API, CALLS, LOGINS, STOP
+from service.store.access.permissions import API, CALLS, LOGINS, STOP
 from tests.unit.service.hosting import hosting
 
 pytestmark = pytest.mark.slow

@@ -10,7 +10,7 @@ import httpx
 import pytest
 
 from drivers.registry import load_profile
-from service.configuration import read_robot
+from service.model.configuration import read_robot
 from tests.unit.service.api.conftest import opened as service_in
 from tests.unit.service.campaigns.formula_drive import FormulaDrive
 from tests.unit.service.hosting import CONFIG
@@ -40,7 +40,7 @@ def cells(tmp_path: Path) -> Path:
 @pytest.fixture
 def opened(tmp_path: Path, drive: FormulaDrive, monkeypatch: pytest.MonkeyPatch) -> Opened:
     """The service in this process, in front of the formula drive."""
-    monkeypatch.setattr("service.application.open_profile", lambda path: (load_profile(path), drive))
+    monkeypatch.setattr("service.web.application.open_profile", lambda path: (load_profile(path), drive))
 
     @asynccontextmanager
     async def open_service(**given: object) -> AsyncIterator[HTTP]:

@@ -12,7 +12,7 @@ from typing import Any
 import httpx
 import pytest
 
-from service.configuration import read_robot
+from service.model.configuration import read_robot
 from tests.command import sweepid
 from tests.unit.service.hosting import CONFIG, hosting
 

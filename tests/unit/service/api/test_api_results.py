@@ -10,8 +10,8 @@ import httpx
 import pytest
 from pypdf import PdfReader
 
-from service.client import ServiceClient, ServiceProblem
-from service.errors import BadInput
+from service.model.errors import BadInput
+from service.web.client import ServiceClient, ServiceProblem
 from tests.command import sweepid
 from tests.programs import needs
 from tests.system.rest_bench import add_plan

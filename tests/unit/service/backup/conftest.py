@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.backup.examination import examine
-from service.campaigns.state_machine import SweepEvent, sweep_move
-from service.configuration import read_robot
-from service.recording import Recording, Sweep, SweepSpec
+from service.model.configuration import read_robot
+from service.model.recording import Recording, Sweep, SweepSpec
+from service.planning.campaigns.state_machine import SweepEvent, sweep_move
+from service.store.backup.examination import examine
 from service.store.database import open_database
 from service.store.documents import NewSweep
 from service.store.files.bundle import Bundle

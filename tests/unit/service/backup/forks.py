@@ -15,9 +15,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import service.backup.making
-import service.backup.restoring
 import service.cli.settings_of
+import service.store.backup.making
+import service.store.backup.restoring
 import service.store.snapshot  # noqa: F401  once, not once a run
 from service.cli import main
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from service.backup.examination import examine
-from service.backup.making import make_backup
-from service.backup.manifest import read_manifest
-from service.backup.restoring import restore
-from service.errors import BadInput
-from service.settings import load_settings
+from service.model.errors import BadInput
+from service.process.settings import load_settings
+from service.store.backup.examination import examine
+from service.store.backup.making import make_backup
+from service.store.backup.manifest import read_manifest
+from service.store.backup.restoring import restore
 from service.store.database import open_database
 from service.store.files.data_folder import FILE as OWNER
 from service.store.files.data_folder import claim_folder

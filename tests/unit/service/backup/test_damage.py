@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from service.backup.making import make_backup
-from service.backup.manifest import FILE, read_manifest
-from service.backup.restoring import restore
-from service.errors import BadInput
+from service.model.errors import BadInput
+from service.store.backup.making import make_backup
+from service.store.backup.manifest import FILE, read_manifest
+from service.store.backup.restoring import restore
 from service.store.database import open_database
 from service.store.files.data_folder import FILE as OWNER
 from service.store.files.recordings import RecordingFiles, Run, file_sha256

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from service.backup.examination import examine
-from service.backup.making import make_backup
-from service.backup.restoring import restore
-from service.errors import BadInput
+from service.model.errors import BadInput
+from service.store.backup.examination import examine
+from service.store.backup.making import make_backup
+from service.store.backup.restoring import restore
 from tests.unit.service.backup.conftest import Forks, contents
 
 pytestmark = pytest.mark.slow

@@ -5,18 +5,18 @@ import re
 import numpy as np
 import pytest
 
-from service.benefit import Benefit, benefit, benefit_section, feed_forward, sentence
-from service.benefit.benefit import rms_with_std
-from service.benefit.feed_forward import path_between
-from service.benefit.held_out import held_out, poses_of
-from service.benefit.lever_arm import end_of, lever_arm
-from service.benefit.monitor import alarm_probability, smallest_effort
-from service.benefit.prediction import RigidBody, dry_friction, left_by, lines_power, window_of, without_friction
-from service.benefit.section import worth
-from service.errors import BadInput
-from service.identification import spectrum
 from service.identification.spectra.axis_inertia import DriveTrain
+from service.identification.spectra.frequency_response import spectrum
+from service.model.errors import BadInput
 from service.report import Page
+from service.report.benefit import Benefit, benefit, benefit_section, feed_forward, sentence
+from service.report.benefit.benefit import rms_with_std
+from service.report.benefit.feed_forward import path_between
+from service.report.benefit.held_out import held_out, poses_of
+from service.report.benefit.lever_arm import end_of, lever_arm
+from service.report.benefit.monitor import alarm_probability, smallest_effort
+from service.report.benefit.prediction import RigidBody, dry_friction, left_by, lines_power, window_of, without_friction
+from service.report.benefit.section import worth
 from service.report.plotting import svg
 from tests.unit.service.benefit import pair
 

@@ -13,21 +13,23 @@ from sqlalchemy import text
 
 from drivers.errors import Cause
 from drivers.ports import Sine, SweepCommand, SweepMode
-from service.campaigns.live import LiveHub
-from service.configuration import read_robot
-from service.execution.approvals import Approvals
-from service.execution.epoch import Intention
-from service.execution.machine import Machine
-from service.execution.runner import Runner
-from service.execution.sweep_executor import SweepExecutor
-from service.geometry.cell import Cell
 from service.jobs.jobs import Jobs
+from service.jobs.worker import Worker
+from service.jobs.worker.dask_workers import DaskWorkers
+from service.machine.execution.approvals import Approvals
+from service.machine.execution.epoch import Intention
+from service.machine.execution.machine import Machine
+from service.machine.execution.runner import Runner
+from service.machine.execution.sweep_executor import SweepExecutor
+from service.model.configuration import read_robot
+from service.model.geometry.cell import Cell
+from service.model.recording import Sine as SpecSine
+from service.model.recording import SweepSpec
+from service.model.robot import Robot
+from service.planning.campaigns.live import LiveHub
 from service.planning.compiled_plan import CompiledPlan
-from service.recording import Sine as SpecSine
-from service.recording import SweepSpec
-from service.robot import Robot
-from service.safety.envelope import Envelope
-from service.settings.workers import Cluster
+from service.planning.safety.envelope import Envelope
+from service.process.settings.workers import Cluster
 from service.store.approvals import ApprovalStore
 from service.store.database import Database, open_database
 from service.store.diagnosis.model_revisions import ModelStore
@@ -35,8 +37,6 @@ from service.store.documents import CampaignDocument, NewSweep, SpectrumRecord, 
 from service.store.files.recordings import RecordingFiles
 from service.store.guards import MachineLease, StopLatch
 from service.store.store import Store
-from service.worker import Worker
-from service.worker.dask_workers import DaskWorkers
 from tests.unit.service.campaigns.formula_drive import FormulaDrive
 
 ROOT = Path(__file__).parents[4]

@@ -10,14 +10,16 @@ from typing import Any, TypeVar
 import numpy as np
 
 from service.diagnosis.sensitivity.predicted_sweeps import expected
-from service.diagnosis_loop.diagnosing import Diagnosing
-from service.errors import SweepidError
 from service.identification.design.diagnosis_sweeps import full_design
 from service.identification.estimates.torque_gain import KnownMass
 from service.identification.model.regressor import gravity_terms, inertia_rows
-from service.recording import Sweep
-from service.robot import Robot
-from service.settings.workers import Cluster
+from service.jobs.diagnosis_loop.diagnosing import Diagnosing
+from service.jobs.worker import JobFailed, Work, Worker
+from service.jobs.worker.dask_workers import DaskWorkers
+from service.model.errors import SweepidError
+from service.model.recording import Sweep
+from service.model.robot import Robot
+from service.process.settings.workers import Cluster
 from service.store.database import open_database
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis.model_revisions import ModelStore
@@ -32,8 +34,6 @@ from service.store.files.exchange import import_campaign
 from service.store.files.intake import save_bundle
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
-from service.worker import JobFailed, Work, Worker
-from service.worker.dask_workers import DaskWorkers
 
 SPECTRUM = SpectrumRecord(path="s", sha256="0" * 64)  # where its content makes no difference
 POSES = np.array([[0.0, -0.6, 0.4, 0.0, 0.0, 0.0], [0.5, 0.4, -0.7, 0.0, 0.0, 0.0]])

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from drivers.ports import NoiseCommand, SweepCommand
-from service.errors import BadInput, EnvelopeViolation
-from service.geometry.cell import Cell, read_cell
 from service.identification.axis.ideal_frequency import AxisAnalysis, Figure, Ideal, PoseAnalysis
 from service.identification.model.regressor import inertia_rows
 from service.identification.spectra.noise_response import Response
+from service.model.errors import BadInput, EnvelopeViolation
+from service.model.geometry.cell import Cell, read_cell
+from service.model.robot import Robot
 from service.planning.analysis.documents import AnalysisPlan, AnalysisRequest
 from service.planning.analysis.plan import build_analysis_plan
 from service.planning.plan import PlanRequest, build_plan
-from service.robot import Robot
-from service.safety.envelope import Envelope
-from service.safety.noise_motion import noise_effort, noise_velocity, noise_way
+from service.planning.safety.envelope import Envelope
+from service.planning.safety.noise_motion import noise_effort, noise_velocity, noise_way
 from tests.unit.service.campaigns.small_arm import small_arm
 
 REQUEST = {"kind": "analysis", "robot_id": 1, "axes": ("joint_1", "joint_3"), "varied": ("joint_2", "joint_3")}

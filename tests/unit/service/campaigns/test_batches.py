@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from service.errors import BadInput
-from service.results.estimate import Estimate
+from service.jobs.worker import open_worker
+from service.model.errors import BadInput
+from service.model.results.estimate import Estimate
 from service.store.documents import BatchState
-from service.worker import open_worker
 from tests.programs import needs
 from tests.stored_archive import Archive, archive
 from tests.unit.service.campaigns.conftest import until

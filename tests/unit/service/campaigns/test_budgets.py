@@ -8,13 +8,13 @@ import pytest
 from pydantic import ValidationError
 
 from drivers.ports import SweepCommand
-from service.configuration import read_robot
-from service.errors import BadInput, EnvelopeViolation
-from service.geometry.cell import Cell, read_cell
 from service.identification.design.pose_selection import SLACK, Criterion
+from service.model.configuration import read_robot
+from service.model.errors import BadInput, EnvelopeViolation
+from service.model.geometry.cell import Cell, read_cell
+from service.model.robot import Robot, build_robot
 from service.planning.plan import PlanDocument, PlanRequest, build_plan
-from service.robot import Robot, build_robot
-from service.safety.envelope import Envelope
+from service.planning.safety.envelope import Envelope
 from tests.unit.service.campaigns.small_arm import small_arm
 
 pytestmark = pytest.mark.slow

@@ -11,17 +11,19 @@ from typing import Any, cast
 import psutil
 import pytest
 
-from service.campaigns.state_machine import SweepEvent, sweep_move
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.sensitivity.predicted_sweeps import expected
-from service.diagnosis_loop.acceptance import accept_model
-from service.diagnosis_loop.evidence import campaigns_of, recorded_sweeps
-from service.diagnosis_loop.starting import Start
-from service.errors import BadInput, Conflict
-from service.estimation import estimate_document, sweep_spectrum
 from service.identification.design.diagnosis_sweeps import full_design
 from service.identification.estimates.torque_gain import KnownMass
-from service.robot import Robot
+from service.identification.estimation import estimate_document, sweep_spectrum
+from service.jobs.diagnosis_loop.acceptance import accept_model
+from service.jobs.diagnosis_loop.evidence import campaigns_of, recorded_sweeps
+from service.jobs.diagnosis_loop.starting import Start
+from service.jobs.worker import DiagnosisJob, open_worker
+from service.jobs.worker.dask_workers import DaskWorkers
+from service.model.errors import BadInput, Conflict
+from service.model.robot import Robot
+from service.planning.campaigns.state_machine import SweepEvent, sweep_move
 from service.store.database import open_database
 from service.store.diagnosis_documents import (
     BoltedMass,
@@ -36,8 +38,6 @@ from service.store.files.exchange import campaign_bundle, import_campaign
 from service.store.files.intake import save_bundle
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
-from service.worker import DiagnosisJob, open_worker
-from service.worker.dask_workers import DaskWorkers
 from tests.unit.service.campaigns.diagnosis_bench import (
     NOBODY,
     POSES,

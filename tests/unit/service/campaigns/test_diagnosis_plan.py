@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from drivers.ports import SweepMode
-from service.errors import BadInput
-from service.geometry.cell import Cell, read_cell
 from service.identification.design.diagnosis_sweeps import BLOCKS, DesignedSweep, full_design
 from service.identification.estimates.torque_gain import KnownMass
 from service.identification.model.regressor import gravity_terms
+from service.model.errors import BadInput
+from service.model.geometry.cell import Cell, read_cell
+from service.model.robot import Robot, build_robot
 from service.planning.compiled_plan import plan_of
 from service.planning.diagnosis.documents import DiagnosisPlan, DiagnosisRequest, ExperimentRequest, limits
 from service.planning.diagnosis.plan import build_diagnosis_plan, build_experiment_plan
-from service.robot import Robot, build_robot
-from service.safety.envelope import Envelope
+from service.planning.safety.envelope import Envelope
 from service.store.diagnosis_documents import BoltedMass
 from service.store.documents import PlanRecord
 

@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.ports import SampleBlock, Sine, SweepCommand, SweepMode
-from service.errors import EnvelopeViolation
-from service.geometry.cell import Box, Cell
 from service.identification.estimates.torque_gain import KnownMass
-from service.robot import Robot
-from service.safety.envelope import Envelope, peak_acceleration, peak_velocity, travel_bounds
+from service.model.errors import EnvelopeViolation
+from service.model.geometry.cell import Box, Cell
+from service.model.robot import Robot
+from service.planning.safety.envelope import Envelope, peak_acceleration, peak_velocity, travel_bounds
 from tests.unit.service.campaigns.small_arm import small_arm
 
 POSE = (-0.5, 0.3)

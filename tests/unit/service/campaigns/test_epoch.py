@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from drivers.errors import Cause, CauseCode
-from service.campaigns.live import EventFeed
-from service.errors import Superseded
-from service.execution.approvals import Approvals
-from service.execution.epoch import Epochs, Intention
-from service.execution.external_stops import watching
+from service.machine.execution.approvals import Approvals
+from service.machine.execution.epoch import Epochs, Intention
+from service.machine.execution.external_stops import watching
+from service.model.errors import Superseded
+from service.planning.campaigns.live import EventFeed
 from service.store.approvals import ApprovalStore
 from service.store.documents import CampaignState
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, keeping, until

@@ -7,22 +7,22 @@ from pathlib import Path
 
 import pytest
 
-from service.campaigns.live import EventFeed
-from service.diagnosis_loop.diagnosing import Diagnosing
-from service.diagnosis_loop.experiments import ROUNDS, Experiments
-from service.errors import BadInput, Conflict
+from service.jobs.diagnosis_loop.diagnosing import Diagnosing
+from service.jobs.diagnosis_loop.experiments import ROUNDS, Experiments
+from service.jobs.worker.dask_workers import DaskWorkers
+from service.model.errors import BadInput, Conflict
+from service.model.robot import Robot
+from service.planning.campaigns.live import EventFeed
 from service.planning.diagnosis.documents import PEAK_VELOCITY
 from service.planning.machine_setup import MachineSetup
-from service.robot import Robot
-from service.safety.envelope import Envelope
-from service.safety.robot_and_machine import DriveAxis
-from service.settings import Settings
-from service.settings.workers import Cluster
+from service.planning.safety.envelope import Envelope
+from service.planning.safety.robot_and_machine import DriveAxis
+from service.process.settings import Settings
+from service.process.settings.workers import Cluster
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis.model_revisions import ModelStore
 from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, NewDiagnosis
 from service.store.documents import CampaignState, NewSweep
-from service.worker.dask_workers import DaskWorkers
 from tests.stored.documents import axis_document, diagnosis_document, stored
 from tests.unit.service.campaigns.conftest import Bench, open_bench, spec, until
 

@@ -8,16 +8,23 @@ import numpy as np
 import pytest
 
 from drivers.registry import load_profile
-from service.configuration import read_robot
-from service.errors import Conflict
-from service.geometry.cell import read_cell
+from service.model.configuration import read_robot
+from service.model.errors import Conflict
+from service.model.geometry.cell import read_cell
+from service.model.robot import Robot, build_robot
 from service.planning.compiled_plan import compile_plan, planned_sweeps
 from service.planning.machine_setup import MachineSetup
 from service.planning.plan import PlanRequest, build_plan
-from service.robot import Robot, build_robot
-from service.safety.envelope import EnvelopeViolation
-from service.safety.robot_and_machine import COMPARED, DriveAxis, DriveProfile, differences, narrowed, on_machine
-from service.settings import Settings
+from service.planning.safety.envelope import EnvelopeViolation
+from service.planning.safety.robot_and_machine import (
+    COMPARED,
+    DriveAxis,
+    DriveProfile,
+    differences,
+    narrowed,
+    on_machine,
+)
+from service.process.settings import Settings
 from service.store.database import open_database
 from service.store.documents import CampaignDocument
 from service.store.store import Store

@@ -13,8 +13,9 @@ import pytest
 from pydantic import JsonValue
 
 from service.jobs.jobs import MOST_REVISIONS, Jobs, open_groups, sweeps_a_revision
-from service.recording import Sweep
-from service.robot import Robot
+from service.jobs.worker import Worker, open_worker
+from service.model.recording import Sweep
+from service.model.robot import Robot
 from service.store.database import open_database
 from service.store.diagnosis.model_revisions import ModelStore
 from service.store.documents import CampaignState, EventKind, SweepDocument, SweepState
@@ -23,7 +24,6 @@ from service.store.files.exchange import import_campaign
 from service.store.files.intake import save_bundle
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
-from service.worker import Worker, open_worker
 from tests.rigid_sweep import rigid_bundle
 from tests.unit.service.campaigns.conftest import spec, until
 from tests.unit.service.campaigns.diagnosis_bench import InProcess

@@ -10,19 +10,19 @@ from typing import Any
 
 import pytest
 
-from service.estimation import estimate_document
-from service.execution.recording.recovery import recover
-from service.identification import spectrum
 from service.identification.axis.known_effects import known_effects
-from service.results.revision import KnownModel, StoredModel
-from service.robot import Robot
-from service.safety.envelope import Envelope
+from service.identification.estimation import estimate_document
+from service.identification.spectra.frequency_response import spectrum
+from service.jobs.worker import open_worker
+from service.machine.execution.recording.recovery import recover
+from service.model.results.revision import KnownModel, StoredModel
+from service.model.robot import Robot
+from service.planning.safety.envelope import Envelope
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis.model_revisions import ModelStore
 from service.store.diagnosis_documents import NewDiagnosis
 from service.store.documents import CampaignState, SweepState
 from service.store.files.exchange import campaign_bundle
-from service.worker import open_worker
 from tests.unit.service.campaigns.conftest import POSES, Bench, open_bench, until
 from tests.unit.service.campaigns.diagnosis_bench import InProcess
 from tests.unit.service.identification.known import model

@@ -15,17 +15,17 @@ from structlog.testing import capture_logs
 
 from drivers.errors import Cause, CauseCode, DriveFault, StopNotConfirmed
 from drivers.ports import AxisState
-from service.application import tell_own_stop
-from service.errors import Conflict, NotFound, NotNow
-from service.execution import sweep_executor
-from service.execution.external_stops import watching
-from service.execution.state.latched_stops import MOST
-from service.execution.state.stop_sequences import HALTED
+from service.machine.execution import sweep_executor
+from service.machine.execution.external_stops import watching
+from service.machine.execution.state.latched_stops import MOST
+from service.machine.execution.state.stop_sequences import HALTED
+from service.model.errors import Conflict, NotFound, NotNow
 from service.store.documents import CampaignState, SweepState
 from service.store.guards import LeaseLost, MachineLease, StopLatch
 from service.store.people.audit import AuditStore
 from service.store.people.keys import KeyStore
 from service.store.people.writer import AuditWriter
+from service.web.application import tell_own_stop
 from tests.unit.service.campaigns.conftest import LEASE_TIME, TIMEOUT, Bench, keeping, refusing, until
 
 pytestmark = pytest.mark.slow
@@ -310,7 +310,7 @@ async def test_a_stop_that_the_database_does_not_take_is_seen_and_released_once_
 async def test_what_the_database_did_not_take_is_noted_once_it_does(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.execution.state.latched_stops.AGAIN", 0.02)
+    monkeypatch.setattr("service.machine.execution.state.latched_stops.AGAIN", 0.02)
     await bench.machine.connect()
     with refusing(bench, "INSERT ON stop"), capture_logs() as logs:
         told = [await bench.machine.stop(by, "smoke") for by in ("ada", "berta")]

@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 
 from drivers.registry import load_profile
-from service.campaigns.plan_subject import MadeFor
-from service.configuration import read_robot
-from service.errors import BadInput, Conflict
+from service.model.configuration import read_robot
+from service.model.errors import BadInput, Conflict
 from service.planning.ahead import Range, check_seen, with_approach
+from service.planning.campaigns.plan_subject import MadeFor
 from service.planning.machine_setup import MachineSetup, NeedsConfirmation, machine_setup
-from service.settings import Settings
+from service.process.settings import Settings
 from service.store.documents import CampaignState, RobotDocument
 from service.store.store import Store
 from tests.unit.service.campaigns.conftest import REACHED, ROOT, Bench

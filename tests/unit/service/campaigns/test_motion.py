@@ -5,8 +5,8 @@ import asyncio
 import pytest
 
 from drivers.errors import CommunicationLost, StopNotConfirmed
-from service.errors import Conflict, EnvelopeViolation
-from service.safety.envelope import Envelope
+from service.model.errors import Conflict, EnvelopeViolation
+from service.planning.safety.envelope import Envelope
 from tests.unit.service.campaigns.conftest import Bench, command
 
 pytestmark = pytest.mark.slow

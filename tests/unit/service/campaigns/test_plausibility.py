@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from service.execution.recording.plausibility import ImplausibleChannels, check_channels
-from service.recording import Recording, Sine, SweepSpec
+from service.machine.execution.recording.plausibility import ImplausibleChannels, check_channels
+from service.model.recording import Recording, Sine, SweepSpec
 
 RATE = 250.0
 SPEC = SweepSpec(

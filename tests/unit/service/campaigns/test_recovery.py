@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import Cause, CauseCode
-from service.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
-from service.execution.recording.recorder import Recorder
-from service.execution.recording.recovery import recover
-from service.robot import Robot
-from service.safety.envelope import Envelope
+from service.machine.execution.recording.recorder import Recorder
+from service.machine.execution.recording.recovery import recover
+from service.model.robot import Robot
+from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
+from service.planning.safety.envelope import Envelope
 from service.store.documents import CampaignState, RecordingState, SweepState
 from service.store.files.recordings import Run
 from tests.unit.service.campaigns.conftest import POSES, Bench, command, open_bench

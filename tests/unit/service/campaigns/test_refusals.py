@@ -11,8 +11,8 @@ from sqlalchemy.exc import SQLAlchemyError
 from structlog.testing import capture_logs
 
 from drivers.errors import DriveFault
-from service.errors import Conflict
-from service.execution import runner as runner_module
+from service.machine.execution import runner as runner_module
+from service.model.errors import Conflict
 from service.store.documents import CampaignState, RecordingState, SweepState
 from service.store.files.columns import read_columns
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, Taken, refusing, until, until_cancelled

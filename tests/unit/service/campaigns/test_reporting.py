@@ -4,12 +4,12 @@ from typing import Any
 
 import pytest
 
-from service.campaigns.state_machine import SweepEvent, sweep_move
-from service.errors import Conflict, NotFound
-from service.estimation import estimate_document
-from service.identification import spectrum
+from service.identification.estimation import estimate_document
+from service.identification.spectra.frequency_response import spectrum
 from service.jobs.reporting import CONVERGENCE, Reporting, spread
-from service.robot import Robot
+from service.model.errors import Conflict, NotFound
+from service.model.robot import Robot
+from service.planning.campaigns.state_machine import SweepEvent, sweep_move
 from service.store.checks import CheckStore
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis_documents import BoltedMass, NewDiagnosis

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from drivers.errors import CommunicationLost, DriveFault
-from service.errors import Conflict
-from service.recording import Recording
+from service.model.errors import Conflict
+from service.model.recording import Recording
 from service.store.documents import CampaignState, RecordingState, SweepState
 from service.store.files.recordings import Run
 from service.store.store import StaleVersion

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from service.robot import Robot
-from service.safety.envelope import Envelope
+from service.model.robot import Robot
+from service.planning.safety.envelope import Envelope
 from service.store import tables as t
 from service.store.documents import CampaignState
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, open_bench, until

@@ -5,8 +5,8 @@ import asyncio
 import pytest
 
 from drivers.errors import Cause
-from service.errors import Conflict
-from service.execution.sign_of_life import SignOfLife
+from service.machine.execution.sign_of_life import SignOfLife
+from service.model.errors import Conflict
 from service.store.documents import CampaignState, SweepState
 from tests.unit.service.campaigns.conftest import Bench, until, until_cancelled
 from tests.unit.service.campaigns.test_machine import BetweenMotions

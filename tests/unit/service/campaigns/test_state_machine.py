@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from service.campaigns.state_machine import (
+from service.model.errors import Conflict
+from service.planning.campaigns.state_machine import (
     CAMPAIGN,
     SWEEP,
     CampaignEvent,
@@ -15,7 +16,6 @@ from service.campaigns.state_machine import (
     diagrams,
     sweep_move,
 )
-from service.errors import Conflict
 from service.store.documents import CampaignState, SweepState
 
 PAGE = Path(__file__).parents[4] / "docs" / "reference" / "states.md"
@@ -75,5 +75,5 @@ def test_every_state_can_be_reached() -> None:
 
 def test_the_page_of_the_states_is_fresh() -> None:
     assert PAGE.read_text(encoding="utf-8") == diagrams(), (
-        "run: python -m service.campaigns.state_machine > docs/reference/states.md"
+        "run: python -m service.planning.campaigns.state_machine > docs/reference/states.md"
     )

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.ports import AxisState, AxisStatus
-from service.execution.statement import STALE, Condition, Reports
+from service.machine.execution.statement import STALE, Condition, Reports
 
 JOINTS = ("joint_1", "joint_2")
 TICK = 1e-3  # s between two events: neither happens at the same time as the other

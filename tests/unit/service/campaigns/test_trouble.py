@@ -12,7 +12,7 @@ import pytest
 
 from drivers.errors import CommunicationLost, DriveFault
 from drivers.ports import SampleBlock, SweepCommand
-from service.errors import EnvelopeViolation, NotFound
+from service.model.errors import EnvelopeViolation, NotFound
 from service.store.documents import CampaignState, RecordingState, SweepState
 from service.store.files.columns import read_columns
 from tests.unit.service.campaigns.conftest import RAMP, SETTLE, Bench

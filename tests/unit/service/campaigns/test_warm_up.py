@@ -4,11 +4,11 @@ import pytest
 from pydantic import ValidationError
 
 from drivers.ports import SweepMode
-from service.geometry.cell import Cell
 from service.identification.design.excitation import Excitation
+from service.model.geometry.cell import Cell
+from service.model.recording import SweepPurpose
 from service.planning.plan import PlanDocument, PlanRequest, build_plan
 from service.planning.sweep_sequence import least_duration
-from service.recording import SweepPurpose
 from tests.unit.service.campaigns.small_arm import small_arm
 
 

@@ -10,7 +10,7 @@ import pytest
 from service.diagnosis.rows.responses import in_frequency
 from service.diagnosis.sensitivity.predicted_sweeps import expected
 from service.identification.design.diagnosis_sweeps import full_design
-from service.recording import Sweep
+from service.model.recording import Sweep
 from service.store.files.bundle import write_bundle
 from simulator import load_scenario
 from tests.command import carried_out, refused, sweepid

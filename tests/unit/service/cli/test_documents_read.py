@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from service.cli.campaign.measure import plan_number
-from service.errors import BadInput
-from service.results.estimate import Estimate
+from service.model.errors import BadInput
+from service.model.results.estimate import Estimate
 from sweepid.files import read_document
 
 ESTIMATE = Path(__file__).parents[3] / "stored/estimate.json"

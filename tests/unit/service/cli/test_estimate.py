@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 import yaml
 
-from service.benefit import Benefit
 from service.cli.commands.estimate import torque_gain
 from service.cli.recordings.channels import as_document, profile_lines
-from service.errors import BadInput
 from service.identification.axis.channel_timing import ChannelLags, Lag
 from service.identification.spectra.axis_inertia import DriveTrain
+from service.model.errors import BadInput
+from service.report.benefit import Benefit
 from service.store.files.bundle import write_bundle
 from sweepid.files import read_gains
 from tests.command import carried_out, refused, sweepid

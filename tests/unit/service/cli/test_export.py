@@ -10,14 +10,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from service.configuration import read_robot
-from service.errors import BadInput
-from service.export.sheets.load import Load, load_of
-from service.export.sheets.making import check_sheet, fingerprint, sheet
-from service.export.sheets.text import as_markdown
-from service.results.estimate import Estimate
-from service.results.identified.payload import Payload
-from service.results.identified.sheet import Sheet
+from service.formats.export.sheets.load import Load, load_of
+from service.formats.export.sheets.making import check_sheet, fingerprint, sheet
+from service.formats.export.sheets.text import as_markdown
+from service.model.configuration import read_robot
+from service.model.errors import BadInput
+from service.model.results.estimate import Estimate
+from service.model.results.identified.payload import Payload
+from service.model.results.identified.sheet import Sheet
 from service.store.files.bundle import read_bundle
 from tests.command import carried_out, refused, sweepid
 from tests.stored.documents import payload, stored

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import yaml
 
-from service.configuration import read_robot
-from service.errors import BadInput
-from service.geometry.cell import read_cell
-from service.geometry.collision import CollisionChecker
+from service.model.configuration import read_robot
+from service.model.errors import BadInput
+from service.model.geometry.cell import read_cell
+from service.model.geometry.collision import CollisionChecker
 from tests.command import carried_out, refused, sweepid
 from tests.makers_robots import MAKERS, Maker, share, told_of
 

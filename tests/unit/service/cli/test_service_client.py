@@ -9,8 +9,8 @@ from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
-from service.client import ServiceClient, ServiceProblem, ServiceUnreachable
-from service.errors import BadInput
+from service.model.errors import BadInput
+from service.web.client import ServiceClient, ServiceProblem, ServiceUnreachable
 
 
 class Handler(BaseHTTPRequestHandler):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from service.data_check import Finding, check, findings_document, untrustworthy
-from service.recording import Sweep
-from service.robot import Robot, build_robot
+from service.model.recording import Sweep
+from service.model.robot import Robot, build_robot
 from tests.unit.service.data_check.conftest import (
     AMPLITUDE,
     INERTIA,

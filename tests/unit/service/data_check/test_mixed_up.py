@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from service.data_check import check
-from service.recording import Sweep
-from service.robot import Robot
+from service.model.recording import Sweep
+from service.model.robot import Robot
 from tests.unit.service.data_check.conftest import OFFSET, POSE, RATED, lift_sweep
 
 RATIO = 170.0

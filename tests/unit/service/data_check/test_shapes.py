@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 import sweepid
 from service.data_check import check, findings_document
-from service.errors import BadInput
-from service.recording import Recording, Sweep
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.recording import Recording, Sweep
+from service.model.robot import Robot
 from service.store.files.bundle import Bundle, read_bundle, write_bundle
 from service.store.files.columns import write_columns
 from tests.unit.service.data_check.conftest import OFFSET, RATED, lift_sweep, pair

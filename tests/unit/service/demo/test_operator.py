@@ -5,9 +5,9 @@ from typing import Any, cast
 
 import pytest
 
-from service.client import HOST_WATCH, Json, ServiceClient, ServiceProblem
-from service.demo.hidden import Found
-from service.demo.operator import CampaignFailed, Operator
+from service.cli.demo.hidden import Found
+from service.cli.demo.operator import CampaignFailed, Operator
+from service.web.client import HOST_WATCH, Json, ServiceClient, ServiceProblem
 from tests.stored.documents import axis_document, diagnosis_document
 
 

@@ -11,11 +11,11 @@ from service.diagnosis.fit.parameters import Parameter
 from service.diagnosis.rows.rigid import load_rows, nominal_load
 from service.diagnosis.rows.signals import tracks
 from service.diagnosis.sensitivity.predicted_sweeps import expected
-from service.errors import BadInput
 from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design
 from service.identification.estimates.torque_gain import KnownMass
-from service.recording import Sweep
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.recording import Sweep
+from service.model.robot import Robot
 from tests.unit.service.diagnosis.following import SLOW, known_to
 
 pytestmark = pytest.mark.slow

@@ -15,8 +15,8 @@ from service.diagnosis.effects.effect import Model
 from service.diagnosis.effects.friction.friction_temperature_drift import warmth
 from service.diagnosis.rows.signals import Tracks, bristle, tracks
 from service.diagnosis.sensitivity.predicted_sweeps import expected
-from service.errors import BadInput
 from service.identification.design.diagnosis_sweeps import full_design
+from service.model.errors import BadInput
 from tests.numeric.campaign import max100
 
 

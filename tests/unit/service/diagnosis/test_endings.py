@@ -25,9 +25,9 @@ from service.diagnosis.fit.solving import NotFinite, covariance, given_rest, sol
 from service.diagnosis.model.link_deviations import inertia_factors
 from service.diagnosis.rows.rigid import nominal_load
 from service.diagnosis.unfinished import unfinished
-from service.errors import BadInput
 from service.identification.design.diagnosis_sweeps import full_design
-from service.recording import Sweep
+from service.model.errors import BadInput
+from service.model.recording import Sweep
 from service.report import diagnosis_page
 from tests.numeric.campaign import max100
 from tests.stored.documents import axis_document as stored_axis

@@ -11,7 +11,7 @@ from service.diagnosis.fit.gap import Gap, gap
 from service.diagnosis.model.held_out_check import HeldOutCheck, check_held_out
 from service.diagnosis.rows.signals import tracks
 from service.identification.design.diagnosis_sweeps import full_design
-from service.recording import Recording, Sweep
+from service.model.recording import Recording, Sweep
 from simulator import DriveTrain, Measurement, Scenario, run_sweeps
 from tests.numeric.campaign import max100, scenario_named
 from tests.unit.service.diagnosis.test_twin import run_of

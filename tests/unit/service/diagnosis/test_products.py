@@ -9,7 +9,7 @@ from service.diagnosis.fit.cross_products import PLAIN, Group, Piece, between_pe
 from service.diagnosis.rows.periods import in_periods
 from service.diagnosis.rows.responses import bins, in_frequency
 from service.diagnosis.rows.signals import lowpass, row_samples
-from service.recording import Recording, Sweep, SweepSpec
+from service.model.recording import Recording, Sweep, SweepSpec
 
 RATE = 250.0
 

@@ -14,7 +14,7 @@ from service.diagnosis.verdict import Verdict
 from service.identification.design.diagnosis_sweeps import full_design
 from service.identification.model.base_parameters import joint_ranges, reduce_columns
 from service.identification.model.regressor import parameter_names
-from service.recording import Sweep
+from service.model.recording import Sweep
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import FORWARD, following, heavier, known_to, swept
 

@@ -15,12 +15,12 @@ from service.diagnosis.fit.equations import Term
 from service.diagnosis.fit.parameters import Parameter
 from service.diagnosis.rows.rigid import load_rows, nominal_parameters, parameter_spread
 from service.diagnosis.rows.signals import Tracks
-from service.errors import BadInput
-from service.estimation import estimate_document, sweep_spectrum
-from service.export.started_robot import started_from
+from service.formats.export.started_robot import started_from
 from service.identification.design.diagnosis_sweeps import full_design
-from service.recording import Sweep
-from service.robot import INERTIAL_NAMES, Robot
+from service.identification.estimation import estimate_document, sweep_spectrum
+from service.model.errors import BadInput
+from service.model.recording import Sweep
+from service.model.robot import INERTIAL_NAMES, Robot
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, SLOW, following, known_to, swept
 

@@ -9,9 +9,9 @@ import pytest
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.fit.equations import Term, grouped
 from service.diagnosis.rows.signals import tracks
-from service.errors import BadInput
 from service.identification.design.diagnosis_sweeps import full_design
-from service.recording import Sweep
+from service.model.errors import BadInput
+from service.model.recording import Sweep
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import FORWARD, RATE, SLOW, following, swept
 

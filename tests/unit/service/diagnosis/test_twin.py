@@ -22,9 +22,9 @@ from service.diagnosis.model.twin import Run, torques, ways
 from service.diagnosis.rows.rigid import load_rows, nominal_load, nominal_parameters
 from service.diagnosis.rows.signals import Tracks, laid_out, tracks
 from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design
-from service.recording import Recording, Sweep
-from service.results.diagnosis import DiagnosedModel
-from service.robot import Robot
+from service.model.recording import Recording, Sweep
+from service.model.results.diagnosis import DiagnosedModel
+from service.model.robot import Robot
 from simulator import Measurement, Motion, SweepRun, load_scenario, replay, run_sweeps
 from simulator.moving_axis import moving_axis
 from simulator.rigid_body import RigidBody

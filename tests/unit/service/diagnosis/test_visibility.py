@@ -8,7 +8,7 @@ from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.equations import applies
 from service.diagnosis.sensitivity.visibility import Hidden, untestable
 from service.identification.design.diagnosis_sweeps import BLOCKS, REVISITED, full_design, paper_design
-from service.results.diagnosis import AxisDiagnosis, standing_of
+from service.model.results.diagnosis import AxisDiagnosis, standing_of
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, equations_of, following, known_to, swept
 

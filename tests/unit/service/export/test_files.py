@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import yaml
 
-from service.configuration import read_robot
-from service.errors import BadInput
-from service.export import identified_model, model_files, write_model
-from service.export.mjcf import quaternion
+from service.formats.export import identified_model, model_files, write_model
+from service.formats.export.mjcf import quaternion
 from service.identification.estimates.worth import AxisWorth, Worth
 from service.identification.model.physical_consistency import is_physical
-from service.robot import INERTIAL_NAMES, Axis, Robot, RobotDescription, build_robot, rotation_about
-from service.urdf import read_chain, read_inertial
+from service.model.configuration import read_robot
+from service.model.errors import BadInput
+from service.model.robot import INERTIAL_NAMES, Axis, Robot, RobotDescription, build_robot, rotation_about
+from service.model.urdf import read_chain, read_inertial
 from tests.unit.service.export.conftest import estimate_of
 
 _mujoco = cast(Any, mujoco)  # a binary module without type stubs

@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from service.export import IdentifiedModel, identified_model, model_files, write_model
+from service.formats.export import IdentifiedModel, identified_model, model_files, write_model
 from service.identification.model.regressor import axis_rows
-from service.robot import Robot
+from service.model.robot import Robot
 from tests.unit.service.export.conftest import estimate_of
 
 _mujoco = cast(Any, mujoco)  # a binary module without type stubs

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from service.errors import BadInput
-from service.fleet.chart import FEWEST, AlarmRate, looks
-from service.fleet.history import History, Measurement, between_campaigns
-from service.fleet.siblings import outliers
+from service.identification.fleet.chart import FEWEST, AlarmRate, looks
+from service.identification.fleet.history import History, Measurement, between_campaigns
+from service.identification.fleet.siblings import outliers
+from service.model.errors import BadInput
 
 pytestmark = pytest.mark.slow
 

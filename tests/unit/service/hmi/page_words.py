@@ -4,7 +4,7 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
-import service.hmi.pages as pages
+import service.web.hmi.pages as pages
 
 STATIC = Path(pages.__file__).parent / "static"
 SCRIPTS = {path.name: path.read_text("utf-8") for path in sorted(STATIC.glob("*.js"))}

@@ -49,7 +49,7 @@ def test_an_axis_that_a_way_confirmed_is_not_named(
     tmp_path: Path, answers: list[Answer], read: str, axes: list[str]
 ) -> None:
     module, presses, place = tmp_path / "pressed.mjs", tmp_path / "presses.json", tmp_path / "told.json"
-    shutil.copy(str(files("service.hmi") / "static" / "pressed.js"), module)
+    shutil.copy(str(files("service.web.hmi") / "static" / "pressed.js"), module)
     presses.write_text(json.dumps([{"until": 1.2, "answers": answers}]), "utf-8")
     subprocess.run([NODE, SCRIPT, module, presses, place], check=True, timeout=60)
     (told,) = json.loads(place.read_text("utf-8"))

@@ -10,12 +10,12 @@ from drivers.ports import AxisState
 from service.data_check.finding import Severity
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.experiments import FULL_DESIGN, MORE_POSES, TEST_MASS, WARM_UP
-from service.hmi.pages import texts
 from service.identification.design.diagnosis_sweeps import BLOCKS
-from service.people.permissions import PERMISSIONS, Role
-from service.results.diagnosis import Verdict
+from service.model.results.diagnosis import Verdict
+from service.store.access.permissions import PERMISSIONS, Role
 from service.store.diagnosis_documents import DiagnosisState
 from service.store.documents import CampaignState
+from service.web.hmi.pages import texts
 from tests.unit.service.hmi.page_words import DOCUMENTS, SCRIPTS, literals, named, read, words
 
 TEXTS = texts()

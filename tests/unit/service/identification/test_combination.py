@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.errors import BadInput
 from service.identification.design.exciting_trajectory import Shape, TrajectoryLimits, design_trajectory, steady_motion
 from service.identification.estimates.combination import (
     AxisInertias,
@@ -19,8 +18,9 @@ from service.identification.model.parameter_prior import nominal_parameters
 from service.identification.model.regressor import axis_rows
 from service.identification.model.whole_base import dynamic_base
 from service.identification.motion.trajectory_record import AxisTrack, TrajectoryRecord
-from service.recording import SweepSpec
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.recording import SweepSpec
+from service.model.robot import Robot
 from tests.random_chain import random_arm
 
 pytestmark = pytest.mark.slow

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from service.errors import BadInput
 from service.identification.model.convergence import converged, finite, unsettled
+from service.model.errors import BadInput
 
 
 def rosenbrock(x: np.ndarray) -> np.ndarray:

@@ -19,8 +19,8 @@ from service.identification.design.excitation import CREST, Excitation, design_s
 from service.identification.estimates.document import as_document
 from service.identification.estimates.estimate import identify
 from service.identification.spectra.frequency_response import Spectrum, spectrum
-from service.recording import Recording, Sweep
-from service.robot import Robot
+from service.model.recording import Recording, Sweep
+from service.model.robot import Robot
 from tests.numeric.campaign import spec_of
 
 pytestmark = pytest.mark.slow

@@ -7,15 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.errors import BadInput
-from service.identification import Spectrum, as_document, identify, spectrum
 from service.identification.axis import joint_fit
 from service.identification.design.excitation import design_sweep, velocity_setpoint
 from service.identification.estimates import estimate as estimates
+from service.identification.estimates.document import as_document
+from service.identification.estimates.estimate import identify
 from service.identification.model import physical_consistency
 from service.identification.model.regressor import gravity_terms, inertia_rows
-from service.recording import Recording, Sweep
-from service.robot import Robot
+from service.identification.spectra.frequency_response import Spectrum, spectrum
+from service.model.errors import BadInput
+from service.model.recording import Recording, Sweep
+from service.model.robot import Robot
 from tests.numeric.campaign import spec_of
 
 

@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.errors import BadInput
 from service.identification.design.excitation import LINES, design_sweep, velocity_setpoint
-from service.robot import Axis, Robot, RobotDescription, build_robot
+from service.model.errors import BadInput
+from service.model.robot import Axis, Robot, RobotDescription, build_robot
 from tests.unit.service.identification.conftest import URDF
 
 POSE = np.zeros(2)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from service.errors import BadInput
 from service.identification.design.excitation import velocity_setpoint
 from service.identification.design.exciting_trajectory import (
     Shape,
@@ -14,7 +13,8 @@ from service.identification.design.exciting_trajectory import (
     steady_motion,
 )
 from service.identification.model.whole_base import dynamic_base
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.robot import Robot
 from tests.random_chain import random_arm
 
 pytestmark = pytest.mark.slow

@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.errors import BadInput
-from service.estimation import estimate_document, sweep_spectrum
 from service.identification.estimates.combination import combine
+from service.identification.estimation import estimate_document, sweep_spectrum
 from service.identification.motion.equations import mean_sign
 from service.identification.motion.free_motion import at_once, calibrated, free_motions, with_loads
 from service.identification.motion.noise import Colour, stretches
 from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.low_pass import low_pass, memory
-from service.recording import Recording, Sweep, SweepSpec
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.recording import Recording, Sweep, SweepSpec
+from service.model.robot import Robot
 from tests.random_chain import random_arm
 
 RATE = 200.0

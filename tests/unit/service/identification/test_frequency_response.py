@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.errors import BadInput
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.identification.spectra.time_domain import fit_record
-from service.recording import Recording, Sine, Sweep, SweepSpec
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.recording import Recording, Sine, Sweep, SweepSpec
+from service.model.robot import Robot
 from tests.formula_sweep import Turning, by_formula
 
 RATE = 250.0

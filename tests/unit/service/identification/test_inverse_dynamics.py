@@ -6,7 +6,7 @@ import pytest
 
 from service.identification.model.inverse_dynamics import Motion, dynamics_names, dynamics_rows, link_rows
 from service.identification.model.regressor import axis_rows
-from service.urdf import read_chain
+from service.model.urdf import read_chain
 from tests.random_chain import random_urdf
 
 GRAVITY = np.array([0.3, -1.2, -9.81])

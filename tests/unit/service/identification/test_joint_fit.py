@@ -8,7 +8,6 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lsim
 
-from service.errors import BadInput
 from service.identification.axis import joint_fit
 from service.identification.axis.joint_fit import Ended, complete_prior, fit_axis
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
@@ -16,8 +15,9 @@ from service.identification.axis.sweep_model import SHARED, direct_terms, effort
 from service.identification.design.excitation import design_sweep, velocity_setpoint
 from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Spectrum, spectrum
-from service.recording import Recording, Sweep
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.recording import Recording, Sweep
+from service.model.robot import Robot
 from tests.formula_sweep import Turning, by_formula, lines
 from tests.numeric.campaign import spec_of
 

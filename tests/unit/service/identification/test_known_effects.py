@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.errors import BadInput
+from service.model.errors import BadInput
 from tests.unit.service.identification.known import known, model, read
 
 FRICTION = {"coulomb": (90.0, 2.0), "extra": (40.0, 3.0), "velocity": (0.006, 0.0005), "exponent": (2.0, 0.1)}

@@ -9,8 +9,8 @@ import pytest
 from service.identification.axis.known_effects import KnownAxis
 from service.identification.axis.known_torque import Corrected, Load, corrected, motion_of
 from service.identification.spectra.frequency_response import Spectrum, spectrum
-from service.recording import Sine
-from service.robot import Robot
+from service.model.recording import Sine
+from service.model.robot import Robot
 from tests.formula_sweep import by_formula, turning
 from tests.unit.service.identification.known import Parameters, known
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.errors import BadInput
 from service.identification.spectra.axis_inertia import DriveTrain, impedance
 from service.identification.spectra.noise_response import NoiseSpectrum, noise_response, noise_spectrum
-from service.recording import Recording, Sweep, SweepSpec
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.recording import Recording, Sweep, SweepSpec
+from service.model.robot import Robot
 
 TRAIN = DriveTrain(58.0, 140.0, 60.0, 1 / 7.4e5, 1.2e-3)
 FREQUENCY = np.arange(2, 60) / 1.6

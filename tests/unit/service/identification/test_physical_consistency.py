@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.errors import BadInput
 from service.identification.model.base_parameters import base_parameters
 from service.identification.model.physical_consistency import (
     Ended,
@@ -15,7 +14,8 @@ from service.identification.model.physical_consistency import (
     nearest_physical,
     pseudo_inertia,
 )
-from service.urdf import Chain, read_chain
+from service.model.errors import BadInput
+from service.model.urdf import Chain, read_chain
 from tests.random_chain import random_urdf
 
 pytestmark = pytest.mark.slow

@@ -5,7 +5,6 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from service.errors import BadInput
 from service.identification.design.pose_selection import (
     RIDGE,
     SLACK,
@@ -15,6 +14,7 @@ from service.identification.design.pose_selection import (
     condition_numbers,
     select_poses,
 )
+from service.model.errors import BadInput
 from tests.naive_selection import naive_condition
 
 

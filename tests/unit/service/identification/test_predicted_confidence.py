@@ -12,7 +12,7 @@ from service.identification.design.predicted_confidence import (
     sweep_information,
     without_gain,
 )
-from service.recording import Sine
+from service.model.recording import Sine
 
 SINES = tuple(Sine(frequency=f, amplitude=a, phase=0.0) for f, a in ((2.0, 0.003), (3.0, 0.002), (5.0, 0.001)))
 RATED, DURATION, LOAD = 3000.0, 5.0, 150.0

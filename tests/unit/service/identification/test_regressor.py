@@ -14,7 +14,7 @@ from service.identification.model.regressor import (
     lock,
     parameter_names,
 )
-from service.urdf import read_chain
+from service.model.urdf import read_chain
 from tests.random_chain import random_urdf
 
 GRAVITY = np.array([0.0, 0.0, -9.81])

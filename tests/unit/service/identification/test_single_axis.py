@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.errors import BadInput
-from service.estimation import estimate_document
-from service.identification import Spectrum, identify, spectrum
-from service.recording import Sine
-from service.robot import Robot
+from service.identification.estimates.estimate import identify
+from service.identification.estimation import estimate_document
+from service.identification.spectra.frequency_response import Spectrum, spectrum
+from service.model.errors import BadInput
+from service.model.recording import Sine
+from service.model.robot import Robot
 from tests.formula_sweep import Turning, by_formula
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from service.identification.design.excitation import Excitation, velocity_setpoint
 from service.identification.design.sweep_path import peak_jerk, way
-from service.recording import Sine
+from service.model.recording import Sine
 
 
 def numbers(low: float, high: float) -> st.SearchStrategy[float]:

@@ -10,7 +10,7 @@ from service.identification.model.base_parameters import BaseParameters, base_pa
 from service.identification.model.expressions import Search, Term, products
 from service.identification.model.regressor import lock, parameter_names
 from service.identification.model.symbols import Dimension, dimensions, symbolic_names, with_dimensions
-from service.urdf import Chain, read_chain
+from service.model.urdf import Chain, read_chain
 from tests.random_chain import random_urdf
 
 MAX100 = Path(__file__).parents[4] / "config/robots/max100-class.urdf"

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.errors import BadInput
 from service.identification.motion.trajectory_record import (
     AxisTrack,
     TrajectoryRecord,
@@ -18,8 +17,9 @@ from service.identification.motion.trajectory_record import (
     with_loads,
 )
 from service.identification.spectra.axis_inertia import DriveTrain
-from service.recording import Recording, Sine, Sweep, SweepSpec
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.recording import Recording, Sine, Sweep, SweepSpec
+from service.model.robot import Robot
 from tests.random_chain import random_arm
 
 RATE, PERIOD, PERIODS, START = 200.0, 2.0, 3, 1.0

@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.estimation import estimate_document
-from service.identification import Spectrum, identify, spectrum
+from service.identification.estimates.estimate import identify
+from service.identification.estimation import estimate_document
 from service.identification.model.least_squares import Information
-from service.recording import Sine
-from service.robot import Robot, build_robot
+from service.identification.spectra.frequency_response import Spectrum, spectrum
+from service.model.recording import Sine
+from service.model.robot import Robot, build_robot
 from tests.formula_sweep import Turning, by_formula
 
 SINES = tuple(Sine(frequency=f, amplitude=0.004) for f in (2.0, 3.0, 5.0))

@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from service.errors import BadInput
-from service.geometry.hull import read_hull, write_hull
-from service.maker_urdf.hulls import FINEST, MOST_VERTICES, convex_hull, embed_hulls, solid
-from service.maker_urdf.inertials import DENSITY, check_inertials
-from service.maker_urdf.packages import Packages
-from service.urdf import read_chain
+from service.formats.maker_urdf.hulls import FINEST, MOST_VERTICES, convex_hull, embed_hulls, solid
+from service.formats.maker_urdf.inertials import DENSITY, check_inertials
+from service.formats.maker_urdf.packages import Packages
+from service.model.errors import BadInput
+from service.model.geometry.hull import read_hull, write_hull
+from service.model.urdf import read_chain
 
 ARM = """<robot name="arm"><link name="base"/><joint name="j" type="revolute"><parent link="base"/><child link="tip"/>
 <axis xyz="0 0 1"/>

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.errors import BadInput
-from service.maker_urdf import collada, meshes, packages
-from service.maker_urdf.meshes import mesh_points
-from service.maker_urdf.packages import Packages
+from service.formats.maker_urdf import collada, meshes, packages
+from service.formats.maker_urdf.meshes import mesh_points
+from service.formats.maker_urdf.packages import Packages
+from service.model.errors import BadInput
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]])
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.errors import BadInput
-from service.settings import Settings
-from service.settings.object_store import StoreAddress, store_address
+from service.model.errors import BadInput
+from service.process.settings import Settings
+from service.process.settings.object_store import StoreAddress, store_address
 from service.store.files.columns import read_columns
 from service.store.files.recordings import RecordingFile, file_sha256
 from service.store.objects.cache import make_room

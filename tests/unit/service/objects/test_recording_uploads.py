@@ -9,20 +9,20 @@ from pathlib import Path
 
 import pytest
 
-from service.backup.examination import examine
-from service.backup.making import make_backup
-from service.backup.restoring import restore
-from service.errors import BadInput, NotNow
 from service.jobs.recording_uploads import RecordingUploads
-from service.settings import Settings
-from service.settings.object_store import StoreAddress
+from service.jobs.worker.transfers import Transfers
+from service.model.errors import BadInput, NotNow
+from service.process.settings import Settings
+from service.process.settings.object_store import StoreAddress
+from service.process.tasks.background import Background
+from service.store.backup.examination import examine
+from service.store.backup.making import make_backup
+from service.store.backup.restoring import restore
 from service.store.database import open_database
 from service.store.documents import RecordingDocument
 from service.store.files.recordings import RecordingFiles
 from service.store.objects.moves import MoveStore
 from service.store.store import Store
-from service.tasks.background import Background
-from service.worker.transfers import Transfers
 from tests.object_store_server import BUCKET, S3Server, Wire
 
 pytestmark = pytest.mark.slow

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 import yaml
 
-from service.configuration import read_robot, read_yaml
-from service.errors import BadInput
-from service.geometry.cell import Cell
-from service.paths.control import Control, read_control
-from service.paths.export import export_paths
+from service.formats.traces.mapping import Mapping
+from service.machine.paths.control import Control, read_control
+from service.machine.paths.export import export_paths
+from service.model.configuration import read_robot, read_yaml
+from service.model.errors import BadInput
+from service.model.geometry.cell import Cell
+from service.model.robot import Robot
 from service.planning.plan import PlanDocument
-from service.robot import Robot
-from service.traces.mapping import Mapping
 from tests.unit.service.paths.conftest import CELL, CONTROL, ROBOT, ROOT
 
 Export = Callable[..., int]

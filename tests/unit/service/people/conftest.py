@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
-from service.people.permissions import Role
+from service.store.access.permissions import Role
 from service.store.database import Database, open_database
 from service.store.people.audit import AuditStore
 from service.store.people.keys import KeyStore

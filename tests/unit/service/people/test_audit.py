@@ -12,9 +12,9 @@ from structlog.testing import capture_logs
 
 from service.cli.commands.audit import export_audit
 from service.cli.commands.people import add_key, list_people
-from service.errors import BadInput, Conflict
-from service.people.audit_chain import FIRST, AuditBroken, canonical, heads_in, read_head, sha256, verify
-from service.people.permissions import LOCAL
+from service.model.errors import BadInput, Conflict
+from service.store.access.audit_chain import FIRST, AuditBroken, canonical, heads_in, read_head, sha256, verify
+from service.store.access.permissions import LOCAL
 from service.store.database import Database, open_database
 from service.store.people.audit import AuditStore
 from service.store.people.audit_heads import AuditHeads

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from service.settings import Settings
+from service.process.settings import Settings
 from tests.unit.service.api.conftest import serving
 from tests.unit.service.people.conftest import calling
 

@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from service.app import create_app
-from service.people.keys import key_sha256, masked, new_key
-from service.people.page import page
-from service.people.permissions import LOGINS, PERMISSIONS, SOCKET, STOP, Permissions, Role, Route
-from service.people.scopes import SCOPES, lacking, scope_of
-from service.settings import Settings
+from service.process.settings import Settings
+from service.store.access.keys import key_sha256, masked, new_key
+from service.store.access.permissions import LOGINS, PERMISSIONS, SOCKET, STOP, Permissions, Role, Route
+from service.store.access.scopes import SCOPES, lacking, scope_of
+from service.web.api.people.permissions_page import page
+from service.web.app import create_app
 
 PAGE = Path("docs/reference/permissions.md")
 
@@ -91,7 +91,7 @@ def test_what_a_key_lacks(route: Route | None, role: Role, scopes: tuple[str, ..
 
 
 def test_the_page_is_fresh(root: Path) -> None:
-    told = "run: python -m service.people.page > docs/reference/permissions.md"
+    told = "run: python -m service.web.api.people.permissions_page > docs/reference/permissions.md"
     assert (root / PAGE).read_text("utf-8") == page(), told
 
 

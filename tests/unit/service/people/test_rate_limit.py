@@ -8,12 +8,12 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.people.keys import new_key
-from service.people.permissions import Role
-from service.people.rate_limit import MOST, WINDOW, Guesses
+from service.store.access.keys import new_key
+from service.store.access.permissions import Role
 from service.store.database import open_database
 from service.store.people.audit import AuditStore
 from service.store.people.keys import KeyStore
+from service.web.api.people.rate_limit import MOST, WINDOW, Guesses
 from tests.unit.service.hosting import hosting
 from tests.unit.service.people.conftest import calling
 

@@ -13,7 +13,7 @@ import pytest
 from sqlalchemy import text
 
 from service.cli.commands.people import revoke_session, sessions
-from service.people.permissions import Role
+from service.store.access.permissions import Role
 from service.store.database import Database, open_database
 from service.store.people.audit import AuditStore
 from service.store.people.sessions import SessionStore

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from service.people.permissions import Role
-from service.people.steady_clock import SteadyClock
+from service.store.access.permissions import Role
+from service.store.access.steady_clock import SteadyClock
 from service.store.database import Database, open_database
 from service.store.people.audit import AuditStore
 from service.store.people.keys import KeyStore

@@ -13,13 +13,13 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from service.client import ServiceClient, ServiceUnreachable
-from service.errors import BadInput
-from service.people.permissions import Role
-from service.settings import Settings
+from service.model.errors import BadInput
+from service.process.settings import Settings
+from service.store.access.permissions import Role
 from service.store.database import open_database
 from service.store.people.keys import KeyStore
 from service.store.people.users import UserStore
+from service.web.client import ServiceClient, ServiceUnreachable
 from tests.programs import needs
 from tests.system.rest_bench import until
 from tests.unit.service.api.conftest import serving

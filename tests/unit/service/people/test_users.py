@@ -12,10 +12,10 @@ import pytest
 from argon2 import PasswordHasher
 from sqlalchemy import select, text
 
-from service.errors import BadInput, Conflict, NotFound
-from service.people.passwords import LEAST, fits, outdated, password_hash
-from service.people.permissions import Role
+from service.model.errors import BadInput, Conflict, NotFound
 from service.store import tables as t
+from service.store.access.passwords import LEAST, fits, outdated, password_hash
+from service.store.access.permissions import Role
 from service.store.database import Database, open_database
 from service.store.people.audit import AuditStore
 from service.store.people.keys import KeyStore

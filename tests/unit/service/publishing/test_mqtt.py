@@ -12,12 +12,12 @@ import psutil
 import pytest
 from aiomqtt import Client, MqttError
 
-from service.errors import BadInput
+from service.model.errors import BadInput
+from service.process.settings.publishing import Mqtt
 from service.publishing import mqtt
 from service.publishing.mqtt import Broker
 from service.publishing.publisher import NOTICES, Publisher
 from service.publishing.state import Configuration, FromPublisher, Notice, State
-from service.settings.publishing import Mqtt
 from tests.mosquitto import PATIENCE, Mosquitto, Secured, broker
 from tests.node_opcua.certificates import certificate
 from tests.unit.service.publishing.conftest import progressed

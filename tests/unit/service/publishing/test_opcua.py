@@ -13,11 +13,11 @@ from asyncua import ua
 from asyncua.client.client import Client
 from asyncua.ua.status_codes import StatusCodes
 
-from service.errors import BadInput
+from service.model.errors import BadInput
+from service.process.settings.publishing import OpcUa
 from service.publishing.opcua.load_type import load_of
 from service.publishing.opcua.server import Server
 from service.publishing.state import FromPublisher, State
-from service.settings.publishing import OpcUa
 from tests.node_opcua import NodeClient, node_client
 from tests.node_opcua.certificates import certificate
 from tests.unit.service.publishing.conftest import progressed

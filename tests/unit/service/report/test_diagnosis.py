@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from service.diagnosis.summary import summary
+from service.model.results.diagnosis import Diagnosis
 from service.report import diagnosis_figures, diagnosis_page
-from service.results.diagnosis import Diagnosis
 from tests.stored.documents import stored
 
 POSES = ([0.1, 0.5, 0.0], [0.1, -0.5, 0.0], [0.1, 0.0, 0.0])

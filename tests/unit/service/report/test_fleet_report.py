@@ -4,9 +4,9 @@ import json
 from datetime import UTC, datetime, timedelta
 
 from service.cli.plant.lines import fleet_lines
-from service.fleet.document import Fleet
-from service.fleet.series import AxisMeasured, CampaignMeasured, in_pose, pose_key
-from service.fleet.survey import RobotMeasured, Rules, survey
+from service.identification.fleet.document import Fleet
+from service.identification.fleet.series import AxisMeasured, CampaignMeasured, in_pose, pose_key
+from service.identification.fleet.survey import RobotMeasured, Rules, survey
 from service.report import fleet_page
 
 START = datetime(2026, 1, 5, tzinfo=UTC)

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from pypdf import PdfReader
 
-from service.errors import NoPdf
+from service.model.errors import NoPdf
+from service.model.results.diagnosis import Diagnosis
+from service.model.robot import Robot
 from service.report import campaign_page, diagnosis_figures, estimate_page
 from service.report.drawing import Figure, Part, figure, line, points, scale
 from service.report.initial_analysis import amplitude_responses, ideal_frequencies
 from service.report.plotting import PAPER, WIDTH, drawn, svg
-from service.results.diagnosis import Diagnosis
-from service.robot import Robot
 from tests.programs import needs
 from tests.stored.documents import stored
 from tests.unit.service.identification.test_ideal_frequency import analysis

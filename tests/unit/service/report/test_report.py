@@ -10,13 +10,13 @@ import pytest
 from service.identification.axis.ideal_frequency import AxisAnalysis
 from service.identification.estimates.analysis_document import analyses_document
 from service.identification.model.regressor import axis_rows, lock
-from service.recording import Recording, Sine, Sweep, SweepSpec
+from service.model.recording import Recording, Sine, Sweep, SweepSpec
+from service.model.results.estimate import BaseParameter, Estimate
+from service.model.robot import INERTIAL_NAMES, Robot, build_robot
 from service.report import Content, Page, Row, analysis_page, axes_of, estimate_page
 from service.report.content import revision
 from service.report.figures import parameter_unit
 from service.report.initial_analysis import amplitude_responses, ideal_frequencies, table
-from service.results.estimate import BaseParameter, Estimate
-from service.robot import INERTIAL_NAMES, Robot, build_robot
 from tests.unit.service.campaigns.small_arm import small_arm
 from tests.unit.service.identification.test_ideal_frequency import FREQUENCY, LOADS, STIFF, analysis
 

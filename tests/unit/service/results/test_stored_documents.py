@@ -8,16 +8,16 @@ import pytest
 from pydantic import BaseModel
 
 from service.diagnosis import experiments, verdict
-from service.errors import BadInput
-from service.results.cell import Bin, Cell
-from service.results.check import DataCheck
-from service.results.diagnosis import AxisDiagnosis, Diagnosis, Verdict
-from service.results.estimate import Estimate
-from service.results.experiment import TEST_MASS
-from service.results.identified.payload import Payload
-from service.results.identified.sheet import Sheet
-from service.results.part import Document
-from service.results.revision import ModelRevision
+from service.model.errors import BadInput
+from service.model.results.cell import Bin, Cell
+from service.model.results.check import DataCheck
+from service.model.results.diagnosis import AxisDiagnosis, Diagnosis, Verdict
+from service.model.results.estimate import Estimate
+from service.model.results.experiment import TEST_MASS
+from service.model.results.identified.payload import Payload
+from service.model.results.identified.sheet import Sheet
+from service.model.results.part import Document
+from service.model.results.revision import ModelRevision
 from tests.stored.documents import stored
 
 KINDS: dict[str, type[Document]] = {

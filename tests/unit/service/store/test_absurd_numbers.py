@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.errors import BadInput
-from service.recording import Recording, Sine, Sweep, SweepSpec
-from service.robot import Axis, Prior, RobotDescription, build_robot, robot_from_outside
+from service.model.errors import BadInput
+from service.model.recording import Recording, Sine, Sweep, SweepSpec
+from service.model.robot import Axis, Prior, RobotDescription, build_robot, robot_from_outside
 from service.store.files.bundle import read_bundle, write_bundle
 
 ABSURD = ("NaN", "Infinity", "-Infinity", "1e308", "-1e308", "1e14", "-1e14")

@@ -13,9 +13,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from service.errors import BadInput
-from service.recording import Recording, Sine, Sweep, SweepSpec
-from service.robot import Axis, Robot, RobotDescription, build_robot
+from service.model.errors import BadInput
+from service.model.recording import Recording, Sine, Sweep, SweepSpec
+from service.model.robot import Axis, Robot, RobotDescription, build_robot
 from service.store.files.bundle import Bundle, read_bundle, write_bundle
 from service.store.files.columns import write_columns
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from sqlalchemy import text
 
-from service.errors import BadInput
-from service.people.audit_chain import verify
-from service.people.permissions import Role
-from service.recording import SweepSpec
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.recording import SweepSpec
+from service.model.robot import Robot
 from service.store import tables as t
+from service.store.access.audit_chain import verify
+from service.store.access.permissions import Role
 from service.store.copying import NotCopied, copy_rows
 from service.store.database import Database, open_database
 from service.store.documents import NewRecording, NewSweep, RecordingState

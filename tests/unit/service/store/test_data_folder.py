@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.errors import BadInput
-from service.recording import Recording, SweepSpec
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.recording import Recording, SweepSpec
+from service.model.robot import Robot
 from service.store.database import open_database
 from service.store.documents import NewRecording, NewSweep, RecordingState
 from service.store.files.data_folder import FILE, ForeignFolder, claim_folder

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from service.errors import BadInput
+from service.model.errors import BadInput
 from service.store.files.bundle import write_bundle
 from service.store.files.intake import read_from
 from tests.recorded_bundle import bundle

@@ -14,9 +14,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from service.errors import BadInput
-from service.recording import Recording, Sweep, SweepSpec
-from service.robot import Robot
+from service.model.errors import BadInput
+from service.model.recording import Recording, Sweep, SweepSpec
+from service.model.robot import Robot
 from service.store.files.bundle import write_bundle
 from service.store.files.intake import take_in
 from service.store.files.isolated_reader import Limits, read_isolated

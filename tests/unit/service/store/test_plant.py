@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from drivers.ports import SweepMode
-from service.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
-from service.errors import NotFound
-from service.recording import SweepSpec
-from service.robot import Robot
+from service.model.errors import NotFound
+from service.model.recording import SweepSpec
+from service.model.robot import Robot
+from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.store.approvals import ApprovalStore
 from service.store.database import Database, open_database
 from service.store.diagnosis.diagnoses import DiagnosisStore

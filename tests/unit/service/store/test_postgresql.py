@@ -12,10 +12,10 @@ from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError, OperationalError
 from sqlalchemy.orm import Session
 
-from service.backup.examination import examine
-from service.backup.examined import examined
-from service.errors import BadInput
-from service.people.audit_chain import verify
+from service.model.errors import BadInput
+from service.store.access.audit_chain import verify
+from service.store.backup.examination import examine
+from service.store.backup.examined import examined
 from service.store.database import open_database
 from service.store.engines.address import parsed_url
 from service.store.engines.postgresql import NotReached

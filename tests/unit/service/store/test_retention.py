@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.errors import BadInput, Conflict, NotFound
-from service.people.audit_chain import Entry
-from service.recording import Recording, SweepSpec
-from service.robot import Robot
+from service.model.errors import BadInput, Conflict, NotFound
+from service.model.recording import Recording, SweepSpec
+from service.model.robot import Robot
 from service.store import tables as t
+from service.store.access.audit_chain import Entry
 from service.store.database import Database, open_database
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis.model_revisions import ModelStore
@@ -216,7 +216,7 @@ def test_an_interrupted_run_is_finished_by_the_next(
 
 
 def test_objects_go_with_their_last_recording(plant: Plant, specs: tuple[SweepSpec, ...], tmp_path: Path) -> None:
-    from service.settings.object_store import store_address
+    from service.process.settings.object_store import store_address
 
     shared = tmp_path / "shared"
     shared.mkdir()

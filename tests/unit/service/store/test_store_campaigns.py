@@ -7,10 +7,10 @@ from pydantic import JsonValue
 from sqlalchemy.exc import IntegrityError
 
 from drivers.errors import Cause, CauseCode
-from service.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
-from service.errors import Conflict, NotFound
-from service.recording import SweepSpec
-from service.robot import Robot
+from service.model.errors import Conflict, NotFound
+from service.model.recording import SweepSpec
+from service.model.robot import Robot
+from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.store import tables as t
 from service.store.database import Database
 from service.store.documents import (

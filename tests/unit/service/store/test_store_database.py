@@ -9,7 +9,7 @@ from sqlalchemy import create_engine, select, text
 from sqlalchemy.exc import IntegrityError, OperationalError
 from sqlalchemy.exc import TimeoutError as NoConnection
 
-from service.robot import Robot
+from service.model.robot import Robot
 from service.store import tables as t
 from service.store.database import Database, open_database, refusal
 from service.store.store import Store

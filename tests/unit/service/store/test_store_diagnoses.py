@@ -2,9 +2,9 @@
 
 import pytest
 
-from service.errors import Conflict, NotFound
-from service.recording import SweepSpec
-from service.robot import Robot
+from service.model.errors import Conflict, NotFound
+from service.model.recording import SweepSpec
+from service.model.robot import Robot
 from service.store.database import Database
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis.model_revisions import ModelStore

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.errors import BadInput, Conflict
-from service.recording import Recording, Sweep, SweepSpec
-from service.robot import Robot
+from service.model.errors import BadInput, Conflict
+from service.model.recording import Recording, Sweep, SweepSpec
+from service.model.robot import Robot
 from service.store.documents import CampaignState, NewSweep, SweepState
 from service.store.files.bundle import Bundle
 from service.store.files.exchange import campaign_bundle, import_campaign

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from service.errors import Conflict, NotFound
+from service.model.errors import Conflict, NotFound
 from service.store.database import Database, open_database
 from service.store.documents import StoredAnswer
 from service.store.guards import LeaseLost, MachineLease, MachineTaken, StopLatch

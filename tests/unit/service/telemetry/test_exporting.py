@@ -6,11 +6,11 @@ import time
 
 import pytest
 
-from service.errors import BadInput
-from service.settings.telemetry import Telemetry
-from service.telemetry import exporting as sending
-from service.telemetry.exporting import exporting
-from service.telemetry.spans import TRACING
+from service.model.errors import BadInput
+from service.process.settings.telemetry import Telemetry
+from service.process.telemetry import exporting as sending
+from service.process.telemetry.exporting import exporting
+from service.process.telemetry.spans import TRACING
 from tests.otlp_collector import collecting
 
 

@@ -1,6 +1,0 @@
-"""The identified robot in the formats of other tools: URDF, MJCF (MuJoCo) and YAML. Text in, text out."""
-
-from service.export.files import model_files, write_model
-from service.export.model import IdentifiedModel, identified_model, model_of
-
-__all__ = ["IdentifiedModel", "identified_model", "model_files", "model_of", "write_model"]

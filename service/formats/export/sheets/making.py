@@ -1,0 +1,172 @@
+"""The values to enter into controls and drives, with uncertainty, validity, and the place of each.
+
+A control takes one inertia per axis, although J depends on the pose: the sheet contains the median over the measured
+poses and the range. On the motor side that is J / u^2, u motor revolutions per joint revolution (rad per m),
+including the motor as in the measurement. Standard deviations: of the model over the workspace if known,
+else the median of the sweeps, and that of the torque constant.
+
+An estimate of the robot does not contain mass, centre and inertia of a load, only combinations of the links'
+parameters. A load comes from `sweepid estimate payload`; the supplementary loads of A1 to A3 are the smallest bodies
+that reproduce the difference from CAD (`supplementary`).
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from pydantic import JsonValue, ValidationError
+
+from service.formats.export.model import IdentifiedModel, model_of
+from service.formats.export.sheets.inertias import of_estimate
+from service.formats.export.sheets.supplementary import UPRIGHT, supplementary
+from service.identification.model.certainty import UNSURE, share_of_value
+from service.identification.model.physical_consistency import is_physical
+from service.model.configuration import bad_field
+from service.model.errors import BadInput
+from service.model.results.estimate import Estimate, EstimatedAxis, StandardParameters
+from service.model.results.identified.sheet import AxisSheet, Ranges, Sheet, SheetBody, SheetParameter
+from service.model.robot import INERTIAL_NAMES, Robot
+
+
+def sheet(
+    robot: Robot,
+    estimate: Estimate,
+    place: str,
+    poses: Mapping[str, Sequence[float]] | None = None,
+    upright: float = UPRIGHT,
+) -> Sheet:
+    """The sheet of an estimate; BadInput if that is of another robot, not physical or not finite.
+
+    `poses`: by sweep, rad (m), if known (from a bundle). `upright`: deg, position of the second joint in the
+    URDF at which a KUKA displays A2 = -90 deg.
+    """
+    if not estimate.axes:
+        raise BadInput(place, "contains no identified parameters: there was no sweep that shows the inertia of an axis")
+    _check_physical(estimate.standard_parameters, place)
+    for joint, axis in estimate.axes.items():
+        if not np.isfinite(share_of_value(axis)):
+            raise BadInput(
+                f"{place} axes.{joint}",
+                "its inertia or torque_gain has the value 0, or a standard deviation without a finite share of it",
+            )
+    known = of_estimate(robot, estimate, place)
+    gain = max((axis.torque_gain.std or 0.0) / axis.torque_gain.value for axis in estimate.axes.values())
+    model = model_of(robot, estimate, place)
+    try:
+        made = Sheet(
+            format="sweepid-sheet",
+            robot=robot.name,
+            source=place,
+            axes=tuple(_axis(robot, joint, axis) for joint, axis in estimate.axes.items()),
+            poses=None if poses is None else _ranges(robot, estimate, poses),
+            base_parameters=tuple(
+                SheetParameter(name=one.name, value=one.value, std=one.std) for one in estimate.base_parameters
+            ),
+            fingerprint="",
+            serial=robot.description.serial or "",
+            base=estimate.base,
+            supplementary=supplementary(robot, known, estimate.standard_parameters, gain, math.radians(upright)),
+            bodies=tuple(_bodies(model)),
+            kinds={
+                joint.name: "prismatic" if joint.kind == "prismatic" else "revolute" for joint in robot.chain.joints
+            },
+        )
+    except ValidationError as error:
+        raise bad_field(place, error) from None
+    return made.model_copy(update={"fingerprint": fingerprint(made)})
+
+
+def fingerprint(sheet: Sheet) -> str:
+    """Hash of robot, axes and base parameters, to six digits: equal for the same result, wherever it was made."""
+    document = sheet.as_json()
+    kept = {key: _rounded(document[key]) for key in ("robot", "axes", "base_parameters")}
+    if sheet.base is not None:
+        kept["base"] = _rounded(document["base"])
+    return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def check_sheet(sheet: Sheet, place: str) -> None:
+    """BadInput if a sheet was changed after it was made."""
+    right = fingerprint(sheet)
+    if right != sheet.fingerprint:
+        raise BadInput(place, f"was altered: its fingerprint is {right}, not {sheet.fingerprint}")
+
+
+def _bodies(model: IdentifiedModel) -> Iterator[SheetBody]:
+    parts = zip(model.robot.joints, model.bodies, model.motor_inertias, model.friction, strict=True)
+    for joint, body, motor, friction in parts:
+        x, y, z = body.centre.tolist()
+        xx, yy, zz, xy, xz, yz = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
+        yield SheetBody(
+            link=body.link,
+            joint=joint,
+            mass=body.mass,
+            centre=(x, y, z),
+            inertia=(xx, yy, zz, xy, xz, yz),
+            armature=float(motor),
+            damping=friction,
+        )
+
+
+def _axis(robot: Robot, joint: str, axis: EstimatedAxis) -> AxisSheet:
+    index = robot.index(joint)
+    ratio = robot.axes[index].gear_ratio
+    identified = np.array([sweep.identified for sweep in axis.inertia])
+    value, cad = float(np.median(identified)), float(np.median([sweep.reference for sweep in axis.inertia]))
+    share = share_of_value(axis)
+    std = share * abs(value)
+    left_out = ""
+    if not identified.min() > 0:
+        left_out = f"the model has an inertia of {identified.min():.3g} in a measured pose, limit above 0"
+    elif share > UNSURE:
+        left_out = f"uncertainty {100 * share:.0f} %, limit {100 * UNSURE:.0f} %"
+    factor = 1 / ratio**2
+    return AxisSheet(
+        joint=joint,
+        kind="prismatic" if robot.chain.joints[index].kind == "prismatic" else "revolute",
+        gear_ratio=ratio,
+        cad=cad,
+        identified=value,
+        std=std,
+        lowest=float(identified.min()),
+        highest=float(identified.max()),
+        motor=value * factor,
+        motor_std=std * factor,
+        motor_lowest=float(identified.min()) * factor,
+        motor_highest=float(identified.max()) * factor,
+        differs_in_std=(value - cad) / std if std > 0 else 0.0,
+        left_out=left_out,
+    )
+
+
+def _check_physical(standard: StandardParameters, place: str) -> None:
+    """Every link of the robot in the estimate is physical, and no motor has a negative inertia."""
+    where = f"{place} standard_parameters"
+    for link, values in standard.links.items():
+        if set(values) != set(INERTIAL_NAMES):
+            raise BadInput(where, f"lacks the ten parameters of link {link}")
+    links = {link: np.array([values[name] for name in INERTIAL_NAMES]) for link, values in standard.links.items()}
+    bad = [link for link, values in links.items() if not (np.isfinite(values).all() and is_physical(values))]
+    bad += [name for name, value in standard.motor_inertias.items() if not 0 <= value < np.inf]
+    if bad:
+        raise BadInput(where, f"not physically possible for {', '.join(bad)}")
+
+
+def _ranges(robot: Robot, estimate: Estimate, poses: Mapping[str, Sequence[float]]) -> Ranges:
+    ranges: Ranges = {}
+    for joint, axis in estimate.axes.items():
+        own = np.array([poses[sweep.sweep] for sweep in axis.inertia])
+        ranges[joint] = {name: (float(own[:, k].min()), float(own[:, k].max())) for k, name in enumerate(robot.joints)}
+    return ranges
+
+
+def _rounded(value: JsonValue) -> JsonValue:
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, dict):
+        return {key: _rounded(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_rounded(each) for each in value]
+    return value

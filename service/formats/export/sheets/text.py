@@ -1,0 +1,232 @@
+"""A sheet as a page: where to enter each value in each control, and the omitted values with reasons."""
+
+import math
+
+from service.formats.export.mjcf import quaternion
+from service.formats.export.sheets.load import Load, zyx
+from service.model.results.identified.sheet import AxisSheet, Sheet, SheetBody, Supplementary, SupplementaryLoad
+
+_NO_LOAD = (
+    "Payload: left out. An estimate of the robot contains only combinations of the parameters of its links, "
+    "not the mass, centre and inertia of a body on it. Measure the load with `sweepid estimate payload` and "
+    "give its file with `--payload`."
+)
+
+
+def as_markdown(sheet: Sheet, load: Load | None = None) -> str:
+    """The page; `load`: the payload on the last link, if it was measured."""
+    parts = [
+        f"# Dynamics of {sheet.robot} for its control",
+        f"Source: {sheet.source}. Fingerprint: `{sheet.fingerprint}`. All standard deviations include that of "
+        "the torque constants.",
+        "## What differs from CAD",
+        _table(
+            ("axis", "CAD", "identified", "± std", "lowest ... highest", "differs by"),
+            [
+                (
+                    axis.joint,
+                    _with_unit(axis.cad, axis),
+                    _with_unit(axis.identified, axis),
+                    _with_unit(axis.std, axis),
+                    f"{axis.lowest:.4g} ... {axis.highest:.4g}",
+                    f"{100 * (axis.identified / axis.cad - 1):+.1f} %, {axis.differs_in_std:+.1f} std"
+                    if axis.cad > 0
+                    else "-",
+                )
+                for axis in sheet.axes
+            ],
+        ),
+        (
+            "Medians over the measured poses, the motor included. Between poses the inertia varies from "
+            "the lowest to the highest value: a single value per axis has this error."
+        ),
+        _validity(sheet),
+        "## Sinumerik",
+        _sinumerik(sheet),
+        "## Beckhoff",
+        _beckhoff(sheet),
+        "## KUKA",
+        _supplementary(sheet.supplementary),
+        _NO_LOAD if load is None else _kuka(load),
+        "## ABB",
+        _NO_LOAD if load is None else _abb(load),
+        "## ros2_control and MoveIt",
+        "Both read the URDF: `sweepid export model` writes `model.urdf` with these parameters, and the motors' "
+        "inertia, for which URDF has no place, into `robot.yaml`.",
+        "## MuJoCo",
+        _mujoco(sheet),
+    ]
+    return "\n\n".join(parts)
+
+
+def _validity(sheet: Sheet) -> str:
+    lines = ["Valid for the robot as it was measured, with everything that was mounted on it then."]
+    if sheet.poses is None:
+        lines.append("An estimate does not contain the measured poses: make the sheet from the bundle.")
+    for joint, ranges in (sheet.poses or {}).items():
+        kinds = {axis.joint: axis.kind for axis in sheet.axes} | sheet.kinds
+        placed = ", ".join(f"{name} {_position(low, high, kinds.get(name))}" for name, (low, high) in ranges.items())
+        lines.append(f"- {joint} was measured with {placed}.")
+    return "\n".join(lines)
+
+
+def _position(low: float, high: float, kind: str | None) -> str:
+    if kind is None:  # axis without measurement, in a sheet of an older sweepid
+        return f"{low:.3g} ... {high:.3g} rad (m)"
+    factor, unit = (1e3, "mm") if kind == "prismatic" else (math.degrees(1.0), "deg")
+    first, last = f"{low * factor:.4g}", f"{high * factor:.4g}"
+    return f"{first} {unit}" if first == last else f"{first} ... {last} {unit}"
+
+
+def _sinumerik(sheet: Sheet) -> str:
+    """Values of the axis machine data for torque feed-forward."""
+    return "\n\n".join(
+        [
+            "Machine data of the axis `MD32650 $MA_AX_INERTIA`, inertia for torque feed-forward, kg m², on the "
+            "motor's side:",
+            _inertias(sheet, "MD32650"),
+            "It has an effect only with torque feed-forward: `MD32620 $MA_FFW_MODE` 2 or 4, and `FFWON`. The "
+            "equivalent time constants (MD32800, MD32810) are left out: they depend on the current and speed "
+            "controllers, not on the inertia. Before you type a value, compare its unit with the list of machine data "
+            "of your control.",
+            *_left_out(sheet),
+        ]
+    )
+
+
+def _beckhoff(sheet: Sheet) -> str:
+    return "\n\n".join(
+        [
+            "Total inertia at the motor, kg m². For an AX5000 it is the J_tot of which, with the motor's torque "
+            "constant and the amplifier's peak current, `S-0-0348` (acceleration feed-forward gain) is calculated:",
+            _inertias(sheet, "J_tot"),
+            "The gain itself is left out, because the motor's torque constant is not in the robot file; so is the "
+            "object of the load inertia, whose number differs between drives: it takes J_tot less the motor's own "
+            "inertia.",
+            *_left_out(sheet),
+        ]
+    )
+
+
+def _inertias(sheet: Sheet, name: str) -> str:
+    """On the motor side, of every axis that has one."""
+    rows = [
+        (axis.joint, f"{axis.motor:.5g}", f"{axis.motor_std:.2g}", _span(axis))
+        for axis in sheet.axes
+        if not axis.left_out
+    ]
+    return _table(("axis", name, "± std", "lowest ... highest"), rows)
+
+
+def _kuka(load: Load) -> str:
+    a, b, c = zyx(load.axes)
+    return "\n\n".join(
+        [
+            f"Load data, about the frame of {load.frame} (turn them into the FLANGE frame where that is another):",
+            _table(
+                ("M kg", "X Y Z mm", "A B C deg", "JX JY JZ kg m²"),
+                [
+                    (
+                        f"{load.mass:.4g} ± {load.mass_std:.2g}",
+                        ", ".join(f"{1e3 * value:.4g}" for value in load.centre),
+                        ", ".join(f"{value:.4g}" for value in (a, b, c)),
+                        ", ".join(f"{value:.4g}" for value in load.moments),
+                    )
+                ],
+            ),
+        ]
+    )
+
+
+def _supplementary(found: Supplementary | None) -> str:
+    if found is None or not found.loads:
+        why = "the sheet was made by an older sweepid" if found is None else found.left_out
+        return f"Supplementary loads of A1, A2 and A3: left out, {why}."
+    lines = "\n".join(_krl(load) for load in found.loads)
+    where = "\n".join(f"- {load.axis}: on {load.link}, in frame {load.frame}." for load in found.loads)
+    return "\n\n".join(
+        [
+            "Supplementary loads, for `$config.dat` (mm, deg, kg, kg m²):",
+            f"```\n{lines}\n```",
+            where,
+            f"Without them CAD differs from the estimate by {found.before:.1f} standard deviations (root mean square "
+            f"over the base parameters), with them by {found.after:.1f}. They are the smallest bodies that explain the "
+            "difference: the sweeps do not determine every mass. The control computes gravity torques from them too, "
+            "so compare the holding torque of A2 and A3 before and after.",
+            "Before you enter them, check in the manual of your control (supplementary loads) the frame of each load "
+            "and the axis positions at which it is defined: public documents give the frames, but not the axis "
+            "positions. If your URDF ends before the mounting face, or its last frame has another orientation than "
+            "FLANGE, transform the load of A3.",
+        ]
+    )
+
+
+def _krl(load: SupplementaryLoad) -> str:
+    x, y, z = (_plain(1e3 * value, 3) for value in load.centre)
+    a, b, c = (_plain(value, 4) for value in load.orientation)
+    jx, jy, jz = (f"{value:.6g}" for value in load.moments)
+    return (
+        f"DECL LOAD LOAD_{load.axis}_DATA={{M {load.mass:.6g},CM {{X {x},Y {y},Z {z},A {a},B {b},C {c}}},"
+        f"J {{X {jx},Y {jy},Z {jz}}}}}"
+    )
+
+
+def _plain(value: float, digits: int) -> str:
+    """At most so many decimals, without an exponent and without -0, because it is typed in by hand."""
+    return f"{round(value, digits) + 0.0:.{digits}f}".rstrip("0").rstrip(".")
+
+
+def _mujoco(sheet: Sheet) -> str:
+    if not sheet.bodies:
+        return "Left out: the sheet was made by an older sweepid."
+    lines = "\n".join(line for body in sheet.bodies for line in _mjcf(body))
+    return "\n\n".join(
+        [
+            "One physical robot with the identified base parameters, for the `body` and `joint` of each name (a whole "
+            "model: `sweepid export model`, `model.xml`):",
+            f"```xml\n{lines}\n```",
+        ]
+    )
+
+
+def _mjcf(body: SheetBody) -> tuple[str, str, str]:
+    centre = " ".join(f"{value:.8g}" for value in body.centre)
+    inertia = " ".join(f"{value:.8g}" for value in body.inertia)
+    return (
+        f"<!-- body {body.link}, joint {body.joint} -->",
+        f'<inertial pos="{centre}" mass="{body.mass:.8g}" fullinertia="{inertia}"/>',
+        f'<joint name="{body.joint}" armature="{body.armature:.8g}" damping="{body.damping or 0.0:.8g}"/>',
+    )
+
+
+def _abb(load: Load) -> str:
+    cog = ",".join(f"{1e3 * value:.4g}" for value in load.centre)
+    aom = ",".join(f"{value:.6f}" for value in quaternion(load.axes))
+    inertia = ",".join(f"{value:.4g}" for value in load.moments)
+    return "\n\n".join(
+        [
+            f"`loaddata`, about the frame of {load.frame} (turn it into the tool frame, for `tooldata` into that "
+            "of the wrist, where that is another):",
+            f"```\nPERS loaddata measured := [{load.mass:.4g},[{cog}],[{aom}],{inertia}];\n```",
+            f"Mass ± {load.mass_std:.2g} kg (one standard deviation).",
+        ]
+    )
+
+
+def _left_out(sheet: Sheet) -> list[str]:
+    return [f"Left out: {axis.joint}, {axis.left_out}." for axis in sheet.axes if axis.left_out]
+
+
+def _span(axis: AxisSheet) -> str:
+    return f"{axis.motor_lowest:.4g} ... {axis.motor_highest:.4g}"
+
+
+def _with_unit(value: float, axis: AxisSheet) -> str:
+    return f"{value:.4g} {'kg' if axis.kind == 'prismatic' else 'kg m²'}"
+
+
+def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    if not rows:
+        return "(no value)"
+    lines = [head, tuple("---" for _ in head), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

@@ -1,0 +1,240 @@
+"""Unusual and missing data of a manufacturer's URDF, and the URDF with which the service can plan."""
+
+import math
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.formats.maker_urdf.chain import choose_chain
+from service.formats.maker_urdf.finding import Finding
+from service.formats.maker_urdf.hulls import embed_hulls, link_shapes
+from service.formats.maker_urdf.inertials import check_inertials, check_masses
+from service.formats.maker_urdf.packages import Packages
+from service.model.errors import BadInput
+from service.model.physical_bounds import MOST_EFFORT, MOST_LIMIT, MOST_POSITION
+from service.model.urdf import MOST_LINKS, Chain, Joint, look_over, read_chain
+
+Array = NDArray[np.float64]
+
+MOST_TURN = 4 * math.pi  # rad: wrists turn up to 7.9
+_HIDDEN = re.compile("counter_?(balance|weight)|balancer|gas_?spring|spring_?(cyl|rod)|parallel|linkage", re.I)
+LONGEST_SHAPE, SHORTEST_SHAPE = 5.0, 0.002  # m: outside, a mesh is probably in mm, or scaled twice
+FASTEST = {"revolute": 20.0, "prismatic": 10.0}  # rad/s, m/s
+STRONGEST = 1e5  # N m, N
+
+
+@dataclass(frozen=True)
+class UrdfCheck:
+    """`urdf_text`: one serial chain with all data for planning. `doubted`: links whose inertial is a guess, a
+    placeholder, or none of a body.
+    """
+
+    name: str
+    urdf_text: str
+    chain: Chain
+    findings: tuple[Finding, ...]
+    gear_ratios: Mapping[str, float | None]  # by joint, of its <transmission>
+    doubted: tuple[str, ...]
+    lacking: tuple[BadInput, ...]  # meshes and position limits without which nothing is drafted
+
+
+def check_urdf(text: str, packages: Packages, tip: str | None, place: str) -> UrdfCheck:
+    """Check a URDF and extract the chain to `tip` (None: its only one). BadInput if there is no such chain."""
+    look_over(text, place)
+    root = ET.fromstring(text)
+    if root.tag != "robot":
+        raise BadInput(place, f"is not a URDF: begins with <{root.tag}>, not <robot>")
+    for tag in ("link", "joint"):
+        if len(root.findall(tag)) > MOST_LINKS:
+            raise BadInput(place, f"has {len(root.findall(tag))} {tag}s, limit {MOST_LINKS}")
+    found = choose_chain(root, tip, place)
+    limits, lacking = _complete_limits(root, place)
+    offs, unread = embed_hulls(root, packages, place)
+    found += [*_hidden(root), *limits]
+    found += [Finding("missing", error.place.removeprefix(place).strip(), error.reason) for error in unread]
+    if offs:
+        worst = max(offs, key=lambda name: offs[name])
+        larger = f"The hull of this one is larger than its mesh by up to {1e3 * offs[worst]:.1f} mm, the most of all"
+        found.append(Finding("changed", worst, f"{len(offs)} collision meshes are used as convex hulls. {larger}"))
+    inertials, doubted = check_inertials(root, place)
+    chain = read_chain(ET.tostring(root, encoding="unicode"), place)
+    found += [*inertials, *check_masses(chain, _extent(root, chain.joints[-1].link, place))]
+    found += _shapes(root, chain, place)
+    for joint in chain.joints:
+        found += _limits(joint)
+    ratios = {joint.name: _gear_ratio(root, joint.name, place) for joint in chain.joints}
+    found += [*_drive_data(chain, ratios), *_dampings(root, chain, place)]
+    return UrdfCheck(
+        name=root.get("name") or "robot",
+        urdf_text=ET.tostring(root, encoding="unicode") + "\n",
+        chain=chain,
+        findings=tuple(found),
+        gear_ratios=ratios,
+        doubted=tuple(doubted),
+        lacking=(*unread, *lacking),
+    )
+
+
+def _shapes(root: ET.Element, chain: Chain, place: str) -> list[Finding]:
+    reported: list[Finding] = []
+    moving = {joint.link for joint in chain.joints}
+    for link in root.findall("link"):
+        name = link.get("name", "")
+        try:
+            shapes = list(link_shapes(link, place))
+        except BadInput as error:
+            if link.find("collision/geometry/mesh") is None:
+                raise
+            del error  # a missing mesh was reported before
+            continue
+        if not shapes and name in moving:
+            reported.append(
+                Finding("unusual", name, "moves but has no collision shape: its collisions are not detected")
+            )
+        for shape in shapes:
+            size = float(np.ptp(shape, axis=0).max())
+            if not SHORTEST_SHAPE <= size <= LONGEST_SHAPE:
+                reported.append(
+                    Finding("unusual", name, f"has a collision shape of {size:.3g} m: is its unit the metre?")
+                )
+    return reported
+
+
+def _extent(root: ET.Element, link: str, place: str) -> float:
+    """Of the shapes of a link from its joint, m."""
+    element = next(one for one in root.findall("link") if one.get("name") == link)
+    try:
+        return max((float(np.linalg.norm(shape, axis=1).max()) for shape in link_shapes(element, place)), default=0.0)
+    except BadInput:  # told as missing
+        return 0.0
+
+
+def _hidden(root: ET.Element) -> list[Finding]:
+    names = [one.get("name", "") for one in root if one.tag in ("link", "joint")]
+    shown = ", ".join(name for name in names if _HIDDEN.search(name))
+    what = (
+        "named like a counterbalance or a parallel linkage, whose force is not in a URDF: sweepid takes it for gravity"
+    )
+    return [Finding("unusual", shown, f"{what} and friction of the axis that it acts on")] if shown else []
+
+
+def _complete_limits(root: ET.Element, place: str) -> tuple[list[Finding], list[BadInput]]:
+    """Give each moving joint limits that are numbers: without velocity or effort limit 0, at which nothing moves.
+
+    Returns what is missing, and errors for positions: the limits of a turn that a check needs are none of a machine.
+    """
+    found: list[Finding] = []
+    errors: list[BadInput] = []
+    for joint in root.findall("joint"):
+        name, kind = joint.get("name", ""), joint.get("type")
+        if kind == "fixed":
+            continue
+        limit = joint.find("limit")
+        limit = ET.SubElement(joint, "limit") if limit is None else limit
+        for key, most in (("velocity", MOST_LIMIT), ("effort", MOST_EFFORT)):
+            text = limit.get(key, "none")
+            if not 0 < _float(text) <= most:
+                limit.set(key, "0")
+                what = f"{key} limit: {text} is not a usable limit; the draft has 0, at which nothing moves"
+                found.append(Finding("missing", name, what))
+        low, high = (_float(limit.get(key, "0")) for key in ("lower", "upper"))
+        if not -MOST_POSITION <= low < high <= MOST_POSITION:
+            stated = f"{limit.get('lower', 'none')} to {limit.get('upper', 'none')}"
+            reason = f"position limits {stated} leave no travel: enter those of the manufacturer in the URDF"
+            errors.append(BadInput(f"{place} joint {name}", reason))
+            found.append(Finding("missing", name, reason))
+            end = math.pi if kind == "revolute" else 1.0
+            limit.set("lower", f"{-end:.6f}")
+            limit.set("upper", f"{end:.6f}")
+    return found, errors
+
+
+def _float(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _limits(joint: Joint) -> list[Finding]:
+    unit = "m" if joint.kind == "prismatic" else "rad"
+    effort = "N" if joint.kind == "prismatic" else "N m"
+    reported: list[Finding] = []
+    if joint.soft:
+        limits = f"{joint.lower:g} to {joint.upper:g} {unit}"
+        what = "the soft limits of <safety_controller> are narrower than <limit> and are used"
+        reported.append(Finding("unusual", joint.name, f"position limits {limits}: {what}"))
+    farthest = max(abs(joint.lower), abs(joint.upper))
+    if joint.kind == "revolute" and farthest > MOST_TURN:
+        turns = f"{joint.lower:g} to {joint.upper:g} rad, {farthest / 2 / math.pi:.3g} turns"
+        reported.append(Finding("unusual", joint.name, f"position limits {turns}: is the unit the degree?"))
+    for name, value, most, of in (
+        ("velocity", joint.velocity, FASTEST[joint.kind], f"{unit}/s"),
+        ("effort", joint.effort, STRONGEST, effort),
+    ):
+        if value > most:
+            reported.append(
+                Finding("unusual", joint.name, f"{name} limit {value:g} {of} is not plausible: check its unit")
+            )
+    return reported
+
+
+def _gear_ratio(root: ET.Element, joint: str, place: str) -> float | None:
+    """The reduction of the joint's `<transmission>`; None if there is none, or if it is 1 (used by simulators)."""
+    reductions = {
+        _number(reduction.text, f"{place} transmission mechanicalReduction")
+        for transmission in root.findall("transmission")
+        if any(own.get("name") == joint for own in transmission.findall("joint"))
+        for reduction in transmission.iter("mechanicalReduction")
+    }
+    return reductions.pop() if len(reductions) == 1 and not reductions & {0.0, 1.0} else None
+
+
+def _drive_data(chain: Chain, ratios: Mapping[str, float | None]) -> list[Finding]:
+    """Data that a URDF cannot contain: the user must complete the side file."""
+    joints = [joint.name for joint in chain.joints]
+    bare = [joint for joint in joints if ratios[joint] is None]
+    reported = [Finding("missing", ", ".join(bare), "gear ratio")] if bare else []
+    reported.append(Finding("missing", ", ".join(joints), "rated effort: a URDF has only the limit"))
+    reported.append(
+        Finding("missing", ", ".join(joints), "motor inertia; left open it is found with the load, less well")
+    )
+    reported.append(
+        Finding(
+            "missing",
+            ", ".join(joints),
+            "cogging orders (torque ripple, periods per motor turn); without them J can be ten times less certain",
+        )
+    )
+    return reported
+
+
+def _dampings(root: ET.Element, chain: Chain, place: str) -> list[Finding]:
+    """Manufacturers set damping for simulators: a wrong value, as a prior of friction, would cause a wrong J."""
+    moving = {joint.name for joint in chain.joints}
+    dampings = {
+        joint.get("name", ""): _number(dynamics.get("damping"), f"{place} joint {joint.get('name')} damping")
+        for joint in root.findall("joint")
+        if joint.get("name") in moving
+        for dynamics in joint.findall("dynamics")
+    }
+    shown = ", ".join(f"{joint} {damping:g}" for joint, damping in dampings.items() if damping)
+    return (
+        [Finding("unusual", shown, "damping is not used as friction: it is mostly a value for simulators")]
+        if shown
+        else []
+    )
+
+
+def _number(text: str | None, place: str) -> float:
+    try:
+        value = float(text or "0")
+    except ValueError:
+        raise BadInput(place, f"{text!r} is not a number") from None
+    if not math.isfinite(value):
+        raise BadInput(place, f"{text!r} is not finite")
+    return value

@@ -1,0 +1,237 @@
+"""Inertials that no body has, placeholders, and links without mass: each with a finding; what has no mass is estimated.
+
+Simulators run with any numbers, so manufacturers leave out what they do not need, or export grams and millimetres.
+The density of estimates is the mean of complete arms, including motors, gears and cavities in their hulls. From their
+URDFs: UR5 1377, UR10 1095, xArm7 904, Panda 882, Kinova j2s6s200 815 kg/m^3. A single link may be wrong by a factor
+of two.
+"""
+
+import xml.etree.ElementTree as ET
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.formats.maker_urdf.finding import Finding
+from service.formats.maker_urdf.hulls import link_shapes, solid
+from service.model.errors import BadInput
+from service.model.robot import link_frames
+from service.model.urdf import Chain, inertia_matrix, read_chain, read_inertial, transform_inertial
+
+Array = NDArray[np.float64]
+Bodies = Sequence[tuple[float, Array, Array]]  # as `solid`
+
+DENSITY = 1000.0  # kg/m^3
+LIGHTEST = 1e-3  # kg: a lighter moving link is a placeholder
+DENSITIES = (20.0, 2.5e4)  # kg/m^3, of a hull: foam; tungsten has 19,300
+GYRATIONS = (0.02, 1.5)  # radius of gyration over the size of the shape: a bar has 0.29, a ring 0.5
+GYRATION = (1e-3, 3.0)  # m, where there is no shape
+NOTHING = 1e-5  # m, of a radius of gyration that is rounding
+AWAY = 2.0  # sizes of the shape, between its middle and the centre of mass
+ALIKE = 2.0  # ratio of volumes that one inertial may have
+COMPACTNESS = (1.0, 2000.0)  # kg/m^3, moving mass over the cube of the reach: arms have 20 to 200
+GRAVITY = 9.81  # m/s^2
+_TOLERANCE = 1e-3  # of the largest principal inertia: rounding by manufacturers
+_WIDER = "the prior of the side file is widened to 100 %"
+
+
+def check_inertials(root: ET.Element, place: str) -> tuple[list[Finding], list[str]]:
+    """Findings about the links that move, and those whose inertial is a placeholder or a guess; links without mass get
+    an estimate.
+    """
+    chain = read_chain(ET.tostring(root, encoding="unicode"), place)
+    moving = _carried(root, chain)
+    links = {name: link for link in root.findall("link") if (name := link.get("name", "")) in moving}
+    bodies = {name: _bodies(link, place) for name, link in links.items()}
+    found = [one for link in root.findall("link") for one in _impossible(link, bodies.get(link.get("name", "")), place)]
+    found += _equal(links, bodies, place)
+    for joint, inertial in zip(chain.joints, chain.inertial, strict=True):
+        name, mass = joint.link, float(inertial[0])
+        if mass >= LIGHTEST:
+            if _is_point(inertial):
+                found.append(Finding("unusual", name, f"and what is fixed to it have no inertia: {_WIDER}"))
+            continue
+        given = links[name].find("inertial") is not None
+        if mass > 0:
+            found.append(Finding("unusual", name, f"has a mass of {mass:.3g} kg: a placeholder"))
+        lack = "its <inertial> is no body's" if given else "has no <inertial>"
+        if not bodies[name]:
+            found.append(Finding("missing", name, f"{lack}, {_why_none(links[name], place)}; {_WIDER}"))
+            continue
+        guess = DENSITY * _volume(bodies[name])
+        _write(links[name], bodies[name], guess)
+        sentence = f"{lack}: {guess:.3g} kg, from its shapes at {DENSITY:.0f} kg/m^3; a guess, and {_WIDER}"
+        found.append(Finding("changed", name, sentence))
+    return found, [one.place for one in found if one.sentence.endswith(_WIDER)]
+
+
+def _carried(root: ET.Element, chain: Chain) -> set[str]:
+    """The links that the first moving joint carries."""
+    children: defaultdict[str, list[str]] = defaultdict(list)
+    for joint in root.findall("joint"):
+        ends = [end.get("link", "") for end in (joint.find("parent"), joint.find("child")) if end is not None]
+        children[ends[0]].append(ends[1])
+    carried = [chain.joints[0].link]
+    for link in carried:  # extended during the loop
+        carried += children[link]
+    return set(carried)
+
+
+def check_masses(chain: Chain, extent: float) -> list[Finding]:
+    """The moving mass compared with reach and effort limits. `extent`: of the last link from its joint, m."""
+    mass = float(chain.inertial[:, 0].sum())
+    reach = extent
+    for number, joint in enumerate(chain.joints):
+        reach += float(np.linalg.norm(joint.translation)) if number else 0.0
+        reach += max(abs(joint.lower), abs(joint.upper)) if joint.kind == "prismatic" else 0.0
+    compactness = mass / max(reach, 1e-3) ** 3
+    found: list[Finding] = []
+    if not COMPACTNESS[0] <= compactness <= COMPACTNESS[1]:
+        sentence = (
+            f"moving mass {mass:.4g} kg with a reach of {reach:.3g} m is not plausible: is the unit the kilogram?"
+        )
+        found.append(Finding("unusual", "all links", f"{sentence} {_WIDER}"))
+    most = np.abs(gravity_efforts(chain, random_poses(chain))).max(axis=0)
+    for joint, effort in zip(chain.joints, most, strict=True):
+        unit = "N" if joint.kind == "prismatic" else "N m"
+        if 0 < joint.effort < effort:
+            found.append(
+                Finding(
+                    "unusual",
+                    joint.name,
+                    f"gravity needs up to {effort:.4g} {unit}, above the effort limit of {joint.effort:g} {unit}: "
+                    "check mass and limit, or a counterbalance carries it, which a URDF does not contain",
+                )
+            )
+    return found
+
+
+def random_poses(chain: Chain) -> Array:
+    """(200, n) within the limits, always the same."""
+    low, high = (np.array([getattr(joint, end) for joint in chain.joints]) for end in ("lower", "upper"))
+    return np.random.default_rng(1).uniform(low, high, (200, len(low)))
+
+
+def gravity_efforts(chain: Chain, poses: Array) -> Array:
+    """Efforts (p, n) against gravity along -z of the base, in poses (p, n), N m (N)."""
+    joints = chain.joints
+    rotations, origins = link_frames(chain, poses)
+    mass = np.cumsum(chain.inertial[::-1, 0])[::-1]
+    moments = np.einsum("pkij,kj->pki", rotations, chain.inertial[:, 1:4]) + chain.inertial[:, :1] * origins
+    moments = np.cumsum(moments[:, ::-1], axis=1)[:, ::-1] - mass[:, None] * origins  # of all that the joint carries
+    axes = np.einsum("pkij,kj->pki", rotations, np.array([joint.axis for joint in joints]))
+    turning = GRAVITY * (axes[..., 0] * moments[..., 1] - axes[..., 1] * moments[..., 0])
+    sliding = GRAVITY * mass * axes[..., 2]
+    slides = np.array([joint.kind == "prismatic" for joint in joints])
+    turning[:, slides] = sliding[:, slides]
+    return turning
+
+
+def _bodies(link: ET.Element, place: str) -> Bodies:
+    """Volume, centre and moment of each shape; none if one is unreadable, which is told elsewhere."""
+    try:
+        return [solid(shape) for shape in link_shapes(link, place)]
+    except BadInput:
+        return []
+
+
+def _why_none(link: ET.Element, place: str) -> str:
+    try:
+        list(link_shapes(link, place))
+    except BadInput as error:
+        return f"and its shapes give none: {error.reason}"
+    return "and no shape to estimate one from"
+
+
+def _impossible(link: ET.Element, bodies: Bodies | None, place: str) -> Iterator[Finding]:
+    """Of a link that moves, also what does not fit its shapes; `bodies` is None for the others."""
+    parameters, name = read_inertial(link, place), link.get("name", "")
+    mass = float(parameters[0])
+    if mass < 0 or (mass == 0 and parameters.any()):
+        yield Finding("unusual", name, f"has a mass of {mass:.4g} kg")
+    if mass <= 0:
+        return
+    if mass < LIGHTEST:
+        bodies = None
+    own = _at_centre(parameters)
+    principal = np.sort(np.linalg.eigvalsh(own))
+    if bodies is not None and _is_point(parameters):
+        yield Finding("unusual", name, f"has {mass:.3g} kg and no inertia, which no body has")
+        if bodies:
+            _write(link, bodies, mass, parameters[1:4] / mass)
+            yield Finding("changed", name, f"the inertia of {mass:.3g} kg in its shapes is used")
+    elif principal[0] < -_TOLERANCE * abs(principal[2]) or principal[2] > (1 + _TOLERANCE) * (
+        principal[0] + principal[1]
+    ):
+        shown = ", ".join(f"{value:.3g}" for value in principal)
+        yield Finding("unusual", name, f"no body has its principal inertias {shown} kg m^2")
+    elif bodies is not None and (doubt := _doubt(mass, parameters[1:4] / mass, float(np.trace(own)), bodies)):
+        yield Finding("unusual", name, doubt)
+
+
+def _doubt(mass: float, centre: Array, trace: float, bodies: Bodies) -> str:
+    """What in the inertial does not fit the shapes, "" if nothing."""
+    gyration = float(np.sqrt(trace / 2 / mass))
+    if not bodies:
+        what = f"has a radius of gyration of {gyration:.3g} m: is the unit kg m^2?"
+        return "" if GYRATION[0] <= gyration <= GYRATION[1] else what
+    volume, (middle, spread) = _volume(bodies), _spread(bodies)
+    size = float(np.sqrt(12 * np.linalg.eigvalsh(spread)[-1]))  # of a box with this spread
+    if not DENSITIES[0] <= mass / volume <= DENSITIES[1]:
+        return f"has {mass:.3g} kg in {1e3 * volume:.3g} dm^3, {mass / volume:.2g} kg/m^3: is the unit the kilogram?"
+    if not GYRATIONS[0] <= gyration / size <= GYRATIONS[1]:
+        return f"has a radius of gyration of {gyration:.3g} m in a shape of {size:.3g} m: is the unit kg m^2?"
+    away = float(np.linalg.norm(centre - middle))
+    return f"has its centre of mass {away:.3g} m from a shape of {size:.3g} m" if away > AWAY * size else ""
+
+
+def _equal(links: dict[str, ET.Element], bodies: dict[str, Bodies], place: str) -> Iterator[Finding]:
+    """Links with one inertial, though their shapes differ in volume, or three and more without shapes."""
+    same: defaultdict[tuple[str, ...], list[str]] = defaultdict(list)
+    for name, link in links.items():
+        parameters = read_inertial(link, place)
+        if (mass := float(parameters[0])) > 10 * LIGHTEST:
+            same[tuple(f"{value:.6g}" for value in (mass, *_at_centre(parameters).ravel()))].append(name)
+    for (mass, *_), names in same.items():
+        volumes = [_volume(bodies[name]) for name in names if bodies[name]]
+        ratio = max(volumes, default=1.0) / min(volumes, default=1.0)
+        if len(names) > 1 and (ratio > ALIKE or (len(names) > 2 and not volumes)):
+            shapes = f", though their shapes differ {ratio:.3g} times in volume" if volumes else ""
+            sentence = f"all have the same inertial of {mass} kg{shapes}: a placeholder; {_WIDER}"
+            yield Finding("unusual", ", ".join(names), sentence)
+
+
+def _at_centre(parameters: Array) -> Array:
+    """Inertia (3, 3) about the centre of mass, which is not 0."""
+    return inertia_matrix(transform_inertial(parameters, np.eye(3), -parameters[1:4] / parameters[0]))
+
+
+def _is_point(parameters: Array) -> bool:
+    return bool(np.abs(_at_centre(parameters)).max() < parameters[0] * NOTHING**2)
+
+
+def _volume(bodies: Bodies) -> float:
+    return float(sum(volume for volume, _, _ in bodies))
+
+
+def _spread(bodies: Bodies) -> tuple[Array, Array]:
+    """Centre (3,) of the shapes, m, and the second moment of volume about it over the volume (3, 3), m^2."""
+    volume = _volume(bodies)
+    centre = sum((own * at for own, at, _ in bodies), np.zeros(3)) / volume
+    return centre, sum((moment for _, _, moment in bodies), np.zeros((3, 3))) / volume - np.outer(centre, centre)
+
+
+def _write(link: ET.Element, bodies: Bodies, mass: float, centre: Array | None = None) -> None:
+    """Replace the link's inertial by that of a homogeneous body with its shapes; `centre`: where it is known."""
+    middle, spread = _spread(bodies)
+    tensor = mass * (np.trace(spread) * np.eye(3) - spread)
+    for element in link.findall("inertial"):
+        link.remove(element)
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(
+        inertial, "origin", xyz=" ".join(f"{x:.6g}" for x in (middle if centre is None else centre)), rpy="0 0 0"
+    )
+    ET.SubElement(inertial, "mass", value=f"{mass:.6g}")
+    entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+    ET.SubElement(inertial, "inertia", {key: f"{tensor[entry]:.9g}" for key, entry in entries.items()})

@@ -1,0 +1,218 @@
+"""A frequency response saved by the control: function "frequency response", XML root `ResponseTestCustom`.
+
+The excitation is a pseudo-random binary sequence of 2^order - 1 samples on a speed offset, run in both directions. A
+time series is one period of it, averaged by the control; the spectra are those of the series, averaged over both
+directions: auto-spectra of the input and of the output, and the cross-spectrum of output* and input.
+
+The lines are at k / (n T), n samples of interval T. The frequencies in the file are uniform from 0 to the bandwidth:
+0.15 % too high for order 11, `axis_error`.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.formats.sinumerik.members import Member, read_members
+from service.formats.sinumerik.signals import DRIVE, PARAMETERS, SIGNALS, Meaning
+from service.model.errors import BadInput
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+ROOT = "ResponseTestCustom"
+VERSIONS = ("4.7.", "4.96.")  # of the available files
+SPEED_LOOP, NOISE = 2, 4  # codes of control loop and waveform in these files
+SAME = 1e-6  # relative
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One signal on the motor side: a series (n,) for each direction of motion."""
+
+    meaning: Meaning
+    series: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """Spectra computed by the control: b lines; `averages` went into each."""
+
+    frequency: Array  # (b,) Hz, as in the file
+    input_power: Array  # (b,)
+    output_power: Array  # (b,)
+    cross: Complex  # (b,) of output* and input
+    averages: int
+
+    @property
+    def response(self) -> Complex:
+        """Output over input (b,)."""
+        return np.asarray(np.conj(self.cross) / self.input_power, dtype=np.complex128)
+
+    @property
+    def coherence(self) -> Array:
+        """(b,), 0 ... 1."""
+        return np.abs(self.cross) ** 2 / (self.input_power * self.output_power)
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """The content of a file. Amplitudes on the motor side; `motor_to_axis`: motor rad per rad (m) of the axis."""
+
+    version: str
+    axis: int
+    measured_at: str
+    sample_interval: float  # s
+    order: int
+    periods: int  # averaged by the control
+    bandwidth: float  # Hz
+    offset: float  # rad/s
+    amplitude: float  # unit of the input
+    motor_to_axis: float
+    rotary: bool
+    torque_constant: float  # N m/A
+    input: Signal
+    output: Signal
+    spectra: Spectra
+    parameters: dict[tuple[int, int], float]
+    unread: tuple[str, ...]
+
+    @property
+    def frequency(self) -> Array:
+        """True frequencies (b,) of the lines 0 ... b - 1, Hz."""
+        count = len(self.output.series[0])
+        return np.arange(len(self.spectra.frequency)) / (count * self.sample_interval)
+
+    @property
+    def axis_error(self) -> float:
+        """Relative error of the frequencies in the file, positive if they are too high."""
+        return float(self.spectra.frequency[-1] / self.frequency[-1] - 1)
+
+
+def read_measurement(path: Path) -> Measurement:
+    """BadInput names file and member if something is missing, unknown or inconsistent."""
+    root = read_members(path)
+    check_family(root, ROOT)
+    return measurement_of(root)
+
+
+def check_family(root: Member, kind: str) -> None:
+    """BadInput for another kind of file, or for a version without known files."""
+    if root.kind != kind:
+        raise BadInput(root.place, f"is a {root.kind}, not a {kind}")
+    if not root.version.startswith(VERSIONS):
+        known = " and ".join(f"{version}x" for version in VERSIONS)
+        raise BadInput(root.place, f"has version {root.version!r}; known are {known}")
+
+
+def measurement_of(root: Member) -> Measurement:
+    """The measurement from the root of a file."""
+    for name, code, words in (
+        ("m_eControlLoopType", SPEED_LOOP, "of the speed control loop"),
+        ("m_eWaveformType", NOISE, "with pseudo-random noise"),
+    ):
+        if root.whole(name) != code:
+            raise BadInput(root.place, f"member {name} is {root.whole(name)}: not measured {words} ({code})")
+    source, condition = root.first("ExcitationSource"), root.first("ResponseTestCondition")
+    interval, order = condition.number("m_dSamplingInterval"), source.whole("m_uPrbsOrder")
+    if not (1e-6 < interval < 1 and 3 <= order <= 20):
+        raise BadInput(root.place, f"samples every {interval} s of a sequence of order {order}: out of range")
+    nodes = {node.whole("m_iUniqueInstanceId"): node for node in root.each("PlatformSignalNode")}
+    chosen = root.first("PrimaryFreqRespSigNodeData")
+    ends = [chosen.whole(f"m_i{end}SigNodeUniqueInstanceID") for end in ("Input", "Output")]
+    if not set(ends) <= set(nodes):
+        raise BadInput(root.place, f"its response is of signals {ends}, and it holds {sorted(nodes)}")
+    inward, outward = (nodes[end] for end in ends)
+    excitation = source.first("ExcitationSourceCondition")
+    found = Measurement(
+        version=root.version,
+        axis=root.whole("m_uAxis"),
+        measured_at=_instant(root.get("m_timeStampMeas")),
+        sample_interval=interval,
+        order=order,
+        periods=condition.whole("m_uNumberOfAverages"),
+        bandwidth=condition.number("m_dBandwidth"),
+        offset=excitation.number("m_dOffsetAmplitude"),
+        amplitude=abs(excitation.number("m_dExcitationAmplitude")),
+        motor_to_axis=source.number("m_dMotorToAxisRatio"),
+        rotary=source.flag("m_bIsRotaryAxis"),
+        torque_constant=source.number("m_dMotorForceConstant"),
+        input=_signal(inward, interval, order),
+        output=_signal(outward, interval, order),
+        spectra=_spectra(inward, outward),
+        parameters=_parameters(condition),
+        unread=(),
+    )
+    if len(found.input.series) != len(found.output.series) or len(found.spectra.cross) > 2 ** (order - 1):
+        raise BadInput(root.place, "its signals or spectra are not of one length")
+    if source.flag("m_bIsLinearMotor"):
+        raise BadInput(root.place, "is of a linear motor, which is not supported: its units are not known")
+    return replace(found, unread=root.unread())
+
+
+def _signal(node: Member, interval: float, order: int) -> Signal:
+    number, platform = node.whole("m_uNodeId"), node.whole("m_ePlatformType")
+    if platform != DRIVE or number not in SIGNALS:
+        known = ", ".join(f"r{known:04}" for known in SIGNALS)
+        raise BadInput(
+            node.place, f"signal {number} of platform {platform} is not known; known are the drive's {known}"
+        )
+    distortion = node.get("m_MeasurementLinearDistortion")
+    gain = complex(distortion.number("m_GainValue_real"), distortion.number("m_GainValue_imag"))
+    if gain != 1 or distortion.number("m_TimeDelay") != 0:
+        raise BadInput(node.place, f"signal {number} is distorted by {gain}, which is not supported")
+    series: list[Array] = []
+    for member in node.each("TimeSeries"):
+        values = member.array("m_ValueVector")
+        end, stated = member.number("m_TimeVector.end"), member.whole("m_TimeVector.length")
+        if not len(values) == stated == 2**order - 1 or abs(end / ((stated - 1) * interval) - 1) > SAME:
+            raise BadInput(
+                node.place,
+                f"signal {number} has {len(values)} samples to {end} s; a period of order {order} has {2**order - 1} "
+                f"samples, {interval} s apart",
+            )
+        series.append(values)
+    if not series:
+        raise BadInput(node.place, f"signal {number} has no TimeSeries: save the measurement with its time series")
+    return Signal(SIGNALS[number], tuple(series))
+
+
+def _spectra(inward: Member, outward: Member) -> Spectra:
+    own, other = (node.get("m_autospectrumInfo") for node in (inward, outward))
+    number = inward.whole("m_uNodeId")
+    crossed = [each for each in outward.get("m_crossSpecInfoList").children if each.whole("m_uSignodeId") == number]
+    if not crossed:
+        raise BadInput(outward.place, f"has no cross-spectrum with signal {number}")
+    values, frequencies = zip(*(_spectrum(each) for each in (own, other, crossed[0])), strict=True)
+    if any(not np.array_equal(each, frequencies[0]) for each in frequencies):
+        raise BadInput(outward.place, "its spectra are not of the same frequencies")
+    if (values[0].real <= 0).any() or (values[1].real <= 0).any() or (np.diff(frequencies[0]) <= 0).any():
+        raise BadInput(outward.place, "an auto-spectrum is not positive, or frequencies do not rise")
+    return Spectra(frequencies[0], values[0].real, values[1].real, values[2], crossed[0].whole("m_uNumSpectraInAvg"))
+
+
+def _spectrum(info: Member) -> tuple[Complex, Array]:
+    spectrum = info.get("m_avgCrossSpec")
+    pairs, frequency = spectrum.array("m_ValueVector", per_value=2), spectrum.array("m_FrequencyVector")
+    if len(pairs) != len(frequency) or len(pairs) < 2:
+        raise BadInput(info.place, f"a spectrum has {len(pairs)} values at {len(frequency)} frequencies")
+    return np.asarray(pairs @ np.array([1, 1j]), dtype=np.complex128), frequency
+
+
+def _parameters(condition: Member) -> dict[tuple[int, int], float]:
+    """Known parameters at the time of the measurement, by platform and number."""
+    found: dict[tuple[int, int], float] = {}
+    for item in condition.each("PlatformDataItem"):
+        key = (item.whole("m_ePlatformType"), item.whole("m_uItemId"))
+        if key in PARAMETERS and key not in found:
+            text = item.string("m_vData")
+            found[key] = float(text == "true") if text in ("true", "false") else item.number("m_vData")
+    return found
+
+
+def _instant(stamp: Member) -> str:
+    """ISO 8601, by the control's clock."""
+    date, time = stamp.whole("Date"), stamp.number("Time")
+    day = f"{date // 10000:04}-{date // 100 % 100:02}-{date % 100:02}"
+    return f"{day}T{int(time) // 10000:02}:{int(time) // 100 % 100:02}:{time % 100:04.1f}"

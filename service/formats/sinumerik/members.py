@@ -1,0 +1,166 @@
+"""The tree of a control's XML file, read with size limits; each member records whether it was used.
+
+A DOCTYPE is rejected, so there are no entities and a small file cannot expand. Unused members can be listed.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.parsers import expat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.formats.sinumerik.base85 import HUGE, decode
+from service.model.errors import BadInput
+
+Array = NDArray[np.float64]
+
+LARGEST = 32_000_000  # bytes of a file; the control writes 0.2 to 0.3 MB
+MOST = 200_000  # members
+DEEPEST = 64
+
+
+@dataclass(slots=True)
+class Member:
+    """One element: its type (the tag), `name`, text, and members. `used` becomes true when it is read."""
+
+    kind: str
+    name: str
+    version: str
+    place: str
+    pieces: list[str] = field(default_factory=list[str])
+    children: "list[Member]" = field(default_factory=list["Member"])
+    used: bool = False
+
+    @property
+    def text(self) -> str:
+        return "".join(self.pieces)
+
+    def each(self, kind: str) -> "Iterator[Member]":
+        """Members of a type, at any depth, in the order of the file."""
+        for child in self.children:
+            if child.kind == kind:
+                yield child
+            yield from child.each(kind)
+
+    def find(self, name: str) -> "Member | None":
+        """The first direct member with this name, or None."""
+        return next((child for child in self.children if child.name == name), None)
+
+    def get(self, name: str) -> "Member":
+        """The same; BadInput if it is missing."""
+        found = self.find(name)
+        if found is None:
+            raise BadInput(self.place, f"has no member {name}")
+        return found
+
+    def first(self, kind: str) -> "Member":
+        """The first member of a type at any depth; BadInput if there is none."""
+        found = next(self.each(kind), None)
+        if found is None:
+            raise BadInput(self.place, f"has no {kind}")
+        return found
+
+    def string(self, name: str) -> str:
+        member = self.get(name)
+        member.used = True
+        return member.text.strip()
+
+    def number(self, name: str) -> float:
+        """A number of plausible size; BadInput otherwise."""
+        text = self.string(name)
+        try:
+            value = float(text)
+        except ValueError:
+            value = float("nan")
+        if not abs(value) < HUGE:
+            raise BadInput(self.place, f"member {name} is {text!r}, which is not a number below {HUGE:g}")
+        return value
+
+    def whole(self, name: str) -> int:
+        value = self.number(name)
+        if value != int(value):
+            raise BadInput(self.place, f"member {name} is {value!r}, which is not a whole number")
+        return int(value)
+
+    def flag(self, name: str) -> bool:
+        text = self.string(name)
+        if text not in ("true", "false"):
+            raise BadInput(self.place, f"member {name} is {text!r}, neither true nor false")
+        return text == "true"
+
+    def array(self, name: str, per_value: int = 1) -> Array:
+        """Numbers (n,), or (n, 2) with `per_value` 2, of a NumericArray; BadInput if their number is not as stated."""
+        member = self.get(name)
+        length, raw = member.whole("m_length"), member.get("m_pNumberArray")
+        raw.used = True
+        values = decode(raw.text, f"{member.place} {name}")
+        if len(values) != length * per_value:
+            raise BadInput(self.place, f"member {name} has {len(values)} numbers, and says {length} of {per_value}")
+        return values if per_value == 1 else values.reshape(-1, per_value)
+
+    def unread(self) -> tuple[str, ...]:
+        """`type/name` of the members with values of which none was read."""
+        leaves = [(f"{holder.kind}/{leaf.name or leaf.kind}", leaf.used) for holder, leaf in self._leaves()]
+        used = {path for path, was_used in leaves if was_used}
+        return tuple(dict.fromkeys(path for path, _ in leaves if path not in used))
+
+    def _leaves(self) -> "Iterator[tuple[Member, Member]]":
+        """Each member with a value, and its parent."""
+        for child in self.children:
+            if child.children:
+                yield from child._leaves()
+            elif child.text.strip():
+                yield self, child
+
+
+def read_members(path: Path) -> Member:
+    """The root of a file; BadInput if missing, too large, too deep, truncated, no XML, or with a DOCTYPE."""
+    try:
+        with path.open("rb") as file:
+            content = file.read(LARGEST + 1)
+    except OSError as error:
+        raise BadInput(str(path), f"cannot be read: {error.strerror or error}") from None
+    if len(content) > LARGEST:
+        raise BadInput(str(path), f"is larger than {LARGEST} bytes; a measurement of the control is not")
+    builder = _Builder(str(path))
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+    parser.StartDoctypeDeclHandler = builder.doctype
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.characters
+    try:
+        parser.Parse(content, True)
+    except (expat.ExpatError, ValueError, LookupError) as error:  # truncated, no XML, or of an unknown encoding
+        raise BadInput(str(path), f"is not a complete XML file: {error}") from None
+    return builder.top.children[0]
+
+
+class _Builder:
+    """Callbacks of expat."""
+
+    def __init__(self, place: str) -> None:
+        self.top = Member("", "", "", place)
+        self._open = [self.top]
+        self._count = 0
+
+    def doctype(self, *_: object) -> None:
+        raise BadInput(
+            self.top.place, "declares a DOCTYPE, which no file of the control does; entities are not expanded"
+        )
+
+    def start(self, kind: str, attributes: dict[str, str]) -> None:
+        self._count += 1
+        if self._count > MOST or len(self._open) > DEEPEST:
+            raise BadInput(self.top.place, f"has more than {MOST} members, or more than {DEEPEST} inside of each other")
+        member = Member(kind, attributes.get("name", ""), attributes.get("ver", ""), self.top.place)
+        self._open[-1].children.append(member)
+        self._open.append(member)
+
+    def end(self, _: str) -> None:
+        self._open.pop()
+
+    def characters(self, text: str) -> None:
+        self._open[-1].pieces.append(text)

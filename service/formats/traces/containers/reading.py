@@ -1,0 +1,148 @@
+"""Reads a trace file in a separate process: the parsers of these formats are large, and the files are untrusted.
+
+The process gets a request file and a folder. It writes one array per sweep into the folder and returns the units.
+"""
+
+import asyncio
+import importlib
+import struct
+import tempfile
+import zlib
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol, cast
+
+import numpy as np
+
+from service.formats.traces.containers.request import Array, Asked, Channel, Listed, Taken, Units
+from service.model.errors import BadInput
+from service.store.files.isolated_reader import LIMITS, Limits, read_isolated
+
+READERS = {"mat": "SciPy", "mdf4": "asammdf", "hdf5": "h5py", "ros": "rosbags"}
+"""Library by format."""
+_MARKS = (
+    (b"\x89HDF\r\n", "hdf5"),
+    (b"MATLAB 7.3", "hdf5"),
+    (b"MATLAB 5", "mat"),
+    (b"MDF ", "mdf4"),
+    (b"UnFinMF", "mdf4"),
+    (b"\x89MCAP", "ros"),
+    (b"SQLite format 3", "ros"),
+    (b"#ROSBAG", "ros"),
+    (b"PAR1", "parquet"),
+)
+_SUFFIXES = {".mat": "mat", ".mf4": "mdf4", ".h5": "hdf5", ".hdf5": "hdf5", ".parquet": "parquet"}
+_XML = (b"<?xml", b"<traceSession")
+_FOREIGN = {
+    b"PK\x03\x04": "is a zip file, as Excel writes it: export it as CSV",
+    b"\xd0\xcf\x11\xe0": "is a file of Office: export it as CSV",
+}
+READ = "CSV and other text, MATLAB, Parquet, MDF4, HDF5, ROS bags (SQLite, MCAP), XML of a Sinumerik"
+# exceptions of the libraries for truncated or malicious files; memory and disk errors are not caught
+_TORN = (
+    ArithmeticError, AssertionError, AttributeError, BufferError, EOFError, LookupError, NameError, RuntimeError,
+    SyntaxError, TypeError, ValueError, struct.error, zlib.error,
+)  # fmt: skip
+
+
+def format_of(path: Path) -> str:
+    """By content; `text` if it has no mark. BadInput if it cannot be read, or is known to be of another kind."""
+    if path.is_dir():
+        if (path / "metadata.yaml").is_file():
+            return "ros"
+        raise BadInput(str(path), "is a folder, and not one of a ROS bag: it has no metadata.yaml")
+    try:
+        with path.open("rb") as file:
+            head = file.read(1024)
+    except FileNotFoundError:
+        raise BadInput(str(path), "file does not exist") from None
+    except (OSError, ValueError) as error:
+        raise BadInput(str(path), f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    kind = next((kind for mark, kind in _MARKS if head.startswith(mark)), None)
+    if kind is None and b"\x89HDF\r\n" in head[512:520]:
+        kind = "hdf5"
+    kind = kind or _SUFFIXES.get(path.suffix.lower())
+    bare = head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \r\n")
+    if kind is None and bare.startswith(b"<") and any(mark in bare for mark in _XML):
+        return "xml"
+    for mark, what in _FOREIGN.items():
+        if kind is None and head.startswith(mark):
+            raise BadInput(str(path), f"{what}; read are {READ}")
+    return kind or "text"
+
+
+class _Reader(Protocol):
+    LIBRARY_ERRORS: tuple[type[Exception], ...]
+
+    def listed(self, path: Path) -> tuple[Listed, ...]: ...
+
+    def read(self, path: Path, sweeps: Sequence[Sequence[Channel]]) -> Iterator[Taken]: ...
+
+
+def read_containers(path: Path, sweeps: Sequence[tuple[Channel, ...]], limits: Limits = LIMITS) -> tuple[Taken, ...]:
+    """The requested channels of a file, by sweep. BadInput: unreadable, a channel is missing, or above a limit."""
+    with tempfile.TemporaryDirectory(prefix="sweepid-trace-") as name:
+        folder = Path(name)
+        asked = Asked(file=str(path), sweeps=tuple(sweeps))
+        (folder / "asked.json").write_text(asked.model_dump_json(), encoding="utf-8")
+        answer: list[object] = asyncio.run(read_isolated(take, (folder / "asked.json", folder), str(path), limits))
+        found = [Units.model_validate(units) for units in answer]
+        return tuple(_stored(folder, number, units) for number, units in enumerate(found))
+
+
+def list_containers(path: Path, limits: Limits = LIMITS) -> tuple[Listed, ...]:
+    """The channels of a file."""
+    answer: list[object] = asyncio.run(read_isolated(list_here, (path,), str(path), limits))
+    return tuple(Listed.model_validate(one) for one in answer)
+
+
+def list_here(path: Path) -> list[dict[str, Any]]:
+    """In the process: the channels."""
+    reader = _reader(path)
+    with _library_errors(reader, path):
+        return [one.model_dump(mode="json") for one in reader.listed(path)]
+
+
+def take(asked: Path, folder: Path) -> list[dict[str, Any]]:
+    """In the process: write ``N.npy`` for each sweep, rows as requested, clock last; return their `Units`."""
+    wanted = Asked.model_validate_json(asked.read_bytes())
+    answer: list[dict[str, Any]] = []
+    for number, taken in enumerate(read_here(Path(wanted.file), wanted.sweeps)):
+        rows = taken.columns if taken.clock is None else np.vstack([taken.columns, taken.clock])
+        np.save(folder / f"{number}.npy", rows, allow_pickle=False)
+        answer.append(
+            Units(units=taken.units, clocked=taken.clock is not None, notes=taken.notes).model_dump(mode="json")
+        )
+    return answer
+
+
+def read_here(path: Path, sweeps: Sequence[Sequence[Channel]]) -> Iterator[Taken]:
+    """The same in this process, one sweep after the other."""
+    reader = _reader(path)
+    with _library_errors(reader, path):
+        yield from reader.read(path, sweeps)
+
+
+def _reader(path: Path) -> _Reader:
+    room = format_of(path)
+    try:
+        return cast(_Reader, importlib.import_module(f"service.formats.traces.containers.{room}"))
+    except ModuleNotFoundError as error:
+        raise BadInput(str(path), f"needs {error.name}: install sweepid with its extra, `sweepid[{room}]`") from None
+
+
+@contextmanager
+def _library_errors(reader: _Reader, path: Path) -> Generator[None]:
+    try:
+        yield
+    except (*_TORN, OSError, *reader.LIBRARY_ERRORS) as error:
+        reason = " ".join(str(error).split())[:300]
+        library = READERS[format_of(path)]
+        raise BadInput(str(path), f"cannot be read by {library}: {reason or type(error).__name__}") from None
+
+
+def _stored(folder: Path, number: int, units: Units) -> Taken:
+    rows = cast(Array, np.load(folder / f"{number}.npy", allow_pickle=False))
+    values, clock = (rows[:-1], rows[-1]) if units.clocked else (rows, None)
+    return Taken(values, units.units, clock, units.notes)

@@ -1,0 +1,378 @@
+"""Tables in text, as loggers and controls write them: encoding, separators, heading and units are found by content.
+
+The data are the longest run of lines that consist of numbers for the most part, with one number of cells. What stands
+above them is the heading: key and value pairs, names, units, types. TwinCAT's Scope repeats the key before the value of
+each channel (``Name<tab>M<tab>Name<tab>n``); its channels have a column of time each.
+"""
+
+import csv
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+from numpy.typing import NDArray
+
+from service.formats.traces.clock import seconds_of, timelike, unit_of_time
+from service.formats.traces.containers.request import Channel, Listed, Taken, check_numbers, shown
+from service.formats.traces.mapping import Csv
+from service.formats.traces.units import known_unit, measures, unit_in
+from service.model.errors import BadInput
+from service.store.files.columns import LARGEST_CSV, MOST_NUMBERS
+
+Array = NDArray[np.float64]
+_arrow, _csv = cast(Any, pa), cast(Any, pa_csv)  # without types
+
+SAMPLE = 2**18  # characters in which the form is found
+_FIRM = 10  # lines after which another kind of line is a fault in the data, and not their end
+_FORMS = (("\t", "."), (";", "."), (",", "."), ("|", "."), ("\t", ","), (";", ","), ("|", ","), (" ", "."), (" ", ","))
+_BOMS = (
+    (b"\xef\xbb\xbf", "utf-8-sig"),
+    (b"\xff\xfe\x00\x00", "utf-32"),
+    (b"\x00\x00\xfe\xff", "utf-32"),
+    (b"\xff\xfe", "utf-16"),
+    (b"\xfe\xff", "utf-16"),
+)
+_MISSING = frozenset(("", "-", "--", "nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "n/a", "#n/a", "null", "none"))
+_NULLS = sorted({form for one in _MISSING for form in (one, one.upper(), one.capitalize(), "NaN", "None")})
+_TYPE = re.compile(r"(?i)(l?real|u?[sdl]?int|bool|byte|d?word|double|single|float|string|dt_\w+)\d*|-")
+_INTERVAL = re.compile(
+    r"(?i)(?:sampl\w*[ _-]?(?:time|period|interval)|abtast(?:zeit|intervall|periode)|cycle[ _-]?time|zykluszeit"
+    r"|interval|dt)"
+    r"\W*?(?:[\[(]?(ms|us|µs|ns|s)[\])]?)?[\s:=;,\t]+([\d.,]+(?:e-?\d+)?)\s*(n?sec|ms|us|µs|ns|s)?\b"
+)
+_RATE = re.compile(
+    r"(?i)(?:sampl\w*[ _-]?(?:rate|freq\w*)|abtast(?:rate|frequenz))\W*?(?:\[?k?hz\]?)?[\s:=;,\t]+([\d.,]+)\s*(k?)hz?"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Head:
+    names: tuple[str, ...]  # by column; "" for a channel's own time
+    units: tuple[str, ...]
+    clocks: dict[int, int]  # column of time by column of values
+    intervals: dict[int, float]  # s, by column of values
+
+
+class TextTable:
+    """One table. BadInput if the file has none, or is too large."""
+
+    def __init__(self, path: Path, form: Csv) -> None:
+        self._place = str(path)
+        text, encoding = decoded(path)
+        self.notes = () if encoding in ("utf-8", "utf-8-sig") else (f"{path.name} is read as {encoding}",)
+        lines = text[:SAMPLE].split("\n")
+        if len(text) > SAMPLE:
+            lines.pop()
+        self._odd: list[tuple[int, int, str]] = []  # lines of another number of cells
+        self._delimiter, self._point, self._first = _form(lines, form, self._place)
+        body = text.split("\n", self._first)[-1]
+        del text
+        if self._delimiter == " ":
+            body = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", body))
+        self._body = body.encode()
+        cells = partial(_cells, delimiter=self._delimiter)
+        self._width = len(cells(lines[self._first]))
+        heading = [cells(line) for line in lines[form.skip_rows : self._first]]
+        self._head = _head(heading, self._width)
+        self._interval = _stated_interval(lines[form.skip_rows : self._first])
+        self._sample = cells(lines[self._first])
+        times = set(self._head.clocks.values())
+        names = self._head.names
+        self._numbered = tuple(f"{name} (column {k})" for k, name in enumerate(names, start=1))
+        self.listed = tuple(
+            Listed(name=name if names.count(name) == 1 else self._numbered[k], unit=self._head.units[k])
+            for k, name in enumerate(names)
+            if k not in times and name
+        )
+
+    def read(self, channels: Sequence[Channel]) -> Taken:
+        """The columns; the clock is that of a channel's own time, or the interval in the heading."""
+        found = [self._index(channel.source) for channel in channels]
+        times = [self._head.clocks.get(k) for k in found]
+        columns = self._columns(tuple(dict.fromkeys((*found, *(k for k in times if k is not None)))))
+        values = [columns[k] for k in found]
+        units = tuple(self._head.units[k] for k in found)
+        own = {k: self._scaled(columns[at], k) for k, at in zip(found, times, strict=True) if at is not None}
+        if not own:
+            rows = np.arange(len(values[0]), dtype=np.float64)
+            clock = None if self._interval is None else rows * self._interval
+            return Taken(np.array(values), units, clock, self.notes)
+        clocks = [own.get(k) for k in found]
+        return _on_one_clock(values, clocks, units, self.notes, self._place)
+
+    def _scaled(self, time: Array, column: int) -> Array:
+        """s; TwinCAT writes ms, or a count of samples, and states the interval."""
+        step = float(np.nanmedian(np.diff(time))) if np.isfinite(time).sum() > 1 else 1.0
+        stated, unit = self._head.intervals.get(column), measures(self._head.units[self._head.clocks[column]])
+        if stated is not None and step > 0:
+            return time * (stated / step)
+        return time * (
+            unit[1] if unit is not None and unit[0] == "time" else unit_of_time(time[np.isfinite(time)], None)[1]
+        )
+
+    def _index(self, source: str) -> int:
+        """Of a column by its name, with its unit or its number too; else whatever the case of letters."""
+        wanted, names = source.strip(), self._head.names
+        full = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, self._head.units, strict=True)]
+        folded = [name.casefold() for name in names]
+        for given, candidates in (
+            (wanted, names),
+            (wanted, self._numbered),
+            (wanted, full),
+            (wanted.casefold(), folded),
+        ):
+            found = [k for k, name in enumerate(candidates) if name == given]
+            if len(found) == 1:
+                return found[0]
+            if len(found) > 1:
+                told = " or ".join(repr(self._numbered[k]) for k in found)
+                raise BadInput(self._place, f"column {source!r} occurs twice: name it as {told}")
+        there = shown([name for name in names if name])
+        raise BadInput(self._place, f"column {source!r} is missing; there are {there}")
+
+    def _columns(self, wanted: tuple[int, ...]) -> dict[int, Array]:
+        lines = self._body.count(b"\n") + 1
+        check_numbers(lines, len(wanted), MOST_NUMBERS, self._place)
+        stamps = {k for k in wanted if k < len(self._sample) and timelike(self._sample[k])}
+        try:
+            table = self._parsed(wanted, stamps)
+        except _arrow.ArrowInvalid as error:
+            self._tell_text(wanted, stamps)
+            raise BadInput(self._place, f"cannot be read: {' '.join(str(error).split())}") from None
+        for line, cells, text in self._odd:
+            told = f"has {cells} cells, the lines before have {self._width}: {text[:60]!r}"
+            raise BadInput(f"{self._place} line {line}", told)
+        return {
+            k: seconds_of(table.column(str(k)).to_pylist(), f"{self._place} column {self._head.names[k]!r}")
+            if k in stamps
+            else _numbers(table.column(str(k)))
+            for k in wanted
+        }
+
+    def _parsed(self, wanted: tuple[int, ...], text: set[int]) -> Any:
+        with _csv.open_csv(
+            _arrow.py_buffer(self._body),
+            read_options=_csv.ReadOptions(column_names=[str(k) for k in range(self._width)], use_threads=False),
+            parse_options=_csv.ParseOptions(
+                delimiter="\t" if self._delimiter == " " else self._delimiter, invalid_row_handler=self._odd_row
+            ),
+            convert_options=_csv.ConvertOptions(
+                decimal_point=self._point,
+                include_columns=[str(k) for k in wanted],
+                column_types={str(k): _arrow.string() if k in text else _arrow.float64() for k in wanted},
+                null_values=_NULLS,
+                strings_can_be_null=True,
+            ),
+        ) as file:
+            return file.read_all()
+
+    def _odd_row(self, row: Any) -> str:
+        """A line with another number of cells, as ``EOF``, is passed over if it holds no number."""
+        if any(_is_number(cell, self._point) for cell in _cells(row.text, self._delimiter)):
+            self._odd.append((self._first + (row.number or 0), row.actual_columns, row.text))
+        return "skip"
+
+    def _tell_text(self, wanted: tuple[int, ...], stamps: set[int]) -> None:
+        """BadInput with line and column of the first cell that is no number."""
+        try:
+            table = self._parsed(wanted, set(wanted))
+        except _arrow.ArrowInvalid:
+            return  # what is wrong is not in a cell
+        for k in wanted:
+            if k in stamps:
+                continue
+            for row, cell in enumerate(table.column(str(k)).to_pylist()):
+                if cell is not None and not _is_number(cell.strip(), self._point):
+                    name = self._head.names[k]
+                    raise BadInput(
+                        f"{self._place} line {self._first + row + 1}, column {name!r}", f"{cell[:40]!r} is not a number"
+                    )
+
+
+def _numbers(column: Any) -> Array:
+    """Missing values as NaN; without them Arrow converts nothing, for which it would reserve 1 GiB."""
+    parts = [np.array(part.fill_null(np.nan).to_numpy(), dtype=np.float64) for part in column.chunks]
+    return np.concatenate(parts) if parts else np.empty(0)
+
+
+def decoded(path: Path) -> tuple[str, str]:
+    """Text and encoding: by byte order mark, NUL bytes of UTF-16, else UTF-8, else the Windows code page 1252."""
+    try:
+        size = path.stat().st_size
+        if size > LARGEST_CSV:
+            raise BadInput(str(path), f"is {size} bytes large, limit {LARGEST_CSV} bytes")
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise BadInput(str(path), "file does not exist") from None
+    except (OSError, ValueError) as error:
+        raise BadInput(str(path), f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    head = content[:4096]
+    encoding = next((name for mark, name in _BOMS if content.startswith(mark)), "utf-8")
+    if encoding == "utf-8" and b"\0" in head:
+        odd, even = head[1::2].count(0), head[::2].count(0)
+        encoding = "utf-16-le" if odd > even else "utf-16-be"
+        if max(odd, even) < len(head) // 4 or min(odd, even) > max(odd, even) // 8:
+            raise BadInput(str(path), f"is not a trace that is known: it begins with {content[:8]!r}")
+    try:
+        text = content.decode(encoding)
+    except UnicodeDecodeError as error:
+        if encoding != "utf-8":
+            raise BadInput(str(path), f"cannot be read as {encoding}: {error}") from None
+        text, encoding = content.decode("cp1252", "replace"), "cp1252"
+    return text.replace("\r\n", "\n").replace("\r", "\n"), encoding
+
+
+def _on_one_clock(
+    values: Sequence[Array], clocks: Sequence[Array | None], units: tuple[str, ...], notes: tuple[str, ...], place: str
+) -> Taken:
+    """Channels with clocks of their own, interpolated to the finest of them if they differ."""
+    first = next(clock for clock in clocks if clock is not None)
+    kept: list[tuple[Array, Array]] = []
+    for value, clock in zip(values, (first if clock is None else clock for clock in clocks), strict=True):
+        there = np.isfinite(clock) & np.isfinite(value)
+        if there.sum() < 2 or not (np.diff(clock[there]) > 0).all():
+            raise BadInput(place, f"a channel has {there.sum()} values, or its time does not increase")
+        kept.append((value[there], clock[there]))
+    finest = max((clock for _, clock in kept), key=len)
+    if all(len(clock) == len(finest) and np.allclose(clock, finest, rtol=0, atol=1e-9) for _, clock in kept):
+        return Taken(np.array([value for value, _ in kept]), units, finest, notes)
+    start, end = max(clock[0] for _, clock in kept), min(clock[-1] for _, clock in kept)
+    common = finest[(finest >= start) & (finest <= end)]
+    if len(common) < 2:
+        raise BadInput(place, "its channels have no time in common")
+    told = "channels have clocks of their own; all are interpolated to the finest"
+    return Taken(np.array([np.interp(common, clock, value) for value, clock in kept]), units, common, (*notes, told))
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    line = line.rstrip("\n")
+    if delimiter == " ":
+        return line.split()
+    if '"' in line:
+        return [cell.strip() for row in csv.reader([line], delimiter=delimiter) for cell in row]
+    return [cell.strip() for cell in line.split(delimiter)]
+
+
+def _is_number(cell: str, point: str) -> bool:
+    if cell.casefold() in _MISSING or "_" in cell or (point == "," and "." in cell):
+        return cell.casefold() in _MISSING and cell != ""
+    try:
+        float(cell.replace(point, "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _form(lines: Sequence[str], form: Csv, place: str) -> tuple[str, str, int]:
+    """Delimiter, decimal point and first line of the data."""
+    best: tuple[int, str, str, int] = (0, "", "", 0)
+    for delimiter, point in _FORMS:
+        if form.delimiter not in (None, delimiter) or form.decimal_point not in (None, point) or delimiter == point:
+            continue
+        numbers = partial(_is_number, point=point)
+        score, first = _longest(lines, form.skip_rows, delimiter, numbers)
+        if score > best[0]:
+            best = (score, delimiter, point, first)
+    if best[0] == 0:
+        begun = next((line for line in lines if line.strip()), "")[:60]
+        raise BadInput(place, f"has no table of numbers; it begins with {begun!r}")
+    return best[1:]
+
+
+def _longest(lines: Sequence[str], skip: int, delimiter: str, is_number: Callable[[str], bool]) -> tuple[int, int]:
+    """Numbers in the longest run of lines of data, and where it starts."""
+    best, score, start, width, count = (0, 0), 0, 0, 0, 0
+    for k, line in enumerate(lines):
+        cells = _cells(line, delimiter) if k >= skip and line.strip() else []
+        numbers = sum(map(is_number, cells)) if len(cells) > 1 else 0
+        stamps = sum(timelike(cell) for cell in cells) if 2 * numbers <= len(cells) else 0
+        filled = sum(cell != "" for cell in cells)
+        if numbers and 2 * (numbers + stamps) > filled and numbers + stamps > 1 and (2 * numbers > filled or stamps):
+            if len(cells) != width and count < _FIRM:
+                score, start, width, count = 0, k, len(cells), 0
+            if len(cells) == width:
+                score, count = score + numbers + stamps, count + 1
+            if count > 1 and score > best[0]:
+                best = (score, start)
+        elif line.strip() and count < _FIRM:
+            score, width, count = 0, 0, 0
+    return best
+
+
+def _head(rows: Sequence[list[str]], width: int) -> _Head:
+    rows = [[row[0].lstrip("#%; ").strip(), *row[1:]] for row in rows if row]
+    rows = [row[1:] if len(row) == width + 1 and not row[0] else row for row in rows]
+    keyed = {row[0].casefold(): row for row in rows if len(row) >= width > 1 and row[0] and _repeats(row, width)}
+    if names := keyed.get("name") or keyed.get("symbolname"):
+        return _scope(keyed, names, width)
+    fitting = [
+        row[:width] for row in rows if len(row) in (width, width - 1, width + 1) and sum(map(bool, row)) > width // 2
+    ]
+    fitting = [row + [""] * (width - len(row)) for row in fitting]
+    units = next((row for row in fitting if _are_units(row)), None)
+    named = [row for row in fitting if row is not units and not all(_TYPE.fullmatch(cell) for cell in row if cell)]
+    found = max(
+        named, key=lambda row: len({cell for cell in row if cell}), default=[f"column {k + 1}" for k in range(width)]
+    )
+    parts = [unit_in(cell) for cell in found]
+    stated = units or [""] * width
+    heads = [(name, unit or stated[k].strip("[]() ")) for k, (name, unit) in enumerate(parts)]
+    return _pairs(_Head(tuple(name for name, _ in heads), tuple(unit for _, unit in heads), {}, {}))
+
+
+def _pairs(head: _Head) -> _Head:
+    """A name that stands for time before each other column makes these the channels' own times."""
+    times = [
+        k for k, name in enumerate(head.names) if head.names.count(name) > 1 and k % 2 == 0 and k + 1 < len(head.names)
+    ]
+    if len(times) < 2 or len({head.names[k] for k in times}) > 1:
+        return head
+    names = tuple("" if k in times else name for k, name in enumerate(head.names))
+    return _Head(names, head.units, {k + 1: k for k in times}, {})
+
+
+def _repeats(row: list[str], width: int) -> bool:
+    """Its first cell is that of all channels' first columns."""
+    starts = [k for k in range(width) if row[k] == row[0]]
+    return len(starts) > 1 or row[0].casefold() in ("name", "symbolname", "unit", "data-type", "sampletime[ms]")
+
+
+def _scope(keyed: dict[str, list[str]], names: list[str], width: int) -> _Head:
+    """The heading of TwinCAT's Scope: groups of a column of time and those of its channels."""
+    times = [k for k in range(width) if names[k].casefold() == names[0].casefold()]
+    clocks = {k: max(t for t in times if t < k) for k in range(width) if k not in times}
+    units = keyed.get("unit", [""] * width)
+    sample = keyed.get("sampletime[ms]", [])
+    steps: dict[int, float] = {}
+    for k in clocks:
+        if k < len(sample) and (step := sample[k].replace(",", ".")).replace(".", "", 1).isdigit() and float(step) > 0:
+            steps[k] = float(step) * 1e-3
+    parts = [("", "") if k in times else unit_in(names[k]) for k in range(width)]
+    stated = [
+        part[1] or ("" if k in times or k >= len(units) else units[k].strip("[]() ")) for k, part in enumerate(parts)
+    ]
+    return _Head(
+        tuple(part[0] for part in parts), tuple("" if unit in ("None", "-") else unit for unit in stated), clocks, steps
+    )
+
+
+def _are_units(row: Sequence[str]) -> bool:
+    filled = [cell.strip("[]() ") for cell in row if cell and cell != "-"]
+    return bool(filled) and 2 * sum(known_unit(cell) is not None for cell in filled) > len(filled)
+
+
+def _stated_interval(lines: Sequence[str]) -> float | None:
+    """s, of the heading's interval or rate of sampling."""
+    for line in lines:
+        if found := _INTERVAL.search(line):
+            unit = (found[3] or found[1] or "s").lower().replace("sec", "s").replace("µ", "u")
+            return float(found[2].replace(",", ".").rstrip(".")) * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
+        if found := _RATE.search(line):
+            return 1 / (float(found[1].replace(",", ".").rstrip(".")) * (1e3 if found[2] else 1.0))
+    return None

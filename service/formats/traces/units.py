@@ -1,0 +1,161 @@
+"""The one rule of units: what a unit in a file or a heading measures, and its factor to SI.
+
+A unit that fits a column has one meaning on the joint side. ``rpm`` may be of joint or motor, N m too, and ``%`` of
+anything: those are decided by the motion (`service.formats.traces.meaning`), or by the mapping.
+"""
+
+import math
+import re
+from collections.abc import Mapping
+
+from service.formats.traces.mapping import Unit
+from service.model.errors import BadInput
+
+Scaling = tuple[float, float]  # factor and offset
+
+_TIME = {
+    "s": 1.0,
+    "ms": 1e-3,
+    "us": 1e-6,
+    "ns": 1e-9,
+    "min": 60.0,
+    "sec": 1.0,
+    "seconds": 1.0,
+    "msec": 1e-3,
+    "usec": 1e-6,
+}
+_DEGREE = math.radians(1.0)
+_ANGLE = {"rad": 1.0, "mrad": 1e-3, **dict.fromkeys(("deg", "degree", "degrees", "Grad", "grad"), _DEGREE)}
+_LENGTH = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
+_PER = ("s", "min", "sec")
+_RPM = ("rpm", "1/min", "min^-1", "min-1", "rev/min", "U/min", "r/min", "/min", "min⁻¹", "Upm")
+
+
+def _speeds(ways: Mapping[str, float]) -> dict[str, float]:
+    return {f"{name}/{per}": factor / _TIME[per] for name, factor in ways.items() for per in _PER}
+
+
+QUANTITIES: Mapping[str, Mapping[str, float]] = {
+    "time": _TIME,
+    "angle": _ANGLE,
+    "length": _LENGTH,
+    "angular speed": {**_speeds(_ANGLE), "dps": _DEGREE},
+    "speed": _speeds(_LENGTH),
+    "turns": dict.fromkeys(("rev", "turn", "turns", "U", "Umdr"), math.tau),
+    "turns per time": {**dict.fromkeys(_RPM, math.tau / 60), **dict.fromkeys(("rev/s", "1/s", "rps", "U/s"), math.tau)},
+    "torque": {"Nm": 1.0, "kNm": 1e3, "mNm": 1e-3, "Ncm": 1e-2},
+    "force": {"N": 1.0, "kN": 1e3, "mN": 1e-3},
+    "current": {"A": 1.0, "mA": 1e-3, "Aeff": 1.0, "Arms": 1.0, "A_rms": 1.0, "Apk": math.sqrt(0.5)},
+    "part": {"%": 1e-2, "percent": 1e-2, "Prozent": 1e-2, "‰": 1e-3, "permille": 1e-3, "0.1%": 1e-3},
+    "temperature": {"degC": 1.0, "C": 1.0, "K": 1.0, "celsius": 1.0},
+}
+"""Factor to SI by unit; turns in rad, parts of one."""
+_FOLDED = {
+    name.casefold(): (quantity, factor)
+    for quantity, units in QUANTITIES.items()
+    for name, factor in units.items()
+    if len(name) > 2 and name not in ("mNm", "kNm")
+}
+_BRACKETS = re.compile(
+    r"^(?P<name>.*?)[\s_]*(?:[\[(<{]\s*(?P<unit>[^\])>}]+?)\s*[\])>}]|\s(?:in|/)\s+(?P<bare>\S+)|,\s*(?P<after>\S+))$"
+)
+_SUFFIX = re.compile(
+    r"^(?P<name>.+?)_(?P<unit>rad_?p?s|deg_?p?s|mm_?p?s|m_?p?s|rad|deg|mm|nm|rpm|ms|us|ns|sec|pct|percent|amps?|s|a)$",
+    re.IGNORECASE,
+)
+_SPELT = {"nm": "Nm", "amp": "A", "amps": "A", "a": "A", "pct": "%"}
+
+_SAID: Mapping[Unit, tuple[str, float | None]] = {
+    "deg": ("angle", _DEGREE),
+    "mm": ("length", 1e-3),
+    "motor rev": ("turns", math.tau),
+    "motor rev/min": ("turns per time", math.tau / 60),
+    "motor N m": ("torque", 1.0),
+    "percent": ("part", 1e-2),
+    "ms": ("time", 1e-3),
+}
+
+
+def plain(unit: str) -> str:
+    """The unit in its simplest notation: ``N·m`` and ``N m`` are ``Nm``, ``°/s`` is ``deg/s``."""
+    for sign, word in (("°", "deg"), ("º", "deg"), ("µ", "u"), ("μ", "u"), ("·", ""), ("⋅", ""), ("*", ""), (" ", "")):
+        unit = unit.replace(sign, word)
+    return unit
+
+
+def measures(unit: str) -> tuple[str, float] | None:
+    """Quantity and factor of a unit; None if it is not known."""
+    bare = plain(unit)
+    for quantity, units in QUANTITIES.items():
+        if bare in units:
+            return quantity, units[bare]
+    return _FOLDED.get(bare.casefold())
+
+
+def known_unit(unit: str) -> str | None:
+    """Quantity of a unit; None if it is not known."""
+    found = measures(unit)
+    return None if found is None else found[0]
+
+
+def unit_in(heading: str) -> tuple[str, str]:
+    """Name and unit of a heading, as ``M [Nm]``, ``n / rpm``, ``position_deg``; "" if it has none."""
+    if found := _BRACKETS.match(heading):
+        unit = (found["unit"] or found["bare"] or found["after"]).strip()
+        if found["name"] and (
+            known_unit(unit) or (found["unit"] and not re.fullmatch(r"[A-Za-z]?\d[\d, ]*|[xyzXYZ]|u\d+,.*", unit))
+        ):
+            return found["name"].strip(), unit
+    if found := _SUFFIX.match(heading):
+        unit = found["unit"].lower()
+        per = (
+            unit.replace("_", "").replace("ps", "/s")
+            if len(unit) > 2 and unit.endswith("s") and unit != "amps"
+            else unit
+        )
+        per = re.sub(r"(?<=[dgm])s$", "/s", per) if unit not in ("ms", "amps") else per
+        return heading, _SPELT.get(per, per)
+    return heading, ""
+
+
+def check_same(said: Unit, unit: str, place: str) -> None:
+    """BadInput if the unit in the mapping contradicts the unit in the file."""
+    given = measures(unit)
+    fits = (
+        plain(unit) in ("1", "samples") if said == "samples" else given is not None and given == _SAID.get(said, given)
+    )
+    if said == "axis position":
+        fits = given in (("angle", _DEGREE), ("length", 1e-3))
+    if not fits:
+        raise BadInput(
+            place,
+            f"the mapping says {said!r}, the file says {unit!r}: correct the mapping, or give scale and offset",
+        )
+
+
+def to_si(column: str, unit: str, prismatic: bool, place: str) -> Scaling:
+    """Factor and offset from a file's unit to SI of a bundle's column; values are assumed to be on the joint side.
+
+    BadInput for a unit that is unknown or ambiguous: ``rpm`` may be of joint or motor, ``%`` of anything.
+    """
+    known, found = QUANTITIES[quantity_of(column, prismatic)], measures(unit)
+    if found is None or found[0] != quantity_of(column, prismatic):
+        raise BadInput(
+            place,
+            f"unit {unit!r} of the file is not a unit of {column} ({', '.join(known)}); "
+            "give a unit, or scale and offset, in the mapping",
+        )
+    return found[1], -273.15 if column == "temperature" and plain(unit) == "K" else 0.0
+
+
+def quantity_of(column: str, prismatic: bool) -> str:
+    """What a bundle's column measures on the joint side."""
+    match column:
+        case "time" | "temperature":
+            return column
+        case "effort" | "excitation_effort":
+            return "force" if prismatic else "torque"
+        case "position" | "load_position" | "set_position":
+            return "length" if prismatic else "angle"
+        case _:
+            return "speed" if prismatic else "angular speed"

@@ -1,0 +1,93 @@
+"""From recorded sweeps to the document of the estimate, for the service's worker and for `sweepid identify`."""
+
+from collections.abc import Mapping, Sequence
+
+from service.identification.axis.ideal_frequency import AxisAnalysis
+from service.identification.axis.known_effects import KnownEffects
+from service.identification.axis.nominal_priors import TorqueGain
+from service.identification.estimates.analysis_document import analyses_document
+from service.identification.estimates.combination import combine, inertias_of
+from service.identification.estimates.combination_document import combination_document
+from service.identification.estimates.document import as_document, nothing_known
+from service.identification.estimates.estimate import Estimate, identify
+from service.identification.estimates.initial_analysis import analyse
+from service.identification.motion.free_motion import FreeMotion
+from service.identification.motion.trajectory_record import AxisTrack, axis_track, runs_at_once, trajectories
+from service.identification.spectra.frequency_response import Spectrum, spectrum
+from service.identification.spectra.noise_response import NoiseSpectrum, has_reference, noise_spectrum
+from service.model.geometry.collision import reachable
+from service.model.recording import Sweep
+from service.model.results import estimate as results
+from service.model.results.combination import Combination
+from service.model.results.identified.spectrum import AnySpectrum
+from service.model.robot import Robot
+
+SweepSpectrum = Spectrum | NoiseSpectrum | AxisTrack
+
+
+def sweep_spectrum(robot: Robot, sweep: Sweep) -> SweepSpectrum:
+    """The stored spectrum of a sweep; BadInput if the record is shorter than the sweep."""
+    if runs_at_once(sweep.spec):
+        return axis_track(sweep)
+    return noise_spectrum(robot, sweep) if has_reference(sweep) else spectrum(robot, sweep)
+
+
+def spectrum_from(document: AnySpectrum) -> SweepSpectrum:
+    """The inverse of `to_document` for all kinds."""
+    if "harmonics" in document:
+        return AxisTrack.from_document(document)
+    if "reference" in document:
+        return NoiseSpectrum.from_document(document)
+    return Spectrum.from_document(document)
+
+
+def estimate_document(
+    robot: Robot,
+    spectra: Sequence[SweepSpectrum],
+    analyses: Mapping[str, AxisAnalysis] | None = None,
+    gains: Mapping[str, TorqueGain] | None = None,
+    known: KnownEffects | None = None,
+    motions: Sequence[FreeMotion] = (),
+) -> results.Estimate:
+    """Identify, and compare with the nominal model over the poses of the workspace without self-collision.
+
+    The initial analysis of noise runs and stepped sines among the `spectra` becomes "analysis"; it is the prior of
+    its axes' drive trains, as are `analyses` of other campaigns for axes without one. `gains`: calibrated with a test
+    mass, by joint. `known`: effects of the robot's model, for the sweeps with lines. With trajectories of several axes
+    and free `motions`, "combination" is the joint estimate from sweeps and these; else it is null.
+    Spectra of sweeps in `motions` contain no information about a single axis and are ignored.
+    """
+    sweeps = [each for each in spectra if isinstance(each, Spectrum)]
+    together = {id for motion in motions for id in motion.ids}
+    sweeps = [sweep for sweep in sweeps if sweep.spec.id not in together]
+    runs = [each for each in spectra if isinstance(each, NoiseSpectrum)]
+    own = analyse(robot, runs, [sweep for sweep in sweeps if sweep.spec.stepped])
+    estimate = None
+    if any(sweep.spec.shows_inertia for sweep in sweeps):
+        estimate = identify(robot, sweeps, {**(analyses or {}), **own}, gains or {}, known)
+    tracks = [each for each in spectra if isinstance(each, AxisTrack)]
+    combination = _combination(robot, estimate, tracks, motions, gains or {})
+    also: dict[str, object] = {"analysis": analyses_document(own), "combination": combination}
+    if estimate is None and combination is not None:
+        also |= {"standard_parameters": combination.standard_parameters, "physical": combination.physical}
+    return _document(robot, estimate).model_copy(update=also)
+
+
+def _combination(
+    robot: Robot,
+    estimate: Estimate | None,
+    tracks: Sequence[AxisTrack],
+    motions: Sequence[FreeMotion],
+    gains: Mapping[str, TorqueGain],
+) -> Combination | None:
+    records = trajectories(robot, tracks)
+    if not records and not motions:
+        return None
+    return combination_document(combine(robot, inertias_of(estimate) if estimate else (), records, motions, gains))
+
+
+def _document(robot: Robot, estimate: Estimate | None) -> results.Estimate:
+    """The document of an estimate from sweeps alone."""
+    if estimate is None:
+        return nothing_known()
+    return as_document(estimate, reachable(robot, estimate.poses, estimate.workspace))

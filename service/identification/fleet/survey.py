@@ -1,0 +1,147 @@
+"""Robots of one type over their campaigns: changes, outliers, and due measurements."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+import numpy as np
+
+from service.identification.fleet.chart import AlarmRate, Look, looks
+from service.identification.fleet.document import (
+    FleetAxis,
+    FleetChange,
+    FleetDifference,
+    FleetPoint,
+    FleetRobot,
+    FleetType,
+)
+from service.identification.fleet.history import Between, History, between_campaigns
+from service.identification.fleet.series import CampaignMeasured, newest_ratio, series
+from service.identification.fleet.siblings import Sibling, outliers
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """Configuration: the false-alarm probability of a time of `campaigns`, and days between measurements."""
+
+    probability: float
+    campaigns: int
+    remeasure_days: float
+
+
+@dataclass(frozen=True, slots=True)
+class RobotMeasured:
+    """A robot and its campaigns, the oldest first. `measured`: their total number, including those not given here."""
+
+    serial: str | None
+    machine: str | None
+    measured: int
+    campaigns: tuple[CampaignMeasured, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Axis:
+    """One axis of all robots, by the number of the robot."""
+
+    histories: Mapping[str, History]
+    left_out: Mapping[str, int]
+    between: Between
+    looks: Mapping[str, Look | None]
+    siblings: Mapping[str, Sibling]
+
+
+def survey(name: str, robots: Sequence[RobotMeasured], rules: Rules, at: datetime) -> FleetType:
+    """The robots of the type `name` at the time `at`. BadInput for impossible rules."""
+    axes = list(dict.fromkeys(axis for robot in robots for one in robot.campaigns for axis in one.axes))
+    rate = AlarmRate(rules.probability, max(1, len(robots)), max(1, len(axes)), rules.campaigns)
+    found = {axis: _axis(axis, robots, rate) for axis in axes}
+    return FleetType(
+        name=name,
+        probability=rules.probability,
+        campaigns=rules.campaigns,
+        remeasure_days=rules.remeasure_days,
+        axes=tuple(axes),
+        between_percent={axis: 100 * float(np.sqrt(one.between.variance)) for axis, one in found.items()},
+        robots=tuple(_robot(str(number), robot, found, rules, at) for number, robot in enumerate(robots)),
+    )
+
+
+def _axis(axis: str, robots: Sequence[RobotMeasured], rate: AlarmRate) -> _Axis:
+    made = {str(number): series(str(number), axis, robot.campaigns) for number, robot in enumerate(robots)}
+    histories = {key: history for key, (history, _) in made.items()}
+    ratios = [newest_ratio(str(number), axis, robot.campaigns) for number, robot in enumerate(robots)]
+    gains = {history.robot: gain for history, gain in ratios}
+    found = outliers([history for history, _ in ratios], rate.probability, rate.quantities, gains)
+    return _Axis(
+        histories=histories,
+        left_out={key: left for key, (_, left) in made.items()},
+        between=between_campaigns(list(histories.values())),
+        looks=looks(list(histories.values()), rate),
+        siblings={one.robot: one for one in found},
+    )
+
+
+def _robot(key: str, robot: RobotMeasured, axes: Mapping[str, _Axis], rules: Rules, at: datetime) -> FleetRobot:
+    own = {axis: _document(key, found, robot) for axis, found in axes.items() if found.histories[key].measurements}
+    last = robot.campaigns[-1].at if robot.campaigns else None
+    due_at = None if last is None else last + timedelta(days=rules.remeasure_days)
+    return FleetRobot(
+        serial=robot.serial,
+        machine=robot.machine,
+        campaigns=robot.measured,
+        measured_at=last,
+        due_at=due_at,
+        due=due_at is None or at >= due_at,
+        changed=tuple(axis for axis, one in own.items() if one.change is not None and one.change.alarm),
+        outlier=tuple(axis for axis, one in own.items() if one.difference is not None and one.difference.outlier),
+        axes=own,
+    )
+
+
+def _document(key: str, axis: _Axis, robot: RobotMeasured) -> FleetAxis:
+    history = axis.histories[key]
+    times = {one.id: one.at for one in robot.campaigns}
+    values, variances = history.arrays()
+    middle = float(values.mean())
+    look, sibling = axis.looks[key], axis.siblings.get(key)
+    return FleetAxis(
+        points=tuple(
+            FleetPoint(
+                campaign=one.campaign,
+                at=times[one.campaign],
+                difference_percent=_percent(one.value - middle),
+                std_percent=100 * float(np.sqrt(variance + axis.between.variance)),
+            )
+            for one, variance in zip(history.comparable, variances, strict=True)
+        ),
+        left_out=axis.left_out[key],
+        change=None if look is None else _change(look),
+        difference=None if sibling is None else _difference(sibling),
+    )
+
+
+def _change(look: Look) -> FleetChange | None:
+    if not np.isfinite(look.limit):
+        return None
+    return FleetChange(
+        since=look.since,
+        change_percent=_percent(look.change),
+        std_percent=100 * look.std,
+        statistic=look.statistic,
+        limit=look.limit,
+        alarm=look.alarm,
+    )
+
+
+def _difference(sibling: Sibling) -> FleetDifference:
+    return FleetDifference(
+        difference_percent=_percent(sibling.difference),
+        probability=sibling.probability,
+        outlier=sibling.outlier,
+        by_gain=sibling.by_gain,
+    )
+
+
+def _percent(log: float) -> float:
+    """Percent, from a difference of logarithms."""
+    return 100 * float(np.expm1(log))

@@ -1,0 +1,1 @@
+"""Motion: execution of sweeps, the stop process, programs for a CNC without fieldbus."""

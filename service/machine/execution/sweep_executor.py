@@ -1,0 +1,310 @@
+"""Runs one sweep on the machine: move to the pose, enable, sweep, disable, recording. Any error: standstill first."""
+
+import asyncio
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, replace
+from typing import ParamSpec, TypeVar
+
+import structlog
+from sqlalchemy.exc import SQLAlchemyError
+
+from drivers.errors import Cause, CauseCode, CausedError, SweepInterrupted
+from drivers.ports import AxisStatus
+from service.machine.execution.check_move import DURATION, WAY, CheckMove, make
+from service.machine.execution.current_activity import CurrentActivity, travels
+from service.machine.execution.epoch import Intention
+from service.machine.execution.machine import Machine
+from service.machine.execution.motion import Motion
+from service.machine.execution.recording.incoming import BegunSweep, Incoming
+from service.machine.execution.recording.recorder import finish
+from service.machine.execution.recording.recovery import break_off, end_runs, store_streams
+from service.model.errors import SweepidError
+from service.model.recording import SweepSpec
+from service.model.results.identified.manifest import Facts
+from service.planning.ahead import positions_of
+from service.planning.campaigns.live import LiveHub
+from service.planning.campaigns.state_machine import SweepEvent, sweep_move
+from service.planning.compiled_plan import CompiledPlan
+from service.process.logs.about import MACHINE, in_executor
+from service.process.tasks.run_to_end import run_to_end
+from service.process.telemetry.spans import TRACING
+from service.store.database import refusal
+from service.store.documents import NewRecording, SweepDocument
+from service.store.files.recordings import RecordingFiles, Run
+from service.store.store import Store
+
+_log = structlog.get_logger(__name__)
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+
+class SweepExecutor:
+    """Runs sweeps: one at a time, or those of one trajectory together."""
+
+    def __init__(self, store: Store, files: RecordingFiles, machine: Machine, hub: LiveHub) -> None:
+        self._store, self._files, self._machine, self._hub = store, files, machine, hub
+        self.under_way: CurrentActivity | None = None
+        self.check_move: CheckMove | None = None
+        """First direction of the check move in progress, so that a person can check the motion of the axis."""
+        self.set_points = self.set_points_missed = 0
+        """Of all streamed sweeps since the start of the service."""
+        self._incoming: Incoming | None = None
+        # one thread: writing a file and processing it afterwards never overlap, even when cancelled
+        self._disk = ThreadPoolExecutor(1, thread_name_prefix="recorder")
+
+    @property
+    def blocks_waiting(self) -> int:
+        """Number of blocks of samples that are not yet on disk."""
+        return 0 if self._incoming is None else self._incoming.waiting
+
+    def close(self) -> None:
+        """Wait for the disk."""
+        self._disk.shutdown()
+
+    async def run(
+        self,
+        sweeps: Sequence[SweepDocument],
+        compiled: CompiledPlan,
+        intention: Intention,
+        origin: float,
+        checked: set[str],
+        recorded: Callable[[SweepDocument], None],
+    ) -> None:
+        """Run a planned sweep, or the sweeps of one trajectory together.
+
+        `origin`: start of the campaign on the monotonic clock, s.
+
+        `checked`: the joints that made their check move in this run of the campaign; new ones are added.
+
+        `recorded` is called for each sweep that is stored as recorded, whatever is raised afterwards.
+
+        Whatever is raised (also on cancellation): the machine stands, each sweep that is not recorded is failed or
+        interrupted with its cause, and its samples are kept as a partial recording. If the database refuses that,
+        `end_runs` repeats it.
+        """
+        campaign, numbers = sweeps[0].campaign_id, [sweep.number for sweep in sweeps]
+        span = TRACING.span("sweep", campaign=campaign, sweep=numbers[0], together=len(numbers))
+        with MACHINE.sweeps(campaign, numbers), span:
+            await self._run(sweeps, compiled, intention, origin, checked, recorded)
+
+    async def _run(
+        self,
+        sweeps: Sequence[SweepDocument],
+        compiled: CompiledPlan,
+        intention: Intention,
+        origin: float,
+        checked: set[str],
+        recorded: Callable[[SweepDocument], None],
+    ) -> None:
+        left: list[BegunSweep] = []  # started, and not recorded yet
+        try:
+            async with self._machine.motion(compiled.envelope, intention) as motion:
+                await run_to_end(asyncio.to_thread(self._begin, sweeps, compiled, left))
+                together = tuple(left)
+                commands, pose = [each.command for each in together], together[0].sweep.spec.pose
+                await asyncio.to_thread(compiled.envelope.check_run, commands, pose)
+                with TRACING.span("approach"):
+                    here = await self._approach(motion, together, compiled, checked, time.monotonic())
+                started_at = time.monotonic() - origin
+                with TRACING.span("record"):
+                    await self._record(motion, together, compiled, here)
+                here = await self._pose(together[0].sweep, compiled)  # measured again: a brake may have slipped
+                moved = {command.joint for command in commands}
+                compiled.envelope.check_standing(pose, here, compiled.pose_tolerance, moving=moved)
+                for each, (spec, recording) in [(each, await self._finish(each, started_at)) for each in together]:
+                    await run_to_end(self._keep(each, spec, recording, left, recorded))
+        except BaseException as error:
+            await run_to_end(self._give_up(left, error))
+            raise
+        finally:
+            self.under_way = None
+
+    async def end_runs(self, cause: Cause) -> None:
+        """Store that nothing runs any more, if the database refused it before. Raises SQLAlchemyError if it
+        still does.
+        """
+        await self._on_disk(end_runs, self._store, self._files, cause, cause)
+
+    async def store_streams(self) -> None:
+        """Store the samples of earlier sweeps that could not be written when they ended. Raises SQLAlchemyError."""
+        await self._on_disk(store_streams, self._store, self._files, "the disk did not accept it when the sweep ended")
+
+    def _begin(self, sweeps: Sequence[SweepDocument], compiled: CompiledPlan, begun: list[BegunSweep]) -> None:
+        """Begin them in the store; `begun` receives those that were begun, also if one is refused."""
+        for planned in sweeps:
+            command = compiled.commands[planned.number]
+            last = self._files.last_attempt(planned.campaign_id, planned.number)
+            sweep = self._store.begin_sweep(planned.campaign_id, planned.number, sweep_move(SweepEvent.BEGIN), last)
+            run = Run(sweep.campaign_id, sweep.number, sweep.attempt)
+            facts: Facts = {
+                "campaign_id": run.campaign_id,
+                "number": run.number,
+                "attempt": run.attempt,
+                "spec": sweep.spec.model_dump(mode="json"),
+                "drives": [asdict(identity) for identity in self._machine.identities],
+            }
+            begun.append(BegunSweep(sweep, run, command, facts))
+            _log.info("sweep_begun", campaign=run.campaign_id, sweep=run.number, attempt=run.attempt)
+
+    async def _finish(self, each: BegunSweep, started_at: float) -> tuple[SweepSpec, NewRecording]:
+        """The recording of a sweep that ran, and its spec as measured."""
+        spec = each.sweep.spec.model_copy(update={"started_at": started_at})
+        streamed = self._machine.set_point_timing
+        if streamed is not None:
+            self.set_points += streamed.cycles
+            self.set_points_missed += streamed.missed
+        each.facts["set_point_timing"] = None if streamed is None else asdict(streamed)
+        timing = self._machine.channel_timing[each.command.joint]
+        return await self._on_disk(finish, self._files, each.run, spec, each.command, timing, each.facts)
+
+    async def _keep(
+        self,
+        each: BegunSweep,
+        spec: SweepSpec,
+        recording: NewRecording,
+        left: list[BegunSweep],
+        recorded: Callable[[SweepDocument], None],
+    ) -> None:
+        """Store a recorded sweep; its stream is removed after the row of its recording is stored."""
+        run, move = each.run, sweep_move(SweepEvent.RECORD)
+        sweep = await self._on_disk(
+            self._store.end_sweep, run.campaign_id, run.number, move, spec=spec, recording=recording
+        )
+        left.remove(each)
+        recorded(sweep)
+        _log.info("recorded", campaign=run.campaign_id, sweep=run.number, axis=spec.axis)
+        await self._on_disk(self._files.stream(run).unlink)
+
+    async def _approach(
+        self, motion: Motion, together: Sequence[BegunSweep], compiled: CompiledPlan, checked: set[str], begun: float
+    ) -> tuple[float, ...]:
+        """Move the axes to the sweeps' pose, one at a time, and check their positions. Returns the measured pose.
+
+        An axis makes its check move before any larger move and before its sweep.
+        """
+        sweep, commands = together[0].sweep, [each.command for each in together]
+        envelope, pose = compiled.envelope, sweep.spec.pose
+        units = envelope.units()
+        here = await self._pose(sweep, compiled)
+        legs = await asyncio.to_thread(envelope.order_of_legs, here, pose)
+        way = travels(compiled.joints, here, legs, compiled.move_velocity)
+        numbers, joints = tuple(each.run.number for each in together), tuple(each.joint for each in commands)
+        for done, (index, target) in enumerate(legs):
+            joint = compiled.joints[index]
+            left, seconds = way[done:], commands[0].duration
+            self.under_way = CurrentActivity(numbers, joints, left, seconds, frozenset(checked), begun)
+            here = await self._pose(sweep, compiled)
+            if joint not in checked and abs(target - here[index]) > WAY[units[joint]]:
+                await self._check(motion, joint, target - here[index], sweep, compiled)
+                checked.add(joint)
+                here = await self._pose(sweep, compiled)
+            async with motion.moving(joint, here, target, compiled.move_velocity) as go:
+                await go(target)
+        self.under_way = CurrentActivity(numbers, joints, (), commands[0].duration, frozenset(checked), begun)
+        for command in commands:
+            if command.joint not in checked:
+                await self._check(motion, command.joint, command.offset_velocity, sweep, compiled)
+                checked.add(command.joint)
+        here = await self._pose(sweep, compiled)
+        envelope.check_standing(pose, here, compiled.pose_tolerance)
+        await asyncio.to_thread(envelope.check_run, commands, here)  # before a file for samples is created
+        return here
+
+    async def _check(
+        self, motion: Motion, joint: str, towards: float, sweep: SweepDocument, compiled: CompiledPlan
+    ) -> None:
+        """The check move of a joint in the direction of `towards`, and back."""
+        units = compiled.envelope.units()
+        way = math.copysign(WAY[units[joint]], towards)
+        velocity = min(compiled.move_velocity, abs(way) / DURATION)
+        status = await self._machine.status()
+        here = _pose_of(status, sweep, compiled)
+        there = CheckMove(joint, way, {each: axis.position for each, axis in status.items()}, units)
+        _log.info("check_move", campaign=sweep.campaign_id, sweep=sweep.number, axis=joint, way=way, unit=units[joint])
+        self.check_move = there
+        try:
+            await asyncio.to_thread(
+                self._store.add_check_move, sweep.campaign_id, sweep.number, joint, way, units[joint]
+            )
+            async with motion.moving(joint, here, there.target, velocity) as go:
+                await make(go, there, self._machine.status)
+                reached = {each: axis.position for each, axis in (await self._machine.status()).items()}
+                back = CheckMove(joint, there.start[joint] - reached[joint], reached, units)
+                await make(go, back, self._machine.status)
+        finally:
+            self.check_move = None
+
+    async def _record(
+        self, motion: Motion, together: Sequence[BegunSweep], compiled: CompiledPlan, here: Sequence[float]
+    ) -> None:
+        """Run the sweeps and write their samples to disk. Raises SamplesMissing if any is missing."""
+        self._incoming = incoming = Incoming(together, compiled, motion.stop, self._hub, self._disk)
+        try:
+            await incoming.open(self._files)
+            async with motion.sweeping([each.command for each in together], here) as blocks:
+                await incoming.take(blocks)
+            await incoming.written()
+        finally:
+            self._incoming = None
+            incoming.close()
+
+    async def _pose(self, sweep: SweepDocument, compiled: CompiledPlan) -> tuple[float, ...]:
+        """Positions of all axes; for axes that this machine does not reach, those of the plan.
+
+        CommunicationLost if a drive does not answer, because the position of its axis is then unknown.
+        """
+        return _pose_of(await self._machine.status(), sweep, compiled)
+
+    async def _give_up(self, left: Sequence[BegunSweep], error: BaseException) -> None:
+        """The machine stands: `Machine.motion` ensured this before it raised the error."""
+        interrupted = bool(self._machine.held) or isinstance(error, SweepInterrupted | asyncio.CancelledError)
+        cause = cause_of(self._machine, error)
+        event = SweepEvent.INTERRUPT if interrupted else SweepEvent.FAIL
+        for each in left:
+            await self._abandon(each, event, cause)
+
+    async def _abandon(self, each: BegunSweep, event: SweepEvent, cause: Cause) -> None:
+        """Keep the samples of a sweep, and end it in the store, if that is possible."""
+        run = each.run
+        _log.error("sweep_given_up", campaign=run.campaign_id, sweep=run.number, cause=str(cause))
+        try:
+            await self._on_disk(break_off, self._store, self._files, run, event, cause, each.facts)
+        except (SQLAlchemyError, SweepidError) as refused:  # the others must be ended as well
+            _log.error("sweep_not_ended", campaign=run.campaign_id, sweep=run.number, reason=str(refused))
+
+    async def _on_disk(
+        self, work: Callable[Arguments, Result], *args: Arguments.args, **kwargs: Arguments.kwargs
+    ) -> Result:
+        return await in_executor(self._disk, work, *args, **kwargs)
+
+
+def _pose_of(status: Mapping[str, AxisStatus], sweep: SweepDocument, compiled: CompiledPlan) -> tuple[float, ...]:
+    positions = positions_of(status)
+    return tuple(positions.get(joint, planned) for joint, planned in zip(compiled.joints, sweep.spec.pose, strict=True))
+
+
+def cause_of(machine: Machine, error: BaseException) -> Cause:
+    """The cause for the person: who stopped the machine, or the error, with later notes."""
+    cause = machine.cause or cause_of_error(error)
+    return replace(cause, detail="; ".join([cause.detail, *getattr(error, "__notes__", ())]))
+
+
+def cause_of_error(error: BaseException) -> Cause:
+    told = f"{type(error).__name__}: {error}"
+    match error:
+        case asyncio.CancelledError(args=(Cause() as cause,)):
+            return cause
+        case CausedError():
+            return error.cause
+        case SQLAlchemyError():
+            return Cause(CauseCode.NOT_STORED, detail=refusal(error))
+        case OSError():
+            return Cause(CauseCode.NOT_STORED, detail=told)
+        case SweepidError():
+            return Cause(CauseCode.REFUSED, detail=told)
+        case _:
+            return Cause(CauseCode.INTERNAL, detail=told)

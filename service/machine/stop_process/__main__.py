@@ -1,0 +1,90 @@
+"""``python -m service.machine.stop_process PROFILE HOST PORT [CERTIFICATE KEY]``: child of `sweepid serve`."""
+
+import os
+import signal
+import ssl
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from service.machine.stop_process import END, ORDER, TAKEN_OVER
+from service.machine.stop_process.answers import Answer, Request, answer_to
+from service.machine.stop_process.bus import Bus
+from service.machine.stop_process.listener import Answered, Listener
+from service.machine.stop_process.telling import Telling
+
+_SIGNALS = tuple(bytes([getattr(signal, name)]) for name in ("SIGHUP", "SIGINT", "SIGTERM") if hasattr(signal, name))
+
+AT_ONCE = 16  # stops that are sent at once; others come after these, and are merged
+
+
+def main() -> None:
+    profile, host, port, *tls = sys.argv[1:]
+    telling = Telling(1)
+    stopping = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="stop")  # the listener waits for no drive
+
+    def stop(wanted: Request, answered: Answered) -> None:
+        stopping.submit(carry_out, wanted, time.monotonic() + wanted.wait, answered)
+
+    def carry_out(wanted: Request, until: float, answered: Answered) -> None:
+        sent = bus.stop()
+        telling.tell({"stop": wanted.words()})
+        if wanted.wait:
+            bus.confirm(until, lambda confirmed: answered(answer_to(wanted, sent, confirmed)))
+        else:
+            answered(answer_to(wanted, sent, None))
+
+    def status() -> Answer:
+        return 200, {"trouble": bus.trouble}
+
+    try:
+        listener = Listener(host, int(port), stop, status, _context(tls), lambda: _beat(telling))
+    except OSError as error:
+        telling.tell({"error": f"cannot listen at {host}:{port} for the stop: {error.strerror or error}"})
+        raise SystemExit(1) from None
+    telling.tell({"port": listener.port, "pid": os.getpid()})  # the service reads this first: the bus has no news yet
+    bus = Bus(Path(profile), lambda trouble: telling.tell({"trouble": trouble[:1000]}))
+    threading.Thread(target=_obey, args=[bus], name="stop-orders", daemon=True).start()
+    listener.serve()
+
+
+def _beat(telling: Telling) -> None:
+    telling.tell({"alive": True})
+    telling.flush()
+
+
+def _context(tls: list[str]) -> ssl.SSLContext | None:
+    """None if the files are unusable: the stop then works without TLS."""
+    if not tls:
+        return None
+    certificate, key = tls
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    try:
+        context.load_cert_chain(certificate, key, password=lambda: "")
+    except OSError as error:
+        sys.stderr.write(f"TLS of the stop process failed: {error}\n")
+        return None
+    return context
+
+
+def _obey(bus: Bus) -> None:
+    """Run until the service ends or crashes; a crash stops the machine."""
+    while word := os.read(0, 1):
+        if word == TAKEN_OVER:
+            bus.taken_over()
+        elif word == END:
+            os._exit(0)
+        elif word == ORDER:  # from a running service, which monitors its drives
+            bus.stop()
+            bus.taken_over()
+        elif word in _SIGNALS:
+            bus.stop()
+    bus.stop()
+    bus.insist()
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What the service talks about: robot, recording, geometry, results, errors, configuration."""

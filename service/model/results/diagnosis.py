@@ -1,0 +1,223 @@
+"""A diagnosis: the difference between model and measurement by axis, and the resulting model."""
+
+from collections.abc import Sequence
+from typing import Literal
+
+from pydantic import Field, JsonValue
+
+from service.model.results.cell import Cell
+from service.model.results.check import Finding
+from service.model.results.effect import AxisFit, Effect, Value
+from service.model.results.experiment import Experiment
+from service.model.results.part import Document, Part
+from service.model.results.table import Column, Shown, Table
+
+Verdict = Literal["none", "named", "ambiguous", "unknown", "untestable"]
+Standing = Literal["settled", "open", "unexplained"]
+
+
+class Change(Part):
+    """A parameter of a known effect: the value in the model, and the present value."""
+
+    effect: str
+    parameter: str
+    model: Value
+    now: Value
+
+
+class Rival(Part):
+    """Another candidate instead of the chosen explanation; `behind`: its difference in Schwarz's criterion."""
+
+    effect: str
+    behind: float
+
+
+class PoseGap(Part):
+    """RMS of the residual in one pose, N m (N); the noise floor is null if nothing was repeated."""
+
+    pose: tuple[float, ...]
+    before_rms: float
+    after_rms: float
+    noise_floor_rms: float | None
+    sweeps: int
+
+
+class Gap(Part):
+    """RMS of the residual, N m (N), and in percent of the effort.
+
+    `held_out_sweeps`: those not used to select or fit effects. `cross_validated`: each pose (or repeat) was tested with
+    a fit to the others; older documents without the key were cross-validated whenever possible. `twin_rms`: residual of
+    the simulator with the identified model.
+    """
+
+    before_rms: float
+    after_rms: float
+    noise_floor_rms: float | None
+    held_out_sweeps: int
+    cross_validated: bool = False
+    source: str = "columns"
+    before_percent: float
+    after_percent: float
+    twin_rms: float | None = None
+    by_pose: tuple[PoseGap, ...]
+
+
+class Example(Part):
+    """The sweep with the largest gap: time, s; measured effort, and that of both models, N m (N)."""
+
+    sweep: str
+    block: str
+    time: tuple[float, ...]
+    measured: tuple[float, ...]
+    before: tuple[float, ...]
+    after: tuple[float, ...]
+
+
+class Unfinished(Part):
+    """A search that used up its steps: a warning. `effect`: whose search it was; null: that of the load and all shapes
+    in turn.
+    """
+
+    effect: str | None
+    sentence: str
+    action: str
+
+
+class RigidParameter(Part):
+    """A base parameter of the rigid model: value of CAD or an estimate (null: none), and identified value."""
+
+    name: str
+    nominal: float | None
+    value: float
+    std: float | None
+
+
+class AxisDiagnosis(Document):
+    """The result for one axis; `unit` is that of its effort.
+
+    `effects`: named (or, if undecided, the simplest explanation so far). `known`: in the model. `part`: those that
+    explain a part; the rest is unknown. `where`: the map of the gap. `data`: findings of the data check. `unfinished`:
+    searches that used up their steps, only if there are any. `biasing`: the `untestable` effects that would change the
+    estimate by more than its standard deviation. `standing`: see `standing_of`. Both are missing in older documents.
+    """
+
+    verdict: Verdict
+    unit: str
+    effects: tuple[Effect, ...]
+    known: tuple[Effect, ...]
+    part: tuple[Effect, ...] = ()
+    changes: tuple[Change, ...] = ()
+    candidates: tuple[str, ...]
+    alternatives: tuple[tuple[str, ...], ...] = ()
+    rivals: tuple[Rival, ...]
+    rolled_back: tuple[str, ...]
+    where: tuple[Cell, ...]
+    sentences: tuple[str, ...]
+    gap: Gap
+    example: Example
+    fit: AxisFit
+    started_from: str = "cad"
+    rigid_model: tuple[RigidParameter, ...] = ()
+    unexplained: float | None = None
+    next_experiment: Experiment | None
+    untestable: tuple[str, ...]
+    biasing: tuple[str, ...] = ()
+    standing: Standing | None = None
+    data: tuple[Finding, ...] = ()
+    unfinished: tuple[Unfinished, ...] = ()
+    visible_in: dict[str, tuple[str, ...]] = Field(default={})
+    summary: str
+
+    @property
+    def has_noise_floor(self) -> bool:
+        """Whether sweeps were repeated: without, nothing shows that the residual is noise."""
+        return self.gap.noise_floor_rms is not None or any(p.noise_floor_rms is not None for p in self.gap.by_pose)
+
+    @property
+    def explained(self) -> bool:
+        """Whether there are residuals "after": effects that were not in the model."""
+        return bool(self.effects)
+
+
+def standing_of(axis: AxisDiagnosis) -> Standing:
+    """What the verdict of an axis is worth: the only source of a colour and of *Confirmed*.
+
+    `settled`: a gap that is none or named, judged by a noise floor, and no effect of weight is untestable.
+    `unexplained`: a gap that no effect explains. Everything else is `open`, also `none` in an older document.
+    """
+    if axis.verdict == "unknown":
+        return "unexplained"
+    shown = axis.verdict in ("none", "named") and axis.has_noise_floor and not axis.biasing
+    return "settled" if shown else "open"
+
+
+class DiagnosedModel(Part):
+    """The model of the axes: effects by joint, the scenario of a virtual machine, and the parts it cannot contain."""
+
+    robot: str
+    effects: dict[str, tuple[Effect, ...]]
+    scenario: dict[str, JsonValue] = Field(default={})
+    notes: tuple[str, ...] = ()
+
+
+class Diagnosis(Shown, Document):
+    """All axes by joint, and the model with the named effects: `sweepid diagnose --json`."""
+
+    axes: dict[str, AxisDiagnosis]
+    model: DiagnosedModel
+
+    def table(self) -> Table:
+        """Verdict and gap of each axis. "twin" is what the simulator leaves with the model that is handed on."""
+        axes = self.axes.values()
+        return Table(
+            "Diagnosis; gap, RMS",
+            (
+                Column("axis", tuple(self.axes), whole=True),
+                Column("verdict", tuple(axis.verdict for axis in axes)),
+                Column("effects", tuple(_named(axis) for axis in axes), whole=True),
+                Column("before", tuple(axis.gap.before_rms for axis in axes), ".4g"),
+                Column("after", tuple(axis.gap.after_rms for axis in axes), ".4g"),
+                Column("noise floor", tuple(axis.gap.noise_floor_rms for axis in axes), ".4g"),
+                Column("twin", tuple(axis.gap.twin_rms for axis in axes), ".4g"),
+                Column("", tuple(axis.unit for axis in axes)),
+            ),
+        )
+
+    def shown(self) -> Sequence[Table | str]:
+        """Also the same in words, where the gap is, the parameters, and what to measure next."""
+        return [self.table(), *(part for joint, axis in self.axes.items() for part in _axis_shown(joint, axis))]
+
+
+def _named(axis: AxisDiagnosis) -> str:
+    names = axis.candidates or [effect.effect for effect in axis.effects]
+    return (" or " if axis.candidates else ", ").join(names) or "-"
+
+
+def _axis_shown(joint: str, axis: AxisDiagnosis) -> Sequence[Table | str]:
+    from_cad = axis.started_from == "cad"
+    parts: list[Table | str] = [axis.summary]
+    if not from_cad:
+        parts.append(f"  The rigid model started from {axis.started_from}.")
+    parts += [f"  {sentence}" for sentence in axis.sentences]
+    parts += [f"  Warning: {search.sentence} {search.action}" for search in axis.unfinished]
+    for effect in axis.effects:
+        parts += _effect_lines(effect, "If it is that: " if effect.effect in axis.candidates else "")
+    for effect in axis.part:
+        parts += _effect_lines(effect, "Part of it, in addition to an unknown effect: ")
+    columns = (
+        Column("parameter", tuple(one.name for one in axis.rigid_model)),
+        Column("CAD" if from_cad else "estimate", tuple(one.nominal for one in axis.rigid_model), ".4g"),
+        Column("found", tuple(one.value for one in axis.rigid_model), ".4g"),
+        Column("± std", tuple(one.std for one in axis.rigid_model), ".2g"),
+    )
+    parts.append(Table(f"{joint}: rigid model, base parameters", columns))
+    if axis.next_experiment is not None:
+        parts.append(f"{joint}: next, {axis.next_experiment.kind}. {axis.next_experiment.reason}")
+    return parts
+
+
+def _effect_lines(effect: Effect, before: str) -> list[str]:
+    return [
+        f"  {before}{effect.sentence}",
+        *(f"    {name} = {value.words}" for name, value in effect.parameters.items()),
+    ]

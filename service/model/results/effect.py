@@ -1,0 +1,67 @@
+"""Effects of an axis, and its rigid model: in diagnoses and in the models that users accept from them."""
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import Field, JsonValue, Strict
+
+from service.model.results.part import Part
+
+Number = Annotated[float, Strict()]  # no strings or booleans
+
+
+class Value(Part):
+    """A number with one standard deviation (null: not known) and its unit."""
+
+    value: Number
+    std: Number | None
+    unit: str = ""
+
+    @property
+    def words(self) -> str:
+        """Value, standard deviation and unit."""
+        std = math.nan if self.std is None else self.std
+        return f"{self.value:.4g} ± {std:.2g} {self.unit.replace('^2', '²')}".rstrip()
+
+
+class Effect(Part):
+    """An effect of the catalogue with its parameters.
+
+    `covariance` in the order in which the parameters were written. `scenario`: its part of the scenario of a
+    virtual machine, null if no scenario can contain it.
+    """
+
+    effect: str
+    sentence: str = ""
+    physics: str = ""
+    source: str = ""
+    parameters: dict[str, Value]
+    covariance: tuple[tuple[Number, ...], ...] = ()
+    evidence: dict[str, float | None] = Field(default={})
+    scenario_entry: str | None = None
+    scenario: dict[str, JsonValue] | None = None
+
+
+class PoseInertia(Part):
+    """Inertia in a pose, kg m^2 (kg)."""
+
+    pose: tuple[float, ...]
+    value: float
+    std: float | None
+
+
+class PoseGravity(Part):
+    """Gravity in a pose, N m (N), and its slope over the axis' own position."""
+
+    pose: tuple[float, ...]
+    torque: float
+    slope: float
+
+
+class AxisFit(Part):
+    """The rigid model of an axis with effects; `torques`: as recorded by the drive, or true ones."""
+
+    inertia: tuple[PoseInertia, ...]
+    gravity: tuple[PoseGravity, ...] | None = None
+    viscous_friction: Value
+    torques: Literal["recorded", "true"] = "recorded"

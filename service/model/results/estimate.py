@@ -1,0 +1,258 @@
+"""An estimate: `sweepid identify --json`, and each revision of a campaign."""
+
+from collections.abc import Sequence
+
+from pydantic import Field
+
+from service.model.results.analysis import AxisAnalysis, analysis_table
+from service.model.results.combination import Combination
+from service.model.results.effect import Value
+from service.model.results.part import Document, Part
+from service.model.results.revision import ModelSource
+from service.model.results.standard import Bounded, Physical, StandardParameters
+from service.model.results.table import Column, Shown, Table
+
+
+class ResponseLine(Part):
+    """Effort over velocity at a frequency, Hz: N m s/rad (N s/m), `std` of its parts."""
+
+    frequency: float
+    re: float
+    im: float
+    std: float
+    noise_std: float | None = None
+    distortion_std: float | None = None
+
+
+class SweepInertia(Part):
+    """Inertia from one sweep, kg m^2 (kg): measured, nominal and identified model, formula of the paper."""
+
+    sweep: str
+    value: Bounded
+    std: float
+    std_total: float | None = None
+    reference: Bounded
+    identified: Bounded
+    paper_value: float | None
+    viscous_friction: float | None = None
+    frequency_response: tuple[ResponseLine, ...] = ()
+    terms: dict[str, Value] = Field(default={})
+    warning: str = ""
+
+
+class Rmse(Part):
+    """The paper's Table 1, percent."""
+
+    reference_measured: float
+    identified_measured: float
+    reference_identified: float
+
+
+class HeldOut(Part):
+    """Prediction errors for poses that were not used."""
+
+    sweeps: int
+    rmse_percent: float
+    standardized_rmse: float
+    within_95_percent: float
+
+
+class CramerRao(Part):
+    """Medians over the sweeps: the bound, and the efficiency reached."""
+
+    bound_percent: float
+    std_over_bound: float
+
+
+class DistortedLine(Part):
+    """Amplitudes at a frequency, Hz: N m (N)."""
+
+    frequency: float
+    noise_std: float
+    distortion_std: float
+
+
+class Distortion(Part):
+    """Noise and nonlinear distortion of the effort, N m (N), over realisations of the sweeps."""
+
+    realisations: int
+    poses: int
+    effort: tuple[DistortedLine, ...]
+
+
+class Spread(Part):
+    """Standard deviation of the inertia over the workspace, percent."""
+
+    median: float
+    worst: float
+
+
+class TorqueGain(Part):
+    """Indicated effort of the drive over true effort."""
+
+    value: float
+    std: float
+
+
+class EstimatedAxis(Shown, Part):
+    """The identified values of one axis; null: not determined by its sweeps."""
+
+    inertia: tuple[SweepInertia, ...]
+    rmse_percent: Rmse
+    drive_train: dict[str, Value] | None = None
+    load_motion: str = "motor_encoder"
+    torque_gain: TorqueGain = TorqueGain(value=1.0, std=0.0)
+    distortion: Distortion | None = None
+    effects_moved_in_std: float | None = None
+    confidence_percent: float | None = None
+    workspace_std_percent: Spread | None = None
+    reduced_chi_squared: float | None = None
+    held_out: HeldOut | None = None
+    cramer_rao: CramerRao | None = None
+
+    def table(self) -> Table:
+        """Total inertia about the axis in the pose of each sweep."""
+        sweeps = self.inertia
+        return Table(
+            "Inertia about the axis, kg m^2 (kg)",
+            (
+                Column("sweep", tuple(one.sweep for one in sweeps)),
+                Column("measured", tuple(one.value for one in sweeps)),
+                Column("std", tuple(one.std for one in sweeps), ".3g"),
+                Column("std_total", tuple(one.std_total for one in sweeps), ".3g"),
+                Column("reference", tuple(one.reference for one in sweeps)),
+                Column("identified", tuple(one.identified for one in sweeps)),
+            ),
+        )
+
+
+class BaseParameter(Part):
+    """A combination of inertial parameters, kg, kg m or kg m^2; std null: not identified, for the given `reason`."""
+
+    name: str
+    symbolic: str | None = None
+    value: Bounded
+    std: float | None
+    reason: str = ""
+
+
+class Base(Part):
+    """Joints that never moved, with their positions, rad (m), and the covariance of the base parameters."""
+
+    locked: dict[str, float] = Field(default={})
+    covariance: tuple[tuple[float, ...], ...] = ()
+
+
+class Symbol(Part):
+    """A distance or an angle that occurs in the names of base parameters."""
+
+    value: float
+    unit: str
+    meaning: str
+
+
+class Suspect(Part):
+    """A sweep inconsistent with the others, and its reduced weight."""
+
+    axis: str
+    sweep: str
+    why: str
+    weight: float
+
+
+class UsedEffect(Part):
+    """A known effect, and whether and how it was used in the estimate."""
+
+    axis: str
+    effect: str
+    parameters: dict[str, Value]
+    used: bool
+    how: str
+
+
+class Estimate(Shown, Document):
+    """Axes by joint, base parameters, the initial analysis and the combination with trajectories.
+
+    `model`: the model that contains the effects, null if there are none.
+    """
+
+    axes: dict[str, EstimatedAxis]
+    base_parameters: tuple[BaseParameter, ...]
+    base: Base = Base()
+    symbols: dict[str, Symbol] = Field(default={})
+    condition_number: float | None
+    standard_parameters: StandardParameters
+    physical: Physical = Physical(deviation_in_std=None)
+    suspect: tuple[Suspect, ...] = ()
+    effects: tuple[UsedEffect, ...] = ()
+    model: ModelSource | None = None
+    analysis: dict[str, AxisAnalysis] = Field(default={})
+    combination: Combination | None = None
+
+    def table(self) -> Table:
+        """The base parameters."""
+        return Table(
+            "Base parameters, SI, about the joints' axes",
+            (
+                Column("parameter", tuple(one.symbolic or one.name for one in self.base_parameters)),
+                Column("value", tuple(one.value for one in self.base_parameters)),
+                Column("std", tuple(one.std for one in self.base_parameters), ".3g"),
+            ),
+        )
+
+    def shown(self) -> Sequence[Table | str]:
+        """Initial analysis, Table 1 of the paper for this robot, base parameters, and what to know of them."""
+        parts: list[Table | str] = [analysis_table(self.analysis)] if self.analysis else []
+        if self.combination is not None:
+            parts += self.combination.shown()
+        if not self.axes:
+            return parts
+        parts += [self._rmse_table(), self.table()]
+        for one in self.base_parameters:
+            if one.reason:
+                parts.append(f"Not identified: {one.symbolic or one.name}: {one.reason}")
+        parts += [f"  {name} = {of.value:.5g} {of.unit}, {of.meaning}" for name, of in self.symbols.items()]
+        if any(sweep.terms for axis in self.axes.values() for sweep in axis.inertia):
+            parts.append(self._terms_table())
+        parts += [f"Suspect: sweep {one.sweep} of {one.axis}, {one.why}" for one in self.suspect]
+        for one in self.effects:
+            parts.append(f"{'Taken into account' if one.used else 'Left out'}: {one.effect} of {one.axis}, {one.how}")
+        condition = "undetermined" if self.condition_number is None else f"{self.condition_number:.3g}"
+        return [*parts, f"Condition number of the observation matrix: {condition}"]
+
+    def _rmse_table(self) -> Table:
+        rows = ("reference - measurement", "identified - measurement", "reference - identified (workspace)", "sweeps")
+        columns = [
+            Column(
+                joint,
+                (
+                    axis.rmse_percent.reference_measured,
+                    axis.rmse_percent.identified_measured,
+                    axis.rmse_percent.reference_identified,
+                    len(axis.inertia),
+                ),
+                ".2f",
+            )
+            for joint, axis in self.axes.items()
+        ]
+        return Table("RMSE of the axis inertias in percent", (Column("", rows), *columns))
+
+    def _terms_table(self) -> Table:
+        """What else was found in records without lines, which are fitted one by one."""
+        rows = [
+            (joint, sweep.sweep, name, term.value, term.std)
+            for joint, axis in self.axes.items()
+            for sweep in axis.inertia
+            if sweep.terms
+            for name, term in {"inertia": Value(value=sweep.value, std=sweep.std), **sweep.terms}.items()
+        ]
+        return Table(
+            "Records without lines, SI",
+            (
+                Column("axis", tuple(row[0] for row in rows)),
+                Column("sweep", tuple(row[1] for row in rows)),
+                Column("term", tuple(row[2] for row in rows)),
+                Column("value", tuple(row[3] for row in rows)),
+                Column("std", tuple(row[4] for row in rows), ".3g"),
+            ),
+        )

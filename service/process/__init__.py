@@ -1,0 +1,1 @@
+"""What each process of the service has: settings, logs, tasks, telemetry."""

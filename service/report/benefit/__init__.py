@@ -1,0 +1,21 @@
+"""Benefit of an estimate: the drive torque of held-out sweeps, predicted by CAD and by the estimate.
+
+Pure functions from recordings and robot file to `Benefit`, and its section of a report.
+"""
+
+from service.report.benefit.benefit import benefit
+from service.report.benefit.feed_forward import feed_forward
+from service.report.benefit.result import AxisBenefit, Benefit, Followed, ModelBenefit, Tracking
+from service.report.benefit.section import benefit_section, sentence
+
+__all__ = [
+    "AxisBenefit",
+    "Benefit",
+    "Followed",
+    "ModelBenefit",
+    "Tracking",
+    "benefit",
+    "benefit_section",
+    "feed_forward",
+    "sentence",
+]

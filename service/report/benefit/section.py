@@ -1,0 +1,151 @@
+"""The section of a report about the benefit of an estimate: a sentence in plain words, a figure, the values."""
+
+from collections.abc import Callable, Sequence
+from html import escape
+
+from service.report.benefit.result import AxisBenefit, Benefit, ModelBenefit, Tracking
+from service.report.drawing import IDENTIFIED, REFERENCE, Drawn, Figure, Part, figure, scale
+from service.report.html import Page
+
+HEADROOM = 1.15  # times the highest bar: room for its number above it
+
+
+def benefit_section(page: Page, found: Benefit) -> None:
+    """The section; only the reasons if no axis can be compared."""
+    page.add("<h2>What you gain</h2>")
+    if found.axes:
+        page.add(f'<div class="card"><p class="verdict">{escape(sentence(found))}</p></div>')
+        page.add(
+            "<p>Judged in poses that took no part in the estimate. Left: what a torque feed-forward with either model "
+            "leaves to the position controller, of the torque that the sines of a sweep take. Right: the smallest "
+            "force at the end of the robot that a monitor of the drive torque tells, across the lever arm. Less is "
+            "better.</p>"
+        )
+        page.figure(worth(found))
+        page.table(*_table(found))
+        page.add(
+            f'<p class="note">Every {found.every}th pose of an axis is held out. The drive train is the same for both '
+            "models and dry friction is fitted to each, so that the difference is that of the rigid bodies alone. ± is "
+            "one standard deviation. The monitor compares measured and predicted torque at every sample, with one "
+            f"false alarm in {found.quiet_hours:g} hours.</p>"
+        )
+    if found.tracking is not None:
+        _tracking(page, found.tracking)
+    for joint, why in found.not_judged.items():
+        page.add(f"<p>Not judged: {escape(joint)} {escape(why)}.</p>")
+
+
+def sentence(found: Benefit) -> str:
+    """What changes for the user of the robot; requires at least one axis."""
+    axes = list(found.axes.values())
+    left = (_span([each(one).left_percent for one in axes]) for each in (_identified, _cad))
+    summary = (
+        "With the identified model a torque feed-forward leaves {} % of the test motion's torque to the position "
+        "controller, with CAD {} %."
+    ).format(*left)
+    forces = [one for one in axes if one.cad.smallest_force is not None]
+    if forces:
+        seen = (_span([each(one).smallest_force or 0.0 for one in forces]) for each in (_identified, _cad))
+        summary += " A torque monitor sees a push of {} N at the end of the robot; with CAD it takes {} N.".format(
+            *seen
+        )
+    worse = [joint for joint, one in found.axes.items() if one.lines_ratio <= 1]
+    return f"{summary} On {', '.join(worse)} the estimate is no better than CAD." if worse else summary
+
+
+def _tracking(page: Page, found: Tracking) -> None:
+    ratios = [found.cad[joint].rms / one.rms for joint, one in found.identified.items()]
+    page.add(
+        "<h3>The same path with either model</h3>",
+        f"<p>A move of {found.duration:.1f} s, all measured axes at once, at up to {found.top_speed:.2g} rad/s and "
+        f"{found.top_acceleration:.2g} rad/s². With torque feed-forward of the identified model the axes keep to it "
+        f"{_span(ratios)} times as closely as with that of CAD.</p>",
+    )
+    rows = [
+        [joint, *(f"{1000 * size:.3g}" for size in (cad.rms, own.rms, cad.peak, own.peak))]
+        for joint, cad, own in ((joint, found.cad[joint], own) for joint, own in found.identified.items())
+    ]
+    page.table(
+        ["error on the path in mrad (mm)", "RMS, CAD", "RMS, estimate", "largest, CAD", "largest, estimate"], rows
+    )
+    page.add(
+        '<p class="note">A simulation: mechanics and speed controllers of the virtual machine under position '
+        f"controllers (gain {found.gain:g} 1/s), not its drives, which take no torque feed-forward. Friction is fed "
+        "forward as the sweeps showed it, the same with both models.</p>"
+    )
+
+
+def worth(found: Benefit) -> Figure:
+    """Both models for each axis: remaining torque in percent, and smallest force in N."""
+    joints, axes = list(found.axes), list(found.axes.values())
+    panels: tuple[tuple[str, str, Callable[[ModelBenefit], float | None]], ...] = (
+        ("", "left by a feed-forward in %", lambda model: model.left_percent),
+        ("2", "smallest force seen in N", lambda model: model.smallest_force),
+    )
+    traces: list[Part] = []
+    layout: dict[str, Drawn] = {"height": 360, "bargap": 0.35, "meta": {"width": 960}}
+    for number, (tail, title, size) in enumerate(panels):
+        for name, each, colour, pattern in (("CAD", _cad, REFERENCE, "/"), ("estimate", _identified, IDENTIFIED, "")):
+            sizes = [size(each(axis)) for axis in axes]
+            traces.append(
+                {
+                    "type": "bar",
+                    "name": name,
+                    "x": joints,
+                    "y": sizes,
+                    "text": [_number(value) for value in sizes],
+                    "textposition": "outside",
+                    "cliponaxis": False,
+                    "marker": {"color": colour, "pattern": {"shape": pattern}},
+                    "xaxis": f"x{tail}",
+                    "yaxis": f"y{tail}",
+                    "showlegend": not tail,
+                    "hovertemplate": f"%{{x}}, {name}: %{{y:.3g}}<extra></extra>",
+                }
+            )
+        highest = max((size(each(axis)) or 0.0 for each in (_cad, _identified) for axis in axes), default=0.0)
+        layout[f"xaxis{tail}"] = {
+            **scale(""),
+            "type": "category",
+            "domain": [0.54 * number, 0.46 + 0.54 * number],
+            "anchor": f"y{tail}",
+        }
+        layout[f"yaxis{tail}"] = {**scale(title), "anchor": f"x{tail}", "range": [0, HEADROOM * (highest or 1.0)]}
+    return figure(traces, layout)
+
+
+def _table(found: Benefit) -> tuple[list[str], list[list[str]]]:
+    head = ["", "inertia off in %", "left at the sines", "left in all", "smallest torque seen", "smallest force in N"]
+    rows: list[list[str]] = []
+    for joint, axis in found.axes.items():
+        rows += [
+            _row(f"{joint}, {name}", axis.unit, each(axis)) for name, each in (("CAD", _cad), ("estimate", _identified))
+        ]
+    return head, rows
+
+
+def _row(label: str, unit: str, model: ModelBenefit) -> list[str]:
+    off = model.inertia_percent
+    return [
+        label,
+        f"{off.value:.2f}" if off.std is None else f"{off.value:.2f} ± {off.std:.2f}",
+        *(f"{size:.3g} {unit}" for size in (model.lines_rms, model.effort_rms, model.smallest_effort)),
+        _number(model.smallest_force),
+    ]
+
+
+def _cad(axis: AxisBenefit) -> ModelBenefit:
+    return axis.cad
+
+
+def _identified(axis: AxisBenefit) -> ModelBenefit:
+    return axis.identified
+
+
+def _span(sizes: Sequence[float]) -> str:
+    low, high = (f"{size:.2g}" if size < 100 else f"{size:.0f}" for size in (min(sizes), max(sizes)))
+    return low if low == high else f"{low} to {high}"
+
+
+def _number(size: float | None) -> str:
+    return "–" if size is None else f"{size:.2g}" if size < 100 else f"{size:.0f}"

@@ -1,0 +1,107 @@
+"""The first check of each request: its host, its origin and its size.
+
+A web page that is open in the same browser must not be able to move a machine. So a request from a page of another
+origin is refused, and also a request for a foreign host name (DNS rebinding).
+Stopping is never refused. Authentication is the next check: `service.web.api.people.access`.
+"""
+
+from collections.abc import Mapping, Sequence
+from http import HTTPStatus
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.web.api.problem import problem_response
+
+BODY_LIMIT = 256 * 2**10  # bytes of JSON
+ROBOT_LIMIT = 4 * 2**20  # with a URDF in it
+BUNDLE_LIMIT = 512 * 2**20
+
+
+class Gate:
+    """ASGI middleware. `hosts`: host names that the service accepts; empty: all."""
+
+    def __init__(
+        self, app: ASGIApp, hosts: Sequence[str], stop_path: str, limits: Mapping[str, int], origins: Sequence[str] = ()
+    ) -> None:
+        """`origins`: origins whose pages may send requests, in addition to the service's own.
+
+        `limits`: maximum bytes of a body by path, for paths that allow more than `BODY_LIMIT`.
+        """
+        self._app = app
+        self._hosts = frozenset(hosts)
+        self._stop_path = stop_path
+        self._limits = dict(limits)
+        self._origins = frozenset(origins)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        if scope["path"].rstrip("/") == self._stop_path:  # an additional slash would cause a redirect: it is a stop
+            await self._app({**scope, "path": self._stop_path}, receive, send)
+            return
+        headers = Headers(scope=scope)
+        refusal = self._stranger(headers)
+        if refusal:
+            await self._refuse(scope, receive, send, HTTPStatus.FORBIDDEN, "foreign-request", refusal)
+            return
+        limit = self._limits.get(scope["path"], BODY_LIMIT)
+        length = headers.get("content-length", "0")
+        if length.isdigit() and int(length) > limit:
+            detail = f"body of {length} bytes, limit {limit} bytes"
+            await self._refuse(scope, receive, send, HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "body-too-large", detail)
+            return
+        await self._app(scope, _limited(receive, limit), send)
+
+    def _stranger(self, headers: Headers) -> str:
+        host = headers.get("host", "")
+        if self._hosts and _parts(f"//{host}")[0] not in self._hosts:
+            return (
+                f"host {host!r} is not accepted by this service; accepted are "
+                f"{', '.join(sorted(self._hosts))} (setting `allowed_hosts`)"
+            )
+        origin = headers.get("origin")
+        if origin is not None and origin.lower() not in self._origins and not from_own_page(headers):
+            return f"request from a page of {origin}; only pages of {host} are accepted"
+        return ""
+
+    async def _refuse(
+        self, scope: Scope, receive: Receive, send: Send, status: HTTPStatus, name: str, detail: str
+    ) -> None:
+        if scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008, "reason": detail[:120]})
+            return
+        await problem_response(Request(scope), status, name, detail)(scope, receive, send)
+
+
+def from_own_page(headers: Headers) -> bool:
+    """Whether the browser's headers say that a page of this service sent the request; False without such headers."""
+    return _parts(headers.get("origin", ""))[1] == headers.get("host", "") != ""
+
+
+def _parts(address: str) -> tuple[str | None, str]:
+    """Host name without port, and network location; None and empty for an invalid address."""
+    try:
+        parts = urlsplit(address)
+        return parts.hostname, parts.netloc
+    except ValueError:  # a bracket is not closed
+        return None, ""
+
+
+def _limited(receive: Receive, limit: int) -> Receive:
+    """Counts the bytes of a body without a declared length while it arrives."""
+    total = 0
+
+    async def counted() -> Message:
+        nonlocal total
+        message = await receive()
+        total += len(message.get("body", b""))
+        if total > limit:
+            raise HTTPException(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"body of more than {limit} bytes")
+        return message
+
+    return counted

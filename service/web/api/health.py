@@ -1,0 +1,60 @@
+"""Whether the process runs, and whether it can measure now."""
+
+import asyncio
+from datetime import datetime
+
+from fastapi import APIRouter, Response
+from pydantic import BaseModel
+
+from service.web.api.dependencies import ApplicationOf
+from service.web.application import Application
+
+router = APIRouter(prefix="/health", tags=["health"])
+
+
+class Live(BaseModel):
+    """The process answers."""
+
+    alive: bool
+
+
+class WaitingRecordings(BaseModel):
+    """Recordings that the object store does not have yet: number, time of the oldest, and the error of the store."""
+
+    waiting: int
+    since: datetime | None
+    trouble: str
+
+
+class Ready(BaseModel):
+    """`causes`: why measuring or identification is impossible now, one line per cause.
+
+    A service without a machine is ready while it can show the plant.
+    `recordings`: null if they stay in the data folder. An unreachable store is no cause: measuring continues.
+    """
+
+    ready: bool
+    causes: tuple[str, ...]
+    recordings: WaitingRecordings | None
+
+
+@router.head("/live", include_in_schema=False)  # monitors ask so
+@router.get("/live")
+async def get_live() -> Live:
+    return Live(alive=True)
+
+
+@router.head("/ready", include_in_schema=False)
+@router.get("/ready", responses={503: {"model": Ready, "description": "not ready to measure"}})
+async def get_ready(response: Response, application: ApplicationOf) -> Ready:
+    causes = await application.troubles()
+    response.status_code = 503 if causes else 200
+    return Ready(ready=not causes, causes=causes, recordings=await _recordings(application))
+
+
+async def _recordings(application: Application) -> WaitingRecordings | None:
+    moving = None if application.cell is None else application.cell.moving
+    if moving is None:
+        return None
+    found = await asyncio.to_thread(moving.backlog)
+    return WaitingRecordings.model_validate(found, from_attributes=True)

@@ -1,0 +1,406 @@
+"""The composition root: builds store, machine, runner, worker and hub from the settings, and owns their lifetimes."""
+
+import asyncio
+from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from functools import cached_property, lru_cache, partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import structlog
+
+from drivers.errors import Cause, CauseCode, DriveError
+from drivers.registry import open_profile
+from service.diagnosis.effects import CATALOGUE
+from service.identification.fleet.document import Fleet
+from service.identification.fleet.survey import Rules
+from service.jobs.batches import Batches
+from service.jobs.checking import Checking
+from service.jobs.diagnosis_loop.acceptance import accept_model
+from service.jobs.diagnosis_loop.diagnosing import Diagnosing
+from service.jobs.diagnosis_loop.experiments import Experiments
+from service.jobs.jobs import Jobs
+from service.jobs.recording_uploads import RecordingUploads
+from service.jobs.reporting import Reporting, of_fleet
+from service.jobs.worker import Worker, Written, open_worker
+from service.jobs.worker.transfers import Transfers
+from service.machine.execution.approvals import Approvals
+from service.machine.execution.external_stops import listening, watching
+from service.machine.execution.machine import Machine
+from service.machine.execution.recording.recovery import recover
+from service.machine.execution.runner import Runner
+from service.machine.execution.sweep_executor import SweepExecutor
+from service.machine.stop_process.handle import StopProcess
+from service.model.configuration import read_robot
+from service.model.errors import BadInput, Conflict, NoPdf
+from service.planning.campaigns.estimate_quality import Quality, quality_of
+from service.planning.campaigns.fleet_history import FleetHistory
+from service.planning.campaigns.live import EventFeed, LiveHub
+from service.planning.campaigns.plan_subject import PlanSubject, plan_subject
+from service.planning.campaigns.planned_time import PlannedTime, planned_times
+from service.planning.compiled_plan import compile_plan, planned_sweeps
+from service.planning.machine_setup import MachineSetup, machine_setup
+from service.process.settings import Settings
+from service.process.tasks.background import Background
+from service.process.telemetry import traced
+from service.publishing.following import Following
+from service.publishing.publisher import Publisher
+from service.publishing.state import Configuration
+from service.report import Form
+from service.store.access.audit_chain import Entry
+from service.store.access.keys import masked
+from service.store.approvals import ApprovalStore
+from service.store.checks import CheckStore
+from service.store.database import Database, open_database
+from service.store.diagnosis.diagnoses import DiagnosisStore
+from service.store.diagnosis.model_revisions import ModelStore
+from service.store.diagnosis_documents import ModelDocument
+from service.store.documents import CampaignDocument, RobotDocument
+from service.store.files.bundle import write_bundle
+from service.store.files.data_folder import claim_folder
+from service.store.files.exchange import campaign_bundle, import_campaign
+from service.store.files.intake import SavedBundle, take_in
+from service.store.files.isolated_reader import LIMITS, Limits, read_isolated
+from service.store.files.recordings import RecordingFiles
+from service.store.guards import MachineLease, StopLatch
+from service.store.objects.moves import MoveStore
+from service.store.objects.object_store import check_usable
+from service.store.people.audit import AuditStore
+from service.store.people.audit_heads import keeping_time_and_head
+from service.store.people.keys import KeyStore
+from service.store.people.sessions import SessionStore
+from service.store.people.time import begin_time
+from service.store.people.users import ExternalUsers, UserStore
+from service.store.people.writer import AuditWriter
+from service.store.plant.batches import BatchStore
+from service.store.plant.fleet import FleetStore
+from service.store.plant.machines import PlantStore
+from service.store.requests import IdempotencyKeys
+from service.store.store import Store
+from service.web.cell import Cell, WithCell
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True)
+class Application(WithCell):
+    """All parts of `sweepid serve`. `cell`: None for a service that only reads the data of the plant."""
+
+    settings: Settings
+    store: Store
+    files: RecordingFiles
+    keys: IdempotencyKeys
+    worker: Worker
+    hub: LiveHub
+    feed: EventFeed
+    diagnoses: DiagnosisStore
+    models: ModelStore
+    checks: CheckStore
+    audit: AuditWriter
+    api_keys: KeyStore
+    users: UserStore
+    sessions: SessionStore
+    external_users: ExternalUsers
+    fleet_history: FleetHistory
+    plant: PlantStore
+    batches: BatchStore
+    cell: Cell | None
+
+    @cached_property
+    def planned_times(self) -> Callable[[int], tuple[PlannedTime, ...]]:
+        """Planned times by plan number; a stored plan never changes, so each is read once. Blocks."""
+
+        @lru_cache(maxsize=8)
+        def times(plan_id: int) -> tuple[PlannedTime, ...]:
+            return planned_times(self.store.plan(plan_id))
+
+        return times
+
+    @cached_property
+    def subjects(self) -> Callable[[int], PlanSubject]:
+        """Robot, cell and machine by plan number, as `planned_times`. Blocks."""
+
+        @lru_cache(maxsize=256)
+        def subject(plan_id: int) -> PlanSubject:
+            plan = self.store.plan(plan_id)
+            return plan_subject(plan.robot_id, plan.document)
+
+        return subject
+
+    @cached_property
+    def qualities(self) -> Callable[[], dict[str, Quality]]:
+        """Quality of the latest estimate of each robot, by name; revisions never change, so each is read once. Blocks.
+
+        An estimate of another version is omitted, with an entry in the log.
+        """
+
+        @lru_cache(maxsize=256)
+        def of_revision(campaign_id: int, revision: int) -> Quality | None:
+            try:
+                return quality_of(self.store.estimate(campaign_id, revision))
+            except BadInput as error:
+                _log.warning("estimate_without_quality", campaign=campaign_id, revision=revision, reason=str(error))
+                return None
+
+        def latest() -> dict[str, Quality]:
+            newest = self.store.latest_estimates().items()
+            found = {name: of_revision(one.campaign_id, one.revision) for name, one in newest}
+            return {name: one for name, one in found.items() if one is not None}
+
+        return latest
+
+    async def troubles(self) -> tuple[str, ...]:
+        """Reasons why no measurement or no identification is possible now; one line each.
+
+        Without a machine: the reason why no report can be drawn.
+        """
+        own = () if self.cell is None else await self.cell.troubles(self.files, self.settings.least_free_disk)
+        return tuple(line for line in (*own, self.worker.trouble) if line)
+
+    async def add_campaign(self, plan_id: int) -> CampaignDocument:
+        """A campaign of a stored plan, in state `planned`. Nothing moves until `runner.start`."""
+        self._check_database()
+        plan = await asyncio.to_thread(self.store.plan, plan_id)
+        return await asyncio.to_thread(self.store.add_campaign, plan_id, planned_sweeps(plan))
+
+    async def import_bundle(self, source: Path, limits: Limits = LIMITS) -> CampaignDocument:
+        """A campaign of the sweeps of a bundle (folder or zip), to be identified. BadInput: nothing is stored.
+
+        Another process reads the bundle within `limits`; its samples are not loaded in this process.
+        """
+        self._check_database()
+        with TemporaryDirectory(prefix="import-", dir=self.files.transfer()) as name:
+            work = Path(name)
+            saved = SavedBundle.model_validate(await read_isolated(take_in, (source, work), "bundle", limits))
+            campaign = await asyncio.to_thread(self._add_imported, work, saved)
+        await self.jobs.submit_imported(campaign.id)
+        return campaign
+
+    async def export_bundle(self, campaign_id: int, folder: Path) -> None:
+        """Write the completely recorded sweeps of a campaign as a bundle. Conflict if there are none."""
+        bundle = await asyncio.to_thread(campaign_bundle, self.store, self.files, campaign_id)
+        await asyncio.to_thread(write_bundle, folder, bundle.robot, bundle.sweeps)
+
+    def _add_imported(self, work: Path, saved: SavedBundle) -> CampaignDocument:
+        self.files.take_over(work, saved.folder)
+        return import_campaign(self.store, self.files, saved)
+
+    async def campaign_report(self, campaign_id: int, form: Form) -> str | bytes:
+        """Drawn by the worker; Conflict if there is no result yet, NoPdf if PDF is not available."""
+        reporting = Reporting(self.store, self.diagnoses, self.checks, self.files)
+        return _made(await self.worker.run(await asyncio.to_thread(reporting.job, campaign_id, form)))
+
+    async def diagnosis_report(self, diagnosis_id: int, form: Form) -> str | bytes:
+        """The report of a diagnosis; Conflict until it is finished."""
+        reporting = Reporting(self.store, self.diagnoses, self.checks, self.files)
+        return _made(await self.worker.run(await asyncio.to_thread(reporting.of_diagnosis, diagnosis_id, form)))
+
+    def fleet(self, name: str | None) -> Fleet:
+        """The present state of the robots of one type, or of all; blocks. NotFound."""
+        settings = self.settings
+        rules = Rules(settings.fleet_false_alarms, settings.fleet_campaigns, settings.remeasure_days)
+        return self.fleet_history.fleet(rules, datetime.now(UTC), name)
+
+    async def fleet_report(self, name: str | None, form: Form) -> str | bytes:
+        """The same as a report, drawn by the worker. NotFound; NoPdf if PDF is not available."""
+        return _made(await self.worker.run(of_fleet(await asyncio.to_thread(self.fleet, name), form)))
+
+    def _check_database(self) -> None:
+        if self.own.lost:
+            raise Conflict(self.own.lost)
+
+    def accept_model(self, diagnosis_id: int, axes: Sequence[str] | None, accepted_by: str) -> ModelDocument:
+        """Make a diagnosis the next revision of its robot's model (see `acceptance`); blocks."""
+        return accept_model(self.store, self.diagnoses, self.models, diagnosis_id, axes, accepted_by)
+
+
+def _add_robots(store: Store, folder: Path) -> dict[str, RobotDocument]:
+    return {path.stem: store.add_robot(read_robot(path)) for path in sorted(folder.glob("*.yaml"))}
+
+
+def _made(written: Written) -> str | bytes:
+    if isinstance(written, NoPdf):
+        raise written
+    return written
+
+
+@asynccontextmanager
+async def open_application(settings: Settings, stop_process: StopProcess | None = None) -> AsyncGenerator[Application]:
+    """Open everything; MachineTaken if another service owns the machine, BadInput or BadProfile for an invalid file
+    or an installed effect that cannot be used.
+
+    A machine that does not answer is no error here: the service starts, `machine.trouble` has the reason, and a command
+    can connect again. After a restart nothing moves (`recovery.recover`); connecting disables every axis.
+    With the setting `no_machine` there is neither drive nor lease, and the service writes only the audit
+    and sessions of the plant.
+    """
+    async with AsyncExitStack() as stack:
+        stack.enter_context(traced(settings.traces, settings.machine_name))
+        if brought := CATALOGUE.brought:
+            _log.info("effects_of_other_packages", packages=brought)
+        profile, port = (None, None) if settings.no_machine else open_profile(settings.drive)
+        settings.data_dir.mkdir(parents=True, exist_ok=True)
+        name = None if settings.no_machine else settings.machine_name
+        database = stack.enter_context(
+            open_database(settings.url, settings.database_password_file, name, migrated=not settings.no_machine)
+        )
+        await asyncio.to_thread(begin_time, database)
+        api_keys = KeyStore(database)
+        users, sessions = UserStore(database), SessionStore(database, settings.session_idle, settings.session_longest)
+        entries, each_minute = AuditStore(database), keeping_time_and_head(database, settings.audit_heads_file)
+        audit = stack.enter_context(AuditWriter(entries, api_keys, sessions, each_minute=each_minute))
+        store, keys = Store(database), IdempotencyKeys(database)
+        address = settings.recordings_store
+        transfers = None
+        if address is not None:
+            check_usable(address)
+            transfers = Transfers()
+            stack.push_async_callback(transfers.close)
+        files = RecordingFiles(settings.data_dir, address, None if transfers is None else transfers.fetch)
+        owned, setup, keeping = None, None, Background()
+        if port is not None:
+            owned = await _own_machine(
+                stack, settings, database, partial(Machine, port), port.close, stop_process, audit, keeping
+            )
+            if not owned.lost:
+                await asyncio.to_thread(files.clear_transfer)
+                died = Cause(CauseCode.SERVICE_ENDED, detail="the previous service process ended without a shutdown")
+                for number in await asyncio.to_thread(recover, store, files):
+                    tell_own_stop(audit, f"campaign {number}", died)
+            keys.release_unanswered()
+            robots = await asyncio.to_thread(_add_robots, store, settings.robots_dir)  # the host watch has begun
+            setup = machine_setup(settings, profile, owned.machine.joints, robots)
+        else:
+            stack.push_async_callback(keeping.close)
+
+        feed, hub = EventFeed(store, database), LiveHub(settings.live_rate)
+        stack.callback(feed.close)
+        keeping.begin("events of other services", feed.watch())
+        stack.callback(hub.close)
+        worker = await stack.enter_async_context(open_worker(settings.cluster, settings.traces, settings.machine_name))
+        diagnoses, models = DiagnosisStore(database), ModelStore(database)
+        application = Application(
+            *(settings, store, files, keys, worker, hub, feed, diagnoses, models, CheckStore(database), audit),
+            *(api_keys, users, sessions, ExternalUsers(database)),
+            *(FleetHistory(FleetStore(database)), PlantStore(database), BatchStore(database), None),
+        )
+        if owned is not None and setup is not None:
+            if not owned.lost:
+                application.plant.configure(None if setup.robot is None else setup.robot.id, setup.cell)
+            cell = await _open_cell(stack, application, database, owned, setup, transfers, stop_process)
+            application = replace(application, cell=cell)
+        yield application
+
+
+class _Owned(NamedTuple):
+    machine: Machine
+    lost: str
+
+
+async def _own_machine(
+    stack: AsyncExitStack,
+    settings: Settings,
+    database: Database,
+    make: Callable[..., Machine],
+    close_port: Callable[[], Awaitable[None]],
+    stop_process: StopProcess | None,
+    audit: AuditWriter,
+    keeping: Background,
+) -> _Owned:
+    """Take the data folder and the lease for this service; the machine is not connected yet.
+
+    `make` creates it from its latch, the active stops, and the callback for stops; `close_port` ends its connection.
+    """
+    lost = await asyncio.to_thread(claim_folder, settings.data_dir, database)
+    if lost:
+        _log.error("database_lost", reason=lost)
+    lease = MachineLease(database, settings.lease_time)
+    await asyncio.to_thread(lease.acquire)
+    stack.callback(lease.release)
+    latch = StopLatch(database)
+    order_stop = (lambda: None) if stop_process is None else stop_process.order
+    machine = make(latch, latch.latched(), order_stop, partial(tell_own_stop, audit))
+    stack.push_async_callback(machine.close)
+    stack.push_async_callback(close_port)
+    stack.push_async_callback(keeping.close)
+    keeping.begin("lease", machine.keep_lease(lease, settings.lease_time))
+    await stack.enter_async_context(watching(machine, partial(tell_own_stop, audit)))
+    if stop_process is not None:
+        await stack.enter_async_context(listening(stop_process, machine, partial(_tell_stop, audit)))
+    return _Owned(machine, lost)
+
+
+async def _open_cell(
+    stack: AsyncExitStack,
+    app: Application,
+    database: Database,
+    owned: _Owned,
+    setup: MachineSetup,
+    transfers: Transfers | None,
+    stop_process: StopProcess | None,
+) -> Cell:
+    """The parts that move the machine and compute; open jobs continue, and the machine is connected if it answers."""
+    settings, store, files, worker, machine = app.settings, app.store, app.files, app.worker, owned.machine
+    jobs = Jobs(store, files, worker, app.models)
+    stack.push_async_callback(jobs.close)
+    executor = SweepExecutor(store, files, machine, app.hub)
+    stack.callback(executor.close)
+    approvals = Approvals(ApprovalStore(database), settings.approval, timedelta(hours=settings.approval_valid))
+    runner = Runner(store, machine, executor, jobs, partial(compile_plan, store, settings, setup), approvals)
+    stack.push_async_callback(runner.close)
+
+    diagnosing = Diagnosing(store, app.diagnoses, app.models, files, worker)
+    stack.push_async_callback(diagnosing.close)
+    experiments = Experiments(settings, store, app.diagnoses, runner, diagnosing, setup)
+    stack.push_async_callback(experiments.close)
+    last_event = await asyncio.to_thread(store.last_event_id)
+    await diagnosing.recover()
+    await experiments.recover()
+    checking = Checking(store, app.checks, files, worker)
+    stack.push_async_callback(checking.close)
+    await checking.recover()
+    batches = Batches(store, app.batches, app.models, files, worker)
+    stack.push_async_callback(batches.close)
+    await batches.recover()
+    following = Background()
+    stack.push_async_callback(following.close)
+    following.begin("check of the data", checking.follow(app.feed, last_event))
+    following.begin("loop of the diagnoses", experiments.follow(app.feed, last_event))
+    moving = None
+    if transfers is not None:
+        moving = RecordingUploads(MoveStore(database), files, settings, transfers)
+        if not owned.lost:
+            following.begin("move recordings", moving.follow())
+
+    publication = Configuration.of(settings)
+    publisher = None if publication is None else Publisher(publication)
+    if publisher is not None:
+        published = Following(store, machine, runner, settings.machine_name, publisher)
+        following.begin("publisher", publisher.run())
+        following.begin("publish the machine", published.look())
+        following.begin("publish events", published.follow(app.feed, last_event))
+
+    await jobs.recover()
+    try:
+        await machine.connect()
+    except DriveError as error:
+        _log.warning("machine_not_connected", reason=str(error))
+    return Cell(
+        *(setup, owned.lost, machine, jobs, executor, runner, approvals),
+        *(diagnosing, experiments, checking, batches, moving, publisher, stop_process),
+    )
+
+
+def _tell_stop(audit: AuditWriter, by: str, why: str, address: str) -> None:
+    """A stop by the port of the stop process, which has no login: `by` is the name in the request."""
+    stop: Entry = {"actor": "anybody", "address": address, "by": masked(by), "why": masked(why)}
+    audit.keep({"event": "stop", "way": "stop process", **stop})
+
+
+def tell_own_stop(audit: AuditWriter, way: str, cause: Cause) -> None:
+    """A stop by the service itself, without a user: host watch, lease, end of the service, a campaign's trouble."""
+    told: Entry = {"why": masked(str(cause)), "code": cause.code, "joint": cause.joint}
+    audit.keep({"event": "stop", "way": way, "actor": way, "by": way, **told})

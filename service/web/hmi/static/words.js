@@ -1,0 +1,152 @@
+// The texts of the pages in the language of the user; service/web/hmi/texts has one file per language.
+
+import { TEXTS } from "./texts.js";
+
+const KEPT = "sweepid-language"; // stored in this browser
+const MAIN = "en"; // language of the service's texts
+const ATTRIBUTES = ["title", "placeholder", "aria-label"];
+const TINY = 1e-6; // values below are shown with an exponent
+
+let now = preferred();
+
+export const language = () => now;
+export const isMain = () => now === MAIN;
+
+function preferred() {
+  const asked = [kept(), ...navigator.languages].map((tag) => tag?.split("-")[0]);
+  return asked.find((tag) => Object.hasOwn(TEXTS, tag)) ?? MAIN;
+}
+
+// a browser may refuse to store data: then the page does not remember the language, but works
+function kept() {
+  try {
+    return localStorage.getItem(KEPT);
+  } catch {
+    return null;
+  }
+}
+
+function keep(chosen) {
+  try {
+    localStorage.setItem(KEPT, chosen);
+  } catch {
+    // see above
+  }
+}
+
+// -- texts
+
+/** @type {(key: string, values: Values) => string} */
+const template = (key, { count }) =>
+  TEXTS[now][key] ?? TEXTS[now][`${key}.${new Intl.PluralRules(now).select(count ?? 0)}`] ?? key;
+
+// strings and nodes; values: strings, numbers, nodes, errors, and lists of them
+/** @type {(key: string, values?: Values) => Part[]} */
+export const parts = (key, values = {}) =>
+  template(key, values).split(/\{(\w+)\}/).flatMap((piece, k) => (k % 2 ? shown(values[piece]) : piece)).filter((piece) => piece !== "");
+
+/** @type {(key: string, values?: Values) => string} */
+export const text = (key, values) => parts(key, values).join("");
+
+/** @param {any} value @returns {any} */
+function shown(value) {
+  if (Array.isArray(value)) return value.flatMap(shown);
+  if (value instanceof Error) return told(value);
+  if (value instanceof Node) return value.cloneNode(true);
+  return typeof value === "number" ? decimal(value) : value;
+}
+
+/** @param {string} name */
+export const plain = (name) => name.replaceAll("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck");
+
+// text for a code of the service; an unknown code is shown unchanged
+/** @type {(family: string, code: string) => string} */
+export const word = (family, code) => TEXTS[now][`${family}.${code}`] ?? numbered(family, code) ?? plain(code);
+
+// sine_24, sine_9.27: the text of the code, and its number
+/** @param {string} family @param {string} code */
+function numbered(family, code) {
+  const [, stem, number] = code.match(/^(.+)_([\d.]+)$/) ?? [];
+  const known = TEXTS[now][`${family}.${stem}`];
+  return known && `${known} ${decimal(Number(number))}`;
+}
+
+export const knows = (key) => Object.hasOwn(TEXTS[now], key);
+
+// a sentence of the service, in its language
+export function foreign(sentence) {
+  const made = document.createElement("span");
+  made.lang = MAIN;
+  made.textContent = sentence;
+  return made;
+}
+
+/** @type {(list: (Part | Part[])[], between: string) => Part[]} */
+export const joined = (list, between) => list.flatMap((one, k) => (k ? [between, one] : [one]).flat());
+
+// -- errors
+
+// error of the page itself
+export class Told extends Error {
+  constructor(key, values) {
+    super(key);
+    this.parts = () => parts(key, values);
+  }
+}
+
+/** @type {(error: Error & {parts?: () => Part[]}) => Part[]} */
+export const told = (error) => error.parts?.() ?? [foreign(error.message)];
+
+// -- numbers and dates
+
+// locale of the user's country, if the browser has one for the language of the page: en-GB, de-CH
+const locale = () => navigator.languages.find((tag) => tag.split("-")[0] === now) ?? now;
+
+/** @param {number} value @param {Intl.NumberFormatOptions} [form] */
+export const decimal = (value, form = {}) => new Intl.NumberFormat(locale(), { useGrouping: false, maximumFractionDigits: 20, ...form }).format(value);
+
+/** @param {number} value @param {number} count */
+export function figures(value, count) {
+  const rounded = Number(value.toPrecision(count));
+  if (rounded === 0 || Math.abs(rounded) >= TINY) return decimal(rounded, { maximumSignificantDigits: count });
+  const [mantissa, exponent] = rounded.toExponential().split("e");
+  return `${decimal(Number(mantissa))}e${exponent}`;
+}
+
+// a time of the service, in the format of the user's country and time zone
+export const moment = (at) => new Intl.DateTimeFormat(locale(), { dateStyle: "medium", timeStyle: "medium" }).format(new Date(at));
+
+// for Plotly: decimal sign and thousands separator
+export function separators() {
+  const pieces = new Intl.NumberFormat(locale()).formatToParts(12345.6);
+  return ["decimal", "group"].map((type) => pieces.find((piece) => piece.type === type).value).join("");
+}
+
+// -- the page
+
+function translate() {
+  document.documentElement.lang = now;
+  for (const one of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("[data-text]"))) one.textContent = text(one.dataset.text);
+  for (const name of ATTRIBUTES) {
+    for (const one of document.querySelectorAll(`[data-${name}]`)) one.setAttribute(name, text(one.getAttribute(`data-${name}`)));
+  }
+}
+
+// `changed` draws the parts that scripts wrote again
+/** @param {() => void} changed */
+export function watchLanguage(changed) {
+  const select = /** @type {HTMLSelectElement} */ (document.getElementById("language"));
+  for (const [tag, texts] of Object.entries(TEXTS)) {
+    const option = new Option(texts["language.name"], tag);
+    option.lang = tag;
+    select.append(option);
+  }
+  select.value = now;
+  translate();
+  select.addEventListener("change", () => {
+    now = select.value;
+    keep(now);
+    translate();
+    changed();
+  });
+}
