@@ -13,17 +13,17 @@ Array = NDArray[np.float64]
 
 
 def worth_of(robot: Robot, found: Estimate, parameters: Array) -> tuple[AxisWorth, ...]:
-    """Of the parameters (11 n,) of an estimate; empty if its base parameters are not those of the robot."""
+    """Of the parameters (11 n,) of an estimate; empty if it determines none, or is of another robot."""
     fixed = {robot.index(joint): position for joint, position in found.base.locked.items()}
     left = [k for k in range(len(robot.joints)) if k not in fixed]
     moved = sorted(robot.index(joint) for joint in found.axes)
-    if not set(moved) <= set(left):
+    known = [k for k, one in enumerate(found.base_parameters) if one.std is not None]
+    if not moved or not known or not set(moved) <= set(left):
         return ()
     own = base_parameters(lock(robot.chain, fixed), tuple(left.index(k) for k in moved))
     stated = found.base_parameters
     if tuple(one.name for one in stated) != own.names:
         return ()
-    known = [k for k, one in enumerate(stated) if one.std is not None]
     whole = np.array(found.base.covariance, dtype=float)
     if whole.shape != (len(stated), len(stated)):
         whole = np.diag([(one.std or 0.0) ** 2 for one in stated])

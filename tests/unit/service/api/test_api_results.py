@@ -101,8 +101,8 @@ def test_the_command_writes_the_report_or_refuses_in_one_line(
     assert report(campaign, "--tables", str(tables)) == (0, f"{tables}\n", "")
     assert (tables / "01-origin.csv").read_text("utf-8").startswith(",value\nrobot,")
     assert json.loads((tables / "tables.json").read_text("utf-8"))["tables"][0]["section"] == "Origin"
-    code, out, err = report(campaign, str(tmp_path / "no" / "report.html"))
-    assert (code, out, "cannot be written: No such file" in err) == (2, "", True)
+    code, out, err = report(campaign, str(file / "report.html"))
+    assert (code, out, "cannot be written: Not a directory" in err) == (2, "", True)
     with ServiceClient(url) as client:
         planned = int(client.add_campaign(add_plan(client, axes=["joint_1"], varied=["joint_2"], poses=1))["id"])
     words = f"campaign {planned} (planned) has no identified sweep yet, there is nothing to report"

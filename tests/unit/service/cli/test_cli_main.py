@@ -252,7 +252,7 @@ def test_a_folder_that_cannot_be_made_is_one_line(
 ) -> None:
     monkeypatch.chdir(root)
     (tmp_path / "file").touch()
-    write_bundle(tmp_path / "bundle", recorded().robot, bundle().sweeps)
+    write_bundle(tmp_path / "bundle", recorded().robot, recorded().sweeps)
     write_csv(tmp_path / "trace.csv", trace())
     places = {"file": tmp_path / "file", "folder": tmp_path, "bundle": tmp_path / "bundle"}
     given = [one.format(**places, mapping=mapping(tmp_path, "trace.csv")) for one in (*arguments, "--out", out)]
