@@ -4,7 +4,7 @@ A kernel bus has a file descriptor and is read directly: each thread between a f
 drive.
 """
 
-import simulator.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
+import drivers.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
 # isort: split
 import selectors

@@ -1,6 +1,6 @@
 """The process of a virtual machine tool."""
 
-import simulator.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
+import drivers.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
 # isort: split
 import gc

@@ -3,11 +3,12 @@
 from collections.abc import Iterator
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Protocol, TypeVar, cast, get_args
+from typing import TypeVar, cast, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
 
+from drivers.bounded_yaml import NO_VALUE, BoundedLoader
 from service.model.errors import BadInput
 from service.model.robot import Robot, RobotDescription, robot_from_outside
 
@@ -16,57 +17,6 @@ Model = TypeVar("Model", bound=BaseModel)
 LARGEST_YAML = 2**20  # bytes
 LARGEST_TEXT = 2**26  # bytes
 _MOST_TOLD = 12  # files
-# exceptions of PyYAML for a value that does not match its tag (`2001-13-45`, `!!bool x`, 5000 digits), except YAMLError
-_NO_VALUE = (ValueError, LookupError, AttributeError)
-DEEPEST = 32  # levels of nesting; the files of `config` have 6
-MOST_CHARACTERS = 2**22  # with aliases expanded; a file may have 2**20 bytes
-
-
-class _Events(Protocol):
-    """Types for the part of PyYAML that its stubs leave untyped."""
-
-    def get_event(self) -> yaml.Event: ...
-
-
-class BoundedLoader(yaml.SafeLoader):
-    """PyYAML's safe loader, with limits that are checked at each event, before an object is built.
-
-    YAMLError: nested deeper than `DEEPEST`, an alias inside its own anchor, or aliases that expand to a text of more
-    than `MOST_CHARACTERS`. PyYAML itself accepts all of them, and processing of the result may then never end.
-    """
-
-    def __init__(self, stream: str) -> None:
-        super().__init__(stream)
-        self._open: list[tuple[str | None, int]] = []  # anchor of each open collection, and the size before it
-        self._sizes: dict[str, int] = {}  # by anchor
-        self._size = 0  # characters, and one for each value
-
-    def get_event(self) -> yaml.Event:
-        event = cast("_Events", super()).get_event()
-        if isinstance(event, yaml.AliasEvent):
-            if any(anchor == event.anchor for anchor, _ in self._open):
-                raise _refusal(f"alias *{event.anchor} is inside of its own anchor", event)
-            self._size += self._sizes.get(event.anchor, 0)
-        elif isinstance(event, yaml.ScalarEvent):
-            self._closed(event.anchor, self._size, 1 + len(event.value))
-        elif isinstance(event, yaml.CollectionStartEvent):
-            self._open.append((event.anchor, self._size))
-            if len(self._open) > DEEPEST:
-                raise _refusal(f"nested too deeply, limit {DEEPEST} levels", event)
-        elif isinstance(event, yaml.CollectionEndEvent):
-            self._closed(*self._open.pop(), 1)
-        if self._size > MOST_CHARACTERS:
-            raise _refusal(f"aliases stand for more than {MOST_CHARACTERS} characters", event)
-        return event
-
-    def _closed(self, anchor: str | None, before: int, own: int) -> None:
-        self._size += own
-        if anchor is not None:
-            self._sizes[anchor] = self._size - before
-
-
-def _refusal(problem: str, event: yaml.Event) -> yaml.YAMLError:
-    return yaml.MarkedYAMLError(None, None, problem, event.start_mark)
 
 
 def read_yaml(path: Path, kind: type[Model]) -> Model:
@@ -75,7 +25,7 @@ def read_yaml(path: Path, kind: type[Model]) -> Model:
         content: object = yaml.load(read_text(path, LARGEST_YAML), Loader=BoundedLoader)
     except yaml.YAMLError as error:
         raise BadInput(str(path), f"not YAML: {' '.join(str(error).split())}") from None
-    except _NO_VALUE as error:
+    except NO_VALUE as error:
         raise BadInput(str(path), f"not YAML: a value is not of its type: {error}") from None
     if isinstance(content, dict):
         for key in cast("dict[object, object]", content):

@@ -4,7 +4,7 @@ Inside the drive, values are read and written by key, ``d[0x6041, 0]``, whether 
 the bus they pass through `upload` and `download`, which only accept objects of the EDS.
 """
 
-import simulator.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
+import drivers.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
 # isort: split
 import configparser

@@ -5,7 +5,7 @@ At power-on the communication area has the defaults of the file; the rest has th
 objects that the file lacks; on the bus these objects do not exist.
 """
 
-import simulator.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
+import drivers.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
 # isort: split
 from collections.abc import Callable

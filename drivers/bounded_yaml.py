@@ -1,0 +1,58 @@
+"""A loader of YAML files that anybody may have written."""
+
+from typing import Protocol, cast
+
+import yaml
+
+# PyYAML raises these in addition to YAMLError for a value that does not fit its tag (`2001-13-45`, `!!bool x`)
+NO_VALUE = (ValueError, LookupError, AttributeError)
+DEEPEST = 32  # levels of nesting; the files of `config` have 6
+MOST_CHARACTERS = 2**22  # with aliases written out; a file may have 2**20 bytes
+
+
+class _Events(Protocol):
+    """Part of PyYAML's loader that its type stubs do not declare."""
+
+    def get_event(self) -> yaml.Event: ...
+
+
+class BoundedLoader(yaml.SafeLoader):
+    """PyYAML's safe loader with limits that are checked event by event, before any object is built.
+
+    Raises YAMLError for nesting deeper than `DEEPEST`, an alias inside its own anchor, or aliases that expand to
+    more than `MOST_CHARACTERS`. PyYAML itself would build these, and code that walks through the result might not
+    end.
+    """
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self._open: list[tuple[str | None, int]] = []  # anchor of each open collection, and the size before it
+        self._sizes: dict[str, int] = {}  # by anchor
+        self._size = 0  # characters, and one for each value
+
+    def get_event(self) -> yaml.Event:
+        event = cast("_Events", super()).get_event()
+        if isinstance(event, yaml.AliasEvent):
+            if any(anchor == event.anchor for anchor, _ in self._open):
+                raise _refusal(f"alias *{event.anchor} is inside of its own anchor", event)
+            self._size += self._sizes.get(event.anchor, 0)
+        elif isinstance(event, yaml.ScalarEvent):
+            self._closed(event.anchor, self._size, 1 + len(event.value))
+        elif isinstance(event, yaml.CollectionStartEvent):
+            self._open.append((event.anchor, self._size))
+            if len(self._open) > DEEPEST:
+                raise _refusal(f"nested too deeply, limit {DEEPEST} levels", event)
+        elif isinstance(event, yaml.CollectionEndEvent):
+            self._closed(*self._open.pop(), 1)
+        if self._size > MOST_CHARACTERS:
+            raise _refusal(f"aliases stand for more than {MOST_CHARACTERS} characters", event)
+        return event
+
+    def _closed(self, anchor: str | None, before: int, own: int) -> None:
+        self._size += own
+        if anchor is not None:
+            self._sizes[anchor] = self._size - before
+
+
+def _refusal(problem: str, event: yaml.Event) -> yaml.YAMLError:
+    return yaml.MarkedYAMLError(None, None, problem, event.start_mark)
