@@ -3,7 +3,7 @@
 import math
 
 import httpx
-from playwright.sync_api import Page, Route, expect
+from playwright.sync_api import Locator, Page, Route, expect
 
 from service.web.client import ServiceClient
 from tests.browser.browsing import load_again
@@ -74,9 +74,11 @@ def test_what_start_will_move_stands_beside_it(service: Service, page: Page) -> 
     expect(motion).to_contain_text(f"joint_1 is moved between {low} and {high}, at most {degrees(0.1)}/s, in 2 sweeps")
     expect(motion.locator("tbody tr")).to_have_count(2)
     expect(page.locator("#takes")).to_have_text(f"takes {told}")
-    expect(page.locator("#progress-text")).to_have_text(f"0 of 2 sweeps \u00b7 about {told} left")
+    expect(page.locator("#progress-text")).to_have_text("0 of 2 sweeps")
+    expect(commands(page)).to_have_text(["Start", "Abort"])
     page.get_by_role("button", name="Start").click()
     expect(page.locator("#campaign-state")).to_have_text("running")
+    expect(commands(page)).to_have_text(["Pause", "Abort"])
     expect(page.locator("#ordered")).to_be_hidden()
 
 
@@ -99,6 +101,11 @@ def test_a_check_move_is_told_while_it_is_under_way(service: Service, page: Page
     under_way.clear()  # no event tells it: the page asks by itself
     expect(told).to_be_hidden()
     page.unroute_all(behavior="wait")
+
+
+def commands(page: Page) -> Locator:
+    """Those that a person can see."""
+    return page.locator("#commands button:visible")
 
 
 def degrees(angle: float) -> str:

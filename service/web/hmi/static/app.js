@@ -6,12 +6,12 @@ import { showAxes, watchAxes } from "./axes.js";
 import { showCommands, watchCommands } from "./commands.js";
 import { byFault, causeWithDetails } from "./causes.js";
 import { clear } from "./drawing.js";
-import { byId, choices, complain, duration, element, number, row, tell } from "./elements.js";
+import { byId, choices, complain, duration, element, estimateTold, measured, row, tell } from "./elements.js";
 import { findingParts } from "./findings.js";
 import { campaignName, first, held, noCampaign, owner } from "./intent.js";
 import { showLive } from "./live.js";
 import { watchMachine } from "./machine.js";
-import { inWords, showMotion, unitsOf, unitsOfMachine } from "./motion.js";
+import { showMotion, unitsOf, unitsOfMachine } from "./motion.js";
 import { showMoving } from "./moving.js";
 import { plot } from "./plots.js";
 import { refresher } from "./refresh.js";
@@ -54,6 +54,7 @@ async function showCampaign() {
   const id = byId("campaigns").value;
   if (String(campaign?.id) !== id) campaign = null;
   nowCommands();
+  byId("choice").hidden = byId("progress").hidden = !id;
   if (!id) {
     tell("progress-text", noCampaign());
     tell("estimate-text", text("estimate.none"));
@@ -76,12 +77,10 @@ async function showCampaign() {
 }
 
 function showProgress() {
-  const { done, total, remaining } = campaign.progress;
+  const { done, total } = campaign.progress;
   byId("progress").max = total;
   byId("progress").value = done;
-  const now = campaign.motion.length ? text("campaign.now", { number: Math.min(done + 1, total), steps: inWords(campaign.motion, units) }) : "";
-  const left = done < total && remaining !== null && campaign.state !== "paused" ? text("campaign.left", { time: duration(remaining) }) : "";
-  tell("progress-text", [text("campaign.done", { done, total }), now, left].filter(Boolean).join(" \u00b7 "));
+  tell("progress-text", text("campaign.done", { done, total })); // the head of the page tells the rest
 }
 
 const nowCommands = () => showCommands(campaign, machine, owner(campaigns));
@@ -152,11 +151,9 @@ async function showEstimate(id) {
   const found = estimate.document;
   byId("report").href = address(`/campaigns/${id}/report`);
   byId("report").hidden = byId("estimate").hidden = false; // a plot needs the width of its element
-  tell("estimate-text", text("estimate.told", {
-    revision: estimate.revision, sweep: estimate.number, condition: number(found.condition_number),
-  }));
-  byId("parameters").replaceChildren(...found.base_parameters.map((parameter) => row([
-    [parameter.symbolic ?? parameter.name], [number(parameter.value), "number"], [number(parameter.std), "number"],
+  tell("estimate-text", estimateTold(estimate));
+  byId("parameters").replaceChildren(...found.base_parameters.map(({ symbolic, name, value, std }) => row([
+    [symbolic ?? name], ...measured(std, value, std).map((shown) => [shown, "number"]),
   ])));
   choices(byId("axis"), Object.keys(found.axes).map((joint) => [joint, joint]));
   drawChart(found);

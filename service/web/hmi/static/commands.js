@@ -1,9 +1,9 @@
-// Start, Pause, Resume and Abort: impossible commands are disabled, with the reason next to the button.
+// Start, Pause, Resume and Abort: those that fit the campaign's state; what hinders one stands next to its button.
 
 import { unapproved } from "./approval.js";
 import { byId, tell } from "./elements.js";
 import { mayNot } from "./login.js";
-import { text, word } from "./words.js";
+import { text } from "./words.js";
 
 /** @type {Record<string, string[]>} */
 const FITS = {
@@ -18,8 +18,10 @@ const NAMES = Object.keys(FITS);
 /** @param {Api.CampaignView | null} campaign @param {Machine | null} machine @param {Api.CampaignDocument} [owner] */
 export function showCommands(campaign, machine, owner) {
   for (const name of NAMES) {
-    const reason = whyNot(name, campaign, machine, owner);
-    byId(name).disabled = reason !== "";
+    const fits = campaign ? FITS[name].includes(campaign.state) : name === "start";
+    const reason = fits ? whyNot(name, campaign, machine, owner) : "";
+    byId(name).parentElement.hidden = !fits;
+    byId(name).disabled = !fits || reason !== "";
     tell(`why-${name}`, reason);
   }
   if (byId("abort").disabled) ask(false);
@@ -31,7 +33,6 @@ function whyNot(name, campaign, machine, owner) {
   const forbidden = mayNot(`POST /campaigns/{campaign_id}/${name}`);
   if (forbidden) return forbidden;
   if (!campaign) return text("why.no-campaign");
-  if (!FITS[name].includes(campaign.state)) return ofState(name, campaign);
   if (name === "pause" || name === "abort" || campaign.state === "pausing") return "";
   if (owner && owner.id !== campaign.id) return text("why.another-runs", { id: owner.id });
   if (!machine) return text("why.no-word");
@@ -40,14 +41,6 @@ function whyNot(name, campaign, machine, owner) {
   const faulty = machine.drives.axes.filter((axis) => axis.fault).map((axis) => axis.joint);
   if (faulty.length > 2) return text("why.faults");
   return faulty.length ? text("why.fault", { axes: faulty.join(", ") }) : "";
-}
-
-/** @param {string} name @param {Api.CampaignView} campaign */
-function ofState(name, { state }) {
-  if (["measured", "completed", "aborted"].includes(state)) return text("why.over", { state: word("campaign-state", state) });
-  if (name === "pause") return state === "pausing" ? text("why.pausing") : text("why.nothing-runs");
-  if (state === "planned") return text("why.not-started");
-  return state === "paused" ? text("why.resume") : text("why.runs");
 }
 
 function ask(asked) {

@@ -1,7 +1,7 @@
 // The diagnosis page: differences of model and measurement, missing effects, the next experiment.
 
 import { address, all, call, get } from "./api.js";
-import { byId, choices, complain, element, link, minus, number, row, tell } from "./elements.js";
+import { byId, choices, complain, element, link, measured, row, tell } from "./elements.js";
 import { clearExperiment, showExperiment, watchExperiment } from "./experiment.js";
 import { drawFigures } from "./figures.js";
 import { findingParts } from "./findings.js";
@@ -15,7 +15,6 @@ import { foreign, joined, language, parts, text, word } from "./words.js";
 
 const FINISHED = ["measured", "completed"];
 const OPEN = ["waiting", "running"];
-const NOTHING = 1e-6; // share of a standard deviation: rounding
 
 /** @type {Api.DiagnosisDocument | null} */
 let shown = null; // the displayed diagnosis, with its document when it is done
@@ -179,7 +178,7 @@ function effectParts(effect) {
   sentence.append(element("code", effect.physics));
   const table = element("table");
   table.append(...Object.entries(effect.parameters).map(([name, value]) => row([
-    [word("parameter", name)], [`${minus(number(value.value))} \u00b1 ${minus(number(value.std && Number(value.std.toPrecision(2))))} ${value.unit.replace("^2", "\u00b2")}`, "number"],
+    [word("parameter", name)], [`${measured(value.std, value.value, value.std).join(" \u00b1 ")} ${value.unit.replace("^2", "\u00b2")}`, "number"],
   ])));
   return [heading, sentence, table];
 }
@@ -197,12 +196,9 @@ function showRigidModel(axis) {
   byId("rigid-model").hidden = !parameters.length;
   tell("rigid-before", (axis.started_from ?? "cad") === "cad" ? "CAD" : text("diagnosis.estimate"));
   byId("rigid-parameters").replaceChildren(...parameters.map((one) => {
-    /** @param {number | null} value */
-    const shown = (value) => number(value !== null && Math.abs(value) < NOTHING * one.std ? 0 : value);
     const name = /^\w+$/.test(one.name) ? word("parameter", one.name) : one.name;
     const line = row([
-      [name, "words"], [shown(one.nominal), "number"], [shown(one.value), "number"],
-      [number(one.std && Number(one.std.toPrecision(2))), "number"],
+      [name, "words"], ...measured(one.std, one.nominal, one.value, one.std).map((shown) => [shown, "number"]),
     ]);
     if (one.nominal !== null && Math.abs(one.value - one.nominal) > one.std) line.className = "moved";
     return line;

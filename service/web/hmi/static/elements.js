@@ -1,7 +1,7 @@
 // Table cells, numbers and select elements of the pages.
 
 import { Unknown } from "./api.js";
-import { decimal, figures, told } from "./words.js";
+import { decimal, figures, text, told } from "./words.js";
 
 export const EMPTY = "\u2013";
 const MINUS = "\u2212";
@@ -47,6 +47,22 @@ export function fixed(value, digits) {
   if (value === null) return EMPTY;
   const shown = Math.abs(value) < 0.5 * 10 ** -digits ? 0 : value;
   return decimal(shown, { minimumFractionDigits: digits, maximumFractionDigits: digits });
+}
+
+// all values end at the second figure of their standard deviation; without one, four figures
+/** @param {number | null} std @param {(number | null)[]} values */
+export function measured(std, ...values) {
+  if (!(std > 0)) return values.map((value) => minus(number(value)));
+  const last = Math.min(1 - Math.floor(Math.log10(Number(std.toPrecision(2)))), 12);
+  const step = 10 ** -Math.min(0, last); // above 1 for a deviation of 100 or more
+  /** @param {number} one */
+  const rounded = (one) => (step > 1 ? Math.round(one / step) * step : one);
+  return values.map((one) => minus(fixed(typeof one === "number" ? rounded(one) : null, Math.max(0, last))));
+}
+
+/** @param {Api.EstimateDocument} estimate */
+export function estimateTold({ revision, number: sweep, document: { condition_number: value } }) {
+  return text("estimate.told", { revision, sweep, condition: value === null ? "" : text("estimate.condition", { value: figures(value, 3) }) });
 }
 
 /** @param {string} told */

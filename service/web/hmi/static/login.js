@@ -6,6 +6,9 @@ import { byId, complain, element, tell } from "./elements.js";
 import { cameBack, leaveForOidc, showOidc } from "./oidc.js";
 import { text, told, word } from "./words.js";
 
+const NAME = "sweepid-name"; // kept until the tab is closed
+const NAMES = "input[autocomplete=name]";
+
 /** @type {Api.Me | null} */
 let me = null; // {login, name, role, session, refused}; null: not known yet
 const NOTHING_GIVEN = "not authenticated"; // prefix of the answer to a request without credentials: no user error
@@ -31,9 +34,23 @@ export async function identify(patience) {
     throw error;
   }
   byId("me").hidden = !me.login;
-  if (me.login) for (const input of /** @type {NodeListOf<HTMLInputElement>} */ (document.querySelectorAll("[autocomplete=name]"))) input.value ||= me.name;
+  fillIn(me.login ? me.name : (sessionStorage.getItem(NAME) ?? ""));
   showRights();
   known();
+}
+
+// a person types the name once: with gloves every letter is work
+/** @param {string} name */
+function fillIn(name) {
+  for (const input of /** @type {NodeListOf<HTMLInputElement>} */ (document.querySelectorAll(NAMES))) input.value ||= name;
+}
+
+/** @param {Event} event */
+function remember({ target }) {
+  const input = /** @type {HTMLInputElement} */ (target);
+  if (!input.matches(NAMES)) return;
+  sessionStorage.setItem(NAME, input.value);
+  fillIn(input.value);
 }
 
 // shows the user, and next to each disabled button the reason
@@ -117,6 +134,7 @@ export function watchLogin() {
   byId("login").addEventListener("submit", logIn);
   byId("oidc").addEventListener("click", leaveForOidc);
   byId("log-out").addEventListener("click", logOut);
+  document.addEventListener("change", remember);
   document.addEventListener("click", (click) => {
     const link = /** @type {Element} */ (click.target).closest("a");
     if (!me?.login || me.session || !link?.pathname.includes("/api/v1/")) return;

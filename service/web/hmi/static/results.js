@@ -2,7 +2,7 @@
 
 import { address, all, get, Refused } from "./api.js";
 import { clear } from "./drawing.js";
-import { byId, choices, complain, element, EMPTY, fixed, link, number, row, tell } from "./elements.js";
+import { byId, choices, complain, element, EMPTY, estimateTold, fixed, link, measured, number, row, tell } from "./elements.js";
 import { campaignName, first, held, noCampaign } from "./intent.js";
 import { identified } from "./login.js";
 import { watchMachine } from "./machine.js";
@@ -47,7 +47,7 @@ async function showCampaign() {
   shown = now;
   found = estimate?.document ?? null;
   units = itsUnits;
-  tell("told", estimate ? text("estimate.told", { revision: estimate.revision, sweep: estimate.number, condition: number(found.condition_number) }) : text("estimate.none"));
+  tell("told", estimate ? estimateTold(estimate) : text("estimate.none"));
   showDownloads(campaign, estimate);
   showTable();
   await showConvergence(campaign.id);
@@ -76,9 +76,10 @@ function showDownloads({ id, progress }, estimate) {
   if (!files.length) tell("downloads", text("results.nothing"));
 }
 
+/** @param {number | null} value */
+const percent = (value) => (value === null ? EMPTY : `${fixed(value, 2)} %`);
+
 function showTable() {
-  /** @param {number | null} value */
-  const percent = (value) => (value === null ? EMPTY : `${fixed(value, 2)} %`);
   table("table", [["axis"], ["results.sweeps", "number"], ["results.cad-measured", "number"], ["results.identified-measured", "number"], ["results.cad-identified", "number"], ["results.confidence", "number"]],
     Object.entries(found?.axes ?? {}).map(([joint, { inertia, rmse_percent: rmse, confidence_percent: confidence }]) => row([
       [joint], [inertia.length, "number"], [percent(rmse.reference_measured), "number"], [percent(rmse.identified_measured), "number"],
@@ -112,16 +113,10 @@ const linear = (joint) => units.prismatic.has(joint);
 /** @param {string} joint */
 const inertiaUnit = (joint) => text(linear(joint) ? "results.unit-linear" : "results.unit");
 
-// all values end at the second figure of the standard deviation
 /** @param {Api.SweepInertia} sweep */
 function inertiaOf({ value, std, reference, identified }) {
-  const last = std > 0 ? Math.min(1 - Math.floor(Math.log10(Number(std.toPrecision(2)))), 12) : 3;
-  const step = 10 ** -Math.min(0, last); // above 1 for a deviation of 100 or more
-  /** @param {number} one */
-  const rounded = (one) => (step > 1 ? Math.round(one / step) * step : one);
-  /** @param {number | null} one */
-  const shown = (one) => fixed(typeof one === "number" ? rounded(one) : null, Math.max(0, last));
-  return { value: shown(value), std: shown(std), cad: shown(reference), model: shown(identified) };
+  const [value_, std_, cad, model] = measured(std, value, std, reference, identified);
+  return { value: value_, std: std_, cad, model };
 }
 
 function showResponse() {
@@ -155,7 +150,7 @@ async function showEarlier({ id, robot_id }) {
   }
   if (found) known.unshift([id, found]);
   table("earlier", [["campaign.title"], ["axis"], ["results.sweeps", "number"], ["results.median", "number"], ["results.confidence", "number"]], known.flatMap(([number_, document]) => Object.entries(document.axes).map(([joint, axis]) => row([
-    [number_], [joint], [axis.inertia.length, "number"], [number(median(axis.inertia.map((one) => one.identified)), ` ${inertiaUnit(joint)}`), "number"], [number(axis.confidence_percent, " %"), "number"],
+    [number_], [joint], [axis.inertia.length, "number"], [number(median(axis.inertia.map((one) => one.identified)), ` ${inertiaUnit(joint)}`), "number"], [percent(axis.confidence_percent), "number"],
   ]))));
 }
 
