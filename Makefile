@@ -2,6 +2,7 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
+PRODUCT := .venv/.product
 READY := .venv/.ready
 
 unexport PYTHONDONTWRITEBYTECODE  # else every process that a test starts compiles the same modules again
@@ -28,7 +29,7 @@ SEED ?=  # of an order that test-random printed, to have it again
 .PHONY: demo venv docs test $(TESTS) test-long test-fast test-random test-drives test-compose fuzz soak bench mutants explore check format lock sbom audit openapi clean
 .PHONY: check-style check-types check-tests-types check-arrows check-habits
 
-demo: $(READY)  ## measure, identify and report a virtual robot
+demo: $(PRODUCT)  ## measure, identify and report a virtual robot
 	$(BIN)/sweepid demo --out demo-out
 
 venv: $(READY)  ## .venv with all that is needed; every other target does it as well
@@ -124,10 +125,21 @@ openapi: $(READY)  ## write docs/reference/openapi.json
 clean:  ## forget the environment and what was made
 	rm -rf .venv demo-out docs/_build sbom.json
 
-$(READY): requirements.lock pyproject.toml
+# uv installs what the lock pins: the product, and for the tests the rest
+UV := VIRTUAL_ENV=$(CURDIR)/.venv $(BIN)/uv pip install
+
+.venv/.uv: requirements.lock
 	@$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "sweepid needs Python 3.11 or newer")'
-	@echo 'Installing into .venv, once; this takes a few minutes.'
+	@echo 'Installing into .venv, once; this takes a minute or two.'
 	@$(PYTHON) -m venv .venv
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes -r requirements.lock
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@sed -n '/^uv==/,/[^\\]$$/p' $< > .venv/uv.lock
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --requirement .venv/uv.lock
+	@touch $@
+
+$(PRODUCT): .venv/.uv pyproject.toml
+	@$(UV) --constraint requirements.lock --build-constraint requirements.lock --editable .
+	@touch $@
+
+$(READY): $(PRODUCT)
+	@$(UV) --require-hashes --requirement requirements.lock
 	@touch $@
