@@ -383,8 +383,8 @@ def host_gap(it: Session) -> None:
     gap = it.draw(GAP)
     it.did(f"the host is suspended for {gap:.3f} s")
     it.oracle.counts.gaps += 1
-    it.clock.suspend(it.service.process, gap)
     _asleep(it, gap)
+    it.clock.suspend(it.service.process, gap)
 
 
 def stop_in_a_gap(it: Session) -> None:
@@ -398,6 +398,7 @@ def stop_in_a_gap(it: Session) -> None:
 
 
 def _asleep(it: Session, gap: float) -> None:
+    """Told before it happens: when the host awakes, the end of all intentions is known before anybody is answered."""
     it.awake = it.clock.now + gap
     it.held_up(gap)
     if gap > it.machine.host_timeout:

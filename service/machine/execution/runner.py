@@ -231,8 +231,10 @@ class Runner:
             campaign = await asyncio.to_thread(self._store.own_campaign, campaign_id)
             campaign_move(event)(campaign.state)
             compiled = await asyncio.to_thread(self._compile, campaign)
-            await asyncio.to_thread(self._approvals.check, campaign.plan_id, compiled.sha256, intention.by)
+            approved = partial(self._approvals.check, campaign.plan_id, compiled.sha256, intention.by)
+            await asyncio.to_thread(approved)
             await self._check_machine(intention)
+            await asyncio.to_thread(approved)  # a stop in force at the first look ended it perhaps only at its release
             if seen is not None:
                 await self._check_seen(seen, compiled, campaign_id, repeat)
             again = sweep_move(SweepEvent.REPEAT)
