@@ -15,12 +15,11 @@ if TYPE_CHECKING:
 
     from service.formats.export.model import IdentifiedModel
     from service.identification.axis.nominal_priors import TorqueGain
-    from service.model.geometry.cell import Cell
-    from service.model.results.check import DataCheck
+    from service.model.configuration import Cell
     from service.model.results.combination import Combination
-    from service.model.results.diagnosis import Diagnosis
+    from service.model.results.diagnosis import DataCheck, Diagnosis
     from service.model.results.estimate import Estimate
-    from service.model.results.identified.payload import Payload
+    from service.model.results.payload import Payload
     from service.model.robot import Robot
     from service.planning.documents import PlanDocument
     from service.store.files.bundle import Bundle
@@ -186,7 +185,7 @@ def check(bundle: Bundle | str | Path) -> DataCheck:
     """
     from service.data_check import check as check_data
     from service.data_check import findings_document
-    from service.model.results.check import DataCheck
+    from service.model.results.diagnosis import DataCheck
 
     measured = _read(bundle)
     findings = check_data(measured.robot, measured.sweeps)
@@ -385,8 +384,8 @@ def payload(
     BadInput
         The bundles are of different robots or have no motion in common.
     """
-    from service.identification.payloads import payload as payloads
-    from service.identification.payloads.document import payload_document
+    from service.identification import payloads
+    from service.identification.payloads import payload_document
     from sweepid.files import gains_of
 
     first, second = _read(before), _read(after)
@@ -434,8 +433,7 @@ def plan(
     """
     from pydantic import ValidationError
 
-    from service.model.configuration import bad_field
-    from service.model.geometry.cell import Cell, read_cell
+    from service.model.configuration import Cell, bad_field, read_cell
     from service.planning.plan import PlanRequest, build_plan
 
     around = cell if isinstance(cell, Cell) else read_cell(Path(cell))

@@ -13,9 +13,9 @@ from service.identification.axis.nominal_priors import TorqueGain
 from service.model.configuration import read_text, read_yaml
 from service.model.errors import BadInput
 from service.model.results.diagnosis import Diagnosis
+from service.model.results.effect import KnownModel, ModelFile
 from service.model.results.estimate import Estimate
 from service.model.results.part import Document, Part
-from service.model.results.revision import KnownModel, ModelFile
 from service.model.robot import Robot
 
 Kind = TypeVar("Kind", bound=Document)

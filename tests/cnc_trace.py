@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.design.excitation import Excitation
-from service.identification.design.sweep_path import way
+from service.identification.design.excitation import Excitation, way
 from service.model.robot import Robot
 from service.planning.plan import PlannedSweep
 from simulator import Scenario, run_sweeps

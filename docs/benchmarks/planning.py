@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from docs.benchmarks.measured import Measured, Timed, beside, timed
 from service.identification.design.pose_selection import RIDGE, TIE, Criterion, condition_numbers, select_poses
 from service.identification.model.base_parameters import base_parameters, joint_ranges
-from service.model.configuration import read_robot
-from service.model.geometry.cell import Cell, read_cell
+from service.model.configuration import Cell, read_cell, read_robot
 from service.model.robot import Robot
 from service.planning.candidates import has_room
 from service.planning.observability import observe

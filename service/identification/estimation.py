@@ -5,21 +5,19 @@ from collections.abc import Mapping, Sequence
 from service.identification.axis.ideal_frequency import AxisAnalysis
 from service.identification.axis.known_effects import KnownEffects
 from service.identification.axis.nominal_priors import TorqueGain
-from service.identification.estimates.analysis_document import analyses_document
-from service.identification.estimates.combination import combine, inertias_of
-from service.identification.estimates.combination_document import combination_document
+from service.identification.estimates.combination import combination_document, combine, inertias_of
 from service.identification.estimates.document import as_document, nothing_known
 from service.identification.estimates.estimate import Estimate, identify
-from service.identification.estimates.initial_analysis import analyse
+from service.identification.estimates.initial_analysis import analyse, analyses_document
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.trajectory_record import AxisTrack, axis_track, runs_at_once, trajectories
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.identification.spectra.noise_response import NoiseSpectrum, has_reference, noise_spectrum
-from service.model.geometry.collision import reachable
+from service.model.collision import reachable
 from service.model.recording import Sweep
 from service.model.results import estimate as results
 from service.model.results.combination import Combination
-from service.model.results.identified.spectrum import AnySpectrum
+from service.model.results.spectrum import AnySpectrum
 from service.model.robot import Robot
 
 SweepSpectrum = Spectrum | NoiseSpectrum | AxisTrack

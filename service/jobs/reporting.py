@@ -15,9 +15,9 @@ from service.identification.motion.trajectory_record import runs_at_once
 from service.jobs.worker import DiagnosisReportJob, FleetReportJob, RecordedSweep, ReportJob
 from service.model.causes import in_words
 from service.model.errors import Conflict, NotFound
-from service.model.results.check import DataCheck
+from service.model.results.diagnosis import DataCheck
+from service.model.results.effect import ModelFile
 from service.model.results.estimate import Estimate
-from service.model.results.revision import ModelFile
 from service.planning.campaigns.linked import campaign_beside
 from service.planning.campaigns.plan_subject import plan_subject
 from service.report import CampaignReport, Drive, Form, example_of, used_sweeps

@@ -1,11 +1,17 @@
-"""Reads a URDF into a serial chain: joint frames, limits and the links' ten inertial parameters.
+r"""Reads a URDF into a serial chain: joint frames, limits and the links' ten inertial parameters.
 
 Shapes, transmissions and visuals are ignored. Source: the URDF XML specification (ROS wiki, "urdf/XML");
 rpy are fixed-axis angles, R = Rz(yaw) Ry(pitch) Rx(roll).
+
+Convex hulls inside a URDF: `<mesh filename="..."><hull vertices="x y z ..."/></mesh>`.
+
+A URDF contains names of mesh files, not the meshes. `sweepid robot check`, run where the files are, writes the hulls of
+the collision meshes into it. Then only the text is needed: in the store, in a bundle, in another process.
+Vertices are in m in the frame of the shape's `<origin>`, with the mesh's scale applied. Other URDF readers ignore it.
 """
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
 from xml.parsers import expat
@@ -299,3 +305,43 @@ def _vector(element: ET.Element, name: str, here: str) -> Array:
     if values.shape != (3,) or not (np.abs(values) <= LARGEST).all():
         raise BadInput(here, f"{element.tag} {name}={text!r} is not three finite numbers up to {LARGEST:g}")
     return values
+
+
+MOST_NUMBERS = 30_000  # of one hull
+FARTHEST = 1e4  # m, of a coordinate
+
+
+def collision_meshes(root: ET.Element) -> Iterator[tuple[str, ET.Element]]:
+    """Every `<mesh>` of a collision shape, with the name of its link."""
+    for link in root.findall("link"):
+        for mesh in link.iterfind("collision/geometry/mesh"):
+            yield link.get("name", ""), mesh
+
+
+def write_hull(mesh: ET.Element, vertices: Array) -> None:
+    """Give a mesh its hull (k, 3)."""
+    ET.SubElement(mesh, "hull", vertices=" ".join(f"{number:.6g}" for number in vertices.ravel()))
+
+
+def read_hull(mesh: ET.Element, here: str) -> Array:
+    """The hull (k, 3) of a mesh; BadInput if the mesh has none or it is not a valid body."""
+    name, element = mesh.get("filename", ""), mesh.find("hull")
+    if element is None:
+        raise BadInput(
+            here, f"mesh {name}: its shape is not in the URDF; `sweepid robot check URDF --packages DIR` puts it in"
+        )
+    words = element.get("vertices", "").split(maxsplit=MOST_NUMBERS)
+    if len(words) > MOST_NUMBERS:
+        raise BadInput(here, f"mesh {name}: its hull has more than {MOST_NUMBERS} numbers")
+    try:
+        numbers = np.array([float(word) for word in words])
+    except ValueError as error:
+        raise BadInput(here, f"mesh {name}: hull: {error}") from None
+    if len(numbers) % 3 or not np.isfinite(numbers).all():
+        raise BadInput(here, f"mesh {name}: its hull is not finite numbers in threes")
+    if np.abs(numbers).max(initial=0.0) > FARTHEST:
+        raise BadInput(here, f"mesh {name}: its hull reaches {np.abs(numbers).max():.3g} m, limit {FARTHEST:g} m")
+    vertices = numbers.reshape(-1, 3)
+    if len(vertices) < 4 or np.linalg.matrix_rank(vertices - vertices[:1], tol=1e-9) < 3:
+        raise BadInput(here, f"mesh {name}: its hull is not a body: {len(vertices)} points, or all in one plane")
+    return vertices

@@ -7,8 +7,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from service.model.configuration import Cell
 from service.model.errors import BadInput
-from service.model.geometry.cell import Cell
 from service.model.robot import Robot
 from service.planning.documents import PlanRequest
 from service.planning.safety.envelope import Envelope

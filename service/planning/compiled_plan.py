@@ -3,8 +3,8 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
+from service.model.configuration import read_cell
 from service.model.errors import Conflict
-from service.model.geometry.cell import read_cell
 from service.model.robot import Robot
 from service.planning.analysis.documents import AnalysisPlan
 from service.planning.diagnosis.documents import DiagnosisPlan, ExperimentPlan

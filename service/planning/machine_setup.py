@@ -10,8 +10,8 @@ from pathlib import Path
 
 import structlog
 
+from service.model.configuration import read_cell
 from service.model.errors import BadInput, Conflict
-from service.model.geometry.cell import read_cell
 from service.planning.campaigns.plan_subject import MadeFor
 from service.planning.motion_hash import machine_sha256
 from service.planning.safety.robot_and_machine import DriveAxis, DriveProfile

@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import cast
 
-from service.model.geometry.cell import Cell
+from service.model.configuration import Cell
 from service.process.settings import Settings
 from service.store.documents import PlanRecord, RobotDocument
 

@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.axis.nominal_priors import model_spread
-from service.identification.design.halton import spread_evenly
 from service.identification.estimates.estimate import WORKSPACE
-from service.identification.model.base_parameters import base_parameters, joint_ranges
+from service.identification.model.base_parameters import base_parameters, joint_ranges, spread_evenly
 from service.identification.model.regressor import axis_rows, inertia_rows, lock
-from service.model.geometry.collision import reachable
+from service.model.collision import reachable
 from service.model.robot import Robot
 from service.planning.documents import PlanRequest
 

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.axis.ideal_frequency import AxisAnalysis
-from service.identification.design.predicted_confidence import without_gain
+from service.identification.design.pose_selection import without_gain
+from service.model.configuration import Cell
 from service.model.errors import BadInput
-from service.model.geometry.cell import Cell
 from service.model.robot import Robot
 from service.planning.candidates import grid, has_room, workspace_grid
 from service.planning.documents import (

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.design.excitation import Excitation
-from service.identification.design.pose_selection import choices, conditions
-from service.identification.design.predicted_confidence import PredictedConfidence, needed
+from service.identification.design.pose_selection import PredictedConfidence, choices, conditions, needed
 from service.model.errors import BadInput, EnvelopeViolation
 from service.planning.documents import LARGEST_CHOICE, USUAL_CHOICE, DroppedPose, PlanRequest
 from service.planning.observability import Observation

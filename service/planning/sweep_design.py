@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from service.identification.axis.ideal_frequency import AxisAnalysis
 from service.identification.axis.nominal_priors import pose_prior
 from service.identification.design.excitation import Excitation, design_sweep
-from service.identification.design.predicted_confidence import sweep_information
+from service.identification.design.pose_selection import sweep_information
 from service.identification.model.regressor import gravity_terms, inertia_rows
 from service.model.errors import BadInput
 from service.model.robot import Robot

@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from service.model.geometry.collision import reachable
+from service.model.collision import reachable
 from service.model.recording import Sweep, SweepSpec
 from service.model.results.estimate import BaseParameter, Estimate
 from service.model.robot import Robot

@@ -4,8 +4,8 @@ of a diagnosis."""
 from collections.abc import Sequence
 from html import escape
 
-from service.model.results.check import DataCheck
 from service.model.results.combination import Combination
+from service.model.results.diagnosis import DataCheck
 from service.model.results.estimate import Estimate, Suspect
 from service.report.content import CampaignReport, Content
 from service.report.diagnosis import diagnosis_section, findings, not_looked_at

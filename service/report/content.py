@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from drivers.ports import AxisIdentity
 from service.identification.model.regressor import axis_rows, lock
 from service.model.recording import Sweep, SweepSpec
-from service.model.results.check import DataCheck
-from service.model.results.diagnosis import Diagnosis
+from service.model.results.diagnosis import DataCheck, Diagnosis
 from service.model.results.estimate import BaseParameter, Estimate
 from service.model.robot import INERTIAL_NAMES, Robot
 from service.report.drawing import slides

@@ -4,8 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from html import escape
 
-from service.model.results.check import Finding
-from service.model.results.diagnosis import AxisDiagnosis, Diagnosis, Gap, RigidParameter, standing_of
+from service.model.results.diagnosis import AxisDiagnosis, Diagnosis, Finding, Gap, RigidParameter, standing_of
 from service.model.results.effect import AxisFit, Effect, PoseInertia, Value
 from service.report import gap_figures as drawn
 from service.report.drawing import Figure

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.model.results.cell import Bin, Cell
-from service.model.results.diagnosis import AxisDiagnosis, Rival
+from service.model.results.diagnosis import AxisDiagnosis, Bin, Cell, Rival
 from service.report.drawing import IDENTIFIED, Drawn, Figure, Part, figure, line, rounded, scale
 
 BEFORE, AFTER, FLOOR, QUIET = "#c2410c", IDENTIFIED, "#15803d", "#e0b8a2"

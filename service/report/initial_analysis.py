@@ -6,8 +6,8 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.axis.drive_train import impedance
 from service.identification.axis.ideal_frequency import AxisAnalysis, PoseAnalysis
-from service.identification.spectra.axis_inertia import impedance
 from service.report.drawing import (
     DECADES,
     IDENTIFIED,

@@ -4,10 +4,8 @@ import math
 from collections.abc import Collection, Sequence
 from html import escape
 
-from service.identification.estimates.analysis_document import analyses_from
-from service.identification.model.certainty import UNSURE, not_for_use
-from service.model.results.analysis import Analyses
-from service.model.results.estimate import Estimate
+from service.identification.estimates.initial_analysis import analyses_from
+from service.model.results.estimate import UNSURE, Analyses, Estimate, not_for_use
 from service.model.robot import Robot
 from service.report import figures, initial_analysis
 from service.report.content import Axis, Content, axes_of

@@ -3,10 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from service.identification.model.certainty import UNSURE, share_of_value
-from service.model.results.check import DataCheck
-from service.model.results.diagnosis import Diagnosis, standing_of
-from service.model.results.estimate import Estimate
+from service.model.results.diagnosis import DataCheck, Diagnosis, standing_of
+from service.model.results.estimate import UNSURE, Estimate, share_of_value
 from service.report.diagnosis import plain
 
 CONFIRMED, OPEN, CONTRADICTED = "Confirmed", "Not confirmed", "Contradicted"

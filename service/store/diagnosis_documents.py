@@ -8,8 +8,8 @@ from pydantic import ConfigDict, Field, JsonValue
 
 from service.model.errors import Conflict
 from service.model.results.diagnosis import Diagnosis
-from service.model.results.revision import ModelRevision
-from service.model.results.stored_json import JsonOf
+from service.model.results.effect import ModelRevision
+from service.model.results.part import JsonOf
 from service.store.documents import LARGEST_ID, StoredDocument
 
 

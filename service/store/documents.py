@@ -17,7 +17,7 @@ from drivers.errors import Cause
 from drivers.ports import SweepMode
 from service.model.recording import SweepSpec
 from service.model.results.estimate import Estimate
-from service.model.results.stored_json import JsonOf
+from service.model.results.part import JsonOf
 from service.model.robot import Robot, RobotDescription, build_robot
 
 Json = Mapping[str, JsonValue]

@@ -33,12 +33,11 @@ from service.formats.traces.drafts import mapping_of
 from service.formats.traces.trace_import import import_trace, read_traces
 from service.machine.execution.recording.recorder import read_stream
 from service.machine.paths.control import read_control
-from service.model.configuration import read_robot, read_text
+from service.model.collision import CollisionChecker
+from service.model.configuration import read_cell, read_robot, read_text
 from service.model.errors import BadInput
-from service.model.geometry.cell import read_cell
-from service.model.geometry.collision import CollisionChecker
 from service.model.results.estimate import Estimate
-from service.model.results.identified.payload import Payload
+from service.model.results.payload import Payload
 from service.model.robot import Robot
 from service.model.urdf import read_chain
 from service.process.settings import load_settings

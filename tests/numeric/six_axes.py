@@ -9,12 +9,12 @@ from service.identification.design.excitation import design_sweep
 from service.identification.design.exciting_trajectory import Shape, Trajectory, TrajectoryLimits, design_trajectory
 from service.identification.estimates.combination import Combination
 from service.identification.model.base_parameters import joint_ranges
+from service.identification.model.inverse_dynamics import dynamic_base
 from service.identification.model.regressor import inertia_rows
-from service.identification.model.whole_base import dynamic_base
 from service.identification.motion.trajectory_record import TrajectoryRecord, axis_track, trajectory
 from service.identification.spectra.frequency_response import Spectrum, spectrum, window
-from service.model.geometry.cell import read_cell
-from service.model.geometry.collision import CollisionChecker
+from service.model.collision import CollisionChecker
+from service.model.configuration import read_cell
 from service.model.recording import Recording, Sweep
 from service.model.robot import Robot
 from service.model.urdf import read_chain

@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 
 from service.identification.estimates.combination import combine
-from service.identification.motion.along_motion import rigid_along, whole_parameters
+from service.identification.motion.equations import rigid_along, whole_parameters
 from service.identification.motion.free_motion import free_motions
 from tests.numeric.free_motion import GRAVITY, RATE, Truth, draw, log, wander
 

@@ -11,9 +11,8 @@ from service.identification.estimates.estimate import identify
 from service.identification.spectra.frequency_response import spectrum
 from service.machine.paths.control import read_control
 from service.machine.paths.export import export_paths
-from service.model.configuration import read_robot
+from service.model.configuration import read_cell, read_robot
 from service.model.errors import BadInput
-from service.model.geometry.cell import read_cell
 from service.model.recording import Recording, Sweep
 from service.model.robot import Robot
 from service.planning.plan import PlanDocument, PlannedSweep, PlanRequest, build_plan

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.identification.axis.distortion import Distortion
+from service.identification.axis.axis_estimate import Distortion
 from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.identification.design.excitation import design_sweep, realisations
 from service.identification.estimates.estimate import identify

@@ -6,8 +6,8 @@
 import numpy as np
 import pytest
 
+from service.identification.axis.drive_train import DriveTrain, impedance
 from service.identification.estimates.estimate import Estimate, identify
-from service.identification.spectra.axis_inertia import DriveTrain, impedance
 from simulator import true_inertia
 from tests.numeric.campaign import AXES, SimulatedCampaign, measure
 

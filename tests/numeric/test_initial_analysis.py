@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from service.identification.axis.drive_train import DriveTrain, impedance
 from service.identification.axis.ideal_frequency import nearest_line
-from service.identification.spectra.axis_inertia import DriveTrain, impedance
 from service.model.recording import Sweep
 from tests.numeric.noise_campaign import SimulatedAnalysis, measure_noise
 

@@ -12,7 +12,7 @@ import sweepid
 from service.identification.estimates.combination import Combination, combine
 from service.identification.estimation import estimate_document
 from service.identification.model.regressor import axis_rows
-from service.identification.motion.along_motion import whole_parameters
+from service.identification.motion.equations import whole_parameters
 from service.identification.motion.free_motion import free_motions
 from service.model.recording import Sweep
 from service.model.results.combination import Combination as Document

@@ -21,15 +21,13 @@ from service.formats.maker_urdf.packages import Packages
 from service.formats.maker_urdf.virtual import DraftedRobot, virtual_machine
 from service.identification.estimates.document import as_document
 from service.identification.estimates.estimate import Estimate, identify
-from service.identification.estimates.worth import TOLERANCE
+from service.identification.estimates.standard_parameters import TOLERANCE
 from service.identification.model.regressor import gravity_rows, inertia_rows
 from service.identification.spectra.frequency_response import spectrum
-from service.model.configuration import read_robot
-from service.model.geometry.cell import Cell, read_cell
-from service.model.geometry.hull import collision_meshes
+from service.model.configuration import Cell, read_cell, read_robot
 from service.model.recording import Sweep
 from service.model.robot import Robot
-from service.model.urdf import transform_inertial
+from service.model.urdf import collision_meshes, transform_inertial
 from service.planning.plan import PlanDocument, PlanRequest, build_plan
 from service.planning.safety.robot_and_machine import DriveProfile, differences
 from simulator import (

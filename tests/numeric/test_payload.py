@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from service.identification.estimates.torque_gain import KnownMass
-from service.identification.payloads.document import sentences
-from service.identification.payloads.payload import Payload, body_of, payload
+from service.identification.payloads import Payload, body_of, payload, sentences
 from service.model.errors import BadInput
 from service.model.recording import Sweep
 from service.store.files.bundle import write_bundle

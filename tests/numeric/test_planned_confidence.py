@@ -11,7 +11,7 @@ from service.identification.design.pose_selection import Criterion
 from service.identification.estimates.estimate import identify
 from service.identification.estimation import estimate_document
 from service.identification.spectra.frequency_response import Spectrum, spectrum
-from service.model.geometry.cell import read_cell
+from service.model.configuration import read_cell
 from service.model.robot import Robot, build_robot
 from service.planning.plan import PlanDocument, PlanRequest, build_plan, workspace_grid
 from simulator import true_inertia

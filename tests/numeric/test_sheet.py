@@ -19,7 +19,7 @@ from service.identification.estimates.estimate import Estimate, identify
 from service.identification.model.regressor import axis_rows, fold
 from service.model.errors import BadInput
 from service.model.results import estimate as results
-from service.model.results.identified.sheet import Sheet
+from service.model.results.sheet import Sheet
 from service.model.robot import INERTIAL_NAMES, Robot, link_frames
 from service.model.urdf import inertia_vector, transform_inertial
 from tests.numeric.campaign import AXES, SimulatedCampaign, measure

@@ -13,7 +13,7 @@ from drivers.ports import AxisState
 from service.identification.estimation import estimate_document
 from service.identification.spectra.frequency_response import spectrum
 from service.machine.execution.epoch import Intention
-from service.model.geometry.cell import read_cell
+from service.model.configuration import read_cell
 from service.planning.plan import PlanRequest, build_plan
 from service.planning.trajectories.documents import TrajectoryRequest
 from service.planning.trajectories.plan import build_trajectory_plan

@@ -19,7 +19,7 @@ import yaml
 
 from drivers.registry import load_profile
 from service.machine.execution.epoch import Intention
-from service.model.geometry.cell import read_cell
+from service.model.configuration import read_cell
 from service.planning.plan import PlanRequest, build_plan
 from service.process.settings import Settings
 from service.store.documents import CampaignState

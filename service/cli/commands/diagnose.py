@@ -39,7 +39,7 @@ def diagnose(
         found = sweepid.diagnose(measured, axis, known=known or (), start=estimate, twin=twin, progress=counted)
     if model is not None:
         from service.diagnosis import model_document
-        from service.model.results.revision import ModelRevision
+        from service.model.results.effect import ModelRevision
 
         revision = ModelRevision.read(model_document(measured.robot, found.as_json()), str(bundle))
         write_file(model, revision.to_json())

@@ -88,7 +88,7 @@ def export_sheet(
     from service.formats.export.sheets.making import sheet
     from service.formats.export.sheets.supplementary import UPRIGHT
     from service.formats.export.sheets.text import as_markdown
-    from service.model.results.identified.payload import Payload
+    from service.model.results.payload import Payload
     from sweepid.files import read_document
 
     known, estimate, bundle = read_estimate(source, robot)
@@ -111,8 +111,7 @@ def export_path(
     from service.cli.exports.plan_file import read_plan
     from service.machine.paths.control import read_control
     from service.machine.paths.export import export_paths
-    from service.model.configuration import read_robot
-    from service.model.geometry.cell import read_cell
+    from service.model.configuration import read_cell, read_robot
 
     document = read_plan(plan)
     known = read_robot(robot)

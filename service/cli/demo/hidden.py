@@ -13,8 +13,8 @@ from service.cli.demo.cell import VirtualCell, virtual_cell
 from service.cli.demo.operator import Operator
 from service.cli.demo.processes import command, environment
 from service.cli.demo.screen import Screen
+from service.model.configuration import Cell
 from service.model.errors import SweepidError
-from service.model.geometry.cell import Cell
 from service.model.results.diagnosis import AxisDiagnosis, Diagnosis, RigidParameter
 from service.model.robot import Robot
 from service.web.client import Json, ServiceClient

@@ -15,9 +15,8 @@ from service.cli.demo.operator import Operator
 from service.cli.demo.screen import Screen
 from service.cli.demo.tracking import drive_path
 from service.cli.demo.truth import compare
-from service.model.configuration import read_robot
+from service.model.configuration import read_cell, read_robot
 from service.model.errors import BadInput
-from service.model.geometry.cell import read_cell
 from service.model.results.estimate import Estimate
 from service.planning.plan import PlanRequest, workspace_grid
 from service.report import Content, axes_of, content_of, estimate_page

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 import sweepid
 from service.model.results.estimate import Estimate
-from service.model.results.identified.sheet_check import AxisCheck, SheetCheck
+from service.model.results.sheet import AxisCheck, SheetCheck
 from service.model.robot import Robot, RobotDescription, build_robot
 from service.web.client import ServiceClient
 

@@ -5,7 +5,7 @@ from importlib.metadata import version
 
 from service.data_check import check, findings_document
 from service.model.errors import BadInput
-from service.model.results.check import DataCheck
+from service.model.results.diagnosis import DataCheck
 from service.model.results.estimate import Estimate
 from service.report import CampaignReport, Page, campaign_page, content_of, used_sweeps
 from service.store.files.bundle import Bundle

@@ -5,7 +5,7 @@ import math
 from service.cli.progress_indicator import counted
 from service.identification.axis.channel_timing import ChannelLags, Lag, channel_lags
 from service.model.errors import BadInput
-from service.model.results.analysis import Figure
+from service.model.results.estimate import Figure
 from service.model.results.part import Part
 from service.store.files.bundle import Bundle
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.formats.export.workspace import worth_of
-from service.identification.estimates.worth import AxisWorth
+from service.identification.estimates.standard_parameters import AxisWorth
 from service.model.errors import BadInput
 from service.model.results.estimate import (
     BaseParameter,

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.estimates.worth import AxisWorth, Observation, worth
+from service.identification.estimates.standard_parameters import AxisWorth, Observation, worth
 from service.identification.model.base_parameters import base_parameters
 from service.identification.model.regressor import fold, lock
 from service.model.results.estimate import Estimate

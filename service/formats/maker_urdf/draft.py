@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from service.formats.maker_urdf.check import UrdfCheck
 from service.formats.maker_urdf.finding import Finding
-from service.model.geometry.cell import Cell
-from service.model.geometry.collision import CollisionChecker
+from service.model.collision import CollisionChecker
+from service.model.configuration import Cell
 from service.model.robot import Axis, Robot, RobotDescription, build_robot
 
 Array = NDArray[np.float64]

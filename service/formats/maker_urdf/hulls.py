@@ -15,8 +15,7 @@ from scipy.spatial import ConvexHull, QhullError
 from service.formats.maker_urdf.meshes import mesh_points
 from service.formats.maker_urdf.packages import Packages
 from service.model.errors import BadInput
-from service.model.geometry.hull import LARGEST, collision_meshes, read_hull, write_hull
-from service.model.urdf import read_origin
+from service.model.urdf import LARGEST, collision_meshes, read_hull, read_origin, write_hull
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import fftconvolve
 
-from service.identification.design.excitation import Excitation
-from service.identification.design.sweep_path import way
+from service.identification.design.excitation import Excitation, way
 from service.model.errors import BadInput
 
 Array = NDArray[np.float64]

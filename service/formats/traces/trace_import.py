@@ -31,8 +31,7 @@ from service.formats.traces.mapping import CncAxis, Columns, FromPosition, Mappi
 from service.formats.traces.meaning import Channel, Train, find_kind, scalings
 from service.formats.traces.raw import Raw, read_raw, sessions_of
 from service.formats.traces.units import check_same, to_si
-from service.identification.design.excitation import Excitation
-from service.identification.design.sweep_path import way
+from service.identification.design.excitation import Excitation, way
 from service.identification.estimates.estimate import identify
 from service.identification.spectra.frequency_response import spectrum
 from service.model.configuration import bad_field, read_robot, read_yaml

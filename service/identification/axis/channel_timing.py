@@ -30,13 +30,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from service.identification.axis.drive_train import OWN, SHARED, DriveTrain, effort_residual
 from service.identification.axis.joint_fit import STARTS, complete_prior, real_parts
 from service.identification.axis.nominal_priors import NOISE_GUESS, PosePrior, SharedPrior, pose_prior, shared_prior
-from service.identification.axis.sweep_model import OWN, SHARED, effort_residual
-from service.identification.model.convergence import Fit, converged, finite
-from service.identification.model.least_squares import scaled_inverse
+from service.identification.model.least_squares import Fit, converged, finite, scaled_inverse
 from service.identification.model.regressor import axis_rows, gravity_terms
-from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Complex, Spectrum, spectrum, window
 from service.model.errors import BadInput
 from service.model.recording import Sweep

@@ -4,7 +4,7 @@ The input is the frequency response of the axis in several poses (`noise_respons
 locked-rotor frequency f_l, where the motor stands and the load oscillates, and the corner f_c below which friction
 dominates:
 
-Fit. The two-mass impedance (`axis_inertia`) to all poses at once, every line weighted by its variance: Jm, mu_m, mu_l,
+Fit. The two-mass impedance (`drive_train`) to all poses at once, every line weighted by its variance: Jm, mu_m, mu_l,
 c, h are shared, J_l and k_g belong to the pose; data sheet and nominal model are priors. Gauss-Newton by SciPy,
 with the weights computed again at the fitted Z, because near f_l the measured Z is a quotient of small numbers. Then
 
@@ -29,12 +29,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
+from service.identification.axis.drive_train import DriveTrain, impedance
 from service.identification.axis.joint_fit import SHARED, STARTS
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
 from service.identification.design.excitation import LINE_MARGIN, LINES
-from service.identification.model.convergence import Fit, converged, finite
-from service.identification.model.least_squares import scaled_inverse
-from service.identification.spectra.axis_inertia import DriveTrain, impedance
+from service.identification.model.least_squares import Fit, converged, finite, scaled_inverse
 from service.identification.spectra.noise_response import Response
 from service.model.errors import BadInput
 

@@ -1,11 +1,11 @@
 """All sweeps of one axis fitted together: the drive train is shared, the load inertia belongs to the pose.
 
-The equations are those of `sweep_model`. Gauss-Newton with Levenberg's damping on the real and imaginary parts, with
+The equations are those of `drive_train`. Gauss-Newton with Levenberg's damping on the real and imaginary parts, with
 one additional row for every prior of the data sheet. The own parameters are eliminated sweep by sweep (Schur
 complement), so the cost grows linearly with the number of sweeps. The noise variance is pooled over the sweeps of
 one sample rate, from residuals corrected for the degrees of freedom.
 
-Known effects are removed before (`known_torque`); their uncertainty enters as further shared parameters, 0 +- 1.
+Known effects are removed before (`known_effects`); their uncertainty enters as further shared parameters, 0 +- 1.
 
 A sweep whose residual is larger than chance allows (a torque spike, a collision, a loose cable) would distort the
 drive train and the noise of all sweeps. It gets the variance of its own residual, the most probable one for an
@@ -23,12 +23,17 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.special import chdtri
 
-from service.identification.axis.load_motion import spring
+from service.identification.axis.drive_train import (
+    SHARED,
+    DriveTrain,
+    Stack,
+    direct_terms,
+    spring,
+    stack_residual,
+    stacks,
+)
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
-from service.identification.axis.sweep_model import SHARED, Stack, direct_terms, stack_residual, stacks
-from service.identification.model.convergence import finite
-from service.identification.model.least_squares import scaled_inverse, scaled_solution
-from service.identification.spectra.axis_inertia import DriveTrain
+from service.identification.model.least_squares import finite, scaled_inverse, scaled_solution
 from service.identification.spectra.frequency_response import Complex, Spectrum
 from service.model.errors import BadInput
 
@@ -85,7 +90,7 @@ class JointFit:
     freedom: float
     moved: Array
     shared: Array  # (5 + u,) and
-    own: tuple[Array, ...]  # of each sweep (p,): all parameters, for `sweep_model`
+    own: tuple[Array, ...]  # of each sweep (p,): all parameters, for `drive_train`
     ended: Ended
     noise_change: Array  # (n,) relative change of `noise` in the last of the `ROUNDS`
 
@@ -146,7 +151,7 @@ def fit_axis(
     """Fit all periodic sweeps of one axis; `noise_guess` is the effort noise of one sample, N m (N).
 
     `uncertain` (u, b) of each sweep: uncertainty of the effects removed from its effort. `spread` (b,) of each sweep:
-    standard deviation of each bin over the noise, larger than 1 with nonlinear distortion (`distortion`).
+    standard deviation of each bin over the noise, larger than 1 with nonlinear distortion (`axis_estimate`).
     BadInput, and no result, if the cost is not finite, if it still decreases after the last step, or if a step or
     a variance is not finite.
     """

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.axis.known_effects import ELASTICITY, GAIN, HOSE, KnownAxis
-from service.identification.design.predicted_confidence import SOFTEST
-from service.identification.model.parameter_prior import link_sizes
+from service.identification.design.pose_selection import SOFTEST
+from service.identification.model.inverse_dynamics import link_sizes
 from service.identification.spectra.frequency_response import Spectrum
 from service.model.robot import Robot
 from service.model.urdf import Chain
@@ -73,7 +73,7 @@ def with_known_spring(prior: SharedPrior, known: KnownAxis, gain: float) -> Shar
     values.
 
     The diagnosis' spring carries `ratio` times the load that the nominal motor inertia leaves: at the true load its
-    compliance is compliance / ratio. `gain`: effort reported by the drive over true effort, see `known_torque`.
+    compliance is compliance / ratio. `gain`: effort reported by the drive over true effort, see `known_effects`.
     """
     effect = known.get(ELASTICITY)
     if effect is None:

@@ -5,7 +5,7 @@ The joint *velocity* of axis k is a sum of sines on the harmonics of one fundame
     v_k(t) = e(t) sum_h a_kh sin(2 pi h (t - t0)/T + phi_kh)
 
 so the set of axes is a set of ordinary sweeps with common period, ramp and settling. The ramp e(t) moves the middle of
-the oscillation away from the start; the shift is known in closed form (`sweep_path`) and the start is shifted
+the oscillation away from the start; the shift is known in closed form (below) and the start is shifted
 in the opposite direction, so that during the window axis k oscillates about `center`.
 
 Choice: random shapes (amplitudes falling as 1/h) about random centres, each scaled to the nearest of its limits
@@ -20,8 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.design.excitation import Excitation, velocity_setpoint
-from service.identification.design.sweep_path import way
+from service.identification.design.excitation import Excitation, velocity_setpoint, way
 from service.identification.model.base_parameters import condition_number
 from service.identification.model.inverse_dynamics import Motion, dynamics_rows
 from service.model.errors import BadInput

@@ -1,4 +1,4 @@
-r"""Sweeps and trajectories together: one weighted least-squares problem in the base parameters of the whole dynamics.
+"""Sweeps and trajectories together: one weighted least-squares problem in the base parameters of the whole dynamics.
 
 Rows of the sweeps: the axis inertias J with their covariance (`estimate`), J_k = M_kk(q) with the motor's share.
 Rows of the trajectories: harmonic by harmonic, for every moving axis,
@@ -33,25 +33,47 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.axis.drive_train import DriveTrain
 from service.identification.axis.nominal_priors import TorqueGain, uncalibrated
 from service.identification.estimates.estimate import Estimate
-from service.identification.model.base_parameters import BaseParameters
-from service.identification.model.convergence import finite
-from service.identification.model.inverse_dynamics import Motion, drive_rows, dynamics_rows, link_rows
-from service.identification.model.least_squares import Information, Solution, span
-from service.identification.model.parameter_prior import nominal_parameters, parameter_spread, prior_information
-from service.identification.model.regressor import axis_rows
-from service.identification.model.whole_base import dynamic_base
+from service.identification.estimates.standard_parameters import (
+    StandardParameters,
+    physical_document,
+    standard_document,
+)
+from service.identification.model.base_parameters import BaseParameters, joint_ranges, spread_evenly
+from service.identification.model.inverse_dynamics import (
+    Motion,
+    drive_rows,
+    dynamic_base,
+    dynamics_rows,
+    link_rows,
+    nominal_parameters,
+    parameter_spread,
+    prior_information,
+)
+from service.identification.model.least_squares import Information, Solution, finite, span, unsettled
+from service.identification.model.physical_consistency import nearest_physical
+from service.identification.model.regressor import axis_rows, inertia_rows
 from service.identification.motion import free_motion
-from service.identification.motion.choice import Chosen, FrictionLaw, choose, extended, scales, wider
+from service.identification.motion.choice import (
+    SIMPLE,
+    Chosen,
+    FrictionLaw,
+    HeldOut,
+    choose,
+    extended,
+    faults,
+    held_out,
+    scales,
+    wider,
+)
 from service.identification.motion.equations import LINK_RATE, STILL
-from service.identification.motion.faults import faults
 from service.identification.motion.free_motion import FreeMotion
-from service.identification.motion.held_out import HeldOut, held_out
 from service.identification.motion.trajectory_record import TrajectoryRecord, calibrated, with_loads
-from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Complex
 from service.model.errors import BadInput
+from service.model.results import combination as results
 from service.model.robot import Robot
 
 Array = NDArray[np.float64]
@@ -399,3 +421,133 @@ def _source(std: float, std_sweeps: float, std_trajectories: float) -> Source:
     if sweeps:
         return Source.SWEEPS
     return Source.TRAJECTORIES if trajectories else Source.BOTH
+
+
+POSES = 200  # of the workspace, in which an inertia must be positive
+FAR = 3.0  # standard deviations: greatest distance of the base parameters from those of a physical robot
+CHECK = "Check signs and units of the efforts, the gear ratios and gravity's direction, or record a longer motion"
+SIGN = "The effort of this axis and its velocity seem to count in opposite directions: change the sign of one of them"
+UNSETTLED_FIT = 0.5  # standard deviations by which the last round may move the fit of free motions without a warning
+
+
+def combined_parameters(found: Combination) -> StandardParameters:
+    """Parameters of the whole robot. A motor without data sheet is nominally what its axis has more than the links of
+    CAD, a tenth of it at least.
+    """
+    robot, count = found.robot, 11 * len(found.robot.axes)
+    own = np.array(found.base.columns) < count
+    middle = np.mean(joint_ranges(robot.chain), axis=0)[None]
+    nominal, spread = np.zeros(len(robot.axes)), np.ones(len(robot.axes))
+    for k, axis in enumerate(robot.axes):
+        if axis.reflected_motor_inertia:
+            nominal[k], spread[k] = axis.reflected_motor_inertia, robot.prior.motor_inertia
+            continue
+        whole = abs(float(found.inertia(axis.joint, middle)[0]))
+        links = float((inertia_rows(robot.chain, k, middle) @ robot.chain.inertial.ravel())[0])
+        nominal[k] = max(whole - links, 0.1 * whole)
+    physical = nearest_physical(
+        np.concatenate([robot.chain.inertial.ravel(), nominal]),
+        (robot.prior.inertia, spread),
+        found.base.combination[own, :count],
+        found.solution.values[own],
+        found.solution.covariance[np.ix_(own, own)],
+    )
+    return StandardParameters(physical.parameters, physical.deviation, physical.ended)
+
+
+def combination_document(combination: Combination) -> results.Combination:
+    """All numbers; a standard deviation that a source does not determine is None.
+
+    `became_identifiable`: names of the parameters that are identified by sweeps and trajectories only together.
+    """
+    parameters, standard = combination.parameters, combined_parameters(combination)
+    return results.Combination(
+        base_parameters=tuple(
+            results.CombinedParameter(
+                name=parameter.name,
+                value=parameter.value,
+                std=_finite(parameter.std),
+                std_total=_finite(parameter.std_total),
+                std_sweeps=_finite(parameter.std_sweeps),
+                std_trajectories=_finite(parameter.std_trajectories),
+                std_nominal=parameter.std_prior,
+                source=parameter.source.value,
+                identified=parameter.identified,
+                reason=parameter.reason,
+            )
+            for parameter in parameters
+        ),
+        became_identifiable=tuple(parameter.name for parameter in parameters if parameter.by_combination),
+        trajectories=combination.trajectories,
+        noise={
+            joint: results.EffortNoise(harmonic=noise, scatter=combination.scatter[joint]).with_nonempty(
+                warning=unsettled(combination.noise_change[joint])
+            )
+            for joint, noise in combination.noise.items()
+        },
+        free_motions=combination.free,
+        free_motion_axes={joint: _free_motion_axis(combination, joint) for joint in combination.free_axes},
+        covariance=tuple(map(tuple, combination.solution.covariance.tolist())),
+        standard_parameters=standard_document(combination.robot, standard),
+        physical=physical_document(standard),
+    ).with_nonempty(free_motion_fit=_fit(combination), warnings=_warnings(combination, standard.deviation))
+
+
+def _fit(combination: Combination) -> results.FreeMotionFit | None:
+    chosen = combination.chosen
+    if chosen is None:
+        return None
+    return results.FreeMotionFit(simple_estimator=SIMPLE, coloured=chosen.coloured, prior_widened=chosen.widened)
+
+
+def _free_motion_axis(combination: Combination, joint: str) -> results.FreeMotionAxis:
+    axis, chosen = combination.free_axes[joint], combination.chosen
+    found = results.FreeMotionAxis(
+        residual_rms=axis.residual,
+        held_out_rms=axis.error,
+        held_out_percent=100 * axis.error / combination.robot.axis(joint).rated_effort,
+        noise_floor_rms=axis.floor,
+    )
+    if chosen is None:
+        return found
+    moved = chosen.fit.moved
+    warning = f"the fit of the free motions still moved by {moved:.2g} standard deviations in its last round"
+    return found.with_nonempty(
+        simple_held_out_rms=chosen.simple[joint],
+        friction=_friction(combination, joint),
+        lacks=chosen.fit.evidence.lacks.get(joint, ()),
+        warning=warning if moved > UNSETTLED_FIT else "",
+    )
+
+
+def _friction(combination: Combination, joint: str) -> tuple[results.FrictionPoint, ...]:
+    law = combination.friction.get(joint)
+    if law is None:
+        return ()
+    points = zip(law.speeds.tolist(), law.whole.tolist(), law.std.tolist(), strict=True)
+    return tuple(results.FrictionPoint(velocity=speed, effort=effort, std=std) for speed, effort, std in points)
+
+
+def _warnings(combination: Combination, deviation: float) -> tuple[str, ...]:
+    """What no robot can have, with the next step."""
+    robot = combination.robot
+    found = list(combination.faults)
+    for one in combination.parameters:
+        if one.name.startswith(POSITIVE) and " " not in one.name and one.value + 2 * one.std < 0:
+            mend = SIGN if one.name.startswith("Fc(") else CHECK
+            found.append(f"{one.name} is {one.value:.3g} ± {one.std:.2g}: it is positive on every robot. {mend}")
+    poses = spread_evenly(POSES, *joint_ranges(robot.chain))
+    for joint in robot.joints:
+        least = float(combination.inertia(joint, poses).min())
+        if least <= 0:
+            found.append(f"the inertia of {joint} is {least:.3g} in a pose: it is positive on every robot. {CHECK}")
+    if deviation > FAR:
+        found.append(
+            f"no robot of rigid bodies has these base parameters: the nearest is {deviation:.1f} standard deviations "
+            f"away, limit {FAR:g}. {CHECK}"
+        )
+    return tuple(found)
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None

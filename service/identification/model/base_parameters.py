@@ -1,4 +1,4 @@
-"""The base parameters: combinations of inertial parameters that can be identified from the inertias about the axes.
+r"""The base parameters: combinations of inertial parameters that can be identified from the inertias about the axes.
 
 With W (rows of all measured axes over the workspace, columns scaled to unit length) of rank r, r columns span the
 rest,
@@ -12,6 +12,7 @@ selected columns.
 """
 
 from dataclasses import dataclass
+from itertools import count, islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,3 +142,23 @@ def _name(row: Array, names: tuple[str, ...], leader: int) -> str:
         factor = "" if abs(size - 1) < 1e-6 else f"{size:.4g} "
         parts.append(f"{'-' if row[column] < 0 else '+'} {factor}{names[column]}")
     return " ".join(parts)
+
+
+def spread_evenly(number: int, lower: Array, upper: Array) -> Array:
+    """`number` points (number, n) of the box from `lower` to `upper` (n,), in their units; the first is `lower`."""
+    unit = np.stack([_mirrored(number, prime) for prime in _primes(len(lower))], axis=1)
+    return unit * (upper - lower) + lower
+
+
+def _mirrored(number: int, base: int) -> Array:
+    """Of 0 to `number` - 1, in [0, 1)."""
+    values, rest, place = np.zeros(number), np.arange(number), 1.0 / base
+    while rest.any():
+        rest, digit = np.divmod(rest, base)
+        values += digit * place
+        place /= base
+    return values
+
+
+def _primes(number: int) -> tuple[int, ...]:
+    return tuple(islice((n for n in count(2) if all(n % k for k in range(2, n))), number))

@@ -1,4 +1,4 @@
-r"""Weighted least squares that is extended measurement by measurement, in information form.
+"""Weighted least squares that is extended measurement by measurement, in information form.
 
 With rows W, values y and covariance C of one batch,
 
@@ -14,11 +14,14 @@ depends on such a direction by more than a tenth of its S counts as undetermined
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 from scipy.special import ndtri, stdtrit
+
+from service.model.errors import BadInput
 
 Array = NDArray[np.float64]
 
@@ -185,3 +188,45 @@ def scaled_inverse(matrix: Array) -> Array:
     eigenvalues = np.maximum(eigenvalues, LEAST_EIGENVALUE * eigenvalues[..., -1:])
     turned = np.swapaxes(vectors, -1, -2)
     return (vectors / eigenvalues[..., None, :]) @ turned / scale / np.swapaxes(scale, -1, -2)
+
+
+UNSETTLED = 0.05  # relative change of a noise estimate in the last round of reweighting: a warning above
+
+
+class Fit(Protocol):
+    """Result of `scipy.optimize.least_squares`."""
+
+    x: NDArray[np.float64]
+    cost: float
+    success: bool
+    message: str
+
+
+def finite(values: NDArray[np.float64] | NDArray[np.complex128], place: str, what: str) -> None:
+    """BadInput at `place` where one of `values`, any shape, is NaN or infinite; `what` names them.
+
+    Called before a fit: for such a start SciPy raises an error without axis and sweep, and linear
+    solvers return NaN.
+    """
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        raise BadInput(
+            place, f"{bad.size} of {values.size} values of {what} are not finite, the first is number {bad[0]}"
+        )
+
+
+def unsettled(change: float) -> str | None:
+    """The warning if a noise estimate still changes in the last round of reweighting; `change` is relative."""
+    if change <= UNSETTLED:
+        return None
+    return f"its noise still changes by {100 * change:.0f} % in the last round; limit {100 * UNSETTLED:.0f} %"
+
+
+def converged(found: Fit, place: str, what: str) -> None:
+    """Raises BadInput at `place` unless SciPy's result `found`, the fit of `what`, is a converged and finite
+    minimum.
+    """
+    if not np.isfinite(found.cost):
+        raise BadInput(place, f"the fit of {what} has no finite residual")
+    if not found.success:
+        raise BadInput(place, f"the fit of {what} did not converge: {' '.join(found.message.split())}")

@@ -31,7 +31,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.model.convergence import finite
+from service.identification.model.least_squares import finite
 from service.model.urdf import inertia_matrix
 
 Array = NDArray[np.float64]

@@ -10,26 +10,92 @@ it has not seen, and the one with the least error is used,
 
 where the simple estimator is least squares weighted by axis, with Coulomb and viscous friction and no nominal model:
 what anybody would try first. It is itself a candidate, so the result is no worse on these parts.
+
+Prediction error of a fit of free motions on held-out parts of them.
+
+Each of `FOLDS` parts in turn is left out of all records and predicted from the rest. The noise floor, below which no
+model error can fall, is the difference between runs of the same motion, half of its power in each; None if no motion
+was run twice.
+
+Faults of the records of free motions, where the whole inverse dynamics fits them badly.
+
+Each hypothesis changes the records or the robot file: the efforts of two axes are exchanged, all efforts are late, or
+gravity has another direction. The simple estimator (`choice`), which knows no nominal model, then predicts
+held-out parts. A hypothesis that leaves less than `LEFT` of the error of its axes is told, with the evidence and what
+to change. A wrong sign of an effort needs no hypothesis: its Coulomb friction is negative.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.model.base_parameters import BaseParameters
+from service.identification.model.inverse_dynamics import Scale, dynamic_base, nominal_parameters, prior_information
 from service.identification.model.least_squares import Information
-from service.identification.model.parameter_prior import Scale
 from service.identification.motion.equations import LOW_SPEEDS, AxisEquations, all_equations, friction_laws
-from service.identification.motion.fit import FreeFit, fit_equations
-from service.identification.motion.free_motion import FreeMotion
-from service.identification.motion.held_out import held_out_errors
-from service.identification.motion.noise import ORDER
-from service.identification.spectra.low_pass import low_pass
+from service.identification.motion.fit import FOLDS, ORDER, FreeFit, fit_equations
+from service.identification.motion.free_motion import FreeMotion, low_pass
 from service.model.robot import Robot
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """RMS of one axis below the band's end, N m (N): `residual` of the fit, `error` of parts held out, `floor`."""
+
+    residual: float
+    error: float
+    floor: float | None
+
+
+def held_out(records: Sequence[FreeMotion], fit: FreeFit, others: Information, start: Array) -> dict[str, HeldOut]:
+    """By joint. `others`: information without the free motions, including the nominal model's prior."""
+    values = fit.evidence.honest.plus(others).solve(start).values
+    return {
+        joint: HeldOut(
+            residual=_rms([each.values - each.rows @ values for each in _of(fit, joint)], _of(fit, joint)),
+            error=error,
+            floor=_floor(records, _of(fit, joint), values),
+        )
+        for joint, error in held_out_errors(fit, others, start).items()
+    }
+
+
+def held_out_errors(fit: FreeFit, others: Information, start: Array) -> dict[str, float]:
+    """RMS of what the rest of the records leaves unpredicted in each fold, N m (N), by joint."""
+    errors: dict[str, list[Array]] = {}
+    for fold in range(FOLDS):
+        without = fit.without(fold).plus(others).solve(start).values
+        for each, white in zip(fit.equations, fit.white, strict=True):
+            out = white.block % FOLDS == fold
+            errors.setdefault(each.joint, []).append((each.values - each.rows @ without)[each.sound][out])
+    return {joint: float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) for joint, parts in errors.items()}
+
+
+def _of(fit: FreeFit, joint: str) -> list[AxisEquations]:
+    return [each for each in fit.equations if each.joint == joint]
+
+
+def _rms(signals: Sequence[Array], parts: Sequence[AxisEquations]) -> float:
+    kept = np.concatenate([signal[each.sound] for signal, each in zip(signals, parts, strict=True)])
+    return float(np.sqrt(np.mean(kept**2)))
+
+
+def _floor(records: Sequence[FreeMotion], parts: Sequence[AxisEquations], values: Array) -> float | None:
+    """Difference between runs of the same motion, minus the modelled effect of the difference of their paths."""
+    squares: list[Array] = []
+    for one, other in combinations(parts, 2):
+        if records[one.record].same_motion(records[other.record]):
+            both = one.sound & other.sound
+            difference = one.values - other.values - (one.rows - other.rows) @ values
+            squares.append(difference[both] ** 2 / 2)
+    kept = np.concatenate(squares) if squares else np.zeros(0)
+    return float(np.sqrt(np.mean(kept))) if len(kept) else None
+
 
 SIMPLE = "least squares weighted by axis, Coulomb and viscous friction, no nominal model"
 OPEN = 1e4  # times the prior: no nominal model
@@ -205,3 +271,80 @@ def _with_laws(robot: Robot, parts: Sequence[AxisEquations], joints: frozenset[s
             own[:, robot.index(each.joint)] = each.lacks[:, : len(LOW_SPEEDS)]
         found.append(replace(each, rows=np.hstack([each.rows, own.reshape(len(own), -1)])))
     return found
+
+
+BAD = 0.25  # of the RMS effort: held-out error of an axis from which its records are questioned
+LEFT = 0.5  # of the error: most that a fault leaves of it when it is mended
+LAGS = np.arange(-0.3, 0.301, 0.05)  # s
+STANDARD = 9.81  # m/s^2, where the robot file has no gravity
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class _Hypothesis:
+    """`parts` as they would be without the fault; `joints` that it is about; `told` with the next step."""
+
+    robot: Robot
+    base: BaseParameters
+    parts: list[AxisEquations]
+    joints: tuple[str, ...]
+    told: str
+
+
+def faults(
+    robot: Robot,
+    base: BaseParameters,
+    records: Sequence[FreeMotion],
+    of: Mapping[str, Scale],
+    least: Mapping[str, float],
+) -> tuple[str, ...]:
+    """The most certain, or none; `least`: held-out errors of the fit, `of`: `choice.scales`."""
+    if all(error < BAD * (of[joint].effort or np.inf) for joint, error in least.items() if joint in of):
+        return ()
+    found: list[tuple[float, str]] = []
+    for one in _hypotheses(robot, base, records):
+        errors = _errors(one, records, of)
+        left = float(np.exp(np.mean([np.log(errors[joint] / least[joint]) for joint in one.joints])))
+        if left < LEFT:
+            found.append((left, f"{one.told}: the held-out error falls to {100 * left:.0f} %"))
+    return tuple(told for _, told in sorted(found)[:1])
+
+
+def _errors(one: _Hypothesis, records: Sequence[FreeMotion], of: Mapping[str, Scale]) -> dict[str, float]:
+    start = one.base.combination @ nominal_parameters(one.robot)
+    prior = wider(prior_information(one.robot, one.base, of), OPEN)
+    return held_out_errors(fit_equations(one.robot, records, one.parts, prior, start, order=0), prior, start)
+
+
+def _hypotheses(robot: Robot, base: BaseParameters, records: Sequence[FreeMotion]) -> Iterator[_Hypothesis]:
+    parts = all_equations(robot, base, records)
+    joints = tuple(dict.fromkeys(each.joint for each in parts))
+    efforts = {(each.record, each.joint): each.values for each in parts}
+    for pair in combinations(joints, 2):
+        other = dict(zip(pair, reversed(pair), strict=True))
+        if all((each.record, other[each.joint]) in efforts for each in parts if each.joint in pair):
+            exchanged = [
+                replace(each, values=efforts[each.record, other[each.joint]]) if each.joint in pair else each
+                for each in parts
+            ]
+            told = f"the efforts of {pair[0]} and {pair[1]} seem to be exchanged: exchange their columns"
+            yield _Hypothesis(robot, base, exchanged, pair, told)
+    for lag in LAGS[np.abs(LAGS) > 0.01].tolist():
+        shifted = [replace(each, values=np.interp(each.time + lag, each.time, each.values)) for each in parts]
+        told = f"the efforts seem to be {1000 * lag:.0f} ms late: take them earlier by that"
+        yield _Hypothesis(robot, base, shifted, joints, told)
+    size = float(np.linalg.norm(robot.gravity)) or STANDARD
+    oblique = dynamic_base(_turned(robot, (size, size, size)))  # of any direction: none makes a column vanish
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            gravity = [0.0, 0.0, 0.0]
+            gravity[axis] = sign * size
+            if np.allclose(gravity, robot.gravity, atol=0.1 * size):
+                continue
+            turned = _turned(robot, (gravity[0], gravity[1], gravity[2]))
+            told = f'gravity seems to act along {"-" if sign < 0 else ""}{AXES[axis]} of the base: set "gravity"'
+            yield _Hypothesis(turned, oblique, all_equations(turned, oblique, records), joints, told)
+
+
+def _turned(robot: Robot, gravity: tuple[float, float, float]) -> Robot:
+    return replace(robot, description=robot.description.model_copy(update={"gravity": gravity}))

@@ -13,14 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.axis.drive_train import DriveTrain
 from service.identification.model.inverse_dynamics import Motion
 from service.identification.motion.free_motion import BAND
-from service.identification.spectra.axis_inertia import DriveTrain
-from service.identification.spectra.frequency_response import Complex, check_numbers, window
-from service.identification.spectra.pairs import from_pairs, pairs
+from service.identification.spectra.frequency_response import Complex, check_numbers, from_pairs, pairs, window
 from service.model.errors import BadInput
 from service.model.recording import Sweep, SweepSpec
-from service.model.results.identified.spectrum import TrackDocument
+from service.model.results.spectrum import TrackDocument
 from service.model.robot import Robot
 
 Array = NDArray[np.float64]

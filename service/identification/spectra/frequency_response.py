@@ -1,4 +1,4 @@
-r"""From the samples of one sweep to its lines: DFT of effort, velocity and of all regressors of the effort.
+"""From the samples of one sweep to its lines: DFT of effort, velocity and of all regressors of the effort.
 
 A measured window of P whole periods has bins at multiples of 1/(P period). The excited bins contain the response; the
 bins between them contain disturbances: the transient of the elastic load, gravity changing along the path, torque
@@ -19,18 +19,31 @@ second order also if its ends differ, and keep the bins from 0 Hz to `FREE_BAND`
 sample have the same phase factor, so it is the DFT without the last sample and with their mean as first sample.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.spectra.pairs import from_pairs, pairs
 from service.model.errors import BadInput
 from service.model.recording import Array, Recording, Sweep, SweepSpec
-from service.model.results.identified.spectrum import SpectrumDocument
+from service.model.results.spectrum import Pairs, SpectrumDocument
 from service.model.robot import Axis, Robot, link_frames
 
 Complex = NDArray[np.complex128]
+
+
+def pairs(values: Complex) -> Pairs:
+    """(n,) -> n pairs."""
+    return [[value.real, value.imag] for value in values.tolist()]
+
+
+def from_pairs(values: Pairs) -> Complex:
+    """The inverse: (n,)."""
+    return np.array([complex(re, im) for re, im in values], dtype=np.complex128)
+
+
 Bins = NDArray[np.int_]
 
 LOW = 1.0  # Hz: below, load- and position-dependent friction dominates
@@ -281,3 +294,40 @@ def _signals(
 
 def ripple_orders(axis: Axis) -> tuple[float, ...]:
     return tuple(sorted({*axis.cogging_orders, *axis.transmission_orders}))
+
+
+def check_moved_alone(spectra: Sequence[Spectrum]) -> None:
+    """BadInput with the sweep if a trajectory ran together with another axis.
+
+    Together are trajectories of several axes that began in the same pose and overlap in time, and those whose block
+    states several axes.
+    """
+    trajectories = [each for each in spectra if each.spec.excitation == "trajectory"]
+    for each in trajectories:
+        if each.spec.axes_at_once > 1:
+            raise BadInput(
+                f"sweep {each.spec.id}",
+                f"its block {each.spec.block!r} moved several axes at once: the equations of {each.spec.axis} alone do "
+                "not hold for it; identify it with the sweeps of the other axes as one trajectory",
+            )
+    for first, second in combinations(trajectories, 2):
+        if _together(first, second):
+            raise BadInput(
+                f"sweep {second.spec.id}",
+                f"{second.spec.axis} moved while {first.spec.axis} did in sweep {first.spec.id} (same pose, "
+                f"started_at {second.spec.started_at:g} and {first.spec.started_at:g} s): the equations of one axis do "
+                "not hold; identify them as one trajectory of several axes, or correct started_at if they ran one "
+                "after the other",
+            )
+
+
+def _together(first: Spectrum, second: Spectrum) -> bool:
+    one, other = first.spec, second.spec
+    if one.axis == other.axis or one.pose != other.pose:
+        return False
+    return one.started_at < _end(second) and other.started_at < _end(first)
+
+
+def _end(spectrum: Spectrum) -> float:
+    """End of the record, s on the campaign's clock."""
+    return spectrum.spec.started_at + spectrum.spec.measure_from + spectrum.samples / spectrum.spec.sample_rate

@@ -39,13 +39,14 @@ from service.identification.spectra.frequency_response import (
     BELOW_NYQUIST,
     Spectrum,
     check_numbers,
+    from_pairs,
+    pairs,
     ripple_orders,
     window,
 )
-from service.identification.spectra.pairs import from_pairs, pairs
 from service.model.errors import BadInput
 from service.model.recording import Array, Sweep, SweepSpec
-from service.model.results.identified.spectrum import NoiseDocument
+from service.model.results.spectrum import NoiseDocument
 from service.model.robot import Axis, Robot
 
 Complex = NDArray[np.complex128]

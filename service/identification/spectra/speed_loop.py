@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from service.identification.model.convergence import finite
-from service.identification.model.least_squares import jackknife_factor
+from service.identification.model.least_squares import finite, jackknife_factor
 from service.model.errors import BadInput
 
 Array = NDArray[np.float64]

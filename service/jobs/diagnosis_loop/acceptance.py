@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from service.diagnosis import model_document
 from service.model.errors import BadInput, Conflict
 from service.model.results.diagnosis import AxisDiagnosis
-from service.model.results.revision import RevisedAxis
+from service.model.results.effect import RevisedAxis
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis.model_revisions import ModelStore
 from service.store.diagnosis_documents import DiagnosisDocument, ModelDocument

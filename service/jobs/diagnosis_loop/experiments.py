@@ -17,9 +17,9 @@ from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.jobs.diagnosis_loop.diagnosing import Diagnosing
 from service.machine.execution.epoch import Intention
 from service.machine.execution.runner import Runner
+from service.model.configuration import read_cell
 from service.model.errors import BadInput, Conflict, SweepidError
-from service.model.geometry.cell import read_cell
-from service.model.results.experiment import Experiment
+from service.model.results.diagnosis import Experiment
 from service.planning.ahead import Range
 from service.planning.campaigns.live import EventFeed
 from service.planning.diagnosis.documents import ExperimentPlan, ExperimentRequest

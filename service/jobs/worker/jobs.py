@@ -17,10 +17,9 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 from pydantic import JsonValue
 
 from service.model.recording import Sweep, SweepSpec
-from service.model.results.analysis import Analyses
-from service.model.results.estimate import Estimate
-from service.model.results.identified.spectrum import AnySpectrum
-from service.model.results.revision import KnownModel, StoredModel
+from service.model.results.effect import KnownModel, StoredModel
+from service.model.results.estimate import Analyses, Estimate
+from service.model.results.spectrum import AnySpectrum
 from service.model.robot import Robot, RobotDescription, build_robot
 from service.store.diagnosis_documents import ModelDocument
 from service.store.files.spectra import SpectrumFile, read_spectrum
@@ -90,7 +89,7 @@ class Job(OfRobot):
     priority = 1  # a running campaign may end when its confidence is reached
 
     def __call__(self) -> "Result":
-        from service.identification.estimates.analysis_document import analyses_from
+        from service.identification.estimates.initial_analysis import analyses_from
         from service.identification.estimation import estimate_document, sweep_spectrum
 
         robot = self.built()
@@ -168,7 +167,7 @@ class ReidentifyJob(OfRobot):
     priority = -1  # after all jobs for which a person waits
 
     def __call__(self) -> "Reidentified":
-        from service.identification.estimates.analysis_document import analyses_from
+        from service.identification.estimates.initial_analysis import analyses_from
         from service.identification.estimation import estimate_document, sweep_spectrum
         from service.store.files.recordings import check_file
 

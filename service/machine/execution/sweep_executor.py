@@ -23,7 +23,7 @@ from service.machine.execution.recording.recorder import finish
 from service.machine.execution.recording.recovery import break_off, end_runs, store_streams
 from service.model.errors import SweepidError
 from service.model.recording import SweepSpec
-from service.model.results.identified.manifest import Facts
+from service.model.results.spectrum import Facts
 from service.planning.ahead import positions_of
 from service.planning.campaigns.live import LiveHub
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move

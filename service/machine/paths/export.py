@@ -16,8 +16,8 @@ from service.formats.traces.mapping import Mapping, Motion, TraceSweep
 from service.machine.paths.control import Control
 from service.machine.paths.part_program import part_program
 from service.machine.paths.sweep_paths import PathSweep, path_sweeps
+from service.model.configuration import Cell
 from service.model.errors import BadInput
-from service.model.geometry.cell import Cell
 from service.model.robot import Robot
 from service.planning.plan import PlanDocument
 

@@ -12,7 +12,7 @@ limit of 512 characters of the control.
 import math
 from collections.abc import Sequence
 
-from service.identification.design.sweep_path import peak_jerk
+from service.identification.design.excitation import peak_jerk
 from service.machine.paths.sweep_paths import PathSweep
 from service.model.errors import BadInput
 

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.design.excitation import Excitation, velocity_setpoint
-from service.identification.design.sweep_path import way
+from service.identification.design.excitation import Excitation, velocity_setpoint, way
 from service.machine.paths.control import Control
+from service.model.configuration import Cell
 from service.model.errors import BadInput, EnvelopeViolation
-from service.model.geometry.cell import Cell
 from service.model.robot import Robot
 from service.planning.plan import PlanDocument, PlannedSweep
 from service.planning.safety.envelope import Envelope

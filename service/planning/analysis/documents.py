@@ -5,7 +5,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.ports import NoiseCommand, SweepMode
-from service.identification.design.noise_excitation import HIGHEST
+from service.identification.design.excitation import HIGHEST
 from service.model.recording import SweepSpec
 from service.planning.campaigns.plan_subject import MadeFor
 from service.planning.documents import (

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.ports import SweepMode
-from service.identification.design.excitation import Excitation, design_sweep
-from service.identification.design.noise_excitation import NoiseExcitation, design_noise
+from service.identification.design.excitation import Excitation, NoiseExcitation, design_noise, design_sweep
 from service.identification.model.regressor import inertia_rows
+from service.model.configuration import Cell
 from service.model.errors import BadInput, EnvelopeViolation
-from service.model.geometry.cell import Cell
 from service.model.recording import Sine, SweepPurpose, SweepSpec
 from service.model.robot import Robot
 from service.planning.analysis.documents import AnalysisPlan, AnalysisRequest, PlannedNoise

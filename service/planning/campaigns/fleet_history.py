@@ -8,8 +8,16 @@ from functools import lru_cache
 import structlog
 
 from service.identification.fleet.document import Fleet
-from service.identification.fleet.series import AxisMeasured, CampaignMeasured, Pose, in_pose, pose_key
-from service.identification.fleet.survey import RobotMeasured, Rules, survey
+from service.identification.fleet.survey import (
+    AxisMeasured,
+    CampaignMeasured,
+    Pose,
+    RobotMeasured,
+    Rules,
+    in_pose,
+    pose_key,
+    survey,
+)
 from service.model.errors import BadInput, NotFound
 from service.model.results.estimate import EstimatedAxis
 from service.store.plant.fleet import FleetStore, MeasuredCampaign

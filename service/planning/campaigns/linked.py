@@ -3,7 +3,7 @@
 from typing import Literal
 
 from service.model.errors import BadInput, NotFound
-from service.model.results.analysis import Analyses
+from service.model.results.estimate import Analyses
 from service.store.documents import CampaignDocument
 from service.store.store import Store
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design
 from service.identification.model.regressor import gravity_terms
+from service.model.configuration import Cell
 from service.model.errors import BadInput, EnvelopeViolation
-from service.model.geometry.cell import Cell
 from service.model.robot import Robot
 from service.planning.candidates import grid, room
 from service.planning.diagnosis.documents import (

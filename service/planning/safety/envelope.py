@@ -26,9 +26,9 @@ from service.identification.design.excitation import TRAVEL
 from service.identification.design.exciting_trajectory import BREAKAWAY, nominal_effort
 from service.identification.estimates.torque_gain import KnownMass
 from service.identification.model.regressor import gravity_terms, inertia_rows
+from service.model.collision import CollisionChecker
+from service.model.configuration import Cell
 from service.model.errors import EnvelopeViolation
-from service.model.geometry.cell import Cell
-from service.model.geometry.collision import CollisionChecker
 from service.model.robot import Robot
 from service.planning.safety.noise_motion import Command, noise_effort, noise_velocity, noise_way
 from service.planning.safety.trajectory_motion import commanded_motion, path_of

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.ports import SweepCommand
-from service.identification.design.excitation import Excitation, velocity_setpoint
-from service.identification.design.sweep_path import way
+from service.identification.design.excitation import Excitation, velocity_setpoint, way
 from service.identification.model.inverse_dynamics import Motion
 from service.model.recording import Sine
 

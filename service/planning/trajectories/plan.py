@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 from drivers.ports import SweepMode
 from service.identification.design.exciting_trajectory import Shape, Trajectory, TrajectoryLimits, design_trajectory
 from service.identification.model.base_parameters import joint_ranges
-from service.identification.model.whole_base import dynamic_base
+from service.identification.model.inverse_dynamics import dynamic_base
+from service.model.configuration import Cell
 from service.model.errors import BadInput, EnvelopeViolation
-from service.model.geometry.cell import Cell
 from service.model.recording import SweepSpec, together
 from service.model.robot import Robot
 from service.planning.documents import PlannedLeg, PlannedSweep

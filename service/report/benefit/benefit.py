@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.axis.axis_estimate import AxisEstimate
+from service.identification.axis.drive_train import DriveTrain
 from service.identification.estimates.estimate import Estimate, identify
 from service.identification.estimates.standard_parameters import standard_parameters
 from service.identification.model.regressor import axis_rows, gravity_terms
-from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.model.errors import BadInput
 from service.model.recording import Sweep

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.spectra.axis_inertia import DriveTrain, impedance
+from service.identification.axis.drive_train import DriveTrain, impedance
 from service.identification.spectra.frequency_response import Spectrum, window
 from service.model.recording import Sweep
 

@@ -24,8 +24,7 @@ from pydantic import JsonValue
 
 from service.model.errors import BadInput
 from service.model.recording import Recording
-from service.model.results.identified.manifest import Facts
-from service.model.results.identified.spectrum import AnySpectrum
+from service.model.results.spectrum import AnySpectrum, Facts
 from service.process.settings.object_store import StoreAddress
 from service.store.documents import NewRecording, RecordingDocument, RecordingState, SpectrumRecord
 from service.store.files.atomic_files import place, place_folder, place_new

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from service.model.errors import BadInput
-from service.model.results.identified.spectrum import AnySpectrum
+from service.model.results.spectrum import AnySpectrum
 
 
 @dataclass(frozen=True, slots=True)

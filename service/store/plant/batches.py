@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 
 from service.model.errors import BadInput, NotFound
 from service.model.results.estimate import Estimate
-from service.model.results.stored_json import JsonOf
+from service.model.results.part import JsonOf
 from service.store import rows
 from service.store import tables as t
 from service.store.checks import OVER

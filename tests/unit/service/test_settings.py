@@ -5,9 +5,8 @@ from pathlib import Path
 import pytest
 
 from drivers.bounded_yaml import DEEPEST, MOST_CHARACTERS
-from service.model.configuration import LARGEST_YAML, read_text, read_yaml
+from service.model.configuration import LARGEST_YAML, Cell, read_text, read_yaml
 from service.model.errors import BadInput
-from service.model.geometry.cell import Cell
 from service.process.settings import Settings, load_settings
 
 

@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from service.formats.traces.alignment import check_follows, motion_start
-from service.identification.design.excitation import Excitation
-from service.identification.design.sweep_path import way
+from service.identification.design.excitation import Excitation, way
 from service.model.errors import BadInput
 from service.model.recording import Sine
 

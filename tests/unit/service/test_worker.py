@@ -13,8 +13,7 @@ import psutil
 import pytest
 
 from service.jobs.worker import Job, JobFailed, RecordedSweep, Worker, WorkerLost, open_worker, work
-from service.model.configuration import read_robot
-from service.model.geometry.cell import Cell
+from service.model.configuration import Cell, read_robot
 from service.model.robot import Robot
 from service.planning.safety.envelope import Envelope
 from service.process.settings.workers import Cluster

@@ -15,7 +15,7 @@ from service.identification.model.base_parameters import BaseParameters, base_pa
 from service.identification.model.regressor import lock
 from service.model.errors import BadInput
 from service.model.results.estimate import Base, BaseParameter, Estimate
-from service.model.results.identified.sheet import Sheet, SheetParameter
+from service.model.results.sheet import Sheet, SheetParameter
 from service.model.robot import Robot
 from service.model.urdf import Chain
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.model.errors import BadInput
-from service.model.results.identified.payload import Payload
+from service.model.results.payload import Payload
 from service.model.robot import INERTIAL_NAMES
 from service.model.urdf import LARGEST
 

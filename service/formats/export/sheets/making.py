@@ -21,12 +21,11 @@ from pydantic import JsonValue, ValidationError
 from service.formats.export.model import IdentifiedModel, model_of
 from service.formats.export.sheets.inertias import of_estimate
 from service.formats.export.sheets.supplementary import UPRIGHT, supplementary
-from service.identification.model.certainty import UNSURE, share_of_value
 from service.identification.model.physical_consistency import is_physical
 from service.model.configuration import bad_field
 from service.model.errors import BadInput
-from service.model.results.estimate import Estimate, EstimatedAxis, StandardParameters
-from service.model.results.identified.sheet import AxisSheet, Ranges, Sheet, SheetBody, SheetParameter
+from service.model.results.estimate import UNSURE, Estimate, EstimatedAxis, StandardParameters, share_of_value
+from service.model.results.sheet import AxisSheet, Ranges, Sheet, SheetBody, SheetParameter
 from service.model.robot import INERTIAL_NAMES, Robot
 
 

@@ -22,8 +22,7 @@ from service.formats.export.sheets.inertias import Inertias, of_estimate, of_she
 from service.formats.export.sheets.making import check_sheet
 from service.model.errors import BadInput
 from service.model.results.estimate import Estimate
-from service.model.results.identified.sheet import Sheet
-from service.model.results.identified.sheet_check import AxisCheck, SheetCheck, SheetVerdict
+from service.model.results.sheet import AxisCheck, Sheet, SheetCheck, SheetVerdict
 from service.model.robot import Robot
 
 Array = NDArray[np.float64]

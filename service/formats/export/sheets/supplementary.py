@@ -21,11 +21,11 @@ from scipy.stats import chi2
 
 from service.formats.export.sheets.inertias import Inertias
 from service.formats.export.sheets.load import zyx
-from service.identification.model.convergence import converged
+from service.identification.model.least_squares import converged
 from service.identification.model.physical_consistency import pseudo_inertia
 from service.identification.model.regressor import fold
 from service.model.results.estimate import StandardParameters
-from service.model.results.identified.sheet import Supplementary, SupplementaryLoad
+from service.model.results.sheet import Supplementary, SupplementaryLoad
 from service.model.robot import Robot, link_frames
 from service.model.urdf import inertia_vector, transform_inertial
 

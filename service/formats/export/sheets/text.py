@@ -4,7 +4,7 @@ import math
 
 from service.formats.export.mjcf import quaternion
 from service.formats.export.sheets.load import Load, zyx
-from service.model.results.identified.sheet import AxisSheet, Sheet, SheetBody, Supplementary, SupplementaryLoad
+from service.model.results.sheet import AxisSheet, Sheet, SheetBody, Supplementary, SupplementaryLoad
 
 _NO_LOAD = (
     "Payload: left out. An estimate of the robot contains only combinations of the parameters of its links, "

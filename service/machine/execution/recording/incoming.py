@@ -12,7 +12,7 @@ from drivers.errors import SweepInterrupted
 from drivers.ports import SampleBlock, SweepCommand
 from service.machine.execution.recording.recorder import Gapless, Recorder
 from service.model.errors import EnvelopeViolation
-from service.model.results.identified.manifest import Facts
+from service.model.results.spectrum import Facts
 from service.planning.campaigns.live import LiveHub
 from service.planning.compiled_plan import CompiledPlan
 from service.planning.safety.noise_motion import Command

@@ -16,7 +16,7 @@ from service.machine.execution.recording.plausibility import check_channels
 from service.model.channels import align, noise_gain
 from service.model.errors import MotionFailed
 from service.model.recording import Recording, SweepSpec
-from service.model.results.identified.manifest import Channels, Facts
+from service.model.results.spectrum import Channels, Facts
 from service.planning.safety.noise_motion import Command
 from service.store.documents import NewRecording, RecordingState
 from service.store.files.recordings import RecordingFiles, Run

@@ -12,7 +12,7 @@ from structlog.contextvars import bound_contextvars
 from drivers.errors import Cause, CauseCode
 from service.machine.execution.recording.recorder import salvage
 from service.model.errors import BadInput, NotFound
-from service.model.results.identified.manifest import Facts
+from service.model.results.spectrum import Facts
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.store.documents import CampaignState, SweepState
 from service.store.files.recordings import RecordingFiles, Run

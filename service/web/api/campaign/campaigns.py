@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 
 from service.machine.execution.check_move import CheckMove
 from service.machine.execution.sign_of_life import SignOfLife
-from service.model.results.check import DataCheck
+from service.model.results.diagnosis import DataCheck
 from service.planning.ahead import Range
 from service.planning.campaigns.plan_subject import PlanSubject
 from service.store.access.keys import masked

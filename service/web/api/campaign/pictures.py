@@ -6,9 +6,9 @@ import numpy as np
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict
 
+from service.model.configuration import read_cell
 from service.model.errors import Conflict, NotFound
-from service.model.geometry.cell import read_cell
-from service.model.geometry.outline import Outline, Outlines
+from service.model.outline import Outline, Outlines
 from service.planning.candidates import grid, has_room
 from service.planning.compiled_plan import plan_of
 from service.planning.plan import PlanDocument

@@ -5,11 +5,11 @@ from typing import Annotated, cast
 from fastapi import APIRouter, Request, Response
 from pydantic import Discriminator, JsonValue, Tag, computed_field
 
-from service.identification.estimates.analysis_document import analyses_from
+from service.identification.estimates.initial_analysis import analyses_from
+from service.model.configuration import read_cell
 from service.model.errors import BadInput
-from service.model.geometry.cell import read_cell
-from service.model.results.analysis import Analyses
-from service.model.results.stored_json import JsonOf
+from service.model.results.estimate import Analyses
+from service.model.results.part import JsonOf
 from service.planning.analysis.documents import AnalysisRequest
 from service.planning.analysis.plan import build_analysis_plan
 from service.planning.campaigns.linked import check_beside, latest_analysis

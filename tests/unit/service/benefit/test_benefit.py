@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from service.identification.spectra.axis_inertia import DriveTrain
+from service.identification.axis.drive_train import DriveTrain
 from service.identification.spectra.frequency_response import spectrum
 from service.model.errors import BadInput
 from service.report import Page

@@ -21,8 +21,7 @@ from service.machine.execution.epoch import Intention
 from service.machine.execution.machine import Machine
 from service.machine.execution.runner import Runner
 from service.machine.execution.sweep_executor import SweepExecutor
-from service.model.configuration import read_robot
-from service.model.geometry.cell import Cell
+from service.model.configuration import Cell, read_robot
 from service.model.recording import Sine as SpecSine
 from service.model.recording import SweepSpec
 from service.model.robot import Robot

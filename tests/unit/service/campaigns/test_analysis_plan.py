@@ -12,8 +12,8 @@ from drivers.ports import NoiseCommand, SweepCommand
 from service.identification.axis.ideal_frequency import AxisAnalysis, Figure, Ideal, PoseAnalysis
 from service.identification.model.regressor import inertia_rows
 from service.identification.spectra.noise_response import Response
+from service.model.configuration import Cell, read_cell
 from service.model.errors import BadInput, EnvelopeViolation
-from service.model.geometry.cell import Cell, read_cell
 from service.model.robot import Robot
 from service.planning.analysis.documents import AnalysisPlan, AnalysisRequest
 from service.planning.analysis.plan import build_analysis_plan

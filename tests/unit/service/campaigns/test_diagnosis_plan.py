@@ -13,8 +13,8 @@ from drivers.ports import SweepMode
 from service.identification.design.diagnosis_sweeps import BLOCKS, DesignedSweep, full_design
 from service.identification.estimates.torque_gain import KnownMass
 from service.identification.model.regressor import gravity_terms
+from service.model.configuration import Cell, read_cell
 from service.model.errors import BadInput
-from service.model.geometry.cell import Cell, read_cell
 from service.model.robot import Robot, build_robot
 from service.planning.compiled_plan import plan_of
 from service.planning.diagnosis.documents import DiagnosisPlan, DiagnosisRequest, ExperimentRequest, limits

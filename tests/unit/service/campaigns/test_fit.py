@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from drivers.registry import load_profile
-from service.model.configuration import read_robot
+from service.model.configuration import read_cell, read_robot
 from service.model.errors import Conflict
-from service.model.geometry.cell import read_cell
 from service.model.robot import Robot, build_robot
 from service.planning.compiled_plan import compile_plan, planned_sweeps
 from service.planning.machine_setup import MachineSetup

@@ -12,8 +12,8 @@ from drivers.errors import Cause, CauseCode, DriveFault
 from drivers.ports import Sine, SweepCommand, SweepMode
 from service.machine.execution.runner import Runner
 from service.machine.execution.sweep_executor import SweepExecutor
+from service.model.configuration import Box, Cell
 from service.model.errors import BadInput, EnvelopeViolation
-from service.model.geometry.cell import Box, Cell
 from service.model.recording import SweepSpec
 from service.model.robot import Robot
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move

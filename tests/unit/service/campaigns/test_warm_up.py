@@ -5,7 +5,7 @@ from pydantic import ValidationError
 
 from drivers.ports import SweepMode
 from service.identification.design.excitation import Excitation
-from service.model.geometry.cell import Cell
+from service.model.configuration import Cell
 from service.model.recording import SweepPurpose
 from service.planning.plan import PlanDocument, PlanRequest, build_plan
 from service.planning.sweep_sequence import least_duration

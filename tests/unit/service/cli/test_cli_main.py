@@ -12,8 +12,8 @@ import pytest
 
 from service.cli import build
 from service.cli.progress_indicator import waiting
+from service.model.configuration import read_cell
 from service.model.errors import BadInput
-from service.model.geometry.cell import read_cell
 from service.store.files.bundle import write_bundle
 from tests.command import SWEEPID, carried_out, console, refused, sweepid
 from tests.ports import free_port

@@ -10,7 +10,7 @@ import yaml
 from service.cli.commands.estimate import torque_gain
 from service.cli.recordings.channels import as_document, profile_lines
 from service.identification.axis.channel_timing import ChannelLags, Lag
-from service.identification.spectra.axis_inertia import DriveTrain
+from service.identification.axis.drive_train import DriveTrain
 from service.model.errors import BadInput
 from service.report.benefit import Benefit
 from service.store.files.bundle import write_bundle

@@ -16,8 +16,8 @@ from service.formats.export.sheets.text import as_markdown
 from service.model.configuration import read_robot
 from service.model.errors import BadInput
 from service.model.results.estimate import Estimate
-from service.model.results.identified.payload import Payload
-from service.model.results.identified.sheet import Sheet
+from service.model.results.payload import Payload
+from service.model.results.sheet import Sheet
 from service.store.files.bundle import read_bundle
 from tests.command import carried_out, refused, sweepid
 from tests.stored.documents import payload, stored

@@ -11,7 +11,7 @@ import yaml
 
 from service.formats.export import identified_model, model_files, write_model
 from service.formats.export.mjcf import quaternion
-from service.identification.estimates.worth import AxisWorth, Worth
+from service.identification.estimates.standard_parameters import AxisWorth, Worth
 from service.identification.model.physical_consistency import is_physical
 from service.model.configuration import read_robot
 from service.model.errors import BadInput

@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from service.identification.fleet.chart import FEWEST, AlarmRate, looks
-from service.identification.fleet.history import History, Measurement, between_campaigns
-from service.identification.fleet.siblings import outliers
+from service.identification.fleet.statistics import (
+    FEWEST,
+    AlarmRate,
+    History,
+    Measurement,
+    between_campaigns,
+    looks,
+    outliers,
+)
 from service.model.errors import BadInput
 
 pytestmark = pytest.mark.slow

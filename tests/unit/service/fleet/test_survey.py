@@ -4,8 +4,17 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from service.identification.fleet.series import AxisMeasured, CampaignMeasured, in_pose, newest_ratio, pose_key, series
-from service.identification.fleet.survey import RobotMeasured, Rules, survey
+from service.identification.fleet.survey import (
+    AxisMeasured,
+    CampaignMeasured,
+    RobotMeasured,
+    Rules,
+    in_pose,
+    newest_ratio,
+    pose_key,
+    series,
+    survey,
+)
 
 START = datetime(2026, 1, 1, tzinfo=UTC)
 RULES = Rules(probability=0.01, campaigns=12, remeasure_days=31)

@@ -5,7 +5,7 @@ from typing import cast
 import numpy as np
 
 from service.identification.axis.axis_estimate import AxisEstimate
-from service.identification.estimates.axis_cache import KEPT, unchanged_or
+from service.identification.estimates.estimate import KEPT, unchanged_or
 
 
 class Fits:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from service.identification.spectra.axis_inertia import DriveTrain, impedance, paper_inertia
+from service.identification.axis.drive_train import DriveTrain, impedance, paper_inertia
 
 TRAIN = DriveTrain(60.0, 140.0, 70.0, 1.4e-6, 1.2e-3)
 

@@ -10,13 +10,11 @@ from service.identification.estimates.combination import (
     AxisInertias,
     Combination,
     Source,
+    combination_document,
     combine,
 )
-from service.identification.estimates.combination_document import combination_document
-from service.identification.model.inverse_dynamics import Motion, dynamics_rows
-from service.identification.model.parameter_prior import nominal_parameters
+from service.identification.model.inverse_dynamics import Motion, dynamic_base, dynamics_rows, nominal_parameters
 from service.identification.model.regressor import axis_rows
-from service.identification.model.whole_base import dynamic_base
 from service.identification.motion.trajectory_record import AxisTrack, TrajectoryRecord
 from service.model.errors import BadInput
 from service.model.recording import SweepSpec

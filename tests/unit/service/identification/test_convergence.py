@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from service.identification.model.convergence import converged, finite, unsettled
+from service.identification.model.least_squares import converged, finite, unsettled
 from service.model.errors import BadInput
 
 

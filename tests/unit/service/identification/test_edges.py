@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from service.identification.axis.drive_train import DriveTrain
 from service.identification.estimates.estimate import identify
 from service.identification.estimation import estimate_document
 from service.identification.model.base_parameters import joint_ranges
-from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.identification.spectra.time_domain import fit_record
 from service.model.errors import BadInput

@@ -12,7 +12,7 @@ from service.identification.design.exciting_trajectory import (
     nominal_effort,
     steady_motion,
 )
-from service.identification.model.whole_base import dynamic_base
+from service.identification.model.inverse_dynamics import dynamic_base
 from service.model.errors import BadInput
 from service.model.robot import Robot
 from tests.random_chain import random_arm

@@ -6,13 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from service.identification.axis.drive_train import DriveTrain
 from service.identification.estimates.combination import combine
 from service.identification.estimation import estimate_document, sweep_spectrum
 from service.identification.motion.equations import mean_sign
-from service.identification.motion.free_motion import at_once, calibrated, free_motions, with_loads
-from service.identification.motion.noise import Colour, stretches
-from service.identification.spectra.axis_inertia import DriveTrain
-from service.identification.spectra.low_pass import low_pass, memory
+from service.identification.motion.fit import Colour, stretches
+from service.identification.motion.free_motion import at_once, calibrated, free_motions, low_pass, memory, with_loads
 from service.model.errors import BadInput
 from service.model.recording import Recording, Sweep, SweepSpec
 from service.model.robot import Robot

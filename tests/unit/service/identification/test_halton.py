@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from service.identification.design.halton import spread_evenly
+from service.identification.model.base_parameters import spread_evenly
 
 
 @pytest.mark.parametrize("dimensions", [1, 2, 6, 12])

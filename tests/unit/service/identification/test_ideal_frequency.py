@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service.identification.axis.drive_train import DriveTrain, impedance
 from service.identification.axis.ideal_frequency import AxisAnalysis, analyse_axis, nearest_line
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
-from service.identification.estimates.analysis_document import analyses_document, analyses_from
-from service.identification.spectra.axis_inertia import DriveTrain, impedance
+from service.identification.estimates.initial_analysis import analyses_document, analyses_from
 from service.identification.spectra.noise_response import Response
 from service.model.errors import BadInput
-from service.model.results import analysis as results
+from service.model.results import estimate as results
 
 pytestmark = pytest.mark.slow
 

@@ -9,11 +9,10 @@ from scipy.optimize import least_squares
 from scipy.signal import lsim
 
 from service.identification.axis import joint_fit
+from service.identification.axis.drive_train import SHARED, DriveTrain, direct_terms, effort_residual
 from service.identification.axis.joint_fit import Ended, complete_prior, fit_axis
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
-from service.identification.axis.sweep_model import SHARED, direct_terms, effort_residual
 from service.identification.design.excitation import design_sweep, velocity_setpoint
-from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.model.errors import BadInput
 from service.model.recording import Recording, Sweep

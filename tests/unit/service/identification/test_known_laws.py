@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.diagnosis.effects.friction.nonlinear_viscous_friction import law
-from service.identification.axis.known_torque import LAWS, Motion
+from service.identification.axis.known_effects import LAWS, Motion
 
 SPEED = np.linspace(-0.1, 0.1, 41)
 LOAD = np.linspace(-400.0, 900.0, 41)

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.identification.axis.known_effects import KnownAxis
-from service.identification.axis.known_torque import Corrected, Load, corrected, motion_of
+from service.identification.axis.known_effects import Corrected, KnownAxis, Load, corrected, motion_of
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.model.recording import Sine
 from service.model.robot import Robot

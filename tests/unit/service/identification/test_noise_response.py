@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.identification.spectra.axis_inertia import DriveTrain, impedance
+from service.identification.axis.drive_train import DriveTrain, impedance
 from service.identification.spectra.noise_response import NoiseSpectrum, noise_response, noise_spectrum
 from service.model.errors import BadInput
 from service.model.recording import Recording, Sweep, SweepSpec

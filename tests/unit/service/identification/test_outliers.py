@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from service.identification.axis import outliers
-from service.identification.axis.outliers import Ended, Judged, judge
+from service.identification.estimates.estimate import Ended, Judged, judge
 from service.identification.model.least_squares import Array
 
 STD, PARAMETERS = 0.1, np.array([10.0, 1.0, 2.0, 3.0])
@@ -22,9 +21,9 @@ def campaign(seed: int, spoiled: int, size: float) -> tuple[Array, Array]:
     return rows, values
 
 
-def judged(seed: int, spoiled: int, size: float) -> Judged:
+def judged(seed: int, spoiled: int, size: float, rounds: int = 40) -> Judged:
     rows, values = campaign(seed, spoiled, size)
-    return judge(rows, values, [STD**2 * np.eye(len(values))])
+    return judge(rows, values, [STD**2 * np.eye(len(values))], rounds)
 
 
 def test_one_bad_sweep_settles_at_once() -> None:
@@ -33,21 +32,17 @@ def test_one_bad_sweep_settles_at_once() -> None:
 
 
 @pytest.mark.parametrize(("seed", "spoiled", "size"), [(29, 5, 3.0), (43, 5, 3.0), (27, 2, 10.0)])
-def test_sweeps_that_contradict_each_other_are_all_suspected(
-    seed: int, spoiled: int, size: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_sweeps_that_contradict_each_other_are_all_suspected(seed: int, spoiled: int, size: float) -> None:
     """They used to be suspected in turns, and an even and an odd number of rounds named different ones."""
     found = judged(seed, spoiled, size)
     assert found.ended is Ended.CONTRADICTION
     assert np.count_nonzero(found.extra > STD**2) >= 1
-    monkeypatch.setattr(outliers, "ROUNDS", outliers.ROUNDS - 1)
-    again = judged(seed, spoiled, size)
+    again = judged(seed, spoiled, size, 39)
     assert np.flatnonzero(again.extra > STD**2).tolist() == np.flatnonzero(found.extra > STD**2).tolist()
 
 
-def test_what_does_not_settle_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outliers, "ROUNDS", 1)
-    assert judged(3, 1, 10.0).ended is Ended.UNFINISHED
+def test_what_does_not_settle_says_so() -> None:
+    assert judged(3, 1, 10.0, 1).ended is Ended.UNFINISHED
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.identification.design.predicted_confidence import (
+from service.identification.design.pose_selection import (
     EFFORT_NOISE,
     NOISE_RATE,
     SOFTEST,

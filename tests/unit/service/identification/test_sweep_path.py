@@ -6,8 +6,7 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from service.identification.design.excitation import Excitation, velocity_setpoint
-from service.identification.design.sweep_path import peak_jerk, way
+from service.identification.design.excitation import Excitation, peak_jerk, velocity_setpoint, way
 from service.model.recording import Sine
 
 

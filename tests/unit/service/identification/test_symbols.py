@@ -7,9 +7,16 @@ import numpy as np
 import pytest
 
 from service.identification.model.base_parameters import BaseParameters, base_parameters, combination_of
-from service.identification.model.expressions import Search, Term, products
 from service.identification.model.regressor import lock, parameter_names
-from service.identification.model.symbols import Dimension, dimensions, symbolic_names, with_dimensions
+from service.identification.model.symbols import (
+    Dimension,
+    Search,
+    Term,
+    dimensions,
+    products,
+    symbolic_names,
+    with_dimensions,
+)
 from service.model.urdf import Chain, read_chain
 from tests.random_chain import random_urdf
 

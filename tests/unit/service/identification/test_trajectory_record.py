@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service.identification.axis.drive_train import DriveTrain
 from service.identification.motion.trajectory_record import (
     AxisTrack,
     TrajectoryRecord,
@@ -16,7 +17,6 @@ from service.identification.motion.trajectory_record import (
     trajectory,
     with_loads,
 )
-from service.identification.spectra.axis_inertia import DriveTrain
 from service.model.errors import BadInput
 from service.model.recording import Recording, Sine, Sweep, SweepSpec
 from service.model.robot import Robot

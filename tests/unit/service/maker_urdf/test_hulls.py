@@ -14,8 +14,7 @@ from service.formats.maker_urdf.hulls import FINEST, MOST_VERTICES, convex_hull,
 from service.formats.maker_urdf.inertials import DENSITY, check_inertials
 from service.formats.maker_urdf.packages import Packages
 from service.model.errors import BadInput
-from service.model.geometry.hull import read_hull, write_hull
-from service.model.urdf import read_chain
+from service.model.urdf import read_chain, read_hull, write_hull
 
 ARM = """<robot name="arm"><link name="base"/><joint name="j" type="revolute"><parent link="base"/><child link="tip"/>
 <axis xyz="0 0 1"/>

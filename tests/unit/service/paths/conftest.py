@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from service.machine.paths.control import Control, read_control
-from service.model.configuration import read_robot
-from service.model.geometry.cell import Cell, read_cell
+from service.model.configuration import Cell, read_cell, read_robot
 from service.model.robot import Robot
 from service.planning.plan import PlanDocument, PlanRequest, build_plan
 

@@ -10,8 +10,8 @@ from service.identification.design.excitation import velocity_setpoint
 from service.machine.paths.control import Control
 from service.machine.paths.part_program import DECIMALS, part_program, velocity_bound
 from service.machine.paths.sweep_paths import PathSweep, path_sweeps
+from service.model.configuration import Cell
 from service.model.errors import BadInput
-from service.model.geometry.cell import Cell
 from service.model.robot import Robot
 from service.planning.plan import PlanDocument
 from tests.unit.service.paths.nc_walk import Walk, walk

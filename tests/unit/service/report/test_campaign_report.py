@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.identification.model.certainty import not_for_use
-from service.model.results.check import DataCheck, Finding
-from service.model.results.diagnosis import Diagnosis
-from service.model.results.estimate import BaseParameter, Estimate
+from service.model.results.diagnosis import DataCheck, Diagnosis, Finding
+from service.model.results.estimate import BaseParameter, Estimate, not_for_use
 from service.model.robot import Robot
 from service.report import CampaignReport, Content, Drive, campaign_page, content_of
 from service.report.verdict import CONFIRMED, CONTRADICTED, OPEN, verdict

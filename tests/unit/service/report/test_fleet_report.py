@@ -5,8 +5,15 @@ from datetime import UTC, datetime, timedelta
 
 from service.cli.plant.lines import fleet_lines
 from service.identification.fleet.document import Fleet
-from service.identification.fleet.series import AxisMeasured, CampaignMeasured, in_pose, pose_key
-from service.identification.fleet.survey import RobotMeasured, Rules, survey
+from service.identification.fleet.survey import (
+    AxisMeasured,
+    CampaignMeasured,
+    RobotMeasured,
+    Rules,
+    in_pose,
+    pose_key,
+    survey,
+)
 from service.report import fleet_page
 
 START = datetime(2026, 1, 5, tzinfo=UTC)

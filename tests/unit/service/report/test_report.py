@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from service.identification.axis.ideal_frequency import AxisAnalysis
-from service.identification.estimates.analysis_document import analyses_document
+from service.identification.estimates.initial_analysis import analyses_document
 from service.identification.model.regressor import axis_rows, lock
 from service.model.recording import Recording, Sine, Sweep, SweepSpec
 from service.model.results.estimate import BaseParameter, Estimate

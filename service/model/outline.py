@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from service.model.geometry.cell import Cell
-from service.model.geometry.collision import compiled
-from service.model.geometry.engine import Model, engine
+from service.model.collision import Model, compiled, engine
+from service.model.configuration import Cell
 from service.model.robot import Robot
 
 Array = NDArray[np.float64]

@@ -1,6 +1,19 @@
-r"""The model of every bin of every sweep of an axis: the equations of the joint fit, as arrays over sweeps.
+r"""The drive train of one axis in the frequency domain, and the paper's formula for comparison.
 
-Bin by bin (see `frequency_response` and `axis_inertia` for the symbols), for sweep p,
+Effort over motor velocity of two masses and a spring, friction on both sides, all on the joint side, s = i omega
+(compliance form, so that a stiff train is simply c = 0):
+
+    Z = s Jm + mu_m + Z_l F,   Z_l = s J_l + mu_l + k_g / s,   F = 1 / (1 + Y Z_l),   Y = s c / (1 + s h)
+
+c = 1/k compliance [rad/(N m)], h = d/k time constant of the damping [s], k_g gravity stiffness [N m/rad]. F is also
+the motor torque per torque on the load. Well below the locked-rotor frequency  Im Z / omega  tends to
+Jm + J_l, the axis inertia.
+
+The paper's equation (8) assumes a rigid train and uses |Im Z| at one line: `paper_inertia`.
+
+The model of every bin of every sweep of an axis: the equations of the joint fit, as arrays over sweeps.
+
+Bin by bin (see `frequency_response` and `drive_train` for the symbols), for sweep p,
 
     DFT[effort] = Z Omega + F (G0 R0 + k_g R1 + t0 + s t1) + sum of ripple and dry friction + noise
     R0 = DFT[cos d],   R1 = DFT[sin d] - Omega / s
@@ -18,7 +31,16 @@ replaces it, linear in every parameter and independent of the spring; t0 is then
 the speeds at both ends of the window to the accelerations. Shared by all sweeps: Jm, mu_m, mu_l, c, h. Own to each:
 J_l, k_g, G0, t0, t1, and one factor for each ripple and for the sign of a velocity that reverses.
 
-The uncertainty of known effects (`known_torque`) adds x_1 U_1 + x_2 U_2 + ..., with the x shared by all sweeps.
+The uncertainty of known effects (`known_effects`) adds x_1 U_1 + x_2 U_2 + ..., with the x shared by all sweeps.
+
+Spring and damping of a drive train from its direct encoder, after the inertias are known without them.
+
+The spring transmits the torque of the load, so at every line, with E = Omega - Omega_l,
+
+    E (1 + s h) = s c T,    T = s J_l Omega_l + mu_l Omega_l + G0 R0 + k_g (R1 + Omega_l / s) + t0
+
+which is linear in c and h. mu_l is poorly separated from mu_m; its possible error is added to the standard
+deviations.
 """
 
 from collections.abc import Sequence
@@ -27,10 +49,68 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.spectra.axis_inertia import DriveTrain, impedance
 from service.identification.spectra.frequency_response import Complex, Spectrum
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class DriveTrain:
+    """Parameters shared by all poses of an axis; SI on the joint side. Order of `as_array` and of all derivatives."""
+
+    motor_inertia: float  # kg m^2 (kg), reflected
+    motor_friction: float  # N m s/rad (N s/m)
+    load_friction: float
+    compliance: float  # rad/(N m) (m/N)
+    damping_time: float  # s
+
+    def as_array(self) -> Array:
+        return np.array(
+            [self.motor_inertia, self.motor_friction, self.load_friction, self.compliance, self.damping_time]
+        )
+
+    def locked_rotor_frequency(self, load_inertia: float) -> float:
+        """1/(2 pi) sqrt(k / J_l), Hz; inf for a stiff train, or if noise makes J_l zero or negative."""
+        if self.compliance <= 0 or load_inertia <= 0:
+            return float("inf")
+        return float(1 / np.sqrt(self.compliance * load_inertia) / (2 * np.pi))
+
+
+@dataclass(frozen=True, slots=True)
+class Impedance:
+    """Z and F at some frequencies (..., b), with the terms needed for their derivatives."""
+
+    s: Complex
+    load: Complex  # Z_l
+    spring: Complex  # Y
+    through: Complex  # F
+    total: Complex  # Z
+
+    def by_load(self, velocity: Complex, on_load: Complex) -> Complex:
+        """d(Z velocity + F on_load) / d Z_l, (..., b)."""
+        return self.through**2 * (velocity - self.spring * on_load)
+
+    def by_spring(self, velocity: Complex, on_load: Complex) -> Complex:
+        """d(Z velocity + F on_load) / d Y, (..., b)."""
+        return -(self.through**2) * self.load * (self.load * velocity + on_load)
+
+
+def impedance(
+    frequency: Array, train: DriveTrain, load_inertia: float | Array, gravity_stiffness: float | Array
+) -> Impedance:
+    """The two-mass impedance at `frequency` (..., b), Hz; the load parameters broadcast against it."""
+    s: Complex = np.multiply(2j * np.pi, frequency, dtype=np.complex128)
+    load = s * load_inertia + train.load_friction + gravity_stiffness / s
+    spring = s * train.compliance / (1 + s * train.damping_time)
+    through = 1 / (1 + spring * load)
+    return Impedance(s, load, spring, through, s * train.motor_inertia + train.motor_friction + load * through)
+
+
+def paper_inertia(frequency: float, response: complex) -> float:
+    """Equation (8) of the paper from the response Z = Gamma/Omega at `frequency`, Hz: kg m^2 (kg)."""
+    phase = np.angle(1 / response)
+    return float(abs(response) / (2 * np.pi * frequency) / np.sqrt(1 + 1 / np.tan(phase) ** 2))
+
 
 SHARED = 5  # parameters of DriveTrain; the amounts x follow
 OWN = 5  # J_l, k_g, G0, t0, t1; the factors of the direct terms follow
@@ -171,3 +251,36 @@ def effort_residual(spectrum: Spectrum, shared: Array, own: Array) -> tuple[Comp
     (stack,) = stacks([spectrum])
     residual, by_shared, by_own = stack_residual(stack, shared, own[None])
     return residual[0], by_shared[0].T, by_own[0].T
+
+
+def spring(
+    parts: Sequence[Stack], shared: Array, own: Sequence[Array], load_friction_std: float
+) -> tuple[Array, Array]:
+    """Compliance and damping time [c, h] and their standard deviations, (2,) each; parameters as in `drive_train`."""
+    values, covariance = _solve(parts, shared, own)
+    other = shared.copy()
+    other[2] += load_friction_std
+    moved = _solve(parts, other, own)[0] - values
+    return values, np.sqrt(np.diag(covariance) + moved**2)
+
+
+def _solve(parts: Sequence[Stack], shared: Array, own: Sequence[Array]) -> tuple[Array, Array]:
+    columns, values = zip(*(_rows(stack, shared, one) for stack, one in zip(parts, own, strict=True)), strict=True)
+    rows, right = np.concatenate(columns), np.concatenate(values)
+    scale = np.linalg.norm(rows, axis=0)
+    solution = np.asarray(np.linalg.lstsq(rows / scale, right, rcond=None)[0], dtype=float)
+    left = right - rows / scale @ solution
+    variance = float(left @ left) / max(len(right) - 2, 1)
+    gram = rows.T @ rows / np.outer(scale, scale)
+    return solution / scale, variance * np.asarray(np.linalg.inv(gram), dtype=float) / np.outer(scale, scale)
+
+
+def _rows(stack: Stack, shared: Array, own: Array) -> tuple[Array, Array]:
+    """Rows (m, 2) and right sides (m,) of the lines of one stack."""
+    _, by_shared, by_own = stack_residual(stack, shared, own)
+    load_velocity = by_shared[:, 2]
+    torque: Complex = shared[2] * load_velocity + np.einsum("nk,nkb->nb", own[:, :4], by_own[:, :4])
+    twist = (stack.velocity - load_velocity)[stack.line]
+    s = stack.s[stack.line]
+    rows = np.stack([s * torque[stack.line], -s * twist], -1)
+    return np.concatenate([rows.real, rows.imag]), np.concatenate([twist.real, twist.imag])
