@@ -16,7 +16,7 @@ and, as friction at the same speed is the same, of the mean torque:  after - bef
 
 with phi (10,) the body's inertial parameters in the last joint's frame. `change`, a constant per axis and direction of
 motion, is the drift of friction between the two campaigns; the scatter about it is the noise. The springs of all
-axes deflect under the body and rotate the links after them: `SAG` of the change, in each pose and in all of an axis.
+axes deflect under the body and rotate the links after them: 0.003 of the change, in each pose and in all of an axis.
 
 Information on a payload from the same motions of all axes before and after mounting it on the last link.
 
@@ -60,9 +60,6 @@ from service.model.urdf import inertia_matrix, inertia_vector
 Array = NDArray[np.float64]
 
 BODY = 10  # parameters of a rigid body
-DRIFT, DRIFT_LEAST = 0.005, 2e-4  # of the rated effort: drift of friction without enough sweeps; least drift
-SAG = 0.003  # of the torque added by the body: effect of 2 mrad of sag on the lever arms of the robot's own weight
-SCATTER_FREEDOM = 3  # degrees of freedom from which the scatter of the mean torques is used
 INSTANTS = 50  # of a window at which gravity is averaged
 
 
@@ -140,13 +137,15 @@ def _mean_torque(
     forward = np.array([s.spec.offset_velocity > 0 for _, s in matched])
     drift = np.stack([forward, ~forward], -1).astype(float)
     drift = drift[:, drift.any(axis=0)]
-    rows, values, sag = (x - drift @ np.linalg.lstsq(drift, x, rcond=None)[0] for x in (rows, values, SAG * values))
+    # 2 mrad of sag change the lever arms of the robot's own weight
+    rows, values, sag = (x - drift @ np.linalg.lstsq(drift, x, rcond=None)[0] for x in (rows, values, 0.003 * values))
     if np.abs(rows).max() < 1e-9:
         return None
     fitted = rows @ np.linalg.lstsq(rows, values, rcond=1e-9)[0]
     freedom = len(values) - drift.shape[1] - int(np.linalg.matrix_rank(rows, 1e-9 * float(np.abs(rows).max())))
-    scatter = np.sqrt(float(np.sum((values - fitted) ** 2)) / freedom) if freedom >= SCATTER_FREEDOM else DRIFT * rated
-    noise = max(float(scatter), DRIFT_LEAST * rated)
+    # of the rated effort: drift of friction without enough sweeps
+    scatter = np.sqrt(float(np.sum((values - fitted) ** 2)) / freedom) if freedom >= 3 else 0.005 * rated
+    noise = max(float(scatter), 2e-4 * rated)
     covariance = np.diag(noise**2 + sag**2) + np.outer(sag, sag)
     return Information.empty(BODY).add(rows, values, covariance)
 
@@ -172,10 +171,6 @@ def _gravity_row(robot: Robot, number: int, sweep: Sweep) -> Array:
     poses[:, number] = sweep.recording.position[np.linspace(first, first + count - 1, INSTANTS).astype(int)]
     rows = link_rows(robot.chain, robot.gravity, Motion(poses, 0 * poses, 0 * poses))
     return rows[:, number, last_link(robot)].mean(axis=0)
-
-
-SAME_PATH = 0.05  # allowed relative difference of the paths: a loaded axis has a larger following error
-LATE = 2.0  # s, maximum difference of the starts of two records within the motion
 
 
 def motion_evidence(
@@ -206,14 +201,16 @@ def _match(before: Sequence[FreeMotion], loaded: FreeMotion) -> tuple[FreeMotion
     for one in before:
         if (one.joints, one.rate, one.block) == (loaded.joints, loaded.rate, loaded.block):
             pair = _aligned(one, loaded)
-            if pair[0].same_motion(pair[1], SAME_PATH):
+            # relative: a loaded axis has a larger following error
+            if pair[0].same_motion(pair[1], 0.05):
                 return pair
     return None
 
 
 def _aligned(one: FreeMotion, other: FreeMotion) -> tuple[FreeMotion, FreeMotion]:
     """Both without the part before the later start: the shift at which their paths differ least."""
-    most = min(round(LATE * one.rate), len(one.position) // 4, len(other.position) // 4)
+    # s between the starts of two records
+    most = min(round(2.0 * one.rate), len(one.position) // 4, len(other.position) // 4)
     shifts = range(-most, most + 1)
     apart = [_apart(one.position, other.position, shift, most) for shift in shifts]
     shift = shifts[int(np.argmin(apart))]
@@ -273,9 +270,6 @@ def _differences(robot: Robot, known: Array, empty: FreeMotion, loaded: FreeMoti
 
 WIDE = np.array([1e3, *3 * [1e3], *6 * [1e3]])  # kg, kg m, kg m^2: one sigma of unknown parameters
 LENGTH = 0.3  # m, of a payload
-STEP, LEAST_SIZE = 1e-6, 1e-3  # relative step of central differences, and least size that it is relative to
-LIGHTEST_PAYLOAD = 0.02  # of the heaviest link: least mass used for natural sizes
-NEAREST_SPREAD = 1.0  # relative spread of the compact body near which the physical one is searched
 
 
 @dataclass(frozen=True)
@@ -338,7 +332,8 @@ def _solve(robot: Robot, evidence: Sequence[BodyEvidence], gain_spread: Array) -
     total = solution.covariance + (by_gain * gain_spread**2) @ by_gain.T
     jacobian = _jacobian(body_of, solution.values)
     body, (std, std_total) = body_of(solution.values), (_std(jacobian, c) for c in (solution.covariance, total))
-    mass = max(abs(solution.values[0]), LIGHTEST_PAYLOAD * float(robot.chain.inertial[:, 0].max()))
+    # for natural sizes
+    mass = max(abs(solution.values[0]), 0.02 * float(robot.chain.inertial[:, 0].max()))
     size = np.array([mass, *3 * [LENGTH], *6 * [mass * LENGTH**2]])
     nearest, deviation, ended = _physical(solution.values, solution.covariance, mass)
     return Payload(
@@ -363,7 +358,8 @@ def _physical(values: Array, covariance: Array, mass: float) -> tuple[Array, flo
     compact = mass * (LENGTH / 2) ** 2 * np.eye(3) + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
     nominal = np.concatenate([[mass], mass * centre, inertia_vector(compact), [0.0]])
     rows = np.hstack([np.eye(BODY), np.zeros((BODY, 1))])
-    found = nearest_physical(nominal, (NEAREST_SPREAD, np.ones(1)), rows, values, covariance)
+    # relative spread 1 of a compact body
+    found = nearest_physical(nominal, (1.0, np.ones(1)), rows, values, covariance)
     return found.parameters[:BODY], found.deviation, found.ended
 
 
@@ -373,7 +369,8 @@ def _std(jacobian: Array, covariance: Array) -> Array:
 
 def _jacobian(function: Callable[[Array], Array], at: Array) -> Array:
     """By central differences, (10, 10)."""
-    steps = STEP * np.maximum(np.abs(at), LEAST_SIZE)
+    # relative, and of a least size
+    steps = 1e-6 * np.maximum(np.abs(at), 1e-3)
     columns = [(function(at + h) - function(at - h)) / (2 * s) for s, h in zip(steps, np.diag(steps), strict=True)]
     return np.stack(columns, -1)
 

@@ -17,7 +17,6 @@ from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 
-SIDE, ABOVE = (0, 2), (0, 1)  # coordinates of the base frame that a view keeps
 _ROUND = 20  # points of a circle
 _DIGITS = 4  # of a coordinate in m
 
@@ -61,7 +60,8 @@ class Outlines:
                 continue
             placed = points @ self._data.geom_xmat[geom].reshape(3, 3).T + self._data.geom_xpos[geom]
             shown = name.removeprefix("cell ") if standing else str(self._model.body(body).name)
-            yield Outline(shown, silhouette(placed[:, SIDE]), silhouette(placed[:, ABOVE]))
+            # a view keeps two coordinates of the base frame
+            yield Outline(shown, silhouette(placed[:, (0, 2)]), silhouette(placed[:, (0, 1)]))
 
 
 def silhouette(points: Array) -> tuple[tuple[float, float], ...]:

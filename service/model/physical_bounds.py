@@ -30,13 +30,11 @@ MOST_INERTIA = 1e13  # kg m^2: the largest mass at 1 km
 MOST_VISCOUS = 1e12  # N m s/rad (N s/m)
 MOST_GRAVITY = 1e5  # m/s^2: `check` tells gravity in mm/s^2, which is below this
 MOST_RATIO = 1e9  # motor revolutions per joint revolution; rad per m
-ROUNDING = 0.01  # of the largest principal inertia: digits that CAD programs drop
 
 Position = Annotated[float, Field(ge=-MOST_POSITION, le=MOST_POSITION)]
 Velocity = Annotated[float, Field(ge=-MOST_VELOCITY, le=MOST_VELOCITY)]
 
 _COLUMNS = {"time": MOST_TIME, "position": MOST_POSITION, "velocity": MOST_VELOCITY, "effort": MOST_EFFORT}
-MOST_TEMPERATURE = 1e4  # deg C
 _URDF: dict[str, dict[str, float]] = {
     "origin": {"xyz": MOST_LENGTH, "rpy": MOST_POSITION},
     "mass": {"value": MOST_MASS},
@@ -50,12 +48,11 @@ _URDF: dict[str, dict[str, float]] = {
     "sphere": {"radius": MOST_LENGTH},
 }
 """Largest absolute values of attributes."""
-_NEVER_NEGATIVE = ("value", "velocity", "effort", "size", "radius", "length")
 
 
 def most_of_column(name: str) -> float:
     """Largest absolute value in a column of a recording."""
-    return next((most for kind, most in _COLUMNS.items() if kind in name), MOST_TEMPERATURE)
+    return next((most for kind, most in _COLUMNS.items() if kind in name), 1e4)  # deg C
 
 
 def check_urdf(text: str, chain: Chain, place: str) -> None:
@@ -66,7 +63,12 @@ def check_urdf(text: str, chain: Chain, place: str) -> None:
     for here, element in _elements(ET.fromstring(text), place):
         for name, most in _URDF.get(element.tag, {}).items():
             for part in element.get(name, "").split():
-                _check(part, most, f"{here} {element.tag} {name}", lowest=0.0 if name in _NEVER_NEGATIVE else -most)
+                _check(
+                    part,
+                    most,
+                    f"{here} {element.tag} {name}",
+                    lowest=0.0 if name in ("value", "velocity", "effort", "size", "radius", "length") else -most,
+                )
     for joint, parameters in zip(chain.joints, chain.inertial, strict=True):
         _check_body(parameters, f"{place} link {joint.link}")
 
@@ -97,7 +99,8 @@ def _check_body(parameters: Array, here: str) -> None:
         return
     own = transform_inertial(parameters, np.eye(3), -parameters[1:4] / mass)
     principal = np.linalg.eigvalsh(inertia_matrix(own)).tolist()
-    if principal[0] < -ROUNDING * max(abs(principal[0]), abs(principal[2])):
+    # digits that CAD programs drop
+    if principal[0] < -0.01 * max(abs(principal[0]), abs(principal[2])):
         shown = ", ".join(f"{value:.4g}" for value in principal)
         raise BadInput(
             here, f"no body has its principal inertias {shown} kg m^2 at the centre of mass: one is negative"

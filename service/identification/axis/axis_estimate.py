@@ -64,8 +64,6 @@ from service.model.urdf import Chain
 Array = NDArray[np.float64]
 
 SAME_SINES = 1e-6  # relative, of frequencies and amplitudes; phases, rad
-RANK = 1e-6  # of the largest singular value: own parameters that no bin separates count as one
-LEAST_FREE = 0.05  # least part of a bin that counts as free
 
 
 @dataclass(frozen=True)
@@ -169,18 +167,15 @@ def _left(
     columns = np.concatenate([(by_own[0] * weight).real, (by_own[0] * weight).imag], axis=1).T  # (2 b, p)
     length = np.linalg.norm(columns, axis=0)
     basis, singular, _ = np.linalg.svd(columns / np.where(length > 0, length, 1.0), full_matrices=False)
-    taken = np.sum(basis[:, singular > RANK * singular[0]] ** 2, axis=1)
+    # own parameters that no bin separates count as one
+    taken = np.sum(basis[:, singular > 1e-6 * singular[0]] ** 2, axis=1)
     parts = taken.reshape(2, -1).sum(axis=0)
-    return residual[0], by_own[0, :2], np.maximum(1 - parts / 2, LEAST_FREE)
+    # a twentieth of a bin is always free
+    return residual[0], by_own[0, :2], np.maximum(1 - parts / 2, 0.05)
 
 
 def _mean(values: Sequence[tuple[float, float]]) -> float:
     return sum(value * weight for value, weight in values) / sum(weight for _, weight in values)
-
-
-DISTORTION_ROUNDS = 2  # fits, each with the distortion of the previous fit
-LOAD_ROUNDS = 3  # fits of an axis with load-dependent friction
-WORTH_A_WARNING = 0.5  # of a record's standard deviation: a larger error of its model gives a warning
 
 
 @dataclass(frozen=True)
@@ -295,7 +290,7 @@ def _fit(
 ) -> tuple[JointFit, list[Corrected], Distortion | None]:
     """The joint fit of the sweeps with lines, the sweeps without gain and known effects, and their distortion."""
     loads = [Load(float(prior.mean[0]), float(prior.mean[2]), float(prior.mean[1])) for prior in priors]
-    rounds = LOAD_ROUNDS if known.get(LOAD) else 1
+    rounds = 3 if known.get(LOAD) else 1  # its friction depends on the load found
     while True:
         parts = [corrected(one, known, gain.gain, load) for one, load in zip(with_lines, loads, strict=True)]
         spectra = [part.spectrum for part in parts]
@@ -311,7 +306,8 @@ def _fit(
         rounds -= 1
         if not rounds:
             distortion = distortion_of(spectra, uncertain, fit)
-            for _ in range(DISTORTION_ROUNDS if distortion else 0):
+            # each with the distortion of the previous fit
+            for _ in range(2 if distortion else 0):
                 spread = None if distortion is None else [distortion.spread(one) for one in spectra]
                 fit = fit_axis(spectra, *given, spread)
                 distortion = distortion_of(spectra, uncertain, fit, distortion)
@@ -380,7 +376,8 @@ def _from_record(spectrum: Spectrum, reference: float, gain: TorqueGain, train: 
     warnings = [
         f"{what} is good for an error of {100 * error / fit.inertia:.1f} %"
         for what, error in errors.items()
-        if error > WORTH_A_WARNING * fit.inertia_std
+        # a larger error of the model is worth a warning
+        if error > 0.5 * fit.inertia_std
     ]
     return SweepInertia(
         sweep=spectrum.spec.id,

@@ -42,13 +42,7 @@ from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 
-CLOCK = 1 / 500  # of Ts, one sigma of S: accuracy of the time stamps of a trace
-MEAN_OR_INSTANT = 1 / 24  # of Ts^2, one sigma of q: two sigma are the mean over a sample
-APART = 3.0  # standard deviations of q by which it must differ from 0
 START_SQUARE = 0.5e-3**2  # s^2, q
-ROUNDS = 3  # of fitting and estimating the noise
-FIRST_EVALUATIONS, EVALUATIONS = 12, 100  # of the residual: from each start, and of each round
-ROUNDING = 1e-9  # of the largest velocity at a line: least noise, where a simulation has none
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,9 +138,10 @@ def _response(lag: Lag, one: Spectrum) -> Complex:
 
 def _lag(total: float, square: float, covariance: Array, cycle: float) -> Lag:
     """`covariance` (2, 2) of S and q."""
-    covariance = covariance + np.diag([(CLOCK * cycle) ** 2, (MEAN_OR_INSTANT * cycle**2) ** 2])
+    # one sigma of S and q: of time stamps, and of an instant or a mean over the sample (two sigma)
+    covariance = covariance + np.diag([((1 / 500) * cycle) ** 2, ((1 / 24) * cycle**2) ** 2])
     total_std, square_std = (float(np.sqrt(value)) for value in np.diag(covariance))
-    if not square > APART * square_std:
+    if not square > 3.0 * square_std:  # three sigma from 0
         # the error of q is the error of T
         return Lag(total, total_std, 0.0, float(np.sqrt(max(square, 0.0) + square_std)), total, total_std, apart=False)
     smoothing = float(np.sqrt(square))
@@ -177,7 +172,8 @@ def _velocity_lag(spectra: Sequence[Spectrum], positions: Sequence[Complex], cyc
     motion = s * np.concatenate([position[one.line] for one, position in zip(spectra, positions, strict=True)])
     velocity = np.concatenate([one.velocity[one.line] for one in spectra])
     sigma = np.concatenate([np.full(int(one.line.sum()), own) for one, own in zip(spectra, noise, strict=True)])
-    sigma = np.maximum(sigma / np.sqrt(2), ROUNDING * np.abs(velocity).max())
+    # a simulation may have no noise
+    sigma = np.maximum(sigma / np.sqrt(2), 1e-9 * np.abs(velocity).max())
 
     def residual(values: Array) -> Array:
         gain, total, square = values
@@ -214,10 +210,11 @@ def _effort_lag(
     ]
     problem = _Problem(spectra, shared_prior(robot, number, reference, spectra), priors)
     noise = np.array([NOISE_GUESS * robot.axes[number].rated_effort / np.sqrt(2 * one.samples) for one in spectra])
-    starts = [problem.search(problem.start(frequency), noise, FIRST_EVALUATIONS).x for frequency in STARTS]
+    # a few evaluations tell which start leads to the lowest minimum
+    starts = [problem.search(problem.start(frequency), noise, 12).x for frequency in STARTS]
     values = min(starts, key=lambda candidate: float(np.sum(problem.rows(candidate, noise)[0] ** 2)))
-    for _ in range(ROUNDS):
-        found = problem.search(values, noise, EVALUATIONS)
+    for _ in range(3):  # rounds of fitting and estimating the noise
+        found = problem.search(values, noise, 100)
         converged(found, joint, "the effort's delay")
         values = np.asarray(found.x, dtype=float)
         noise = problem.noise(values)

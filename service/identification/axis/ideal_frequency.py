@@ -40,10 +40,7 @@ from service.model.errors import BadInput
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-ROUNDS = 3  # of fitting and weighing
-EVALUATIONS = 100  # of the residual, in each search
 LEVEL = (0.15, 0.45)  # of f_l: lines used for the level asymptote
-SAME_CLASS = 1.25  # ratio of J up to which all poses form one class
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +117,7 @@ class AxisAnalysis:
         """Light and heavy poses, divided at the geometric mean of the extremes; one class if they hardly differ."""
         fits = sorted((pose.fit for pose in self.poses), key=lambda fit: fit.inertia.value)
         low, high = fits[0].inertia.value, fits[-1].inertia.value
-        if high <= SAME_CLASS * low:
+        if high <= 1.25 * low:  # they hardly differ
             return (_class("all", np.inf, fits),)
         border = float(np.sqrt(low * high))
         light = [fit for fit in fits if fit.inertia.value <= border]
@@ -246,10 +243,11 @@ def _fit(joint: str, problem: _Problem) -> tuple[Array, float, Array]:
         return np.vstack([_misfit(problem, mean + root @ x, weights)[1] @ root, np.eye(len(x))])
 
     def solve(start: Array) -> Fit:
-        return optimize.least_squares(residual, start, jac=jacobian, method="lm", max_nfev=EVALUATIONS)
+        # evaluations of the residual, in each search
+        return optimize.least_squares(residual, start, jac=jacobian, method="lm", max_nfev=100)
 
     found = min((solve(inverse_root @ (start - mean)) for start in problem.starts()), key=lambda each: each.cost)
-    for _ in range(ROUNDS):
+    for _ in range(3):  # rounds of fitting and weighing
         values = mean + root @ found.x
         weights[:] = [
             1 / np.sqrt(response.variance(_model(response.frequency, values, SHARED + 2 * k)) / 2)

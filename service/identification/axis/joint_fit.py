@@ -41,16 +41,10 @@ Array = NDArray[np.float64]
 
 FREE = 10.0  # times the largest effort bin: one sigma of unknown parameters
 ITERATIONS = 60  # of Gauss-Newton, each with its damping
-FIRST_ITERATIONS = 8  # from each start: enough to find the lowest minimum
 GAINED = 1e-9  # of the cost: a step that gains less ends the search
-DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-12, 1e8  # of the diagonal: initial, smallest, largest (then the end)
-POOLINGS = 10  # largest number of rounds to select the sweeps that share the noise
-TOLD = 1e-12  # of the prior's precision: minimum information of the data on an inertia, for its bound
 ROUNDS = 4  # of fitting and estimating the noise
 STARTS = (np.inf, 25.0, 16.0, 11.0, 8.0, 6.0)  # Hz, locked-rotor frequencies tried as start
-STARTERS = 24  # sweeps, or a few more, used to choose between the starts
 FEW_FREEDOM = 4.0  # degrees of freedom; with fewer, the noise cannot be estimated and the guess is used
-NOISE_FLOOR = 1e-7  # of the largest effort at a line: rounding, for simulations without noise
 CHANCE = 0.01  # probability that any sweep of an axis is suspected although all are correct
 MATERIAL = 1e-3  # of the largest effort bin: smaller residuals are not tested
 
@@ -158,7 +152,8 @@ def fit_axis(
     known = list(uncertain or [np.zeros((0, len(one.frequency)), dtype=np.complex128) for one in spectra])
     poses = [complete_prior(*pair) for pair in zip(spectra, pose_priors, strict=True)]
     sigma = np.array([noise_guess / np.sqrt(2 * spectrum.samples) for spectrum in spectra])
-    some = slice(None, None, max(1, len(spectra) // STARTERS))
+    # about 24 sweeps choose between the starts
+    some = slice(None, None, max(1, len(spectra) // 24))
     wide = list(spread or [np.ones(len(one.frequency)) for one in spectra])
     shared = _first_train(stacks(spectra[some], known[some], wide[some]), shared_prior, poses[some], sigma[some])
     parts = stacks(spectra, known, wide)
@@ -216,7 +211,8 @@ def _first_train(parts: Sequence[Stack], shared: SharedPrior, poses: Sequence[Po
     """The drive train (5,) of the best of several starts, used as start of the fit."""
     priors = _priors(parts, shared, poses)
     starts = STARTS if any(stack.load_velocity is None for stack in parts) else STARTS[:1]
-    tries = [_minimise(parts, priors, sigma, _start(priors, frequency), FIRST_ITERATIONS) for frequency in starts]
+    # few iterations show the lowest minimum
+    tries = [_minimise(parts, priors, sigma, _start(priors, frequency), 8) for frequency in starts]
     finite = [one for one in tries if np.isfinite(one.cost)] or tries
     return min(finite, key=lambda one: one.cost).point.shared
 
@@ -260,7 +256,7 @@ def _equations(
 
 def _minimise(parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Point, iterations: int) -> _Minimum:
     """The point of least cost, starting at `point`. A step to a point whose cost is not a number is rejected."""
-    damping, ended = DAMPING, Ended.UNFINISHED
+    damping, ended = 1e-3, Ended.UNFINISHED  # of the diagonal
     cost, normals = _equations(parts, priors, sigma, point)
     for _ in range(iterations if np.isfinite(cost) else 0):
         if not all(each.finite for each in normals):
@@ -269,14 +265,14 @@ def _minimise(parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Poi
         while True:
             trial = _step(normals, priors, point, damping)
             trial_cost, trial_normals = _equations(parts, priors, sigma, trial)
-            if trial_cost <= cost or damping > MOST_DAMPING:
+            if trial_cost <= cost or damping > 1e8:
                 break
             damping *= 10
         if not trial_cost <= cost:
             ended = Ended.AT_REST if np.isfinite(trial_cost) else Ended.LOST
             break
         gained, point, cost, normals = cost - trial_cost, trial, trial_cost, trial_normals
-        damping = max(damping / 10, LEAST_DAMPING)
+        damping = max(damping / 10, 1e-12)
         if gained < GAINED * (1 + cost):
             ended = Ended.CONVERGED
             break
@@ -321,7 +317,8 @@ def _pooled_noise(
         variance[same], sound[same] = _pool(
             squares[same], freedom[same], samples[same] * (MATERIAL * largest[same]) ** 2, guess
         )
-    sigma = np.maximum(np.sqrt(variance / samples), NOISE_FLOOR * largest)
+    # rounding, for simulations without noise
+    sigma = np.maximum(np.sqrt(variance / samples), 1e-7 * largest)
     ratio = squares / samples / sigma**2 / np.maximum(freedom, 1.0)
     weight = np.where(sound, 1.0, 1 / np.maximum(ratio, 1.0))
     return _Noise(sigma / np.sqrt(weight), ratio, weight, float(freedom[sound].sum()))
@@ -336,7 +333,7 @@ def _pool(squares: Array, freedom: Array, immaterial: Array, guess: float) -> tu
     worst = chdtri(np.maximum(freedom, 1.0), CHANCE / len(squares)) / np.maximum(freedom, 1.0)
     variance = float(np.median(each))  # half of the sweeps may be faulty
     sound = everyone
-    for _ in range(POOLINGS):
+    for _ in range(10):  # rounds to select the sweeps that share the noise
         before, sound = sound, (each <= worst * variance) | (each <= immaterial)
         variance = float(squares[sound].sum() / freedom[sound].sum())
         if np.array_equal(before, sound):
@@ -357,7 +354,8 @@ def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Poin
         by_shared[stack.place] = -gain[:, 0]  # d J_l / d shared
         own_variance[stack.place] = inverse[:, 0, 0]
         told = normal.own[:, 0, 0] - precision[:, 0]
-        bound[stack.place] = 1 / np.sqrt(np.maximum(told, TOLD * precision[:, 0]))
+        # least information of the data, relative to the prior's
+        bound[stack.place] = 1 / np.sqrt(np.maximum(told, 1e-12 * precision[:, 0]))
         load[stack.place], gravity[stack.place] = own[:, 0], own[:, 1:3]
     by_shared[:, 0] += 1  # J = Jm + J_l
     shared_covariance = scaled_inverse(matrix)

@@ -172,9 +172,7 @@ def _number(value: float | None, place: str) -> float:
     return value
 
 
-UNIT_VELOCITY = 0.01  # rad/s (m/s), of the nonlinear viscous law
 NUDGE = 1e-3  # of one standard deviation, for derivatives
-OTHER_TORQUES = 0.5  # of gravity's torque: most that all others may be for the gear's torque to keep its sign
 
 
 @dataclass(frozen=True)
@@ -228,7 +226,8 @@ LAWS: dict[str, Law] = {
 def _nonlinear_viscous(p: Mapping[str, float], m: Motion) -> Array:
     """Carreau's law. A stored model of an earlier version with a bend uses a power of the speed."""
     if "velocity" not in p:
-        return p["coefficient"] * np.sign(m.velocity) * np.abs(m.velocity / UNIT_VELOCITY) ** p["exponent"]
+        # at a unit velocity of 0.01 rad/s (m/s)
+        return p["coefficient"] * np.sign(m.velocity) * np.abs(m.velocity / 0.01) ** p["exponent"]
     ratio = m.velocity / p["velocity"]
     return p["coefficient"] * ratio * (1 + ratio**2) ** ((p["exponent"] - 1) / 2)
 
@@ -319,7 +318,8 @@ def motion_of(spectrum: Spectrum, load: Load) -> Motion:
 
 def _keeps_its_sign(motion: Motion) -> bool:
     """Whether gravity decides the direction of the torque through the gear all along the window."""
-    return float(np.abs(motion.accelerating).max()) < OTHER_TORQUES * float(np.abs(motion.holding).min())
+    # all others are below half of gravity's torque
+    return float(np.abs(motion.accelerating).max()) < 0.5 * float(np.abs(motion.holding).min())
 
 
 def _dft(signal: Array, spectrum: Spectrum) -> Complex:

@@ -17,12 +17,7 @@ from service.model.urdf import Chain
 
 Array = NDArray[np.float64]
 
-LIGHTEST_LINK = 0.01  # of the mean link's mass: uncertainty of a link without mass in the model
-UNKNOWN_CORNER = 1.0  # Hz, mu / (2 pi J) where no data sheet gives the friction
 UNKNOWN_MOTOR = 0.5  # of the axis' inertia: a motor that no data sheet gives, and one sigma of it
-DAMPING_TIME, DAMPING_SIGMA = 1e-3, 2e-3  # s, of the spring
-LEAST_LOAD = 0.1  # of the axis' inertia: a load that the motor's data sheet leaves nothing of
-TORQUE_SLACK = 1e-3  # of the rated effort, one sigma of gravity in addition to its error: cables, offsets of the base
 NOISE_GUESS = 0.002  # of the rated effort: start value only, the noise is then estimated
 
 
@@ -121,22 +116,25 @@ def shared_prior(robot: Robot, number: int, reference: Array, spectra: list[Spec
     )
     friction = axis.viscous_friction
     # half of it on either side of the spring
-    total, spread = (friction, prior.viscous_friction) if friction else (2 * np.pi * UNKNOWN_CORNER * typical, 1.0)
+    # unknown: a corner mu / (2 pi J) of 1 Hz
+    total, spread = (friction, prior.viscous_friction) if friction else (2 * np.pi * 1.0 * typical, 1.0)
     half = total / 2
     half_sigma = max(2 * spread, 1.0) * half
     softest = 1 / (typical * (2 * np.pi * SOFTEST) ** 2)
     return SharedPrior(
-        mean=np.array([motor_mean, half, half, 0.0, DAMPING_TIME]),
-        covariance=np.diag(np.square([motor_sigma, half_sigma, half_sigma, softest, DAMPING_SIGMA])),
+        mean=np.array([motor_mean, half, half, 0.0, 1e-3]),  # s, damping time of the spring
+        covariance=np.diag(np.square([motor_sigma, half_sigma, half_sigma, softest, 2e-3])),
     )
 
 
 def pose_prior(robot: Robot, number: int, reference: float, gravity: Array) -> PosePrior:
     """The model's axis inertia and `gravity` (2,) torque and stiffness in a pose, with their uncertainty."""
     motor = robot.axes[number].reflected_motor_inertia or 0.0
-    load = max(reference - motor, LEAST_LOAD * reference)
+    # at least a tenth, where the motor's data sheet leaves nothing of it
+    load = max(reference - motor, 0.1 * reference)
     # torque and stiffness are two components of one vector: each may have the error of its length
-    spread = robot.prior.gravity * float(np.hypot(*gravity)) + TORQUE_SLACK * robot.axes[number].rated_effort
+    # besides its own error one sigma of 1e-3 of the rated effort: cables, offsets of the base
+    spread = robot.prior.gravity * float(np.hypot(*gravity)) + 1e-3 * robot.axes[number].rated_effort
     return PosePrior(
         mean=np.array([load, gravity[1], gravity[0]]),
         sigma=np.array([2 * robot.prior.inertia * reference, spread, spread]),
@@ -148,7 +146,8 @@ def link_spread(links: Array, inertia: float) -> Array:
 
     By the size of a link, mass m and radius of gyration r: m, m r and m r^2 for mass, first and second moments.
     """
-    return inertia * link_sizes(links, LIGHTEST_LINK * float(links[:, 0].mean()))
+    # a link without mass in the model is as uncertain as 1 % of the mean link
+    return inertia * link_sizes(links, 0.01 * float(links[:, 0].mean()))
 
 
 def model_spread(robot: Robot, chain: Chain, unlocked: tuple[int, ...], combination: Array, largest: float) -> Array:

@@ -24,17 +24,10 @@ SLOW = float(np.radians(4.0))  # rad (m), travel of the slow sweeps
 FAST = 3.0  # times the travel of the slow sweeps
 WIDE = 2.0  # times the travel of the slow sweeps, for the wide band
 WIDE_LINES = (3.0, 5.0, 7.0, 11.0, 13.0, 17.0)  # Hz
-WIDEST = 9.0  # Hz: a sweep with a line above is of the wide band
 REVERSAL_LINES = (1.0, 2.0, 3.0)  # Hz: low, so that the distance between two reversals is much longer than presliding
-EFFORT = 0.4  # of the rated effort for the sines
-BETWEEN = 2.0  # s from one sweep to the next, in addition to the way back
 WAY_BACK = np.radians(2.0)  # rad/s (m/s)
 BLOCKS = ("forward_slow", "backward_slow", "forward_fast", "backward_fast", "reversal", "wide")
 REVISITED = ("forward_slow", "backward_slow")
-REVISIT = "revisit_"
-WARMING = ("forward_fast", "backward_fast")  # the most travel per second
-WARMED = 300.0  # s of these sweeps
-TURNED = 0.8  # rad (m): change of a joint for a new pose
 ROOM = 0.25  # rad (m) from a limit, needed for the sweeps
 
 
@@ -72,7 +65,7 @@ def full_design(
     poses = np.atleast_2d(poses)
     visits = [(pose, block, block) for pose in poses for block in blocks]
     if revisit:
-        visits += [(poses[0], block, REVISIT + block) for block in REVISITED if block in blocks]
+        visits += [(poses[0], block, "revisit_" + block) for block in REVISITED if block in blocks]
     return tuple(_in_order(robot, joint, visits, repeats, travel, sample_rate, started_at))
 
 
@@ -87,14 +80,17 @@ def paper_design(
 def warm_up(
     robot: Robot, joint: str, pose: Array, *, sample_rate: float = 1000.0, started_at: float = 0.0
 ) -> tuple[DesignedSweep, ...]:
-    """Fast sweeps in both directions in a pose (n,), back to back for `WARMED` s, to warm up the friction.
+    """Fast sweeps in both directions in a pose (n,), back to back for 300.0 s, to warm up the friction.
 
     Each pair of repeats is a block of its own, so drift between pairs does not count as noise.
     """
     result: list[DesignedSweep] = []
-    while not result or machine_time(result) < WARMED:
+    while not result or machine_time(result) < 300.0:  # s
         start = _free_at(result[-1]) if result else started_at
-        visits = [(pose, block, f"warming_{len(result) // 4 + 1}_{block}") for block in WARMING]
+        # the most travel per second
+        visits = [
+            (pose, block, f"warming_{len(result) // 4 + 1}_{block}") for block in ("forward_fast", "backward_fast")
+        ]
         result.extend(_in_order(robot, joint, visits, 2, SLOW, sample_rate, start, len(result)))
     return tuple(result)
 
@@ -111,12 +107,12 @@ def once_more(specs: Sequence[SweepSpec], started_at: float) -> tuple[DesignedSw
 
 
 def other_poses(robot: Robot, joint: str, poses: Array) -> Array:
-    """New poses (m, n): one joint, this axis or one after it, changed by `TURNED`, if its limits allow that."""
+    """New poses (m, n): one joint, this axis or one after it, changed by 0.8, if its limits allow that."""
     result: list[Array] = []
     for number in range(robot.index(joint), len(robot.joints)):
         for sign in (1.0, -1.0):
             pose = poses[len(result) % len(poses)].copy()
-            pose[number] += sign * TURNED
+            pose[number] += sign * 0.8  # rad (m)
             limits = robot.chain.joints[number]
             away = np.abs(poses - pose).max(axis=1).min()
             if limits.lower + ROOM < pose[number] < limits.upper - ROOM and away > 0.1:
@@ -151,7 +147,7 @@ def _kind(spec: SweepSpec, slowest: float) -> str | None:
         return None
     if not spec.offset_velocity:
         return "reversal"
-    if max(sine.frequency for sine in spec.sines) > WIDEST:
+    if max(sine.frequency for sine in spec.sines) > 9.0:  # Hz
         return "wide"
     way = "forward" if spec.offset_velocity > 0 else "backward"
     return f"{way}_{'fast' if abs(spec.offset_velocity) > np.sqrt(FAST) * slowest else 'slow'}"
@@ -161,7 +157,8 @@ def _free_at(sweep: DesignedSweep) -> float:
     """Earliest start of the next sweep, s."""
     spec = sweep.spec
     travel = abs(spec.offset_velocity) * (sweep.duration - sweep.ramp)
-    return spec.started_at + sweep.duration + travel / WAY_BACK + BETWEEN
+    # 2 s more than the way back
+    return spec.started_at + sweep.duration + travel / WAY_BACK + 2.0
 
 
 def _in_order(
@@ -201,7 +198,7 @@ def _in_order(
 
 def _excitation(robot: Robot, joint: str, pose: Array, block: str, load: float, travel: float) -> Excitation:
     """The sweep of one block; sines and speeds are those of `design_sweep`, which takes ripple into account."""
-    limit = EFFORT * robot.axis(joint).rated_effort
+    limit = 0.4 * robot.axis(joint).rated_effort  # for the sines
     fast, wide = block.endswith("fast"), block == "wide"
     sweep = design_sweep(
         robot,

@@ -41,7 +41,7 @@ a free inertia J by
 
     v_rms = f / (2 pi J sqrt(n)) sqrt(sum 1/f_k^2),
 
-which may be `SWAY` of the offset. That is about the velocity in the softened loop with the resonance included;
+which may be 0.2 of the offset. That is about the velocity in the softened loop with the resonance included;
 random phases have peaks of 3 to 4 times their RMS.
 """
 
@@ -61,14 +61,11 @@ from service.model.robot import Axis, Robot
 Array = NDArray[np.float64]
 
 LINES = (2.0, 3.0, 4.0, 5.0)  # Hz, the paper's sweep frequencies
-WINDOWS = (3, 5, 7)  # whole periods of 1 s; prime by the cogging rule
 TRAVEL = math.radians(4.0)  # rad (m), most that a sweep may turn
 RAMP = 0.5  # s
 SETTLE = 0.5  # s
 LOAD_MARGIN = 0.8  # of the offset that the sines may use on motor and load
 CREST = 2.4  # highest crest factor of a random realisation; 4 lines of any phases have at most 2.83
-DRAWS = 100  # of random phases
-CREST_SAMPLES = 200  # of a period, in which the crest factor is looked at
 LINE_MARGIN = 0.75  # of the locked-rotor frequency: no line above, but for the lowest
 
 
@@ -135,7 +132,7 @@ def design_sweep(
     periods, offset = max(
         (
             (periods, ripple_free_offset(axis, min(travel / (RAMP + SETTLE + periods), speed_limit), 1.0, periods))
-            for periods in WINDOWS
+            for periods in (3, 5, 7)  # whole periods of 1 s; prime by the cogging rule
         ),
         key=lambda choice: choice[1] ** 2 * choice[0],
     )
@@ -167,11 +164,12 @@ def realisations(excitation: Excitation, count: int, seed: Sequence[int]) -> tup
 
 def _with_random_phases(excitation: Excitation, rng: np.random.Generator) -> Excitation:
     """The first draw of an acceptable crest factor, or the last of all draws."""
-    time = np.linspace(0.0, excitation.period, CREST_SAMPLES, endpoint=False)
+    # where the crest factor is looked at
+    time = np.linspace(0.0, excitation.period, 200, endpoint=False)
     frequency = np.array([sine.frequency for sine in excitation.sines])
     amplitude = np.array([sine.amplitude for sine in excitation.sines])
     phases = np.zeros(len(frequency))
-    for _ in range(DRAWS):
+    for _ in range(100):  # draws
         phases = rng.uniform(0.0, 2 * np.pi, len(frequency))
         shape = amplitude @ np.sin(2 * np.pi * frequency[:, None] * time + phases[:, None])
         if np.abs(shape).max() <= CREST * np.sqrt(np.sum(amplitude**2) / 2):
@@ -258,7 +256,6 @@ LOWEST, HIGHEST = 1.0, 39.0  # Hz
 PERIOD, PERIODS = 1.6, 3  # s; prime by the cogging rule
 NOISE_RAMP, NOISE_SETTLE = 0.5, 1.0  # s
 SOFTENING = 0.4
-SWAY = 0.2  # RMS of the noise's velocity over the offset
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,7 +303,7 @@ def design_noise(
         raise BadInput(joint, f"no offset up to {fastest:.4g} keeps the axis' cogging off the lines of its noise")
     lines = np.arange(ceil(LOWEST * PERIOD), floor(HIGHEST * PERIOD) + 1, dtype=np.float64) / PERIOD
     sway = float(np.sqrt(np.mean(1 / lines**2))) / (2 * np.pi * inertia)  # per N m
-    effort = min(SHARE * axis.rated_effort, SWAY * offset / sway)
+    effort = min(SHARE * axis.rated_effort, 0.2 * offset / sway)  # a fifth of the offset
     return NoiseExcitation(
         direction * offset, effort, LOWEST, HIGHEST, PERIOD, PERIODS, seed, SOFTENING, NOISE_RAMP, NOISE_SETTLE
     )

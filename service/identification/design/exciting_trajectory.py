@@ -30,11 +30,6 @@ from service.model.robot import Robot
 Array = NDArray[np.float64]
 
 BREAKAWAY = 0.1  # of the rated effort: Coulomb friction to add to a predicted effort
-FIRST_STEP, LAST_STEP = 0.5, 0.02  # of the ranges: disturbance of the best shape at first and at last
-EVALUATED = 80  # instants of a period used for the condition number
-CHECKED = 16  # instants of the highest harmonic's period at which limits are checked
-SHRINK = 0.8  # factor on all amplitudes if effort or path do not fit
-LEAST_SCALE = 0.1  # of the first amplitudes: below, another shape is tried
 
 
 @dataclass(frozen=True)
@@ -116,7 +111,8 @@ def design_trajectory(
     if best is None:
         raise BadInput("trajectory", f"none of {restarts} shapes fits the limits with a free path")
     for step in range(steps):
-        size = FIRST_STEP * (1 - step / steps) + LAST_STEP
+        # of the ranges, at first and at last
+        size = 0.5 * (1 - step / steps) + 0.02
         center = best.center + size * rng.uniform(-0.5, 0.5, joints) * (limits.upper - limits.lower)
         shapes = _waves(best)
         largest: Array = np.abs(shapes).max(axis=(1, 2), keepdims=True)
@@ -143,12 +139,13 @@ def _fit(
     if not free(center[None]):
         return None
     duration = _excitation(shape, waves[0]).duration
-    time = np.linspace(0.0, duration, round(CHECKED * shape.harmonics * duration / shape.period))
+    # 16 instants of the highest harmonic's period
+    time = np.linspace(0.0, duration, round(16 * shape.harmonics * duration / shape.period))
     whole = np.zeros(len(waves))
     for k in np.flatnonzero(limits.moving).tolist():
         whole[k] = _largest(limits, shape, k, center[k], waves[k], time)
     scale = 1.0
-    while scale > LEAST_SCALE:
+    while scale > 0.1:  # below, another shape is tried
         scaled = waves * (scale * whole)[:, None, None]
         trajectory = _build(shape, center, scaled)
         path = trajectory.path(time)
@@ -158,7 +155,7 @@ def _fit(
                 _rows(robot, base_columns, trajectory)[:, limits.moving].reshape(-1, len(base_columns))
             )
             return Trajectory(trajectory.start, center, trajectory.excitations, condition)
-        scale *= SHRINK
+        scale *= 0.8  # effort or path do not fit
     return None
 
 
@@ -215,7 +212,8 @@ def steady_motion(trajectory: Trajectory, time: Array) -> Motion:
 def _rows(robot: Robot, base_columns: Sequence[int], trajectory: Trajectory) -> Array:
     """Rows (instants, n, r) of the base parameters over one period, in units of the rated efforts."""
     period = trajectory.excitations[0].period
-    motion = steady_motion(trajectory, np.linspace(0.0, period, EVALUATED, endpoint=False))
+    # instants used for the condition number
+    motion = steady_motion(trajectory, np.linspace(0.0, period, 80, endpoint=False))
     rows = dynamics_rows(robot.chain, robot.gravity, motion)[..., list(base_columns)]
     return rows / np.array([axis.rated_effort for axis in robot.axes])[:, None]
 

@@ -68,7 +68,6 @@ RIDGE = 1e-6
 SINGULAR = 1e-12  # of the largest eigenvalue: below it G counts as rank deficient
 TIE = 1e-8
 SLACK = 1.05  # times the least condition number, allowed by condition_and_travel for a shorter path
-PROMISING = 16  # candidates evaluated first
 
 
 class Criterion(Enum):
@@ -194,7 +193,7 @@ class _Greedy:
         if spare < len(eigenvalues) and eigenvalues[spare] <= SINGULAR * eigenvalues[-1]:
             return self.largest_volume()
         quick = condition_bounds(self._rows, eigenvalues, vectors, 1)[self._left]
-        tried = self._left[np.argsort(quick, kind="stable")[:PROMISING]]
+        tried = self._left[np.argsort(quick, kind="stable")[:16]]  # evaluated first
         limit = (1 + TIE) * min(float(self._condition(tried).min()), SINGULAR**-0.5)
         within = self._left[quick <= slack * limit]  # candidates that may be within the slack of the best
         bound = condition_bounds(
@@ -243,7 +242,6 @@ def _way(poses: Array, pose: Array) -> Array:
 EFFORT_NOISE = 0.002  # of the rated effort, of one sample at NOISE_RATE
 NOISE_RATE = 1000.0  # Hz
 SOFTEST = 3.0  # Hz, locked-rotor frequency at one sigma of the compliance, if the spring is unknown
-NO_GAIN = 0.1  # of the average gain of one more pose: a pose with less adds nothing
 
 
 def sweep_information(
@@ -357,5 +355,6 @@ def without_gain(percent: Sequence[float]) -> list[int]:
     return [
         n
         for n, (before, after) in enumerate(pairwise(percent), 1)
-        if np.isfinite(before) and 1 - after / before < NO_GAIN / (2 * n)
+        # less than a tenth of the average gain of one more pose adds nothing
+        if np.isfinite(before) and 1 - after / before < 0.1 / (2 * n)
     ]

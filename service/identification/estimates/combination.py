@@ -79,14 +79,8 @@ from service.model.robot import Robot
 Array = NDArray[np.float64]
 
 IDENTIFIED = 0.5  # of the prior's standard deviation: maximum for an identified parameter
-HALF = 0.5  # of its value: maximum standard deviation of a parameter that is positive on every robot
 POSITIVE = ("Jm(", "Fv(", "Fc(")  # alone: names of parameters that are positive on every robot
-SHOWN = 0.9  # of the prior's: above, no measurement shows the parameter
 ONE_SOURCE = 1.5  # times the standard deviation of both together: below, one source is sufficient
-DRIVE_RATE = 2000.0  # Hz, at which friction and ripple are computed: sign and cogging extend far above the band
-HARMONIC_NOISE_GUESS = 1e-4  # of the rated effort, of a harmonic: start value only
-ROUNDS = 3  # of weighting
-ROUNDING = 1e-12  # kg m^2 per unit of a parameter: smaller entries of a row count as 0
 
 
 @dataclass(frozen=True)
@@ -155,7 +149,7 @@ class Combination:
     parameters: tuple[CombinedParameter, ...]
     solution: Solution
     noise: dict[str, float]
-    noise_change: dict[str, float]  # of `noise` in the last of the `ROUNDS`, relative
+    noise_change: dict[str, float]  # of `noise` in the last of the 3, relative
     scatter: dict[str, float | None]
     trajectories: tuple[tuple[str, ...], ...]  # ids of the sweeps of each
     free: tuple[tuple[str, ...], ...]  # the same of free motions
@@ -230,10 +224,11 @@ def combine(
         evidence, free_gains = free.evidence(len(start))
     others = _sum(sweeps, len(start)).plus(prior).plus(evidence)
     scatter = {joint: _scatter(records, joint) for joint in dict.fromkeys(each.joint for each in equations)}
-    noise = {joint: value or HARMONIC_NOISE_GUESS * robot.axis(joint).rated_effort for joint, value in scatter.items()}
+    # start value only
+    noise = {joint: value or 1e-4 * robot.axis(joint).rated_effort for joint, value in scatter.items()}
     at_once = _motion_information(equations, noise, len(start))
     before = noise
-    for _ in range(ROUNDS):
+    for _ in range(3):  # rounds of weighting
         values = _sum(at_once, len(start)).plus(others).solve(start).values
         before, noise = noise, {joint: max(scatter[joint] or 0.0, _misfit(equations, joint, values)) for joint in noise}
         finite(np.array(list(noise.values())), ", ".join(noise), "the noise of its trajectories")
@@ -289,7 +284,8 @@ class _Equations:
 
 
 def _equations(robot: Robot, base: BaseParameters, record: TrajectoryRecord) -> list[_Equations]:
-    slow, fast = (round(rate * record.period) for rate in (LINK_RATE, DRIVE_RATE))
+    # Hz; sign and cogging extend far above the band
+    slow, fast = (round(rate * record.period) for rate in (LINK_RATE, 2000.0))
     motor, load = (record.motion(robot, fast, load=of_load) for of_load in (False, True))
     links = link_rows(robot.chain, robot.gravity, record.motion(robot, slow, load=True))
     count = len(record.frequency)
@@ -371,7 +367,7 @@ def _sum(parts: Mapping[str, Information], size: int) -> Information:
 def _inertia_rows(robot: Robot, base: BaseParameters, joint: str, poses: Array) -> Array:
     """Rows (m, r) of the inertia about an axis, which does not depend on friction and offsets."""
     rows = axis_rows(robot.chain, robot.index(joint), poses)
-    rows[np.abs(rows) < ROUNDING] = 0.0  # otherwise a column of rounding errors would count as data
+    rows[np.abs(rows) < 1e-12] = 0.0  # otherwise a column of rounding errors would count as data
     return np.hstack([rows, np.zeros((len(rows), 3 * len(robot.axes)))])[:, list(base.columns)]
 
 
@@ -392,7 +388,8 @@ def _misfit(equations: Sequence[_Equations], joint: str, values: Array) -> float
 
 def _shown(std: Array, left_open: Array) -> Array:
     """Standard deviations (r,), inf if the prior alone has nearly the same."""
-    return np.where(std < SHOWN * left_open, std, np.inf)
+    # above, no measurement shows the parameter
+    return np.where(std < 0.9 * left_open, std, np.inf)
 
 
 def _judged(
@@ -409,7 +406,8 @@ def _judged(
         source, reason = Source.NONE, "no sweep and no trajectory shows it"
     elif std > IDENTIFIED * std_prior:
         reason = f"too weakly excited: standard deviation {std:.3g}, the nominal model's is {std_prior:.3g}"
-    elif name.startswith(POSITIVE) and " " not in name and std > HALF * abs(value):
+    # it is positive on every robot
+    elif name.startswith(POSITIVE) and " " not in name and std > 0.5 * abs(value):
         reason = f"the standard deviation {std:.3g} is above half of the value"
     return CombinedParameter(name, value, std, std_total, std_sweeps, std_trajectories, std_prior, source, reason)
 
@@ -423,11 +421,9 @@ def _source(std: float, std_sweeps: float, std_trajectories: float) -> Source:
     return Source.TRAJECTORIES if trajectories else Source.BOTH
 
 
-POSES = 200  # of the workspace, in which an inertia must be positive
 FAR = 3.0  # standard deviations: greatest distance of the base parameters from those of a physical robot
 CHECK = "Check signs and units of the efforts, the gear ratios and gravity's direction, or record a longer motion"
 SIGN = "The effort of this axis and its velocity seem to count in opposite directions: change the sign of one of them"
-UNSETTLED_FIT = 0.5  # standard deviations by which the last round may move the fit of free motions without a warning
 
 
 def combined_parameters(found: Combination) -> StandardParameters:
@@ -516,7 +512,8 @@ def _free_motion_axis(combination: Combination, joint: str) -> results.FreeMotio
         simple_held_out_rms=chosen.simple[joint],
         friction=_friction(combination, joint),
         lacks=chosen.fit.evidence.lacks.get(joint, ()),
-        warning=warning if moved > UNSETTLED_FIT else "",
+        # standard deviations
+        warning=warning if moved > 0.5 else "",
     )
 
 
@@ -536,7 +533,8 @@ def _warnings(combination: Combination, deviation: float) -> tuple[str, ...]:
         if one.name.startswith(POSITIVE) and " " not in one.name and one.value + 2 * one.std < 0:
             mend = SIGN if one.name.startswith("Fc(") else CHECK
             found.append(f"{one.name} is {one.value:.3g} ± {one.std:.2g}: it is positive on every robot. {mend}")
-    poses = spread_evenly(POSES, *joint_ranges(robot.chain))
+    # poses of the workspace
+    poses = spread_evenly(200, *joint_ranges(robot.chain))
     for joint in robot.joints:
         least = float(combination.inertia(joint, poses).min())
         if least <= 0:

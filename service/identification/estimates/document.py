@@ -21,8 +21,6 @@ from service.model.results.effect import Value
 
 Array = NDArray[np.float64]
 
-WITHIN = 1.96  # standard deviations: 95 % of a normal error
-
 
 ENTERS = {
     DELAY: "effort is taken earlier by the delay",
@@ -131,7 +129,8 @@ def _held_out(estimate: Estimate, axis: AxisEstimate) -> results.HeldOut | None:
         sweeps=int(known.sum()),
         rmse_percent=100 * float(np.sqrt(np.mean((error / axis.values[known]) ** 2))),
         standardized_rmse=float(np.sqrt(np.mean(z**2))),
-        within_95_percent=100 * float(np.mean(np.abs(z) < WITHIN)),
+        # 95 % of a normal error
+        within_95_percent=100 * float(np.mean(np.abs(z) < 1.96)),
     )
 
 

@@ -21,7 +21,7 @@ separate error, so its influence decreases as 1/e (iteratively reweighted least 
 whole axis fits badly, the cause is the model and not a sweep: then the errors are scaled by their median.
 
 Sweeps that contradict each other can be suspected in turn: with A down-weighted B fits, so A is released, and so on
-without end. If the weights have not converged after `FREE_ROUNDS`, a sweep that is suspected once stays suspected and
+without end. If the weights have not converged after 10, a sweep that is suspected once stays suspected and
 steps are halved; that ends the cycle with all of them down-weighted, and the result contains a note.
 """
 
@@ -62,8 +62,6 @@ from service.model.urdf import Chain
 
 Array = NDArray[np.float64]
 
-FREE_ROUNDS = 10  # of them, in which a suspicion may be withdrawn; normal convergence takes about six
-WEIGHT_CHANGE = 1e-2  # of each added variance (once held, and of the sweep's own): a smaller change ends the rounds
 MEDIAN = -float(ndtri(0.25))  # of the size of a standard normal value
 
 
@@ -107,12 +105,14 @@ def judge(rows: Array, values: Array, covariances: Sequence[Array], rounds: int 
         for part in parts:
             scale[part] = max(1.0, float(np.median(np.abs(errors[part]))) / MEDIAN)
         bad = (np.abs(errors) > limit * scale) & (np.abs(error) > MATERIAL * np.abs(values))
-        held = number >= FREE_ROUNDS
+        # until then a suspicion may be withdrawn; normal convergence takes about six rounds
+        held = number >= 10
         suspected = suspected | bad if held else bad
         wanted = np.where(suspected, np.maximum(error**2 - np.where(suspected, chance, 0.0), 0.0), 0.0)
         # two that contradict each other share their difference: full steps would assign it to both and to none in turn
         before, extra = extra, (extra + wanted) / 2 if held else wanted
-        if np.all(np.abs(extra - before) <= WEIGHT_CHANGE * (np.abs(before) + (own if held else 0.0))):
+        # relative to each added variance (once held, also to the sweep's own)
+        if np.all(np.abs(extra - before) <= 1e-2 * (np.abs(before) + (own if held else 0.0))):
             ended = Ended.CONTRADICTION if held else Ended.SETTLED
             break
         enlarged = [block + np.diag(extra[part]) for block, part in zip(covariances, parts, strict=True)]

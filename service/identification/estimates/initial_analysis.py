@@ -25,8 +25,6 @@ from service.model.results import estimate as results
 from service.model.results.effect import Value
 from service.model.robot import Robot
 
-FEWEST_LINES = 8  # of a pose: with fewer, resonance and friction cannot be separated
-
 
 def analyse(robot: Robot, runs: Sequence[NoiseSpectrum], stepped: Sequence[Spectrum] = ()) -> dict[str, AxisAnalysis]:
     """The analysis of every axis with enough lines in a pose; an axis with noise runs needs no stepped sines.
@@ -47,7 +45,8 @@ def analyse(robot: Robot, runs: Sequence[NoiseSpectrum], stepped: Sequence[Spect
             ]
         )
         specs = [each.spec for each in (noise or sines)]
-        enough = [(specs[found[0]], answer) for found, answer in groups if len(answer.frequency) >= FEWEST_LINES]
+        # with fewer lines, resonance and friction cannot be separated
+        enough = [(specs[found[0]], answer) for found, answer in groups if len(answer.frequency) >= 8]
         if enough:
             analyses[joint] = _axis(robot, number, [spec for spec, _ in enough], [answer for _, answer in enough])
     return analyses

@@ -120,10 +120,6 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-SEEN = 1e-6  # of the largest singular value: a combination of base parameters above it is determined by the poses
-UNKNOWN_ROTOR = 1.0  # relative standard deviation of a motor inertia that no data sheet gives
-
-
 @dataclass(frozen=True)
 class StandardParameters:
     """parameters (11 n,) of all the robot's joints, links first; `deviation` of base parameters from the estimate,
@@ -159,7 +155,8 @@ def _seen(rows: Array) -> Array:
     """Combinations (k, r) of the r base parameters that are determined by the rows (m, r)."""
     length = np.linalg.norm(rows, axis=0)
     _, singular, directions = np.linalg.svd(rows / np.where(length > 0, length, 1.0), full_matrices=False)
-    return np.asarray(directions[singular > SEEN * singular[0]] * length, dtype=float)
+    # the poses determine the combinations above it
+    return np.asarray(directions[singular > 1e-6 * singular[0]] * length, dtype=float)
 
 
 def _nominal_motors(estimate: Estimate) -> tuple[Array, Array]:
@@ -169,7 +166,8 @@ def _nominal_motors(estimate: Estimate) -> tuple[Array, Array]:
     for axis in estimate.axes:
         number = estimate.robot.index(axis.joint)
         if nominal[number] == 0:
-            nominal[number], spread[number] = _measured_motor(axis), UNKNOWN_ROTOR
+            # relative; no data sheet gives it
+            nominal[number], spread[number] = _measured_motor(axis), 1.0
     return nominal, spread
 
 

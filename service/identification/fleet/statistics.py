@@ -186,10 +186,6 @@ def _contrasts(count: int) -> Iterator[tuple[int | None, Array]]:
     yield None, np.asarray((count - 1) * centred / float(centred @ centred), dtype=np.float64)
 
 
-FEWEST_ROBOTS = 4  # robots: with fewer, the scatter would come from two others
-_TWO = 2.0  # standard deviations of the gain
-
-
 @dataclass(frozen=True, slots=True)
 class Sibling:
     """A robot among those of its type: `difference` from the mean of the others, and its probability by chance."""
@@ -204,7 +200,7 @@ class Sibling:
 def outliers(
     histories: Sequence[History], probability: float, quantities: int, gain_std: Mapping[str, float] | None = None
 ) -> tuple[Sibling, ...]:
-    """All measured robots; () for fewer than `FEWEST_ROBOTS`.
+    """All measured robots; () for fewer than 4.
 
     `probability` of any false outlier among all robots and `quantities`. `gain_std`: of the torque gain by robot, in
     the unit of the quantity. BadInput for a probability outside of 0 to 0.5.
@@ -212,7 +208,7 @@ def outliers(
     if not 0 < probability <= 0.5:
         raise BadInput("probability", f"is {probability:g}, limit above 0 to 0.5")
     measured = [history for history in histories if history.measurements]
-    if len(measured) < FEWEST_ROBOTS:
+    if len(measured) < 4:  # the scatter would come from two others
         return ()
     means = np.array([history.arrays()[0].mean() for history in measured])
     freedom = len(means) - 2
@@ -223,7 +219,8 @@ def outliers(
         difference = float(means[number] - others.mean())
         spread = float(others.std(ddof=1) * np.sqrt(1 + 1 / len(others)))
         t = difference / spread if spread > 0 else (0.0 if difference == 0 else np.inf)
-        by_gain = abs(difference) <= _TWO * (gain_std or {}).get(history.robot, 0.0)
+        # two standard deviations of the gain
+        by_gain = abs(difference) <= 2.0 * (gain_std or {}).get(history.robot, 0.0)
         chance = 2 * float(stdtr(freedom, -abs(t)))
         found.append(Sibling(history.robot, difference, chance, abs(t) > limit, by_gain))
     return tuple(found)

@@ -28,9 +28,6 @@ from service.identification.fleet.statistics import (
 
 Pose = tuple[int, ...]
 
-_RESOLUTION = 0.01  # rad (m): poses with smaller differences are equal
-_SHARED = 0.5  # of the newest campaign's poses that an older one must also have measured
-
 
 @dataclass(frozen=True, slots=True)
 class InPose:
@@ -64,7 +61,8 @@ class CampaignMeasured:
 
 def pose_key(pose: Sequence[float]) -> Pose:
     """Equal for poses that differ by less than the resolution of a planned pose."""
-    return tuple(round(position / _RESOLUTION) for position in pose)
+    # rad (m)
+    return tuple(round(position / 0.01) for position in pose)
 
 
 def in_pose(values: Sequence[float], references: Sequence[float], stds: Sequence[float]) -> InPose:
@@ -92,7 +90,8 @@ def series(robot: str, axis: str, campaigns: Sequence[CampaignMeasured]) -> tupl
     shared, used = set(newest.poses), 0
     for _, measured in reversed(of_axis):
         left = shared & set(measured.poses)
-        if measured.calibration != newest.calibration or len(left) < _SHARED * len(newest.poses):
+        # fewer than half of the newest campaign's poses
+        if measured.calibration != newest.calibration or len(left) < 0.5 * len(newest.poses):
             break
         shared, used = left, used + 1
     kept = of_axis[len(of_axis) - used :]

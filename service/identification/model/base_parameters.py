@@ -26,8 +26,6 @@ Array = NDArray[np.float64]
 TOLERANCE = 1e-9  # of a unit column: minimum of its part outside the span of the selected columns
 SAMPLES = 400  # random poses that represent the workspace
 CLEAR = 1e3  # times `TOLERANCE`: the residual of a dependent column over all samples is far below
-NEGLIGIBLE = 1e-8  # of the largest share in a base parameter, columns of unit length: rounding
-FEW_SAMPLES = 60  # sufficient if the rank is known
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,7 @@ def base_parameters(chain: Chain, axes: tuple[int, ...], seed: int = 0) -> BaseP
 
 def combination_of(chain: Chain, axes: tuple[int, ...], columns: tuple[int, ...]) -> Array | None:
     """`BaseParameters.combination` for given columns; None if they are not a base of this chain."""
-    rows = _sampled_rows(chain, axes, FEW_SAMPLES, seed=1)
+    rows = _sampled_rows(chain, axes, 60, seed=1)  # few samples suffice: the rank is known
     scale = _scale(rows)
     combination = _combination(rows / scale, scale, list(columns))
     left = (rows - rows[:, list(columns)] @ combination) / scale
@@ -113,7 +111,8 @@ def _scale(rows: Array) -> Array:
 def _combination(scaled: Array, scale: Array, chosen: list[int]) -> Array:
     """K (r, p) with ``rows = rows[:, chosen] @ K`` for ``rows = scaled * scale``."""
     share = np.linalg.lstsq(scaled[:, chosen], scaled, rcond=None)[0]
-    share[np.abs(share) < NEGLIGIBLE * np.abs(share).max(axis=1, keepdims=True, initial=1.0)] = 0.0
+    # rounding
+    share[np.abs(share) < 1e-8 * np.abs(share).max(axis=1, keepdims=True, initial=1.0)] = 0.0
     return share * scale / scale[chosen][:, None]
 
 

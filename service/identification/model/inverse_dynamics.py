@@ -141,12 +141,6 @@ def dynamic_base(robot: Robot, ends: tuple[Array, Array] | None = None) -> BaseP
     return reduce_columns(rows.reshape(-1, rows.shape[-1]), dynamics_names(robot.chain))
 
 
-COULOMB_PRIOR, OFFSET_PRIOR = 0.1, 0.02  # of the rated effort: one sigma of values that are in no data sheet
-RATED = 3.0  # times the RMS effort of a motion that is measured, in place of the rated effort
-LEAST_MASS, LEAST_RADIUS = 1e-9, 1e-3  # kg, m: of a link, so that no parameter is certain
-DRY_FRICTION_OPEN = 10.0  # times these values is the prior of dry friction in the fit
-
-
 @dataclass(frozen=True)
 class Scale:
     """Size of the measurements of an axis, all positive, and the largest values that they allow; None where nothing was
@@ -171,8 +165,9 @@ def link_sizes(links: Array, lightest: float = 0.0) -> Array:
 
     r: radius of gyration, m. `lightest`, kg: least mass.
     """
-    mass = np.maximum(links[:, :1], max(lightest, LEAST_MASS))
-    radius = np.sqrt(np.maximum(links[:, [4, 6, 9]].sum(-1, keepdims=True), 0) / 2 / mass) + LEAST_RADIUS
+    # kg, and m below: no parameter is certain
+    mass = np.maximum(links[:, :1], max(lightest, 1e-9))
+    radius = np.sqrt(np.maximum(links[:, [4, 6, 9]].sum(-1, keepdims=True), 0) / 2 / mass) + 1e-3
     return np.hstack([mass, np.repeat(mass * radius, 3, 1), np.repeat(mass * radius**2, 6, 1)]).ravel()
 
 
@@ -185,7 +180,8 @@ def parameter_spread(robot: Robot, scales: Mapping[str, Scale] | None = None) ->
     measured = [(scales or {}).get(axis.joint, Scale()) for axis in robot.axes]
     rated = np.array(
         [
-            RATED * one.effort if one.effort else axis.rated_effort
+            # of a measured motion, in place of the rated effort
+            3.0 * one.effort if one.effort else axis.rated_effort
             for axis, one in zip(robot.axes, measured, strict=True)
         ]
     )
@@ -204,13 +200,15 @@ def parameter_spread(robot: Robot, scales: Mapping[str, Scale] | None = None) ->
         else one.viscous or axis.rated_effort / speed
         for axis, speed, one in zip(robot.axes, speeds, measured, strict=True)
     ]
-    return np.concatenate([prior.inertia * size, motors, viscous, COULOMB_PRIOR * rated, OFFSET_PRIOR * rated])
+    # dry friction and offset are in no data sheet
+    return np.concatenate([prior.inertia * size, motors, viscous, 0.1 * rated, 0.02 * rated])
 
 
 def prior_information(robot: Robot, base: BaseParameters, scales: Mapping[str, Scale] | None = None) -> Information:
     """The prior of the base parameters (r,) as a measurement of them; dry friction has a wide prior."""
     spread = parameter_spread(robot, scales)
-    spread[12 * len(robot.axes) :] *= DRY_FRICTION_OPEN
+    # dry friction has a wide prior
+    spread[12 * len(robot.axes) :] *= 10.0
     covariance = (base.combination * spread**2) @ base.combination.T
     start = base.combination @ nominal_parameters(robot)
     return Information.empty(len(start)).add(np.eye(len(start)), start, covariance)

@@ -27,10 +27,6 @@ Array = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-12  # of the scaled information matrix's largest eigenvalue
 BETTER = 1.0  # times the start's precision: below, data do not determine a direction
-HANGS_ON = 0.1  # of its start's standard deviation: limit for a determined parameter
-UNMOVED = 1e-6  # part of an unseen direction in a parameter (unit vectors) below which it counts as determined
-SPANNED = 1e-9  # of the largest singular value: a direction that columns span
-LEAST_EIGENVALUE = 1e-14  # of the largest: lower limit in an inverse, about 50 rounding errors
 UNPREDICTED = 1e-8  # of a value's own precision: below, no other value predicts it
 
 
@@ -77,9 +73,11 @@ class Information:
         unseen = np.linalg.norm(vectors[:, ~seen], axis=1)
         if spread is None:
             # a parameter is determined if no undetermined direction changes it
-            return Solution(start + step, inverse * np.outer(scale, scale), unseen < UNMOVED)
+            # part of an unseen direction in a parameter, unit vectors
+            return Solution(start + step, inverse * np.outer(scale, scale), unseen < 1e-6)
         covariance = inverse + vectors[:, ~seen] @ vectors[:, ~seen].T
-        determined = (unseen < HANGS_ON) & (np.diag(covariance) < 1.0)
+        # a tenth of its start's standard deviation
+        determined = (unseen < 0.1) & (np.diag(covariance) < 1.0)
         return Solution(start + step, covariance * np.outer(scale, scale), determined)
 
 
@@ -161,7 +159,8 @@ class LeftOut:
 def span(columns: Array) -> Array:
     """Orthonormal columns (m, k) that span `columns` (m, p), k <= p."""
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
-    return left[:, singular > SPANNED * singular.max(initial=0.0)]
+    # the directions that columns span
+    return left[:, singular > 1e-9 * singular.max(initial=0.0)]
 
 
 def jackknife_factor(parts: int) -> float:
@@ -185,7 +184,8 @@ def scaled_inverse(matrix: Array) -> Array:
     """Inverses of positive definite matrices (..., p, p), scaled to unit diagonals first."""
     scale = _scale(matrix)[..., None]
     eigenvalues, vectors = np.linalg.eigh(matrix / scale / np.swapaxes(scale, -1, -2))
-    eigenvalues = np.maximum(eigenvalues, LEAST_EIGENVALUE * eigenvalues[..., -1:])
+    # about 50 rounding errors
+    eigenvalues = np.maximum(eigenvalues, 1e-14 * eigenvalues[..., -1:])
     turned = np.swapaxes(vectors, -1, -2)
     return (vectors / eigenvalues[..., None, :]) @ turned / scale / np.swapaxes(scale, -1, -2)
 

@@ -37,15 +37,9 @@ from service.model.urdf import inertia_matrix
 Array = NDArray[np.float64]
 
 EXACT = 1e-10  # of a row's terms and nominal spread: A x - b below it counts as zero
-STEPS = 100  # maximum number of Newton steps; about ten are used
-HALVINGS = 60  # maximum number of halvings of a step
-SOFTNESSES = (1.0, 1e-2, 1e-4, 1e-6, 0.0)
+STEPS = 100  # of Newton's method, at most; about ten are used
 SMALL = 1e-12  # ratio of eigenvalues below which the smaller counts as zero
-SMALL_SLOPE = 1e-12  # of the dual along the step: below, full Newton steps are used
-LIGHTEST = 1e-6  # of the heaviest link's mass: least nominal mass
 THINNEST = 1e-4  # of a link's largest second moment about its centre of mass: least nominal one
-LEAST_GYRATION = 1e-3  # m, least nominal radius of gyration
-DISTANT = 1e-9  # of the second moment by the centre's distance: a smaller one is lost in rounding
 
 
 class Ended(Enum):
@@ -234,7 +228,7 @@ def _exactly(problem: _Problem) -> Array | None:
     """
     white = problem.transformed(_whitening(problem.nominal_covariance()))
     multipliers = np.zeros(len(problem.values))
-    for softness in SOFTNESSES:
+    for softness in (1.0, 1e-2, 1e-4, 1e-6, 0.0):
         found = _maximise(white, softness, multipliers)
         if found is None or white.impossible(found):
             return None
@@ -281,7 +275,7 @@ def _maximise(problem: _Problem, softness: float, start: Array) -> Array | None:
             return None
         step = np.asarray(np.linalg.lstsq(curvature / np.outer(scale, scale), gradient / scale, rcond=None)[0]) / scale
         slope = float(gradient @ step)
-        if slope < SMALL_SLOPE:
+        if slope < 1e-12:  # full Newton steps from here on
             if slope >= last / 100:
                 return multipliers
             length = 1.0
@@ -295,7 +289,7 @@ def _maximise(problem: _Problem, softness: float, start: Array) -> Array | None:
 def _length(problem: _Problem, softness: float, start: Array, step: Array, slope: float) -> float:
     """Length of a step: up to where the dual's slope, which only decreases, is less than half of `slope`."""
     shortest, longest, length = 0.0, np.inf, 1.0
-    for _ in range(HALVINGS):
+    for _ in range(60):  # halvings
         there = start + length * step
         now = -np.inf
         if problem.inside(there):
@@ -316,12 +310,15 @@ def _whitening(covariance: Array) -> Array:
 
 def _nominal_pseudo_inertia(links: Array) -> Array:
     """(n, 4, 4) of nominal links (n, 10); non-physical ones are raised to the least mass and second moments."""
-    mass = np.maximum(links[:, 0], LIGHTEST * (links[:, 0].max(initial=0.0) or 1.0))
+    # kg: least nominal mass, by the heaviest link's
+    mass = np.maximum(links[:, 0], 1e-6 * (links[:, 0].max(initial=0.0) or 1.0))
     centre = links[:, 1:4] / mass[:, None]
     pseudo = pseudo_inertia(links)
     moments, axes = np.linalg.eigh(pseudo[:, :3, :3] - mass[:, None, None] * _outer(centre))
-    distant = DISTANT * mass * (centre**2).sum(-1)
-    least = np.maximum(np.maximum(THINNEST * moments[:, -1], LEAST_GYRATION**2 * mass), distant)
+    # a smaller one is lost in rounding beside the centre's distance
+    distant = 1e-9 * mass * (centre**2).sum(-1)
+    # a radius of gyration of 1 mm at least
+    least = np.maximum(np.maximum(THINNEST * moments[:, -1], 1e-3**2 * mass), distant)
     lifted = np.maximum(moments, least[:, None])
     second = (axes * lifted[:, None, :]) @ np.swapaxes(axes, -1, -2) + mass[:, None, None] * _outer(centre)
     pseudo[:, :3, :3] = np.where((moments[:, 0] < least)[:, None, None], second, pseudo[:, :3, :3])

@@ -21,9 +21,7 @@ from service.model.urdf import Chain, Joint
 
 Array = NDArray[np.float64]
 
-SAME = 1e-8  # of the largest term: difference up to which two numbers count as equal
 FACTORS = (1.0, -1.0, 2.0, -2.0, 0.5, -0.5)
-MOST_FOR_PAIRS, MOST_FOR_TRIPLES = 400, 80  # maximum number of terms, so that the search does not take seconds
 
 
 @dataclass(frozen=True)
@@ -71,12 +69,13 @@ class Search:
     def __init__(self, terms: list[Term]) -> None:
         self._texts: list[str] = [term.text or "1" for term in terms]
         self._values = np.array([term.value for term in terms])
-        few = len(terms) <= MOST_FOR_PAIRS
+        few = len(terms) <= 400  # or the search takes seconds
         # the two of a pair and the sign of its second
         self._pairs = [(i, j, sign) for i, j in combinations(range(len(terms)), 2) for sign in (1, -1)] if few else []
         index = np.array(self._pairs, dtype=int).reshape(-1, 3)
         self._sums = self._values[index[:, 0]] + index[:, 2, None] * self._values[index[:, 1]]
-        self._tolerance = SAME * np.abs(self._values).max(axis=0)
+        # up to which two numbers count as equal
+        self._tolerance = 1e-8 * np.abs(self._values).max(axis=0)
 
     def simplest(self, value: Array) -> Expression | None:
         """The expression with the fewest terms; None if there is none. `value` (g,)."""
@@ -89,7 +88,7 @@ class Search:
         for factor in FACTORS:
             for pair in self._equal(self._sums, value / factor):
                 yield Expression(factor, f"({self._pair(pair)})")
-        if len(self._texts) > MOST_FOR_TRIPLES:
+        if len(self._texts) > 80:
             return
         for factor in FACTORS:
             for i, text in enumerate(self._texts):
@@ -105,11 +104,6 @@ class Search:
     def _pair(self, pair: int) -> str:
         i, j, sign = self._pairs[pair]
         return f"{self._texts[i]} {'+' if sign > 0 else '-'} {self._texts[j]}"
-
-
-VARIANTS = 3  # robots with other dimensions that an expression must also fit
-ONE = 1e-6  # tolerance at which a coefficient counts as 1
-NOTHING = 1e-9  # m: a shorter distance counts as 0
 
 
 @dataclass(frozen=True)
@@ -136,7 +130,7 @@ def symbolic_names(
     rng = np.random.default_rng(0)
     values = [np.array([dimension.value for dimension in known])]
     found = [combination]
-    for _ in range(VARIANTS):
+    for _ in range(3):  # robots that an expression must also fit
         varied = values[0] * rng.uniform(0.7, 1.4, len(known))
         other = combine(with_dimensions(chain, known, varied))
         if other is None:
@@ -157,7 +151,8 @@ def dimensions(chain: Chain) -> tuple[Dimension, ...]:
     for k in range(1, len(chain.joints)):
         before, joint = chain.joints[k - 1], chain.joints[k]
         way = f"from {before.name} to {joint.name}"
-        axes = [axis for axis in range(3) if abs(joint.translation[axis]) > NOTHING]
+        # m
+        axes = [axis for axis in range(3) if abs(joint.translation[axis]) > 1e-9]
         for axis in axes:
             symbol = f"l{numbers[k - 1]}" + ("xyz"[axis] if len(axes) > 1 else "")
             meaning = f"{way} along {'xyz'[axis]} of {before.link}"
@@ -205,7 +200,7 @@ class _Speaker:
     def _part(self, coefficient: Array, leader: int, column: int) -> str:
         expression = self._search(leader, column).simplest(coefficient) or Expression(coefficient[0], "")
         size = abs(expression.factor)
-        number = "" if abs(size - 1) < ONE else f"{size:.4g} "
+        number = "" if abs(size - 1) < 1e-6 else f"{size:.4g} "  # counts as 1
         words = expression.text and f" {expression.text}"
         return f"{'-' if expression.factor < 0 else '+'} {number}{self._parameters[column]}{words}"
 

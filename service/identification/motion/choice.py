@@ -6,7 +6,7 @@ spring is. Friction beyond Coulomb and viscous (`friction_laws`) takes an error 
 nominal model that the data contradict must weigh less. So every candidate predicts parts of the motion that
 it has not seen, and the one with the least error is used,
 
-    mean over the axes of log(error / error of the simple estimator) + sum over the axes above `NOT_WORSE` times it,
+    mean over the axes of log(error / error of the simple estimator) + sum over the axes above 1.05 times it,
 
 where the simple estimator is least squares weighted by axis, with Coulomb and viscous friction and no nominal model:
 what anybody would try first. It is itself a candidate, so the result is no worse on these parts.
@@ -21,7 +21,7 @@ Faults of the records of free motions, where the whole inverse dynamics fits the
 
 Each hypothesis changes the records or the robot file: the efforts of two axes are exchanged, all efforts are late, or
 gravity has another direction. The simple estimator (`choice`), which knows no nominal model, then predicts
-held-out parts. A hypothesis that leaves less than `LEFT` of the error of its axes is told, with the evidence and what
+held-out parts. A hypothesis that leaves less than 0.5 of the error of its axes is told, with the evidence and what
 to change. A wrong sign of an effort needs no hypothesis: its Coulomb friction is negative.
 """
 
@@ -99,12 +99,7 @@ def _floor(records: Sequence[FreeMotion], parts: Sequence[AxisEquations], values
 
 SIMPLE = "least squares weighted by axis, Coulomb and viscous friction, no nominal model"
 OPEN = 1e4  # times the prior: no nominal model
-NOT_WORSE = 1.05  # times the error of the simple estimator on an axis
-LAW_GAIN = 0.9  # of an axis' error: most that is left with laws of friction
-CONTRADICTED = 1.5  # standard deviations of the nominal model, RMS, from which its prior is too narrow
-SHOWN = 10.0  # times the information of the prior: what the data determine
 SPEEDS = (0.05, 0.1, 0.2, 0.5, 0.9)  # of the highest speed, in either direction, at which friction is told
-LAW_PRIOR = 0.3  # of the RMS effort, one sigma of a law's friction
 
 
 @dataclass(frozen=True)
@@ -145,7 +140,8 @@ class Chosen:
     @property
     def score(self) -> float:
         ratios = np.array([self.errors[joint] / max(self.simple[joint], 1e-300) for joint in self.simple])
-        return float(np.mean(np.log(ratios)) + np.sum(np.log(np.maximum(ratios / NOT_WORSE, 1.0))))
+        # worse on an axis than the simple estimator
+        return float(np.mean(np.log(ratios)) + np.sum(np.log(np.maximum(ratios / 1.05, 1.0))))
 
     @property
     def least_errors(self) -> dict[str, float]:
@@ -216,7 +212,8 @@ def choose(
     plain = fit_equations(robot, records, parts, open_prior, start, order=0)
     simple = held_out_errors(plain, open_prior, start)
     efforts = [of.get(joint, Scale()).effort or 1.0 for joint in robot.joints]
-    law_prior = np.repeat([(LAW_PRIOR * effort) ** -2 for effort in efforts], len(LOW_SPEEDS))
+    # one sigma of a law's friction is 0.3 of the RMS effort
+    law_prior = np.repeat([(0.3 * effort) ** -2 for effort in efforts], len(LOW_SPEEDS))
 
     def candidate(order: int, laws: frozenset[str], widened: float) -> Chosen:
         own, begin, equations = sweeps.plus(wider(prior, widened)), start, parts
@@ -231,12 +228,14 @@ def choose(
     best = min((candidate(order, frozenset(), 1.0) for order in (0, ORDER)), key=lambda one: one.score)
     order = ORDER if best.coloured else 0
     everywhere = candidate(order, frozenset(best.errors), 1.0).errors
-    better = frozenset(joint for joint, error in everywhere.items() if error < LAW_GAIN * best.errors[joint])
+    # laws of friction must take a tenth of an axis' error
+    better = frozenset(joint for joint, error in everywhere.items() if error < 0.9 * best.errors[joint])
     if better:
         best = min(best, candidate(order, better, 1.0), key=lambda one: one.score)
     others = [candidate(0, frozenset(), OPEN)]
     contradicted = contradiction(best.evidence(len(start))[0], prior, start)
-    if contradicted > CONTRADICTED:
+    # standard deviations: the prior is too narrow
+    if contradicted > 1.5:
         others.append(candidate(order, best.laws, contradicted))
     return min(best, *others, key=lambda one: one.score)
 
@@ -246,7 +245,7 @@ def contradiction(data: Information, prior: Information, start: Array) -> float:
     factor = np.linalg.cholesky(np.linalg.inv(prior.matrix))
     known, directions = np.linalg.eigh(factor.T @ data.matrix @ factor)
     deviation = directions.T @ factor.T @ (data.vector - data.matrix @ start)
-    shown = known > SHOWN
+    shown = known > 10.0  # what the data determine
     squares = (deviation[shown] / known[shown]) ** 2 / (1 + 1 / known[shown])
     return float(np.sqrt(np.mean(squares))) if shown.any() else 0.0
 
@@ -273,10 +272,7 @@ def _with_laws(robot: Robot, parts: Sequence[AxisEquations], joints: frozenset[s
     return found
 
 
-BAD = 0.25  # of the RMS effort: held-out error of an axis from which its records are questioned
-LEFT = 0.5  # of the error: most that a fault leaves of it when it is mended
 LAGS = np.arange(-0.3, 0.301, 0.05)  # s
-STANDARD = 9.81  # m/s^2, where the robot file has no gravity
 AXES = ("x", "y", "z")
 
 
@@ -299,13 +295,14 @@ def faults(
     least: Mapping[str, float],
 ) -> tuple[str, ...]:
     """The most certain, or none; `least`: held-out errors of the fit, `of`: `choice.scales`."""
-    if all(error < BAD * (of[joint].effort or np.inf) for joint, error in least.items() if joint in of):
+    # a held-out error below a quarter of the RMS effort raises no question
+    if all(error < 0.25 * (of[joint].effort or np.inf) for joint, error in least.items() if joint in of):
         return ()
     found: list[tuple[float, str]] = []
     for one in _hypotheses(robot, base, records):
         errors = _errors(one, records, of)
         left = float(np.exp(np.mean([np.log(errors[joint] / least[joint]) for joint in one.joints])))
-        if left < LEFT:
+        if left < 0.5:  # a mended fault leaves less than half
             found.append((left, f"{one.told}: the held-out error falls to {100 * left:.0f} %"))
     return tuple(told for _, told in sorted(found)[:1])
 
@@ -333,7 +330,7 @@ def _hypotheses(robot: Robot, base: BaseParameters, records: Sequence[FreeMotion
         shifted = [replace(each, values=np.interp(each.time + lag, each.time, each.values)) for each in parts]
         told = f"the efforts seem to be {1000 * lag:.0f} ms late: take them earlier by that"
         yield _Hypothesis(robot, base, shifted, joints, told)
-    size = float(np.linalg.norm(robot.gravity)) or STANDARD
+    size = float(np.linalg.norm(robot.gravity)) or 9.81  # where the robot file has no gravity
     oblique = dynamic_base(_turned(robot, (size, size, size)))  # of any direction: none makes a column vanish
     for axis in range(3):
         for sign in (1.0, -1.0):

@@ -32,8 +32,6 @@ from service.model.robot import Robot
 Array = NDArray[np.float64]
 
 STILL = 0.01  # of the largest velocity: below, an axis counts as at rest
-AT_REST = 0.1  # share of the filter's weight on samples at rest from which an equation is left out
-MOVED = 1e-3  # rad (m) that an axis moves at least
 LINK_RATE = 200.0  # Hz, at which the links' rows are computed: products of a few smoothed motions
 LOW_SPEEDS = (0.05, 0.1, 0.2)  # of the largest velocity: where friction at low speed has fallen to 37 %
 ANGLES = (1.0, 2.0, 3.0)  # periods per revolution (per 2 pi m)
@@ -103,7 +101,7 @@ def equations(
     found: list[AxisEquations] = []
     for k, joint in enumerate(record.joints):
         index = robot.index(joint)
-        if np.ptp(motor.position[:, index]) < MOVED:
+        if np.ptp(motor.position[:, index]) < 1e-3:  # rad (m)
             continue
         velocity = motor.velocity[:, index]
         highest = float(np.abs(velocity).max())
@@ -177,7 +175,8 @@ def _smooth(record: FreeMotion, position: Array, order: int) -> Array:
 def _at_rest(velocity: Array, rate: float, band: float) -> NDArray[np.bool_]:
     """Where the low-pass covers samples at rest, (m,)."""
     still = np.abs(velocity) < STILL * np.abs(velocity).max()
-    return low_pass(still.astype(float), rate, band) > AT_REST
+    # of the filter's weight
+    return low_pass(still.astype(float), rate, band) > 0.1
 
 
 def _ripple(robot: Robot, index: int, position: Array) -> Array:

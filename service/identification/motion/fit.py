@@ -2,7 +2,7 @@ r"""Base parameters from free motions, with a covariance that is consistent with
 
 Generalised least squares with the colour of the residuals (below), refined iteratively:
 
-    A = sum_b A_b,  A_b = W_b^T W_b,  beta = A^-1 sum_b W_b^T y_b        (W, y white; b: stretches of `BLOCK` seconds)
+    A = sum_b A_b,  A_b = W_b^T W_b,  beta = A^-1 sum_b W_b^T y_b        (W, y white; b: stretches of 2.0 seconds)
 
 A^-1 would be the covariance if the model were exact. It is not: its error repeats along the path and is not noise. So
 the scores s_b = W_b^T (y_b - W_b beta) of the blocks give the spread (sandwich estimate), each corrected for its own
@@ -110,16 +110,10 @@ def _levinson(lags: Array) -> tuple[Array, Array]:
     return coefficients, np.sqrt(variance)
 
 
-BLOCK = 2.0  # s
 ROUNDS = 4  # of fit and colour
-NOISE_LEAST = 1e-5  # of the RMS effort of an axis: smallest standard deviation of a residual
-LEAST_EFFORT = 1e-9  # N m (N), RMS of an axis
 TESTS = (*LACKS, "elasticity of the gear")
 OPEN = 1e-4  # of the square of a column: least part outside the span of the rows with which it is tested
-SHOWS, TOLD = 0.01, 0.01  # probability by chance below which a lack widens the spread, and below which any is told
 FOLDS = 5  # every fifth block is held out together
-LEAST = 1e-9  # of a parameter: smallest share of an axis in the information
-OWN_SHARE = 0.99  # share of a direction determined by a single block at which its correction is limited
 
 
 @dataclass(frozen=True)
@@ -253,7 +247,8 @@ def _levelled(white: Sequence[WhiteEquations], information: Information, values:
             share = rows[own].T @ rows[own]
             squares[each.joint] += float(np.sum((rows[own].T @ residual[own]) ** 2))
             expected[each.joint] += float(np.trace(share) - np.sum(share**2))
-    return [each.over(np.sqrt(max(1.0, squares[each.joint] / max(expected[each.joint], LEAST)))) for each in white]
+    # an axis has a share of 1e-9 of a parameter at least
+    return [each.over(np.sqrt(max(1.0, squares[each.joint] / max(expected[each.joint], 1e-9)))) for each in white]
 
 
 def _coordinates(information: Information) -> tuple[Array, Array]:
@@ -271,7 +266,7 @@ def _coordinates(information: Information) -> tuple[Array, Array]:
 def _rms(parts: Iterable[AxisEquations]) -> float:
     """RMS of the efforts, N m (N)."""
     efforts = np.concatenate([each.values[each.sound] for each in parts])
-    return max(float(np.sqrt(np.mean(efforts**2))), LEAST_EFFORT)
+    return max(float(np.sqrt(np.mean(efforts**2))), 1e-9)  # N m (N)
 
 
 def _colours(
@@ -286,7 +281,8 @@ def _colours(
         whole[each.sound] = left
         residuals.setdefault(each.joint, []).extend(whole[part] for part in stretches(each.sound))
     return {
-        joint: Colour.of(own, NOISE_LEAST * size[joint], freedom * sum(map(len, own)), order)
+        # least standard deviation of a residual, of the RMS effort
+        joint: Colour.of(own, 1e-5 * size[joint], freedom * sum(map(len, own)), order)
         for joint, own in residuals.items()
     }
 
@@ -326,7 +322,7 @@ def _blocks(records: Sequence[FreeMotion], parts: Sequence[AxisEquations]) -> li
     first = [next(k for k, other in enumerate(records) if other.same_motion(record)) for record in records]
     numbers: dict[tuple[int, int], int] = {}
     return [
-        np.array([numbers.setdefault((first[each.record], int(t / BLOCK)), len(numbers)) for t in each.time])
+        np.array([numbers.setdefault((first[each.record], int(t / 2.0)), len(numbers)) for t in each.time])
         for each in parts
     ]
 
@@ -348,7 +344,8 @@ def _spread(
     middle = np.zeros((size, size))
     for share, score in zip(shares, scores, strict=True):
         part, directions = np.linalg.eigh(share)
-        corrected = directions @ ((directions.T @ score) / np.sqrt(1 - np.minimum(part, OWN_SHARE)))
+        # limited where a single block determines a direction
+        corrected = directions @ ((directions.T @ score) / np.sqrt(1 - np.minimum(part, 0.99)))
         middle += np.outer(corrected, corrected)
     mean = max(1.0, float(np.trace(middle)) / max(size, 1))
     few = float(stdtrit(max(count - 1, 1), ndtr(2.0))) / 2.0
@@ -359,7 +356,7 @@ def _spread(
         columns = np.vstack([each.lacks if each.joint == joint else 0 * each.lacks for each in white])
         for name, moved, certain in _lacking(columns, rows, residual, where, count):
             spread += np.outer(moved, moved)
-            if certain < TOLD / tests and name not in lacking.setdefault(joint, []):
+            if certain < 0.01 / tests and name not in lacking.setdefault(joint, []):
                 lacking[joint].append(name)
     return spread, {joint: tuple(names) for joint, names in lacking.items()}
 
@@ -381,5 +378,6 @@ def _lacking(
         if noise <= 0:
             continue
         certain = 2 * cast(float, stdtr(count - 1, -abs(total) / noise**0.5))
-        if certain < SHOWS:
+        # probability by chance below which it widens the spread
+        if certain < 0.01:
             yield TESTS[k], along[:, k] * (total**2 - noise) ** 0.5 / power[k], certain

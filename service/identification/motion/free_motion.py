@@ -30,12 +30,12 @@ from service.model.robot import Robot
 Array = NDArray[np.float64]
 
 ROLL_OFF = 0.2  # of the cut-off
-DEVIATIONS = 4.0  # standard deviations of the Gaussian that are counted as memory
 
 
 def memory(cut: float) -> float:
     """Length of the filter on either side, s."""
-    return DEVIATIONS / (2 * np.pi * ROLL_OFF * cut)
+    # four standard deviations of the Gaussian
+    return 4.0 / (2 * np.pi * ROLL_OFF * cut)
 
 
 def low_pass(signals: Array, rate: float, cut: float, derivative: int = 0) -> Array:
@@ -58,7 +58,6 @@ def low_pass(signals: Array, rate: float, cut: float, derivative: int = 0) -> Ar
 
 BAND = 10.0  # Hz, of the equations: below the springs of industrial robots
 MOTION = 3.0  # times the band: cut-off of the smoothed motion, high enough to keep the whole band
-USABLE = 0.35  # of the sample rate, highest cut-off
 SAME_PATH, SAME_PLACE = 0.01, 1e-3  # maximum difference of the paths of repeats: relative, and rad (m)
 FEWEST_SAMPLES = 50  # samples
 
@@ -88,7 +87,7 @@ class FreeMotion:
     @property
     def motion_cut(self) -> float:
         """Cut-off of the motion, Hz."""
-        return min(MOTION * BAND, USABLE * self.rate)
+        return min(MOTION * BAND, 0.35 * self.rate)  # of the sample rate
 
     @property
     def band(self) -> float:

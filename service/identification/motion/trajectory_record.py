@@ -24,8 +24,6 @@ from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 
-MOTION_BAND = 0.4  # of the sample rate: sticking before a reversal is only visible far above `BAND`
-
 
 @dataclass(frozen=True)
 class AxisTrack:
@@ -107,7 +105,8 @@ def axis_track(sweep: Sweep) -> AxisTrack:
     check_numbers(spec, record)
     first, count = window(spec, record.time)
     part, periods = slice(first, first + count), spec.periods or 1
-    of_motion = round(MOTION_BAND * spec.sample_rate * (spec.period or 0.0))
+    # sticking before a reversal is only visible far above `BAND`
+    of_motion = round(0.4 * spec.sample_rate * (spec.period or 0.0))
     highest = min(round(BAND * (spec.period or 0.0)), of_motion)
     effort: Complex = np.fft.rfft(record.effort[part])[: periods * (highest + 1)] / count
     between = np.arange(len(effort)) % periods != 0

@@ -15,7 +15,7 @@ line through both ends of the window is subtracted:  DFT[dq/dt] = i omega DFT[q 
 quotients would act like elasticity.) Its noise is noise of a regressor, 10^-4 of the motion and less.
 
 Records without lines (a plain trajectory) use the trapezoidal rule, which approximates the integral over the record to
-second order also if its ends differ, and keep the bins from 0 Hz to `FREE_BAND`. At those bins the first and the last
+second order also if its ends differ, and keep the bins from 0 Hz to 20.0. At those bins the first and the last
 sample have the same phase factor, so it is the DFT without the last sample and with their mean as first sample.
 """
 
@@ -48,10 +48,8 @@ Bins = NDArray[np.int_]
 
 LOW = 1.0  # Hz: below, load- and position-dependent friction dominates
 MARGIN = 3.0  # Hz above the last line
-FREE_BAND = 20.0  # Hz
 BELOW_NYQUIST = 0.4  # of the sample rate: above, filters against aliasing distort
 WHOLE = 1e-6  # relative, by which a number of samples or of periods may differ from a whole one
-VERTICAL = 1e-3  # rad between an axis and gravity
 REST, AT_REST = 0.1, 0.005  # s; of the highest velocity: longer and slower, an axis of a free record rests
 SAME_WAY = 0.5  # allowed relative difference of load and motor travel over the window
 
@@ -176,7 +174,7 @@ def _free(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> Spect
     if len(time) < 8:
         raise BadInput(f"sweep {spec.id}", f"only {len(time)} samples after measure_from {spec.measure_from} s")
     length = float(time[-1])
-    bins = np.arange(int(min(FREE_BAND, BELOW_NYQUIST * spec.sample_rate) * length) + 1)
+    bins = np.arange(int(min(20.0, BELOW_NYQUIST * spec.sample_rate) * length) + 1)  # Hz
     frequency = bins / length
     part = slice(first, None)
     names, signals = _signals(robot, index, spec, record, part)
@@ -255,7 +253,8 @@ def _vertical(robot: Robot, index: int, spec: SweepSpec) -> bool:
     """Whether gravity has no torque about the axis in the pose of a sweep."""
     rotations, _ = link_frames(robot.chain, np.array([spec.pose]))
     axis = rotations[0, index] @ robot.chain.joints[index].axis
-    return float(np.linalg.norm(np.cross(axis, robot.gravity))) < VERTICAL * float(np.linalg.norm(robot.gravity))
+    # rad between both
+    return float(np.linalg.norm(np.cross(axis, robot.gravity))) < 1e-3 * float(np.linalg.norm(robot.gravity))
 
 
 def _rests(velocity: Array, rate: float) -> Array:

@@ -51,8 +51,6 @@ from service.model.robot import Axis, Robot
 
 Complex = NDArray[np.complex128]
 
-EXCITED = 0.1  # of the strongest line of the reference: weaker lines count as not excited
-ENOUGH_RUNS = 3  # from this number on, runs are averaged instead of periods
 NEAR = 2  # bins on either side of a line from which ripple is found
 NEIGHBOURS = 3  # lines on either side over which noise is averaged
 
@@ -140,7 +138,8 @@ def noise_spectrum(robot: Robot, sweep: Sweep) -> NoiseSpectrum:
         _without_drift(column[part], periods) for column in (record.excitation_effort, record.effort, record.velocity)
     )
     strength = np.abs(np.fft.rfft(reference)[::periods])[: int(BELOW_NYQUIST * length) + 1]
-    lines = np.flatnonzero(strength > EXCITED * strength[1:].max(initial=0.0))
+    # weaker lines count as not excited
+    lines = np.flatnonzero(strength > 0.1 * strength[1:].max(initial=0.0))
     lines = lines[lines > 0]
     if len(lines) < 2:
         raise BadInput(place, "its injected torque has no lines")
@@ -162,7 +161,7 @@ def noise_response(runs: Sequence[NoiseSpectrum]) -> Response:
     for run in runs:
         if not np.array_equal(run.frequency, runs[0].frequency):
             raise BadInput(f"sweep {run.spec.id}", f"has other lines than sweep {runs[0].spec.id} of the same pose")
-    if len(runs) >= ENOUGH_RUNS:
+    if len(runs) >= 3:  # enough to average runs instead of periods
         parts = np.array([_answers(run.reference.mean(0), run.effort.mean(0), run.velocity.mean(0)) for run in runs])
     else:
         parts = np.concatenate(

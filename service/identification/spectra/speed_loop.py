@@ -31,11 +31,9 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 FOLLOWS = 0.5  # |v/r| down to which the loop is used: beyond, structural modes and delays dominate
-RIGID = 0.5  # of the lowest antiresonance up to which torque to speed is used
 PARTS = 5
 FEWEST = 12  # lines
 DELAY = 1e-3  # s, at which the fit starts
-SCALES = (0.1, 0.1, 0.01)  # of inertia and delay over their starts, and of c: steps of the search
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,8 @@ def fit_closed_loop(frequency: Array, response: Complex, place: str, reset_time:
             left = 1 / (1 + train * integral[used]) - measured[used]
             return np.concatenate([left.real, left.imag])
 
-        found = least_squares(error, np.array([1.0, 1.0, 0.0]), method="lm", x_scale=np.array(SCALES))
+        # steps of inertia and delay over their starts, and of c
+        found = least_squares(error, np.array([1.0, 1.0, 0.0]), method="lm", x_scale=np.array((0.1, 0.1, 0.01)))
         solution = _of_jacobian(np.asarray(found.x), np.asarray(found.jac), np.asarray(found.fun), measured[used])
         return replace(solution, converged=bool(found.success), ended=" ".join(str(found.message).split()))
 
@@ -119,7 +118,8 @@ def fit_torque_response(
     """From v/torque (b,), rad/s per N m, at `frequency` (b,), Hz, from `lowest` on; BadInput for too few lines, or
     one that is not finite."""
     finite(response, place, "its response")
-    highest = np.inf if antiresonance is None else RIGID * antiresonance
+    # the train is rigid up to half of it
+    highest = np.inf if antiresonance is None else 0.5 * antiresonance
     inside = _band(frequency, (frequency >= lowest) & (frequency <= highest), place)
     f, measured = frequency[inside], response[inside]
     s: Complex = np.multiply(2j * np.pi, f, dtype=np.complex128)

@@ -41,13 +41,8 @@ from service.model.errors import BadInput
 
 Array = NDArray[np.float64]
 
-OPEN = 1e-7  # smallest singular value of the unit columns: below, two terms differ only by rounding
-TURNS_FAR = 0.01  # share of a constant outside the span of cos and sin of the travel: travel above 0.25 rad
 PARTS = 10  # stretches of the record
-FEW_ROWS = 4  # minimum average number of equations per stretch
-LOST = 1e-6  # of the largest singular value: directions missing in a record without one stretch
 ALONE = 1e-6  # minimum share of a bin's equations that the other bins also determine
-DRAG_OPEN = 1e-4  # smallest singular value of the unit columns with v|v|: below, the motion does not separate it
 
 
 @dataclass(frozen=True)
@@ -71,7 +66,8 @@ def fit_record(spectrum: Spectrum) -> FreeFit:
     values = _unrested(spectrum, spectrum.effort[:, None])[:, 0]
     scale = np.linalg.norm(rows, axis=0)
     scaled = rows / np.where(scale > 0, scale, 1.0)
-    if len(values) <= len(scale) or np.linalg.svd(scaled, compute_uv=False)[-1] < OPEN:
+    # of unit columns: two terms differ only by rounding
+    if len(values) <= len(scale) or np.linalg.svd(scaled, compute_uv=False)[-1] < 1e-7:
         raise BadInput(
             f"sweep {spectrum.spec.id}",
             f"its motion of {spectrum.samples} samples does not separate inertia from {', '.join(list(columns)[1:])}",
@@ -108,7 +104,8 @@ def _columns(spectrum: Spectrum) -> dict[str, Complex]:
         constant = _in_time(columns["effort_offset"][:, None])[:, 0]
         gravity = _in_time(np.stack([columns["gravity_torque"], columns["gravity_stiffness"]], -1))
         beyond = constant - gravity @ np.linalg.lstsq(gravity, constant, rcond=None)[0]
-        if np.linalg.norm(beyond) < TURNS_FAR * np.linalg.norm(constant):
+        # a travel above 0.25 rad leaves more outside the span of its cos and sin
+        if np.linalg.norm(beyond) < 0.01 * np.linalg.norm(constant):
             del columns["effort_offset"]
     return columns
 
@@ -142,11 +139,12 @@ def _between_stretches(rows: Array, residual: Array) -> Array:
     A fit without a stretch differs by the least-squares solution for the residual outside it. A direction shown only
     by this stretch is not changed.
     """
-    if len(rows) < FEW_ROWS * PARTS:
+    if len(rows) < 4 * PARTS:  # four equations a stretch
         return np.zeros_like(rows[0])
     stretch = np.arange(len(rows)) * PARTS // len(rows)
     without = np.array(
-        [np.linalg.lstsq(rows[stretch != b], residual[stretch != b], rcond=LOST)[0] for b in range(PARTS)]
+        # directions may be missing without one stretch
+        [np.linalg.lstsq(rows[stretch != b], residual[stretch != b], rcond=1e-6)[0] for b in range(PARTS)]
     )
     return np.asarray(jackknife_factor(PARTS) ** 2 * (PARTS - 1) * np.var(without, axis=0), dtype=float)
 
@@ -180,7 +178,8 @@ def _by_drag(rows: Array, residual: Array, spectrum: Spectrum, inverse: Array) -
     along = float(inverse @ rows.T @ column)
     beyond = column - rows @ np.linalg.lstsq(rows, column, rcond=None)[0]
     power = float(beyond @ beyond)
-    if power < DRAG_OPEN**2 * float(column @ column):
+    # the motion does not separate it
+    if power < 1e-4**2 * float(column @ column):
         return 0.0
     moved = float(beyond @ residual) / power
     by_bins = np.sum(_bins(beyond[:, None]) * _bins(residual[:, None]), axis=(1, 2))
