@@ -31,7 +31,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.axis.nominal_priors import TorqueGain, uncalibrated
 from service.identification.estimates.torque_gain import fit_pairs, pairs, place
@@ -51,13 +50,12 @@ from service.identification.motion.equations import AxisEquations, equations, wh
 from service.identification.motion.fit import fit_equations, fit_free_motions
 from service.identification.motion.free_motion import FreeMotion, calibrated, free_motions
 from service.identification.spectra.frequency_response import Spectrum, spectrum, window
+from service.model.arrays import Array, Mask
 from service.model.errors import BadInput
 from service.model.recording import Sweep
 from service.model.results import payload as results
 from service.model.robot import INERTIAL_NAMES, Robot
 from service.model.urdf import inertia_matrix, inertia_vector
-
-Array = NDArray[np.float64]
 
 BODY = 10  # parameters of a rigid body
 INSTANTS = 50  # of a window at which gravity is averaged
@@ -287,7 +285,7 @@ class Payload:
     body: Array
     body_std: Array
     body_std_total: Array
-    excited: NDArray[np.bool_]
+    excited: Mask
     physical: bool
     nearest: Array
     deviation: float

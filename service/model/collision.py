@@ -20,12 +20,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from service.model.arrays import Array, Mask
 from service.model.configuration import Cell
 from service.model.errors import BadInput
 from service.model.robot import Robot
 from service.model.urdf import collision_meshes, read_hull
 
-Array = NDArray[np.float64]
 Integers = NDArray[np.int32]
 
 
@@ -156,9 +156,6 @@ class Engine(Protocol):
 
 
 engine = cast("Engine", mujoco)
-
-
-Mask = NDArray[np.bool_]
 
 
 class CollisionChecker:

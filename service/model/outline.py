@@ -8,14 +8,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from service.model.arrays import Array
 from service.model.collision import Model, compiled, engine
 from service.model.configuration import Cell
 from service.model.robot import Robot
-
-Array = NDArray[np.float64]
 
 _ROUND = 20  # points of a circle
 _DIGITS = 4  # of a coordinate in m

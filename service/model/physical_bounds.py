@@ -10,13 +10,11 @@ from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.model.urdf import Chain, inertia_matrix, transform_inertial
-
-Array = NDArray[np.float64]
 
 MOST_POSITION = 1e5  # rad (m): 16,000 turns; rails of cranes and telescopes are below 1 km
 MOST_VELOCITY = 1e4  # rad/s (m/s): 95,000 rpm without a gear; a fast spindle makes 60,000

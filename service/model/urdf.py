@@ -17,11 +17,9 @@ from typing import Literal
 from xml.parsers import expat
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.model.arrays import Array
 from service.model.errors import BadInput
-
-Array = NDArray[np.float64]
 
 MOST_LINKS = 200  # a serial robot has about ten; the chain is read recursively
 MOST_ELEMENTS = 20_000

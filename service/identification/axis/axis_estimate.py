@@ -37,7 +37,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.axis.drive_train import DriveTrain, impedance, paper_inertia, stack_residual, stacks
 from service.identification.axis.ideal_frequency import AxisAnalysis
@@ -55,13 +54,12 @@ from service.identification.axis.nominal_priors import (
 )
 from service.identification.model.least_squares import unsettled
 from service.identification.model.regressor import axis_rows, gravity_terms
-from service.identification.spectra.frequency_response import Complex, Spectrum
+from service.identification.spectra.frequency_response import Spectrum
 from service.identification.spectra.time_domain import fit_record
+from service.model.arrays import Array, Complex
 from service.model.results.estimate import Suspect
 from service.model.robot import Robot
 from service.model.urdf import Chain
-
-Array = NDArray[np.float64]
 
 SAME_SINES = 1e-6  # relative, of frequencies and amplitudes; phases, rad
 

@@ -27,20 +27,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from service.identification.axis.drive_train import OWN, SHARED, DriveTrain, effort_residual
 from service.identification.axis.joint_fit import STARTS, complete_prior, real_parts
 from service.identification.axis.nominal_priors import NOISE_GUESS, PosePrior, SharedPrior, pose_prior, shared_prior
 from service.identification.model.least_squares import Fit, converged, finite, scaled_inverse
-from service.identification.model.regressor import axis_rows, gravity_terms
-from service.identification.spectra.frequency_response import Complex, Spectrum, spectrum, window
+from service.identification.model.regressor import axis_rows, gravity_terms, inertial_parameters
+from service.identification.spectra.frequency_response import Spectrum, spectrum, window
+from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
 from service.model.recording import Sweep
 from service.model.robot import Robot
-
-Array = NDArray[np.float64]
 
 START_SQUARE = 0.5e-3**2  # s^2, q
 
@@ -199,9 +197,7 @@ def _effort_lag(
     """Delay, drive train, and the median load inertia, kg m^2 (kg); `taken` s are already removed from the effort."""
     number = robot.index(joint)
     poses = np.array([one.spec.pose for one in spectra])
-    nominal = np.concatenate(
-        [robot.chain.inertial.ravel(), [axis.reflected_motor_inertia or 0.0 for axis in robot.axes]]
-    )
+    nominal = inertial_parameters(robot)
     reference = axis_rows(robot.chain, number, poses) @ nominal
     gravity = gravity_terms(robot.chain, nominal, robot.gravity, number, poses)
     priors = [
@@ -222,10 +218,8 @@ def _effort_lag(
     covariance = scaled_inverse(jacobian.T @ jacobian)
     part = slice(SHARED, SHARED + 2)
     total, square = float(values[SHARED]), float(values[SHARED + 1])
-    motor_inertia, motor_friction, load_friction, compliance, damping_time = (float(value) for value in values[:SHARED])
-    train = DriveTrain(motor_inertia, motor_friction, load_friction, compliance, damping_time)
     load_inertia = float(np.median([own[0] for own in problem.own(values)]))
-    return _lag(total + taken, square, covariance[part, part], cycle), train, load_inertia
+    return _lag(total + taken, square, covariance[part, part], cycle), DriveTrain.of(values), load_inertia
 
 
 def _with_ends(prior: PosePrior) -> PosePrior:

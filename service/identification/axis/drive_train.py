@@ -49,9 +49,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.spectra.frequency_response import Complex, Spectrum
-
-Array = NDArray[np.float64]
+from service.identification.spectra.frequency_response import Spectrum
+from service.model.arrays import Array, Complex, Mask
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +62,11 @@ class DriveTrain:
     load_friction: float
     compliance: float  # rad/(N m) (m/N)
     damping_time: float  # s
+
+    @classmethod
+    def of(cls, values: Array) -> "DriveTrain":
+        """From the first five of `values`."""
+        return cls(*(float(value) for value in values[:SHARED]))
 
     def as_array(self) -> Array:
         return np.array(
@@ -122,7 +126,7 @@ class Stack:
 
     place: NDArray[np.int_]
     s: Complex  # (n, b), i omega
-    line: NDArray[np.bool_]  # (n, b)
+    line: Mask  # (n, b)
     effort: Complex  # (n, b)
     velocity: Complex  # (n, b)
     load_velocity: Complex | None  # (n, b), direct encoder
@@ -221,8 +225,8 @@ def stack_residual(stack: Stack, shared: Array, own: Array) -> tuple[Complex, Co
 
 
 def _elastic(stack: Stack, shared: Array, own: Array, by_shared: Complex, by_own: Complex) -> Complex:
-    motor_inertia, motor_friction, load_friction, compliance, damping_time = (float(value) for value in shared)
-    train = DriveTrain(motor_inertia, motor_friction, load_friction, compliance, damping_time)
+    train = DriveTrain.of(shared)
+    compliance, damping_time = train.compliance, train.damping_time
     load, stiffness, torque, swing, swing_rate = (own[:, k, None] for k in range(OWN))
     z = impedance(stack.frequency, train, load, stiffness)
     s, velocity, rest = stack.s, stack.velocity, stack.gravity_rest

@@ -26,7 +26,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
 from service.identification.axis.drive_train import DriveTrain, impedance
@@ -35,10 +34,8 @@ from service.identification.axis.nominal_priors import PosePrior, SharedPrior
 from service.identification.design.excitation import LINE_MARGIN, LINES
 from service.identification.model.least_squares import Fit, converged, finite, scaled_inverse
 from service.identification.spectra.noise_response import Response
+from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 LEVEL = (0.15, 0.45)  # of f_l: lines used for the level asymptote
 
@@ -110,7 +107,7 @@ class AxisAnalysis:
 
     @property
     def train(self) -> DriveTrain:
-        return _train(self.mean)
+        return DriveTrain.of(self.mean)
 
     @property
     def classes(self) -> tuple[PoseClass, ...]:
@@ -264,12 +261,12 @@ def _fit(joint: str, problem: _Problem) -> tuple[Array, float, Array]:
 
 
 def _model(frequency: Array, values: Array, own: int) -> Complex:
-    return impedance(frequency, _train(values), float(values[own]), float(values[own + 1])).total
+    return impedance(frequency, DriveTrain.of(values), float(values[own]), float(values[own + 1])).total
 
 
 def _misfit(problem: _Problem, values: Array, weights: Sequence[Array]) -> tuple[Array, Array]:
     """Weighted real and imaginary parts (count,) of model minus measured Z, and their derivatives (count, size)."""
-    train = _train(values)
+    train = DriveTrain.of(values)
     h, c = train.damping_time, train.compliance
     rows: list[Array] = []
     derivatives: list[Array] = []
@@ -289,14 +286,9 @@ def _misfit(problem: _Problem, values: Array, weights: Sequence[Array]) -> tuple
     return np.concatenate(rows), np.vstack(derivatives)
 
 
-def _train(values: Array) -> DriveTrain:
-    motor_inertia, motor_friction, load_friction, compliance, damping_time = (float(v) for v in values[:SHARED])
-    return DriveTrain(motor_inertia, motor_friction, load_friction, compliance, damping_time)
-
-
 def _ideal(values: Array, covariance: Array, own: int) -> Ideal:
     """The pose whose J_l is number `own`; standard deviations to first order."""
-    train, load = _train(values), float(values[own])
+    train, load = DriveTrain.of(values), float(values[own])
     inertia, friction = train.motor_inertia + load, max(train.motor_friction + train.load_friction, 0.0)
     locked_rotor, corner = train.locked_rotor_frequency(load), friction / (2 * np.pi * inertia)
     by_inertia, by_friction, by_resonance = np.zeros((3, len(values)))

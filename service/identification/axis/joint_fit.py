@@ -19,7 +19,6 @@ from enum import Enum
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.special import chdtri
 
@@ -34,10 +33,9 @@ from service.identification.axis.drive_train import (
 )
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
 from service.identification.model.least_squares import finite, scaled_inverse, scaled_solution
-from service.identification.spectra.frequency_response import Complex, Spectrum
+from service.identification.spectra.frequency_response import Spectrum
+from service.model.arrays import Array, Complex, Mask
 from service.model.errors import BadInput
-
-Array = NDArray[np.float64]
 
 FREE = 10.0  # times the largest effort bin: one sigma of unknown parameters
 ITERATIONS = 60  # of Gauss-Newton, each with its damping
@@ -324,7 +322,7 @@ def _pooled_noise(
     return _Noise(sigma / np.sqrt(weight), ratio, weight, float(freedom[sound].sum()))
 
 
-def _pool(squares: Array, freedom: Array, immaterial: Array, guess: float) -> tuple[float, NDArray[np.bool_]]:
+def _pool(squares: Array, freedom: Array, immaterial: Array, guess: float) -> tuple[float, Mask]:
     """Variance of the sweeps (n,) of one sample rate, and which of them are correct: not worse than by chance."""
     everyone = np.ones(len(squares), dtype=bool)
     if freedom.sum() < FEW_FREEDOM:
@@ -362,13 +360,12 @@ def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Poin
     shared, shared_std = point.shared[:SHARED].copy(), np.sqrt(np.diag(shared_covariance))[:SHARED]
     if all(stack.load_velocity is not None for stack in parts):  # the inertias did not need the spring
         shared[3:], shared_std[3:] = spring(parts, point.shared, point.own, float(shared_std[2]))
-    motor_inertia, motor_friction, load_friction, compliance, damping_time = (float(value) for value in shared)
     return JointFit(
-        train=DriveTrain(motor_inertia, motor_friction, load_friction, compliance, damping_time),
+        train=DriveTrain.of(shared),
         train_std=shared_std,
         load_inertia=load,
         gravity=gravity,
-        inertia=load + motor_inertia,
+        inertia=load + float(shared[0]),
         covariance=by_shared @ shared_covariance @ by_shared.T + np.diag(own_variance),
         own_variance=own_variance,
         bound=bound,

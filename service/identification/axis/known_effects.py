@@ -33,14 +33,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.axis.drive_train import DriveTrain, impedance
-from service.identification.spectra.frequency_response import Complex, Spectrum
+from service.identification.spectra.frequency_response import Spectrum
+from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
 from service.model.results.effect import Effect, KnownModel, ModelSource
-
-Array = NDArray[np.float64]
 
 DELAY = "measurement_delay"
 ELASTICITY = "joint_elasticity"
@@ -224,9 +222,8 @@ LAWS: dict[str, Law] = {
 
 
 def _nonlinear_viscous(p: Mapping[str, float], m: Motion) -> Array:
-    """Carreau's law. A stored model of an earlier version with a bend uses a power of the speed."""
+    """Carreau's law; a model of an earlier version has a power of the speed, at a unit of 0.01 rad/s (m/s)."""
     if "velocity" not in p:
-        # at a unit velocity of 0.01 rad/s (m/s)
         return p["coefficient"] * np.sign(m.velocity) * np.abs(m.velocity / 0.01) ** p["exponent"]
     ratio = m.velocity / p["velocity"]
     return p["coefficient"] * ratio * (1 + ratio**2) ** ((p["exponent"] - 1) / 2)

@@ -6,16 +6,14 @@ And values known better from a diagnosis: the spring, a hose, the torque constan
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.axis.known_effects import ELASTICITY, GAIN, HOSE, KnownAxis
 from service.identification.design.pose_selection import SOFTEST
 from service.identification.model.inverse_dynamics import link_sizes
 from service.identification.spectra.frequency_response import Spectrum
+from service.model.arrays import Array
 from service.model.robot import Robot
 from service.model.urdf import Chain
-
-Array = NDArray[np.float64]
 
 UNKNOWN_MOTOR = 0.5  # of the axis' inertia: a motor that no data sheet gives, and one sigma of it
 NOISE_GUESS = 0.002  # of the rated effort: start value only, the noise is then estimated

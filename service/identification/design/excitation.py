@@ -52,13 +52,11 @@ from functools import reduce
 from math import ceil, floor
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.model.recording import Sine
 from service.model.robot import Axis, Robot
-
-Array = NDArray[np.float64]
 
 LINES = (2.0, 3.0, 4.0, 5.0)  # Hz, the paper's sweep frequencies
 TRAVEL = math.radians(4.0)  # rad (m), most that a sweep may turn

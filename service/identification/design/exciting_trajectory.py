@@ -18,16 +18,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.design.excitation import Excitation, velocity_setpoint, way
 from service.identification.model.base_parameters import condition_number
 from service.identification.model.inverse_dynamics import Motion, dynamics_rows
+from service.model.arrays import Array, Mask
 from service.model.errors import BadInput
 from service.model.recording import Sine
 from service.model.robot import Robot
-
-Array = NDArray[np.float64]
 
 BREAKAWAY = 0.1  # of the rated effort: Coulomb friction to add to a predicted effort
 
@@ -46,7 +44,7 @@ class TrajectoryLimits:
     effort: Array
 
     @property
-    def moving(self) -> NDArray[np.bool_]:
+    def moving(self) -> Mask:
         """Joints that have room, (n,)."""
         return self.lower < self.upper
 

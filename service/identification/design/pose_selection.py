@@ -50,18 +50,16 @@ down to the requested rate, so that the noise at a line does not depend on that 
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from enum import Enum
-from itertools import islice, pairwise
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.model.least_squares import Information
-from service.model.errors import BadInput
+from service.model.arrays import Array, Mask
 from service.model.recording import Sine
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 RIDGE = 1e-6
@@ -76,25 +74,6 @@ class Criterion(Enum):
     D_OPTIMAL = "d_optimal"
     CONDITION = "condition"
     CONDITION_AND_TRAVEL = "condition_and_travel"
-
-
-@dataclass(frozen=True)
-class Selection:
-    """`picks` (k,): candidates in the order of selection; `condition` (k,): number after each, inf while singular."""
-
-    picks: tuple[int, ...]
-    condition: tuple[float, ...]
-
-
-def select_poses(rows: Array, count: int, criterion: Criterion) -> Selection:
-    """Greedy selection of `count` candidates from `rows` (m, a, p). Raises BadInput if there are fewer than `count`.
-
-    For condition_and_travel, which needs the poses, see `choices`.
-    """
-    if len(rows) < count:
-        raise BadInput("poses", f"{count} wanted, but only {len(rows)} can be measured")
-    chosen = list(islice(choices(rows, criterion), count))
-    return Selection(tuple(pick for pick, _ in chosen), tuple(condition for _, condition in chosen))
 
 
 def choices(
@@ -316,13 +295,13 @@ class PredictedConfidence:
         parts = (self._workspace / scale) @ (vectors / np.sqrt(eigenvalues))
         return 100 * np.sqrt(np.sum(parts**2, axis=1).reshape(-1, self._axes).max(axis=0))
 
-    def depending(self, parameters: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def depending(self, parameters: Mask) -> Mask:
         """(a,) axes whose J depends on some of the base `parameters` (p,) in the workspace."""
         rows = self._workspace[:, : self._size] * self._spread  # of a size that can be compared
         size = np.abs(rows).reshape(-1, self._axes, self._size).max(axis=0)
         return (size[:, parameters] > SINGULAR * size.max()).any(axis=1)
 
-    def determined(self) -> NDArray[np.bool_]:
+    def determined(self) -> Mask:
         """(p,) base parameters that the estimate of these sweeps will determine, if the noise is as assumed."""
         shared = self._information[: self._size, self._size :]
         own = self._information[self._size :, self._size :]

@@ -31,7 +31,6 @@ from enum import Enum
 from functools import reduce
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.axis.drive_train import DriveTrain
 from service.identification.axis.nominal_priors import TorqueGain, uncalibrated
@@ -68,15 +67,13 @@ from service.identification.motion.choice import (
     scales,
     wider,
 )
-from service.identification.motion.equations import LINK_RATE, STILL
+from service.identification.motion.equations import LINK_RATE, STILL, cogging
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.trajectory_record import TrajectoryRecord, calibrated, with_loads
-from service.identification.spectra.frequency_response import Complex
+from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
 from service.model.results import combination as results
 from service.model.robot import Robot
-
-Array = NDArray[np.float64]
 
 IDENTIFIED = 0.5  # of the prior's standard deviation: maximum for an identified parameter
 POSITIVE = ("Jm(", "Fv(", "Fc(")  # alone: names of parameters that are positive on every robot
@@ -295,7 +292,7 @@ def _equations(robot: Robot, base: BaseParameters, record: TrajectoryRecord) -> 
         drives = _harmonics(drive_rows(motor)[:, index], count)
         rows = _real(np.hstack([_harmonics(links[:, index], count), drives])[:, list(base.columns)])
         values = _real(track.effort[:, None])[:, 0]
-        ripple = _ripple(robot, index, motor.position[:, index])
+        ripple = cogging(robot, index, motor.position[:, index])
         reversals = _reversals(motor.velocity[:, index], load.velocity[:, index])
         spanned = span(_real(_harmonics(np.hstack([ripple, reversals]), count)))
         equations.append(
@@ -320,13 +317,6 @@ def _real(harmonics: Complex) -> Array:
     of two.
     """
     return np.vstack([harmonics[:1].real / np.sqrt(2), harmonics[1:].real, harmonics[1:].imag])
-
-
-def _ripple(robot: Robot, index: int, position: Array) -> Array:
-    """(n, 2 orders): cosine and sine of the motor angle at every cogging order."""
-    axis = robot.axes[index]
-    angle = np.outer(position, np.array(axis.cogging_orders) * axis.gear_ratio)
-    return np.hstack([np.cos(angle), np.sin(angle)])
 
 
 def _reversals(*velocities: Array) -> Array:

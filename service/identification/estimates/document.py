@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.axis.axis_estimate import SweepInertia
 from service.identification.axis.known_effects import DELAY, ELASTICITY, GAIN, HOSE, LAWS, KnownEffect, KnownEffects
@@ -16,11 +15,9 @@ from service.identification.estimates.standard_parameters import (
 )
 from service.identification.model.base_parameters import combination_of
 from service.identification.model.symbols import Dimension, symbolic_names
+from service.model.arrays import Array
 from service.model.results import estimate as results
 from service.model.results.effect import Value
-
-Array = NDArray[np.float64]
-
 
 ENTERS = {
     DELAY: "effort is taken earlier by the delay",

@@ -37,7 +37,6 @@ from threading import Lock
 from typing import ParamSpec
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri, ndtri
 
 from service.identification.axis.axis_estimate import AxisEstimate, identify_axis
@@ -53,14 +52,13 @@ from service.identification.model.base_parameters import (
     spread_evenly,
 )
 from service.identification.model.least_squares import Information, LeftOut, Solution
-from service.identification.model.regressor import axis_rows, lock
+from service.identification.model.regressor import axis_rows, inertial_parameters, lock
 from service.identification.spectra.frequency_response import Spectrum, check_moved_alone
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.model.results.estimate import Suspect
 from service.model.robot import Robot
 from service.model.urdf import Chain
-
-Array = NDArray[np.float64]
 
 MEDIAN = -float(ndtri(0.25))  # of the size of a standard normal value
 
@@ -247,7 +245,7 @@ def identify(
     poses = np.array([spectrum.spec.pose for spectrum in spectra])
     moved = sorted({robot.index(spectrum.spec.axis) for spectrum in spectra})
     chain, unlocked = moving_chain(robot, moved, poses)
-    nominal = nominal_parameters(robot, chain, unlocked)
+    nominal = inertial_parameters(robot, chain, unlocked)
     base = base_parameters(chain, tuple(unlocked.index(number) for number in moved))
 
     axes: list[AxisEstimate] = []
@@ -303,12 +301,6 @@ def moving_chain(robot: Robot, moved: Sequence[int], poses: Array) -> tuple[Chai
         if number not in moved and np.ptp(poses[:, number]) < SAME_POSITION
     }
     return lock(robot.chain, fixed), tuple(number for number in range(len(robot.axes)) if number not in fixed)
-
-
-def nominal_parameters(robot: Robot, chain: Chain, unlocked: Sequence[int]) -> Array:
-    """The model's parameters (11 n,) of a chain of the robot's joints `unlocked`."""
-    motors = [robot.axes[number].reflected_motor_inertia or 0.0 for number in unlocked]
-    return np.concatenate([chain.inertial.ravel(), motors])
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from service.identification.axis.ideal_frequency import (
 )
 from service.identification.axis.nominal_priors import pose_prior, shared_prior
 from service.identification.estimates.estimate import SAME_POSITION
-from service.identification.model.regressor import axis_rows, gravity_terms
+from service.identification.model.regressor import axis_rows, gravity_terms, inertial_parameters
 from service.identification.spectra.frequency_response import Spectrum
 from service.identification.spectra.noise_response import NoiseSpectrum, Response, noise_response, stepped_response
 from service.model.recording import SweepSpec
@@ -68,8 +68,7 @@ def _poses(number: int, specs: Sequence[SweepSpec]) -> list[list[int]]:
 
 def _axis(robot: Robot, number: int, specs: Sequence[SweepSpec], responses: Sequence[Response]) -> AxisAnalysis:
     poses = np.array([spec.pose for spec in specs])
-    motors = [axis.reflected_motor_inertia or 0.0 for axis in robot.axes]
-    nominal = np.concatenate([robot.chain.inertial.ravel(), motors])
+    nominal = inertial_parameters(robot)
     reference = axis_rows(robot.chain, number, poses) @ nominal
     gravity = gravity_terms(robot.chain, nominal, robot.gravity, number, poses)
     shown = [_as_spectrum(spec, response) for spec, response in zip(specs, responses, strict=True)]

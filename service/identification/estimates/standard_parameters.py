@@ -22,15 +22,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.estimates.estimate import AxisEstimate, Estimate
 from service.identification.model.physical_consistency import Ended, nearest_physical, nominal_factor
 from service.identification.model.regressor import axis_rows, fold, gravity_rows
+from service.model.arrays import Array
 from service.model.results import combination as results
 from service.model.robot import INERTIAL_NAMES, Robot
-
-Array = NDArray[np.float64]
 
 POSES = 100
 TOLERANCE = 1.05  # of CAD's expected error, below which a difference has no consequence

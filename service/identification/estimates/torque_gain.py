@@ -14,21 +14,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from service.identification.axis.joint_fit import CHANCE, JointFit, fit_axis
 from service.identification.axis.nominal_priors import NOISE_GUESS, TorqueGain, pose_prior, shared_prior
-from service.identification.estimates.estimate import SAME_POSITION, nominal_parameters
+from service.identification.estimates.estimate import SAME_POSITION
 from service.identification.model.least_squares import Information, LeftOut
-from service.identification.model.regressor import axis_rows, gravity_terms, inertia_rows
+from service.identification.model.regressor import axis_rows, gravity_terms, inertia_rows, inertial_parameters
 from service.identification.spectra.frequency_response import Spectrum
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.model.recording import SweepSpec
 from service.model.robot import Robot
 from service.model.urdf import transform_inertial
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -77,7 +75,7 @@ def fit_pairs(
     """Sweeps of axis `number` at common places. `body` (10,): assumed parameters of the mounted body."""
     spectra = [*before, *after]
     poses = np.array([one.spec.pose for one in spectra])
-    empty = nominal_parameters(robot, robot.chain, range(len(robot.axes)))
+    empty = inertial_parameters(robot)
     mounted = np.zeros_like(empty)
     last = 10 * (len(robot.axes) - 1)
     mounted[last : last + 10] = body

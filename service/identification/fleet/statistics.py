@@ -24,12 +24,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtr, stdtrit
 
+from service.model.arrays import Array
 from service.model.errors import BadInput
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,13 +15,11 @@ from dataclasses import dataclass
 from itertools import count, islice
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.model.regressor import axis_rows, parameter_names
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.model.urdf import Chain
-
-Array = NDArray[np.float64]
 
 TOLERANCE = 1e-9  # of a unit column: minimum of its part outside the span of the selected columns
 SAMPLES = 400  # random poses that represent the workspace

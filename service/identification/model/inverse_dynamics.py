@@ -21,17 +21,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.model.base_parameters import BaseParameters, joint_ranges, reduce_columns
 from service.identification.model.least_squares import Information
-from service.identification.model.regressor import inertia_rows, parameter_names
+from service.identification.model.regressor import apply_each, inertia_rows, inertial_parameters, parameter_names
+from service.model.arrays import Array
 from service.model.robot import Robot, link_frames
 from service.model.urdf import Chain
-
-Array = NDArray[np.float64]
-
-DRIVE = 4  # parameters of a drive: Jm, Fv, Fc, offset
 
 
 @dataclass(frozen=True)
@@ -78,13 +74,13 @@ def link_rows(chain: Chain, gravity: Array, motion: Motion) -> Array:
             spin = spin + speed * axis
         before = origins[:, body]
         to_body = np.swapaxes(rotations[:, body], -1, -2)
-        force, moment = _wrench_rows(*(_apply(to_body, vector) for vector in (spin, spin_rate, acceleration)))
+        force, moment = _wrench_rows(*(apply_each(to_body, vector) for vector in (spin, spin_rate, acceleration)))
         for k in range(body + 1):
-            pull = _apply(to_body, axes[:, k])
+            pull = apply_each(to_body, axes[:, k])
             if chain.joints[k].kind == "prismatic":
                 rows[:, k, body] = np.einsum("mi,mij->mj", pull, force)
                 continue
-            sway = _apply(to_body, np.cross(axes[:, k], origins[:, body] - origins[:, k]))
+            sway = apply_each(to_body, np.cross(axes[:, k], origins[:, body] - origins[:, k]))
             rows[:, k, body] = np.einsum("mi,mij->mj", sway, force) + np.einsum("mi,mij->mj", pull, moment)
     return rows.reshape(samples, count, 10 * count)
 
@@ -120,10 +116,6 @@ def _momentum(spin: Array) -> Array:
     return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
-def _apply(matrices: Array, vectors: Array) -> Array:
-    return np.einsum("mij,mj->mi", matrices, vectors)
-
-
 SAMPLES = 200  # random motions that represent all motions
 
 
@@ -155,9 +147,8 @@ class Scale:
 
 def nominal_parameters(robot: Robot) -> Array:
     """The model's (14 n,): links of CAD, motors and viscous friction of the data sheets; dry friction is unknown."""
-    motors = [axis.reflected_motor_inertia or 0.0 for axis in robot.axes]
     viscous = [axis.viscous_friction or 0.0 for axis in robot.axes]
-    return np.concatenate([robot.chain.inertial.ravel(), motors, viscous, np.zeros(2 * len(robot.axes))])
+    return np.concatenate([inertial_parameters(robot), viscous, np.zeros(2 * len(robot.axes))])
 
 
 def link_sizes(links: Array, lightest: float = 0.0) -> Array:

@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from scipy import linalg
 from scipy.special import ndtri, stdtrit
 
+from service.model.arrays import Array, Complex, Mask
 from service.model.errors import BadInput
-
-Array = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-12  # of the scaled information matrix's largest eigenvalue
 BETTER = 1.0  # times the start's precision: below, data do not determine a direction
@@ -87,7 +86,7 @@ class Solution:
 
     values: Array
     covariance: Array
-    determined: NDArray[np.bool_]
+    determined: Mask
 
     @property
     def std(self) -> Array:
@@ -196,13 +195,13 @@ UNSETTLED = 0.05  # relative change of a noise estimate in the last round of rew
 class Fit(Protocol):
     """Result of `scipy.optimize.least_squares`."""
 
-    x: NDArray[np.float64]
+    x: Array
     cost: float
     success: bool
     message: str
 
 
-def finite(values: NDArray[np.float64] | NDArray[np.complex128], place: str, what: str) -> None:
+def finite(values: Array | Complex, place: str, what: str) -> None:
     """BadInput at `place` where one of `values`, any shape, is NaN or infinite; `what` names them.
 
     Called before a fit: for such a start SciPy raises an error without axis and sweep, and linear

@@ -29,12 +29,10 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.model.least_squares import finite
+from service.model.arrays import Array, Mask
 from service.model.urdf import inertia_matrix
-
-Array = NDArray[np.float64]
 
 EXACT = 1e-10  # of a row's terms and nominal spread: A x - b below it counts as zero
 STEPS = 100  # of Newton's method, at most; about ten are used
@@ -114,7 +112,7 @@ def pseudo_inertia(parameters: Array) -> Array:
     return pseudo
 
 
-def is_physical(parameters: Array) -> NDArray[np.bool_]:
+def is_physical(parameters: Array) -> Mask:
     """(..., 10) -> (...): whether the pseudo-inertia is positive definite, about the link's own centre of mass."""
     mass = parameters[..., 0]
     heavy = mass > 0
@@ -132,7 +130,7 @@ class _Problem:
 
     factor: Array  # (n, 4, 4), L
     motors: Array  # (n,) nominal
-    free: NDArray[np.bool_]  # (n,) motors that are not nominally 0
+    free: Mask  # (n,) motors that are not nominally 0
     link_weight: float
     motor_weight: Array  # (j,)
     link_rows: Array  # (k, n, 4, 4), symmetric

@@ -13,13 +13,11 @@ from dataclasses import dataclass, replace
 from itertools import combinations, combinations_with_replacement
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.model.regressor import parameter_names
+from service.model.arrays import Array
 from service.model.robot import rotation_about
 from service.model.urdf import Chain, Joint
-
-Array = NDArray[np.float64]
 
 FACTORS = (1.0, -1.0, 2.0, -2.0, 0.5, -0.5)
 

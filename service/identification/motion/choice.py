@@ -30,7 +30,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.model.base_parameters import BaseParameters
 from service.identification.model.inverse_dynamics import Scale, dynamic_base, nominal_parameters, prior_information
@@ -38,9 +37,8 @@ from service.identification.model.least_squares import Information
 from service.identification.motion.equations import LOW_SPEEDS, AxisEquations, all_equations, friction_laws
 from service.identification.motion.fit import FOLDS, ORDER, FreeFit, fit_equations
 from service.identification.motion.free_motion import FreeMotion, low_pass
+from service.model.arrays import Array
 from service.model.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

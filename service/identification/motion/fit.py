@@ -46,10 +46,9 @@ from service.identification.model.base_parameters import BaseParameters
 from service.identification.model.least_squares import RANK_TOLERANCE, Information, finite, span
 from service.identification.motion.equations import LACKS, AxisEquations, all_equations
 from service.identification.motion.free_motion import FreeMotion, memory
+from service.model.arrays import Array, Mask
 from service.model.errors import BadInput
 from service.model.robot import Robot
-
-Array = NDArray[np.float64]
 
 ORDER = 6
 
@@ -91,7 +90,7 @@ class Colour:
         return errors / self.std[order]
 
 
-def stretches(sound: NDArray[np.bool_]) -> list[slice]:
+def stretches(sound: Mask) -> list[slice]:
     """The intervals of consecutive usable samples."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], sound.astype(int), [0]])))
     return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

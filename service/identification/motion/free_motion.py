@@ -17,17 +17,15 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 from scipy.special import erfc
 
 from service.identification.axis.drive_train import DriveTrain
-from service.identification.spectra.frequency_response import Complex, check_numbers
+from service.identification.spectra.frequency_response import check_numbers
+from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
 from service.model.recording import Sweep, SweepSpec
 from service.model.robot import Robot
-
-Array = NDArray[np.float64]
 
 ROLL_OFF = 0.2  # of the cut-off
 

@@ -11,18 +11,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.axis.drive_train import DriveTrain
 from service.identification.model.inverse_dynamics import Motion
 from service.identification.motion.free_motion import BAND
-from service.identification.spectra.frequency_response import Complex, check_numbers, from_pairs, pairs, window
+from service.identification.spectra.frequency_response import check_numbers, from_pairs, pairs, window
+from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
 from service.model.recording import Sweep, SweepSpec
 from service.model.results.spectrum import TrackDocument
 from service.model.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

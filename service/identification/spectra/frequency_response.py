@@ -26,12 +26,11 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from service.model.arrays import Array, Complex, Mask
 from service.model.errors import BadInput
-from service.model.recording import Array, Recording, Sweep, SweepSpec
+from service.model.recording import Recording, Sweep, SweepSpec
 from service.model.results.spectrum import Pairs, SpectrumDocument
 from service.model.robot import Axis, Robot, link_frames
-
-Complex = NDArray[np.complex128]
 
 
 def pairs(values: Complex) -> Pairs:
@@ -69,7 +68,7 @@ class Spectrum:
     spec: SweepSpec
     samples: int
     frequency: Array  # (b,) Hz
-    line: NDArray[np.bool_]  # (b,) excited
+    line: Mask  # (b,) excited
     effort: Complex  # (b,)
     velocity: Complex  # (b,)
     names: tuple[str, ...]
@@ -235,7 +234,7 @@ def _trapezoidal_dft(signals: Array, bins: Bins) -> Complex:
     return _dft(folded, bins)
 
 
-def _bins(spec: SweepSpec, count: int) -> tuple[Bins, NDArray[np.bool_]]:
+def _bins(spec: SweepSpec, count: int) -> tuple[Bins, Mask]:
     """Numbers of the bins in use and which of them are excited. BadInput for a line between two bins."""
     step = spec.sample_rate / count
     number = np.array([sine.frequency for sine in spec.sines]) / step

@@ -44,12 +44,11 @@ from service.identification.spectra.frequency_response import (
     ripple_orders,
     window,
 )
+from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
-from service.model.recording import Array, Sweep, SweepSpec
+from service.model.recording import Sweep, SweepSpec
 from service.model.results.spectrum import NoiseDocument
 from service.model.robot import Axis, Robot
-
-Complex = NDArray[np.complex128]
 
 NEAR = 2  # bins on either side of a line from which ripple is found
 NEIGHBOURS = 3  # lines on either side over which noise is averaged

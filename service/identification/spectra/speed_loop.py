@@ -25,10 +25,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from service.identification.model.least_squares import finite, jackknife_factor
+from service.model.arrays import Array, Complex, Mask
 from service.model.errors import BadInput
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 FOLLOWS = 0.5  # |v/r| down to which the loop is used: beyond, structural modes and delays dominate
 PARTS = 5
@@ -148,14 +146,14 @@ def fit_torque_response(
     )
 
 
-def _follows(response: Complex) -> NDArray[np.bool_]:
+def _follows(response: Complex) -> Mask:
     """Lines (b,) up to where the loop stops following: two neighbours below `FOLLOWS`."""
     weak = np.abs(response) < FOLLOWS
     stop = np.flatnonzero(weak[:-1] & weak[1:])
     return np.arange(len(response)) < (stop[0] if len(stop) else len(response))
 
 
-def _band(frequency: Array, wanted: NDArray[np.bool_], place: str) -> NDArray[np.int_]:
+def _band(frequency: Array, wanted: Mask, place: str) -> NDArray[np.int_]:
     inside = np.flatnonzero(wanted & (frequency > 0))
     if len(inside) < FEWEST:
         raise BadInput(place, f"has {len(inside)} lines where the train is rigid and the loop follows, needs {FEWEST}")

@@ -33,13 +33,11 @@ that by noise, is added to its variance. (The friction terms with v|v| differ fr
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.model.least_squares import jackknife_factor, span
-from service.identification.spectra.frequency_response import Complex, Spectrum
+from service.identification.spectra.frequency_response import Spectrum
+from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
-
-Array = NDArray[np.float64]
 
 PARTS = 10  # stretches of the record
 ALONE = 1e-6  # minimum share of a bin's equations that the other bins also determine
