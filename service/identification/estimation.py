@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 
-from service.identification.axis.ideal_frequency import AxisAnalysis
+from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.axis.known_effects import KnownEffects
 from service.identification.axis.nominal_priors import TorqueGain
 from service.identification.estimates.combination import combination_document, combine, inertias_of
 from service.identification.estimates.document import as_document, nothing_known
-from service.identification.estimates.estimate import Estimate, identify
+from service.identification.estimates.estimate import RobotEstimate, identify
 from service.identification.estimates.initial_analysis import analyse, analyses_document
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.trajectory_record import AxisTrack, axis_track, runs_at_once, trajectories
@@ -42,7 +42,7 @@ def spectrum_from(document: AnySpectrum) -> SweepSpectrum:
 def estimate_document(
     robot: Robot,
     spectra: Sequence[SweepSpectrum],
-    analyses: Mapping[str, AxisAnalysis] | None = None,
+    analyses: Mapping[str, InitialAnalysis] | None = None,
     gains: Mapping[str, TorqueGain] | None = None,
     known: KnownEffects | None = None,
     motions: Sequence[FreeMotion] = (),
@@ -73,7 +73,7 @@ def estimate_document(
 
 def _combination(
     robot: Robot,
-    estimate: Estimate | None,
+    estimate: RobotEstimate | None,
     tracks: Sequence[AxisTrack],
     motions: Sequence[FreeMotion],
     gains: Mapping[str, TorqueGain],
@@ -84,7 +84,7 @@ def _combination(
     return combination_document(combine(robot, inertias_of(estimate) if estimate else (), records, motions, gains))
 
 
-def _document(robot: Robot, estimate: Estimate | None) -> results.Estimate:
+def _document(robot: Robot, estimate: RobotEstimate | None) -> results.Estimate:
     """The document of an estimate from sweeps alone."""
     if estimate is None:
         return nothing_known()

@@ -36,7 +36,7 @@ from service.identification.axis.nominal_priors import TorqueGain, uncalibrated
 from service.identification.estimates.torque_gain import fit_pairs, pairs, place
 from service.identification.model.base_parameters import BaseParameters
 from service.identification.model.inverse_dynamics import (
-    Motion,
+    JointMotion,
     dynamic_base,
     dynamics_names,
     link_rows,
@@ -44,7 +44,7 @@ from service.identification.model.inverse_dynamics import (
     prior_information,
 )
 from service.identification.model.least_squares import Information
-from service.identification.model.physical_consistency import Ended, is_physical, nearest_physical
+from service.identification.model.physical_consistency import SearchEnded, is_physical, nearest_physical
 from service.identification.model.regressor import inertia_rows
 from service.identification.motion.equations import AxisEquations, equations, whole_parameters
 from service.identification.motion.fit import fit_equations, fit_free_motions
@@ -167,7 +167,7 @@ def _gravity_row(robot: Robot, number: int, sweep: Sweep) -> Array:
     first, count = window(sweep.spec, sweep.recording.time)
     poses = np.tile(sweep.spec.pose, (INSTANTS, 1))
     poses[:, number] = sweep.recording.position[np.linspace(first, first + count - 1, INSTANTS).astype(int)]
-    rows = link_rows(robot.chain, robot.gravity, Motion(poses, 0 * poses, 0 * poses))
+    rows = link_rows(robot.chain, robot.gravity, JointMotion(poses, 0 * poses, 0 * poses))
     return rows[:, number, last_link(robot)].mean(axis=0)
 
 
@@ -271,7 +271,7 @@ LENGTH = 0.3  # m, of a payload
 
 
 @dataclass(frozen=True)
-class Payload:
+class PayloadFit:
     """phi (10,) with its covariance (10, 10), conditional on the torque constants and in total; the same of [m, c, I
     about c].
 
@@ -289,13 +289,13 @@ class Payload:
     physical: bool
     nearest: Array
     deviation: float
-    ended: Ended
+    ended: SearchEnded
     evidence: tuple[BodyEvidence, ...]
 
 
 def payload(
     robot: Robot, before: Sequence[Sweep], after: Sequence[Sweep], gains: Mapping[str, TorqueGain] | None = None
-) -> Payload:
+) -> PayloadFit:
     """The body that is mounted in `after` and not in `before`; `gains` calibrated by joint. BadInput without common
     motions, and where no effort differs.
     """
@@ -319,7 +319,7 @@ def body_of(parameters: Array) -> Array:
     return np.concatenate([[mass], centre, inertia_vector(about)])
 
 
-def _solve(robot: Robot, evidence: Sequence[BodyEvidence], gain_spread: Array) -> Payload:
+def _solve(robot: Robot, evidence: Sequence[BodyEvidence], gain_spread: Array) -> PayloadFit:
     information = Information.empty(BODY).add(np.eye(BODY), np.zeros(BODY), np.diag(WIDE**2))
     for each in evidence:
         information = information.plus(each.information)
@@ -334,7 +334,7 @@ def _solve(robot: Robot, evidence: Sequence[BodyEvidence], gain_spread: Array) -
     mass = max(abs(solution.values[0]), 0.02 * float(robot.chain.inertial[:, 0].max()))
     size = np.array([mass, *3 * [LENGTH], *6 * [mass * LENGTH**2]])
     nearest, deviation, ended = _physical(solution.values, solution.covariance, mass)
-    return Payload(
+    return PayloadFit(
         parameters=solution.values,
         covariance=solution.covariance,
         covariance_total=total,
@@ -350,7 +350,7 @@ def _solve(robot: Robot, evidence: Sequence[BodyEvidence], gain_spread: Array) -
     )
 
 
-def _physical(values: Array, covariance: Array, mass: float) -> tuple[Array, float, Ended]:
+def _physical(values: Array, covariance: Array, mass: float) -> tuple[Array, float, SearchEnded]:
     """The physical body that agrees best, near a compact one where nothing was excited; its distance, how it ended."""
     centre = np.clip(values[1:4] / mass, -LENGTH, LENGTH)
     compact = mass * (LENGTH / 2) ** 2 * np.eye(3) + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
@@ -377,7 +377,7 @@ CENTER = ("x", "y", "z")
 TENSOR = INERTIAL_NAMES[4:]
 
 
-def payload_document(robot: Robot, found: Payload) -> results.Payload:
+def payload_document(robot: Robot, found: PayloadFit) -> results.Payload:
     """SI, in the frame of the last joint; `inertia` about the centre of mass. Parameters that were not excited are
     None.
     """
@@ -415,7 +415,7 @@ def payload_document(robot: Robot, found: Payload) -> results.Payload:
     )
 
 
-def sentences(found: Payload) -> list[str]:
+def sentences(found: PayloadFit) -> list[str]:
     """Notes for the user in addition to the values."""
     notes: list[str] = []
     if not abs(found.parameters[0]) > 3 * np.sqrt(found.covariance[0, 0]) and found.excited[0]:
@@ -428,6 +428,6 @@ def sentences(found: Payload) -> list[str]:
     if not found.physical:
         away = f"{found.deviation:.1f} standard deviations away"
         notes.append(f"These ten parameters are not physical; the nearest physical body is {away}.")
-    if found.ended is Ended.UNFINISHED:
+    if found.ended is SearchEnded.UNFINISHED:
         notes.append("The search of the nearest physical body did not converge: do not use it; check mass and motions.")
     return notes

@@ -29,26 +29,26 @@ from service.model.urdf import collision_meshes, read_hull
 Integers = NDArray[np.int32]
 
 
-class Joint(Protocol):
+class MjJoint(Protocol):
     """Views (1,) into the model."""
 
     qposadr: Integers
     bodyid: Integers
 
 
-class Geom(Protocol):
+class MjGeom(Protocol):
     """A shape of a model."""
 
     name: str
 
 
-class Body(Protocol):
+class MjBody(Protocol):
     """A body of a model or of its specification."""
 
     name: str
 
 
-class Model(Protocol):
+class MjModel(Protocol):
     """A compiled model: sizes, and arrays by geom and by body."""
 
     nq: int
@@ -68,11 +68,11 @@ class Model(Protocol):
     body_weldid: Integers
     body_parentid: Integers
 
-    def joint(self, name: str) -> Joint: ...
+    def joint(self, name: str) -> MjJoint: ...
 
-    def body(self, index: int) -> Body: ...
+    def body(self, index: int) -> MjBody: ...
 
-    def geom(self, index: int) -> Geom: ...
+    def geom(self, index: int) -> MjGeom: ...
 
 
 class Contacts(Protocol):
@@ -82,7 +82,7 @@ class Contacts(Protocol):
     geom: Integers
 
 
-class Data(Protocol):
+class MjData(Protocol):
     """The state of a model; `geom_xpos` (n, 3) and `geom_xmat` (n, 9) once the kinematics were computed."""
 
     qpos: Array
@@ -92,7 +92,7 @@ class Data(Protocol):
     contact: Contacts
 
 
-class Mesh(Protocol):
+class MjMesh(Protocol):
     """A mesh of a specification: vertices (3 n,), used instead of its file."""
 
     name: str
@@ -108,16 +108,16 @@ class World(Protocol):
     ) -> None: ...
 
 
-class Spec(Protocol):
+class MjSpec(Protocol):
     """A model before it is compiled."""
 
-    meshes: Sequence[Mesh]
-    bodies: Sequence[Body]
+    meshes: Sequence[MjMesh]
+    bodies: Sequence[MjBody]
     worldbody: World
 
     def add_exclude(self, *, bodyname1: str, bodyname2: str) -> None: ...
 
-    def compile(self) -> Model:
+    def compile(self) -> MjModel:
         """ValueError if the specification is invalid."""
         ...
 
@@ -125,7 +125,7 @@ class Spec(Protocol):
 class Specs(Protocol):
     """The class of specifications."""
 
-    def from_string(self, text: str) -> Spec:
+    def from_string(self, text: str) -> MjSpec:
         """From MJCF or URDF; ValueError if it cannot be read."""
         ...
 
@@ -148,11 +148,11 @@ class Engine(Protocol):
     MjSpec: Specs
     mjtGeom: Shapes
 
-    def MjData(self, model: Model) -> Data: ...
+    def MjData(self, model: MjModel) -> MjData: ...
 
-    def mj_kinematics(self, m: Model, d: Data) -> None: ...
+    def mj_kinematics(self, m: MjModel, d: MjData) -> None: ...
 
-    def mj_collision(self, m: Model, d: Data) -> None: ...
+    def mj_collision(self, m: MjModel, d: MjData) -> None: ...
 
 
 engine = cast("Engine", mujoco)
@@ -250,7 +250,7 @@ def reachable(robot: Robot, stood: Array, poses: Array) -> Array:
     return poses[checker.collision_free(poses)]
 
 
-def compiled(robot: Robot, cell: Cell) -> Model:
+def compiled(robot: Robot, cell: Cell) -> MjModel:
     """MuJoCo's model of the collision shapes of robot and cell; BadInput if a shape cannot be read."""
     place = f"robot {robot.name} urdf"
     text, hulls = _shapes_only(robot.urdf_text, place)
@@ -333,7 +333,7 @@ def _standing_links(urdf: str) -> list[str]:
     return standing
 
 
-def _reaches(robot: Robot, model: Model) -> list[float]:
+def _reaches(robot: Robot, model: MjModel) -> list[float]:
     """For each joint an upper bound of the distance from its axis to any point of the links after it, m.
 
     Sum of all joint offsets plus the farthest shape of each link. A prismatic joint moves
@@ -358,12 +358,12 @@ def _reaches(robot: Robot, model: Model) -> list[float]:
     return reaches
 
 
-def _welded(model: Model, body: int) -> list[int]:
+def _welded(model: MjModel, body: int) -> list[int]:
     """A moving body and the bodies fixed to it."""
     return [b for b in range(model.nbody) if model.body_weldid[b] == body]
 
 
-def _geom_reach(model: Model, geom: int, own: list[int]) -> float:
+def _geom_reach(model: MjModel, geom: int, own: list[int]) -> float:
     """Upper bound of the distance of a geom's points from the frame of the moving body it is fixed to, m."""
     reach = float(np.linalg.norm(model.geom_pos[geom]) + model.geom_rbound[geom])
     body = int(model.geom_bodyid[geom])

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from service.model.arrays import Array
-from service.model.collision import Model, compiled, engine
+from service.model.collision import MjModel, compiled, engine
 from service.model.configuration import Cell
 from service.model.robot import Robot
 
@@ -72,7 +72,7 @@ def silhouette(points: Array) -> tuple[tuple[float, float], ...]:
     return tuple((round(float(x), _DIGITS), round(float(y), _DIGITS)) for x, y in corners)
 
 
-def _points(model: Model, geom: int) -> Array:
+def _points(model: MjModel, geom: int) -> Array:
     """Points of a shape in its own frame, (m, 3), m."""
     kind, size, kinds = int(model.geom_type[geom]), model.geom_size[geom], engine.mjtGeom
     if kind == kinds.mjGEOM_MESH:

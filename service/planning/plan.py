@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.axis.ideal_frequency import AxisAnalysis
+from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.design.pose_selection import without_gain
 from service.model.configuration import Cell
 from service.model.errors import BadInput
@@ -46,7 +46,7 @@ Array = NDArray[np.float64]
 
 
 def build_plan(
-    robot: Robot, request: PlanRequest, cell: Cell, analyses: Mapping[str, AxisAnalysis] | None = None
+    robot: Robot, request: PlanRequest, cell: Cell, analyses: Mapping[str, InitialAnalysis] | None = None
 ) -> PlanDocument:
     """The plan of a request; BadInput names the field that is impossible.
 

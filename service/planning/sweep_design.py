@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.axis.ideal_frequency import AxisAnalysis
+from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.axis.nominal_priors import pose_prior
 from service.identification.design.excitation import Excitation, design_sweep
 from service.identification.design.pose_selection import sweep_information
@@ -31,7 +31,7 @@ class SweepDesign:
         request: PlanRequest,
         envelope: Envelope,
         candidates: Array,
-        analyses: Mapping[str, AxisAnalysis],
+        analyses: Mapping[str, InitialAnalysis],
     ) -> None:
         self._robot, self._request, self._envelope, self._candidates = robot, request, envelope, candidates
         self._analyses = analyses

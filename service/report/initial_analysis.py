@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.axis.drive_train import impedance
-from service.identification.axis.ideal_frequency import AxisAnalysis, PoseAnalysis
+from service.identification.axis.ideal_frequency import InitialAnalysis, PoseAnalysis
 from service.report.drawing import (
     DECADES,
     IDENTIFIED,
@@ -29,7 +29,7 @@ COLUMNS = 3
 _LIGHT, _HEAVY = np.array([14, 165, 233]), np.array([124, 45, 18])  # colours of the lightest and the heaviest pose
 
 
-def amplitude_responses(analysis: AxisAnalysis, *, linear: bool = False) -> Figure:
+def amplitude_responses(analysis: InitialAnalysis, *, linear: bool = False) -> Figure:
     """Fig. 1a: velocity over effort in every pose, measured (dots) and fitted (lines), from light to heavy.
 
     `linear`: of a prismatic axis.
@@ -55,7 +55,7 @@ def amplitude_responses(analysis: AxisAnalysis, *, linear: bool = False) -> Figu
     )
 
 
-def ideal_frequencies(analysis: AxisAnalysis, *, linear: bool = False) -> Figure:
+def ideal_frequencies(analysis: InitialAnalysis, *, linear: bool = False) -> Figure:
     """Fig. 1b in every pose: apparent inertia |Z|/ω, its asymptotes, and the ideal frequency between their ends."""
     poses = sorted(analysis.poses, key=lambda pose: pose.fit.inertia.value)
     rows = -(-len(poses) // COLUMNS)
@@ -116,7 +116,7 @@ def ideal_frequencies(analysis: AxisAnalysis, *, linear: bool = False) -> Figure
 
 
 def table(
-    analyses: Mapping[str, AxisAnalysis], joints: Sequence[str], linear: Collection[str] = ()
+    analyses: Mapping[str, InitialAnalysis], joints: Sequence[str], linear: Collection[str] = ()
 ) -> tuple[list[str], list[list[str]]]:
     """Head and rows, by pose: from the fit, in brackets from asymptotes.
 
@@ -164,7 +164,7 @@ def _ideal(pose: PoseAnalysis, digits: str) -> str:
 _LOG = {"type": "log", "tickvals": [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40]}
 
 
-def _one_pose(analysis: AxisAnalysis, pose: PoseAnalysis, ends: tuple[float, float]) -> list[Part]:
+def _one_pose(analysis: InitialAnalysis, pose: PoseAnalysis, ends: tuple[float, float]) -> list[Part]:
     frequency, read = pose.response.frequency, pose.asymptotes
     omega = 2 * np.pi * frequency
     fine = np.geomspace(ends[0], ends[1], 400)
@@ -186,7 +186,7 @@ def _one_pose(analysis: AxisAnalysis, pose: PoseAnalysis, ends: tuple[float, flo
     ]
 
 
-def _fitted(analysis: AxisAnalysis, pose: PoseAnalysis, frequency: Array) -> NDArray[np.complex128]:
+def _fitted(analysis: InitialAnalysis, pose: PoseAnalysis, frequency: Array) -> NDArray[np.complex128]:
     return impedance(frequency, analysis.train, pose.load_inertia, 0.0).total
 
 

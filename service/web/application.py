@@ -16,7 +16,7 @@ from drivers.errors import Cause, CauseCode, DriveError
 from drivers.registry import open_profile
 from service.diagnosis.effects import CATALOGUE
 from service.identification.fleet.document import Fleet
-from service.identification.fleet.survey import Rules
+from service.identification.fleet.survey import FleetRules
 from service.jobs.batches import Batches
 from service.jobs.checking import Checking
 from service.jobs.diagnosis_loop.acceptance import accept_model
@@ -201,7 +201,7 @@ class Application(WithCell):
     def fleet(self, name: str | None) -> Fleet:
         """The present state of the robots of one type, or of all; blocks. NotFound."""
         settings = self.settings
-        rules = Rules(settings.fleet_false_alarms, settings.fleet_campaigns, settings.remeasure_days)
+        rules = FleetRules(settings.fleet_false_alarms, settings.fleet_campaigns, settings.remeasure_days)
         return self.fleet_history.fleet(rules, datetime.now(UTC), name)
 
     async def fleet_report(self, name: str | None, form: Form) -> str | bytes:

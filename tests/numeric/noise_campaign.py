@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from service.identification.axis.ideal_frequency import AxisAnalysis
+from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.design.excitation import design_noise
 from service.identification.estimates.initial_analysis import analyse
 from service.identification.model.regressor import inertia_rows
@@ -31,7 +31,7 @@ class SimulatedAnalysis:
         return [noise_spectrum(self.robot, sweep) for sweep in self.sweeps]
 
     @property
-    def analysis(self) -> AxisAnalysis:
+    def analysis(self) -> InitialAnalysis:
         return analyse(self.robot, self.spectra)[self.joint]
 
     @property

@@ -6,13 +6,13 @@
 import numpy as np
 import pytest
 
-from service.identification.axis.drive_train import DriveTrain, impedance
-from service.identification.estimates.estimate import Estimate, identify
+from service.identification.axis.drive_train import TwoMassTrain, impedance
+from service.identification.estimates.estimate import RobotEstimate, identify
 from simulator import true_inertia
 from tests.numeric.campaign import AXES, SimulatedCampaign, measure
 
 
-def _errors(estimate: Estimate, campaign: SimulatedCampaign, joint: str) -> tuple[np.ndarray, np.ndarray]:
+def _errors(estimate: RobotEstimate, campaign: SimulatedCampaign, joint: str) -> tuple[np.ndarray, np.ndarray]:
     """Relative errors of our value and of the paper's formula, sweep by sweep."""
     axis = next(axis for axis in estimate.axes if axis.joint == joint)
     truth = campaign.truth(joint)
@@ -103,7 +103,7 @@ def _bound(campaign: SimulatedCampaign, joint: str) -> np.ndarray:
         line = spectrum.line
 
         def effort(values: np.ndarray, spectrum=spectrum, line=line) -> np.ndarray:
-            z = impedance(spectrum.frequency[line], DriveTrain(*values[:5]), values[5], 0.0)
+            z = impedance(spectrum.frequency[line], TwoMassTrain(*values[:5]), values[5], 0.0)
             out = z.total * spectrum.velocity[line]
             return np.concatenate([out.real, out.imag])
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from service.identification.axis.drive_train import DriveTrain, impedance
+from service.identification.axis.drive_train import TwoMassTrain, impedance
 from service.identification.axis.ideal_frequency import nearest_line
 from service.model.recording import Sweep
 from tests.numeric.noise_campaign import SimulatedAnalysis, measure_noise
@@ -54,7 +54,7 @@ def test_quotient_without_reference_is_biased(simulated: SimulatedAnalysis) -> N
     """The same runs by the H1 estimate of effort over velocity: the loop pulls it away from the impedance."""
     truth, ours, naive = simulated.true_train, [], []
     for k, (pose, inertia) in enumerate(zip(simulated.analysis.poses, simulated.true_inertia, strict=True)):
-        z = impedance(pose.response.frequency, DriveTrain(*truth), inertia - truth[0], 0.0).total
+        z = impedance(pose.response.frequency, TwoMassTrain(*truth), inertia - truth[0], 0.0).total
         ours.append(pose.response.impedance / z - 1)
         naive.append(_naive(simulated.sweeps[4 * k : 4 * k + 4], pose.response.frequency) / z - 1)
     ours_off, naive_off = (float(np.median(np.abs(np.mean(each, axis=0)))) for each in (ours, naive))

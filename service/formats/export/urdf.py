@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from service.formats.export.links import PlacedLink, placed_links
 from service.formats.export.model import Body, IdentifiedModel, body
-from service.identification.model.physical_consistency import Ended, nearest_physical
+from service.identification.model.physical_consistency import SearchEnded, nearest_physical
 from service.model.errors import BadInput
 from service.model.urdf import read_inertial, transform_inertial
 
@@ -58,7 +58,7 @@ def _shares(whole: Body, group: list[PlacedLink]) -> list[tuple[PlacedLink, Body
         whole.parameters,
         np.eye(10),
     )
-    if found.ended is Ended.UNFINISHED:
+    if found.ended is SearchEnded.UNFINISHED:
         names = ", ".join(link.name for link in heavy)
         raise BadInput("urdf", f"the identified body cannot be shared among {names}: {found.ended.value}")
     shares = found.parameters[: 10 * len(heavy)].reshape(-1, 10)

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.estimates.standard_parameters import AxisWorth, Observation, worth
+from service.identification.estimates.standard_parameters import AxisWorth, ObservedCombinations, worth
 from service.identification.model.base_parameters import base_parameters
 from service.identification.model.regressor import fold, lock
 from service.model.results.estimate import Estimate
@@ -34,5 +34,5 @@ def worth_of(robot: Robot, found: Estimate, parameters: Array) -> tuple[AxisWort
     motors[unknown] = parameters[-len(motors) :][unknown]
     nominal = np.concatenate([robot.chain.inertial.ravel(), motors])
     spread = robot.prior.inertia, np.where(unknown, 1.0, robot.prior.motor_inertia)
-    observed = Observation(combination, values, whole[np.ix_(known, known)])
+    observed = ObservedCombinations(combination, values, whole[np.ix_(known, known)])
     return worth(robot, nominal, spread, observed, parameters)

@@ -14,7 +14,7 @@ acceleration. The difference is added to the standard deviation, and the sweep g
 
 Separates noise and nonlinear distortion: sweeps of one pose that differ only in their phases (`realisations`).
 
-The robust method for the best linear approximation (Pintelon and Schoukens, System Identification, 2012, sec.
+The robust method for the best linear approximation (Pintelon and Schoukens, System RobotEstimate, 2012, sec.
 4.3.1). A nonlinearity responds to sines at the lines and at other multiples of 1/period. At a line, part of its
 response is linear and equal for all phases; the phase of the other part depends on all other phases. Over random
 phases that part has the mean 0 and scatters like noise, but not between periods. Of M realisations, with D the
@@ -38,10 +38,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from service.identification.axis.drive_train import DriveTrain, impedance, paper_inertia, stack_residual, stacks
-from service.identification.axis.ideal_frequency import AxisAnalysis
+from service.identification.axis.drive_train import TwoMassTrain, impedance, paper_inertia, stack_residual, stacks
+from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.axis.joint_fit import JointFit, fit_axis
-from service.identification.axis.known_effects import LOAD, Corrected, KnownAxis, Load, corrected
+from service.identification.axis.known_effects import LOAD, Corrected, GearLoad, KnownAxis, corrected
 from service.identification.axis.nominal_priors import (
     NOISE_GUESS,
     PosePrior,
@@ -65,7 +65,7 @@ SAME_SINES = 1e-6  # relative, of frequencies and amplitudes; phases, rad
 
 
 @dataclass(frozen=True)
-class Distortion:
+class AxisDistortion:
     """Distortion of one axis, at the multiples (h,) of 1/period in use: standard deviation of the real and of the
     imaginary part of an effort bin, N m (N). `realisations`: largest number in one pose; `groups`: number of poses
     with several.
@@ -86,8 +86,8 @@ class Distortion:
 
 
 def distortion_of(
-    spectra: Sequence[Spectrum], uncertain: Sequence[Complex], fit: JointFit, before: Distortion | None = None
-) -> Distortion | None:
+    spectra: Sequence[Spectrum], uncertain: Sequence[Complex], fit: JointFit, before: AxisDistortion | None = None
+) -> AxisDistortion | None:
     """Distortion from the sweeps of one axis and their joint fit, which was made with the distortion `before`.
 
     None if no two sweeps are realisations of one sweep.
@@ -125,7 +125,7 @@ def distortion_of(
                 total = float(np.sum([np.abs(rest[place]) ** 2 for rest in left])) / freedom
             squares.setdefault(frequency, []).append((total - noise, freedom))
     frequencies = sorted(squares)
-    return Distortion(
+    return AxisDistortion(
         frequency=np.array(frequencies),
         noise=np.array([np.sqrt(_mean(noises[f]) / 2) for f in frequencies]),
         distortion=np.array([np.sqrt(max(_mean(squares[f]), 0.0) / 2) for f in frequencies]),
@@ -154,7 +154,7 @@ def _differ(spectra: Sequence[Spectrum]) -> bool:
 
 
 def _left(
-    spectrum: Spectrum, uncertain: Complex, fit: JointFit, number: int, before: "Distortion | None"
+    spectrum: Spectrum, uncertain: Complex, fit: JointFit, number: int, before: "AxisDistortion | None"
 ) -> tuple[Complex, Complex, Array]:
     """Effort of a sweep not explained by the fit (b,), its derivatives by load inertia and gravity stiffness (2, b),
     and the part of each bin that its own parameters left free (b,).
@@ -177,7 +177,7 @@ def _mean(values: Sequence[tuple[float, float]]) -> float:
 
 
 @dataclass(frozen=True)
-class SweepInertia:
+class FittedSweep:
     """Result of one sweep, SI on the joint side. `response` rows: frequency Hz, Z complex, std of its parts."""
 
     sweep: str
@@ -199,12 +199,12 @@ class AxisEstimate:
     """Result of one axis: its sweeps, covariance (n, n) of their inertias, and the joint fit of the periodic ones."""
 
     joint: str
-    sweeps: tuple[SweepInertia, ...]
+    sweeps: tuple[FittedSweep, ...]
     covariance: Array
     fit: JointFit | None
     gain: TorqueGain
     suspects: tuple[Suspect, ...]
-    distortion: Distortion | None  # only if the axis has several realisations of its sweeps
+    distortion: AxisDistortion | None  # only if the axis has several realisations of its sweeps
     direct_encoder: bool  # every sweep with lines has the measured motion of the load
 
     @property
@@ -228,7 +228,7 @@ def identify_axis(
     unlocked: tuple[int, ...],
     nominal: Array,
     spectra: Sequence[Spectrum],
-    analysis: AxisAnalysis | None,
+    analysis: InitialAnalysis | None,
     gain: TorqueGain,
     known: KnownAxis,
 ) -> AxisEstimate:
@@ -242,7 +242,7 @@ def identify_axis(
     reference = axis_rows(chain, own, poses) @ nominal
     gravity = gravity_terms(chain, nominal, robot.gravity, own, poses)
     periodic = [k for k, spectrum in enumerate(spectra) if spectrum.spec.periodic]
-    sweeps: dict[int, SweepInertia] = {}
+    sweeps: dict[int, FittedSweep] = {}
     covariance = np.zeros((len(spectra), len(spectra)))
     fit, distortion = None, None
     suspects: list[Suspect] = []
@@ -282,12 +282,12 @@ def _fit(
     with_lines: Sequence[Spectrum],
     reference: Array,
     priors: Sequence[PosePrior],
-    analysis: AxisAnalysis | None,
+    analysis: InitialAnalysis | None,
     gain: TorqueGain,
     known: KnownAxis,
-) -> tuple[JointFit, list[Corrected], Distortion | None]:
+) -> tuple[JointFit, list[Corrected], AxisDistortion | None]:
     """The joint fit of the sweeps with lines, the sweeps without gain and known effects, and their distortion."""
-    loads = [Load(float(prior.mean[0]), float(prior.mean[2]), float(prior.mean[1])) for prior in priors]
+    loads = [GearLoad(float(prior.mean[0]), float(prior.mean[2]), float(prior.mean[1])) for prior in priors]
     rounds = 3 if known.get(LOAD) else 1  # its friction depends on the load found
     while True:
         parts = [corrected(one, known, gain.gain, load) for one, load in zip(with_lines, loads, strict=True)]
@@ -316,7 +316,7 @@ def _fit(
         ]
 
 
-def _analysed(analysis: AxisAnalysis, gain: TorqueGain) -> SharedPrior:
+def _analysed(analysis: InitialAnalysis, gain: TorqueGain) -> SharedPrior:
     """The analysis used the effort as reported by the drive: its inertia and friction are `gain` times too large."""
     scale = np.array([1, 1, 1, gain.gain**2, gain.gain]) / gain.gain
     return SharedPrior(scale * analysis.mean, np.outer(scale, scale) * analysis.covariance)
@@ -327,13 +327,13 @@ def _total(value: float, std: float, gain: TorqueGain) -> float:
 
 
 def _from_joint_fit(
-    spectrum: Spectrum, reference: float, fit: JointFit, row: int, gain: TorqueGain, distortion: Distortion | None
-) -> SweepInertia:
+    spectrum: Spectrum, reference: float, fit: JointFit, row: int, gain: TorqueGain, distortion: AxisDistortion | None
+) -> FittedSweep:
     value, std = float(fit.inertia[row]), float(np.sqrt(fit.covariance[row, row]))
     spread = np.ones(len(spectrum.frequency)) if distortion is None else distortion.spread(spectrum)
     response = _lines(spectrum, float(fit.noise[row]) * spread)
     stds = np.array([std for _, _, std in response])
-    return SweepInertia(
+    return FittedSweep(
         sweep=spectrum.spec.id,
         value=value,
         std=std,
@@ -363,7 +363,7 @@ def _paper_value(response: tuple[tuple[float, complex, float], ...], fit: JointF
     return paper_inertia(frequency, z)
 
 
-def _from_record(spectrum: Spectrum, reference: float, gain: TorqueGain, train: DriveTrain | None) -> SweepInertia:
+def _from_record(spectrum: Spectrum, reference: float, gain: TorqueGain, train: TwoMassTrain | None) -> FittedSweep:
     fit = fit_record(spectrum)
     excess = 0.0 if train is None else _elastic_excess(spectrum, train, fit.inertia)
     std = float(np.hypot(fit.inertia_std, excess))
@@ -377,7 +377,7 @@ def _from_record(spectrum: Spectrum, reference: float, gain: TorqueGain, train: 
         # a larger error of the model is worth a warning
         if error > 0.5 * fit.inertia_std
     ]
-    return SweepInertia(
+    return FittedSweep(
         sweep=spectrum.spec.id,
         value=fit.inertia,
         std=std,
@@ -392,7 +392,7 @@ def _from_record(spectrum: Spectrum, reference: float, gain: TorqueGain, train: 
     )
 
 
-def _elastic_excess(spectrum: Spectrum, train: DriveTrain, inertia: float) -> float:
+def _elastic_excess(spectrum: Spectrum, train: TwoMassTrain, inertia: float) -> float:
     """Error of the rigid fit of a free record for an elastic axis of about `inertia`, kg m^2 (kg)."""
     moving = spectrum.frequency > 0
     z = impedance(spectrum.frequency[moving], train, inertia - train.motor_inertia, 0.0)

@@ -29,10 +29,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from service.identification.axis.drive_train import OWN, SHARED, DriveTrain, effort_residual
+from service.identification.axis.drive_train import OWN, SHARED, TwoMassTrain, effort_residual
 from service.identification.axis.joint_fit import STARTS, complete_prior, real_parts
 from service.identification.axis.nominal_priors import NOISE_GUESS, PosePrior, SharedPrior, pose_prior, shared_prior
-from service.identification.model.least_squares import Fit, converged, finite, scaled_inverse
+from service.identification.model.least_squares import SearchResult, converged, finite, scaled_inverse
 from service.identification.model.regressor import axis_rows, gravity_terms, inertial_parameters
 from service.identification.spectra.frequency_response import Spectrum, spectrum, window
 from service.model.arrays import Array, Complex
@@ -65,7 +65,7 @@ class ChannelLags:
 
     effort: Lag
     velocity: Lag
-    train: DriveTrain
+    train: TwoMassTrain
     resonance: float
 
 
@@ -193,7 +193,7 @@ def _velocity_lag(spectra: Sequence[Spectrum], positions: Sequence[Complex], cyc
 
 def _effort_lag(
     robot: Robot, joint: str, spectra: list[Spectrum], cycle: float, taken: float = 0.0
-) -> tuple[Lag, DriveTrain, float]:
+) -> tuple[Lag, TwoMassTrain, float]:
     """Delay, drive train, and the median load inertia, kg m^2 (kg); `taken` s are already removed from the effort."""
     number = robot.index(joint)
     poses = np.array([one.spec.pose for one in spectra])
@@ -204,7 +204,7 @@ def _effort_lag(
         _with_ends(complete_prior(one, pose_prior(robot, number, inertia, terms)))
         for one, inertia, terms in zip(spectra, reference, gravity, strict=True)
     ]
-    problem = _Problem(spectra, shared_prior(robot, number, reference, spectra), priors)
+    problem = _LagProblem(spectra, shared_prior(robot, number, reference, spectra), priors)
     noise = np.array([NOISE_GUESS * robot.axes[number].rated_effort / np.sqrt(2 * one.samples) for one in spectra])
     # a few evaluations tell which start leads to the lowest minimum
     starts = [problem.search(problem.start(frequency), noise, 12).x for frequency in STARTS]
@@ -219,7 +219,7 @@ def _effort_lag(
     part = slice(SHARED, SHARED + 2)
     total, square = float(values[SHARED]), float(values[SHARED + 1])
     load_inertia = float(np.median([own[0] for own in problem.own(values)]))
-    return _lag(total + taken, square, covariance[part, part], cycle), DriveTrain.of(values), load_inertia
+    return _lag(total + taken, square, covariance[part, part], cycle), TwoMassTrain.of(values), load_inertia
 
 
 def _with_ends(prior: PosePrior) -> PosePrior:
@@ -228,7 +228,7 @@ def _with_ends(prior: PosePrior) -> PosePrior:
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _LagProblem:
     """Least squares over [shared (5), S, q, own parameters of every sweep], rows in standard deviations."""
 
     spectra: Sequence[Spectrum]
@@ -268,7 +268,7 @@ class _Problem:
             column += len(own)
         return np.concatenate(residuals), np.concatenate(jacobians)
 
-    def search(self, values: Array, noise: Array, evaluations: int) -> Fit:
+    def search(self, values: Array, noise: Array, evaluations: int) -> SearchResult:
         """SciPy's result from `values` on."""
         return least_squares(
             lambda x: self.rows(x, noise)[0],

@@ -54,7 +54,7 @@ from service.model.arrays import Array, Complex, Mask
 
 
 @dataclass(frozen=True, slots=True)
-class DriveTrain:
+class TwoMassTrain:
     """Parameters shared by all poses of an axis; SI on the joint side. Order of `as_array` and of all derivatives."""
 
     motor_inertia: float  # kg m^2 (kg), reflected
@@ -64,7 +64,7 @@ class DriveTrain:
     damping_time: float  # s
 
     @classmethod
-    def of(cls, values: Array) -> "DriveTrain":
+    def of(cls, values: Array) -> "TwoMassTrain":
         """From the first five of `values`."""
         return cls(*(float(value) for value in values[:SHARED]))
 
@@ -100,7 +100,7 @@ class Impedance:
 
 
 def impedance(
-    frequency: Array, train: DriveTrain, load_inertia: float | Array, gravity_stiffness: float | Array
+    frequency: Array, train: TwoMassTrain, load_inertia: float | Array, gravity_stiffness: float | Array
 ) -> Impedance:
     """The two-mass impedance at `frequency` (..., b), Hz; the load parameters broadcast against it."""
     s: Complex = np.multiply(2j * np.pi, frequency, dtype=np.complex128)
@@ -209,7 +209,7 @@ def stack_residual(stack: Stack, shared: Array, own: Array) -> tuple[Complex, Co
     """Unexplained effort (n, b); derivatives of the explained effort by shared (n, 5 + u, b) and own (n, OWN + r, b)
     parameters.
 
-    `shared` (5 + u,) as in `DriveTrain.as_array` and the amounts x, `own` (n, OWN + r).
+    `shared` (5 + u,) as in `TwoMassTrain.as_array` and the amounts x, `own` (n, OWN + r).
     """
     by_own = np.empty((len(own), stack.parameters, stack.s.shape[1]), dtype=np.complex128)
     by_own[:, OWN:] = stack.terms
@@ -225,7 +225,7 @@ def stack_residual(stack: Stack, shared: Array, own: Array) -> tuple[Complex, Co
 
 
 def _elastic(stack: Stack, shared: Array, own: Array, by_shared: Complex, by_own: Complex) -> Complex:
-    train = DriveTrain.of(shared)
+    train = TwoMassTrain.of(shared)
     compliance, damping_time = train.compliance, train.damping_time
     load, stiffness, torque, swing, swing_rate = (own[:, k, None] for k in range(OWN))
     z = impedance(stack.frequency, train, load, stiffness)

@@ -24,8 +24,8 @@ from scipy.special import chdtri
 
 from service.identification.axis.drive_train import (
     SHARED,
-    DriveTrain,
     Stack,
+    TwoMassTrain,
     direct_terms,
     spring,
     stack_residual,
@@ -47,7 +47,7 @@ CHANCE = 0.01  # probability that any sweep of an axis is suspected although all
 MATERIAL = 1e-3  # of the largest effort bin: smaller residuals are not tested
 
 
-class Ended(Enum):
+class FitEnded(Enum):
     """How a minimisation ended."""
 
     CONVERGED = f"a further step gains less than {GAINED:g} of the cost"
@@ -68,7 +68,7 @@ class JointFit:
     (u,): change of each independent part of the known effects, in its standard deviations.
     """
 
-    train: DriveTrain
+    train: TwoMassTrain
     train_std: Array
     load_inertia: Array
     gravity: Array
@@ -83,7 +83,7 @@ class JointFit:
     moved: Array
     shared: Array  # (5 + u,) and
     own: tuple[Array, ...]  # of each sweep (p,): all parameters, for `drive_train`
-    ended: Ended
+    ended: FitEnded
     noise_change: Array  # (n,) relative change of `noise` in the last of the `ROUNDS`
 
 
@@ -121,7 +121,7 @@ class _Normal:
 class _Minimum:
     point: _Point
     cost: float  # squared standard deviations
-    ended: Ended
+    ended: FitEnded
 
 
 @dataclass(frozen=True)
@@ -159,15 +159,15 @@ def fit_axis(
     point = _Point(shared, priors.own_mean)
     rate = np.array([spectrum.spec.sample_rate for spectrum in spectra])
     noise = _Noise(sigma, np.ones(len(spectra)), np.ones(len(spectra)), 0.0)
-    ended, before = Ended.UNFINISHED, noise
+    ended, before = FitEnded.UNFINISHED, noise
     for _ in range(ROUNDS):
         minimum = _minimise(parts, priors, noise.sigma, point, ITERATIONS)
-        if minimum.ended is Ended.LOST or not np.isfinite(minimum.cost):
+        if minimum.ended is FitEnded.LOST or not np.isfinite(minimum.cost):
             what = "has no finite residual or derivative: effort, motion or prior overflow"
             raise BadInput(_not_finite(spectra, parts, point), what)
         point, ended = minimum.point, minimum.ended
         before, noise = noise, _pooled_noise(parts, priors, noise.sigma, point, rate, noise_guess)
-    if ended is Ended.UNFINISHED:
+    if ended is FitEnded.UNFINISHED:
         raise BadInput(spectra[0].spec.axis, f"its fit over {len(spectra)} sweeps did not converge: {ended.value}")
     result = replace(_result(parts, priors, noise, point, ended), noise_change=np.abs(noise.sigma / before.sigma - 1))
     for one, value, variance in zip(spectra, result.inertia, np.diag(result.covariance), strict=True):
@@ -254,11 +254,11 @@ def _equations(
 
 def _minimise(parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Point, iterations: int) -> _Minimum:
     """The point of least cost, starting at `point`. A step to a point whose cost is not a number is rejected."""
-    damping, ended = 1e-3, Ended.UNFINISHED  # of the diagonal
+    damping, ended = 1e-3, FitEnded.UNFINISHED  # of the diagonal
     cost, normals = _equations(parts, priors, sigma, point)
     for _ in range(iterations if np.isfinite(cost) else 0):
         if not all(each.finite for each in normals):
-            ended = Ended.LOST  # squares of derivatives overflow: there is no step
+            ended = FitEnded.LOST  # squares of derivatives overflow: there is no step
             break
         while True:
             trial = _step(normals, priors, point, damping)
@@ -267,12 +267,12 @@ def _minimise(parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Poi
                 break
             damping *= 10
         if not trial_cost <= cost:
-            ended = Ended.AT_REST if np.isfinite(trial_cost) else Ended.LOST
+            ended = FitEnded.AT_REST if np.isfinite(trial_cost) else FitEnded.LOST
             break
         gained, point, cost, normals = cost - trial_cost, trial, trial_cost, trial_normals
         damping = max(damping / 10, 1e-12)
         if gained < GAINED * (1 + cost):
-            ended = Ended.CONVERGED
+            ended = FitEnded.CONVERGED
             break
     return _Minimum(point, cost, ended)
 
@@ -339,7 +339,7 @@ def _pool(squares: Array, freedom: Array, immaterial: Array, guess: float) -> tu
     return variance, sound
 
 
-def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Point, ended: Ended) -> JointFit:
+def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Point, ended: FitEnded) -> JointFit:
     count = len(noise.sigma)
     load, own_variance, bound = np.zeros((3, count))
     gravity, by_shared = np.zeros((count, 2)), np.zeros((count, len(point.shared)))
@@ -361,7 +361,7 @@ def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Poin
     if all(stack.load_velocity is not None for stack in parts):  # the inertias did not need the spring
         shared[3:], shared_std[3:] = spring(parts, point.shared, point.own, float(shared_std[2]))
     return JointFit(
-        train=DriveTrain.of(shared),
+        train=TwoMassTrain.of(shared),
         train_std=shared_std,
         load_inertia=load,
         gravity=gravity,

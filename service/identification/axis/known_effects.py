@@ -34,7 +34,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from service.identification.axis.drive_train import DriveTrain, impedance
+from service.identification.axis.drive_train import TwoMassTrain, impedance
 from service.identification.spectra.frequency_response import Spectrum
 from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
@@ -174,7 +174,7 @@ NUDGE = 1e-3  # of one standard deviation, for derivatives
 
 
 @dataclass(frozen=True)
-class Load:
+class GearLoad:
     """Load of the gear in the pose of a sweep: inertia kg m^2 (kg), torque and stiffness of gravity.
 
     `train`: how it follows the motor; None: rigidly.
@@ -183,11 +183,11 @@ class Load:
     inertia: float
     gravity: float
     stiffness: float
-    train: DriveTrain | None = None
+    train: TwoMassTrain | None = None
 
 
 @dataclass(frozen=True)
-class Motion:
+class SweepMotion:
     """Samples (n,) of a window: velocity, travel since its start, torque of the load's acceleration and of
     gravity; SI.
     """
@@ -203,7 +203,7 @@ class Motion:
         return self.accelerating + self.holding
 
 
-Law = Callable[[Mapping[str, float], Motion], Array]
+Law = Callable[[Mapping[str, float], SweepMotion], Array]
 
 LAWS: dict[str, Law] = {
     "coulomb_friction": lambda p, m: p["coulomb"] * np.sign(m.velocity),
@@ -221,7 +221,7 @@ LAWS: dict[str, Law] = {
 }
 
 
-def _nonlinear_viscous(p: Mapping[str, float], m: Motion) -> Array:
+def _nonlinear_viscous(p: Mapping[str, float], m: SweepMotion) -> Array:
     """Carreau's law; a model of an earlier version has a power of the speed, at a unit of 0.01 rad/s (m/s)."""
     if "velocity" not in p:
         return p["coefficient"] * np.sign(m.velocity) * np.abs(m.velocity / 0.01) ** p["exponent"]
@@ -229,7 +229,7 @@ def _nonlinear_viscous(p: Mapping[str, float], m: Motion) -> Array:
     return p["coefficient"] * ratio * (1 + ratio**2) ** ((p["exponent"] - 1) / 2)
 
 
-def _load_dependent(p: Mapping[str, float], m: Motion) -> Array:
+def _load_dependent(p: Mapping[str, float], m: SweepMotion) -> Array:
     """A stored model of an earlier version has no knee."""
     knee = p.get("knee", 0.0)
     grows = p["load_dependence"] * (np.hypot(m.transmitted, knee) - knee)
@@ -250,7 +250,7 @@ class Corrected:
     doubt: float = 0.0
 
 
-def corrected(spectrum: Spectrum, known: KnownAxis, gain: float, load: Load) -> Corrected:
+def corrected(spectrum: Spectrum, known: KnownAxis, gain: float, load: GearLoad) -> Corrected:
     """Correct a sweep with lines whose effort is reported by the drive, `gain` times the true one.
 
     The effort of the result is true effort.
@@ -290,7 +290,7 @@ def corrected(spectrum: Spectrum, known: KnownAxis, gain: float, load: Load) -> 
     return Corrected(replace(spectrum, effort=effort), uncertain, doubt)
 
 
-def motion_of(spectrum: Spectrum, load: Load) -> Motion:
+def motion_of(spectrum: Spectrum, load: GearLoad) -> SweepMotion:
     """The motion of the motor over the measured window, from its bins."""
     count, rate = spectrum.samples, spectrum.spec.sample_rate
     number = np.round(spectrum.frequency * count / rate).astype(int)
@@ -305,7 +305,7 @@ def motion_of(spectrum: Spectrum, load: Load) -> Motion:
     follows = 1.0 if load.train is None else impedance(spectrum.frequency, load.train, load.inertia, 0.0).through
     sway = signal(spectrum.velocity / s)
     way = offset * np.arange(count) / rate + sway - sway[0]
-    return Motion(
+    return SweepMotion(
         velocity=offset + signal(spectrum.velocity),
         way=way,
         accelerating=load.inertia * signal(s * follows * spectrum.velocity),
@@ -313,7 +313,7 @@ def motion_of(spectrum: Spectrum, load: Load) -> Motion:
     )
 
 
-def _keeps_its_sign(motion: Motion) -> bool:
+def _keeps_its_sign(motion: SweepMotion) -> bool:
     """Whether gravity decides the direction of the torque through the gear all along the window."""
     # all others are below half of gravity's torque
     return float(np.abs(motion.accelerating).max()) < 0.5 * float(np.abs(motion.holding).min())

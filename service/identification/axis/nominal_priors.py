@@ -159,7 +159,7 @@ def model_spread(robot: Robot, chain: Chain, unlocked: tuple[int, ...], combinat
 
 
 def base_spread(
-    robot: Robot, chain: Chain, unlocked: tuple[int, ...], combination: Array, measured: "Measured"
+    robot: Robot, chain: Chain, unlocked: tuple[int, ...], combination: Array, measured: "MeasuredInertias"
 ) -> Array:
     """Standard deviations (r,) of the base parameters  beta = `combination` (r, 11 n) x  in the nominal model, after a
     measurement.
@@ -173,7 +173,7 @@ def base_spread(
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredInertias:
     """Axis inertias (m,) with their variance, the model's, and their rows (m, r) in the base parameters."""
 
     values: Array

@@ -2,7 +2,7 @@ r"""Designs one sweep: a slow motion with superposed sines, within a few degrees
 
 The set-point is e(t) (v0 + sum a_i sin(2 pi f_i (t - t0) + phi_i)) with a raised-cosine envelope e over `ramp`.
 
-It follows from three rules (FRF measurement practice: Pintelon and Schoukens, System Identification, 2012, ch. 2 and
+It follows from three rules (FRF measurement practice: Pintelon and Schoukens, System RobotEstimate, 2012, ch. 2 and
 5):
 
 Cogging. Torque ripple of order o (per motor revolution) appears at o u v0 / 2 pi Hz, and because the sines modulate the

@@ -21,7 +21,7 @@ import numpy as np
 
 from service.identification.design.excitation import Excitation, velocity_setpoint, way
 from service.identification.model.base_parameters import condition_number
-from service.identification.model.inverse_dynamics import Motion, dynamics_rows
+from service.identification.model.inverse_dynamics import JointMotion, dynamics_rows
 from service.model.arrays import Array, Mask
 from service.model.errors import BadInput
 from service.model.recording import Sine
@@ -72,7 +72,7 @@ class Trajectory:
 
 
 @dataclass(frozen=True)
-class Shape:
+class TrajectoryShape:
     """Times of a run: `harmonics` of 1/`period` in use; s."""
 
     period: float = 10.0
@@ -86,7 +86,7 @@ def design_trajectory(
     robot: Robot,
     base_columns: Sequence[int],
     limits: TrajectoryLimits,
-    shape: Shape,
+    shape: TrajectoryShape,
     free: Callable[[Array], bool],
     *,
     seed: int = 0,
@@ -126,7 +126,7 @@ def _fit(
     robot: Robot,
     base_columns: Sequence[int],
     limits: TrajectoryLimits,
-    shape: Shape,
+    shape: TrajectoryShape,
     free: Callable[[Array], bool],
     center: Array,
     waves: Array,
@@ -157,7 +157,9 @@ def _fit(
     return None
 
 
-def _largest(limits: TrajectoryLimits, shape: Shape, axis: int, center: float, waves: Array, time: Array) -> float:
+def _largest(
+    limits: TrajectoryLimits, shape: TrajectoryShape, axis: int, center: float, waves: Array, time: Array
+) -> float:
     """Factor on an axis' waves at which the first of position, velocity and acceleration reaches its limit."""
     excitation = _excitation(shape, waves)
     velocity = velocity_setpoint(excitation, time)
@@ -173,11 +175,11 @@ def _largest(limits: TrajectoryLimits, shape: Shape, axis: int, center: float, w
 def _effort_fits(robot: Robot, limits: TrajectoryLimits, trajectory: Trajectory, time: Array) -> bool:
     """Whether the nominal model, with links and gravity increased by twice its prior, stays below the effort limits."""
     velocity = np.stack([velocity_setpoint(excitation, time) for excitation in trajectory.excitations], -1)
-    motion = Motion(trajectory.path(time), velocity, np.gradient(velocity, time, axis=0))
+    motion = JointMotion(trajectory.path(time), velocity, np.gradient(velocity, time, axis=0))
     return bool((np.abs(nominal_effort(robot, motion)) <= limits.effort).all())
 
 
-def nominal_effort(robot: Robot, motion: Motion, breakaway: float = BREAKAWAY) -> Array:
+def nominal_effort(robot: Robot, motion: JointMotion, breakaway: float = BREAKAWAY) -> Array:
     """Effort (m, n) of the nominal model, enlarged by two sigma of its prior; N m (N).
 
     `breakaway`: assumed Coulomb friction, share of the rated effort.
@@ -191,7 +193,7 @@ def nominal_effort(robot: Robot, motion: Motion, breakaway: float = BREAKAWAY) -
     return dynamics_rows(robot.chain, robot.gravity, motion) @ parameters
 
 
-def steady_motion(trajectory: Trajectory, time: Array) -> Motion:
+def steady_motion(trajectory: Trajectory, time: Array) -> JointMotion:
     """The periodic motion in the window, `time` (m,) s since its start: ideal, as commanded."""
     parts: list[tuple[Array, Array, Array]] = []
     for excitation in trajectory.excitations:
@@ -204,7 +206,7 @@ def steady_motion(trajectory: Trajectory, time: Array) -> Motion:
             acceleration += sine.amplitude * omega * np.cos(angle)
         parts.append((position, velocity, acceleration))
     position, velocity, acceleration = np.moveaxis(np.array(parts), 0, -1)
-    return Motion(trajectory.center + position, velocity, acceleration)
+    return JointMotion(trajectory.center + position, velocity, acceleration)
 
 
 def _rows(robot: Robot, base_columns: Sequence[int], trajectory: Trajectory) -> Array:
@@ -216,12 +218,12 @@ def _rows(robot: Robot, base_columns: Sequence[int], trajectory: Trajectory) -> 
     return rows / np.array([axis.rated_effort for axis in robot.axes])[:, None]
 
 
-def _build(shape: Shape, center: Array, waves: Array) -> Trajectory:
+def _build(shape: TrajectoryShape, center: Array, waves: Array) -> Trajectory:
     excitations = tuple(_excitation(shape, each) for each in waves)
     return Trajectory(center - np.array([_shift(each) for each in excitations]), center, excitations, np.inf)
 
 
-def _excitation(shape: Shape, waves: Array) -> Excitation:
+def _excitation(shape: TrajectoryShape, waves: Array) -> Excitation:
     """The sweep of one axis with the velocity sum c cos + s sin, `waves` (h, 2)."""
     sines = tuple(
         Sine(

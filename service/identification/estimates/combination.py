@@ -32,17 +32,17 @@ from functools import reduce
 
 import numpy as np
 
-from service.identification.axis.drive_train import DriveTrain
+from service.identification.axis.drive_train import TwoMassTrain
 from service.identification.axis.nominal_priors import TorqueGain, uncalibrated
-from service.identification.estimates.estimate import Estimate
+from service.identification.estimates.estimate import RobotEstimate
 from service.identification.estimates.standard_parameters import (
-    StandardParameters,
+    RobotParameters,
     physical_document,
     standard_document,
 )
 from service.identification.model.base_parameters import BaseParameters, joint_ranges, spread_evenly
 from service.identification.model.inverse_dynamics import (
-    Motion,
+    JointMotion,
     drive_rows,
     dynamic_base,
     dynamics_rows,
@@ -58,8 +58,8 @@ from service.identification.motion import free_motion
 from service.identification.motion.choice import (
     SIMPLE,
     Chosen,
-    FrictionLaw,
-    HeldOut,
+    HeldOutMotion,
+    IdentifiedFriction,
     choose,
     extended,
     faults,
@@ -92,7 +92,7 @@ class AxisInertias:
     poses: Array
     values: Array
     covariance: Array
-    train: DriveTrain | None
+    train: TwoMassTrain | None
     gain: float
 
 
@@ -107,7 +107,7 @@ class Source(Enum):
 
 
 @dataclass(frozen=True)
-class CombinedParameter:
+class JudgedParameter:
     """One base parameter. Standard deviations: with all data and the model's prior; `std_total` with the uncertainty of
     the torque constants; with the prior and one source alone (inf: not visible in it); of the nominal model.
     `reason` is empty for an identified parameter.
@@ -134,7 +134,7 @@ class CombinedParameter:
 
 
 @dataclass(frozen=True)
-class Combination:
+class JointEstimate:
     """Result over the whole robot. `solution` is of the base parameters (r,).
 
     `noise`: standard deviation of real and imaginary part of an effort harmonic by joint, including model error, N m
@@ -143,19 +143,19 @@ class Combination:
 
     robot: Robot
     base: BaseParameters
-    parameters: tuple[CombinedParameter, ...]
+    parameters: tuple[JudgedParameter, ...]
     solution: Solution
     noise: dict[str, float]
     noise_change: dict[str, float]  # of `noise` in the last of the 3, relative
     scatter: dict[str, float | None]
     trajectories: tuple[tuple[str, ...], ...]  # ids of the sweeps of each
     free: tuple[tuple[str, ...], ...]  # the same of free motions
-    free_axes: dict[str, HeldOut]  # by joint, prediction error of free motions
-    friction: dict[str, FrictionLaw]  # by joint, beyond Coulomb and viscous friction
+    free_axes: dict[str, HeldOutMotion]  # by joint, prediction error of free motions
+    friction: dict[str, IdentifiedFriction]  # by joint, beyond Coulomb and viscous friction
     chosen: Chosen | None  # the fit of free motions
     faults: tuple[str, ...]  # of their records
 
-    def effort(self, load: Motion, motor: Motion | None = None) -> Array:
+    def effort(self, load: JointMotion, motor: JointMotion | None = None) -> Array:
         """Predicted efforts (m, n) along a motion, without ripple, N m (N)."""
         rows = dynamics_rows(self.robot.chain, self.robot.gravity, load, motor)
         efforts = rows[..., list(self.base.columns)] @ self.solution.values
@@ -170,7 +170,7 @@ class Combination:
         return _inertia_rows(self.robot, self.base, joint, poses) @ self.solution.values
 
 
-def inertias_of(estimate: Estimate) -> tuple[AxisInertias, ...]:
+def inertias_of(estimate: RobotEstimate) -> tuple[AxisInertias, ...]:
     """The measured inertias of an estimate, by axis."""
     ids = sorted(sweep.sweep for axis in estimate.axes for sweep in axis.sweeps)
     pose_of = dict(zip(ids, estimate.poses, strict=True))
@@ -193,7 +193,7 @@ def combine(
     records: Sequence[TrajectoryRecord],
     motions: Sequence[FreeMotion] = (),
     gains: Mapping[str, TorqueGain] | None = None,
-) -> Combination:
+) -> JointEstimate:
     """Joint estimate of sweeps (optional), trajectories and free motions of the whole robot.
 
     `gains`: calibrated with a test mass, by joint. BadInput if neither contains a common motion of axes, or an inertia,
@@ -250,7 +250,7 @@ def combine(
     )
     of_runs = _sum(at_once, len(start))
     of_runs = of_runs if free is None else extended(of_runs, len(free.start))
-    return Combination(
+    return JointEstimate(
         robot=robot,
         base=base,
         parameters=tuple(
@@ -390,7 +390,7 @@ def _judged(
     std_sweeps: float,
     std_trajectories: float,
     std_prior: float,
-) -> CombinedParameter:
+) -> JudgedParameter:
     source, reason = _source(std, std_sweeps, std_trajectories), ""
     if not np.isfinite(std):
         source, reason = Source.NONE, "no sweep and no trajectory shows it"
@@ -399,7 +399,7 @@ def _judged(
     # it is positive on every robot
     elif name.startswith(POSITIVE) and " " not in name and std > 0.5 * abs(value):
         reason = f"the standard deviation {std:.3g} is above half of the value"
-    return CombinedParameter(name, value, std, std_total, std_sweeps, std_trajectories, std_prior, source, reason)
+    return JudgedParameter(name, value, std, std_total, std_sweeps, std_trajectories, std_prior, source, reason)
 
 
 def _source(std: float, std_sweeps: float, std_trajectories: float) -> Source:
@@ -416,7 +416,7 @@ CHECK = "Check signs and units of the efforts, the gear ratios and gravity's dir
 SIGN = "The effort of this axis and its velocity seem to count in opposite directions: change the sign of one of them"
 
 
-def combined_parameters(found: Combination) -> StandardParameters:
+def combined_parameters(found: JointEstimate) -> RobotParameters:
     """Parameters of the whole robot. A motor without data sheet is nominally what its axis has more than the links of
     CAD, a tenth of it at least.
     """
@@ -438,10 +438,10 @@ def combined_parameters(found: Combination) -> StandardParameters:
         found.solution.values[own],
         found.solution.covariance[np.ix_(own, own)],
     )
-    return StandardParameters(physical.parameters, physical.deviation, physical.ended)
+    return RobotParameters(physical.parameters, physical.deviation, physical.ended)
 
 
-def combination_document(combination: Combination) -> results.Combination:
+def combination_document(combination: JointEstimate) -> results.Combination:
     """All numbers; a standard deviation that a source does not determine is None.
 
     `became_identifiable`: names of the parameters that are identified by sweeps and trajectories only together.
@@ -479,14 +479,14 @@ def combination_document(combination: Combination) -> results.Combination:
     ).with_nonempty(free_motion_fit=_fit(combination), warnings=_warnings(combination, standard.deviation))
 
 
-def _fit(combination: Combination) -> results.FreeMotionFit | None:
+def _fit(combination: JointEstimate) -> results.FreeMotionFit | None:
     chosen = combination.chosen
     if chosen is None:
         return None
     return results.FreeMotionFit(simple_estimator=SIMPLE, coloured=chosen.coloured, prior_widened=chosen.widened)
 
 
-def _free_motion_axis(combination: Combination, joint: str) -> results.FreeMotionAxis:
+def _free_motion_axis(combination: JointEstimate, joint: str) -> results.FreeMotionAxis:
     axis, chosen = combination.free_axes[joint], combination.chosen
     found = results.FreeMotionAxis(
         residual_rms=axis.residual,
@@ -507,7 +507,7 @@ def _free_motion_axis(combination: Combination, joint: str) -> results.FreeMotio
     )
 
 
-def _friction(combination: Combination, joint: str) -> tuple[results.FrictionPoint, ...]:
+def _friction(combination: JointEstimate, joint: str) -> tuple[results.FrictionPoint, ...]:
     law = combination.friction.get(joint)
     if law is None:
         return ()
@@ -515,7 +515,7 @@ def _friction(combination: Combination, joint: str) -> tuple[results.FrictionPoi
     return tuple(results.FrictionPoint(velocity=speed, effort=effort, std=std) for speed, effort, std in points)
 
 
-def _warnings(combination: Combination, deviation: float) -> tuple[str, ...]:
+def _warnings(combination: JointEstimate, deviation: float) -> tuple[str, ...]:
     """What no robot can have, with the next step."""
     robot = combination.robot
     found = list(combination.faults)

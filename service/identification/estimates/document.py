@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.identification.axis.axis_estimate import SweepInertia
+from service.identification.axis.axis_estimate import FittedSweep
 from service.identification.axis.known_effects import DELAY, ELASTICITY, GAIN, HOSE, LAWS, KnownEffect, KnownEffects
-from service.identification.estimates.estimate import AxisEstimate, Estimate
+from service.identification.estimates.estimate import AxisEstimate, RobotEstimate
 from service.identification.estimates.initial_analysis import TRAIN
 from service.identification.estimates.standard_parameters import (
     physical_document,
@@ -41,7 +41,7 @@ def rmse_percent(a: Array, b: Array) -> float:
     return 100 * float(np.sqrt(np.mean(((a - b) / b) ** 2)))
 
 
-def axis_document(estimate: Estimate, axis: AxisEstimate, workspace: Array) -> results.EstimatedAxis:
+def axis_document(estimate: RobotEstimate, axis: AxisEstimate, workspace: Array) -> results.EstimatedAxis:
     """The document of one axis."""
     measured = np.array([sweep.value for sweep in axis.sweeps])
     reference = np.array([sweep.reference for sweep in axis.sweeps])
@@ -70,7 +70,7 @@ def axis_document(estimate: Estimate, axis: AxisEstimate, workspace: Array) -> r
     )
 
 
-def _inertia(sweep: SweepInertia, identified: float) -> results.SweepInertia:
+def _inertia(sweep: FittedSweep, identified: float) -> results.SweepInertia:
     """`terms` and `warning` only if there are any."""
     found = results.SweepInertia(
         sweep=sweep.sweep,
@@ -87,7 +87,7 @@ def _inertia(sweep: SweepInertia, identified: float) -> results.SweepInertia:
     return found.with_nonempty(terms=terms, warning=sweep.warning)
 
 
-def _lines(sweep: SweepInertia) -> tuple[results.ResponseLine, ...]:
+def _lines(sweep: FittedSweep) -> tuple[results.ResponseLine, ...]:
     """Noise and distortion parts of each line's std, if the axis has several realisations of its sweeps."""
     if sweep.noise is None:
         return tuple(
@@ -107,7 +107,7 @@ def _lines(sweep: SweepInertia) -> tuple[results.ResponseLine, ...]:
     )
 
 
-def _spread(estimate: Estimate, axis: AxisEstimate, workspace: Array) -> results.Spread | None:
+def _spread(estimate: RobotEstimate, axis: AxisEstimate, workspace: Array) -> results.Spread | None:
     """Standard deviation of the identified inertia over the workspace; None while a base parameter is undetermined."""
     if not estimate.solution.determined.all():
         return None
@@ -115,7 +115,7 @@ def _spread(estimate: Estimate, axis: AxisEstimate, workspace: Array) -> results
     return results.Spread(median=float(np.median(percent)), worst=float(percent.max()))
 
 
-def _held_out(estimate: Estimate, axis: AxisEstimate) -> results.HeldOut | None:
+def _held_out(estimate: RobotEstimate, axis: AxisEstimate) -> results.HeldOut | None:
     """Checks the standard deviations in poses that were not used in the fit."""
     held_out = estimate.held_out[axis.joint]
     known = np.isfinite(held_out.std)
@@ -198,7 +198,7 @@ def _role(effect: KnownEffect, axis: AxisEstimate) -> tuple[bool, str]:
     return False, STAYS_OUT.get(effect.name, OTHER)
 
 
-def as_document(estimate: Estimate, workspace: Array) -> results.Estimate:
+def as_document(estimate: RobotEstimate, workspace: Array) -> results.Estimate:
     """All numbers of an estimate; undetermined values are None.
 
     `workspace` (m, all joints): the poses over which reference and identified model are compared.
@@ -262,14 +262,14 @@ def _base_parameter(name: str, symbolic: str, value: float, std: float, spread: 
     return found.model_copy(update={"reason": why})
 
 
-def _locked(estimate: Estimate) -> dict[str, float]:
+def _locked(estimate: RobotEstimate) -> dict[str, float]:
     """Positions, rad (m), of the joints that never moved: the base parameters are those of the chain without them."""
     position = estimate.poses.mean(axis=0)
     joints = estimate.robot.joints
     return {joint: float(position[k]) for k, joint in enumerate(joints) if k not in estimate.unlocked}
 
 
-def _in_words(estimate: Estimate) -> tuple[tuple[str, ...], tuple[Dimension, ...]]:
+def _in_words(estimate: RobotEstimate) -> tuple[tuple[str, ...], tuple[Dimension, ...]]:
     """The base parameters as expressions in distances and angles of the robot."""
     axes = tuple(estimate.unlocked.index(estimate.robot.index(axis.joint)) for axis in estimate.axes)
     columns = estimate.base.columns

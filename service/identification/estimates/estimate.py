@@ -40,10 +40,10 @@ import numpy as np
 from scipy.special import chdtri, ndtri
 
 from service.identification.axis.axis_estimate import AxisEstimate, identify_axis
-from service.identification.axis.ideal_frequency import AxisAnalysis
+from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.axis.joint_fit import CHANCE, FEW_FREEDOM, MATERIAL
 from service.identification.axis.known_effects import KnownEffects
-from service.identification.axis.nominal_priors import Measured, TorqueGain, base_spread, torque_gain
+from service.identification.axis.nominal_priors import MeasuredInertias, TorqueGain, base_spread, torque_gain
 from service.identification.model.base_parameters import (
     BaseParameters,
     base_parameters,
@@ -63,7 +63,7 @@ from service.model.urdf import Chain
 MEDIAN = -float(ndtri(0.25))  # of the size of a standard normal value
 
 
-class Ended(Enum):
+class WeightingEnded(Enum):
     """How the weighting ended."""
 
     SETTLED = "no added variance changes by more than 1 %"
@@ -80,7 +80,7 @@ class Judged:
     extra: Array
     errors: Array
     left_out: LeftOut
-    ended: Ended
+    ended: WeightingEnded
 
 
 def judge(rows: Array, values: Array, covariances: Sequence[Array], rounds: int = 40) -> Judged:
@@ -94,7 +94,7 @@ def judge(rows: Array, values: Array, covariances: Sequence[Array], rounds: int 
     extra, errors = np.zeros((2, len(values)))
     left_out = LeftOut.of(rows, values, covariances)
     own = np.concatenate([np.diag(block) for block in covariances])
-    suspected, ended = np.zeros(len(values), dtype=bool), Ended.UNFINISHED
+    suspected, ended = np.zeros(len(values), dtype=bool), WeightingEnded.UNFINISHED
     for number in range(rounds):
         error, variance = left_out.each()
         chance = variance - extra
@@ -111,7 +111,7 @@ def judge(rows: Array, values: Array, covariances: Sequence[Array], rounds: int 
         before, extra = extra, (extra + wanted) / 2 if held else wanted
         # relative to each added variance (once held, also to the sweep's own)
         if np.all(np.abs(extra - before) <= 1e-2 * (np.abs(before) + (own if held else 0.0))):
-            ended = Ended.CONTRADICTION if held else Ended.SETTLED
+            ended = WeightingEnded.CONTRADICTION if held else WeightingEnded.SETTLED
             break
         enlarged = [block + np.diag(extra[part]) for block, part in zip(covariances, parts, strict=True)]
         left_out = LeftOut.of(rows, values, enlarged)
@@ -148,7 +148,7 @@ FOLDS = 10  # parts into which the poses are divided; each is predicted from the
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class HeldOutPoses:
     """Inertias (n,) of an axis predicted from the sweeps of other poses.
 
     `error` = measured - predicted; `std`: its standard deviation, inf if the other poses do not determine it.
@@ -159,7 +159,7 @@ class HeldOut:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class RobotEstimate:
     """The complete estimate of a robot from a set of spectra."""
 
     robot: Robot
@@ -175,7 +175,7 @@ class Estimate:
     observation: dict[str, Array]  # rows (n, r) of each axis' sweeps in the base parameters
     chi_squared: dict[str, tuple[float, float]]  # of J = W beta by axis, and its degrees of freedom
     suspects: tuple[Suspect, ...]
-    held_out: dict[str, HeldOut]
+    held_out: dict[str, HeldOutPoses]
     known: KnownEffects
 
     @cached_property
@@ -225,10 +225,10 @@ def _check_alive(spectrum: Spectrum) -> None:
 def identify(
     robot: Robot,
     spectra: Sequence[Spectrum],
-    analyses: Mapping[str, AxisAnalysis] | None = None,
+    analyses: Mapping[str, InitialAnalysis] | None = None,
     gains: Mapping[str, TorqueGain] | None = None,
     known: KnownEffects | None = None,
-) -> Estimate:
+) -> RobotEstimate:
     """The estimate from these spectra. Raises BadInput if none of them contains inertia (noise runs and stepped sines
     do not), or if axes moved together.
 
@@ -265,14 +265,14 @@ def identify(
     for axis in judged.axes:
         information = information.add(observation[axis.joint], axis.values, axis.covariance)
     start, rows = base.combination @ nominal, np.vstack(list(observation.values()))
-    measured = Measured(
+    measured = MeasuredInertias(
         values=np.concatenate([axis.values for axis in judged.axes]),
         variance=np.concatenate([np.diag(axis.covariance) for axis in judged.axes]),
         model=rows @ start,
         rows=rows,
     )
     spread = base_spread(robot, chain, unlocked, base.combination, measured)
-    return Estimate(
+    return RobotEstimate(
         robot=robot,
         chain=chain,
         unlocked=unlocked,
@@ -308,7 +308,7 @@ class _Judged:
     axes: tuple[AxisEstimate, ...]
     chi_squared: dict[str, tuple[float, float]]
     suspects: tuple[Suspect, ...]
-    held_out: dict[str, HeldOut]
+    held_out: dict[str, HeldOutPoses]
 
 
 def _judge(axes: Sequence[AxisEstimate], observation: Mapping[str, Array], poses: Array) -> _Judged:
@@ -330,7 +330,7 @@ def _judge(axes: Sequence[AxisEstimate], observation: Mapping[str, Array], poses
     edges = list(accumulate((len(axis.sweeps) for axis in axes), initial=0))
     members = {axis.joint: np.arange(a, b) for axis, (a, b) in zip(axes, pairwise(edges), strict=True)}
     found = [suspect for axis in axes for suspect in axis.suspects]
-    doubt = "" if judged.ended is Ended.SETTLED else f" ({judged.ended.value})"
+    doubt = "" if judged.ended is WeightingEnded.SETTLED else f" ({judged.ended.value})"
     enlarged: list[AxisEstimate] = []
     chi_squared: dict[str, tuple[float, float]] = {}
     for axis in axes:
@@ -348,7 +348,7 @@ def _judge(axes: Sequence[AxisEstimate], observation: Mapping[str, Array], poses
                 found.append(Suspect(axis=axis.joint, sweep=sweep.sweep, why=why, weight=float(error**-2)))
     left_out = LeftOut.of(rows, values, [axis.covariance for axis in enlarged])
     error, std = _predicted(left_out, poses)
-    held_out = {joint: HeldOut(error[own], std[own]) for joint, own in members.items()}
+    held_out = {joint: HeldOutPoses(error[own], std[own]) for joint, own in members.items()}
     return _Judged(tuple(enlarged), chi_squared, tuple(found), held_out)
 
 

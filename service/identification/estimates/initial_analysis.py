@@ -8,31 +8,38 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from service.identification.axis.ideal_frequency import (
-    AxisAnalysis,
-    Figure,
-    Ideal,
+    IdealFrequency,
+    InertiaClass,
+    InitialAnalysis,
     PoseAnalysis,
-    PoseClass,
+    Uncertain,
     analyse_axis,
 )
 from service.identification.axis.nominal_priors import pose_prior, shared_prior
 from service.identification.estimates.estimate import SAME_POSITION
 from service.identification.model.regressor import axis_rows, gravity_terms, inertial_parameters
 from service.identification.spectra.frequency_response import Spectrum
-from service.identification.spectra.noise_response import NoiseSpectrum, Response, noise_response, stepped_response
+from service.identification.spectra.noise_response import (
+    FrequencyResponse,
+    NoiseSpectrum,
+    noise_response,
+    stepped_response,
+)
 from service.model.recording import SweepSpec
 from service.model.results import estimate as results
 from service.model.results.effect import Value
 from service.model.robot import Robot
 
 
-def analyse(robot: Robot, runs: Sequence[NoiseSpectrum], stepped: Sequence[Spectrum] = ()) -> dict[str, AxisAnalysis]:
+def analyse(
+    robot: Robot, runs: Sequence[NoiseSpectrum], stepped: Sequence[Spectrum] = ()
+) -> dict[str, InitialAnalysis]:
     """The analysis of every axis with enough lines in a pose; an axis with noise runs needs no stepped sines.
 
     Runs of one axis with equal positions of the other joints belong to one pose: its own position does not change
     its inertia.
     """
-    analyses: dict[str, AxisAnalysis] = {}
+    analyses: dict[str, InitialAnalysis] = {}
     for number, joint in enumerate(robot.joints):
         noise = [run for run in runs if run.spec.axis == joint]
         sines = [sweep for sweep in stepped if sweep.spec.axis == joint]
@@ -66,7 +73,9 @@ def _poses(number: int, specs: Sequence[SweepSpec]) -> list[list[int]]:
     return groups
 
 
-def _axis(robot: Robot, number: int, specs: Sequence[SweepSpec], responses: Sequence[Response]) -> AxisAnalysis:
+def _axis(
+    robot: Robot, number: int, specs: Sequence[SweepSpec], responses: Sequence[FrequencyResponse]
+) -> InitialAnalysis:
     poses = np.array([spec.pose for spec in specs])
     nominal = inertial_parameters(robot)
     reference = axis_rows(robot.chain, number, poses) @ nominal
@@ -81,7 +90,7 @@ def _axis(robot: Robot, number: int, specs: Sequence[SweepSpec], responses: Sequ
     )
 
 
-def _as_spectrum(spec: SweepSpec, response: Response) -> Spectrum:
+def _as_spectrum(spec: SweepSpec, response: FrequencyResponse) -> Spectrum:
     """The lines of a response at unit velocity, as needed for the data sheet's prior."""
     lines = len(response.frequency)
     return Spectrum(
@@ -99,19 +108,19 @@ def _as_spectrum(spec: SweepSpec, response: Response) -> Spectrum:
 TRAIN = ("motor_inertia", "motor_friction", "load_friction", "compliance", "damping_time")
 
 
-def analyses_document(analyses: Mapping[str, AxisAnalysis]) -> dict[str, results.AxisAnalysis]:
+def analyses_document(analyses: Mapping[str, InitialAnalysis]) -> dict[str, results.AxisAnalysis]:
     """By joint; floats are stored without loss, infinite values as None. `re`, `im` of effort/velocity, `std` of
     them.
     """
     return {joint: _axis_analysis(analysis) for joint, analysis in analyses.items()}
 
 
-def analyses_from(documents: results.Analyses) -> dict[str, AxisAnalysis]:
+def analyses_from(documents: results.Analyses) -> dict[str, InitialAnalysis]:
     """The inverse of `analyses_document`."""
     return {joint: _axis_from(joint, axis) for joint, axis in documents.items()}
 
 
-def _axis_analysis(analysis: AxisAnalysis) -> results.AxisAnalysis:
+def _axis_analysis(analysis: InitialAnalysis) -> results.AxisAnalysis:
     std = np.sqrt(np.diag(analysis.covariance))
     return results.AxisAnalysis(
         drive_train={
@@ -125,7 +134,7 @@ def _axis_analysis(analysis: AxisAnalysis) -> results.AxisAnalysis:
     )
 
 
-def _class(each: PoseClass) -> results.PoseClass:
+def _class(each: InertiaClass) -> results.PoseClass:
     return results.PoseClass(
         name=each.name,
         inertia_up_to=_finite(each.up_to),
@@ -155,7 +164,7 @@ def _pose(pose: PoseAnalysis) -> results.AnalysedPose:
     )
 
 
-def _ideal(ideal: Ideal) -> results.Ideal:
+def _ideal(ideal: IdealFrequency) -> results.Ideal:
     return results.Ideal(
         inertia=_figure(ideal.inertia),
         friction=_figure(ideal.friction),
@@ -166,12 +175,12 @@ def _ideal(ideal: Ideal) -> results.Ideal:
     )
 
 
-def _figure(figure: Figure) -> results.Figure:
+def _figure(figure: Uncertain) -> results.Figure:
     return results.Figure(value=_finite(figure.value), std=_finite(figure.std))
 
 
-def _axis_from(joint: str, document: results.AxisAnalysis) -> AxisAnalysis:
-    return AxisAnalysis(
+def _axis_from(joint: str, document: results.AxisAnalysis) -> InitialAnalysis:
+    return InitialAnalysis(
         joint=joint,
         mean=np.array([document.drive_train[name].value for name in TRAIN]),
         covariance=np.array(document.covariance),
@@ -188,7 +197,7 @@ def _pose_from(document: results.AnalysedPose) -> PoseAnalysis:
     covariance[:, 0, 0] = variance  # at unit velocity all of the variance is that of the effort
     return PoseAnalysis(
         pose=document.pose,
-        response=Response(
+        response=FrequencyResponse(
             np.array([line.frequency for line in lines]),
             impedance,
             np.ones_like(impedance),
@@ -201,8 +210,8 @@ def _pose_from(document: results.AnalysedPose) -> PoseAnalysis:
     )
 
 
-def _ideal_from(document: results.Ideal) -> Ideal:
-    return Ideal(
+def _ideal_from(document: results.Ideal) -> IdealFrequency:
+    return IdealFrequency(
         inertia=_figure_from(document.inertia),
         friction=_figure_from(document.friction),
         locked_rotor=_figure_from(document.locked_rotor),
@@ -211,8 +220,8 @@ def _ideal_from(document: results.Ideal) -> Ideal:
     )
 
 
-def _figure_from(figure: results.Figure) -> Figure:
-    return Figure(_number(figure.value), _number(figure.std))
+def _figure_from(figure: results.Figure) -> Uncertain:
+    return Uncertain(_number(figure.value), _number(figure.std))
 
 
 def _finite(value: float) -> float | None:

@@ -23,8 +23,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.identification.estimates.estimate import AxisEstimate, Estimate
-from service.identification.model.physical_consistency import Ended, nearest_physical, nominal_factor
+from service.identification.estimates.estimate import AxisEstimate, RobotEstimate
+from service.identification.model.physical_consistency import SearchEnded, nearest_physical, nominal_factor
 from service.identification.model.regressor import axis_rows, fold, gravity_rows
 from service.model.arrays import Array
 from service.model.results import combination as results
@@ -68,7 +68,7 @@ class AxisWorth:
 
 
 @dataclass(frozen=True)
-class Observation:
+class ObservedCombinations:
     """Combinations (k, 11 n) of the parameters with their values (k,) and covariance (k, k)."""
 
     combination: Array
@@ -77,7 +77,7 @@ class Observation:
 
 
 def worth(
-    robot: Robot, nominal: Array, spread: tuple[float, Array], observed: Observation, parameters: Array
+    robot: Robot, nominal: Array, spread: tuple[float, Array], observed: ObservedCombinations, parameters: Array
 ) -> tuple[AxisWorth, ...]:
     """Of parameters (11 n,). `nominal` and `spread` as in `nearest_physical`."""
     poses = _poses(robot)
@@ -119,17 +119,17 @@ def _rms(values: Array) -> float:
 
 
 @dataclass(frozen=True)
-class StandardParameters:
+class RobotParameters:
     """parameters (11 n,) of all the robot's joints, links first; `deviation` of base parameters from the estimate,
     in standard deviations (Mahalanobis over all base parameters): 0 if the estimate is physical; `ended`:
     reason for the end of the search."""
 
     parameters: Array
     deviation: float
-    ended: Ended
+    ended: SearchEnded
 
 
-def standard_parameters(estimate: Estimate) -> StandardParameters:
+def standard_parameters(estimate: RobotEstimate) -> RobotParameters:
     """Parameters of the whole robot; a motor whose inertia is neither known nor measured stays 0."""
     robot = estimate.robot
     combination = estimate.base.combination
@@ -142,11 +142,11 @@ def standard_parameters(estimate: Estimate) -> StandardParameters:
     nominal, spread = np.concatenate([robot.chain.inertial.ravel(), motors]), (robot.prior.inertia, motor_spread)
     values, covariance = seen @ estimate.solution.values, seen @ estimate.solution.covariance @ seen.T
     found = nearest_physical(nominal, spread, seen @ combination, values, covariance)
-    if found.ended is Ended.EXACT:
-        observed = Observation(seen @ combination, values, covariance)
+    if found.ended is SearchEnded.EXACT:
+        observed = ObservedCombinations(seen @ combination, values, covariance)
         if worse_than_cad(worth(robot, nominal, spread, observed, found.parameters)):
             found = nearest_physical(nominal, spread, seen @ combination, values, covariance, exactly=False)
-    return StandardParameters(found.parameters, found.deviation, found.ended)
+    return RobotParameters(found.parameters, found.deviation, found.ended)
 
 
 def _seen(rows: Array) -> Array:
@@ -157,7 +157,7 @@ def _seen(rows: Array) -> Array:
     return np.asarray(directions[singular > 1e-6 * singular[0]] * length, dtype=float)
 
 
-def _nominal_motors(estimate: Estimate) -> tuple[Array, Array]:
+def _nominal_motors(estimate: RobotEstimate) -> tuple[Array, Array]:
     """Reflected inertia and its relative standard deviation, (n,) each."""
     nominal = np.array([axis.reflected_motor_inertia or 0.0 for axis in estimate.robot.axes])
     spread = np.full(len(nominal), estimate.robot.prior.motor_inertia)
@@ -176,7 +176,7 @@ def _measured_motor(axis: AxisEstimate) -> float:
     return abs(float(np.median([sweep.value for sweep in axis.sweeps]))) / 2
 
 
-def standard_document(robot: Robot, standard: StandardParameters) -> results.StandardParameters:
+def standard_document(robot: Robot, standard: RobotParameters) -> results.StandardParameters:
     """Parameters of all links and motors of the robot, by name."""
     joints = robot.chain.joints
     count = 10 * len(joints)
@@ -191,7 +191,7 @@ def standard_document(robot: Robot, standard: StandardParameters) -> results.Sta
     )
 
 
-def physical_document(standard: StandardParameters) -> results.Physical:
+def physical_document(standard: RobotParameters) -> results.Physical:
     """`warning` where the search of the most probable robot did not converge."""
-    warning = standard.ended.value if standard.ended is Ended.UNFINISHED else ""
+    warning = standard.ended.value if standard.ended is SearchEnded.UNFINISHED else ""
     return results.Physical(deviation_in_std=standard.deviation).with_nonempty(warning=warning)

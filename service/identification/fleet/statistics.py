@@ -31,7 +31,7 @@ from service.model.errors import BadInput
 
 
 @dataclass(frozen=True, slots=True)
-class Measurement:
+class CampaignValue:
     """A quantity from one campaign.
 
     `value` and `std` in one unit; for an inertia its logarithm and its relative standard deviation. `std` is
@@ -50,10 +50,10 @@ class History:
     """The campaigns of one robot, the oldest first."""
 
     robot: str
-    measurements: tuple[Measurement, ...]
+    measurements: tuple[CampaignValue, ...]
 
     @property
-    def comparable(self) -> tuple[Measurement, ...]:
+    def comparable(self) -> tuple[CampaignValue, ...]:
         """The campaigns with the calibration of the newest one: another torque gain starts a new series."""
         newest = self.measurements[-1].calibration if self.measurements else 1.0
         count = 0

@@ -17,9 +17,9 @@ from service.identification.fleet.document import (
 from service.identification.fleet.statistics import (
     AlarmRate,
     Between,
+    CampaignValue,
     History,
     Look,
-    Measurement,
     Sibling,
     between_campaigns,
     looks,
@@ -105,15 +105,15 @@ def newest_ratio(robot: str, axis: str, campaigns: Sequence[CampaignMeasured]) -
         if measured is not None:
             values = list(measured.poses.values())
             mean = float(np.mean([value.log_ratio for value in values]))
-            found = Measurement(one.id, mean, _std(values), measured.calibration)
+            found = CampaignValue(one.id, mean, _std(values), measured.calibration)
             return History(robot, (found,)), measured.gain_std
     return History(robot, ()), 0.0
 
 
-def _measurement(campaign: CampaignMeasured, measured: AxisMeasured, shared: set[Pose]) -> Measurement:
+def _measurement(campaign: CampaignMeasured, measured: AxisMeasured, shared: set[Pose]) -> CampaignValue:
     values = [measured.poses[pose] for pose in sorted(shared)]
     mean = float(np.mean([value.log_value for value in values]))
-    return Measurement(campaign.id, mean, _std(values), measured.calibration)
+    return CampaignValue(campaign.id, mean, _std(values), measured.calibration)
 
 
 def _std(values: Sequence[InPose]) -> float:
@@ -121,7 +121,7 @@ def _std(values: Sequence[InPose]) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Rules:
+class FleetRules:
     """Configuration: the false-alarm probability of a time of `campaigns`, and days between measurements."""
 
     probability: float
@@ -140,7 +140,7 @@ class RobotMeasured:
 
 
 @dataclass(frozen=True, slots=True)
-class _Axis:
+class _AxisSurvey:
     """One axis of all robots, by the number of the robot."""
 
     histories: Mapping[str, History]
@@ -150,7 +150,7 @@ class _Axis:
     siblings: Mapping[str, Sibling]
 
 
-def survey(name: str, robots: Sequence[RobotMeasured], rules: Rules, at: datetime) -> FleetType:
+def survey(name: str, robots: Sequence[RobotMeasured], rules: FleetRules, at: datetime) -> FleetType:
     """The robots of the type `name` at the time `at`. BadInput for impossible rules."""
     axes = list(dict.fromkeys(axis for robot in robots for one in robot.campaigns for axis in one.axes))
     rate = AlarmRate(rules.probability, max(1, len(robots)), max(1, len(axes)), rules.campaigns)
@@ -166,13 +166,13 @@ def survey(name: str, robots: Sequence[RobotMeasured], rules: Rules, at: datetim
     )
 
 
-def _axis(axis: str, robots: Sequence[RobotMeasured], rate: AlarmRate) -> _Axis:
+def _axis(axis: str, robots: Sequence[RobotMeasured], rate: AlarmRate) -> _AxisSurvey:
     made = {str(number): series(str(number), axis, robot.campaigns) for number, robot in enumerate(robots)}
     histories = {key: history for key, (history, _) in made.items()}
     ratios = [newest_ratio(str(number), axis, robot.campaigns) for number, robot in enumerate(robots)]
     gains = {history.robot: gain for history, gain in ratios}
     found = outliers([history for history, _ in ratios], rate.probability, rate.quantities, gains)
-    return _Axis(
+    return _AxisSurvey(
         histories=histories,
         left_out={key: left for key, (_, left) in made.items()},
         between=between_campaigns(list(histories.values())),
@@ -181,7 +181,9 @@ def _axis(axis: str, robots: Sequence[RobotMeasured], rate: AlarmRate) -> _Axis:
     )
 
 
-def _robot(key: str, robot: RobotMeasured, axes: Mapping[str, _Axis], rules: Rules, at: datetime) -> FleetRobot:
+def _robot(
+    key: str, robot: RobotMeasured, axes: Mapping[str, _AxisSurvey], rules: FleetRules, at: datetime
+) -> FleetRobot:
     own = {axis: _document(key, found, robot) for axis, found in axes.items() if found.histories[key].measurements}
     last = robot.campaigns[-1].at if robot.campaigns else None
     due_at = None if last is None else last + timedelta(days=rules.remeasure_days)
@@ -198,7 +200,7 @@ def _robot(key: str, robot: RobotMeasured, axes: Mapping[str, _Axis], rules: Rul
     )
 
 
-def _document(key: str, axis: _Axis, robot: RobotMeasured) -> FleetAxis:
+def _document(key: str, axis: _AxisSurvey, robot: RobotMeasured) -> FleetAxis:
     history = axis.histories[key]
     times = {one.id: one.at for one in robot.campaigns}
     values, variances = history.arrays()

@@ -31,7 +31,7 @@ from service.model.urdf import Chain
 
 
 @dataclass(frozen=True)
-class Motion:
+class JointMotion:
     """Motion of all joints at m instants: arrays (m, n); rad, rad/s, rad/s^2 (m, m/s, m/s^2)."""
 
     position: Array
@@ -39,7 +39,7 @@ class Motion:
     acceleration: Array
 
 
-def dynamics_rows(chain: Chain, gravity: Array, load: Motion, motor: Motion | None = None) -> Array:
+def dynamics_rows(chain: Chain, gravity: Array, load: JointMotion, motor: JointMotion | None = None) -> Array:
     """Rows (m, n, 14 n): ``rows @ parameters`` = effort of every axis, N m (N).
 
     `load` is the motion of the links, `motor` that of the motors on the joint side if it differs.
@@ -47,13 +47,13 @@ def dynamics_rows(chain: Chain, gravity: Array, load: Motion, motor: Motion | No
     return np.concatenate([link_rows(chain, gravity, load), drive_rows(load if motor is None else motor)], axis=-1)
 
 
-def drive_rows(motion: Motion) -> Array:
+def drive_rows(motion: JointMotion) -> Array:
     """Rows (m, n, 4 n) of the drives' own parameters: Jm, Fv, Fc, offset of every axis."""
     each = (motion.acceleration, motion.velocity, np.sign(motion.velocity), np.ones_like(motion.velocity))
     return np.concatenate([part[..., None] * np.eye(part.shape[-1]) for part in each], axis=-1)
 
 
-def link_rows(chain: Chain, gravity: Array, motion: Motion) -> Array:
+def link_rows(chain: Chain, gravity: Array, motion: JointMotion) -> Array:
     """Rows (m, n, 10 n) of the links' inertial parameters; `gravity` (3,) in the base frame, m/s^2."""
     count, samples = len(chain.joints), len(motion.position)
     rotations, origins = link_frames(chain, motion.position)
@@ -128,7 +128,7 @@ def dynamic_base(robot: Robot, ends: tuple[Array, Array] | None = None) -> BaseP
     rng = np.random.default_rng(0)
     lower, upper = ends or joint_ranges(robot.chain)
     moving, shape = lower < upper, (SAMPLES, len(lower))
-    motion = Motion(rng.uniform(lower, upper, shape), *(moving * rng.uniform(-1.0, 1.0, (2, *shape))))
+    motion = JointMotion(rng.uniform(lower, upper, shape), *(moving * rng.uniform(-1.0, 1.0, (2, *shape))))
     rows = dynamics_rows(robot.chain, robot.gravity, motion)[:, moving]
     return reduce_columns(rows.reshape(-1, rows.shape[-1]), dynamics_names(robot.chain))
 

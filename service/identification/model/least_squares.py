@@ -192,7 +192,7 @@ def scaled_inverse(matrix: Array) -> Array:
 UNSETTLED = 0.05  # relative change of a noise estimate in the last round of reweighting: a warning above
 
 
-class Fit(Protocol):
+class SearchResult(Protocol):
     """Result of `scipy.optimize.least_squares`."""
 
     x: Array
@@ -221,7 +221,7 @@ def unsettled(change: float) -> str | None:
     return f"its noise still changes by {100 * change:.0f} % in the last round; limit {100 * UNSETTLED:.0f} %"
 
 
-def converged(found: Fit, place: str, what: str) -> None:
+def converged(found: SearchResult, place: str, what: str) -> None:
     """Raises BadInput at `place` unless SciPy's result `found`, the fit of `what`, is a converged and finite
     minimum.
     """

@@ -23,7 +23,7 @@ FACTORS = (1.0, -1.0, 2.0, -2.0, 0.5, -0.5)
 
 
 @dataclass(frozen=True)
-class Term:
+class Product:
     """A product and its value (g,) in each of the cases."""
 
     text: str
@@ -38,33 +38,33 @@ class Expression:
     text: str
 
 
-def products(quantities: list[Term], count: int, cases: int) -> list[Term]:
+def products(quantities: list[Product], count: int, cases: int) -> list[Product]:
     """All products of `count` of the quantities; for 0: the product 1, with empty text."""
-    found: list[Term] = []
+    found: list[Product] = []
     for chosen in combinations_with_replacement(quantities, count):
         same = count == 2 and chosen[0] is chosen[1]
         text = f"{chosen[0].text}^2" if same else " ".join(term.text for term in chosen)
-        found.append(Term(text, np.prod([term.value for term in chosen], axis=0) * np.ones(cases)))
+        found.append(Product(text, np.prod([term.value for term in chosen], axis=0) * np.ones(cases)))
     return found
 
 
-def squared_sums(quantities: list[Term]) -> list[Term]:
+def squared_sums(quantities: list[Product]) -> list[Product]:
     """``(a + b)^2`` and ``(a - b)^2`` of all pairs."""
     return [
-        Term(f"({first.text} {mark} {second.text})^2", (first.value + sign * second.value) ** 2)
+        Product(f"({first.text} {mark} {second.text})^2", (first.value + sign * second.value) ** 2)
         for first, second in combinations(quantities, 2)
         for sign, mark in ((1, "+"), (-1, "-"))
     ]
 
 
-def times(first: Term, second: Term) -> Term:
-    return Term(" ".join(filter(None, (first.text, second.text))), first.value * second.value)
+def times(first: Product, second: Product) -> Product:
+    return Product(" ".join(filter(None, (first.text, second.text))), first.value * second.value)
 
 
 class Search:
     """Expressions of the given terms, each with value (g,)."""
 
-    def __init__(self, terms: list[Term]) -> None:
+    def __init__(self, terms: list[Product]) -> None:
         self._texts: list[str] = [term.text or "1" for term in terms]
         self._values = np.array([term.value for term in terms])
         few = len(terms) <= 400  # or the search takes seconds
@@ -211,12 +211,12 @@ class _Speaker:
             self._searches[key] = Search(self._terms([d.joint for d in self._known], first, last, power))
         return self._searches[key]
 
-    def _terms(self, joints: list[int], first: int, last: int, power: int) -> list[Term]:
+    def _terms(self, joints: list[int], first: int, last: int, power: int) -> list[Product]:
         cases = len(self._values)
         between = [k for k, joint in enumerate(joints) if first < joint <= last]
-        lengths = [Term(self._known[k].symbol, self._values[:, k]) for k in between if self._known[k].unit == "m"]
+        lengths = [Product(self._known[k].symbol, self._values[:, k]) for k in between if self._known[k].unit == "m"]
         turns = [
-            Term(f"{name}({self._known[k].symbol})", turn(self._values[:, k]))
+            Product(f"{name}({self._known[k].symbol})", turn(self._values[:, k]))
             for k in between
             if self._known[k].unit == "rad"
             for name, turn in (("cos", np.cos), ("sin", np.sin))

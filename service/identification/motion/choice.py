@@ -42,7 +42,7 @@ from service.model.robot import Robot
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class HeldOutMotion:
     """RMS of one axis below the band's end, N m (N): `residual` of the fit, `error` of parts held out, `floor`."""
 
     residual: float
@@ -50,11 +50,13 @@ class HeldOut:
     floor: float | None
 
 
-def held_out(records: Sequence[FreeMotion], fit: FreeFit, others: Information, start: Array) -> dict[str, HeldOut]:
+def held_out(
+    records: Sequence[FreeMotion], fit: FreeFit, others: Information, start: Array
+) -> dict[str, HeldOutMotion]:
     """By joint. `others`: information without the free motions, including the nominal model's prior."""
     values = fit.evidence.honest.plus(others).solve(start).values
     return {
-        joint: HeldOut(
+        joint: HeldOutMotion(
             residual=_rms([each.values - each.rows @ values for each in _of(fit, joint)], _of(fit, joint)),
             error=error,
             floor=_floor(records, _of(fit, joint), values),
@@ -101,7 +103,7 @@ SPEEDS = (0.05, 0.1, 0.2, 0.5, 0.9)  # of the highest speed, in either direction
 
 
 @dataclass(frozen=True)
-class FrictionLaw:
+class IdentifiedFriction:
     """Friction of an axis beyond Coulomb and viscous: `values` (len(LOW_SPEEDS),) N m (N) at `reference` rad/s (m/s).
 
     `speeds` (m,) and its whole friction there, with Coulomb and viscous, and its standard deviation, (m,).
@@ -148,12 +150,12 @@ class Chosen:
 
     def friction(
         self, robot: Robot, base: BaseParameters, more: Information, of: Mapping[str, Scale]
-    ) -> dict[str, FrictionLaw]:
+    ) -> dict[str, IdentifiedFriction]:
         """By joint, with `more` information on the parameters; empty without laws."""
         if not self.laws:
             return {}
         count, found = len(robot.axes), self.fit.evidence.honest.plus(self.others).plus(more).solve(self.start)
-        laws: dict[str, FrictionLaw] = {}
+        laws: dict[str, IdentifiedFriction] = {}
         for joint in sorted(self.laws):
             index, reference = robot.index(joint), of[joint].speed or 1.0
             first = len(base.columns) + index * len(LOW_SPEEDS)
@@ -164,7 +166,9 @@ class Chosen:
             rows = np.column_stack([speeds, np.sign(speeds), further])
             variance = np.einsum("mi,ij,mj->m", rows, found.covariance[np.ix_(own, own)], rows)
             values = found.values[own]
-            laws[joint] = FrictionLaw(reference, values[2:], speeds, rows @ values, np.sqrt(np.maximum(variance, 0.0)))
+            laws[joint] = IdentifiedFriction(
+                reference, values[2:], speeds, rows @ values, np.sqrt(np.maximum(variance, 0.0))
+            )
         return laws
 
     def evidence(self, size: int) -> tuple[Information, Array]:

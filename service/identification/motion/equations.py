@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.identification.model.base_parameters import BaseParameters
-from service.identification.model.inverse_dynamics import Motion, link_rows
+from service.identification.model.inverse_dynamics import JointMotion, link_rows
 from service.identification.motion.free_motion import FreeMotion, low_pass, memory
 from service.model.arrays import Array, Mask
 from service.model.robot import Robot
@@ -45,7 +45,7 @@ class AxisEquations:
     time: Array  # (m,) s since the record's start
 
 
-def load_and_motor(robot: Robot, record: FreeMotion) -> tuple[Motion, Motion]:
+def load_and_motor(robot: Robot, record: FreeMotion) -> tuple[JointMotion, JointMotion]:
     """Smoothed motion (m, n) of all loads (of the motors where they are not measured) and of all motors."""
     columns = [robot.index(joint) for joint in record.joints]
     shape = (len(record.effort), len(robot.axes))
@@ -57,7 +57,7 @@ def load_and_motor(robot: Robot, record: FreeMotion) -> tuple[Motion, Motion]:
         load[:, :, robot.index(joint)] = [_smooth(record, position, order) for order in range(3)]
     for joint, velocity in record.load_velocity.items():
         load[1:, :, robot.index(joint)] = [_smooth(record, velocity, order) for order in range(2)]
-    return Motion(*load), Motion(*motor)
+    return JointMotion(*load), JointMotion(*motor)
 
 
 def all_equations(
@@ -110,14 +110,14 @@ def equations(
     return found
 
 
-def links_along(robot: Robot, load: Motion) -> Array:
+def links_along(robot: Robot, load: JointMotion) -> Array:
     """`link_rows` (m, n, 10 n) in pieces, for records of any length."""
     starts = range(0, len(load.position), CHUNK)
     parts = [link_rows(robot.chain, robot.gravity, _part(load, slice(k, k + CHUNK))) for k in starts]
     return np.concatenate(parts)
 
 
-def drive_along(motor: Motion, index: int) -> Array:
+def drive_along(motor: JointMotion, index: int) -> Array:
     """Rows (m, 4 n) of the drives' parameters in the effort of axis `index`; all but its own are zero."""
     count = motor.velocity.shape[1]
     velocity = motor.velocity[:, index]
@@ -143,7 +143,7 @@ def friction_laws(velocity: Array, reference: float) -> Array:
     return np.stack([mean_sign(velocity) * np.exp(-np.square(speed / width)) for width in LOW_SPEEDS], -1)
 
 
-def _lacks(motor: Motion, index: int, reference: float) -> Array:
+def _lacks(motor: JointMotion, index: int, reference: float) -> Array:
     """(m, t), in the order of `LACKS`: friction at low speed; friction that grows with the square of the speed, or with
     it in one direction more than in the other; what a cable, an eccentric wheel or a spring does over the angle.
     """
@@ -152,8 +152,8 @@ def _lacks(motor: Motion, index: int, reference: float) -> Array:
     return np.hstack([low, np.stack([speed * np.abs(speed), np.abs(speed)], -1), *turns])
 
 
-def _part(motion: Motion, part: slice) -> Motion:
-    return Motion(motion.position[part], motion.velocity[part], motion.acceleration[part])
+def _part(motion: JointMotion, part: slice) -> JointMotion:
+    return JointMotion(motion.position[part], motion.velocity[part], motion.acceleration[part])
 
 
 def _smooth(record: FreeMotion, position: Array, order: int) -> Array:

@@ -116,7 +116,7 @@ FOLDS = 5  # every fifth block is held out together
 
 
 @dataclass(frozen=True)
-class Evidence:
+class FitEvidence:
     """`honest`: information with a covariance consistent with the residuals. `gain_vector` (r, n): contribution of the
     efforts of each axis to `honest.vector`. `lacks`: by joint, what the residual shows that the model lacks.
     """
@@ -149,7 +149,7 @@ class FreeFit:
         return reduce(Information.plus, (own for number, own in enumerate(self.folds) if number != fold))
 
     @cached_property
-    def evidence(self) -> Evidence:
+    def evidence(self) -> FitEvidence:
         """Computed in coordinates with information 1; directions that no record shows are left out."""
         to_white, from_white = _coordinates(self.information)
         spread, lacks = _spread(self.white, to_white, self.values)
@@ -159,7 +159,7 @@ class FreeFit:
             own[:, self.joints.index(each.joint)] += each.rows.T @ each.values
         gain_vector = from_white.T @ shrunk @ (to_white.T @ own)
         honest = Information(from_white.T @ shrunk @ from_white, gain_vector.sum(axis=1), self.information.count)
-        return Evidence(honest, gain_vector, lacks)
+        return FitEvidence(honest, gain_vector, lacks)
 
 
 @dataclass(frozen=True)

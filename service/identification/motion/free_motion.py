@@ -20,7 +20,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 from scipy.special import erfc
 
-from service.identification.axis.drive_train import DriveTrain
+from service.identification.axis.drive_train import TwoMassTrain
 from service.identification.spectra.frequency_response import check_numbers
 from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
@@ -142,7 +142,7 @@ def calibrated(record: FreeMotion, gains: Mapping[str, float]) -> FreeMotion:
     return replace(record, effort=record.effort / np.array([gains.get(joint, 1.0) for joint in record.joints]))
 
 
-def with_loads(record: FreeMotion, trains: Mapping[str, DriveTrain]) -> FreeMotion:
+def with_loads(record: FreeMotion, trains: Mapping[str, TwoMassTrain]) -> FreeMotion:
     """With load positions also for axes without a direct encoder: ql = qm - c (effort - Jm d2qm/dt2), smoothed."""
     loads = dict(record.load_position)
     for k, joint in enumerate(record.joints):

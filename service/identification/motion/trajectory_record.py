@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.identification.axis.drive_train import DriveTrain
-from service.identification.model.inverse_dynamics import Motion
+from service.identification.axis.drive_train import TwoMassTrain
+from service.identification.model.inverse_dynamics import JointMotion
 from service.identification.motion.free_motion import BAND
 from service.identification.spectra.frequency_response import check_numbers, from_pairs, pairs, window
 from service.model.arrays import Array, Complex
@@ -78,7 +78,7 @@ class TrajectoryRecord:
         """Of the effort's harmonics (h + 1,), Hz."""
         return np.arange(len(self.tracks[0].effort)) / self.period
 
-    def motion(self, robot: Robot, samples: int, *, load: bool) -> Motion:
+    def motion(self, robot: Robot, samples: int, *, load: bool) -> JointMotion:
         """Motion (samples, all joints) over one period, of the loads if they were measured, or of the motors."""
         position, velocity, acceleration = np.zeros((3, samples, len(robot.axes)))
         position[:] = self.pose
@@ -89,7 +89,7 @@ class TrajectoryRecord:
             position[:, index] = in_time(harmonics, samples)
             velocity[:, index] = in_time(omega * harmonics, samples)
             acceleration[:, index] = in_time(omega**2 * harmonics, samples)
-        return Motion(position, velocity, acceleration)
+        return JointMotion(position, velocity, acceleration)
 
     def effort(self, samples: int) -> Array:
         """Measured efforts (samples, tracks) over one period, below the band's end, N m (N)."""
@@ -167,7 +167,7 @@ def calibrated(record: TrajectoryRecord, gains: Mapping[str, float]) -> Trajecto
     return replace(record, tracks=tuple(tracks))
 
 
-def with_loads(record: TrajectoryRecord, trains: Mapping[str, DriveTrain]) -> TrajectoryRecord:
+def with_loads(record: TrajectoryRecord, trains: Mapping[str, TwoMassTrain]) -> TrajectoryRecord:
     """With load positions also without a direct encoder: ql = qm - c (effort - Jm d2qm/dt2).
 
     Friction of the motor, which does not act on the spring, is left out. `trains`: drive trains from a joint fit; an

@@ -3,7 +3,7 @@ r"""The frequency response of an axis' drive train, with the injected torque as 
 While the axis moves slowly, the drive adds a periodic torque r inside its speed loop. Effort u and velocity v
 respond to r, but also to torque ripple and other disturbances of the axis, and the loop feeds that back into both:
 u/v, or the H1 estimate sum(u v*) / sum(|v|^2), then lies between the impedance and minus the controller's gain. With r
-as reference (Pintelon and Schoukens, System Identification, 2012, sec. 2.6.2 and 2.7)
+as reference (Pintelon and Schoukens, System RobotEstimate, 2012, sec. 2.6.2 and 2.7)
 
     Z = Gamma/Omega = E[u/r] / E[v/r]
 
@@ -88,7 +88,7 @@ class NoiseSpectrum:
 
 
 @dataclass(frozen=True)
-class Response:
+class FrequencyResponse:
     """Averaged response at b lines. `covariance` (b, 2, 2) is that of the means of (effort, velocity), line by line."""
 
     frequency: Array  # (b,) Hz, ascending
@@ -155,7 +155,7 @@ def noise_spectrum(robot: Robot, sweep: Sweep) -> NoiseSpectrum:
     )
 
 
-def noise_response(runs: Sequence[NoiseSpectrum]) -> Response:
+def noise_response(runs: Sequence[NoiseSpectrum]) -> FrequencyResponse:
     """The mean over runs of one axis in one pose. BadInput if their lines differ, or if there is no scatter."""
     for run in runs:
         if not np.array_equal(run.frequency, runs[0].frequency):
@@ -172,10 +172,12 @@ def noise_response(runs: Sequence[NoiseSpectrum]) -> Response:
     mean = parts.mean(axis=0)
     error = parts - mean
     scatter = np.einsum("nib,njb->bij", error, error.conj()) / (count - 1)
-    return Response(runs[0].frequency, mean[0], mean[1], scatter / count, _coherence(mean[1], scatter[:, 1, 1].real))
+    return FrequencyResponse(
+        runs[0].frequency, mean[0], mean[1], scatter / count, _coherence(mean[1], scatter[:, 1, 1].real)
+    )
 
 
-def stepped_response(sweeps: Sequence[Spectrum]) -> Response:
+def stepped_response(sweeps: Sequence[Spectrum]) -> FrequencyResponse:
     """The same from sweeps with few lines each, any number per line; their noise is that of the bins between."""
     found: dict[float, list[tuple[complex, complex, float]]] = {}
     for sweep in sweeps:
@@ -196,7 +198,7 @@ def stepped_response(sweeps: Sequence[Spectrum]) -> Response:
     covariance[:, 0, 0] = mean[:, 2] / count
     effort, velocity = mean[:, 0], mean[:, 1]
     scatter = mean[:, 2].real * np.abs(velocity / effort) ** 2  # treated as noise of the velocity
-    return Response(frequency, effort, velocity, covariance, _coherence(velocity, scatter))
+    return FrequencyResponse(frequency, effort, velocity, covariance, _coherence(velocity, scatter))
 
 
 def _coherence(mean: Complex, scatter: Array) -> Array:

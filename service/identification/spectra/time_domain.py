@@ -44,7 +44,7 @@ ALONE = 1e-6  # minimum share of a bin's equations that the other bins also dete
 
 
 @dataclass(frozen=True)
-class FreeFit:
+class RecordFit:
     """Result of one record; SI on the joint side. `residual_percent`: RMS of the residual over RMS of the effort.
 
     `by_drag`: part of the standard deviation of J caused by friction that is not linear in speed.
@@ -57,7 +57,7 @@ class FreeFit:
     by_drag: float
 
 
-def fit_record(spectrum: Spectrum) -> FreeFit:
+def fit_record(spectrum: Spectrum) -> RecordFit:
     """Fit one free record with every term that its motion excites. Raises BadInput if J is then undetermined."""
     columns = _columns(spectrum)
     rows = _unrested(spectrum, np.stack(list(columns.values()), -1))
@@ -78,7 +78,7 @@ def fit_record(spectrum: Spectrum) -> FreeFit:
     std = np.sqrt(variance) / scale
     result = dict(zip(columns, zip((solution / scale).tolist(), std.tolist(), strict=True), strict=True))
     inertia, inertia_std = result.pop("inertia")
-    return FreeFit(
+    return RecordFit(
         inertia=inertia,
         inertia_std=inertia_std,
         terms=result,

@@ -88,7 +88,7 @@ class Torques(Part):
     torques: Literal["recorded", "true"] = "recorded"
 
 
-class KnownAxis(Part):
+class KnownEffectsOfAxis(Part):
     """Known effects of an axis."""
 
     effects: tuple[Effect, ...] = ()
@@ -98,7 +98,7 @@ class KnownAxis(Part):
 class KnownModel(Document):
     """The part of a model revision, or of a user's file with effects, that an estimate needs."""
 
-    axes: dict[str, KnownAxis]
+    axes: dict[str, KnownEffectsOfAxis]
 
 
 class StoredModel(Part):

@@ -9,7 +9,7 @@ from service.model.results.part import Document, Part
 from service.model.results.table import Column, Shown, Table
 
 
-class Figure(Part):
+class BodyFigure(Part):
     """A value of the body; null if the motions did not excite it. `std_total`: including the torque constants."""
 
     value: Number | None
@@ -18,7 +18,7 @@ class Figure(Part):
     excited: bool
 
 
-class Parameters(Part):
+class BodyParameters(Part):
     """The ten parameters at the frame's origin, with covariance for given torque constants, and in total."""
 
     names: tuple[str, ...]
@@ -27,7 +27,7 @@ class Parameters(Part):
     covariance_total: tuple[tuple[Number, ...], ...]
 
 
-class Body(Part):
+class PayloadBody(Part):
     """kg, m and kg m^2 about the centre of mass, by name."""
 
     mass: Number
@@ -35,12 +35,12 @@ class Body(Part):
     inertia: dict[str, Number]
 
 
-class Physical(Part):
+class PhysicalBody(Part):
     """Whether a body can have these ten values; the nearest possible ones; distance in standard deviations."""
 
     consistent: bool
     deviation_in_std: Number
-    nearest: Body
+    nearest: PayloadBody
 
 
 class Evidence(Part):
@@ -57,11 +57,11 @@ class Payload(Shown, Document):
 
     link: str
     frame: str
-    mass: Figure
-    center: dict[str, Figure]
-    inertia: dict[str, Figure]
-    parameters: Parameters
-    physical: Physical
+    mass: BodyFigure
+    center: dict[str, BodyFigure]
+    inertia: dict[str, BodyFigure]
+    parameters: BodyParameters
+    physical: PhysicalBody
     evidence: tuple[Evidence, ...]
     sentences: tuple[str, ...]
 

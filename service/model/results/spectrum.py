@@ -62,7 +62,7 @@ class NoiseGain(TypedDict):
     velocity: float
 
 
-class Channels(TypedDict, total=False):
+class ChannelCorrection(TypedDict, total=False):
     """`timing` (`ChannelTiming`, s) and `noise_gain` where the channels were `corrected`."""
 
     corrected: bool
@@ -87,4 +87,4 @@ class Facts(TypedDict, total=False):
     drives: list[JsonFields]
     set_point_timing: JsonFields | None
     cause: str
-    channels: Channels
+    channels: ChannelCorrection

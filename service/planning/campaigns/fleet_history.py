@@ -11,9 +11,9 @@ from service.identification.fleet.document import Fleet
 from service.identification.fleet.survey import (
     AxisMeasured,
     CampaignMeasured,
+    FleetRules,
     Pose,
     RobotMeasured,
-    Rules,
     in_pose,
     pose_key,
     survey,
@@ -34,7 +34,7 @@ class FleetHistory:
         self._store = store
         self._of: Callable[[MeasuredCampaign], CampaignMeasured | None] = lru_cache(maxsize=_KEPT)(self._read)
 
-    def fleet(self, rules: Rules, at: datetime, name: str | None = None) -> Fleet:
+    def fleet(self, rules: FleetRules, at: datetime, name: str | None = None) -> Fleet:
         """The robots of one type, or of all types. NotFound if no robot has that name; BadInput for invalid rules."""
         names = self._store.types()
         if name is not None and name not in names:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from drivers.ports import SweepCommand
 from service.identification.design.excitation import Excitation, velocity_setpoint, way
-from service.identification.model.inverse_dynamics import Motion
+from service.identification.model.inverse_dynamics import JointMotion
 from service.model.recording import Sine
 
 Array = NDArray[np.float64]
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 PATH_RATE = 50.0  # Hz, at which a trajectory is checked: its harmonics are far below
 
 
-def commanded_motion(joints: Sequence[str], commands: Sequence[SweepCommand], pose: Sequence[float]) -> Motion:
+def commanded_motion(joints: Sequence[str], commands: Sequence[SweepCommand], pose: Sequence[float]) -> JointMotion:
     """From standstill at `pose` (n,) to standstill, (m, n); joints without a command stand."""
     duration = commands[0].duration
     time = np.linspace(0.0, duration, max(2, round(duration * PATH_RATE) + 1))
@@ -25,7 +25,7 @@ def commanded_motion(joints: Sequence[str], commands: Sequence[SweepCommand], po
         index = joints.index(command.joint)
         position[:, index] += path_of(command, time)
         velocity[:, index] = velocity_setpoint(_excitation(command), time)
-    return Motion(position, velocity, np.asarray(np.gradient(velocity, time, axis=0), dtype=float))
+    return JointMotion(position, velocity, np.asarray(np.gradient(velocity, time, axis=0), dtype=float))
 
 
 def path_of(command: SweepCommand, time: Array) -> Array:

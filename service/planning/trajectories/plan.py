@@ -4,7 +4,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.ports import SweepMode
-from service.identification.design.exciting_trajectory import Shape, Trajectory, TrajectoryLimits, design_trajectory
+from service.identification.design.exciting_trajectory import (
+    Trajectory,
+    TrajectoryLimits,
+    TrajectoryShape,
+    design_trajectory,
+)
 from service.identification.model.base_parameters import joint_ranges
 from service.identification.model.inverse_dynamics import dynamic_base
 from service.model.configuration import Cell
@@ -36,7 +41,7 @@ def build_trajectory_plan(robot: Robot, request: TrajectoryRequest, cell: Cell) 
     home = np.array(cell.home_pose(robot.joints))
     limits = _limits(robot, request, envelope, home)
     base = dynamic_base(robot, (limits.lower, limits.upper))
-    shape = Shape(request.period, request.harmonics, request.periods, RAMP, SETTLE)
+    shape = TrajectoryShape(request.period, request.harmonics, request.periods, RAMP, SETTLE)
     here: list[float] = home.tolist()
     sweeps: list[PlannedSweep] = []
     condition: list[float] = []

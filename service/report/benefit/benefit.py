@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.axis.axis_estimate import AxisEstimate
-from service.identification.axis.drive_train import DriveTrain
-from service.identification.estimates.estimate import Estimate, identify
+from service.identification.axis.drive_train import TwoMassTrain
+from service.identification.estimates.estimate import RobotEstimate, identify
 from service.identification.estimates.standard_parameters import standard_parameters
 from service.identification.model.regressor import axis_rows, gravity_terms
 from service.identification.spectra.frequency_response import Spectrum, spectrum
@@ -44,7 +44,7 @@ class _Axis:
 
     robot: Robot
     number: int
-    train: DriveTrain
+    train: TwoMassTrain
     training: tuple[Sweep, ...]
     held_out: tuple[Sweep, ...]
     spectra: dict[str, Spectrum]
@@ -105,8 +105,8 @@ def _axis(
     used: Sequence[Sweep],
     spectra: dict[str, Spectrum],
     out: frozenset[str],
-    known: Estimate,
-    every: Estimate,
+    known: RobotEstimate,
+    every: RobotEstimate,
 ) -> _Axis:
     own = [sweep for sweep in used if sweep.spec.axis == joint]
     held = tuple(sweep for sweep in own if sweep.spec.id in out)
@@ -128,11 +128,11 @@ def _axis(
     )
 
 
-def _of(estimate: Estimate, joint: str) -> AxisEstimate:
+def _of(estimate: RobotEstimate, joint: str) -> AxisEstimate:
     return next(axis for axis in estimate.axes if axis.joint == joint)
 
 
-def _judge(axis: _Axis, known: Estimate, identified: Array, counts: tuple[int, int]) -> AxisBenefit:
+def _judge(axis: _Axis, known: RobotEstimate, identified: Array, counts: tuple[int, int]) -> AxisBenefit:
     """`identified` (11 n,): standard parameters. `counts`: poses, and those held out."""
     robot = axis.robot
     motors = [one.reflected_motor_inertia or 0.0 for one in robot.axes]

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.estimates.estimate import Estimate, identify
+from service.identification.estimates.estimate import RobotEstimate, identify
 from service.identification.estimates.standard_parameters import standard_parameters
-from service.identification.model.inverse_dynamics import Motion, dynamics_rows
+from service.identification.model.inverse_dynamics import JointMotion, dynamics_rows
 from service.identification.model.regressor import axis_rows, gravity_terms
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.model.errors import BadInput
@@ -39,7 +39,7 @@ SAME_POSITION = 2e-3  # rad (m)
 class FeedForward:
     """The path's motion (n, joints), one row each ms, and the effort (n, joints) of both models, N m (N)."""
 
-    motion: Motion
+    motion: JointMotion
     cad: Array
     identified: Array
 
@@ -62,7 +62,7 @@ def feed_forward(robot: Robot, sweeps: Sequence[Sweep], place: str = "recordings
     return FeedForward(motion, cad, own)
 
 
-def path_between(start: Array, end: Array, limits: Sequence[float]) -> Motion:
+def path_between(start: Array, end: Array, limits: Sequence[float]) -> JointMotion:
     """Path from one pose (joints,) to another at `SPEED` of the speed `limits` of the joints, rad/s (m/s)."""
     way = end - start
     duration = 15 / 8 * float(np.max(np.abs(way) / (SPEED * np.array(limits))))
@@ -72,7 +72,7 @@ def path_between(start: Array, end: Array, limits: Sequence[float]) -> Motion:
     place = np.concatenate([rest, 10 * u**3 - 15 * u**4 + 6 * u**5, rest + 1])
     speed = np.concatenate([rest, (30 * u**2 - 60 * u**3 + 30 * u**4) / taken, rest])
     gain = np.concatenate([rest, (60 * u - 180 * u**2 + 120 * u**3) / taken**2, rest])
-    return Motion(start + place[:, None] * way, speed[:, None] * way, gain[:, None] * way)
+    return JointMotion(start + place[:, None] * way, speed[:, None] * way, gain[:, None] * way)
 
 
 def _ends(robot: Robot, poses: Array, moved: Sequence[int]) -> tuple[Array, Array]:
@@ -89,7 +89,7 @@ def _ends(robot: Robot, poses: Array, moved: Sequence[int]) -> tuple[Array, Arra
 
 
 def _friction(
-    robot: Robot, estimate: Estimate, parameters: Array, sweeps: Sequence[Sweep], spectra: dict[str, Spectrum]
+    robot: Robot, estimate: RobotEstimate, parameters: Array, sweeps: Sequence[Sweep], spectra: dict[str, Spectrum]
 ) -> Array:
     """Viscous and dry friction and offset of each joint, (3 n,)."""
     friction = np.zeros((3, len(robot.axes)))

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.axis.drive_train import DriveTrain, impedance
+from service.identification.axis.drive_train import TwoMassTrain, impedance
 from service.identification.spectra.frequency_response import Spectrum, window
 from service.model.recording import Sweep
 
@@ -62,7 +62,7 @@ def window_of(sweep: Sweep, spectrum: Spectrum, own: int) -> Window:
     )
 
 
-def left_by(body: RigidBody, train: DriveTrain, measured: Window) -> Array:
+def left_by(body: RigidBody, train: TwoMassTrain, measured: Window) -> Array:
     """Measured effort (n,) minus inertia, gravity, the drive train's part at the lines and its viscous friction."""
     count = len(measured.effort)
     lines = np.zeros(count // 2 + 1, dtype=np.complex128)

@@ -16,7 +16,7 @@ from service.machine.execution.recording.plausibility import check_channels
 from service.model.channels import align, noise_gain
 from service.model.errors import MotionFailed
 from service.model.recording import Recording, SweepSpec
-from service.model.results.spectrum import Channels, Facts
+from service.model.results.spectrum import ChannelCorrection, Facts
 from service.planning.safety.noise_motion import Command
 from service.store.documents import NewRecording, RecordingState
 from service.store.files.recordings import RecordingFiles, Run
@@ -148,7 +148,7 @@ def _check_window(command: Command, last: float, period: float) -> None:
         raise SamplesMissing(command.joint, f"samples end at {last:.4f} s, window at {end:.4f} s")
 
 
-def _correction(timing: ChannelTiming, rate: float) -> Channels:
+def _correction(timing: ChannelTiming, rate: float) -> ChannelCorrection:
     """Correction applied to the channels: s, and the growth of their white noise."""
     if timing == ChannelTiming():
         return {"corrected": False}

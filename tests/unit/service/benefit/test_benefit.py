@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from service.identification.axis.drive_train import DriveTrain
+from service.identification.axis.drive_train import TwoMassTrain
 from service.identification.spectra.frequency_response import spectrum
 from service.model.errors import BadInput
 from service.report import Page
@@ -22,7 +22,7 @@ from tests.unit.service.benefit import pair
 
 SLIDES = [0.0, 0.3, 0.6, 0.2, 0.9, 0.5, 0.1, 0.8]
 HELD_OUT = ("0004", "0008")
-RIGID = DriveTrain(1.0, pair.VISCOUS, 0.0, 0.0, 0.0)
+RIGID = TwoMassTrain(1.0, pair.VISCOUS, 0.0, 0.0, 0.0)
 # of the acceleration: sum over lines of (omega V)^2 / 2, rad^2/s^4
 ACCELERATION = float(np.sqrt(sum((2 * np.pi * s.frequency * s.amplitude) ** 2 / 2 for s in pair.SINES)))
 

@@ -7,8 +7,8 @@ import pytest
 from service.identification.fleet.survey import (
     AxisMeasured,
     CampaignMeasured,
+    FleetRules,
     RobotMeasured,
-    Rules,
     in_pose,
     newest_ratio,
     pose_key,
@@ -17,7 +17,7 @@ from service.identification.fleet.survey import (
 )
 
 START = datetime(2026, 1, 1, tzinfo=UTC)
-RULES = Rules(probability=0.01, campaigns=12, remeasure_days=31)
+RULES = FleetRules(probability=0.01, campaigns=12, remeasure_days=31)
 A, B, C, D = (pose_key((0.0, position)) for position in (0.0, 0.5, 1.0, 1.5))
 
 

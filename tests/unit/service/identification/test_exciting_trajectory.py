@@ -5,9 +5,9 @@ import pytest
 
 from service.identification.design.excitation import velocity_setpoint
 from service.identification.design.exciting_trajectory import (
-    Shape,
     Trajectory,
     TrajectoryLimits,
+    TrajectoryShape,
     design_trajectory,
     nominal_effort,
     steady_motion,
@@ -19,7 +19,7 @@ from tests.random_chain import random_arm
 
 pytestmark = pytest.mark.slow
 
-SHAPE = Shape(period=4.0, harmonics=3, periods=2, ramp=1.0, settle=0.5)
+SHAPE = TrajectoryShape(period=4.0, harmonics=3, periods=2, ramp=1.0, settle=0.5)
 
 
 def robot() -> Robot:

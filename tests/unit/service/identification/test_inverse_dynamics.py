@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from service.identification.model.inverse_dynamics import Motion, dynamics_names, dynamics_rows, link_rows
+from service.identification.model.inverse_dynamics import JointMotion, dynamics_names, dynamics_rows, link_rows
 from service.identification.model.regressor import axis_rows
 from service.model.urdf import read_chain
 from tests.random_chain import random_urdf
@@ -12,8 +12,8 @@ from tests.random_chain import random_urdf
 GRAVITY = np.array([0.3, -1.2, -9.81])
 
 
-def motion(rng: np.random.Generator, samples: int, joints: int) -> Motion:
-    return Motion(*rng.uniform(-2.5, 2.5, (3, samples, joints)))
+def motion(rng: np.random.Generator, samples: int, joints: int) -> JointMotion:
+    return JointMotion(*rng.uniform(-2.5, 2.5, (3, samples, joints)))
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -38,15 +38,15 @@ def test_one_axis_from_standstill_without_gravity_is_the_inertia_row() -> None:
     chain = read_chain(random_urdf(rng, 5))
     pose = rng.uniform(-2, 2, (1, 5))
     for k in range(5):
-        unit = Motion(pose, np.zeros((1, 5)), np.eye(5)[[k]])
+        unit = JointMotion(pose, np.zeros((1, 5)), np.eye(5)[[k]])
         rows = dynamics_rows(chain, np.zeros(3), unit)[0, k, :55]
         np.testing.assert_allclose(rows, axis_rows(chain, k, pose)[0], atol=1e-12)
 
 
 def test_the_drive_by_hand() -> None:
     chain = read_chain(random_urdf(np.random.default_rng(2), 2))
-    still = Motion(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 2)))
-    motor = Motion(np.zeros((1, 2)), np.array([[0.5, -2.0]]), np.array([[3.0, 0.0]]))
+    still = JointMotion(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 2)))
+    motor = JointMotion(np.zeros((1, 2)), np.array([[0.5, -2.0]]), np.array([[3.0, 0.0]]))
     names = dynamics_names(chain)
     values = np.zeros(28)
     for name, value in (("Jm(joint_1)", 2.0), ("Fv(joint_2)", 10.0), ("Fc(joint_2)", 7.0), ("offset(joint_1)", 1.0)):

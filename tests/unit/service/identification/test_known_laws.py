@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from service.diagnosis.effects.friction.nonlinear_viscous_friction import law
-from service.identification.axis.known_effects import LAWS, Motion
+from service.identification.axis.known_effects import LAWS, SweepMotion
 
 SPEED = np.linspace(-0.1, 0.1, 41)
 LOAD = np.linspace(-400.0, 900.0, 41)
-MOTION = Motion(SPEED, np.zeros(41), np.zeros(41), LOAD)
+MOTION = SweepMotion(SPEED, np.zeros(41), np.zeros(41), LOAD)
 
 
 def test_a_lubricant_that_thins() -> None:

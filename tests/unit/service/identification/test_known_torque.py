@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.identification.axis.known_effects import Corrected, KnownAxis, Load, corrected, motion_of
+from service.identification.axis.known_effects import Corrected, GearLoad, KnownAxis, corrected, motion_of
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.model.recording import Sine
 from service.model.robot import Robot
@@ -15,7 +15,7 @@ from tests.unit.service.identification.known import Parameters, known
 
 RATE, START, INERTIA, VISCOUS = 1000.0, 1.0, 300.0, 40.0
 SINES = tuple(Sine(frequency=f, amplitude=a, phase=f) for f, a in ((2.0, 0.004), (3.0, 0.003), (5.0, 0.002)))
-NO_LOAD = Load(0.0, 0.0, 0.0)
+NO_LOAD = GearLoad(0.0, 0.0, 0.0)
 
 Signal = Callable[[np.ndarray], np.ndarray]
 
@@ -48,7 +48,7 @@ def lines(spectrum_: Spectrum) -> np.ndarray:
 
 
 def taken_out(
-    robot: Robot, effort: Signal, load: Load = NO_LOAD, gain: float = 1.0, **effects: Parameters
+    robot: Robot, effort: Signal, load: GearLoad = NO_LOAD, gain: float = 1.0, **effects: Parameters
 ) -> Corrected:
     axis: KnownAxis = known(lift=effects).of("lift")
     return corrected(measured(robot, effort), axis, gain, load)
@@ -58,7 +58,7 @@ IMPEDANCE = VISCOUS + 2j * np.pi * np.array([2.0, 3.0, 5.0]) * INERTIA
 
 
 def test_the_motion_is_known_from_its_bins(robot: Robot) -> None:
-    motion = motion_of(measured(robot, rigid), Load(100.0, 50.0, 20.0))
+    motion = motion_of(measured(robot, rigid), GearLoad(100.0, 50.0, 20.0))
     time = START + np.arange(5000) / RATE
     turned = way(time) - way(time[:1])
     np.testing.assert_allclose(motion.velocity, velocity(time), atol=1e-12)
@@ -115,9 +115,9 @@ def test_friction_of_a_known_law_is_taken_out(robot: Robot, name: str, told: Par
 
 
 def test_friction_that_grows_with_the_load_is_taken_out_where_gravity_rules(robot: Robot) -> None:
-    heavy, light = Load(100.0, -800.0, 300.0), Load(100.0, -5.0, 0.0)
+    heavy, light = GearLoad(100.0, -800.0, 300.0), GearLoad(100.0, -5.0, 0.0)
 
-    def rubbed(load: Load) -> Signal:
+    def rubbed(load: GearLoad) -> Signal:
         def effort(time: np.ndarray) -> np.ndarray:
             turned = way(time) - way(np.array([START]))
             carried = load.gravity * np.cos(turned) + load.stiffness * np.sin(turned)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.identification.estimates.estimate import Ended, Judged, judge
+from service.identification.estimates.estimate import Judged, WeightingEnded, judge
 from service.identification.model.least_squares import Array
 
 STD, PARAMETERS = 0.1, np.array([10.0, 1.0, 2.0, 3.0])
@@ -28,28 +28,30 @@ def judged(seed: int, spoiled: int, size: float, rounds: int = 40) -> Judged:
 
 def test_one_bad_sweep_settles_at_once() -> None:
     ended = [judged(seed, 1, 3.0).ended for seed in range(100)]
-    assert ended.count(Ended.SETTLED) >= 97
+    assert ended.count(WeightingEnded.SETTLED) >= 97
 
 
 @pytest.mark.parametrize(("seed", "spoiled", "size"), [(29, 5, 3.0), (43, 5, 3.0), (27, 2, 10.0)])
 def test_sweeps_that_contradict_each_other_are_all_suspected(seed: int, spoiled: int, size: float) -> None:
     """They used to be suspected in turns, and an even and an odd number of rounds named different ones."""
     found = judged(seed, spoiled, size)
-    assert found.ended is Ended.CONTRADICTION
+    assert found.ended is WeightingEnded.CONTRADICTION
     assert np.count_nonzero(found.extra > STD**2) >= 1
     again = judged(seed, spoiled, size, 39)
     assert np.flatnonzero(again.extra > STD**2).tolist() == np.flatnonzero(found.extra > STD**2).tolist()
 
 
 def test_what_does_not_settle_says_so() -> None:
-    assert judged(3, 1, 10.0, 1).ended is Ended.UNFINISHED
+    assert judged(3, 1, 10.0, 1).ended is WeightingEnded.UNFINISHED
 
 
 @pytest.mark.slow
 def test_nearly_all_campaigns_settle() -> None:
     """Up to five bad sweeps of 5 to 57: the share that contradicts itself, and that does not settle at all."""
     ended = [judged(seed, spoiled, size).ended for seed in range(60) for spoiled in (1, 2, 3, 5) for size in (1, 3, 10)]
-    settled, contradiction = (ended.count(kind) / len(ended) for kind in (Ended.SETTLED, Ended.CONTRADICTION))
+    settled, contradiction = (
+        ended.count(kind) / len(ended) for kind in (WeightingEnded.SETTLED, WeightingEnded.CONTRADICTION)
+    )
     print(f"settled {100 * settled:.1f} %, contradiction {100 * contradiction:.1f} %")
     assert settled > 0.95
     assert settled + contradiction > 0.995

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.identification.axis.ideal_frequency import AxisAnalysis
+from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.estimates.initial_analysis import analyses_document
 from service.identification.model.regressor import axis_rows, lock
 from service.model.recording import Recording, Sine, Sweep, SweepSpec
@@ -213,11 +213,11 @@ def test_a_parameter_without_a_curve_says_why(max100: Robot) -> None:
 
 
 @pytest.fixture(scope="module")
-def found() -> AxisAnalysis:
+def found() -> InitialAnalysis:
     return analysis(noise=1e-5)
 
 
-def test_amplitude_responses_show_every_pose_twice(found: AxisAnalysis) -> None:
+def test_amplitude_responses_show_every_pose_twice(found: InitialAnalysis) -> None:
     drawn: Any = amplitude_responses(found)["data"]
     assert len(drawn) == 2 * len(LOADS)
     dots, fitted = ((np.array(one["x"], dtype=float), np.array(one["y"], dtype=float)) for one in drawn[:2])
@@ -226,7 +226,7 @@ def test_amplitude_responses_show_every_pose_twice(found: AxisAnalysis) -> None:
     assert np.interp(8.0, *fitted) == pytest.approx(np.interp(8.0, *dots), rel=0.05)
 
 
-def test_ideal_frequencies_have_an_upright_at_each_end_and_between(found: AxisAnalysis) -> None:
+def test_ideal_frequencies_have_an_upright_at_each_end_and_between(found: InitialAnalysis) -> None:
     layout: Any = ideal_frequencies(found)["layout"]
     first = [shape["x0"] for shape in layout["shapes"] if shape["xref"] == "x"]
     corner, ideal, resonance = first
@@ -235,7 +235,7 @@ def test_ideal_frequencies_have_an_upright_at_each_end_and_between(found: AxisAn
     assert layout["annotations"][0]["text"].startswith("J = 198 kg m²")
 
 
-def test_the_table_has_both_ways_side_by_side(found: AxisAnalysis) -> None:
+def test_the_table_has_both_ways_side_by_side(found: InitialAnalysis) -> None:
     head, rows = table({"j1": found}, ("j1", "j2"))
     assert len(rows) == len(LOADS)
     assert {len(row) for row in rows} == {len(head)}
@@ -253,13 +253,13 @@ def test_what_lies_above_the_band_is_not_told_to_a_tenth() -> None:
     assert all(re.search(r"ideal above \d(\.\d)? Hz → [2345] Hz", text) for text in texts)
 
 
-def test_the_page_holds_two_figures_an_axis(found: AxisAnalysis) -> None:
+def test_the_page_holds_two_figures_an_axis(found: InitialAnalysis) -> None:
     page = analysis_page(small_arm(), analyses_document({"j1": found})).html()
     assert page.count("<figure>") == 2
     assert ">j1</h3>" in page
 
 
-def test_a_linear_axis_of_an_analysis_has_its_own_units(found: AxisAnalysis) -> None:
+def test_a_linear_axis_of_an_analysis_has_its_own_units(found: InitialAnalysis) -> None:
     layout: Any = ideal_frequencies(found, linear=True)["layout"]
     assert layout["annotations"][0]["text"].startswith("J = 198 kg,")
     text = json.dumps([amplitude_responses(found, linear=True), ideal_frequencies(found, linear=True)])
