@@ -1,7 +1,7 @@
 r"""Mass, centre and inertia of a payload on the last link, with their uncertainty.
 
 The information (below) is linear in the body's ten parameters phi in the last joint's
-frame, [m, m c, I at the origin]. A parameter that is not excited keeps the spread of `WIDE` and is reported as not
+frame, [m, m c, I at the origin]. A parameter that is not excited keeps a spread of 1e3 and is reported as not
 excited: a standard deviation above half of the natural size (of m the mass itself, of c `LENGTH`, of I m LENGTH^2).
 Mass, centre and inertia about it follow with the Jacobian's spread.
 
@@ -58,7 +58,6 @@ from service.model.robot import INERTIAL_NAMES, Robot
 from service.model.urdf import inertia_matrix, inertia_vector
 
 BODY = 10  # parameters of a rigid body
-INSTANTS = 50  # of a window at which gravity is averaged
 
 
 @dataclass(frozen=True)
@@ -164,9 +163,10 @@ def _mean(sweep: Sweep) -> float:
 
 def _gravity_row(robot: Robot, number: int, sweep: Sweep) -> Array:
     """(10,) mean torque of gravity on a body on the last link, along the sweep."""
+    instants = 50  # of a window at which gravity is averaged
     first, count = window(sweep.spec, sweep.recording.time)
-    poses = np.tile(sweep.spec.pose, (INSTANTS, 1))
-    poses[:, number] = sweep.recording.position[np.linspace(first, first + count - 1, INSTANTS).astype(int)]
+    poses = np.tile(sweep.spec.pose, (instants, 1))
+    poses[:, number] = sweep.recording.position[np.linspace(first, first + count - 1, instants).astype(int)]
     rows = link_rows(robot.chain, robot.gravity, JointMotion(poses, 0 * poses, 0 * poses))
     return rows[:, number, last_link(robot)].mean(axis=0)
 
@@ -266,7 +266,6 @@ def _differences(robot: Robot, known: Array, empty: FreeMotion, loaded: FreeMoti
     return found
 
 
-WIDE = np.array([1e3, *3 * [1e3], *6 * [1e3]])  # kg, kg m, kg m^2: one sigma of unknown parameters
 LENGTH = 0.3  # m, of a payload
 
 
@@ -320,7 +319,8 @@ def body_of(parameters: Array) -> Array:
 
 
 def _solve(robot: Robot, evidence: Sequence[BodyEvidence], gain_spread: Array) -> PayloadFit:
-    information = Information.empty(BODY).add(np.eye(BODY), np.zeros(BODY), np.diag(WIDE**2))
+    wide = np.array([1e3, *3 * [1e3], *6 * [1e3]])  # kg, kg m, kg m^2: one sigma of unknown parameters
+    information = Information.empty(BODY).add(np.eye(BODY), np.zeros(BODY), np.diag(wide**2))
     for each in evidence:
         information = information.plus(each.information)
     solution = information.solve(np.zeros(BODY))

@@ -16,7 +16,6 @@ Model = TypeVar("Model", bound=BaseModel)
 
 LARGEST_YAML = 2**20  # bytes
 LARGEST_TEXT = 2**26  # bytes
-_MOST_TOLD = 12  # files
 
 
 def read_yaml(path: Path, kind: type[Model]) -> Model:
@@ -93,11 +92,12 @@ def _keys(kind: object, seen: set[object]) -> Iterator[str]:
 
 def _beside(path: Path) -> str:
     """Files that the user may have meant: those in the same folder with the same suffix."""
+    most_told = 12  # files
     try:
         there = sorted(one.name for one in path.parent.iterdir() if one.suffix == path.suffix)
     except OSError:
         return ""
-    return f"; {path.parent} has {', '.join(there[:_MOST_TOLD])}" if there else ""
+    return f"; {path.parent} has {', '.join(there[:most_told])}" if there else ""
 
 
 class Box(BaseModel):

@@ -16,7 +16,6 @@ from service.model.configuration import Cell
 from service.model.robot import Robot
 
 _ROUND = 20  # points of a circle
-_DIGITS = 4  # of a coordinate in m
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +63,13 @@ class Outlines:
 
 def silhouette(points: Array) -> tuple[tuple[float, float], ...]:
     """The corners of the convex hull of points (m, 2), counter-clockwise; both end points if they are collinear."""
+    digits = 4  # of a coordinate in m
     try:
         corners = points[ConvexHull(points).vertices]
     except QhullError:
         along = np.argmax(np.ptp(points, axis=0))
         corners = points[[points[:, along].argmin(), points[:, along].argmax()]]
-    return tuple((round(float(x), _DIGITS), round(float(y), _DIGITS)) for x, y in corners)
+    return tuple((round(float(x), digits), round(float(y), digits)) for x, y in corners)
 
 
 def _points(model: MjModel, geom: int) -> Array:

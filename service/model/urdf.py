@@ -24,7 +24,6 @@ from service.model.errors import BadInput
 MOST_LINKS = 200  # a serial robot has about ten; the chain is read recursively
 MOST_ELEMENTS = 20_000
 DEEPEST = 50  # levels of nested elements; URDF has about six
-LONGEST_NAME = 200
 LARGEST = 1e15  # of a number, SI; its square does not overflow
 _CHOOSE = "only a serial chain can be measured, `sweepid robot check URDF --tip LINK` makes one of it"
 
@@ -111,6 +110,7 @@ def read_chain(text: str, place: str = "urdf") -> Chain:
 
 def look_over(text: str, place: str) -> None:
     """Check before parsing: BadInput for a text that is no XML, has a DOCTYPE, or is larger than any robot."""
+    longest_name = 200
     depth, count = 0, 0
 
     def begin(kind: str, attributes: Mapping[str, str]) -> None:
@@ -119,8 +119,8 @@ def look_over(text: str, place: str) -> None:
         if depth > DEEPEST or count > MOST_ELEMENTS:
             raise BadInput(place, f"has more than {MOST_ELEMENTS} elements, or is nested deeper than {DEEPEST}")
         name = attributes.get("name", "")
-        if kind in ("link", "joint") and (len(name) > LONGEST_NAME or not name.isprintable()):
-            raise BadInput(place, f"name {name[:20]!r} of a {kind} is longer than {LONGEST_NAME} or not printable")
+        if kind in ("link", "joint") and (len(name) > longest_name or not name.isprintable()):
+            raise BadInput(place, f"name {name[:20]!r} of a {kind} is longer than {longest_name} or not printable")
 
     def end(_: str) -> None:
         nonlocal depth
@@ -305,10 +305,6 @@ def _vector(element: ET.Element, name: str, here: str) -> Array:
     return values
 
 
-MOST_NUMBERS = 30_000  # of one hull
-FARTHEST = 1e4  # m, of a coordinate
-
-
 def collision_meshes(root: ET.Element) -> Iterator[tuple[str, ET.Element]]:
     """Every `<mesh>` of a collision shape, with the name of its link."""
     for link in root.findall("link"):
@@ -323,22 +319,24 @@ def write_hull(mesh: ET.Element, vertices: Array) -> None:
 
 def read_hull(mesh: ET.Element, here: str) -> Array:
     """The hull (k, 3) of a mesh; BadInput if the mesh has none or it is not a valid body."""
+    farthest = 1e4  # m, of a coordinate
+    most_numbers = 30_000  # of one hull
     name, element = mesh.get("filename", ""), mesh.find("hull")
     if element is None:
         raise BadInput(
             here, f"mesh {name}: its shape is not in the URDF; `sweepid robot check URDF --packages DIR` puts it in"
         )
-    words = element.get("vertices", "").split(maxsplit=MOST_NUMBERS)
-    if len(words) > MOST_NUMBERS:
-        raise BadInput(here, f"mesh {name}: its hull has more than {MOST_NUMBERS} numbers")
+    words = element.get("vertices", "").split(maxsplit=most_numbers)
+    if len(words) > most_numbers:
+        raise BadInput(here, f"mesh {name}: its hull has more than {most_numbers} numbers")
     try:
         numbers = np.array([float(word) for word in words])
     except ValueError as error:
         raise BadInput(here, f"mesh {name}: hull: {error}") from None
     if len(numbers) % 3 or not np.isfinite(numbers).all():
         raise BadInput(here, f"mesh {name}: its hull is not finite numbers in threes")
-    if np.abs(numbers).max(initial=0.0) > FARTHEST:
-        raise BadInput(here, f"mesh {name}: its hull reaches {np.abs(numbers).max():.3g} m, limit {FARTHEST:g} m")
+    if np.abs(numbers).max(initial=0.0) > farthest:
+        raise BadInput(here, f"mesh {name}: its hull reaches {np.abs(numbers).max():.3g} m, limit {farthest:g} m")
     vertices = numbers.reshape(-1, 3)
     if len(vertices) < 4 or np.linalg.matrix_rank(vertices - vertices[:1], tol=1e-9) < 3:
         raise BadInput(here, f"mesh {name}: its hull is not a body: {len(vertices)} points, or all in one plane")

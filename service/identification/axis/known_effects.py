@@ -170,9 +170,6 @@ def _number(value: float | None, place: str) -> float:
     return value
 
 
-NUDGE = 1e-3  # of one standard deviation, for derivatives
-
-
 @dataclass(frozen=True)
 class GearLoad:
     """Load of the gear in the pose of a sweep: inertia kg m^2 (kg), torque and stiffness of gravity.
@@ -255,6 +252,7 @@ def corrected(spectrum: Spectrum, known: KnownAxis, gain: float, load: GearLoad)
 
     The effort of the result is true effort.
     """
+    nudge = 1e-3  # of one standard deviation, for derivatives
     if not known.effects:
         nothing = np.zeros((0, len(spectrum.frequency)), dtype=np.complex128)
         return Corrected(replace(spectrum, effort=spectrum.effort / gain), nothing)
@@ -278,8 +276,8 @@ def corrected(spectrum: Spectrum, known: KnownAxis, gain: float, load: GearLoad)
         torque = law(effect.values, motion)
         effort = effort - scale * _dft(torque, spectrum)
         for step in effect.directions():
-            moved = {name: value + NUDGE * step[name] for name, value in effect.values.items()}
-            columns.append(scale * _dft((law(moved, motion) - torque) / NUDGE, spectrum))
+            moved = {name: value + nudge * step[name] for name, value in effect.values.items()}
+            columns.append(scale * _dft((law(moved, motion) - torque) / nudge, spectrum))
     hose = known.get(HOSE)
     if hose is not None:
         pull: Complex = scale * _dft(motion.way, spectrum)

@@ -15,7 +15,6 @@ from service.model.arrays import Array
 from service.model.robot import Robot
 from service.model.urdf import Chain
 
-UNKNOWN_MOTOR = 0.5  # of the axis' inertia: a motor that no data sheet gives, and one sigma of it
 NOISE_GUESS = 0.002  # of the rated effort: start value only, the noise is then estimated
 
 
@@ -106,11 +105,12 @@ def shared_prior(robot: Robot, number: int, reference: Array, spectra: list[Spec
 
     `reference` (m,): the model's inertias in the axis' poses.
     """
+    unknown_motor = 0.5  # of the axis' inertia: a motor that no data sheet gives, and one sigma of it
     axis, prior = robot.axes[number], robot.prior
     typical = _typical(robot, number, reference, spectra)
     motor = axis.reflected_motor_inertia
     motor_mean, motor_sigma = (
-        (motor, prior.motor_inertia * motor) if motor else (UNKNOWN_MOTOR * typical, UNKNOWN_MOTOR * typical)
+        (motor, prior.motor_inertia * motor) if motor else (unknown_motor * typical, unknown_motor * typical)
     )
     friction = axis.viscous_friction
     # half of it on either side of the spring

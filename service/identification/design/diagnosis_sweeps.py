@@ -22,8 +22,6 @@ SLOW = float(np.radians(4.0))  # rad (m), travel of the slow sweeps
 FAST = 3.0  # times the travel of the slow sweeps
 WIDE = 2.0  # times the travel of the slow sweeps, for the wide band
 WIDE_LINES = (3.0, 5.0, 7.0, 11.0, 13.0, 17.0)  # Hz
-REVERSAL_LINES = (1.0, 2.0, 3.0)  # Hz: low, so that the distance between two reversals is much longer than presliding
-WAY_BACK = np.radians(2.0)  # rad/s (m/s)
 BLOCKS = ("forward_slow", "backward_slow", "forward_fast", "backward_fast", "reversal", "wide")
 REVISITED = ("forward_slow", "backward_slow")
 ROOM = 0.25  # rad (m) from a limit, needed for the sweeps
@@ -153,10 +151,11 @@ def _kind(spec: SweepSpec, slowest: float) -> str | None:
 
 def _free_at(sweep: DesignedSweep) -> float:
     """Earliest start of the next sweep, s."""
+    way_back = np.radians(2.0)  # rad/s (m/s)
     spec = sweep.spec
     travel = abs(spec.offset_velocity) * (sweep.duration - sweep.ramp)
     # 2 s more than the way back
-    return spec.started_at + sweep.duration + travel / WAY_BACK + 2.0
+    return spec.started_at + sweep.duration + travel / way_back + 2.0
 
 
 def _in_order(
@@ -215,10 +214,15 @@ def _excitation(robot: Robot, joint: str, pose: Array, block: str, load: float, 
 
 def _about_standstill(sweep: Excitation) -> Excitation:
     """The sweep with the same peak speed, without the offset."""
-    number = np.arange(len(REVERSAL_LINES))
-    amplitude = abs(sweep.offset_velocity) / len(REVERSAL_LINES)
+    reversal_lines = (
+        1.0,
+        2.0,
+        3.0,
+    )  # Hz: low, so that the distance between two reversals is much longer than presliding
+    number = np.arange(len(reversal_lines))
+    amplitude = abs(sweep.offset_velocity) / len(reversal_lines)
     phases = (-np.pi * number * (number + 1) / len(number)) % (2 * np.pi)
     sines = tuple(
-        Sine(frequency=f, amplitude=amplitude, phase=p) for f, p in zip(REVERSAL_LINES, phases.tolist(), strict=True)
+        Sine(frequency=f, amplitude=amplitude, phase=p) for f, p in zip(reversal_lines, phases.tolist(), strict=True)
     )
     return replace(sweep, offset_velocity=0.0, sines=sines)

@@ -252,7 +252,6 @@ OFFSET = 0.1 * 2 * np.pi / 60  # rad/s (m/s)
 SHARE = 0.01  # of the rated effort
 LOWEST, HIGHEST = 1.0, 39.0  # Hz
 PERIOD, PERIODS = 1.6, 3  # s; prime by the cogging rule
-NOISE_RAMP, NOISE_SETTLE = 0.5, 1.0  # s
 SOFTENING = 0.4
 
 
@@ -294,8 +293,9 @@ def design_noise(
 
     Raises BadInput if cogging falls on its lines for every offset.
     """
+    noise_ramp, noise_settle = 0.5, 1.0  # s
     axis = robot.axis(joint)
-    fastest = min(OFFSET, travel / (NOISE_RAMP + NOISE_SETTLE + PERIODS * PERIOD))
+    fastest = min(OFFSET, travel / (noise_ramp + noise_settle + PERIODS * PERIOD))
     offset = ripple_free_offset(axis, fastest, PERIOD, PERIODS)
     if offset <= 0:
         raise BadInput(joint, f"no offset up to {fastest:.4g} keeps the axis' cogging off the lines of its noise")
@@ -303,5 +303,5 @@ def design_noise(
     sway = float(np.sqrt(np.mean(1 / lines**2))) / (2 * np.pi * inertia)  # per N m
     effort = min(SHARE * axis.rated_effort, 0.2 * offset / sway)  # a fifth of the offset
     return NoiseExcitation(
-        direction * offset, effort, LOWEST, HIGHEST, PERIOD, PERIODS, seed, SOFTENING, NOISE_RAMP, NOISE_SETTLE
+        direction * offset, effort, LOWEST, HIGHEST, PERIOD, PERIODS, seed, SOFTENING, noise_ramp, noise_settle
     )

@@ -77,7 +77,6 @@ from service.model.robot import Robot
 
 IDENTIFIED = 0.5  # of the prior's standard deviation: maximum for an identified parameter
 POSITIVE = ("Jm(", "Fv(", "Fc(")  # alone: names of parameters that are positive on every robot
-ONE_SOURCE = 1.5  # times the standard deviation of both together: below, one source is sufficient
 
 
 @dataclass(frozen=True)
@@ -403,17 +402,13 @@ def _judged(
 
 
 def _source(std: float, std_sweeps: float, std_trajectories: float) -> Source:
-    sweeps, trajectories = std_sweeps <= ONE_SOURCE * std, std_trajectories <= ONE_SOURCE * std
+    one_source = 1.5  # times the standard deviation of both together: below, one source is sufficient
+    sweeps, trajectories = std_sweeps <= one_source * std, std_trajectories <= one_source * std
     if sweeps and trajectories:
         return Source.EITHER
     if sweeps:
         return Source.SWEEPS
     return Source.TRAJECTORIES if trajectories else Source.BOTH
-
-
-FAR = 3.0  # standard deviations: greatest distance of the base parameters from those of a physical robot
-CHECK = "Check signs and units of the efforts, the gear ratios and gravity's direction, or record a longer motion"
-SIGN = "The effort of this axis and its velocity seem to count in opposite directions: change the sign of one of them"
 
 
 def combined_parameters(found: JointEstimate) -> RobotParameters:
@@ -517,22 +512,27 @@ def _friction(combination: JointEstimate, joint: str) -> tuple[results.FrictionP
 
 def _warnings(combination: JointEstimate, deviation: float) -> tuple[str, ...]:
     """What no robot can have, with the next step."""
+    sign = (
+        "The effort of this axis and its velocity seem to count in opposite directions: change the sign of one of them"
+    )
+    check = "Check signs and units of the efforts, the gear ratios and gravity's direction, or record a longer motion"
+    far = 3.0  # standard deviations: greatest distance of the base parameters from those of a physical robot
     robot = combination.robot
     found = list(combination.faults)
     for one in combination.parameters:
         if one.name.startswith(POSITIVE) and " " not in one.name and one.value + 2 * one.std < 0:
-            mend = SIGN if one.name.startswith("Fc(") else CHECK
+            mend = sign if one.name.startswith("Fc(") else check
             found.append(f"{one.name} is {one.value:.3g} ± {one.std:.2g}: it is positive on every robot. {mend}")
     # poses of the workspace
     poses = spread_evenly(200, *joint_ranges(robot.chain))
     for joint in robot.joints:
         least = float(combination.inertia(joint, poses).min())
         if least <= 0:
-            found.append(f"the inertia of {joint} is {least:.3g} in a pose: it is positive on every robot. {CHECK}")
-    if deviation > FAR:
+            found.append(f"the inertia of {joint} is {least:.3g} in a pose: it is positive on every robot. {check}")
+    if deviation > far:
         found.append(
             f"no robot of rigid bodies has these base parameters: the nearest is {deviation:.1f} standard deviations "
-            f"away, limit {FAR:g}. {CHECK}"
+            f"away, limit {far:g}. {check}"
         )
     return tuple(found)
 

@@ -33,7 +33,6 @@ STAYS_OUT = {
     "gravity_error": "gravity is fitted in every sweep",
     "payload": "the inertias hold whatever the robot carries",
 }
-OTHER = "is not described for sweeps with lines"
 
 
 def rmse_percent(a: Array, b: Array) -> float:
@@ -186,6 +185,7 @@ def _used(effect: KnownEffect, axis: AxisEstimate) -> results.UsedEffect:
 
 def _role(effect: KnownEffect, axis: AxisEstimate) -> tuple[bool, str]:
     """Whether it is used, and how or why not."""
+    other = "is not described for sweeps with lines"
     if effect.unusable:
         return False, effect.unusable
     if effect.name == GAIN:
@@ -195,7 +195,7 @@ def _role(effect: KnownEffect, axis: AxisEstimate) -> tuple[bool, str]:
         if axis.fit is None:
             return False, "the axis has no sweep with lines"
         return True, ENTERS[effect.name]
-    return False, STAYS_OUT.get(effect.name, OTHER)
+    return False, STAYS_OUT.get(effect.name, other)
 
 
 def as_document(estimate: RobotEstimate, workspace: Array) -> results.Estimate:

@@ -144,7 +144,6 @@ def unchanged_or(compute: Callable[P, AxisEstimate], *inputs: P.args, **named: P
 
 SAME_POSITION = 2e-3  # rad (m): positions that differ by less are one; a joint that did not move more was locked
 WORKSPACE = 2000  # poses that represent the workspace if no collision-free grid is given
-FOLDS = 10  # parts into which the poses are divided; each is predicted from the others
 
 
 @dataclass(frozen=True)
@@ -353,11 +352,12 @@ def _judge(axes: Sequence[AxisEstimate], observation: Mapping[str, Array], poses
 
 
 def _predicted(left_out: LeftOut, poses: Array) -> tuple[Array, Array]:
-    """Every sweep predicted from the sweeps of other poses, in up to `FOLDS` folds: errors and their std, (n,) each."""
+    """Every sweep predicted from the sweeps of other poses, in up to 10 folds: errors and their std, (n,) each."""
+    folds = 10  # parts into which the poses are divided; each is predicted from the others
     places = np.unique(np.round(poses / SAME_POSITION), axis=0, return_inverse=True)[1].ravel()
     error, std = np.zeros(len(poses)), np.full(len(poses), np.inf)
-    for fold in range(min(FOLDS, int(places.max()) + 1)):
-        members = np.flatnonzero(places % FOLDS == fold)
+    for fold in range(min(folds, int(places.max()) + 1)):
+        members = np.flatnonzero(places % folds == fold)
         predicted = left_out.together(members)
         if predicted is not None:
             error[members], std[members] = predicted[0], np.sqrt(np.diag(predicted[1]))

@@ -19,8 +19,6 @@ from service.model.arrays import Array
 from service.model.robot import rotation_about
 from service.model.urdf import Chain, Joint
 
-FACTORS = (1.0, -1.0, 2.0, -2.0, 0.5, -0.5)
-
 
 @dataclass(frozen=True)
 class Product:
@@ -80,15 +78,16 @@ class Search:
         return next(self._found(value), None)
 
     def _found(self, value: Array) -> Iterator[Expression]:
-        for factor in FACTORS:
+        factors = (1.0, -1.0, 2.0, -2.0, 0.5, -0.5)
+        for factor in factors:
             for i in self._equal(self._values, value / factor):
                 yield Expression(factor, "" if self._texts[i] == "1" else self._texts[i])
-        for factor in FACTORS:
+        for factor in factors:
             for pair in self._equal(self._sums, value / factor):
                 yield Expression(factor, f"({self._pair(pair)})")
         if len(self._texts) > 80:
             return
-        for factor in FACTORS:
+        for factor in factors:
             for i, text in enumerate(self._texts):
                 for sign, mark in ((1, "+"), (-1, "-")):
                     for pair in self._equal(self._sums, value / factor - sign * self._values[i]):

@@ -274,10 +274,6 @@ def _with_laws(robot: Robot, parts: Sequence[AxisEquations], joints: frozenset[s
     return found
 
 
-LAGS = np.arange(-0.3, 0.301, 0.05)  # s
-AXES = ("x", "y", "z")
-
-
 @dataclass(frozen=True)
 class _Hypothesis:
     """`parts` as they would be without the fault; `joints` that it is about; `told` with the next step."""
@@ -316,6 +312,8 @@ def _errors(one: _Hypothesis, records: Sequence[FreeMotion], of: Mapping[str, Sc
 
 
 def _hypotheses(robot: Robot, base: BaseParameters, records: Sequence[FreeMotion]) -> Iterator[_Hypothesis]:
+    axes = ("x", "y", "z")
+    lags = np.arange(-0.3, 0.301, 0.05)  # s
     parts = all_equations(robot, base, records)
     joints = tuple(dict.fromkeys(each.joint for each in parts))
     efforts = {(each.record, each.joint): each.values for each in parts}
@@ -328,7 +326,7 @@ def _hypotheses(robot: Robot, base: BaseParameters, records: Sequence[FreeMotion
             ]
             told = f"the efforts of {pair[0]} and {pair[1]} seem to be exchanged: exchange their columns"
             yield _Hypothesis(robot, base, exchanged, pair, told)
-    for lag in LAGS[np.abs(LAGS) > 0.01].tolist():
+    for lag in lags[np.abs(lags) > 0.01].tolist():
         shifted = [replace(each, values=np.interp(each.time + lag, each.time, each.values)) for each in parts]
         told = f"the efforts seem to be {1000 * lag:.0f} ms late: take them earlier by that"
         yield _Hypothesis(robot, base, shifted, joints, told)
@@ -341,7 +339,7 @@ def _hypotheses(robot: Robot, base: BaseParameters, records: Sequence[FreeMotion
             if np.allclose(gravity, robot.gravity, atol=0.1 * size):
                 continue
             turned = _turned(robot, (gravity[0], gravity[1], gravity[2]))
-            told = f'gravity seems to act along {"-" if sign < 0 else ""}{AXES[axis]} of the base: set "gravity"'
+            told = f'gravity seems to act along {"-" if sign < 0 else ""}{axes[axis]} of the base: set "gravity"'
             yield _Hypothesis(turned, oblique, all_equations(turned, oblique, records), joints, told)
 
 

@@ -25,7 +25,6 @@ LOW_SPEEDS = (0.05, 0.1, 0.2)  # of the largest velocity: where friction at low 
 ANGLES = (1.0, 2.0, 3.0)  # periods per revolution (per 2 pi m)
 OF_SPEED, OF_ANGLE = "friction of the speed", "a torque of the angle"
 LACKS = (*[OF_SPEED for _ in LOW_SPEEDS], OF_SPEED, OF_SPEED, *[OF_ANGLE for _ in (*ANGLES, *ANGLES)])
-CHUNK = 4000  # instants whose rows are computed together, to limit memory
 
 
 @dataclass(frozen=True)
@@ -112,8 +111,9 @@ def equations(
 
 def links_along(robot: Robot, load: JointMotion) -> Array:
     """`link_rows` (m, n, 10 n) in pieces, for records of any length."""
-    starts = range(0, len(load.position), CHUNK)
-    parts = [link_rows(robot.chain, robot.gravity, _part(load, slice(k, k + CHUNK))) for k in starts]
+    chunk = 4000  # instants whose rows are computed together, to limit memory
+    starts = range(0, len(load.position), chunk)
+    parts = [link_rows(robot.chain, robot.gravity, _part(load, slice(k, k + chunk))) for k in starts]
     return np.concatenate(parts)
 
 

@@ -109,7 +109,6 @@ def _levinson(lags: Array) -> tuple[Array, Array]:
     return coefficients, np.sqrt(variance)
 
 
-ROUNDS = 4  # of fit and colour
 TESTS = (*LACKS, "elasticity of the gear")
 OPEN = 1e-4  # of the square of a column: least part outside the span of the rows with which it is tested
 FOLDS = 5  # every fifth block is held out together
@@ -203,6 +202,7 @@ def fit_equations(
 
     BadInput where no axis moves for long enough, and where an equation or a fitted parameter is not finite.
     """
+    rounds = 4  # of fit and colour
     for each in parts:
         finite(
             np.column_stack([each.rows, each.values]),
@@ -218,11 +218,11 @@ def fit_equations(
     colours = {joint: Colour(np.zeros((1, 0)), np.array([own])) for joint, own in size.items()}
     values, before = start, start
     white: list[WhiteEquations] = []
-    for turn in range(ROUNDS):
+    for turn in range(rounds):
         white = [_whitened(each, colours[each.joint], block, values) for each, block in zip(parts, blocks, strict=True)]
         information = _sum(white, len(start))
         before, values = values, information.plus(prior).solve(start).values
-        if turn < ROUNDS - 1:
+        if turn < rounds - 1:
             colours = _colours(parts, values, information, size, order)
     finite(values, f"free motion {records[0].ids[0]}", "the fitted parameters")
     information = _sum(white, len(start))

@@ -57,7 +57,6 @@ def low_pass(signals: Array, rate: float, cut: float, derivative: int = 0) -> Ar
 BAND = 10.0  # Hz, of the equations: below the springs of industrial robots
 MOTION = 3.0  # times the band: cut-off of the smoothed motion, high enough to keep the whole band
 SAME_PATH, SAME_PLACE = 0.01, 1e-3  # maximum difference of the paths of repeats: relative, and rad (m)
-FEWEST_SAMPLES = 50  # samples
 
 
 @dataclass(frozen=True)
@@ -156,6 +155,7 @@ def with_loads(record: FreeMotion, trains: Mapping[str, TwoMassTrain]) -> FreeMo
 
 
 def _record(robot: Robot, sweeps: Sequence[Sweep]) -> FreeMotion:
+    fewest_samples = 50  # samples
     sweeps = sorted(sweeps, key=lambda sweep: robot.index(sweep.spec.axis))
     first = sweeps[0]
     for sweep in sweeps:
@@ -172,8 +172,8 @@ def _record(robot: Robot, sweeps: Sequence[Sweep]) -> FreeMotion:
                     f"{name} {mine} differs from {others} of sweep {first.spec.id}, which ran with it",
                 )
     start = int(np.searchsorted(first.recording.time, first.spec.measure_from - 0.5 / first.spec.sample_rate))
-    if len(first.recording.time) - start < FEWEST_SAMPLES:
-        raise BadInput(f"sweep {first.spec.id}", f"fewer than {FEWEST_SAMPLES} samples after measure_from")
+    if len(first.recording.time) - start < fewest_samples:
+        raise BadInput(f"sweep {first.spec.id}", f"fewer than {fewest_samples} samples after measure_from")
     loads = {s.spec.axis: s.recording.load_position for s in sweeps}
     speeds = {s.spec.axis: s.recording.load_velocity for s in sweeps}
     return FreeMotion(

@@ -50,7 +50,6 @@ MARGIN = 3.0  # Hz above the last line
 BELOW_NYQUIST = 0.4  # of the sample rate: above, filters against aliasing distort
 WHOLE = 1e-6  # relative, by which a number of samples or of periods may differ from a whole one
 REST, AT_REST = 0.1, 0.005  # s; of the highest velocity: longer and slower, an axis of a free record rests
-SAME_WAY = 0.5  # allowed relative difference of load and motor travel over the window
 
 
 @dataclass(frozen=True)
@@ -148,13 +147,14 @@ def _periodic(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> S
 
 def _load_velocity(spec: SweepSpec, record: Recording, first: int, count: int, bins: Bins) -> Complex | None:
     """Velocity of the direct encoder at `bins`. BadInput if its travel differs from that of the motor."""
+    same_way = 0.5  # allowed relative difference of load and motor travel over the window
     if record.load_position is None:
         return None if record.load_velocity is None else _dft(record.load_velocity[first : first + count], bins)
     way, motor = _way(record.load_position, first, count), _way(record.position, first, count)
-    if spec.offset_velocity and not abs(way[-1] / motor[-1] - 1) < SAME_WAY:
+    if spec.offset_velocity and not abs(way[-1] / motor[-1] - 1) < same_way:
         raise BadInput(
             f"sweep {spec.id} load_position",
-            f"moves {way[-1] / motor[-1]:.3g} times as far as position, limit 1 +- {SAME_WAY:g}",
+            f"moves {way[-1] / motor[-1]:.3g} times as far as position, limit 1 +- {same_way:g}",
         )
     ramp = way[-1] * np.arange(count) / count
     omega = 2 * np.pi * bins * (spec.sample_rate / count)

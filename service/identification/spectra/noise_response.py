@@ -51,7 +51,6 @@ from service.model.results.spectrum import NoiseDocument
 from service.model.robot import Axis, Robot
 
 NEAR = 2  # bins on either side of a line from which ripple is found
-NEIGHBOURS = 3  # lines on either side over which noise is averaged
 
 
 @dataclass(frozen=True)
@@ -253,9 +252,10 @@ def _answers(reference: Complex, effort: Complex, velocity: Complex) -> Complex:
 
 def _smooth(values: Array) -> Array:
     """Mean of each line and its neighbours, (b,)."""
+    neighbours = 3  # lines on either side over which noise is averaged
     total = np.concatenate([[0.0], np.cumsum(values)])
     line = np.arange(len(values))
-    first, last = np.maximum(line - NEIGHBOURS, 0), np.minimum(line + NEIGHBOURS + 1, len(values))
+    first, last = np.maximum(line - neighbours, 0), np.minimum(line + neighbours + 1, len(values))
     return (total[last] - total[first]) / (last - first)
 
 

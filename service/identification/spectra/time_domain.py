@@ -40,7 +40,6 @@ from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
 
 PARTS = 10  # stretches of the record
-ALONE = 1e-6  # minimum share of a bin's equations that the other bins also determine
 
 
 @dataclass(frozen=True)
@@ -149,9 +148,10 @@ def _between_stretches(rows: Array, residual: Array) -> Array:
 
 def _between_bins(rows: Array, residual: Array, inverse: Array) -> Array:
     """Variances (p,) from the residual of each bin, with `inverse` (p, p) of the normal matrix."""
+    alone = 1e-6  # minimum share of a bin's equations that the other bins also determine
     left, bins = _bins(residual[:, None])[..., 0], _bins(rows)
     moments, axes = np.linalg.eigh(np.eye(2) - bins @ inverse @ np.swapaxes(bins, -1, -2))
-    grown = np.where(moments > ALONE, 1 / np.sqrt(np.maximum(moments, ALONE)), 0.0)
+    grown = np.where(moments > alone, 1 / np.sqrt(np.maximum(moments, alone)), 0.0)
     grown = np.einsum("kij,kj,klj,kl->ki", axes, grown, axes, left)
     influence: Array = np.einsum("kip,ki->kp", bins, grown) @ inverse
     return np.asarray(np.sum(influence**2, axis=0), dtype=float)
