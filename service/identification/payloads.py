@@ -382,7 +382,7 @@ def payload_document(robot: Robot, found: PayloadFit) -> results.Payload:
     None.
     """
     figures = tuple(
-        results.Figure(
+        results.BodyFigure(
             value=float(value) if excited else None,
             std=float(std) if excited else None,
             std_total=float(total) if excited else None,
@@ -399,16 +399,16 @@ def payload_document(robot: Robot, found: PayloadFit) -> results.Payload:
         mass=figures[0],
         center=dict(zip(CENTER, figures[1:4], strict=True)),
         inertia=dict(zip(TENSOR, figures[4:], strict=True)),
-        parameters=results.Parameters(
+        parameters=results.BodyParameters(
             names=tuple(INERTIAL_NAMES),
             values=tuple(found.parameters.tolist()),
             covariance=tuple(map(tuple, found.covariance.tolist())),
             covariance_total=tuple(map(tuple, found.covariance_total.tolist())),
         ),
-        physical=results.Physical(
+        physical=results.PhysicalBody(
             consistent=found.physical,
             deviation_in_std=found.deviation,
-            nearest=results.Body(mass=mass, center=(x, y, z), inertia=dict(zip(TENSOR, tensor, strict=True))),
+            nearest=results.PayloadBody(mass=mass, center=(x, y, z), inertia=dict(zip(TENSOR, tensor, strict=True))),
         ),
         evidence=tuple(results.Evidence(axis=each.joint, source=each.source) for each in found.evidence),
         sentences=tuple(sentences(found)),

@@ -15,7 +15,7 @@ from service.identification.model.regressor import axis_rows
 from service.identification.motion.equations import whole_parameters
 from service.identification.motion.free_motion import free_motions
 from service.model.recording import Sweep
-from service.model.results.combination import JointEstimate as Document
+from service.model.results.combination import Combination as Document
 from service.model.results.estimate import Estimate
 from service.model.robot import Robot, build_robot
 from service.store.files.bundle import Bundle

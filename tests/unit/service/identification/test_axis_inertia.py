@@ -38,6 +38,7 @@ def test_locked_rotor_frequency() -> None:
     train = TwoMassTrain(1.0, 0.0, 0.0, 1 / 4e5, 0.0)
     assert train.locked_rotor_frequency(100.0) == pytest.approx(np.sqrt(4e5 / 100.0) / (2 * np.pi))
     assert TwoMassTrain(1.0, 0.0, 0.0, 0.0, 0.0).locked_rotor_frequency(100.0) == np.inf
+    assert train.locked_rotor_frequency(-0.2) == np.inf  # noise may make a load vanish
 
 
 def test_paper_formula_removes_friction_of_a_rigid_axis_exactly() -> None:
