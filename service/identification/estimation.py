@@ -68,7 +68,10 @@ def estimate_document(
     also: dict[str, object] = {"analysis": analyses_document(own), "combination": combination}
     if estimate is None and combination is not None:
         also |= {"standard_parameters": combination.standard_parameters, "physical": combination.physical}
-    return _document(robot, estimate).model_copy(update=also)
+    if estimate is None:
+        return nothing_known().model_copy(update=also)
+    workspace = reachable(robot, estimate.poses, estimate.workspace)
+    return as_document(estimate, workspace).model_copy(update=also)
 
 
 def _combination(
@@ -82,10 +85,3 @@ def _combination(
     if not records and not motions:
         return None
     return combination_document(combine(robot, inertias_of(estimate) if estimate else (), records, motions, gains))
-
-
-def _document(robot: Robot, estimate: RobotEstimate | None) -> results.Estimate:
-    """The document of an estimate from sweeps alone."""
-    if estimate is None:
-        return nothing_known()
-    return as_document(estimate, reachable(robot, estimate.poses, estimate.workspace))

@@ -46,8 +46,8 @@ from service.identification.model.inverse_dynamics import (
 from service.identification.model.least_squares import Information
 from service.identification.model.physical_consistency import SearchEnded, is_physical, nearest_physical
 from service.identification.model.regressor import inertia_rows
-from service.identification.motion.equations import AxisEquations, equations, whole_parameters
-from service.identification.motion.fit import fit_equations, fit_free_motions
+from service.identification.motion.equations import AxisEquations, all_equations, equations, whole_parameters
+from service.identification.motion.fit import fit_equations
 from service.identification.motion.free_motion import FreeMotion, calibrated, free_motions
 from service.identification.spectra.frequency_response import Spectrum, spectrum, window
 from service.model.arrays import Array, Mask
@@ -184,7 +184,7 @@ def motion_evidence(
     empty, loaded = [one for one, _ in pairs], [other for _, other in pairs]
     base = dynamic_base(robot)
     start, prior = base.combination @ nominal_parameters(robot), prior_information(robot, base)
-    fit = fit_free_motions(robot, base, empty, prior, start)
+    fit = fit_equations(robot, empty, all_equations(robot, base, empty), prior, start)
     known = whole_parameters(robot, base, fit.evidence.honest.plus(prior).solve(start).values)
     parts = [
         each for k, pair in enumerate(zip(empty, loaded, strict=True)) for each in _differences(robot, known, *pair, k)
@@ -212,9 +212,9 @@ def _aligned(one: FreeMotion, other: FreeMotion) -> tuple[FreeMotion, FreeMotion
     shifts = range(-most, most + 1)
     apart = [_apart(one.position, other.position, shift, most) for shift in shifts]
     shift = shifts[int(np.argmin(apart))]
-    first, second = _from(one, max(shift, 0)), _from(other, max(-shift, 0))
+    first, second = _part(one, slice(max(shift, 0), None)), _part(other, slice(max(-shift, 0), None))
     length = min(len(first.position), len(second.position))
-    return _until(first, length), _until(second, length)
+    return _part(first, slice(length)), _part(second, slice(length))
 
 
 def _apart(one: Array, other: Array, shift: int, margin: int) -> float:
@@ -222,14 +222,6 @@ def _apart(one: Array, other: Array, shift: int, margin: int) -> float:
     a, b = one[max(shift, 0) :][:length:5], other[max(-shift, 0) :][:length:5]
     count = min(len(a), len(b))
     return float(np.mean((a[:count] - b[:count]) ** 2))
-
-
-def _from(record: FreeMotion, first: int) -> FreeMotion:
-    return _part(record, slice(first, None))
-
-
-def _until(record: FreeMotion, length: int) -> FreeMotion:
-    return _part(record, slice(0, length))
 
 
 def _part(record: FreeMotion, part: slice) -> FreeMotion:

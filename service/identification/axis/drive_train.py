@@ -13,7 +13,7 @@ The paper's equation (8) assumes a rigid train and uses |Im Z| at one line: `pap
 
 The model of every bin of every sweep of an axis: the equations of the joint fit, as arrays over sweeps.
 
-Bin by bin (see `frequency_response` and `drive_train` for the symbols), for sweep p,
+Bin by bin (`frequency_response`), for sweep p,
 
     DFT[effort] = Z Omega + F (G0 R0 + k_g R1 + t0 + s t1) + sum of ripple and dry friction + noise
     R0 = DFT[cos d],   R1 = DFT[sin d] - Omega / s

@@ -3,9 +3,9 @@ r"""Known effects of a robot in addition to its rigid body: named by a diagnosis
 The document is that of a model revision, or of `sweepid diagnose --model`: by joint the effects with their
 parameters (value, std, unit) and, if present, their covariance in the same order, and whether torques are as
 recorded or true. A value that is not a number is rejected. Effects with other names, or without a required parameter,
-are not used; the estimate lists them (`axis_document.used_effects`).
+are not used; the estimate lists them (`document.used_effects`).
 
-Removes the effort of known effects (`known_effects`) from the spectrum of a sweep.
+Their effort is removed from the spectrum of a sweep (`corrected`).
 
 Delay. The effort of an instant arrives `delay` later than the motion of that instant:  E -> E e^{s delay}.
 

@@ -5,7 +5,7 @@ The joint *velocity* of axis k is a sum of sines on the harmonics of one fundame
     v_k(t) = e(t) sum_h a_kh sin(2 pi h (t - t0)/T + phi_kh)
 
 so the set of axes is a set of ordinary sweeps with common period, ramp and settling. The ramp e(t) moves the middle of
-the oscillation away from the start; the shift is known in closed form (below) and the start is shifted
+the oscillation away from the start; the shift is known in closed form (`excitation`) and the start is shifted
 in the opposite direction, so that during the window axis k oscillates about `center`.
 
 Choice: random shapes (amplitudes falling as 1/h) about random centres, each scaled to the nearest of its limits

@@ -7,21 +7,19 @@ axis (chi-squared at `CHANCE`) increases the covariance of that axis, so that no
 the residuals. The same set of spectra gives the same estimate, independent of the order of the sweeps: they are
 sorted by sweep id first.
 
-Finds sweeps that do not fit the others, and their weight.
-
-Two tests, each with the limit for the worst of n correct sweeps by chance (`CHANCE`):
+Two tests find sweeps that do not fit the others, each with the limit for the worst of n correct sweeps by chance:
 
 - its effort: the residual of its own fit relative to the pooled noise (`joint_fit`): a torque spike, a collision, a
   cable;
 - its inertia: the value minus the prediction from all other sweeps of all axes,  e_i = J_i - W_i beta_(-i)  over
   its standard deviation: a wrong pose, another payload, a slipped encoder.
 
-A suspect is never dropped. It gets the variance of its misfit, v + (e^2 - v), the most probable value if it has an
+A suspect is never dropped. It gets the variance of its misfit, v + (e^2 - v), the most probable value if it has a
 separate error, so its influence decreases as 1/e (iteratively reweighted least squares; weight = v / e^2). If the
 whole axis fits badly, the cause is the model and not a sweep: then the errors are scaled by their median.
 
 Sweeps that contradict each other can be suspected in turn: with A down-weighted B fits, so A is released, and so on
-without end. If the weights have not converged after 10, a sweep that is suspected once stays suspected and
+without end. If the weights have not converged after 10 rounds, a sweep that is suspected once stays suspected and
 steps are halved; that ends the cycle with all of them down-weighted, and the result contains a note.
 """
 

@@ -42,9 +42,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, stdtr, stdtrit
 
-from service.identification.model.base_parameters import BaseParameters
 from service.identification.model.least_squares import RANK_TOLERANCE, Information, finite, span
-from service.identification.motion.equations import LACKS, AxisEquations, all_equations
+from service.identification.motion.equations import LACKS, AxisEquations
 from service.identification.motion.free_motion import FreeMotion, memory
 from service.model.arrays import Array, Mask
 from service.model.errors import BadInput
@@ -177,15 +176,6 @@ class WhiteEquations:
     def over(self, factor: float) -> "WhiteEquations":
         """All divided by a factor."""
         return WhiteEquations(self.joint, self.rows / factor, self.values / factor, self.lacks / factor, self.block)
-
-
-def fit_free_motions(
-    robot: Robot, base: BaseParameters, records: Sequence[FreeMotion], prior: Information, start: Array
-) -> FreeFit:
-    """Fit all records together. `prior` and `start` (r,) keep undetermined parameters at their start, for the
-    residuals.
-    """
-    return fit_equations(robot, records, all_equations(robot, base, records), prior, start)
 
 
 def fit_equations(

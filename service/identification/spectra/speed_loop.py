@@ -91,18 +91,8 @@ def fit_closed_loop(frequency: Array, response: Complex, place: str, reset_time:
     whole, std = _with_parts(f, solve, place)
     if not whole.converged or not whole.values[0] * first > 0:
         raise BadInput(place, f"shows no inertia from {f[0]:.3g} to {f[-1]:.3g} Hz: {whole.ended}")
-    return LoopFit(
-        inertia=float(whole.values[0] * first),
-        inertia_std=float(std[0] * abs(first)),
-        friction=float(whole.values[2]),
-        friction_std=float(std[2]),
-        delay=float(whole.values[1] * DELAY),
-        band=(float(f[0]), float(f[-1])),
-        lines=len(f),
-        misfit=whole.misfit,
-        converged=whole.converged,
-        ended=whole.ended,
-    )
+    inertia, std[0] = float(whole.values[0] * first), std[0] * abs(first)
+    return _loop_fit(f, whole, std, inertia, friction=2, delay=float(whole.values[1] * DELAY))
 
 
 def fit_torque_response(
@@ -132,14 +122,21 @@ def fit_torque_response(
         return _of_jacobian(x, matrix, matrix @ x - right, np.ones(len(used), dtype=np.complex128))
 
     whole, std = _with_parts(f, solve, place)
+    return _loop_fit(f, whole, std, float(whole.values[0]), friction=1)
+
+
+def _loop_fit(
+    frequency: Array, whole: _Solution, std: Array, inertia: float, friction: int, delay: float | None = None
+) -> LoopFit:
+    """`friction`: its number among the parameters; the first is the inertia."""
     return LoopFit(
-        inertia=float(whole.values[0]),
+        inertia=inertia,
         inertia_std=float(std[0]),
-        friction=float(whole.values[1]),
-        friction_std=float(std[1]),
-        delay=None,
-        band=(float(f[0]), float(f[-1])),
-        lines=len(f),
+        friction=float(whole.values[friction]),
+        friction_std=float(std[friction]),
+        delay=delay,
+        band=(float(frequency[0]), float(frequency[-1])),
+        lines=len(frequency),
         misfit=whole.misfit,
         converged=whole.converged,
         ended=whole.ended,
