@@ -82,7 +82,7 @@ class Contacts(Protocol):
     geom: Integers
 
 
-class MjData(Protocol):
+class MjState(Protocol):
     """The state of a model; `geom_xpos` (n, 3) and `geom_xmat` (n, 9) once the kinematics were computed."""
 
     qpos: Array
@@ -148,11 +148,11 @@ class Engine(Protocol):
     MjSpec: Specs
     mjtGeom: Shapes
 
-    def MjData(self, model: MjModel) -> MjData: ...
+    def MjData(self, model: MjModel) -> MjState: ...
 
-    def mj_kinematics(self, m: MjModel, d: MjData) -> None: ...
+    def mj_kinematics(self, m: MjModel, d: MjState) -> None: ...
 
-    def mj_collision(self, m: MjModel, d: MjData) -> None: ...
+    def mj_collision(self, m: MjModel, d: MjState) -> None: ...
 
 
 engine = cast("Engine", mujoco)
