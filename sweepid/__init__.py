@@ -436,7 +436,8 @@ def plan(
 
     from service.model.configuration import bad_field
     from service.model.geometry.cell import Cell, read_cell
-    from service.planning.plan import PlanRequest, build_plan
+    from service.planning.documents import PlanRequest
+    from service.planning.plan import build_plan
 
     around = cell if isinstance(cell, Cell) else read_cell(Path(cell))
     try:

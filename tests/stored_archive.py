@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from service.jobs.batches import Batches
-from service.jobs.jobs import Jobs
-from service.jobs.worker import Worker
+from service.jobs.jobs import Batches, Jobs
+from service.jobs.work import Worker
 from service.model.recording import Sweep
 from service.store.database import Database, open_database
 from service.store.diagnosis.model_revisions import ModelStore

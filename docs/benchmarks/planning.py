@@ -12,9 +12,9 @@ from service.identification.model.base_parameters import base_parameters, joint_
 from service.model.configuration import read_robot
 from service.model.geometry.cell import Cell, read_cell
 from service.model.robot import Robot
-from service.planning.candidates import has_room
-from service.planning.observability import observe
-from service.planning.plan import PlanRequest, build_plan
+from service.planning.documents import PlanRequest
+from service.planning.plan import build_plan
+from service.planning.pose_choice import has_room, observe
 from service.planning.safety.envelope import Envelope
 from tests.naive_selection import naive_condition
 from tests.numeric.campaign import CONFIG

@@ -32,7 +32,7 @@ from drivers.canopen.units import Codec
 from drivers.cia402.checks import Envelope
 from drivers.cia402.profile import IdentityProfile
 from drivers.ports import SweepCommand, SweepMode
-from service.machine.execution.recording.recorder import Recorder
+from service.machine.execution.recording import Recorder
 
 NODES = (1, 2, 3, 4, 5, 6)
 ENABLED = 0x0027

@@ -18,7 +18,7 @@ from drivers.errors import DriveError
 from service.cli.logs import HeldBack
 from service.machine.stop_process.handle import StopNotStarted, StopProcess
 from service.model.errors import SweepidError
-from service.process.logs.lines import configure_logs
+from service.process.logs import configure_logs
 from service.process.settings import Settings
 from service.store.access.permissions import LOCAL
 from service.web.app import create_app, end_motion, end_streams, halt
@@ -33,12 +33,7 @@ _SWITCH_INTERVAL = 1e-3  # s
 
 def run_service(settings: Settings) -> None:
     """Serve until a signal ends it; one JSON line with the address on stdout once it is ready."""
-    settings.check_tls()
-    settings.check_reach()
-    settings.check_oidc()
-    settings.check_recordings()
-    settings.check_cluster()
-    settings.check_publishing()
+    settings.check()
     configure_logs(settings.log_level)
     logs = HeldBack()
     sys.setswitchinterval(_SWITCH_INTERVAL)

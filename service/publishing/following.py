@@ -11,8 +11,8 @@ from sqlalchemy.exc import SQLAlchemyError
 from service.machine.execution.machine import Machine
 from service.machine.execution.runner import Runner
 from service.model.errors import BadInput, NotFound
-from service.planning.campaigns.estimate_quality import quality_of
 from service.planning.campaigns.live import EventFeed
+from service.planning.campaigns.stored_results import quality_of
 from service.publishing.publisher import Publisher
 from service.publishing.state import (
     AxisQuality,

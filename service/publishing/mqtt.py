@@ -14,7 +14,7 @@ from contextlib import suppress
 from aiomqtt import Client, MqttError, Will
 from pydantic import BaseModel
 
-from service.process.settings.publishing import Mqtt
+from service.process.settings import Mqtt
 from service.publishing.state import FromPublisher, Notice, State
 
 WAITING = 1000  # notices

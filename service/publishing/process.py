@@ -9,9 +9,8 @@ import sys
 from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING
 
-from service.process.logs.lines import configure_logs
-from service.process.tasks.background import Background
-from service.process.tasks.child import give_way
+from service.process.logs import configure_logs
+from service.process.tasks import Background, give_way
 from service.publishing.state import Configuration, FromPublisher, ToPublisher
 
 if TYPE_CHECKING:

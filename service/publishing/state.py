@@ -5,8 +5,7 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, JsonValue
 
-from service.process.settings import Settings
-from service.process.settings.publishing import Mqtt, OpcUa
+from service.process.settings import Mqtt, OpcUa, Settings
 from service.store.documents import CampaignState
 
 

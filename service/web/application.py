@@ -17,34 +17,28 @@ from drivers.registry import open_profile
 from service.diagnosis.effects import CATALOGUE
 from service.identification.fleet.document import Fleet
 from service.identification.fleet.survey import Rules
-from service.jobs.batches import Batches
-from service.jobs.checking import Checking
-from service.jobs.diagnosis_loop.acceptance import accept_model
-from service.jobs.diagnosis_loop.diagnosing import Diagnosing
-from service.jobs.diagnosis_loop.experiments import Experiments
-from service.jobs.jobs import Jobs
-from service.jobs.recording_uploads import RecordingUploads
+from service.jobs.diagnosing import Diagnosing
+from service.jobs.experiments import Experiments, accept_model
+from service.jobs.jobs import Batches, Checking, Jobs
+from service.jobs.recording_uploads import RecordingUploads, Transfers
 from service.jobs.reporting import Reporting, of_fleet
-from service.jobs.worker import Worker, Written, open_worker
-from service.jobs.worker.transfers import Transfers
-from service.machine.execution.approvals import Approvals
-from service.machine.execution.external_stops import listening, watching
-from service.machine.execution.machine import Machine
-from service.machine.execution.recording.recovery import recover
+from service.jobs.work import Worker, Written
+from service.jobs.worker import open_worker
+from service.machine.execution.machine import Machine, listening, watching
+from service.machine.execution.permission import Approvals
+from service.machine.execution.recording import recover
 from service.machine.execution.runner import Runner
 from service.machine.execution.sweep_executor import SweepExecutor
 from service.machine.stop_process.handle import StopProcess
 from service.model.configuration import read_robot
 from service.model.errors import BadInput, Conflict, NoPdf
-from service.planning.campaigns.estimate_quality import Quality, quality_of
-from service.planning.campaigns.fleet_history import FleetHistory
 from service.planning.campaigns.live import EventFeed, LiveHub
-from service.planning.campaigns.plan_subject import PlanSubject, plan_subject
-from service.planning.campaigns.planned_time import PlannedTime, planned_times
+from service.planning.campaigns.stored_plan import PlannedTime, PlanSubject, plan_subject, planned_times
+from service.planning.campaigns.stored_results import FleetHistory, Quality, quality_of
 from service.planning.compiled_plan import compile_plan, planned_sweeps
 from service.planning.machine_setup import MachineSetup, machine_setup
 from service.process.settings import Settings
-from service.process.tasks.background import Background
+from service.process.tasks import Background
 from service.process.telemetry import traced
 from service.publishing.following import Following
 from service.publishing.publisher import Publisher

@@ -3,14 +3,12 @@
 import asyncio
 from dataclasses import dataclass
 
-from service.jobs.batches import Batches
-from service.jobs.checking import Checking
-from service.jobs.diagnosis_loop.diagnosing import Diagnosing
-from service.jobs.diagnosis_loop.experiments import Experiments
-from service.jobs.jobs import Jobs
+from service.jobs.diagnosing import Diagnosing
+from service.jobs.experiments import Experiments
+from service.jobs.jobs import Batches, Checking, Jobs
 from service.jobs.recording_uploads import RecordingUploads
-from service.machine.execution.approvals import Approvals
 from service.machine.execution.machine import Machine
+from service.machine.execution.permission import Approvals
 from service.machine.execution.runner import Runner
 from service.machine.execution.statement import Condition
 from service.machine.execution.sweep_executor import SweepExecutor

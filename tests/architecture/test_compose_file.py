@@ -11,8 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
-from service.process.settings import Settings
-from service.process.settings.workers import cluster_at
+from service.process.settings import Settings, cluster_at
 from service.store.objects.object_store import check_usable
 from tests.programs import needs, require
 

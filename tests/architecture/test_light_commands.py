@@ -151,7 +151,7 @@ def test_a_virtual_can_machine_loads_no_modbus(root: Path) -> None:
 
 def test_a_worker_that_has_no_job_yet_loads_nothing_heavy(root: Path) -> None:
     """Nor does who only hands jobs over: the mathematics comes with the first job that reckons with it."""
-    found = modules(root, f"import service.jobs.worker.process, json, sys\n{TELL}")
+    found = modules(root, f"import service.jobs.worker, json, sys\n{TELL}")
     assert {name.partition(".")[0] for name in found} & (MATHEMATICS | SERVER | PHYSICS) == set()
     late = {"service.data_check", "service.diagnosis", "service.identification.estimates", "service.report"}
     assert found & late == set()
@@ -162,7 +162,7 @@ def test_a_worker_that_has_no_job_yet_loads_nothing_heavy(root: Path) -> None:
     [
         "service.identification.estimation",
         "service.planning.plan",
-        "service.planning.trajectories.plan",
+        "service.planning.trajectories",
         "service.diagnosis.diagnose",
         "service.data_check",
     ],

@@ -21,7 +21,7 @@ GUARDED = {
     HOLDER: {"check_may_move", "used_by", "motion"},
     "machine/execution/sweep_executor.py": {"run"},
     "machine/execution/runner.py": {"start", "resume", "check_free"},
-    "jobs/diagnosis_loop/experiments.py": {"approve", "permit"},
+    "jobs/experiments.py": {"approve", "permit"},
 }
 ENTRIES = {  # routes of the API that lead to motion; a new one is added here on purpose
     "start_campaign",
@@ -136,12 +136,12 @@ def test_an_intention_is_made_only_where_a_request_arrives(root: Path) -> None:
         "async def start(self, intention: Intention | None) -> None: ...",
         "async def start(self, intention: Intention = NOBODYS) -> None: ...",
         "async def start(self, *, intention: 'Intention' = NOBODYS) -> None: ...",
-        "from service.machine.execution.epoch import Intention as Wanted",
+        "from service.machine.execution.permission import Intention as Wanted",
         "class Always(Intention): ...",
     ],
 )
 def test_a_planted_violation_is_found(source: str) -> None:
-    path = "jobs/diagnosis_loop/experiments.py"
+    path = "jobs/experiments.py"
     assert [*violations(path, source), *made_elsewhere(path, source)]
 
 
@@ -149,8 +149,8 @@ PLANTED = """
 from fastapi import APIRouter
 
 from service.web.api.dependencies import ApplicationOf, IntentionOf
-from service.jobs.diagnosis_loop.experiments import Experiments
-from service.machine.execution.epoch import Epochs
+from service.jobs.experiments import Experiments
+from service.machine.execution.permission import Epochs
 from service.machine.execution.machine import Machine
 from service.machine.execution.motion import Bounds
 from service.machine.execution.runner import Runner

@@ -31,8 +31,8 @@ from service.formats.maker_urdf.packages import Packages
 from service.formats.sinumerik.document import Given
 from service.formats.traces.drafts import mapping_of
 from service.formats.traces.trace_import import import_trace, read_traces
-from service.machine.execution.recording.recorder import read_stream
-from service.machine.paths.control import read_control
+from service.machine.execution.recording import read_stream
+from service.machine.paths.sweep_paths import read_control
 from service.model.configuration import read_robot, read_text
 from service.model.errors import BadInput
 from service.model.geometry.cell import read_cell

@@ -16,7 +16,7 @@ from service.identification.fleet.document import FleetType
 from service.identification.fleet.survey import Rules
 from service.model.recording import Sweep
 from service.model.robot import Robot, build_robot
-from service.planning.campaigns.fleet_history import FleetHistory
+from service.planning.campaigns.stored_results import FleetHistory
 from service.store import tables as t
 from service.store.database import Database, open_database
 from service.store.documents import NewRecording, NewSweep, RecordingState, SpectrumRecord, SweepState

@@ -30,8 +30,9 @@ from service.model.geometry.hull import collision_meshes
 from service.model.recording import Sweep
 from service.model.robot import Robot
 from service.model.urdf import transform_inertial
-from service.planning.plan import PlanDocument, PlanRequest, build_plan
-from service.planning.safety.robot_and_machine import DriveProfile, differences
+from service.planning.documents import PlanDocument, PlanRequest
+from service.planning.machine_setup import DriveProfile, differences
+from service.planning.plan import build_plan
 from simulator import (
     DrivenAxis,
     DriveTrain,

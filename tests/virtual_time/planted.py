@@ -16,23 +16,19 @@ well, later. Not in the list, because nothing that anybody could observe changes
 import asyncio
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 from drivers.canopen.stop_sender import CanopenStopSender
 from drivers.cia402.axis import Axis
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
-from service.machine.execution import statement
-from service.machine.execution.approvals import Approvals
-from service.machine.execution.epoch import Epochs, Intention
+from service.machine.execution import machine, statement
 from service.machine.execution.machine import Machine
 from service.machine.execution.motion import Motion
+from service.machine.execution.permission import Approvals, Epochs, Intention
 from service.machine.execution.runner import Runner
-from service.machine.execution.state import lease_renewal
-from service.machine.execution.state.latched_stops import LatchedStops
-from service.machine.execution.state.stop_sequences import StopSequences
 from service.machine.execution.statement import Reports
+from service.machine.execution.stops import LatchedStops, StopSequences, renew
 from service.machine.stop_process.bus import Bus, Outcome
 from service.store import approvals
 from service.store.guards import MachineLease
@@ -193,7 +189,7 @@ SERVICE: dict[str, Fault] = {
         _set(approvals, "_last_stop", lambda *_: 0), (s.start, s.stop_by_port, s.release), 20.0
     ),
     "the lease is never missed": Fault(
-        _set(lease_renewal, "time", SimpleNamespace(monotonic=lambda: 0.0)), (s.start, s.second_service), 20.0
+        _set(machine, "renew", lambda *given: renew(*given[:-1], _nothing_async)), (s.start, s.second_service), 20.0
     ),
     "the stop process sends nothing": Fault(_set(CanopenStopSender, "_send", _nothing), (s.stop_in_a_gap,), 20.0, ONCE),
     "a stop is not stored": Fault(_set(LatchedStops, "note", _nothing), (s.stop_outlives_a_kill,), 20.0, ONCE),

@@ -23,11 +23,10 @@ from sqlalchemy.exc import OperationalError
 
 import service.store.engines.sqlite
 import service.web.application
-from service.jobs.worker import Worker
-from service.jobs.worker.jobs import Answer, Work
+from service.jobs.work import Answer, Work, Worker
 from service.machine.execution.machine import Machine
-from service.machine.stop_process.answers import LONGEST_WAIT, Request
 from service.machine.stop_process.handle import StopProcess
+from service.machine.stop_process.listener import LONGEST_WAIT, Request
 from service.process.settings import Settings
 from service.store.engines.kind import BUSY_TIMEOUT, PATIENCE, WRITE
 from service.web.app import create_app, end_motion, end_streams

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from service.cli.termination_signals import TerminationSignals
 from service.model.causes import in_words, read
 from service.model.errors import BadInput, SweepidError
-from service.planning.campaigns.plan_subject import PlanSubject
+from service.planning.campaigns.stored_plan import PlanSubject
 from service.web.client import Json, ServiceClient
 
 

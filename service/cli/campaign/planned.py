@@ -5,7 +5,7 @@ from pathlib import Path
 
 from service.model.configuration import read_robot
 from service.model.errors import BadInput
-from service.planning.campaigns.plan_subject import plan_subject
+from service.planning.campaigns.stored_plan import plan_subject
 from service.web.client import Json, ServiceClient
 
 

@@ -109,8 +109,8 @@ def export_path(
 ) -> None:
     """Write every sweep of a plan as table (.csv) and Sinumerik part program (.MPF), and the mapping for the traces."""
     from service.cli.exports.plan_file import read_plan
-    from service.machine.paths.control import read_control
     from service.machine.paths.export import export_paths
+    from service.machine.paths.sweep_paths import read_control
     from service.model.configuration import read_robot
     from service.model.geometry.cell import read_cell
 

@@ -19,7 +19,8 @@ from service.model.configuration import read_robot
 from service.model.errors import BadInput
 from service.model.geometry.cell import read_cell
 from service.model.results.estimate import Estimate
-from service.planning.plan import PlanRequest, workspace_grid
+from service.planning.documents import PlanRequest
+from service.planning.pose_choice import workspace_grid
 from service.report import Content, axes_of, content_of, estimate_page
 from service.report.benefit import Benefit, benefit, benefit_section
 from service.store.files.bundle import Bundle, read_bundle

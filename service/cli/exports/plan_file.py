@@ -5,7 +5,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from service.model.configuration import bad_field, read_text
-from service.planning.plan import PlanDocument
+from service.planning.documents import PlanDocument
 
 
 class _PlanFile(BaseModel):

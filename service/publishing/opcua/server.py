@@ -10,7 +10,7 @@ from asyncua.ua.uaerrors import UaError
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 
-from service.process.settings.publishing import OpcUa
+from service.process.settings import OpcUa
 from service.publishing.opcua.access import Clients, ReadOnly, certificate_in, trusted_in
 from service.publishing.opcua.library import Node, UaServer, ua
 from service.publishing.opcua.nodes import Nodes

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from service.model.errors import BadInput
-from service.process.settings import AUDIT_HEADS
-from service.process.settings.object_store import StoreAddress
+from service.process.settings import AUDIT_HEADS, StoreAddress
 from service.store.backup.examined import Examined, SqliteFile, Unreadable
 from service.store.backup.making import check_owner, machine_of
 from service.store.files.data_folder import FILE as OWNER

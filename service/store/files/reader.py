@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from service.model.errors import BadInput
-from service.process.tasks.child import give_way
+from service.process.tasks import give_way
 
 
 def main(arguments: list[str]) -> None:

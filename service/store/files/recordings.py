@@ -26,7 +26,7 @@ from service.model.errors import BadInput
 from service.model.recording import Recording
 from service.model.results.identified.manifest import Facts
 from service.model.results.identified.spectrum import AnySpectrum
-from service.process.settings.object_store import StoreAddress
+from service.process.settings import StoreAddress
 from service.store.documents import NewRecording, RecordingDocument, RecordingState, SpectrumRecord
 from service.store.files.atomic_files import place, place_folder, place_new
 from service.store.files.columns import read_columns, write_columns

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO, cast
 from uuid import uuid4
 
 from service.model.errors import BadInput, NotNow
-from service.process.settings.object_store import StoreAddress
+from service.process.settings import StoreAddress
 from service.store.files.atomic_files import place, sync
 from service.store.files.recordings import check_file
 

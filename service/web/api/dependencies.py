@@ -7,7 +7,7 @@ from fastapi import Depends, Header, Path, Query, Request, Response
 from pydantic import BaseModel
 from starlette.requests import HTTPConnection
 
-from service.machine.execution.epoch import Intention
+from service.machine.execution.permission import Intention
 from service.model.errors import BadInput
 from service.store.documents import LARGEST_ID
 from service.web.api.machine.arrival import EPOCH, epoch_of

@@ -5,7 +5,7 @@ import re
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from structlog.contextvars import bound_contextvars
 
-from service.process.telemetry.spans import TRACING
+from service.process.telemetry import TRACING
 
 _PATH = re.compile(r"/campaigns/(?P<campaign>[0-9]{1,10})(?:/sweeps/(?P<sweep>[0-9]{1,10}))?(?:/|$)")
 _NUMBER = re.compile(r"/[0-9]+(?=/|$)")

@@ -8,7 +8,7 @@ from pathlib import Path
 from fastapi import Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from service.process.tasks.run_to_end import run_to_end
+from service.process.tasks import run_to_end
 from service.web.api.idempotent import Handler, IdempotentRoute, head_of
 
 _PIECE = 2**20  # bytes per write

@@ -105,7 +105,7 @@ def test_a_cluster_that_cannot_be_used_safely_is_refused(
 ) -> None:
     given = {f"dask_{name}": str(tmp_path / f"{name}.pem") for name in files}
     with pytest.raises(BadInput) as refused:
-        Settings.model_validate({"dask_scheduler": address, **given}).check_cluster()
+        Settings.model_validate({"dask_scheduler": address, **given}).check()
     assert place in str(refused.value)
     assert reason in str(refused.value)
 

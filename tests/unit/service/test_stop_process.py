@@ -23,11 +23,18 @@ import drivers.registry
 from drivers.errors import ConnectionFailed
 from service.machine.stop_process import __main__ as stop_process
 from service.machine.stop_process import bus
-from service.machine.stop_process.answers import Answer, Request, answer_to, waiting_time
+from service.machine.stop_process.__main__ import MOST, Telling
 from service.machine.stop_process.bus import Bus, Outcome
 from service.machine.stop_process.handle import StopProcess
-from service.machine.stop_process.listener import MOST_CONNECTIONS, Answered, Listener
-from service.machine.stop_process.telling import MOST, Telling
+from service.machine.stop_process.listener import (
+    MOST_CONNECTIONS,
+    Answer,
+    Answered,
+    Listener,
+    Request,
+    answer_to,
+    waiting_time,
+)
 from tests.system.rest_bench import until
 
 

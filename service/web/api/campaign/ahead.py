@@ -9,11 +9,20 @@ from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 
 from drivers.errors import DriveError
-from service.machine.execution.current_activity import travels
+from service.machine.execution.sweep_executor import travels
 from service.model.errors import Conflict, SweepidError
-from service.planning.ahead import Range, approach, positions_of, ranges, with_approach
-from service.planning.campaigns.plan_subject import PlanSubject
-from service.planning.compiled_plan import CompiledPlan, compile_record, is_due, plan_of
+from service.planning.campaigns.stored_plan import PlanSubject
+from service.planning.compiled_plan import (
+    CompiledPlan,
+    Range,
+    approach,
+    compile_record,
+    is_due,
+    plan_of,
+    positions_of,
+    ranges,
+    with_approach,
+)
 from service.planning.documents import PlannedLeg
 from service.store.documents import PlanRecord
 from service.web.api.dependencies import ApplicationOf, Id

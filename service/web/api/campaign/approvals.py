@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Request
 from pydantic import BaseModel, ConfigDict, StringConstraints
 
-from service.planning.campaigns.plan_subject import PlanSubject
+from service.planning.campaigns.stored_plan import PlanSubject
 from service.planning.compiled_plan import present_motion_sha256
 from service.store.access.names import PersonName
 from service.store.approvals import ApprovalDocument

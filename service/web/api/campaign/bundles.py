@@ -11,7 +11,7 @@ from fastapi.responses import FileResponse
 from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
 
-from service.process.tasks.run_to_end import run_to_end
+from service.process.tasks import run_to_end
 from service.web.api.campaign.campaigns import CampaignView, view
 from service.web.api.dependencies import ApplicationOf, Id, set_etag
 from service.web.api.uploads import SpooledRoute

@@ -10,11 +10,11 @@ from fastapi import APIRouter, Request, Response
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
-from service.machine.execution.check_move import CheckMove
-from service.machine.execution.sign_of_life import SignOfLife
+from service.machine.execution.permission import SignOfLife
+from service.machine.execution.sweep_executor import CheckMove
 from service.model.results.check import DataCheck
-from service.planning.ahead import Range
-from service.planning.campaigns.plan_subject import PlanSubject
+from service.planning.campaigns.stored_plan import PlanSubject
+from service.planning.compiled_plan import Range
 from service.store.access.keys import masked
 from service.store.documents import LARGEST_ID, CampaignDocument, SweepDocument, SweepState, SweepStatus
 from service.web.api.campaign.progress import Progress, StepView, progress, steps

@@ -9,9 +9,9 @@ from pydantic import BaseModel, ConfigDict
 from service.model.errors import Conflict, NotFound
 from service.model.geometry.cell import read_cell
 from service.model.geometry.outline import Outline, Outlines
-from service.planning.candidates import grid, has_room
 from service.planning.compiled_plan import plan_of
-from service.planning.plan import PlanDocument
+from service.planning.documents import PlanDocument
+from service.planning.pose_choice import grid, has_room
 from service.planning.safety.envelope import Envelope
 from service.web.api.dependencies import ApplicationOf, Id
 

@@ -10,17 +10,15 @@ from service.model.errors import BadInput
 from service.model.geometry.cell import read_cell
 from service.model.results.analysis import Analyses
 from service.model.results.stored_json import JsonOf
-from service.planning.analysis.documents import AnalysisRequest
-from service.planning.analysis.plan import build_analysis_plan
-from service.planning.campaigns.linked import check_beside, latest_analysis
-from service.planning.campaigns.planned_time import planned_times
+from service.planning.analysis import build_analysis_plan
+from service.planning.campaigns.stored_plan import planned_times
+from service.planning.campaigns.stored_results import check_beside, latest_analysis
 from service.planning.compiled_plan import Plan, other_machine
-from service.planning.diagnosis.documents import DiagnosisRequest
-from service.planning.diagnosis.plan import build_diagnosis_plan
-from service.planning.plan import PlanRequest, build_plan
-from service.planning.safety.robot_and_machine import narrowed, on_machine
-from service.planning.trajectories.documents import TrajectoryRequest
-from service.planning.trajectories.plan import build_trajectory_plan
+from service.planning.diagnosis import build_diagnosis_plan
+from service.planning.documents import AnalysisRequest, DiagnosisRequest, PlanRequest, TrajectoryRequest
+from service.planning.machine_setup import narrowed, on_machine
+from service.planning.plan import build_plan
+from service.planning.trajectories import build_trajectory_plan
 from service.store.documents import PlanRecord
 from service.web.api.campaign.confirmation import Typed
 from service.web.api.campaign.progress import expected_time

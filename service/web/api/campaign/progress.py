@@ -8,9 +8,8 @@ from typing import Literal
 
 from pydantic import BaseModel
 
-from service.machine.execution.check_move import DURATION, CheckMove
-from service.machine.execution.current_activity import CurrentActivity
-from service.planning.campaigns.planned_time import PlannedTime
+from service.machine.execution.sweep_executor import DURATION, CheckMove, CurrentActivity
+from service.planning.campaigns.stored_plan import PlannedTime
 from service.store.documents import CampaignState, SweepDocument, SweepState, SweepStatus
 
 CHECK_MOVE = 2 * DURATION + 1.0  # s: motion in both directions, switching on and off

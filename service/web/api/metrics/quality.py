@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 
 from prometheus_client.core import Metric
 
-from service.planning.campaigns.estimate_quality import Quality
+from service.planning.campaigns.stored_results import Quality
 from service.web.api.metrics.figure import Figure, figures_of
 
 _ROBOT, _AXIS = ("robot",), ("robot", "axis")

@@ -6,7 +6,7 @@ from time import perf_counter
 
 from prometheus_client.core import Metric
 
-from service.process.telemetry.spans import TRACING
+from service.process.telemetry import TRACING
 from service.web.api.metrics.figure import Figure, figures_of
 from service.web.application import Application
 

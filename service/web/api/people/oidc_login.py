@@ -5,7 +5,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from service.model.errors import BadInput, Conflict
-from service.process.settings.identity_provider import IdentityProvider
+from service.process.settings import IdentityProvider
 from service.store.access.permissions import Role
 from service.web.api.people.audit_trail import AuditTrail
 from service.web.api.people.provider.tickets import Tickets

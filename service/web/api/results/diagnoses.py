@@ -10,9 +10,9 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 from starlette.concurrency import run_in_threadpool
 
-from service.jobs.diagnosis_loop.starting import Start
+from service.jobs.diagnosing import Start
 from service.model.errors import Conflict
-from service.planning.ahead import Range
+from service.planning.compiled_plan import Range
 from service.planning.documents import CELL_NAME
 from service.report.diagnosis import diagnosis_figures
 from service.store.access.names import PersonName

@@ -4,7 +4,7 @@ from fastapi import APIRouter
 from pydantic import BaseModel
 
 from service.planning.compiled_plan import plan_of
-from service.planning.plan import PlanDocument
+from service.planning.documents import PlanDocument
 from service.store.documents import EstimateDocument
 from service.web.api.dependencies import After, ApplicationOf, Id, Limit, Page, page
 

@@ -15,11 +15,10 @@ from service.identification.spectra.noise_response import Response
 from service.model.errors import BadInput, EnvelopeViolation
 from service.model.geometry.cell import Cell, read_cell
 from service.model.robot import Robot
-from service.planning.analysis.documents import AnalysisPlan, AnalysisRequest
-from service.planning.analysis.plan import build_analysis_plan
-from service.planning.plan import PlanRequest, build_plan
-from service.planning.safety.envelope import Envelope
-from service.planning.safety.noise_motion import noise_effort, noise_velocity, noise_way
+from service.planning.analysis import build_analysis_plan
+from service.planning.documents import AnalysisPlan, AnalysisRequest, PlanRequest
+from service.planning.plan import build_plan
+from service.planning.safety.envelope import Envelope, noise_effort, noise_velocity, noise_way
 from tests.unit.service.campaigns.small_arm import small_arm
 
 REQUEST = {"kind": "analysis", "robot_id": 1, "axes": ("joint_1", "joint_3"), "varied": ("joint_2", "joint_3")}

@@ -6,7 +6,7 @@ import pytest
 
 from drivers.errors import CommunicationLost, DriveFault
 from drivers.ports import AxisState, AxisStatus
-from service.machine.execution.check_move import CheckMove, CheckMoveFailed
+from service.machine.execution.sweep_executor import CheckMove, CheckMoveFailed
 from service.store.documents import CampaignState, EventKind
 from tests.unit.service.campaigns.conftest import Bench
 

@@ -16,11 +16,11 @@ from service.diagnosis.sensitivity.predicted_sweeps import expected
 from service.identification.design.diagnosis_sweeps import full_design
 from service.identification.estimates.torque_gain import KnownMass
 from service.identification.estimation import estimate_document, sweep_spectrum
-from service.jobs.diagnosis_loop.acceptance import accept_model
-from service.jobs.diagnosis_loop.evidence import campaigns_of, recorded_sweeps
-from service.jobs.diagnosis_loop.starting import Start
-from service.jobs.worker import DiagnosisJob, open_worker
-from service.jobs.worker.dask_workers import DaskWorkers
+from service.jobs.dask_workers import DaskWorkers
+from service.jobs.diagnosing import Start, campaigns_of, recorded_sweeps
+from service.jobs.experiments import accept_model
+from service.jobs.work import DiagnosisJob
+from service.jobs.worker import open_worker
 from service.model.errors import BadInput, Conflict
 from service.model.robot import Robot
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move

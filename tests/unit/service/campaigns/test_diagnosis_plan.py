@@ -17,8 +17,8 @@ from service.model.errors import BadInput
 from service.model.geometry.cell import Cell, read_cell
 from service.model.robot import Robot, build_robot
 from service.planning.compiled_plan import plan_of
-from service.planning.diagnosis.documents import DiagnosisPlan, DiagnosisRequest, ExperimentRequest, limits
-from service.planning.diagnosis.plan import build_diagnosis_plan, build_experiment_plan
+from service.planning.diagnosis import build_diagnosis_plan, build_experiment_plan
+from service.planning.documents import DiagnosisPlan, DiagnosisRequest, ExperimentRequest, limits
 from service.planning.safety.envelope import Envelope
 from service.store.diagnosis_documents import BoltedMass
 from service.store.documents import PlanRecord

@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 
 from drivers.errors import Cause, CauseCode
-from service.machine.execution.approvals import Approvals
-from service.machine.execution.epoch import Epochs, Intention
-from service.machine.execution.external_stops import watching
+from service.machine.execution.machine import watching
+from service.machine.execution.permission import Approvals, Epochs, Intention
 from service.model.errors import Superseded
 from service.planning.campaigns.live import EventFeed
 from service.store.approvals import ApprovalStore

@@ -7,18 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs.diagnosis_loop.diagnosing import Diagnosing
-from service.jobs.diagnosis_loop.experiments import ROUNDS, Experiments
-from service.jobs.worker.dask_workers import DaskWorkers
+from service.jobs.dask_workers import DaskWorkers
+from service.jobs.diagnosing import Diagnosing
+from service.jobs.experiments import ROUNDS, Experiments
 from service.model.errors import BadInput, Conflict
 from service.model.robot import Robot
 from service.planning.campaigns.live import EventFeed
-from service.planning.diagnosis.documents import PEAK_VELOCITY
-from service.planning.machine_setup import MachineSetup
+from service.planning.documents import PEAK_VELOCITY
+from service.planning.machine_setup import DriveAxis, MachineSetup
 from service.planning.safety.envelope import Envelope
-from service.planning.safety.robot_and_machine import DriveAxis
-from service.process.settings import Settings
-from service.process.settings.workers import Cluster
+from service.process.settings import Cluster, Settings
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis.model_revisions import ModelStore
 from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, NewDiagnosis

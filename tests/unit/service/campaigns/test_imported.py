@@ -13,7 +13,8 @@ import pytest
 from pydantic import JsonValue
 
 from service.jobs.jobs import MOST_REVISIONS, Jobs, open_groups, sweeps_a_revision
-from service.jobs.worker import Worker, open_worker
+from service.jobs.work import Worker
+from service.jobs.worker import open_worker
 from service.model.recording import Sweep
 from service.model.robot import Robot
 from service.store.database import open_database

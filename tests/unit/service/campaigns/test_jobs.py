@@ -14,7 +14,7 @@ from service.identification.axis.known_effects import known_effects
 from service.identification.estimation import estimate_document
 from service.identification.spectra.frequency_response import spectrum
 from service.jobs.worker import open_worker
-from service.machine.execution.recording.recovery import recover
+from service.machine.execution.recording import recover
 from service.model.results.revision import KnownModel, StoredModel
 from service.model.robot import Robot
 from service.planning.safety.envelope import Envelope

@@ -8,8 +8,8 @@ import pytest
 from drivers.registry import load_profile
 from service.model.configuration import read_robot
 from service.model.errors import BadInput, Conflict
-from service.planning.ahead import Range, check_seen, with_approach
-from service.planning.campaigns.plan_subject import MadeFor
+from service.planning.campaigns.stored_plan import MadeFor
+from service.planning.compiled_plan import Range, check_seen, with_approach
 from service.planning.machine_setup import MachineSetup, NeedsConfirmation, machine_setup
 from service.process.settings import Settings
 from service.store.documents import CampaignState, RobotDocument

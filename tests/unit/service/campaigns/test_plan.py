@@ -13,7 +13,9 @@ from service.model.configuration import read_robot
 from service.model.errors import BadInput
 from service.model.geometry.cell import Box, Cell, read_cell
 from service.model.robot import Robot, build_robot
-from service.planning.plan import PlanDocument, PlanRequest, build_plan, workspace_grid
+from service.planning.documents import PlanDocument, PlanRequest
+from service.planning.plan import build_plan
+from service.planning.pose_choice import workspace_grid
 from service.planning.safety.envelope import Envelope
 from service.planning.safety.travel import order_poses
 from tests.unit.service.campaigns.small_arm import small_arm

@@ -19,10 +19,10 @@ import psutil
 import pytest
 
 from drivers.ports import ChannelTiming, SampleBlock, Sine, SweepCommand, SweepMode
-from service.machine.execution.recording import incoming
-from service.machine.execution.recording.incoming import BegunSweep, Incoming
-from service.machine.execution.recording.plausibility import ImplausibleChannels
-from service.machine.execution.recording.recorder import (
+from service.machine.execution import incoming
+from service.machine.execution.incoming import BegunSweep, Incoming
+from service.machine.execution.plausibility import ImplausibleChannels
+from service.machine.execution.recording import (
     Recorder,
     SamplesMissing,
     finish,
@@ -242,8 +242,8 @@ WRITER = """
 import sys
 from pathlib import Path
 from tests.unit.service.campaigns.test_recorder import COMMAND, block
-from service.machine.execution.recording.plausibility import ImplausibleChannels
-from service.machine.execution.recording.recorder import Recorder
+from service.machine.execution.plausibility import ImplausibleChannels
+from service.machine.execution.recording import Recorder
 recorder = Recorder(Path(sys.argv[1]), COMMAND)
 for n in range(10**6):
     recorder.write(block(50 * n, 50 * n + 50))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from service.process.settings.object_store import StoreAddress, store_address
+from service.process.settings import StoreAddress, store_address
 from tests.object_store_server import BUCKET, S3Server, Wire, key_file, running_s3, wire_to
 from tests.unit.service.backup.conftest import data, measured
 

@@ -9,12 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs.recording_uploads import RecordingUploads
-from service.jobs.worker.transfers import Transfers
+from service.jobs.recording_uploads import RecordingUploads, Transfers
 from service.model.errors import BadInput, NotNow
-from service.process.settings import Settings
-from service.process.settings.object_store import StoreAddress
-from service.process.tasks.background import Background
+from service.process.settings import Settings, StoreAddress
+from service.process.tasks import Background
 from service.store.backup.examination import examine
 from service.store.backup.making import make_backup
 from service.store.backup.restoring import restore

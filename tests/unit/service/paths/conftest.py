@@ -5,11 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from service.machine.paths.control import Control, read_control
+from service.machine.paths.sweep_paths import Control, read_control
 from service.model.configuration import read_robot
 from service.model.geometry.cell import Cell, read_cell
 from service.model.robot import Robot
-from service.planning.plan import PlanDocument, PlanRequest, build_plan
+from service.planning.documents import PlanDocument, PlanRequest
+from service.planning.plan import build_plan
 
 ROOT = Path(__file__).parents[4]
 ROBOT, CELL = ROOT / "config/robots/max100-class.yaml", ROOT / "config/cells/workshop.yaml"

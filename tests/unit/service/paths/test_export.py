@@ -13,13 +13,13 @@ import pytest
 import yaml
 
 from service.formats.traces.mapping import Mapping
-from service.machine.paths.control import Control, read_control
 from service.machine.paths.export import export_paths
+from service.machine.paths.sweep_paths import Control, read_control
 from service.model.configuration import read_robot, read_yaml
 from service.model.errors import BadInput
 from service.model.geometry.cell import Cell
 from service.model.robot import Robot
-from service.planning.plan import PlanDocument
+from service.planning.documents import PlanDocument
 from tests.unit.service.paths.conftest import CELL, CONTROL, ROBOT, ROOT
 
 Export = Callable[..., int]

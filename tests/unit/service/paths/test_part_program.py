@@ -7,13 +7,12 @@ import pytest
 
 from service.formats.traces.mapping import CncAxis
 from service.identification.design.excitation import velocity_setpoint
-from service.machine.paths.control import Control
-from service.machine.paths.part_program import DECIMALS, part_program, velocity_bound
-from service.machine.paths.sweep_paths import PathSweep, path_sweeps
+from service.machine.paths.export import DECIMALS, part_program, velocity_bound
+from service.machine.paths.sweep_paths import Control, PathSweep, path_sweeps
 from service.model.errors import BadInput
 from service.model.geometry.cell import Cell
 from service.model.robot import Robot
-from service.planning.plan import PlanDocument
+from service.planning.documents import PlanDocument
 from tests.unit.service.paths.nc_walk import Walk, walk
 
 DATA = {"IPO_CYCLE_TIME": 0.004, "INT_INCR_PER_DEG": 1_000_000.0}

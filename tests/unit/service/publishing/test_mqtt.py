@@ -13,7 +13,7 @@ import pytest
 from aiomqtt import Client, MqttError
 
 from service.model.errors import BadInput
-from service.process.settings.publishing import Mqtt
+from service.process.settings import Mqtt
 from service.publishing import mqtt
 from service.publishing.mqtt import Broker
 from service.publishing.publisher import NOTICES, Publisher

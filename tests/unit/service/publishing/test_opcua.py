@@ -14,7 +14,7 @@ from asyncua.client.client import Client
 from asyncua.ua.status_codes import StatusCodes
 
 from service.model.errors import BadInput
-from service.process.settings.publishing import OpcUa
+from service.process.settings import OpcUa
 from service.publishing.opcua.load_type import load_of
 from service.publishing.opcua.server import Server
 from service.publishing.state import FromPublisher, State

@@ -216,7 +216,7 @@ def test_an_interrupted_run_is_finished_by_the_next(
 
 
 def test_objects_go_with_their_last_recording(plant: Plant, specs: tuple[SweepSpec, ...], tmp_path: Path) -> None:
-    from service.process.settings.object_store import store_address
+    from service.process.settings import store_address
 
     shared = tmp_path / "shared"
     shared.mkdir()

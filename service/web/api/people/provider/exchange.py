@@ -20,7 +20,7 @@ from joserfc.jwk import KeySetSerialization
 from pydantic import BaseModel, JsonValue, ValidationError
 
 from service.model.errors import BadInput, NotNow
-from service.process.settings.identity_provider import Address, IdentityProvider, is_loopback
+from service.process.settings import Address, IdentityProvider, is_loopback
 from service.web.api.people.provider.id_token import BadIdToken, Named, named
 from service.web.api.people.provider.tickets import Ticket
 

@@ -11,7 +11,7 @@ from joserfc.errors import JoseError
 from joserfc.jwk import KeySet, KeySetSerialization
 
 from service.model.errors import SweepidError
-from service.process.settings.identity_provider import IdentityProvider
+from service.process.settings import IdentityProvider
 from service.store.access.names import is_name, unique_name
 
 # Signatures with a private key of the provider. `none` and signatures with a shared secret are not allowed.
