@@ -27,12 +27,10 @@ from service.process.telemetry import TRACING
 # distributed has no type information
 _dask = cast(Any, distributed)
 
-_CONNECT_TIMEOUT = 5.0  # s
-_LOOK = 2.0  # s between checks of the connection while a job runs
-_SENT = 10  # messages that the client remembers, each with its jobs; distributed's 1000 of them were 60 MiB
 
+# messages that the client remembers, each with its jobs; distributed's 1000 of them were 60 MiB
 # read by every (re)connection of a client in this process; the scheduler and the workers read config/dask
-dask.config.set({"distributed.admin.low-level-log-length": _SENT})
+dask.config.set({"distributed.admin.low-level-log-length": 10})
 
 
 class DaskWorkers(Worker):
@@ -76,7 +74,7 @@ class DaskWorkers(Worker):
         """Waits for the end of the job. Returns its error, or None."""
         waiting = asyncio.ensure_future(future.exception())
         try:
-            while not (await asyncio.wait([waiting], timeout=_LOOK))[0]:
+            while not (await asyncio.wait([waiting], timeout=2.0))[0]:
                 if client.status == "closed":
                     raise Cancelled("the connection was closed")
             return cast(BaseException | None, await waiting)
@@ -90,7 +88,7 @@ class DaskWorkers(Worker):
 
     async def _connected(self) -> Any:
         async with self._connecting:
-            while self._client is not None and self._client.status == "connecting":  # tries for _CONNECT_TIMEOUT
+            while self._client is not None and self._client.status == "connecting":  # tries for the time-out
                 self.trouble = f"Dask scheduler {self._cluster.scheduler}: connection lost, trying again"
                 await asyncio.sleep(0.1)
             if self._client is None or self._client.status in ("closing", "closed"):
@@ -100,7 +98,7 @@ class DaskWorkers(Worker):
 
     async def _connect(self) -> Any:
         address = self._cluster.scheduler
-        client = _dask.Client(address, asynchronous=True, timeout=_CONNECT_TIMEOUT, security=self._security())
+        client = _dask.Client(address, asynchronous=True, timeout=5.0, security=self._security())
         try:
             connected = await client
         except OSError as error:

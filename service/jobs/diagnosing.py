@@ -108,8 +108,6 @@ def _complete(store: Store, campaign: CampaignDocument) -> list[tuple[RecordingD
     ]
 
 
-_WHOLE = (CampaignState.COMPLETED, CampaignState.ABORTED)  # there will be no further revision
-
 _log = structlog.get_logger(__name__)
 
 
@@ -134,7 +132,7 @@ def latest_estimate(store: Store, diagnoses: DiagnosisStore, new: NewDiagnosis) 
     weighed = diagnoses.masses([one.campaign_id for one in every])
     for one in every:
         campaign = store.campaign(one.campaign_id)
-        if campaign.state not in _WHOLE:
+        if campaign.state not in (CampaignState.COMPLETED, CampaignState.ABORTED):  # a further revision may follow
             continue
         beside = campaign_beside(store, campaign)
         used = {one.campaign_id, one.campaign_id if beside is None else beside.id}

@@ -49,8 +49,6 @@ _log = structlog.get_logger(__name__)
 ROUNDS = 4  # unattended experiments of one axis
 NOBODY = "unattended"  # name of the approver of unattended experiments
 
-_UNDECIDED = (Verdict.AMBIGUOUS.value, Verdict.UNKNOWN.value, Verdict.UNTESTABLE.value)
-
 
 class Experiments:
     """Leads from a proposed experiment to the next diagnosis."""
@@ -237,7 +235,11 @@ class Experiments:
                 experiment = proposed(diagnosis, axis)
             except Conflict:
                 continue
-            if diagnosis.verdicts[axis] not in _UNDECIDED:
+            if diagnosis.verdicts[axis] not in (
+                Verdict.AMBIGUOUS.value,
+                Verdict.UNKNOWN.value,
+                Verdict.UNTESTABLE.value,
+            ):
                 continue  # more tests are possible, but there is no gap left
             if experiment.weighs:
                 causes.append(f"{axis}: a test mass needs a person")

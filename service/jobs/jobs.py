@@ -41,8 +41,6 @@ from service.store.store import Store
 
 _log = structlog.get_logger(__name__)
 
-_AGAIN = 2.0  # s
-
 
 class OpenJobs:
     """The open jobs of one kind; each kind derives from it."""
@@ -110,7 +108,7 @@ class OpenJobs:
                 reason = refusal(error) if isinstance(error, OperationalError) else str(error).partition("\n")[0]
                 _log.warning("job_waits", job=name, reason=reason)
                 self._troubles[name] = reason
-                await asyncio.sleep(_AGAIN)
+                await asyncio.sleep(2.0)
             else:
                 self._troubles.pop(name, None)
                 return
@@ -271,9 +269,6 @@ def open_groups(sweeps: Sequence[SweepDocument]) -> list[tuple[SweepDocument, ..
     return [tuple(group) for _, group in sorted(groups.items())]
 
 
-_ENDS = {state.value for state in OVER}
-
-
 class Checking(OpenJobs):
     """Submits campaigns to the worker and writes the findings."""
 
@@ -288,8 +283,9 @@ class Checking(OpenJobs):
 
     async def follow(self, feed: EventFeed, after: int) -> None:
         """Check each campaign that ends after event `after`, until the feed is closed."""
+        ends = {state.value for state in OVER}
         async for event in feed.follow(after):
-            if event.kind is EventKind.CAMPAIGN and event.campaign_id is not None and event.data["state"] in _ENDS:
+            if event.kind is EventKind.CAMPAIGN and event.campaign_id is not None and event.data["state"] in ends:
                 self._submit(event.campaign_id)
 
     def _submit(self, campaign_id: int) -> None:
@@ -317,10 +313,6 @@ class Checking(OpenJobs):
                 hashes.append(recording.sha256)
         digest = hashlib.sha256(json.dumps([campaign_id, hashes]).encode()).hexdigest()
         return CheckJob(f"check-{digest}", robot.description, robot.urdf_text, tuple(sweeps))
-
-
-_AHEAD = 2  # jobs submitted per worker, so that no worker waits for the next job
-_UNKNOWN = 1  # assumed number of workers while none answers
 
 
 class Batches(OpenJobs):
@@ -357,10 +349,10 @@ class Batches(OpenJobs):
         try:
             workers = len(await self._worker.processes())
         except WorkerLost:
-            workers = _UNKNOWN
+            workers = 1
         lanes = [
             asyncio.create_task(self._lane(batch_id, campaigns), name="lane of a re-identification")
-            for _ in range(_AHEAD * max(workers, 1))
+            for _ in range(2 * max(workers, 1))  # no worker waits for the next job
         ]
         try:
             await asyncio.gather(*lanes)

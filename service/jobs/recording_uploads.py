@@ -26,7 +26,7 @@ from service.store.objects.moves import Backlog, MoveStore
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class TransferRefused:
     """Why a file cannot be transferred now or later without a correction by a person."""
 
     place: str
@@ -50,7 +50,7 @@ class TransferJob:
     def priority(self) -> int:
         return 0 if self.outward else 1  # a caller waits for what is fetched
 
-    def __call__(self) -> Refused | None:
+    def __call__(self) -> TransferRefused | None:
         from service.store.objects.object_store import ObjectStore
         from service.store.objects.reading import bring
 
@@ -58,11 +58,11 @@ class TransferJob:
             if not self.outward:
                 bring(self.file)
             elif self.file.store is None:
-                return Refused("recordings_url", "is not set")
+                return TransferRefused("recordings_url", "is not set")
             else:
                 ObjectStore(self.file.store).put(self.file.path, self.file.sha256)
         except BadInput as error:
-            return Refused(error.place, error.reason)
+            return TransferRefused(error.place, error.reason)
         return None
 
 
@@ -79,7 +79,7 @@ class Transfers:
         """Why no file can be transferred now on this computer; empty if no reason is known."""
         return self._process.trouble
 
-    async def move(self, file: RecordingFile) -> Refused | None:
+    async def move(self, file: RecordingFile) -> TransferRefused | None:
         """NotNow while the store is not reachable."""
         try:
             return await self._process.run(TransferJob(file, outward=True))
@@ -109,9 +109,6 @@ class Transfers:
 
 _log = structlog.get_logger(__name__)
 
-LOOK = 2.0  # s between searches for new recordings
-_AT_ONCE = 50  # rows
-
 
 @dataclass(frozen=True, slots=True)
 class _Refusal:
@@ -126,7 +123,7 @@ class RecordingUploads:
         self._moves, self._files, self._transfers = moves, files, transfers
         self._data_dir, self._cache = settings.data_dir, settings.recordings_cache
         self._longest = settings.recordings_retry
-        self._look = min(LOOK, self._longest)
+        self._look = min(2.0, self._longest)  # s between searches for new recordings
         self._away = ""
         self._refused: dict[int, _Refusal] = {}  # by the recording's row
 
@@ -155,7 +152,7 @@ class RecordingUploads:
     async def _move_all(self) -> None:
         """Move each waiting recording, oldest first. NotNow at the first one that the store does not accept now."""
         last = 0
-        while found := await asyncio.to_thread(self._moves.waiting, last, _AT_ONCE):
+        while found := await asyncio.to_thread(self._moves.waiting, last, 50):
             for number, document in found.items():
                 last = number
                 if number in self._refused and time.monotonic() < self._refused[number].until:

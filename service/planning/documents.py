@@ -17,7 +17,7 @@ from service.model.recording import SweepSpec
 from service.model.results.table import Shown, Table, columns_of_sweeps
 from service.model.robot import Robot
 from service.planning.campaigns.stored_plan import MadeFor
-from service.planning.safety.envelope import Limits
+from service.planning.safety.envelope import MethodLimits
 from service.store.diagnosis_documents import BoltedMass
 from service.store.documents import LARGEST_ID
 
@@ -25,7 +25,6 @@ MOVE_VELOCITY = 0.1  # rad/s (m/s), between poses; default of a request
 SAMPLE_RATE = 250.0  # Hz, default of a request
 LARGEST_CHOICE = 1000  # poses
 USUAL_CHOICE = 24  # poses, without a budget
-BUDGETS = ("poses", "duration", "confidence")
 CELL_NAME = r"^([A-Za-z0-9][A-Za-z0-9_-]*)?$"
 
 
@@ -71,7 +70,7 @@ class PlanRequest(_PlanModel):
         if not isinstance(given, dict):
             return given
         fields = cast("dict[object, object]", given)
-        named = [budget for budget in BUDGETS if fields.get(budget) is not None]
+        named = [budget for budget in ("poses", "duration", "confidence") if fields.get(budget) is not None]
         if len(named) > 1:
             raise ValueError(f"{' and '.join(named)} are budgets: give one of them")
         return fields if named else fields | {"poses": USUAL_CHOICE}
@@ -183,7 +182,6 @@ class PlanDocument(Shown, _PlanModel):
         )
 
 
-TRAVEL_MARGIN = 1.05  # of a block's travel: the sines oscillate around the offset motion
 PEAK_VELOCITY = 0.15  # rad/s (m/s), instantaneous: the fast blocks are three times as fast as other sweeps
 
 
@@ -241,7 +239,7 @@ class _DesignedPlan(_PlanModel):
     made_for: MadeFor | None = None  # as in a plan of sweeps
 
     @property
-    def limits(self) -> Limits:
+    def limits(self) -> MethodLimits:
         """Limits of these sweeps."""
         return limits(sweep.spec.block for sweep in self.sweeps)
 
@@ -260,10 +258,11 @@ class ExperimentPlan(_DesignedPlan):
     request: ExperimentRequest
 
 
-def limits(blocks: Iterable[str]) -> Limits:
+def limits(blocks: Iterable[str]) -> MethodLimits:
     """Limits for sweeps of these blocks: as usual, except for the travel and speed of wide and fast blocks."""
     widest = max(FAST if block.endswith("fast") else WIDE if block.endswith("wide") else 1.0 for block in blocks)
-    return Limits(travel=TRAVEL_MARGIN * widest * SLOW, sweep_velocity=PEAK_VELOCITY)
+    # the sines oscillate around the offset motion
+    return MethodLimits(travel=1.05 * widest * SLOW, sweep_velocity=PEAK_VELOCITY)
 
 
 class TrajectoryRequest(_PlanModel):

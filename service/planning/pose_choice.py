@@ -30,8 +30,6 @@ from service.planning.safety.envelope import Envelope
 
 Array = NDArray[np.float64]
 
-LARGEST_GRID = 100_000  # poses
-
 
 def workspace_grid(robot: Robot, request: PlanRequest, cell: Cell) -> Array:
     """All collision-free poses (m, n) of the request's grid."""
@@ -55,8 +53,8 @@ def grid(robot: Robot, request: PlanRequest, envelope: Envelope, home: Array) ->
         numbers = np.arange(math.ceil(low / step), math.floor(high / step) + 1, dtype=np.float64)
         positions.append(numbers * step)
     count = math.prod(len(one) for one in positions)
-    if count > LARGEST_GRID:
-        raise BadInput("step", f"{request.step} gives a grid of {count} poses, limit {LARGEST_GRID}")
+    if count > (limit := 100_000):
+        raise BadInput("step", f"{request.step} gives a grid of {count} poses, limit {limit}")
     poses = np.tile(home, (count, 1))
     poses[:, [robot.index(joint) for joint in request.varied]] = list(product(*positions))
     return poses
@@ -86,7 +84,7 @@ def room(envelope: Envelope, poses: Array, axis: int, direction: int) -> NDArray
 
 
 @dataclass(frozen=True)
-class Observation:
+class Observability:
     """The chain as used in the identification: joints that neither move nor vary are locked."""
 
     robot: Robot
@@ -124,13 +122,13 @@ class Observation:
         return reachable(self.robot, stood, poses)
 
 
-def observe(robot: Robot, request: PlanRequest, home: Array) -> Observation:
+def observe(robot: Robot, request: PlanRequest, home: Array) -> Observability:
     """Observability with the sweeps of the request; joints neither measured nor varied are locked at `home` (n,)."""
     axes = tuple(robot.index(joint) for joint in request.axes)
     free = tuple(sorted(robot.index(joint) for joint in {*request.axes, *request.varied}))
     chain = lock(robot.chain, _locked(home, free))
     base = base_parameters(chain, tuple(sorted(free.index(axis) for axis in axes)))
-    return Observation(robot, axes, free, home, base.names, base.columns, base.combination)
+    return Observability(robot, axes, free, home, base.names, base.columns, base.combination)
 
 
 def _locked(home: Array, free: tuple[int, ...]) -> dict[int, float]:
@@ -285,7 +283,7 @@ class PoseChooser:
     """Chooses among the `candidates` (m, n) of a request."""
 
     def __init__(
-        self, request: PlanRequest, envelope: Envelope, design: SweepDesign, observed: Observation, candidates: Array
+        self, request: PlanRequest, envelope: Envelope, design: SweepDesign, observed: Observability, candidates: Array
     ) -> None:
         self._request, self._envelope, self._design = request, envelope, design
         self._observed, self._candidates = observed, candidates

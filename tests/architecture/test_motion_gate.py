@@ -41,9 +41,9 @@ def violations(path: str, source: str) -> Iterator[str]:
             yield f"{path}:{node.lineno}: the port of the machine"
         if isinstance(node, ast.alias) and node.name == "DrivePort" and path not in (GATE, HOLDER):
             yield f"{path}: imports DrivePort"
-        taken = isinstance(node, ast.alias) and node.name == "Motion" and f"{MOTION} import" in source
+        taken = isinstance(node, ast.alias) and node.name == "MotionAccess" and f"{MOTION} import" in source
         if taken and path not in (HOLDER, "machine/execution/sweep_executor.py"):
-            yield f"{path}: imports Motion"
+            yield f"{path}: imports MotionAccess"
 
 
 def made_elsewhere(path: str, source: str) -> Iterator[str]:
@@ -127,7 +127,7 @@ def test_an_intention_is_made_only_where_a_request_arrives(root: Path) -> None:
         "self._machine._port.enable('joint_1')",
         "port.move_to('joint_1', 0.0, 1.0)",
         "from drivers.ports import DrivePort",
-        "from service.machine.execution.motion import Motion",
+        "from service.machine.execution.motion import MotionAccess",
         "anything.run_sweep(command)",
         "runner.start(1, Intention(epochs.now))",
         "runner.start(1, epoch.Intention(epochs.now))",

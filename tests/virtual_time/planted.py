@@ -8,7 +8,7 @@ well, later. Not in the list, because nothing that anybody could observe changes
 - `HostWatch.check` alone: `halt` and the beat of the event loop find the same gap.
 - `Axis._check_wanted` alone: the stop sequence, which follows on the same thread, takes the energy away within 0.5 s.
 - the latch in the database alone, without a restart: the one in memory holds.
-- `Bus.stop` alone: the confirmation sends the stop again.
+- `StopBus.stop` alone: the confirmation sends the stop again.
 - the stop of the service alone while the stop process sends it, and the reverse while the service runs: each hides the
   other; "no stop is sent" takes both away.
 """
@@ -24,12 +24,12 @@ from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
 from service.machine.execution import machine, statement
 from service.machine.execution.machine import Machine
-from service.machine.execution.motion import Motion
+from service.machine.execution.motion import MotionAccess
 from service.machine.execution.permission import Approvals, Epochs, Intention
 from service.machine.execution.runner import Runner
 from service.machine.execution.statement import Reports
 from service.machine.execution.stops import LatchedStops, StopSequences, renew
-from service.machine.stop_process.bus import Bus, Outcome
+from service.machine.stop_process.bus import StopBus, StopOutcome
 from service.store import approvals
 from service.store.guards import MachineLease
 from service.store.store import Store
@@ -124,8 +124,8 @@ def _not_latched(self: Any, *given: Any) -> Any:
     return hold
 
 
-def _silent(self: Any) -> Outcome:
-    return Outcome(dict.fromkeys(self._joints, ""))
+def _silent(self: Any) -> StopOutcome:
+    return StopOutcome(dict.fromkeys(self._joints, ""))
 
 
 async def _confirms_at_once(self: Any) -> tuple[str, ...]:
@@ -156,7 +156,7 @@ PENDING = (s.change_of_mind,)
 
 SERVICE: dict[str, Fault] = {
     "the gate forgets lease, latch and epoch": Fault(
-        _set(Motion, "_may_move", _nothing), (s.start, s.stop_by_port, s.abort), 20.0
+        _set(MotionAccess, "_may_move", _nothing), (s.start, s.stop_by_port, s.abort), 20.0
     ),
     "the machine never refuses": Fault(_set(Machine, "check_may_move", _nothing), (s.start, s.stop_by_port), 20.0),
     "no epoch is ever checked": Fault(_set(Epochs, "check", _nothing), PENDING, 10.0),
@@ -168,7 +168,7 @@ SERVICE: dict[str, Fault] = {
     "a gap of the host is not noticed": Fault(
         _all(_set(HostWatch, "look", _nothing), _set(HostWatch, "reason", "")), (s.start, s.connect, s.host_gap), 20.0
     ),
-    "the end of motion is empty": Fault(_set(Motion, "end", _nothing_async), (s.broken_off,), 20.0, ONCE),
+    "the end of motion is empty": Fault(_set(MotionAccess, "end", _nothing_async), (s.broken_off,), 20.0, ONCE),
     "an abort does not end what runs": Fault(
         _set(Runner, "_end_task", _does_not_end), (s.start, s.abort, s.acknowledge), 30.0
     ),
@@ -207,7 +207,7 @@ SERVICE: dict[str, Fault] = {
         _all(
             _set(Cia402Machine, "halt", _nothing),
             _set(Cia402Machine, "stop", _nothing_async),
-            _set(Bus, "stop", _silent),
+            _set(StopBus, "stop", _silent),
         ),
         (s.start, s.stop_by_api, s.stop_by_port),
         10.0,

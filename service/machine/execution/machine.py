@@ -27,7 +27,7 @@ from drivers.ports import (
     ReportsTraffic,
     SetPointTiming,
 )
-from service.machine.execution.motion import Bounds, Motion
+from service.machine.execution.motion import Bounds, MotionAccess
 from service.machine.execution.permission import Epochs, Intention
 from service.machine.execution.statement import Condition, Reports, Statement
 from service.machine.execution.stops import Hold, LatchedStops, StopSequences, renew
@@ -358,12 +358,12 @@ class Machine:
             self._user = None
 
     @asynccontextmanager
-    async def motion(self, envelope: Bounds, intention: Intention) -> AsyncGenerator[Motion]:
+    async def motion(self, envelope: Bounds, intention: Intention) -> AsyncGenerator[MotionAccess]:
         """The gate to motion, only for the present user, during the block (see `motion`)."""
         if self._user is None:
             raise Conflict("the machine is not reserved by a campaign: it may not be moved")
         permitted = partial(self.check_may_move, intention)
-        motion = Motion(self._port, envelope, permitted, self.lost, self._reports)
+        motion = MotionAccess(self._port, envelope, permitted, self.lost, self._reports)
         try:
             yield motion
         except BaseException as error:

@@ -19,8 +19,6 @@ from service.model.errors import BadInput, Conflict, Superseded
 from service.store.approvals import ApprovalDocument, ApprovalStore
 from service.store.tables import now
 
-_REASONS = 1000  # latest ones
-
 
 @dataclass(frozen=True, slots=True)
 class Intention:
@@ -37,7 +35,7 @@ class Epochs:
         self._start = secrets.token_hex(4)  # not a time: the clock of a computer may be set back
         self._lock = threading.Lock()
         self._count = 0
-        self._reasons: deque[tuple[int, Cause]] = deque(maxlen=_REASONS)  # of the beginnings, oldest first
+        self._reasons: deque[tuple[int, Cause]] = deque(maxlen=1000)  # of the beginnings, oldest first
 
     @property
     def now(self) -> str:

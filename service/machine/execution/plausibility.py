@@ -12,6 +12,8 @@ parameter, an encoder that loses steps. Each is detected by comparing the channe
 Applied to the samples as reported by the drive: a delay of milliseconds does not affect the checks.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,14 +23,30 @@ from service.model.recording import Recording, SweepSpec
 
 Array = NDArray[np.float64]
 
-FROZEN = 0.2  # s: no channel repeats one value for longer while the axis moves; more for a slow line, see below
-VELOCITY_GAIN = 0.01  # encoder and speed come from one sensor: a wrong unit or gear causes far more, noise less
-LOAD_GAIN = 0.05  # effect of gear error and twist on a few degrees of travel
-GLITCH = 12.0  # robust standard deviations: never reached by noise in 1e5 samples, nor by the tails of dry friction
-HARMLESS = 0.5  # of the commanded peak velocity, or of its travel in a sample: smaller steps do not affect the result
-STUCK = 0.05  # of the travel of the sines: an axis that moves less is held by its friction
-STEPS = 3.0  # steps of a channel's resolution allowed for rounding
-SIGNIFICANT = 3.0  # times the neighbouring bins: above, an apparent inertia below zero is not noise
+
+@dataclass(frozen=True)
+class Tolerances:
+    """What good channels may differ by."""
+
+    frozen: float = 0.2
+    """s: no channel repeats one value for longer while the axis moves; more for a slow line, see below."""
+    velocity_gain: float = 0.01
+    """Encoder and speed come from one sensor: a wrong unit or gear causes far more, noise less."""
+    load_gain: float = 0.05
+    """Effect of gear error and twist on a few degrees of travel."""
+    glitch: float = 12.0
+    """Robust standard deviations: never reached by noise in 1e5 samples, nor by the tails of dry friction."""
+    harmless: float = 0.5
+    """Of the commanded peak velocity, or of its travel in a sample: smaller steps do not affect the result."""
+    stuck: float = 0.05
+    """Of the travel of the sines: an axis that moves less is held by its friction."""
+    steps: float = 3.0
+    """Steps of a channel's resolution allowed for rounding."""
+    significant: float = 3.0
+    """Times the neighbouring bins: above, an apparent inertia below zero is not noise."""
+
+
+_ALLOWED = Tolerances()
 
 
 class ImplausibleChannels(MotionFailed, code=CauseCode.IMPLAUSIBLE_CHANNELS):
@@ -69,12 +87,12 @@ def _sticks(spec: SweepSpec, time: Array, velocity: Array, position: Array) -> b
     """About standstill dry friction may hold an axis all the time: encoder and speed then show no travel."""
     wanted = float(np.linalg.norm([sine.amplitude / (2 * np.pi * sine.frequency) for sine in spec.sines])) / np.sqrt(2)
     ways = (_without_trend(time, position), _without_trend(time, np.cumsum(velocity) / spec.sample_rate))
-    return all(float(np.std(way)) < STUCK * wanted for way in ways)
+    return all(float(np.std(way)) < _ALLOWED.stuck * wanted for way in ways)
 
 
 def _check_frozen(spec: SweepSpec, channels: dict[str, Array]) -> None:
     # around the crest of a slow line a coarse channel may be constant for half a period
-    limit = max([FROZEN, *(0.5 / sine.frequency for sine in spec.sines)])
+    limit = max([_ALLOWED.frozen, *(0.5 / sine.frequency for sine in spec.sines)])
     for name, values in channels.items():
         edges = np.flatnonzero(np.diff(values))
         runs = np.diff(np.concatenate([[-1], edges, [len(values) - 1]])) - 1
@@ -90,7 +108,7 @@ def _check_velocity(spec: SweepSpec, time: Array, velocity: Array, position: Arr
     step = np.diff(time)
     explained = step * (velocity[1:] + velocity[:-1]) / 2
     # at a reversal, backlash lets the axis move from one flank to the other
-    harmless = (HARMLESS if spec.offset_velocity else 1.0) * _peak(spec)
+    harmless = (_ALLOWED.harmless if spec.offset_velocity else 1.0) * _peak(spec)
     _check_steps(spec, "position", np.diff(position) - explained, harmless / spec.sample_rate, _resolution(position))
     _check_steps(spec, "velocity", np.diff(velocity), harmless, _resolution(velocity))
     travelled = np.concatenate([[0.0], np.cumsum(explained)])
@@ -98,7 +116,7 @@ def _check_velocity(spec: SweepSpec, time: Array, velocity: Array, position: Arr
     slope = _slope(time, travelled, position, trend=spec.offset_velocity == 0)
     # a drive that truncates to whole units has a mean error of half a unit
     rounding = _resolution(velocity) / 2 / abs(spec.offset_velocity) if spec.offset_velocity else 0.0
-    limit = VELOCITY_GAIN + rounding
+    limit = _ALLOWED.velocity_gain + rounding
     if not abs(slope - 1) <= limit:
         raise ImplausibleChannels(
             spec.axis, f"position changes by {slope:.4g} times the integral of velocity, limit 1 +- {limit:.2g}"
@@ -110,12 +128,13 @@ def _check_load(spec: SweepSpec, time: Array, position: Array, load: Array) -> N
     if not spec.offset_velocity:
         return
     _check_frozen(spec, {"load position": load})
-    harmless = HARMLESS * _peak(spec) / spec.sample_rate
+    harmless = _ALLOWED.harmless * _peak(spec) / spec.sample_rate
     _check_steps(spec, "load position", np.diff(load) - np.diff(position), harmless, _resolution(load))
     slope = _slope(time, position, load, trend=False)
-    if not abs(slope - 1) <= LOAD_GAIN:
+    if not abs(slope - 1) <= _ALLOWED.load_gain:
         raise ImplausibleChannels(
-            spec.axis, f"the direct encoder moves {slope:.4g} times as far as the motor, limit 1 +- {LOAD_GAIN}"
+            spec.axis,
+            f"the direct encoder moves {slope:.4g} times as far as the motor, limit 1 +- {_ALLOWED.load_gain}",
         )
 
 
@@ -123,7 +142,7 @@ def _check_steps(spec: SweepSpec, name: str, steps: Array, harmless: float, reso
     middle = float(np.median(steps))
     deviation = np.abs(steps - middle)
     spread = 1.4826 * float(np.median(deviation))  # standard deviation of a normal distribution
-    limit = max(GLITCH * spread, harmless, STEPS * resolution)
+    limit = max(_ALLOWED.glitch * spread, harmless, _ALLOWED.steps * resolution)
     worst = int(np.argmax(deviation))
     if not deviation[worst] <= limit:
         raise ImplausibleChannels(
@@ -145,7 +164,7 @@ def _check_effort(spec: SweepSpec, time: Array, effort: Array, velocity: Array) 
         beside = [abs(np.mean(drive * turn * slow**k)) for k in (-1, 1)]
         noise = float(max(beside) / abs(np.mean(velocity * turn)))
     takes_energy = not spec.offset_velocity and drive @ velocity > 0
-    if response.imag < -SIGNIFICANT * noise and not takes_energy:
+    if response.imag < -_ALLOWED.significant * noise and not takes_energy:
         raise ImplausibleChannels(
             spec.axis,
             f"apparent inertia {response.imag / (2 * np.pi * line):.4g} at {line:g} Hz is below 0: "

@@ -30,7 +30,6 @@ from service.store.files.stream import SampleStream, UnreadableStream, damaged, 
 from service.store.store import Store
 
 _COLUMNS = ("time", "effort", "velocity", "position", "velocity_setpoint")
-_EXTRA = ("load_position", "excitation_effort")  # if the drive has them
 
 
 class SamplesMissing(MotionFailed, code=CauseCode.SAMPLES_MISSING):
@@ -77,7 +76,10 @@ class Recorder:
         if not len(block.index):
             return
         self._written.check(block)
-        names = (*_COLUMNS, *(name for name in _EXTRA if getattr(block, name) is not None))
+        names = (
+            *_COLUMNS,
+            *(name for name in ("load_position", "excitation_effort") if getattr(block, name) is not None),
+        )
         self._stream.write({"index": block.index, **{name: getattr(block, name) for name in names}})
         self._written.add(block)
 
@@ -171,17 +173,15 @@ def _correction(timing: ChannelTiming, rate: float) -> Channels:
 
 _log = structlog.get_logger(__name__)
 
-_CAUSE = Cause(CauseCode.SERVICE_ENDED, detail="the service ended during the sweep")
-_RESTARTED = Cause(CauseCode.SERVICE_ENDED, detail="the service was restarted")
-
 
 def recover(store: Store, files: RecordingFiles) -> tuple[int, ...]:
     """Make store and files consistent before anything is started. Call it while holding the machine's lease.
 
     Returns the campaigns that the last process left running.
     """
-    left = end_runs(store, files, _CAUSE, _RESTARTED)
-    store_streams(store, files, str(_CAUSE))
+    cause = Cause(CauseCode.SERVICE_ENDED, detail="the service ended during the sweep")
+    left = end_runs(store, files, cause, Cause(CauseCode.SERVICE_ENDED, detail="the service was restarted"))
+    store_streams(store, files, str(cause))
     return left
 
 

@@ -28,9 +28,6 @@ from service.store.store import CampaignMove, StaleVersion, Store, SweepMove
 
 _log = structlog.get_logger(__name__)
 
-RETRY = 2.0  # s between attempts to store the end of a campaign
-_IN_PARTS = "the remaining trajectories were measured in part and can only be repeated completely"
-
 
 class Identification(Protocol):
     """Where recorded sweeps go: `service.jobs`."""
@@ -48,6 +45,8 @@ class Runner:
     """The commands of an operator. Each returns the campaign after it. Raises Conflict if it is not possible in this
     state.
     """
+
+    retry = 2.0  # s between attempts to store the end of a campaign
 
     def __init__(
         self,
@@ -299,8 +298,9 @@ class Runner:
                     known = await asyncio.to_thread(self._confidence_reached, campaign.id, compiled)
                     if not due or known:
                         in_parts = any(sweep.state is SweepState.PLANNED for sweep in sweeps)
+                        parts = "the remaining trajectories were measured in part and can only be repeated completely"
                         skip = {SweepState.PLANNED: sweep_move(SweepEvent.SKIP)}
-                        why = known or (_IN_PARTS if in_parts else "")
+                        why = known or (parts if in_parts else "")
                         cause = Cause(CauseCode.SWEEPS_SKIPPED, detail=why) if why else None
                         await self._move(campaign.id, CampaignEvent.MEASURED, cause, skip)
                         await self._jobs.settle(campaign.id)
@@ -349,7 +349,7 @@ class Runner:
                     _log.error("end_not_stored", cause=str(self._unstored), reason=refusal(refused))
             if not wait:
                 return
-            await asyncio.sleep(RETRY)
+            await asyncio.sleep(self.retry)
 
     async def _tell(self) -> None:
         """Store the end of a campaign that broke off, if that is pending. Raises SQLAlchemyError if refused."""

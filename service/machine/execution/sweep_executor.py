@@ -23,7 +23,7 @@ from drivers.errors import Cause, CauseCode, CausedError, CommunicationLost, Mea
 from drivers.ports import AxisState, AxisStatus
 from service.machine.execution.incoming import BegunSweep, Incoming
 from service.machine.execution.machine import Machine
-from service.machine.execution.motion import Go, Motion
+from service.machine.execution.motion import Go, MotionAccess
 from service.machine.execution.permission import Intention
 from service.machine.execution.recording import break_off, end_runs, finish, store_streams
 from service.model.errors import MotionFailed, SweepidError
@@ -299,7 +299,7 @@ class SweepExecutor:
         await self._on_disk(self._files.stream(run).unlink)
 
     async def _approach(
-        self, motion: Motion, together: Sequence[BegunSweep], course: CampaignCourse
+        self, motion: MotionAccess, together: Sequence[BegunSweep], course: CampaignCourse
     ) -> tuple[float, ...]:
         """Move the axes to the sweeps' pose, one at a time, and check their positions. Returns the measured pose.
 
@@ -335,7 +335,7 @@ class SweepExecutor:
         return here
 
     async def _check(
-        self, motion: Motion, joint: str, towards: float, sweep: SweepDocument, compiled: CompiledPlan
+        self, motion: MotionAccess, joint: str, towards: float, sweep: SweepDocument, compiled: CompiledPlan
     ) -> None:
         """The check move of a joint in the direction of `towards`, and back."""
         units = compiled.envelope.units()
@@ -359,7 +359,7 @@ class SweepExecutor:
             self.check_move = None
 
     async def _record(
-        self, motion: Motion, together: Sequence[BegunSweep], compiled: CompiledPlan, here: Sequence[float]
+        self, motion: MotionAccess, together: Sequence[BegunSweep], compiled: CompiledPlan, here: Sequence[float]
     ) -> None:
         """Run the sweeps and write their samples to disk. Raises SamplesMissing if any is missing."""
         self._incoming = incoming = Incoming(together, compiled, motion.stop, self._hub, self._disk)

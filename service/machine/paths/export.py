@@ -22,7 +22,7 @@ from pydantic import BaseModel
 
 from service.formats.traces.mapping import Mapping, Motion, TraceSweep
 from service.identification.design.sweep_path import peak_jerk
-from service.machine.paths.sweep_paths import Control, PathSweep, path_sweeps
+from service.machine.paths.sweep_paths import CncControl, PathSweep, path_sweeps
 from service.model.errors import BadInput
 from service.model.geometry.cell import Cell
 from service.model.robot import Robot
@@ -181,7 +181,7 @@ def _plain(text: str) -> str:
     return "".join(letter if letter.isascii() and letter.isprintable() else "?" for letter in text)
 
 
-def export_paths(folder: Path, plan: PlanDocument, robot: Robot, cell: Cell, control: Control) -> int:
+def export_paths(folder: Path, plan: PlanDocument, robot: Robot, cell: Cell, control: CncControl) -> int:
     """Write all sweeps of a plan to a new or empty folder; returns their number. BadInput, and nothing written, for the
     first sweep that leaves the envelope or does not fit into a part program.
 
@@ -222,7 +222,7 @@ def _write_table(path: Path, sweep: PathSweep) -> None:
             table.writerow([f"{time:.6f}", *(f"{value:.9f}" for value in pose.values()), f"{velocity:.9f}"])
 
 
-def _write_mapping(folder: Path, robot: Robot, control: Control, sweeps: Sequence[PathSweep]) -> None:
+def _write_mapping(folder: Path, robot: Robot, control: CncControl, sweeps: Sequence[PathSweep]) -> None:
     (folder / "robot.urdf").write_text(robot.urdf_text, encoding="utf-8")
     _write_yaml(folder / "robot.yaml", robot.description.model_copy(update={"urdf": "robot.urdf"}))
     mapping = Mapping(

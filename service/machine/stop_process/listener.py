@@ -2,8 +2,8 @@
 
 A stop is executed when its first line has arrived, without waiting for headers or body. Its answer comes later, from
 another thread; meanwhile this thread serves all others. A connection without data is closed after its time limit, or
-when others need its place. With a certificate it also accepts TLS, for clients that
-begin with it: a page loaded by HTTPS cannot send elsewhere.
+when others need its place. With a certificate it also accepts TLS, for clients that begin with it: a page loaded by
+HTTPS cannot send elsewhere.
 """
 
 import json
@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from urllib.parse import parse_qs, urlsplit
 
-from service.machine.stop_process.bus import Outcome
+from service.machine.stop_process.bus import StopOutcome
 
 LONGEST_WAIT = 1.0  # s that a stop waits for its confirmation; the answer comes within 1.2 s
 
@@ -61,7 +61,7 @@ def not_confirmed(sent: bool, within: float, unconfirmed: Mapping[str, str]) -> 
     return f"{what}{': ' if reasons else ''}{reasons}; use the emergency stop"
 
 
-def answer_to(wanted: Request, sent: Outcome, confirmed: Outcome | None) -> Answer:
+def answer_to(wanted: Request, sent: StopOutcome, confirmed: StopOutcome | None) -> Answer:
     """`confirmed`: None if it is not waited for. 200 only if every axis reports standstill without energy."""
     if confirmed is None and sent.good:
         doubts = {joint: doubt for joint, doubt in sent.joints.items() if doubt}
@@ -84,12 +84,8 @@ def answer_to(wanted: Request, sent: Outcome, confirmed: Outcome | None) -> Answ
     }
 
 
-HANDSHAKE = b"\x16"  # first byte of TLS; no HTTP method begins with it
-_PIECE = 65536  # bytes
-
-
 class Secured:
-    """The server side."""
+    """TLS of one connection, in memory: the socket stays plain, and nothing blocks."""
 
     def __init__(self, context: ssl.SSLContext) -> None:
         self._coming, self._going = ssl.MemoryBIO(), ssl.MemoryBIO()
@@ -100,7 +96,7 @@ class Secured:
         self._coming.write(data)
         said = bytearray()
         try:
-            while piece := self._tls.read(_PIECE):
+            while piece := self._tls.read(65536):
                 said += piece
         except (ssl.SSLWantReadError, ssl.SSLZeroReturnError):
             pass
@@ -112,12 +108,7 @@ class Secured:
         return self._going.read()
 
 
-PATHS = ("/stop", "/api/v1/stop")
-LONGEST_LINE = 4096  # bytes of a request's first line
-MOST_CONNECTIONS = 256
-PATIENCE = 5.0  # s for a connection, from its start to its end
 BEAT = 0.25  # s between signs of life
-_ANY_ORIGIN = "Access-Control-Allow-Origin: *\r\n"  # every page may stop
 
 
 Answered = Callable[[Answer], None]
@@ -137,6 +128,10 @@ class _Connection:
 
 class Listener:
     """Listens at `host`:`port` (0: any free one) from now on; OSError if that is not possible."""
+
+    longest_line = 4096  # bytes of a request's first line
+    most_connections = 256
+    patience = 5.0  # s for a connection, from its start to its end
 
     def __init__(
         self,
@@ -193,11 +188,11 @@ class Listener:
         except OSError:  # already closed, or no descriptor free
             return
         accepted.setblocking(False)
-        connection = _Connection(accepted, str(address[0]), time.monotonic() + PATIENCE)
+        connection = _Connection(accepted, str(address[0]), time.monotonic() + self.patience)
         self._connections[accepted] = connection
         self._selector.register(accepted, selectors.EVENT_READ)
         self._read(connection)  # most have already sent data
-        if len(self._connections) > MOST_CONNECTIONS:
+        if len(self._connections) > self.most_connections:
             least = self._least_needed()
             if least.asked and not least.answered:
                 self._answer(least, (503, {"detail": "too many stops at once: sent, not confirmed"}))
@@ -226,14 +221,14 @@ class Listener:
                 self._drop(connection)
                 return
             line, found, _ = bytes(connection.received).partition(b"\r\n")
-            if found or len(line) > LONGEST_LINE:
+            if found or len(line) > self.longest_line:
                 connection.asked = True
                 self._take(connection, line.decode("latin-1"))
 
     def _opened(self, connection: _Connection, data: bytes) -> bytes:
         """The decrypted bytes."""
         begins = not connection.received and connection.secured is None
-        if begins and self._tls is not None and data.startswith(HANDSHAKE):
+        if begins and self._tls is not None and data.startswith(b"\x16"):  # of TLS; no HTTP method begins with it
             connection.secured = Secured(self._tls)
         if connection.secured is None:
             return data
@@ -249,7 +244,7 @@ class Listener:
         except ValueError:
             self._answer(connection, (400, {"detail": "not a request"}))
             return
-        if url.path.rstrip("/") not in PATHS:
+        if url.path.rstrip("/") not in ("/stop", "/api/v1/stop"):
             self._answer(connection, (404, {"detail": "this port accepts only POST /stop"}))
         elif method == "POST":
             by, why, press, wait = (asked.get(name, [""])[0] for name in ("by", "why", "press", "wait"))
@@ -280,7 +275,8 @@ class Listener:
         body = json.dumps(content).encode()
         kind = "application/json" if status < 400 else "application/problem+json"
         head = (
-            f"HTTP/1.1 {status} {'OK' if status < 400 else 'Refused'}\r\nContent-Type: {kind}\r\n{_ANY_ORIGIN}"
+            f"HTTP/1.1 {status} {'OK' if status < 400 else 'Refused'}\r\nContent-Type: {kind}\r\n"
+            "Access-Control-Allow-Origin: *\r\n"  # every page may stop
             "Access-Control-Allow-Methods: POST\r\nCache-Control: no-store\r\nConnection: close\r\n"
             f"Content-Length: {len(body)}\r\n\r\n"
         )

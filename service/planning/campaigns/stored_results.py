@@ -61,7 +61,7 @@ def latest_analysis(store: Store, campaign_id: int) -> Analyses:
 
 
 @dataclass(frozen=True, slots=True)
-class AxisQuality:
+class AxisEstimateQuality:
     """Quality of one axis; relative values, without unit."""
 
     sweeps: int
@@ -78,7 +78,7 @@ class Quality:
     made: float  # s, Unix time
     condition: float | None
     suspect: int  # sweeps that are inconsistent with the others
-    axes: dict[str, AxisQuality]
+    axes: dict[str, AxisEstimateQuality]
 
 
 def quality_of(estimate: EstimateDocument) -> Quality:
@@ -93,8 +93,8 @@ def quality_of(estimate: EstimateDocument) -> Quality:
     )
 
 
-def _of_axis(axis: EstimatedAxis) -> AxisQuality:
-    return AxisQuality(
+def _of_axis(axis: EstimatedAxis) -> AxisEstimateQuality:
+    return AxisEstimateQuality(
         sweeps=len(axis.inertia),
         gap=axis.rmse_percent.reference_measured / 100,
         left=axis.rmse_percent.identified_measured / 100,
@@ -103,8 +103,6 @@ def _of_axis(axis: EstimatedAxis) -> AxisQuality:
 
 
 _log = structlog.get_logger(__name__)
-
-_KEPT = 20_000  # campaigns whose values stay in memory: a little more than 12 months of 1,000 robots
 
 
 def confidence_reached(estimate: Estimate, joints: Collection[str], parameters: int, wanted: float) -> str:
@@ -129,7 +127,9 @@ class FleetHistory:
 
     def __init__(self, store: FleetStore) -> None:
         self._store = store
-        self._of: Callable[[MeasuredCampaign], CampaignMeasured | None] = lru_cache(maxsize=_KEPT)(self._read)
+        self._of: Callable[[MeasuredCampaign], CampaignMeasured | None] = lru_cache(20_000)(
+            self._read
+        )  # 12 months of 1,000 robots
 
     def fleet(self, rules: Rules, at: datetime, name: str | None = None) -> Fleet:
         """The robots of one type, or of all types. NotFound if no robot has that name; BadInput for invalid rules."""

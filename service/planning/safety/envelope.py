@@ -44,7 +44,7 @@ Array = NDArray[np.float64]
 Command = SweepCommand | NoiseCommand
 
 
-class Limits(BaseModel):
+class MethodLimits(BaseModel):
     """Limits of the method; the limits of the robot's joints and of the cell apply in addition."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -62,12 +62,12 @@ class Envelope:
     """Allowed motion of one robot in one cell. Every check raises EnvelopeViolation or returns None."""
 
     def __init__(
-        self, robot: Robot, cell: Cell, limits: Limits | None = None, test_mass: KnownMass | None = None
+        self, robot: Robot, cell: Cell, limits: MethodLimits | None = None, test_mass: KnownMass | None = None
     ) -> None:
         """`test_mass`: mounted while this envelope is used. Its weight counts; its shape is not checked for
         collision.
         """
-        self.limits = limits or Limits()
+        self.limits = limits or MethodLimits()
         self._inertial = robot.chain.inertial.ravel().copy()
         if test_mass is not None:
             self._inertial[-10:] += test_mass.parameters

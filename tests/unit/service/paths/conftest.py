@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from service.machine.paths.sweep_paths import Control, read_control
+from service.machine.paths.sweep_paths import CncControl, read_control
 from service.model.configuration import read_robot
 from service.model.geometry.cell import Cell, read_cell
 from service.model.robot import Robot
@@ -28,7 +28,7 @@ def cell() -> Cell:
 
 
 @pytest.fixture(scope="session")
-def control(robot: Robot) -> Control:
+def control(robot: Robot) -> CncControl:
     return read_control(CONTROL, robot)
 
 

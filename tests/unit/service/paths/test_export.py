@@ -14,7 +14,7 @@ import yaml
 
 from service.formats.traces.mapping import Mapping
 from service.machine.paths.export import export_paths
-from service.machine.paths.sweep_paths import Control, read_control
+from service.machine.paths.sweep_paths import CncControl, read_control
 from service.model.configuration import read_robot, read_yaml
 from service.model.errors import BadInput
 from service.model.geometry.cell import Cell
@@ -26,7 +26,7 @@ Export = Callable[..., int]
 
 
 @pytest.fixture
-def export(tmp_path: Path, plan: PlanDocument, robot: Robot, cell: Cell, control: Control) -> Export:
+def export(tmp_path: Path, plan: PlanDocument, robot: Robot, cell: Cell, control: CncControl) -> Export:
     """Into the folder `paths`, with another plan, cell or control where told."""
 
     def run(**other: Any) -> int:
@@ -102,7 +102,9 @@ def test_a_sweep_that_cannot_be_run_is_not_written(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_plan_of_another_cell_and_a_cycle_too_slow_are_refused(cell: Cell, control: Control, export: Export) -> None:
+def test_a_plan_of_another_cell_and_a_cycle_too_slow_are_refused(
+    cell: Cell, control: CncControl, export: Export
+) -> None:
     with pytest.raises(BadInput, match="is for robot max100-class in cell workshop, not for max100-class in hall"):
         export(cell=cell.model_copy(update={"name": "hall"}))
     with pytest.raises(BadInput, match=r"sine of 5 Hz: a cycle of 0\.020001 s gives fewer than 10 steps"):
@@ -131,7 +133,7 @@ def test_a_control_that_does_not_fit_is_refused(
 def test_every_example_control_is_one() -> None:
     files = sorted((ROOT / "config/controls").glob("*.yaml"))
     assert files
-    assert all(read_yaml(path, Control).axes for path in files)
+    assert all(read_yaml(path, CncControl).axes for path in files)
 
 
 def command(plan_file: Path, out: Path) -> list[str]:

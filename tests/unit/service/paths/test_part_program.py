@@ -8,7 +8,7 @@ import pytest
 from service.formats.traces.mapping import CncAxis
 from service.identification.design.excitation import velocity_setpoint
 from service.machine.paths.export import DECIMALS, part_program, velocity_bound
-from service.machine.paths.sweep_paths import Control, PathSweep, path_sweeps
+from service.machine.paths.sweep_paths import CncControl, PathSweep, path_sweeps
 from service.model.errors import BadInput
 from service.model.geometry.cell import Cell
 from service.model.robot import Robot
@@ -19,7 +19,7 @@ DATA = {"IPO_CYCLE_TIME": 0.004, "INT_INCR_PER_DEG": 1_000_000.0}
 
 
 @pytest.fixture(scope="session")
-def sweeps(plan: PlanDocument, robot: Robot, cell: Cell, control: Control) -> list[PathSweep]:
+def sweeps(plan: PlanDocument, robot: Robot, cell: Cell, control: CncControl) -> list[PathSweep]:
     return list(path_sweeps(plan, robot, cell, control))
 
 
@@ -109,7 +109,7 @@ def test_a_robot_jogged_away_at_a_stop_is_refused(sweeps: list[PathSweep], stop:
     assert "neither at the pose" in done.message
 
 
-def test_direction_and_zero_of_an_axis(plan: PlanDocument, robot: Robot, cell: Cell, control: Control) -> None:
+def test_direction_and_zero_of_an_axis(plan: PlanDocument, robot: Robot, cell: Cell, control: CncControl) -> None:
     turned = control.model_copy(
         update={"axes": control.axes | {"joint_2": CncAxis(name="RB", direction=-1, zero=90.0)}}
     )
