@@ -115,7 +115,7 @@ def _lost(self: Any, campaign: int, number: int, move: Any, *more: Any, **named:
     return _REAL_END_SWEEP(self, campaign, number, move, *more, **named | {"recording": None})
 
 
-_HOLD = LatchedStops.take
+_HOLD = LatchedStops.latch
 
 
 def _not_latched(self: Any, *given: Any) -> Any:
@@ -164,7 +164,7 @@ SERVICE: dict[str, Fault] = {
         _set(Runner, "_check_machine", _takes_the_present_epoch), PENDING, 10.0
     ),
     "a stop begins no epoch": Fault(_set(Epochs, "begin", _nothing), PENDING, 10.0),
-    "stops are not latched": Fault(_set(LatchedStops, "take", _not_latched), (s.start, s.stop_by_port), 10.0),
+    "stops are not latched": Fault(_set(LatchedStops, "latch", _not_latched), (s.start, s.stop_by_port), 10.0),
     "a gap of the host is not noticed": Fault(
         _all(_set(HostWatch, "look", _nothing), _set(HostWatch, "reason", "")), (s.start, s.connect, s.host_gap), 20.0
     ),

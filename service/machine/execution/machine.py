@@ -248,16 +248,16 @@ class Machine:
         (`noted`); a stop that is not stored does not survive a restart.
         """
         self._order_stop()
-        hold = self.seize(by, why, press, source)
+        hold = self.latch(by, why, press, source)
         return await self._sequences.within(hold, self.confirm(hold), within)
 
-    def seize(self, by: str, why: str, press: str = "", source: str = "", cause: Cause | None = None) -> Hold:
+    def latch(self, by: str, why: str, press: str = "", source: str = "", cause: Cause | None = None) -> Hold:
         """Block motion and send the stop to every axis; `confirm` must follow. From any thread.
 
         A repetition by the same press, or from the same `source` a moment ago, is the same stop. It begins an epoch all
         the same: a command may have been given since the first, and the person who presses again wants it to end.
         """
-        hold = self._holds.take(by, why, press, source, cause)  # before it is sent: a motion about to start finds it
+        hold = self._holds.latch(by, why, press, source, cause)  # before it is sent: a motion about to start finds it
         self.epochs.begin(_stopped(hold.document))
         self._sequences.halt(hold)
         return hold
@@ -469,14 +469,14 @@ async def watching(machine: Machine, report: Callable[[str, Cause], None]) -> As
 
 @asynccontextmanager
 async def _holding(machine: Machine) -> AsyncGenerator[Callable[..., Hold]]:
-    """A function that holds the machine (arguments of `Machine.seize`); may be called from any thread."""
+    """A function that holds the machine (arguments of `Machine.latch`); may be called from any thread."""
     loop, confirming = asyncio.get_running_loop(), Background()
 
     def follow(hold: Hold) -> None:
         confirming.begin("confirm a stop", machine.confirm_logged(hold))
 
     def hold_at_once(by: str, why: str, press: str, source: str, cause: Cause | None = None) -> Hold:
-        hold = machine.seize(by, why, press, source, cause)
+        hold = machine.latch(by, why, press, source, cause)
         loop.call_soon_threadsafe(follow, hold)
         return hold
 

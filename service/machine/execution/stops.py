@@ -52,7 +52,7 @@ class Hold:
 
 
 class LatchedStops:
-    """`take` may be called from any thread, everything else from the event loop."""
+    """`latch` may be called from any thread, everything else from the event loop."""
 
     again = 1.0  # s until storing a stop is tried again
     merged = 2.0  # s after a stop in which a repetition from the same source is the same stop
@@ -75,7 +75,7 @@ class LatchedStops:
         """Documents of every stop that holds the machine, oldest first."""
         return tuple(hold.document for hold in tuple(self._holds))
 
-    def take(self, by: str, why: str, press: str, source: str = "", cause: Cause | None = None) -> Hold:
+    def latch(self, by: str, why: str, press: str, source: str = "", cause: Cause | None = None) -> Hold:
         """A new stop, or the existing one of the same press, or of the same `source` a moment ago ("": of none).
 
         It is displayed and stored: keys are masked.

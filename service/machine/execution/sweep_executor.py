@@ -14,7 +14,7 @@ import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
-from typing import ClassVar, ParamSpec, TypeVar
+from typing import ClassVar
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
@@ -168,9 +168,6 @@ async def make(go: Go, move: CheckMove, status: Callable[[], Awaitable[Mapping[s
 
 _log = structlog.get_logger(__name__)
 
-Arguments = ParamSpec("Arguments")
-Result = TypeVar("Result")
-
 
 @dataclass(frozen=True, slots=True)
 class CampaignCourse:
@@ -246,11 +243,13 @@ class SweepExecutor:
         """Store that nothing runs any more, if the database refused it before. Raises SQLAlchemyError if it
         still does.
         """
-        await self._on_disk(end_runs, self._store, self._files, cause, cause)
+        await in_executor(self._disk, end_runs, self._store, self._files, cause, cause)
 
     async def store_streams(self) -> None:
         """Store the samples of earlier sweeps that could not be written when they ended. Raises SQLAlchemyError."""
-        await self._on_disk(store_streams, self._store, self._files, "the disk did not accept it when the sweep ended")
+        await in_executor(
+            self._disk, store_streams, self._store, self._files, "the disk did not accept it when the sweep ended"
+        )
 
     def _begin(self, sweeps: Sequence[SweepDocument], compiled: CompiledPlan, begun: list[BegunSweep]) -> None:
         """Begin them in the store; `begun` receives those that were begun, also if one is refused."""
@@ -278,7 +277,7 @@ class SweepExecutor:
             self.set_points_missed += streamed.missed
         each.facts["set_point_timing"] = None if streamed is None else asdict(streamed)
         timing = self._machine.channel_timing[each.command.joint]
-        return await self._on_disk(finish, self._files, each.run, spec, each.command, timing, each.facts)
+        return await in_executor(self._disk, finish, self._files, each.run, spec, each.command, timing, each.facts)
 
     async def _keep(
         self,
@@ -290,13 +289,13 @@ class SweepExecutor:
     ) -> None:
         """Store a recorded sweep; its stream is removed after the row of its recording is stored."""
         run, move = each.run, sweep_move(SweepEvent.RECORD)
-        sweep = await self._on_disk(
-            self._store.end_sweep, run.campaign_id, run.number, move, spec=spec, recording=recording
+        sweep = await in_executor(
+            self._disk, self._store.end_sweep, run.campaign_id, run.number, move, spec=spec, recording=recording
         )
         left.remove(each)
         recorded(sweep)
         _log.info("recorded", campaign=run.campaign_id, sweep=run.number, axis=spec.axis)
-        await self._on_disk(self._files.stream(run).unlink)
+        await in_executor(self._disk, self._files.stream(run).unlink)
 
     async def _approach(
         self, motion: MotionAccess, together: Sequence[BegunSweep], course: CampaignCourse
@@ -392,14 +391,9 @@ class SweepExecutor:
         run = each.run
         _log.error("sweep_given_up", campaign=run.campaign_id, sweep=run.number, cause=str(cause))
         try:
-            await self._on_disk(break_off, self._store, self._files, run, event, cause, each.facts)
+            await in_executor(self._disk, break_off, self._store, self._files, run, event, cause, each.facts)
         except (SQLAlchemyError, SweepidError) as refused:  # the others must be ended as well
             _log.error("sweep_not_ended", campaign=run.campaign_id, sweep=run.number, reason=str(refused))
-
-    async def _on_disk(
-        self, work: Callable[Arguments, Result], *args: Arguments.args, **kwargs: Arguments.kwargs
-    ) -> Result:
-        return await in_executor(self._disk, work, *args, **kwargs)
 
 
 def _pose_of(status: Mapping[str, AxisStatus], sweep: SweepDocument, compiled: CompiledPlan) -> tuple[float, ...]:

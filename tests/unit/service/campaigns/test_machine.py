@@ -112,7 +112,7 @@ async def test_a_release_frees_neither_a_stop_under_way_nor_one_of_another(bench
 
 
 async def test_one_press_that_comes_by_two_ways_is_one_stop(bench: Bench) -> None:
-    hold = bench.machine.seize("anna", "smoke", "press 1")  # by the stop process
+    hold = bench.machine.latch("anna", "smoke", "press 1")  # by the stop process
     await asyncio.gather(bench.machine.confirm(hold), bench.machine.stop("anna", "smoke", "press 1"))
     assert len(bench.machine.stops) == 1
     await bench.machine.stop("anna", "smoke", "press 2")
@@ -123,7 +123,7 @@ async def test_a_flood_of_stops_is_one_stop_of_its_source_and_delays_nobody(benc
     halts: list[float] = []
     bench.drive.halt = lambda: halts.append(time.monotonic())
     begun = time.monotonic()
-    flood = [bench.machine.seize("nobody", "flood", f"press {k}", "10.0.0.7 nobody") for k in range(1000)]
+    flood = [bench.machine.latch("nobody", "flood", f"press {k}", "10.0.0.7 nobody") for k in range(1000)]
     confirming = [asyncio.create_task(bench.machine.confirm_logged(hold)) for hold in flood]
     stop = await bench.machine.stop("anna", "smoke", source="10.0.0.8 anna")
     assert [each.by for each in bench.machine.stops] == ["nobody", "anna"]
@@ -153,7 +153,7 @@ async def test_a_release_of_what_was_seen_does_not_release_its_repetition(bench:
 
 async def test_a_flood_from_everywhere_keeps_a_bounded_number_of_stops(bench: Bench) -> None:
     for number in range(3 * LatchedStops.most):
-        hold = bench.machine.seize(f"nobody {number}", "flood", "", f"10.0.0.7 nobody {number}")
+        hold = bench.machine.latch(f"nobody {number}", "flood", "", f"10.0.0.7 nobody {number}")
         hold.under_way -= 1
     assert len(bench.machine.stops) == LatchedStops.most
     assert bench.machine.held.startswith("stopped by nobody 0")
