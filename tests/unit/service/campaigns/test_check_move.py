@@ -11,7 +11,6 @@ from service.store.documents import CampaignState, EventKind
 from tests.unit.service.campaigns.conftest import Bench
 
 WAY = math.radians(0.5)
-STEP = WAY / 20  # of the drives that do not do as they are told, every few milliseconds
 UNITS = {"joint_1": "rad", "joint_2": "rad", "slide": "m"}
 START = {"joint_1": 0.3, "joint_2": -0.1, "slide": 0.5}
 

@@ -150,11 +150,6 @@ CONFIG = Path(__file__).parents[4] / "config"
 PROFILES = sorted((CONFIG / "drives").glob("*.yaml"))
 
 
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return read_robot(CONFIG / "robots/max100-class.yaml")
-
-
 def axes_of(path: Path) -> tuple[DriveAxis, ...]:
     return DriveProfile.model_validate(load_profile(path)).of(JOINTS)
 
