@@ -22,13 +22,13 @@ from drivers.canopen.stop_sender import CanopenStopSender
 from drivers.cia402.axis import Axis
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
-from service.machine.execution import machine, statement
+from service.machine.execution import statement, stops
 from service.machine.execution.machine import Machine
 from service.machine.execution.motion import MotionAccess
 from service.machine.execution.permission import Approvals, Epochs, Intention
 from service.machine.execution.runner import Runner
 from service.machine.execution.statement import Reports
-from service.machine.execution.stops import LatchedStops, StopSequences, renew
+from service.machine.execution.stops import LatchedStops, StopSequences
 from service.machine.stop_process.bus import StopBus, StopOutcome
 from service.store import approvals
 from service.store.guards import MachineLease
@@ -188,9 +188,7 @@ SERVICE: dict[str, Fault] = {
     "an approval outlives a stop": Fault(
         _set(approvals, "_last_stop", lambda *_: 0), (s.start, s.stop_by_port, s.release), 20.0
     ),
-    "the lease is never missed": Fault(
-        _set(machine, "renew", lambda *given: renew(*given[:-1], _nothing_async)), (s.start, s.second_service), 20.0
-    ),
+    "the lease is never missed": Fault(_set(stops, "_passed", lambda _: 0.0), (s.start, s.second_service), 20.0),
     "the stop process sends nothing": Fault(_set(CanopenStopSender, "_send", _nothing), (s.stop_in_a_gap,), 20.0, ONCE),
     "a stop is not stored": Fault(_set(LatchedStops, "note", _nothing), (s.stop_outlives_a_kill,), 20.0, ONCE),
     "a release releases what nobody saw": Fault(

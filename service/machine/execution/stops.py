@@ -305,7 +305,7 @@ async def renew(
     async def check() -> None:
         """Whatever the cause, `late` is called; `delayed` distinguishes the cause."""
         nonlocal told
-        passed = time.monotonic() - last
+        passed = _passed(last)
         if passed > lease_time / 2 and not told:
             told = True
             why = (
@@ -338,6 +338,11 @@ async def renew(
         else:
             last, delayed, told = begun, 0.0, False
             renewed()
+
+
+def _passed(since: float) -> float:
+    """s since a time of the monotonic clock."""
+    return time.monotonic() - since
 
 
 async def _wait(within: float, work: "asyncio.Task[None] | None" = None) -> float:
