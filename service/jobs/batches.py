@@ -16,10 +16,10 @@ from service.jobs.open_jobs import OpenJobs
 from service.jobs.worker import JobFailed, RecordedSweep, ReidentifyJob, Worker, WorkerLost
 from service.model.errors import BadInput, NotFound
 from service.planning.campaigns.linked import analysis_behind, campaign_beside
-from service.store.diagnosis.model_revisions import ModelStore
+from service.store.diagnoses import ModelStore
 from service.store.documents import BatchState, SweepState
 from service.store.files.recordings import RecordingFiles
-from service.store.plant.batches import BatchDocument, BatchStore
+from service.store.plant import BatchDocument, BatchStore
 from service.store.store import Store
 
 _log = structlog.get_logger(__name__)

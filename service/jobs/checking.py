@@ -14,10 +14,9 @@ from service.jobs.open_jobs import OpenJobs
 from service.jobs.worker import CheckJob, JobFailed, RecordedSweep, Worker
 from service.model.errors import BadInput
 from service.planning.campaigns.live import EventFeed
-from service.store.checks import COMPLETE, OVER, CheckStore
 from service.store.documents import EventKind
 from service.store.files.recordings import RecordingFiles
-from service.store.store import Store
+from service.store.store import COMPLETE, OVER, CheckStore, Store
 
 _log = structlog.get_logger(__name__)
 

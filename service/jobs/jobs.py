@@ -27,7 +27,7 @@ from service.model.errors import BadInput
 from service.planning.campaigns.linked import analysis_behind, campaign_beside
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.process.telemetry.spans import TRACING
-from service.store.diagnosis.model_revisions import ModelStore
+from service.store.diagnoses import ModelStore
 from service.store.documents import CampaignState, RecordingDocument, SpectrumRecord, SweepDocument, SweepState
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store

@@ -18,8 +18,7 @@ from service.process.settings import Settings
 from service.store.database import refusal
 from service.store.documents import RecordingDocument
 from service.store.files.recordings import RecordingFiles
-from service.store.objects.cache import make_room
-from service.store.objects.moves import Backlog, MoveStore
+from service.store.retention import Backlog, MoveStore, make_room
 
 _log = structlog.get_logger(__name__)
 

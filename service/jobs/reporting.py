@@ -21,12 +21,17 @@ from service.model.results.revision import ModelFile
 from service.planning.campaigns.linked import campaign_beside
 from service.planning.campaigns.plan_subject import plan_subject
 from service.report import CampaignReport, Drive, Form, example_of, used_sweeps
-from service.store.checks import CheckStore
-from service.store.diagnosis.diagnoses import DiagnosisStore
-from service.store.diagnosis_documents import DiagnosisDocument
-from service.store.documents import CampaignDocument, EstimateDocument, RecordingDocument, SweepDocument, SweepState
+from service.store.diagnoses import DiagnosisStore
+from service.store.documents import (
+    CampaignDocument,
+    DiagnosisDocument,
+    EstimateDocument,
+    RecordingDocument,
+    SweepDocument,
+    SweepState,
+)
 from service.store.files.recordings import RecordingFiles
-from service.store.store import Store
+from service.store.store import CheckStore, Store
 
 CONVERGENCE = 100  # maximum number of revisions whose parameters are drawn
 

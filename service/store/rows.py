@@ -19,12 +19,12 @@ from service.store.documents import (
     SweepState,
 )
 
-Row = TypeVar("Row", bound=t.Base)
+Row = TypeVar("Row", bound=t.StoredRow)
 Kind = TypeVar("Kind", bound=BaseModel)
 _CAUSE = TypeAdapter(Cause)
 
 
-def document(kind: type[Kind], row: t.Base, **more: object) -> Kind:
+def document(kind: type[Kind], row: t.StoredRow, **more: object) -> Kind:
     """The row as a document of this kind: each field from `more`, or from the attribute with its name."""
     return kind.model_validate({name: more[name] if name in more else getattr(row, name) for name in kind.model_fields})
 

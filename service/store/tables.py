@@ -11,8 +11,7 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from drivers.ports import SweepMode
 from service.store.access.permissions import Role
-from service.store.diagnosis_documents import DiagnosisState
-from service.store.documents import BatchState, CampaignState, EventKind, RecordingState, SweepState
+from service.store.documents import BatchState, CampaignState, DiagnosisState, EventKind, RecordingState, SweepState
 
 
 class Utc(TypeDecorator[datetime]):
@@ -42,7 +41,7 @@ def _values(kind: type[Enum]) -> list[str]:
     return [member.word if isinstance(member, Role) else str(member.value) for member in kind]
 
 
-class Base(DeclarativeBase):
+class StoredRow(DeclarativeBase):
     """Registry of the tables."""
 
     type_annotation_map: ClassVar = {
@@ -61,7 +60,7 @@ class Base(DeclarativeBase):
     }
 
 
-class MachineRow(Base):
+class MachineRow(StoredRow):
     """One row a cell's machine; `machine_id` elsewhere is its id."""
 
     __tablename__ = "machine"
@@ -72,7 +71,7 @@ class MachineRow(Base):
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
-class RobotRow(Base):
+class RobotRow(StoredRow):
     """`serial` and `revision` as the description has them: which robot of several of one name it is."""
 
     __tablename__ = "robot"
@@ -87,7 +86,7 @@ class RobotRow(Base):
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
-class PlanRow(Base):
+class PlanRow(StoredRow):
     __tablename__ = "plan"
     id: Mapped[int] = mapped_column(primary_key=True)
     robot_id: Mapped[int] = mapped_column(ForeignKey("robot.id"))
@@ -95,7 +94,7 @@ class PlanRow(Base):
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
-class ApprovalRow(Base):
+class ApprovalRow(StoredRow):
     """Append-only. It holds for one machine."""
 
     __tablename__ = "approval"
@@ -109,7 +108,7 @@ class ApprovalRow(Base):
     last_stop: Mapped[int]  # id of the machine's last stop before it, 0: none
 
 
-class CampaignRow(Base):
+class CampaignRow(StoredRow):
     __tablename__ = "campaign"
     id: Mapped[int] = mapped_column(primary_key=True)
     machine_id: Mapped[int] = mapped_column(index=True)  # runs it, and has its files
@@ -123,7 +122,7 @@ class CampaignRow(Base):
     started_at: Mapped[datetime | None]
 
 
-class SweepRow(Base):
+class SweepRow(StoredRow):
     __tablename__ = "sweep"
     __table_args__ = (UniqueConstraint("campaign_id", "number"), Index("ix_sweep_state", "state"))
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -137,7 +136,7 @@ class SweepRow(Base):
     attempt: Mapped[int] = mapped_column(default=0)
 
 
-class RecordingRow(Base):
+class RecordingRow(StoredRow):
     __tablename__ = "recording"
     __table_args__ = (UniqueConstraint("sweep_id", "attempt"),)
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -152,7 +151,7 @@ class RecordingRow(Base):
     pruned_at: Mapped[datetime | None]  # its samples were removed by the retention rule
 
 
-class SpectrumRow(Base):
+class SpectrumRow(StoredRow):
     """Where the spectrum of an identified sweep lies."""
 
     __tablename__ = "spectrum_file"
@@ -162,14 +161,14 @@ class SpectrumRow(Base):
     sha256: Mapped[str] = mapped_column(String(64))
 
 
-class IdentityRow(Base):
+class IdentityRow(StoredRow):
     """One row: the name of this database, which its data folder bears as well."""
 
     __tablename__ = "identity"
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
 
 
-class EstimateRow(Base):
+class EstimateRow(StoredRow):
     """Append-only. The unique sweep makes a result that comes twice count once."""
 
     __tablename__ = "estimate"
@@ -182,7 +181,7 @@ class EstimateRow(Base):
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
-class DiagnosisRow(Base):
+class DiagnosisRow(StoredRow):
     """The unique parent makes a diagnosis go on once only, the unique campaign an experiment belong to one."""
 
     __tablename__ = "diagnosis"
@@ -208,7 +207,7 @@ class DiagnosisRow(Base):
     finished_at: Mapped[datetime | None]
 
 
-class AxisDiagnosisRow(Base):
+class AxisDiagnosisRow(StoredRow):
     """Result of one axis's job. The unique pair makes a result that comes twice count once."""
 
     __tablename__ = "axis_diagnosis"
@@ -220,7 +219,7 @@ class AxisDiagnosisRow(Base):
     document: Mapped[dict[str, JsonValue]] = mapped_column(deferred=True)
 
 
-class ModelRow(Base):
+class ModelRow(StoredRow):
     """Append-only; a diagnosis becomes one model at most."""
 
     __tablename__ = "model"
@@ -235,7 +234,7 @@ class ModelRow(Base):
     document: Mapped[dict[str, JsonValue]]
 
 
-class DataCheckRow(Base):
+class DataCheckRow(StoredRow):
     """What the check of the data found. The unique campaign makes a result that comes twice count once."""
 
     __tablename__ = "data_check"
@@ -245,7 +244,7 @@ class DataCheckRow(Base):
     at: Mapped[datetime] = mapped_column(default=now)
 
 
-class HoldRow(Base):
+class HoldRow(StoredRow):
     """A campaign of which the retention rule removes nothing."""
 
     __tablename__ = "hold"
@@ -255,7 +254,7 @@ class HoldRow(Base):
     at: Mapped[datetime] = mapped_column(default=now)
 
 
-class BatchRow(Base):
+class BatchRow(StoredRow):
     """A computation over stored campaigns; what of `campaigns` has no result yet is still to do."""
 
     __tablename__ = "batch"
@@ -270,7 +269,7 @@ class BatchRow(Base):
     finished_at: Mapped[datetime | None]
 
 
-class BatchResultRow(Base):
+class BatchResultRow(StoredRow):
     """Of one campaign. The unique pair makes a result that comes twice count once. `document`: None for a `cause`."""
 
     __tablename__ = "batch_result"
@@ -285,7 +284,7 @@ class BatchResultRow(Base):
     at: Mapped[datetime] = mapped_column(default=now)
 
 
-class EventRow(Base):
+class EventRow(StoredRow):
     """The outbox. AUTOINCREMENT: an id is never given twice, even after the newest row went."""
 
     __tablename__ = "event"
@@ -298,7 +297,7 @@ class EventRow(Base):
     at: Mapped[datetime] = mapped_column(default=now)
 
 
-class IdempotencyRow(Base):
+class IdempotencyRow(StoredRow):
     __tablename__ = "idempotency_key"
     machine_id: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
     key: Mapped[str] = mapped_column(String(255), primary_key=True)
@@ -308,7 +307,7 @@ class IdempotencyRow(Base):
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
-class LeaseRow(Base):
+class LeaseRow(StoredRow):
     """One row a resource. Who waits for it watches `renewals` on its own monotonic clock; no wall clock is compared."""
 
     __tablename__ = "lease"
@@ -317,7 +316,7 @@ class LeaseRow(Base):
     renewals: Mapped[int]
 
 
-class StopRow(Base):
+class StopRow(StoredRow):
     """Every stop there was; its machine is latched while one has no `reset_at`."""
 
     __tablename__ = "stop"
@@ -331,7 +330,7 @@ class StopRow(Base):
     reset_at: Mapped[datetime | None]
 
 
-class ApiKeyRow(Base):
+class ApiKeyRow(StoredRow):
     """A name is given once, so that the audit tells who it was."""
 
     __tablename__ = "api_key"
@@ -345,7 +344,7 @@ class ApiKeyRow(Base):
     revoked_at: Mapped[datetime | None]
 
 
-class UserRow(Base):
+class UserRow(StoredRow):
     """A person. `password`: argon2's hash; None where a provider says who it is, by `issuer` and `subject`."""
 
     __tablename__ = "user_account"
@@ -360,7 +359,7 @@ class UserRow(Base):
     disabled_at: Mapped[datetime | None]
 
 
-class SessionRow(Base):
+class SessionRow(StoredRow):
     """A browser in which a person is logged in. `sha256`: of what its cookie has."""
 
     __tablename__ = "user_session"
@@ -373,15 +372,15 @@ class SessionRow(Base):
     ended_at: Mapped[datetime | None]
 
 
-class SteadyTimeRow(Base):
-    """One row: the latest time of sessions and keys, see `service.store.access.steady_clock`."""
+class SteadyTimeRow(StoredRow):
+    """One row: the latest time of sessions and keys, see `service.store.database`."""
 
     __tablename__ = "steady_time"
     id: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
     at: Mapped[datetime]
 
 
-class AuditRow(Base):
+class AuditRow(StoredRow):
     """Append-only, by a trigger. `entry` is canonical JSON; `sha256`: see `service.store.access.audit_chain`."""
 
     __tablename__ = "audit"

@@ -51,35 +51,22 @@ from service.publishing.publisher import Publisher
 from service.publishing.state import Configuration
 from service.report import Form
 from service.store.access.audit_chain import Entry
-from service.store.access.keys import masked
-from service.store.approvals import ApprovalStore
-from service.store.checks import CheckStore
+from service.store.access.credentials import masked
 from service.store.database import Database, open_database
-from service.store.diagnosis.diagnoses import DiagnosisStore
-from service.store.diagnosis.model_revisions import ModelStore
-from service.store.diagnosis_documents import ModelDocument
-from service.store.documents import CampaignDocument, RobotDocument
-from service.store.files.bundle import write_bundle
-from service.store.files.data_folder import claim_folder
-from service.store.files.exchange import campaign_bundle, import_campaign
-from service.store.files.intake import SavedBundle, take_in
+from service.store.diagnoses import DiagnosisStore, ModelStore
+from service.store.documents import CampaignDocument, ModelDocument, RobotDocument
+from service.store.files.bundle import SavedBundle, take_in, write_bundle
+from service.store.files.data_folder import campaign_bundle, claim_folder, import_campaign
 from service.store.files.isolated_reader import LIMITS, Limits, read_isolated
 from service.store.files.recordings import RecordingFiles
-from service.store.guards import MachineLease, StopLatch
-from service.store.objects.moves import MoveStore
-from service.store.objects.object_store import check_usable
-from service.store.people.audit import AuditStore
-from service.store.people.audit_heads import keeping_time_and_head
-from service.store.people.keys import KeyStore
-from service.store.people.sessions import SessionStore
-from service.store.people.time import begin_time
-from service.store.people.users import ExternalUsers, UserStore
-from service.store.people.writer import AuditWriter
-from service.store.plant.batches import BatchStore
-from service.store.plant.fleet import FleetStore
-from service.store.plant.machines import PlantStore
-from service.store.requests import IdempotencyKeys
-from service.store.store import Store
+from service.store.guards import ApprovalStore, IdempotencyKeys, MachineLease, StopLatch
+from service.store.objects import check_usable
+from service.store.people.audit import AuditStore, AuditWriter
+from service.store.people.sessions import SessionStore, begin_time, keeping_time_and_head
+from service.store.people.users import ExternalUsers, KeyStore, UserStore
+from service.store.plant import BatchStore, FleetStore, PlantStore
+from service.store.retention import MoveStore
+from service.store.store import CheckStore, Store
 from service.web.cell import Cell, WithCell
 
 _log = structlog.get_logger(__name__)

@@ -13,7 +13,7 @@ import yaml
 
 from service.process.settings import Settings
 from service.process.settings.workers import cluster_at
-from service.store.objects.object_store import check_usable
+from service.store.objects import check_usable
 from tests.programs import needs, require
 
 pytestmark = pytest.mark.slow

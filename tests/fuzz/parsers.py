@@ -42,11 +42,9 @@ from service.model.results.identified.payload import Payload
 from service.model.robot import Robot
 from service.model.urdf import read_chain
 from service.process.settings import load_settings
-from service.store.backup.manifest import read_manifest
-from service.store.files.bundle import write_bundle
-from service.store.files.columns import read_columns
-from service.store.files.intake import read_from
-from service.store.files.stream import UnreadableStream
+from service.store.backup import read_manifest
+from service.store.files.bundle import read_from, write_bundle
+from service.store.files.columns import UnreadableStream, read_columns
 from simulator.drive.dictionary import Dictionary
 from simulator.foreign.dictionary import ForeignDictionary
 from simulator.modbus.register_map import RegisterMapError, load_register_map

@@ -20,7 +20,7 @@ from service.planning.campaigns.fleet_history import FleetHistory
 from service.store import tables as t
 from service.store.database import Database, open_database
 from service.store.documents import NewRecording, NewSweep, RecordingState, SpectrumRecord, SweepState
-from service.store.plant.fleet import FleetStore
+from service.store.plant import FleetStore
 from service.store.store import Store
 from simulator import Scenario
 from tests.numeric.campaign import max100, measure_at, scenario_named

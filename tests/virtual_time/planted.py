@@ -34,7 +34,7 @@ from service.machine.execution.state.latched_stops import LatchedStops
 from service.machine.execution.state.stop_sequences import StopSequences
 from service.machine.execution.statement import Reports
 from service.machine.stop_process.bus import Bus, Outcome
-from service.store import approvals
+from service.store import guards
 from service.store.guards import MachineLease
 from service.store.store import Store
 from tests.virtual_time import sequences as s
@@ -190,7 +190,7 @@ SERVICE: dict[str, Fault] = {
     "what gets energy is stated to stand": Fault(_set(Reports, "gets_energy", _nothing), RUNS, 10.0),
     "plans need no approval": Fault(_set(Approvals, "check", _nothing), (s.start,), 10.0),
     "an approval outlives a stop": Fault(
-        _set(approvals, "_last_stop", lambda *_: 0), (s.start, s.stop_by_port, s.release), 20.0
+        _set(guards, "_last_stop", lambda *_: 0), (s.start, s.stop_by_port, s.release), 20.0
     ),
     "the lease is never missed": Fault(
         _set(lease_renewal, "time", SimpleNamespace(monotonic=lambda: 0.0)), (s.start, s.second_service), 20.0

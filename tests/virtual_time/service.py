@@ -21,7 +21,7 @@ from fastapi import FastAPI
 from sqlalchemy import Connection, Engine, create_engine
 from sqlalchemy.exc import OperationalError
 
-import service.store.engines.sqlite
+import service.store.engines
 import service.web.application
 from service.jobs.worker import Worker
 from service.jobs.worker.jobs import Answer, Work
@@ -29,7 +29,7 @@ from service.machine.execution.machine import Machine
 from service.machine.stop_process.answers import LONGEST_WAIT, Request
 from service.machine.stop_process.handle import StopProcess
 from service.process.settings import Settings
-from service.store.engines.kind import BUSY_TIMEOUT, PATIENCE, WRITE
+from service.store.engines import BUSY_TIMEOUT, PATIENCE, WRITE
 from service.web.app import create_app, end_motion, end_streams
 from service.web.client import ServiceClient
 from tests.virtual_time import operating_system, primitives
@@ -325,7 +325,7 @@ def _install(service_of_tests: VirtualService) -> None:
 
     application: Any = service.web.application
     application.open_worker = open_worker
-    sqlite: Any = service.store.engines.sqlite
+    sqlite: Any = service.store.engines
     sqlite._begin = _begin
     configure = sqlite._configure
 

@@ -18,7 +18,7 @@ from service.data_check import check, findings_document
 from service.model.configuration import read_robot
 from service.model.geometry.cell import read_cell
 from service.model.robot import Robot
-from service.store.files.intake import read_from
+from service.store.files.bundle import read_from
 
 
 def main() -> int:

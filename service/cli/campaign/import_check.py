@@ -4,7 +4,7 @@ from pathlib import Path
 
 from service.cli.recordings.check import as_lines
 from service.data_check import check
-from service.store.files.intake import read_from
+from service.store.files.bundle import read_from
 
 
 def findings_of(source: Path, folder: Path) -> list[str]:

@@ -25,8 +25,7 @@ def backup(
     """Copy database and recordings, each with its SHA-256, into a folder; the service may run and measure."""
     from service.cli.progress_indicator import waiting
     from service.cli.settings_of import settings_of
-    from service.store.backup.making import make_backup
-    from service.store.snapshot import sqlite_file
+    from service.store.backup import make_backup, sqlite_file
 
     settings = settings_of(config, data_dir)
     if hasattr(os, "nice"):
@@ -47,7 +46,7 @@ def restore(
 ) -> None:
     """Check all of a backup, then make a data folder of it, on which the service can be started. Prints the folder."""
     from service.cli.progress_indicator import waiting
-    from service.store.backup.restoring import restore as restore_backup
+    from service.store.backup import restore as restore_backup
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: nothing is left
     with waiting("the check and the copy"):
@@ -66,8 +65,7 @@ def doctor(config: Config = None, data_dir: DataDir = None) -> None:
     """
     from service.cli.progress_indicator import waiting
     from service.cli.settings_of import settings_of
-    from service.store.backup.examination import examine
-    from service.store.backup.examined import examined
+    from service.store.examination import examine, examined
 
     settings = settings_of(config, data_dir)
     database = examined(settings.url, settings.database_password_file)
@@ -92,7 +90,7 @@ def copy(
     from service.process.settings import Settings
     from service.store.copying import copy_rows
     from service.store.database import open_database
-    from service.store.engines.address import parsed_url
+    from service.store.engines import parsed_url
 
     file = parsed_url(source)
     if file.get_backend_name() == "sqlite" and not Path(file.database or "").is_file():

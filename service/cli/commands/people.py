@@ -98,7 +98,7 @@ def add_key(
     """Make a key and print it, once: only its hash is stored. To be sent as `Authorization: Bearer KEY`."""
     from service.cli.people.arguments import name_of, role_of, scopes_of
     from service.cli.people.open_database import opened, shell_entry
-    from service.store.people.keys import KeyStore
+    from service.store.people.users import KeyStore
 
     name, what, scopes = name_of(name), role_of(role), scopes_of(scope or [])
     with opened(config, data_dir, make=True) as database:
@@ -109,7 +109,7 @@ def add_key(
 def revoke_key(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
     """From now on the key opens nothing; a service that runs knows at once."""
     from service.cli.people.open_database import opened, shell_entry
-    from service.store.people.keys import KeyStore
+    from service.store.people.users import KeyStore
 
     with opened(config, data_dir) as database:
         revoked = KeyStore(database).revoke(name, shell_entry())
@@ -119,8 +119,7 @@ def revoke_key(name: Name, config: Config = None, data_dir: DataDir = None) -> N
 def list_people(config: Config = None, data_dir: DataDir = None) -> None:
     """One JSON line a user and a key; `trouble` says why it opens nothing."""
     from service.cli.people.open_database import opened, print_credential
-    from service.store.people.keys import KeyStore
-    from service.store.people.users import UserStore
+    from service.store.people.users import KeyStore, UserStore
 
     with opened(config, data_dir) as database:
         for user in UserStore(database).all():

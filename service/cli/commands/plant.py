@@ -55,7 +55,7 @@ def reidentify(
     """Identify stored campaigns of the service's machine again; prints the job. Stored estimates stay as they are."""
     from service.cli.plant.lines import job_line
     from service.cli.progress_indicator import waiting
-    from service.store.plant.batches import BatchDocument
+    from service.store.plant import BatchDocument
     from service.web.client import ServiceClient
 
     with ServiceClient(url) as client:
@@ -69,7 +69,7 @@ def reidentify(
 def list_jobs(as_json: AsJson = False, url: Url = DEFAULT_URL) -> None:
     """Print a line for each job of the plant, the oldest first."""
     from service.cli.plant.lines import job_line
-    from service.store.plant.batches import BatchDocument
+    from service.store.plant import BatchDocument
     from service.web.client import ServiceClient
 
     with ServiceClient(url) as client:
@@ -80,7 +80,7 @@ def list_jobs(as_json: AsJson = False, url: Url = DEFAULT_URL) -> None:
 def show(job: Job, as_json: AsJson = False, url: Url = DEFAULT_URL) -> None:
     """Print a job and a line for each campaign that is done: largest change of J, or why there is no result."""
     from service.cli.plant.lines import job_line, result_line
-    from service.store.plant.batches import BatchDocument, BatchEntry
+    from service.store.plant import BatchDocument, BatchEntry
     from service.web.client import ServiceClient
 
     with ServiceClient(url) as client:
@@ -96,7 +96,7 @@ def show(job: Job, as_json: AsJson = False, url: Url = DEFAULT_URL) -> None:
 def cancel(job: Job, url: Url = DEFAULT_URL) -> None:
     """Compute no more of a job; what was computed stays."""
     from service.cli.plant.lines import job_line
-    from service.store.plant.batches import BatchDocument
+    from service.store.plant import BatchDocument
     from service.web.client import ServiceClient
 
     with ServiceClient(url) as client:

@@ -12,16 +12,15 @@ from service.cli.settings_of import settings_of
 from service.model.errors import BadInput
 from service.process.settings import Settings
 from service.store.files.data_folder import read_owner
-from service.store.objects.object_store import ObjectStore
-from service.store.plant.pruning import Pruned, prune
-from service.store.plant.retention import Doomed, RetentionStore, Rules
+from service.store.objects import ObjectStore
+from service.store.retention import Doomed, Pruned, RetentionRules, RetentionStore, prune
 
 
 def prune_data(config: Path | None, data_dir: Path | None, dry_run: bool) -> None:
     """Remove what is older than the settings keep it; a line a campaign."""
     with retention(config, data_dir) as (store, settings):
-        rules = Rules(settings.keep_samples_days, settings.keep_spectra_days, settings.keep_estimates_days)
-        if rules == Rules(None, None, None):
+        rules = RetentionRules(settings.keep_samples_days, settings.keep_spectra_days, settings.keep_estimates_days)
+        if rules == RetentionRules(None, None, None):
             raise BadInput(
                 "settings", "keep everything: set `keep_samples_days`, `keep_spectra_days` or `keep_estimates_days`"
             )

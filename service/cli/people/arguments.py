@@ -4,9 +4,8 @@ import getpass
 import sys
 
 from service.model.errors import BadInput
-from service.store.access.names import LONGEST_NAME, is_name
-from service.store.access.permissions import Role
-from service.store.access.scopes import SCOPES
+from service.store.access.credentials import LONGEST_NAME, is_name
+from service.store.access.permissions import SCOPES, Role
 
 ROLES = {role.word: role for role in Role}
 

@@ -15,10 +15,9 @@ from service.process.settings import load_settings
 from service.store.access.audit_chain import Entry
 from service.store.access.permissions import Role
 from service.store.database import Database, open_database
-from service.store.engines.address import parsed_url
-from service.store.people.keys import KeyDocument
+from service.store.engines import parsed_url
 from service.store.people.sessions import SessionStore
-from service.store.people.users import UserDocument
+from service.store.people.users import KeyDocument, UserDocument
 
 
 @contextmanager

@@ -1,7 +1,7 @@
 """Robots and jobs of a plant, one line each."""
 
 from service.identification.fleet.document import Fleet, FleetRobot, FleetType
-from service.store.plant.batches import BatchDocument, BatchEntry
+from service.store.plant import BatchDocument, BatchEntry
 
 
 def fleet_lines(fleet: Fleet) -> list[str]:

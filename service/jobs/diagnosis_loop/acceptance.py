@@ -6,9 +6,8 @@ from service.diagnosis import model_document
 from service.model.errors import BadInput, Conflict
 from service.model.results.diagnosis import AxisDiagnosis
 from service.model.results.revision import RevisedAxis
-from service.store.diagnosis.diagnoses import DiagnosisStore
-from service.store.diagnosis.model_revisions import ModelStore
-from service.store.diagnosis_documents import DiagnosisDocument, ModelDocument
+from service.store.diagnoses import DiagnosisStore, ModelStore
+from service.store.documents import DiagnosisDocument, ModelDocument
 from service.store.store import Store
 
 

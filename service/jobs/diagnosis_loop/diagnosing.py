@@ -24,9 +24,8 @@ from service.jobs.worker import DiagnosisJob, JobFailed, Worker
 from service.model.errors import BadInput, Conflict, NotFound
 from service.model.results.diagnosis import Diagnosis
 from service.model.results.effect import Value
-from service.store.diagnosis.diagnoses import DiagnosisStore
-from service.store.diagnosis.model_revisions import ModelStore
-from service.store.diagnosis_documents import DiagnosisDocument, DiagnosisEntry, NewDiagnosis, Weighing
+from service.store.diagnoses import DiagnosisStore, ModelStore
+from service.store.documents import DiagnosisDocument, DiagnosisEntry, NewDiagnosis, Weighing
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
 

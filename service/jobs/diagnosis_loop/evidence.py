@@ -6,10 +6,9 @@ from service.diagnosis import is_evidence
 from service.jobs.worker import RecordedSweep
 from service.model.errors import BadInput, Conflict, NotFound
 from service.model.recording import SweepSpec
-from service.store.checks import COMPLETE, OVER
 from service.store.documents import CampaignDocument, RecordingDocument
 from service.store.files.recordings import RecordingFiles
-from service.store.store import Store
+from service.store.store import COMPLETE, OVER, Store
 
 
 def campaigns_of(store: Store, campaigns: Sequence[int]) -> tuple[CampaignDocument, ...]:

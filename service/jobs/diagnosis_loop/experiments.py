@@ -28,16 +28,20 @@ from service.planning.machine_setup import MachineSetup
 from service.planning.safety.robot_and_machine import on_machine
 from service.process.settings import Settings
 from service.process.tasks.background import Background
-from service.store.diagnosis.diagnoses import DiagnosisStore, check_free
-from service.store.diagnosis_documents import (
+from service.store.diagnoses import DiagnosisStore, check_free
+from service.store.documents import (
     BoltedMass,
+    CampaignDocument,
+    CampaignState,
     DiagnosisDocument,
     DiagnosisEntry,
     DiagnosisState,
+    EventDocument,
+    EventKind,
     NewDiagnosis,
+    NewSweep,
     Weighing,
 )
-from service.store.documents import CampaignDocument, CampaignState, EventDocument, EventKind, NewSweep
 from service.store.store import Store
 
 _log = structlog.get_logger(__name__)

@@ -9,9 +9,8 @@ from service.formats.export.started_robot import started_from
 from service.model.errors import BadInput
 from service.model.results.estimate import Estimate
 from service.planning.campaigns.linked import campaign_beside
-from service.store.diagnosis.diagnoses import DiagnosisStore
-from service.store.diagnosis_documents import EstimateOf, NewDiagnosis
-from service.store.documents import CampaignState
+from service.store.diagnoses import DiagnosisStore
+from service.store.documents import CampaignState, EstimateOf, NewDiagnosis
 from service.store.store import Store
 
 _WHOLE = (CampaignState.COMPLETED, CampaignState.ABORTED)  # there will be no further revision

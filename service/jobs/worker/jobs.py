@@ -22,8 +22,8 @@ from service.model.results.estimate import Estimate
 from service.model.results.identified.spectrum import AnySpectrum
 from service.model.results.revision import KnownModel, StoredModel
 from service.model.robot import Robot, RobotDescription, build_robot
-from service.store.diagnosis_documents import ModelDocument
-from service.store.files.spectra import SpectrumFile, read_spectrum
+from service.store.documents import ModelDocument
+from service.store.files.recordings import SpectrumFile, read_spectrum
 
 if TYPE_CHECKING:  # numerical modules
     from service.diagnosis.fit.parameters import Parameter
@@ -61,7 +61,7 @@ class RecordedSweep:
     file: "RecordingFile"
 
     def read(self) -> Sweep:
-        from service.store.objects.reading import read_recording
+        from service.store.objects import read_recording
 
         return Sweep(self.spec, read_recording(self.file))
 

@@ -39,8 +39,7 @@ class TransferJob:
         return 0 if self.outward else 1  # a caller waits for what is fetched
 
     def __call__(self) -> Refused | None:
-        from service.store.objects.object_store import ObjectStore
-        from service.store.objects.reading import bring
+        from service.store.objects import ObjectStore, bring
 
         try:
             if not self.outward:

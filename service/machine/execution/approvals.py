@@ -4,7 +4,7 @@ from collections.abc import Callable
 from datetime import timedelta
 
 from service.model.errors import BadInput, Conflict
-from service.store.approvals import ApprovalDocument, ApprovalStore
+from service.store.guards import ApprovalDocument, ApprovalStore
 from service.store.tables import now
 
 

@@ -12,7 +12,7 @@ from service.identification.fleet.series import AxisMeasured, CampaignMeasured, 
 from service.identification.fleet.survey import RobotMeasured, Rules, survey
 from service.model.errors import BadInput, NotFound
 from service.model.results.estimate import EstimatedAxis
-from service.store.plant.fleet import FleetStore, MeasuredCampaign
+from service.store.plant import FleetStore, MeasuredCampaign
 
 _log = structlog.get_logger(__name__)
 

@@ -20,8 +20,7 @@ from service.planning.documents import (
     PlanRequest,
 )
 from service.planning.safety.envelope import Limits
-from service.store.diagnosis_documents import BoltedMass
-from service.store.documents import LARGEST_ID
+from service.store.documents import LARGEST_ID, BoltedMass
 
 TRAVEL_MARGIN = 1.05  # of a block's travel: the sines oscillate around the offset motion
 PEAK_VELOCITY = 0.15  # rad/s (m/s), instantaneous: the fast blocks are three times as fast as other sweeps

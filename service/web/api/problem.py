@@ -21,9 +21,8 @@ from starlette.routing import Match
 from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady
 from service.model.errors import BadInput, Conflict, EnvelopeViolation, NoPdf, NotFound, NotNow, SweepidError
 from service.planning.machine_setup import NeedsConfirmation
-from service.store.people.audit import AuditUnreadable
-from service.store.people.writer import NotAudited
-from service.store.requests import KeyReused
+from service.store.guards import KeyReused
+from service.store.people.audit import AuditUnreadable, NotAudited
 from service.store.store import StaleVersion
 
 MEDIA_TYPE = "application/problem+json"

@@ -18,7 +18,7 @@ from service.model.geometry.cell import Cell
 from service.model.robot import Robot
 from service.planning.safety.envelope import Envelope
 from service.process.settings.workers import Cluster
-from service.store.files.spectra import SpectrumFile
+from service.store.files.recordings import SpectrumFile
 from tests.unit.service.campaigns.conftest import ROOT, open_bench, until
 
 pytestmark = pytest.mark.slow

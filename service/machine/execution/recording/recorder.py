@@ -19,8 +19,8 @@ from service.model.recording import Recording, SweepSpec
 from service.model.results.identified.manifest import Channels, Facts
 from service.planning.safety.noise_motion import Command
 from service.store.documents import NewRecording, RecordingState
+from service.store.files.columns import SampleStream, damaged, read_blocks
 from service.store.files.recordings import RecordingFiles, Run
-from service.store.files.stream import SampleStream, damaged, read_blocks
 
 _COLUMNS = ("time", "effort", "velocity", "position", "velocity_setpoint")
 _EXTRA = ("load_position", "excitation_effort")  # if the drive has them

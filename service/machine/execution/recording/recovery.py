@@ -15,8 +15,8 @@ from service.model.errors import BadInput, NotFound
 from service.model.results.identified.manifest import Facts
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.store.documents import CampaignState, SweepState
+from service.store.files.columns import UnreadableStream
 from service.store.files.recordings import RecordingFiles, Run
-from service.store.files.stream import UnreadableStream
 from service.store.store import Store
 
 _log = structlog.get_logger(__name__)

@@ -18,7 +18,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import Cause
 from service.model.errors import Conflict, NotFound, NotNow
-from service.store.access.keys import masked
+from service.store.access.credentials import masked
 from service.store.database import refusal
 from service.store.documents import StopDocument
 from service.store.guards import StopLatch

@@ -8,8 +8,8 @@ from pydantic import BaseModel, ConfigDict, StringConstraints
 
 from service.planning.campaigns.plan_subject import PlanSubject
 from service.planning.compiled_plan import present_motion_sha256
-from service.store.access.names import PersonName
-from service.store.approvals import ApprovalDocument
+from service.store.access.credentials import PersonName
+from service.store.guards import ApprovalDocument
 from service.store.tables import now
 from service.web.api.dependencies import ApplicationOf, Id, IntentionOf, who_asks
 from service.web.api.idempotent import IdempotentRoute

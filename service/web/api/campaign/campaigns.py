@@ -15,7 +15,7 @@ from service.machine.execution.sign_of_life import SignOfLife
 from service.model.results.check import DataCheck
 from service.planning.ahead import Range
 from service.planning.campaigns.plan_subject import PlanSubject
-from service.store.access.keys import masked
+from service.store.access.credentials import masked
 from service.store.documents import LARGEST_ID, CampaignDocument, SweepDocument, SweepState, SweepStatus
 from service.web.api.campaign.progress import Progress, StepView, progress, steps
 from service.web.api.dependencies import After, ApplicationOf, Id, IfMatch, IntentionOf, Limit, Page, page, set_etag

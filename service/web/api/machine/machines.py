@@ -3,7 +3,7 @@
 from fastapi import APIRouter
 from pydantic import BaseModel
 
-from service.store.plant.machines import MachineDocument
+from service.store.plant import MachineDocument
 from service.web.api.dependencies import ApplicationOf
 from service.web.api.idempotent import IdempotentRoute
 

@@ -12,11 +12,9 @@ from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.store.access.callers import Caller
-from service.store.access.keys import key_sha256
-from service.store.access.permissions import LOCAL, LOGINS, PERMISSIONS, STOP, Permissions, Role
-from service.store.access.scopes import lacking
-from service.store.people.writer import NotAudited
+from service.store.access.credentials import Caller, key_sha256
+from service.store.access.permissions import LOCAL, LOGINS, PERMISSIONS, STOP, Permissions, Role, lacking
+from service.store.people.audit import NotAudited
 from service.web.api.gate import from_own_page
 from service.web.api.people.audit_trail import AuditTrail, audit_trail_of, put, written
 from service.web.api.people.credentials import Credentials, shown

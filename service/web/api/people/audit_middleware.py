@@ -13,7 +13,7 @@ from typing import Any, cast
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.store.access.permissions import Permissions
-from service.store.people.writer import NotAudited
+from service.store.people.audit import NotAudited
 from service.web.api.people.audit_trail import AuditTrail, begin_audit_trail, put, written
 
 _REFUSED = (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN, HTTPStatus.TOO_MANY_REQUESTS)

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from starlette.types import Scope
 
 from service.store.access.audit_chain import Entry, Fact
-from service.store.access.keys import masked
+from service.store.access.credentials import masked
 from service.store.access.permissions import SIGN_OF_LIFE, SOCKET, Role, Route
-from service.store.people.writer import NotAudited
+from service.store.people.audit import NotAudited
 from service.web.application import Application
 
 _TRAIL = "sweepid.trail"  # in the scope

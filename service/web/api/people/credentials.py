@@ -10,7 +10,7 @@ from starlette.datastructures import Headers
 from starlette.requests import cookie_parser
 from starlette.types import Scope
 
-from service.store.access.keys import bearer
+from service.store.access.credentials import bearer
 
 LIVE = "sweepid.live"
 _KEY = "sweepid.key."

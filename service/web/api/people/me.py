@@ -5,8 +5,7 @@ from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 
 from service.store.access.audit_chain import Fact
-from service.store.access.permissions import Role
-from service.store.access.scopes import beyond
+from service.store.access.permissions import Role, beyond
 from service.store.people.users import UserDocument
 from service.web.api.dependencies import ApplicationOf
 from service.web.api.people.audit_trail import audit_trail_of

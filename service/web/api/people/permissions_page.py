@@ -2,8 +2,7 @@
 
 import sys
 
-from service.store.access.permissions import MEANING, PERMISSIONS, Role
-from service.store.access.scopes import SCOPES, scope_of
+from service.store.access.permissions import MEANING, PERMISSIONS, SCOPES, Role, scope_of
 
 
 def page() -> str:

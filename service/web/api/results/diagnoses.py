@@ -15,9 +15,8 @@ from service.model.errors import Conflict
 from service.planning.ahead import Range
 from service.planning.documents import CELL_NAME
 from service.report.diagnosis import diagnosis_figures
-from service.store.access.names import PersonName
-from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, DiagnosisEntry, ModelDocument
-from service.store.documents import LARGEST_ID, PlanRecord
+from service.store.access.credentials import PersonName
+from service.store.documents import LARGEST_ID, BoltedMass, DiagnosisDocument, DiagnosisEntry, ModelDocument, PlanRecord
 from service.web.api.campaign.campaigns import CampaignView, view
 from service.web.api.campaign.confirmation import Typed
 from service.web.api.campaign.plans import PlanView

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.store.access.permissions import LOCAL
 from service.store.documents import LARGEST_ID
-from service.store.plant.batches import BatchDocument, BatchEntry, BatchEstimate
+from service.store.plant import BatchDocument, BatchEntry, BatchEstimate
 from service.web.api.dependencies import After, ApplicationOf, Id, Limit, Page, page, who_asks
 from service.web.api.idempotent import IdempotentRoute
 

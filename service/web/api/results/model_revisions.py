@@ -5,8 +5,7 @@ from typing import Annotated
 import yaml
 from fastapi import APIRouter, Query, Response
 
-from service.store.diagnosis_documents import ModelDocument
-from service.store.documents import LARGEST_ID
+from service.store.documents import LARGEST_ID, ModelDocument
 from service.web.api.dependencies import After, ApplicationOf, Id, Limit, Page, page
 
 router = APIRouter(prefix="/models", tags=["diagnoses"])

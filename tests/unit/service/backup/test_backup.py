@@ -10,15 +10,12 @@ import pytest
 
 from service.model.errors import BadInput
 from service.process.settings import load_settings
-from service.store.backup.examination import examine
-from service.store.backup.making import make_backup
-from service.store.backup.manifest import read_manifest
-from service.store.backup.restoring import restore
+from service.store.backup import make_backup, read_manifest, restore, sqlite_file
 from service.store.database import open_database
+from service.store.examination import examine
 from service.store.files.data_folder import FILE as OWNER
 from service.store.files.data_folder import claim_folder
 from service.store.files.recordings import RecordingFiles, Run
-from service.store.snapshot import sqlite_file
 from service.store.store import Store
 from tests.command import sweepid
 from tests.unit.service.backup.conftest import Forks, contents

@@ -10,9 +10,7 @@ from pathlib import Path
 import pytest
 
 from service.model.errors import BadInput
-from service.store.backup.making import make_backup
-from service.store.backup.manifest import FILE, read_manifest
-from service.store.backup.restoring import restore
+from service.store.backup import FILE, make_backup, read_manifest, restore
 from service.store.database import open_database
 from service.store.files.data_folder import FILE as OWNER
 from service.store.files.recordings import RecordingFiles, Run, file_sha256

@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 
 from service.model.errors import BadInput
-from service.store.backup.examination import examine
-from service.store.backup.making import make_backup
-from service.store.backup.restoring import restore
+from service.store.backup import make_backup, restore
+from service.store.examination import examine
 from tests.unit.service.backup.conftest import Forks, contents
 
 pytestmark = pytest.mark.slow

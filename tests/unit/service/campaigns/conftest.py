@@ -30,12 +30,11 @@ from service.planning.campaigns.live import LiveHub
 from service.planning.compiled_plan import CompiledPlan
 from service.planning.safety.envelope import Envelope
 from service.process.settings.workers import Cluster
-from service.store.approvals import ApprovalStore
 from service.store.database import Database, open_database
-from service.store.diagnosis.model_revisions import ModelStore
+from service.store.diagnoses import ModelStore
 from service.store.documents import CampaignDocument, NewSweep, SpectrumRecord, SweepDocument
 from service.store.files.recordings import RecordingFiles
-from service.store.guards import MachineLease, StopLatch
+from service.store.guards import ApprovalStore, MachineLease, StopLatch
 from service.store.store import Store
 from tests.unit.service.campaigns.formula_drive import FormulaDrive
 

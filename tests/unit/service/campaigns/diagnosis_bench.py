@@ -21,17 +21,15 @@ from service.model.recording import Sweep
 from service.model.robot import Robot
 from service.process.settings.workers import Cluster
 from service.store.database import open_database
-from service.store.diagnosis.diagnoses import DiagnosisStore
-from service.store.diagnosis.model_revisions import ModelStore
-from service.store.diagnosis_documents import (
+from service.store.diagnoses import DiagnosisStore, ModelStore
+from service.store.documents import (
     DiagnosisDocument,
     DiagnosisState,
     ModelDocument,
+    SpectrumRecord,
 )
-from service.store.documents import SpectrumRecord
-from service.store.files.bundle import Bundle
-from service.store.files.exchange import import_campaign
-from service.store.files.intake import save_bundle
+from service.store.files.bundle import Bundle, save_bundle
+from service.store.files.data_folder import import_campaign
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
 

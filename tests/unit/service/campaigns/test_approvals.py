@@ -17,9 +17,8 @@ from service.model.errors import BadInput, Conflict, NotFound, NotNow
 from service.model.geometry.cell import Box, Cell
 from service.planning.motion_hash import machine_sha256, motion_sha256
 from service.process.settings import Settings
-from service.store.approvals import ApprovalStore
 from service.store.documents import CampaignState
-from service.store.guards import StopLatch
+from service.store.guards import ApprovalStore, StopLatch
 from tests.unit.service.campaigns.conftest import ROOT, TIMEOUT, Bench, refusing, until
 
 HASH, OTHER = "a" * 64, "b" * 64

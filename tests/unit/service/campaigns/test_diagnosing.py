@@ -25,17 +25,17 @@ from service.model.errors import BadInput, Conflict
 from service.model.robot import Robot
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move
 from service.store.database import open_database
-from service.store.diagnosis_documents import (
+from service.store.documents import (
     BoltedMass,
+    CampaignState,
     DiagnosisState,
     EstimateOf,
     NewDiagnosis,
+    NewSweep,
     Weighing,
 )
-from service.store.documents import CampaignState, NewSweep
-from service.store.files.bundle import Bundle
-from service.store.files.exchange import campaign_bundle, import_campaign
-from service.store.files.intake import save_bundle
+from service.store.files.bundle import Bundle, save_bundle
+from service.store.files.data_folder import campaign_bundle, import_campaign
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
 from tests.unit.service.campaigns.diagnosis_bench import (

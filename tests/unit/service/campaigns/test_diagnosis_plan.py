@@ -20,8 +20,7 @@ from service.planning.compiled_plan import plan_of
 from service.planning.diagnosis.documents import DiagnosisPlan, DiagnosisRequest, ExperimentRequest, limits
 from service.planning.diagnosis.plan import build_diagnosis_plan, build_experiment_plan
 from service.planning.safety.envelope import Envelope
-from service.store.diagnosis_documents import BoltedMass
-from service.store.documents import PlanRecord
+from service.store.documents import BoltedMass, PlanRecord
 
 REQUEST = {"kind": "diagnosis", "robot_id": 1, "axes": ("joint_1", "joint_2"), "varied": ("joint_1", "joint_2")}
 EXPERIMENT = ExperimentRequest(robot_id=1)

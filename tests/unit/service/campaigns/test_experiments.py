@@ -19,10 +19,8 @@ from service.planning.safety.envelope import Envelope
 from service.planning.safety.robot_and_machine import DriveAxis
 from service.process.settings import Settings
 from service.process.settings.workers import Cluster
-from service.store.diagnosis.diagnoses import DiagnosisStore
-from service.store.diagnosis.model_revisions import ModelStore
-from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, NewDiagnosis
-from service.store.documents import CampaignState, NewSweep
+from service.store.diagnoses import DiagnosisStore, ModelStore
+from service.store.documents import BoltedMass, CampaignState, DiagnosisDocument, NewDiagnosis, NewSweep
 from tests.stored.documents import axis_document, diagnosis_document, stored
 from tests.unit.service.campaigns.conftest import Bench, open_bench, spec, until
 

@@ -17,11 +17,10 @@ from service.jobs.worker import Worker, open_worker
 from service.model.recording import Sweep
 from service.model.robot import Robot
 from service.store.database import open_database
-from service.store.diagnosis.model_revisions import ModelStore
+from service.store.diagnoses import ModelStore
 from service.store.documents import CampaignState, EventKind, SweepDocument, SweepState
-from service.store.files.bundle import Bundle
-from service.store.files.exchange import import_campaign
-from service.store.files.intake import save_bundle
+from service.store.files.bundle import Bundle, save_bundle
+from service.store.files.data_folder import import_campaign
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
 from tests.rigid_sweep import rigid_bundle

@@ -18,11 +18,9 @@ from service.machine.execution.recording.recovery import recover
 from service.model.results.revision import KnownModel, StoredModel
 from service.model.robot import Robot
 from service.planning.safety.envelope import Envelope
-from service.store.diagnosis.diagnoses import DiagnosisStore
-from service.store.diagnosis.model_revisions import ModelStore
-from service.store.diagnosis_documents import NewDiagnosis
-from service.store.documents import CampaignState, SweepState
-from service.store.files.exchange import campaign_bundle
+from service.store.diagnoses import DiagnosisStore, ModelStore
+from service.store.documents import CampaignState, NewDiagnosis, SweepState
+from service.store.files.data_folder import campaign_bundle
 from tests.unit.service.campaigns.conftest import POSES, Bench, open_bench, until
 from tests.unit.service.campaigns.diagnosis_bench import InProcess
 from tests.unit.service.identification.known import model
@@ -109,7 +107,7 @@ async def test_a_job_waits_while_the_database_is_locked(
     tmp_path: Path, robot: Robot, envelope: Envelope, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For longer than a transaction waits for its turn. Who asks is told, and nothing is done twice."""
-    monkeypatch.setattr("service.store.engines.sqlite.BUSY_TIMEOUT", 0.05)
+    monkeypatch.setattr("service.store.engines.BUSY_TIMEOUT", 0.05)
     async with open_bench(tmp_path, robot, envelope) as bench:
         await bench.start()
         await bench.over()

@@ -22,9 +22,8 @@ from service.machine.execution.state.stop_sequences import HALTED
 from service.model.errors import Conflict, NotFound, NotNow
 from service.store.documents import CampaignState, SweepState
 from service.store.guards import LeaseLost, MachineLease, StopLatch
-from service.store.people.audit import AuditStore
-from service.store.people.keys import KeyStore
-from service.store.people.writer import AuditWriter
+from service.store.people.audit import AuditStore, AuditWriter
+from service.store.people.users import KeyStore
 from service.web.application import tell_own_stop
 from tests.unit.service.campaigns.conftest import LEASE_TIME, TIMEOUT, Bench, keeping, refusing, until
 

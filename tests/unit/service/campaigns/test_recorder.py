@@ -31,9 +31,8 @@ from service.machine.execution.recording.recorder import (
 )
 from service.model.recording import SweepSpec
 from service.store.documents import RecordingState
-from service.store.files.columns import read_columns
+from service.store.files.columns import UnreadableStream, read_columns
 from service.store.files.recordings import RecordingFiles, Run
-from service.store.files.stream import UnreadableStream
 
 pytestmark = pytest.mark.slow
 

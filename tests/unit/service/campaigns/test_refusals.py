@@ -148,7 +148,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
         disk.go.wait(TIMEOUT)
         sync(file)
 
-    monkeypatch.setattr("service.store.files.stream.os.fsync", stall)
+    monkeypatch.setattr("service.store.files.columns.os.fsync", stall)
     yield disk
     disk.go.set()
 

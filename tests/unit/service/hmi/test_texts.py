@@ -13,8 +13,7 @@ from service.diagnosis.experiments import FULL_DESIGN, MORE_POSES, TEST_MASS, WA
 from service.identification.design.diagnosis_sweeps import BLOCKS
 from service.model.results.diagnosis import Verdict
 from service.store.access.permissions import PERMISSIONS, Role
-from service.store.diagnosis_documents import DiagnosisState
-from service.store.documents import CampaignState
+from service.store.documents import CampaignState, DiagnosisState
 from service.web.hmi.pages import texts
 from tests.unit.service.hmi.page_words import DOCUMENTS, SCRIPTS, literals, named, read, words
 

@@ -16,9 +16,8 @@ from service.process.settings import Settings
 from service.process.settings.object_store import StoreAddress, store_address
 from service.store.files.columns import read_columns
 from service.store.files.recordings import RecordingFile, file_sha256
-from service.store.objects.cache import make_room
-from service.store.objects.object_store import MissingObject, ObjectStore, StoreAway, WrongObject, check_usable
-from service.store.objects.reading import read_recording
+from service.store.objects import MissingObject, ObjectStore, StoreAway, WrongObject, check_usable, read_recording
+from service.store.retention import make_room
 from tests.object_store_server import BUCKET, S3Server, Wire, key_file
 from tests.unit.service.objects.conftest import WAIT
 

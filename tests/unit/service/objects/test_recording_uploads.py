@@ -15,13 +15,12 @@ from service.model.errors import BadInput, NotNow
 from service.process.settings import Settings
 from service.process.settings.object_store import StoreAddress
 from service.process.tasks.background import Background
-from service.store.backup.examination import examine
-from service.store.backup.making import make_backup
-from service.store.backup.restoring import restore
+from service.store.backup import make_backup, restore
 from service.store.database import open_database
 from service.store.documents import RecordingDocument
+from service.store.examination import examine
 from service.store.files.recordings import RecordingFiles
-from service.store.objects.moves import MoveStore
+from service.store.retention import MoveStore
 from service.store.store import Store
 from tests.object_store_server import BUCKET, S3Server, Wire
 

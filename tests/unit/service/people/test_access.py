@@ -13,11 +13,11 @@ import pytest
 from sqlalchemy import text
 
 from service.store.access.audit_chain import verify
-from service.store.access.keys import new_key
+from service.store.access.credentials import new_key
 from service.store.access.permissions import PERMISSIONS, SOCKET, Role
 from service.store.database import Database, open_database
 from service.store.people.audit import AuditDocument, AuditStore, AuditUnreadable
-from service.store.people.keys import KeyStore
+from service.store.people.users import KeyStore
 from service.web.client import ServiceClient, ServiceProblem
 from tests.unit.service.hosting import opened
 from tests.unit.service.people.conftest import calling, stored_in

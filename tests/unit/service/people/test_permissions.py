@@ -7,9 +7,19 @@ from typing import Any
 import pytest
 
 from service.process.settings import Settings
-from service.store.access.keys import key_sha256, masked, new_key
-from service.store.access.permissions import LOGINS, PERMISSIONS, SOCKET, STOP, Permissions, Role, Route
-from service.store.access.scopes import SCOPES, lacking, scope_of
+from service.store.access.credentials import key_sha256, masked, new_key
+from service.store.access.permissions import (
+    LOGINS,
+    PERMISSIONS,
+    SCOPES,
+    SOCKET,
+    STOP,
+    Permissions,
+    Role,
+    Route,
+    lacking,
+    scope_of,
+)
 from service.web.api.people.permissions_page import page
 from service.web.app import create_app
 

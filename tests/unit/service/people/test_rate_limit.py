@@ -8,11 +8,11 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.store.access.keys import new_key
+from service.store.access.credentials import new_key
 from service.store.access.permissions import Role
 from service.store.database import open_database
 from service.store.people.audit import AuditStore
-from service.store.people.keys import KeyStore
+from service.store.people.users import KeyStore
 from service.web.api.people.rate_limit import MOST, WINDOW, Guesses
 from tests.unit.service.hosting import hosting
 from tests.unit.service.people.conftest import calling

@@ -9,13 +9,10 @@ from pathlib import Path
 import pytest
 
 from service.store.access.permissions import Role
-from service.store.access.steady_clock import SteadyClock
-from service.store.database import Database, open_database
+from service.store.database import Database, SteadyClock, open_database
 from service.store.people.audit import AuditStore
-from service.store.people.keys import KeyStore
-from service.store.people.sessions import SessionStore
-from service.store.people.time import begin_time, keep_time
-from service.store.people.users import UserDocument, UserStore
+from service.store.people.sessions import SessionStore, begin_time, keep_time
+from service.store.people.users import KeyStore, UserDocument, UserStore
 
 pytestmark = pytest.mark.slow
 

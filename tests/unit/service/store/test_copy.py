@@ -14,7 +14,7 @@ from service.model.robot import Robot
 from service.store import tables as t
 from service.store.access.audit_chain import verify
 from service.store.access.permissions import Role
-from service.store.copying import NotCopied, copy_rows
+from service.store.copying import RowsNotCopied, copy_rows
 from service.store.database import Database, open_database
 from service.store.documents import NewRecording, NewSweep, RecordingState
 from service.store.guards import MachineLease, MachineTaken, StopLatch
@@ -98,7 +98,7 @@ def test_a_row_that_the_target_does_not_take_leaves_nothing(sqlite_url: str, pos
     with two(sqlite_url, postgresql_url) as (source, target):
         with source.write() as session:
             session.add(t.RobotRow(sha256="0" * 65, name="too long", description={}, urdf_text=""))
-        with pytest.raises(NotCopied, match=r"^nothing was copied: the database refused: value too long"):
+        with pytest.raises(RowsNotCopied, match=r"^nothing was copied: the database refused: value too long"):
             copy_rows(source, target, LEASE_TIME, quiet)
         assert Store(target).robots() == ()
         with source.write() as session:

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from service.model.errors import BadInput
-from service.store.files.bundle import write_bundle
-from service.store.files.intake import read_from
+from service.store.files.bundle import read_from, write_bundle
 from tests.recorded_bundle import bundle
 
 

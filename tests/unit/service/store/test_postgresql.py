@@ -14,11 +14,9 @@ from sqlalchemy.orm import Session
 
 from service.model.errors import BadInput
 from service.store.access.audit_chain import verify
-from service.store.backup.examination import examine
-from service.store.backup.examined import examined
 from service.store.database import open_database
-from service.store.engines.address import parsed_url
-from service.store.engines.postgresql import NotReached
+from service.store.engines import NotReached, parsed_url
+from service.store.examination import examine, examined
 from service.store.files.data_folder import FILE, claim_folder
 from service.store.guards import StopLatch
 from service.store.people.audit import AuditStore

@@ -29,7 +29,7 @@ def test_migrations_give_exactly_the_tables(url: str, database: Database) -> Non
     engine = create_engine(url)
     with engine.connect() as connection:
         context = MigrationContext.configure(connection, opts={"compare_type": True})
-        assert compare_metadata(context, t.Base.metadata) == []
+        assert compare_metadata(context, t.StoredRow.metadata) == []
     engine.dispose()
 
 

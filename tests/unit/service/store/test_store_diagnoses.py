@@ -6,10 +6,18 @@ from service.model.errors import Conflict, NotFound
 from service.model.recording import SweepSpec
 from service.model.robot import Robot
 from service.store.database import Database
-from service.store.diagnosis.diagnoses import DiagnosisStore
-from service.store.diagnosis.model_revisions import ModelStore
-from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, DiagnosisState, NewDiagnosis
-from service.store.documents import CampaignState, EventKind, NewRecording, NewSweep, RecordingState
+from service.store.diagnoses import DiagnosisStore, ModelStore
+from service.store.documents import (
+    BoltedMass,
+    CampaignState,
+    DiagnosisDocument,
+    DiagnosisState,
+    EventKind,
+    NewDiagnosis,
+    NewRecording,
+    NewSweep,
+    RecordingState,
+)
 from service.store.store import Store
 
 pytestmark = pytest.mark.slow

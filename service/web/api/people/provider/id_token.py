@@ -12,7 +12,7 @@ from joserfc.jwk import KeySet, KeySetSerialization
 
 from service.model.errors import SweepidError
 from service.process.settings.identity_provider import IdentityProvider
-from service.store.access.names import is_name, unique_name
+from service.store.access.credentials import is_name, unique_name
 
 # Signatures with a private key of the provider. `none` and signatures with a shared secret are not allowed.
 SIGNATURES = ["RS256", "RS384", "RS512", "PS256", "PS384", "PS512", "ES256", "ES384", "ES512"]

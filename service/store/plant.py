@@ -1,9 +1,7 @@
-"""Batches: computations over many stored campaigns, with their progress.
-
-Every method is one transaction and blocks, as in `service.store.store`; `NotFound` if the id does not exist.
-"""
+"""Queries over all machines of a plant."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Annotated
 
@@ -16,9 +14,150 @@ from service.model.results.estimate import Estimate
 from service.model.results.stored_json import JsonOf
 from service.store import rows
 from service.store import tables as t
-from service.store.checks import OVER
-from service.store.database import Transactions
-from service.store.documents import BatchState, EventKind, StoredDocument, SweepState
+from service.store.database import Database, Transactions
+from service.store.documents import BatchState, CampaignState, EstimateDocument, EventKind, StoredDocument, SweepState
+from service.store.store import OVER, Store
+
+
+class MachineDocument(StoredDocument):
+    """A machine of the plant, with robot and cell as its service has them configured; null: not configured.
+
+    `here`: it is the machine of this service. `robot`: the robot's name.
+    """
+
+    name: str
+    here: bool
+    robot_id: int | None
+    robot: str | None
+    cell: str | None
+
+
+class PlantStore(Transactions):
+    """Every method is one transaction and blocks."""
+
+    def machines(self) -> tuple[MachineDocument, ...]:
+        """In the order in which they were added."""
+        machine, robot = t.MachineRow, t.RobotRow
+        query = select(machine.id, machine.name, machine.robot_id, robot.name, machine.cell)
+        query = query.outerjoin(robot, robot.id == machine.robot_id).order_by(machine.id)
+        with self._database.read() as session:
+            own = rows.owned(session)
+            return tuple(
+                MachineDocument(name=name, here=own is not None and own.id == key, robot_id=number, robot=of, cell=cell)
+                for key, name, number, of, cell in session.execute(query)
+            )
+
+    def configure(self, robot_id: int | None, cell: str | None) -> None:
+        """Store robot and cell of this service's machine, if they have changed. Raises NoMachine."""
+        with self._database.write(quiet=True) as session:
+            row = rows.get(session, t.MachineRow, rows.own(session), "machine")
+            row.robot_id, row.cell = robot_id, cell
+
+    def campaigns(self) -> dict[tuple[str, CampaignState], int]:
+        """Number of campaigns by machine and state; states without campaigns are omitted."""
+        machine, campaign = t.MachineRow, t.CampaignRow
+        query = (
+            select(machine.name, campaign.state, func.count())
+            .join(campaign, campaign.machine_id == machine.id)
+            .group_by(machine.name, campaign.state)
+        )
+        with self._database.read() as session:
+            return {(name, state): count for name, state, count in session.execute(query)}
+
+    def stops_held(self) -> dict[str, int]:
+        """Number of stops that hold each machine; 0 for a machine without one."""
+        machine, stop = t.MachineRow, t.StopRow
+        held = (stop.machine_id == machine.id) & stop.reset_at.is_(None)
+        query = select(machine.name, func.count(stop.id)).outerjoin(stop, held).group_by(machine.name)
+        with self._database.read() as session:
+            return dict(session.execute(query).all())
+
+
+_OVER = (CampaignState.MEASURED, CampaignState.COMPLETED)
+
+
+@dataclass(frozen=True, slots=True)
+class RobotNamed:
+    """A robot of a plant. `serial`: None if its file has none; then the machine identifies the robot."""
+
+    name: str
+    serial: str | None
+    machine: str
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredCampaign:
+    """A campaign that measured a robot, and the newest revision of its estimate. `at`: its start."""
+
+    id: int
+    revision: int
+    robot: RobotNamed
+    at: datetime
+
+
+class FleetStore:
+    """Reads only; every method is one transaction and blocks."""
+
+    def __init__(self, database: Database) -> None:
+        self._database, self._store = database, Store(database)
+
+    def types(self) -> tuple[str, ...]:
+        """Names of the robots in the database, sorted: robots with one name are of one type."""
+        with self._database.read() as session:
+            return tuple(session.scalars(select(t.RobotRow.name).distinct().order_by(t.RobotRow.name)))
+
+    def serials(self, name: str) -> tuple[str, ...]:
+        """Serial numbers of the robots with this name that have one, measured or not."""
+        row = t.RobotRow
+        query = select(row.serial).distinct().where(row.name == name, row.serial.is_not(None)).order_by(row.serial)
+        with self._database.read() as session:
+            return tuple(serial for serial in session.scalars(query) if serial is not None)
+
+    def measured(self, name: str) -> tuple[MeasuredCampaign, ...]:
+        """Finished campaigns with an estimate of robots with this name, the oldest first.
+
+        Imported ones and those of plans for the inertia. Not those of an initial analysis, of a trajectory, or of a
+        diagnosis, whose experiments may have a test mass on the robot.
+        """
+        campaign, robot, plan = t.CampaignRow, t.RobotRow, t.PlanRow
+        at = func.coalesce(campaign.started_at, campaign.created_at)
+        newest = (
+            select(t.EstimateRow.campaign_id, func.max(t.EstimateRow.revision).label("revision"))
+            .group_by(t.EstimateRow.campaign_id)
+            .subquery()
+        )
+        query = (
+            select(
+                campaign.id,
+                newest.c.revision,
+                robot.name,
+                robot.serial,
+                t.MachineRow.name,
+                campaign.started_at,
+                campaign.created_at,
+            )
+            .join(newest, newest.c.campaign_id == campaign.id)
+            .join(robot, robot.id == campaign.robot_id)
+            .join(t.MachineRow, t.MachineRow.id == campaign.machine_id)
+            .outerjoin(plan, plan.id == campaign.plan_id)
+            .where(robot.name == name, campaign.state.in_(_OVER))
+            .where(plan.document["request"]["kind"].as_string().is_(None))
+            .order_by(at, campaign.id)
+        )
+        with self._database.read() as session:
+            return tuple(
+                MeasuredCampaign(number, revision, RobotNamed(robot_name, serial, machine), started or created)
+                for number, revision, robot_name, serial, machine, started, created in session.execute(query)
+            )
+
+    def estimate(self, campaign: MeasuredCampaign) -> EstimateDocument:
+        """Raises NotFound if it was removed meanwhile."""
+        return self._store.estimate(campaign.id, campaign.revision)
+
+    def poses(self, campaign_id: int) -> dict[str, tuple[float, ...]]:
+        """Poses of a campaign's sweeps, rad (m), by the name of the sweep."""
+        return {sweep.spec.id: sweep.spec.pose for sweep in self._store.sweeps(campaign_id)}
+
 
 REIDENTIFY = "reidentify"
 _OPEN = (BatchState.WAITING, BatchState.RUNNING)

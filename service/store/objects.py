@@ -1,13 +1,8 @@
-"""A shared folder or an S3-compatible store, through fsspec. The only file that uses fsspec; it is imported when
-needed.
-
-Objects are named by the SHA-256 of their content: every writer writes the same content, and an object whose content
-does not match its name is useless, so that writing it again repairs it. An object is always complete: S3 guarantees
-that, and in a folder a finished file is renamed.
-"""
+"""Recordings that are, or will be, in a shared folder or an object store."""
 
 import configparser
 import hashlib
+import tempfile
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
@@ -16,9 +11,10 @@ from typing import Any, BinaryIO, cast
 from uuid import uuid4
 
 from service.model.errors import BadInput, NotNow
+from service.model.recording import Recording
 from service.process.settings.object_store import StoreAddress
-from service.store.files.atomic_files import place, sync
-from service.store.files.recordings import check_file
+from service.store.files.columns import read_columns
+from service.store.files.recordings import FETCHED, RecordingFile, check_file, place, place_new, still_here, sync
 
 _CHUNK = 2**20  # bytes
 _CONNECT = 5.0  # s
@@ -212,3 +208,44 @@ def _keys(file: Path | None) -> dict[str, str]:
         raise BadInput("recordings_key_file", f"{file} does not have {wanted}") from None
     token = section.get("aws_session_token")
     return keys if token is None else {**keys, "token": token}
+
+
+def read_recording(file: RecordingFile) -> Recording:
+    """Samples of a recording. Raises BadInput if it is missing or was changed, StoreAway while the store does not
+    answer.
+    """
+    if file.store is None:
+        return read_columns(file.path)
+    if still_here(file.path):
+        check_file(file.path, file.sha256)
+        return read_columns(file.path)
+    if file.transfer.is_dir():
+        bring(file)
+        return read_columns(file.path)
+    with tempfile.TemporaryDirectory(prefix="sweepid-") as name:  # a worker on another computer
+        path = Path(name) / file.path.name
+        _fetch(file, path)
+        return read_columns(path)
+
+
+def bring(file: RecordingFile) -> None:
+    """Fetch a recording from the store to its path; no effect if it exists. Errors as `read_recording`."""
+    partial = file.transfer / f"{FETCHED}{uuid4().hex}"
+    _fetch(file, partial)
+    try:
+        file.path.parent.mkdir(parents=True, exist_ok=True)
+        with suppress(FileExistsError):
+            place_new(partial, file.path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _fetch(file: RecordingFile, target: Path) -> None:
+    if file.store is None:
+        raise BadInput(str(file.path), "recording file is missing")
+    try:
+        ObjectStore(file.store).fetch(file.sha256, target)
+    except MissingObject as error:
+        if file.was_here:  # not moved yet, and this worker has no access to the service's data folder
+            raise StoreAway(f"{error}: the service has not moved it yet") from None
+        raise BadInput(str(file.path), f"recording file is missing, and {error.place}: {error.reason}") from None

@@ -5,10 +5,12 @@ diagnoses, of open batches, and campaigns named by their plans. The newest estim
 each revision from which a diagnosis started.
 """
 
+import time
 from collections import defaultdict
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
+from pathlib import Path
 
 from pydantic import JsonValue
 from sqlalchemy import ColumnElement, delete, func, select
@@ -18,10 +20,11 @@ from service.model.errors import Conflict, NotFound
 from service.store import rows
 from service.store import tables as t
 from service.store.access.audit_chain import Entry
-from service.store.database import Database
-from service.store.diagnosis_documents import DiagnosisState
-from service.store.documents import BatchState, CampaignState, StoredDocument
+from service.store.database import Database, Transactions
+from service.store.documents import BatchState, CampaignState, DiagnosisState, RecordingDocument, StoredDocument
+from service.store.objects import ObjectStore
 from service.store.people.audit import append
+from service.store.rows import document, of_own
 
 _OVER = (CampaignState.COMPLETED, CampaignState.ABORTED)
 _OPEN_DIAGNOSES = (DiagnosisState.WAITING, DiagnosisState.RUNNING)
@@ -29,7 +32,7 @@ _OPEN_BATCHES = (BatchState.WAITING, BatchState.RUNNING)
 
 
 @dataclass(frozen=True, slots=True)
-class Rules:
+class RetentionRules:
     """Days after the last recording of a campaign; None: keep forever."""
 
     samples: float | None
@@ -38,7 +41,7 @@ class Rules:
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class StoredSamples:
     """A recording. `moved`: it is in the object store. `alone`: no other recording has the same content."""
 
     id: int
@@ -53,7 +56,7 @@ class Doomed:
     """Data of a campaign that may be removed. `spectra`: ids and paths of their rows."""
 
     campaign_id: int
-    samples: tuple[Sample, ...]
+    samples: tuple[StoredSamples, ...]
     spectra: tuple[tuple[int, str], ...]
     estimates: tuple[int, ...]
 
@@ -76,7 +79,7 @@ class RetentionStore:
     def __init__(self, database: Database, machine_id: int) -> None:
         self._database, self._machine = database, machine_id
 
-    def doomed(self, rules: Rules, at: datetime) -> tuple[tuple[Doomed, ...], dict[int, str]]:
+    def doomed(self, rules: RetentionRules, at: datetime) -> tuple[tuple[Doomed, ...], dict[int, str]]:
         """What may be removed at this time, and why other campaigns of that age are kept."""
         with self._database.read() as session:
             reasons = _protected(session)
@@ -109,12 +112,12 @@ class RetentionStore:
             machine = rows.get(session, t.MachineRow, self._machine, "machine").name
             append(session, [{**entry, "event": "pruned", "machine": machine, "campaign": one.campaign_id, **counts}])
 
-    def removed(self) -> tuple[Sample, ...]:
+    def removed(self) -> tuple[StoredSamples, ...]:
         """Recordings marked as removed: files may still exist after an interrupted removal."""
         with self._database.read() as session:
             return tuple(_samples(session, t.CampaignRow.machine_id == self._machine, pruned=True))
 
-    def object_is_gone(self, sample: Sample) -> None:
+    def object_is_gone(self, sample: StoredSamples) -> None:
         """The object is no longer in the object store."""
         with self._database.write(quiet=True) as session:
             session.get_one(t.RecordingRow, sample.id).moved_at = None
@@ -161,7 +164,7 @@ def _last_recorded(session: Session, machine_id: int) -> Iterator[tuple[int, dat
         yield number, recorded or created
 
 
-def _doomed(session: Session, campaign_id: int, age: timedelta, rules: Rules) -> Doomed:
+def _doomed(session: Session, campaign_id: int, age: timedelta, rules: RetentionRules) -> Doomed:
     def old(days: float | None) -> bool:
         return days is not None and age >= timedelta(days=days)
 
@@ -176,7 +179,7 @@ def _doomed(session: Session, campaign_id: int, age: timedelta, rules: Rules) ->
     )
 
 
-def _samples(session: Session, of: ColumnElement[bool], pruned: bool) -> Iterator[Sample]:
+def _samples(session: Session, of: ColumnElement[bool], pruned: bool) -> Iterator[StoredSamples]:
     recording = t.RecordingRow
     query = select(recording).join(t.SweepRow, t.SweepRow.id == recording.sweep_id)
     query = query.join(t.CampaignRow, t.CampaignRow.id == t.SweepRow.campaign_id).where(of)
@@ -184,7 +187,7 @@ def _samples(session: Session, of: ColumnElement[bool], pruned: bool) -> Iterato
     for row in found.all():
         others = select(func.count()).where(recording.sha256 == row.sha256, recording.id != row.id)
         alone = session.scalar(others.where(recording.pruned_at.is_(None))) == 0
-        yield Sample(row.id, row.path, row.sha256, row.moved_at is not None, alone)
+        yield StoredSamples(row.id, row.path, row.sha256, row.moved_at is not None, alone)
 
 
 def _earlier_estimates(session: Session, campaign_id: int) -> tuple[int, ...]:
@@ -257,3 +260,145 @@ def _named_by_plans(session: Session, campaigns: Collection[int]) -> dict[int, i
                 found[other] = by
                 waiting.append(other)
     return found
+
+
+@dataclass(slots=True)
+class Pruned:
+    """What was, or would be, removed. `bytes`: of files in the data folder. `stay`: why campaigns are kept, by
+    number.
+    """
+
+    campaigns: int = 0
+    recordings: int = 0
+    spectra: int = 0
+    estimates: int = 0
+    bytes: int = 0
+    stay: dict[int, str] = field(default_factory=dict[int, str])
+
+
+def prune(
+    store: RetentionStore,
+    data_dir: Path,
+    objects: ObjectStore | None,
+    rules: RetentionRules,
+    at: datetime,
+    entry: Entry | None,
+    tell: Callable[[Doomed], None] = lambda one: None,
+) -> Pruned:
+    """Remove what the rules name; without an audit `entry` only report what would be removed. Manifests are kept.
+
+    Blocks. Raises NotNow while the object store does not answer: rows marked as removed are then removed by the next
+    run.
+    """
+    doomed, stay = store.doomed(rules, at)
+    found = Pruned(stay=stay)
+    if entry is not None:
+        for sample in store.removed():  # of an interrupted run
+            _remove(store, sample, data_dir, objects)
+    for one in doomed:
+        paths = [data_dir / path for path in (*(sample.path for sample in one.samples), *(p for _, p in one.spectra))]
+        size = sum(path.stat().st_size for path in paths if path.exists())
+        if entry is not None:
+            try:
+                store.remove(one, at, entry)
+            except Conflict as error:
+                found.stay[one.campaign_id] = str(error)
+                continue
+            for sample in one.samples:
+                _remove(store, sample, data_dir, objects)
+            for _, path in one.spectra:
+                (data_dir / path).unlink(missing_ok=True)
+        tell(one)
+        found.campaigns += 1
+        found.recordings += len(one.samples)
+        found.spectra += len(one.spectra)
+        found.estimates += len(one.estimates)
+        found.bytes += size
+    return found
+
+
+def _remove(store: RetentionStore, sample: StoredSamples, data_dir: Path, objects: ObjectStore | None) -> None:
+    """The object is removed with the last recording of its content."""
+    (data_dir / sample.path).unlink(missing_ok=True)
+    if objects is not None and sample.moved:
+        if sample.alone:
+            objects.remove(sample.sha256)
+        store.object_is_gone(sample)
+
+
+@dataclass(frozen=True, slots=True)
+class Backlog:
+    """Recordings that are only here: number, and time of the oldest; `trouble`: the reason, if the store fails."""
+
+    waiting: int
+    since: datetime | None
+    trouble: str = ""
+
+
+class MoveStore(Transactions):
+    """Every method is one transaction and blocks, as in `service.store.store`."""
+
+    def backlog(self) -> Backlog:
+        query = (
+            select(func.count(), func.min(t.RecordingRow.created_at))
+            .join(t.SweepRow, t.SweepRow.id == t.RecordingRow.sweep_id)
+            .join(t.CampaignRow, t.CampaignRow.id == t.SweepRow.campaign_id)
+            .where(t.RecordingRow.moved_at.is_(None), t.RecordingRow.pruned_at.is_(None))
+        )
+        with self._database.read() as session:
+            return Backlog(*session.execute(query.where(of_own(session))).one())
+
+    def waiting(self, after: int, limit: int) -> dict[int, RecordingDocument]:
+        """Recordings not moved yet, by the id of their row above `after`, the oldest first."""
+        query = (
+            select(t.RecordingRow, t.SweepRow.campaign_id, t.SweepRow.number)
+            .join(t.SweepRow, t.SweepRow.id == t.RecordingRow.sweep_id)
+            .join(t.CampaignRow, t.CampaignRow.id == t.SweepRow.campaign_id)
+            .where(t.RecordingRow.moved_at.is_(None), t.RecordingRow.pruned_at.is_(None), t.RecordingRow.id > after)
+            .order_by(t.RecordingRow.id)
+            .limit(limit)
+        )
+        with self._database.read() as session:
+            found = session.execute(query.where(of_own(session))).all()
+            return {
+                row.id: document(RecordingDocument, row, campaign_id=campaign_id, number=number)
+                for row, campaign_id, number in found
+            }
+
+    def mark(self, recording_id: int) -> None:
+        """The recording was read back from the store unchanged."""
+        with self._database.write(quiet=True) as session:
+            row = session.get(t.RecordingRow, recording_id)
+            if row is not None and row.moved_at is None:
+                row.moved_at = t.now()
+
+    def moved(self) -> frozenset[str]:
+        """The paths of the recordings in the store."""
+        with self._database.read() as session:
+            return frozenset(session.scalars(select(t.RecordingRow.path).where(t.RecordingRow.moved_at.is_not(None))))
+
+
+_IN_USE = 60.0  # s after writing or fetching in which no file is removed, because it may be about to be opened
+
+
+def make_room(data_dir: Path, limit: int, moved: Callable[[], Collection[str]]) -> int:
+    """Remove the oldest files of moved recordings until the rest has at most `limit` bytes. Returns how many were
+    removed.
+
+    `moved` returns the paths (relative) of recordings in the store; called only if something must be removed.
+    """
+    here = {path: path.stat() for path in (data_dir / "recordings").glob("*/[!.]*.parquet")}
+    if sum(status.st_size for status in here.values()) <= limit:
+        return 0
+    paths = moved()
+    old = time.time() - _IN_USE
+    room, removed = limit, 0
+    for path, status in sorted(here.items(), key=lambda each: each[1].st_mtime, reverse=True):
+        if path.relative_to(data_dir).as_posix() not in paths:
+            continue
+        if status.st_size <= room or status.st_mtime > old:
+            room -= status.st_size
+        else:
+            path.unlink(missing_ok=True)
+            removed += 1
+    return removed
