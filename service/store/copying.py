@@ -14,7 +14,7 @@ from sqlalchemy.orm import Session
 
 from service.model.errors import BadInput, SweepidError
 from service.store import tables as t
-from service.store.database import Database, OwnMachine, refusal
+from service.store.database import Database, refusal
 from service.store.guards import MachineLease
 
 _AT_ONCE = 500  # rows
@@ -63,7 +63,7 @@ def _copy_rows(source: Database, target: Database, tell: Callable[[str, int], No
 def _leases(source: Database, lease_time: float) -> Generator[None]:
     """Leases of all machines, so that none of their services can run. Raises MachineTaken."""
     with source.read() as session:
-        machines = [OwnMachine(row.id, row.name) for row in session.scalars(select(t.MachineRow))]
+        machines = [t.OwnMachine(row.id, row.name) for row in session.scalars(select(t.MachineRow))]
     with ExitStack() as stack:
         for machine in machines:
             lease = MachineLease(source, lease_time, machine)

@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -24,7 +23,6 @@ from service.store.engines import BUSY_TIMEOUT, PATIENCE, WRITE, DatabaseKind, k
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 MACHINE = "machine"  # default name of a machine
-OWN = "machine"  # in the `info` of a session: the machine of its service
 
 
 def refusal(error: SQLAlchemyError) -> str:
@@ -58,21 +56,13 @@ class SteadyClock:
             return self._at
 
 
-@dataclass(frozen=True, slots=True)
-class OwnMachine:
-    """The machine of a service, as in its row."""
-
-    id: int
-    name: str
-
-
 class Database:
     """Transactions over one engine; usable from any thread.
 
     `machine`: written rows belong to it; None if the service owns none: then nothing of a machine can be written.
     """
 
-    def __init__(self, engine: Engine, kind: DatabaseKind, machine: OwnMachine | None, clock: SteadyClock) -> None:
+    def __init__(self, engine: Engine, kind: DatabaseKind, machine: t.OwnMachine | None, clock: SteadyClock) -> None:
         self._reading, self._kind, self.machine, self.clock = engine, kind, machine, clock
         self._writing = engine.execution_options(**{WRITE: True})
         self._listeners: list[Callable[[], None]] = []
@@ -133,7 +123,7 @@ class Database:
         """A session in its transaction; repeated for `patience` s while the server is unavailable."""
         deadline = time.monotonic() + patience
         while True:
-            session = Session(engine, info={OWN: self.machine})
+            session = Session(engine, info={t.OWN: self.machine})
             try:
                 session.connection()
             except OperationalError as error:
@@ -159,13 +149,6 @@ class Database:
                 return committed
             time.sleep(0.2)
         return False
-
-
-class Transactions:
-    """Reads and writes one database: every method is one transaction and blocks."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
 
 @contextmanager
@@ -195,7 +178,7 @@ def open_database(
         engine.dispose()
 
 
-def _named(engine: Engine, name: str) -> OwnMachine:
+def _named(engine: Engine, name: str) -> t.OwnMachine:
     """The row of the machine with this name, added if it is new."""
     with Session(engine.execution_options(**{WRITE: True})) as session:
         row = session.scalar(select(t.MachineRow).where(t.MachineRow.name == name))
@@ -203,7 +186,7 @@ def _named(engine: Engine, name: str) -> OwnMachine:
             row = t.MachineRow(name=name)
             session.add(row)
         session.commit()
-        return OwnMachine(row.id, row.name)
+        return t.OwnMachine(row.id, row.name)
 
 
 def _check_schema(engine: Engine, migrated: bool) -> None:

@@ -13,7 +13,6 @@ from sqlalchemy.orm import Session
 from service.model.errors import Conflict
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Transactions
 from service.store.documents import (
     BoltedMass,
     CampaignDocument,
@@ -34,13 +33,13 @@ _OPEN = (DiagnosisState.WAITING, DiagnosisState.RUNNING)
 _GONE = (CampaignState.ABORTED,)  # of an experiment without result
 
 
-class DiagnosisStore(Transactions):
+class DiagnosisStore(rows.Transactions):
     """Stored diagnoses, their results and experiments."""
 
     def add(self, new: NewDiagnosis) -> DiagnosisDocument:
         """Add a waiting diagnosis."""
         with self._database.write() as session:
-            return _document(session, _add(session, new))
+            return rows.document(DiagnosisDocument, _add(session, new))
 
     def go_on(self, new: NewDiagnosis, kept: Sequence[str]) -> DiagnosisDocument | None:
         """The diagnosis that continues its parent, with the parent's results for the axes in `kept`.
@@ -52,23 +51,21 @@ class DiagnosisStore(Transactions):
             if _child(session, parent.id) is not None:
                 return None
             row = _add(session, new)
-            for result in _results(session, parent.id):
+            for result in parent.results:
                 if result.joint in kept:
                     _add_result(session, row.id, result.joint, result.verdict, result.document)
-            return _document(session, row)
+            return rows.document(DiagnosisDocument, row)
 
     def diagnosis(self, diagnosis_id: int) -> DiagnosisDocument:
-        with self._database.read() as session:
-            return _document(session, rows.get(session, t.DiagnosisRow, diagnosis_id, "diagnosis"))
+        return self._one(DiagnosisDocument, t.DiagnosisRow, diagnosis_id, "diagnosis")
 
     def diagnoses(self, after: int = 0, limit: int = 100, machine: str | None = None) -> tuple[DiagnosisEntry, ...]:
         """A page, without the documents; of one machine, or of all."""
-        query = select(t.DiagnosisRow).where(t.DiagnosisRow.id > after).order_by(t.DiagnosisRow.id).limit(limit)
+        query = rows.page(t.DiagnosisRow, after, limit)
         if machine is not None:
             of_name = select(t.MachineRow.id).where(t.MachineRow.name == machine).scalar_subquery()
             query = query.where(t.DiagnosisRow.machine_id == of_name)
-        with self._database.read() as session:
-            return tuple(_entry(session, row) for row in session.scalars(query))
+        return self._all(DiagnosisEntry, query)
 
     def newest_of(self, campaign_id: int) -> DiagnosisDocument | None:
         """The newest finished diagnosis that uses this campaign."""
@@ -76,19 +73,18 @@ class DiagnosisStore(Transactions):
         query = select(t.DiagnosisRow.id, t.DiagnosisRow.campaigns).where(done).order_by(t.DiagnosisRow.id.desc())
         with self._database.read() as session:
             number = next((number for number, campaigns in session.execute(query) if campaign_id in campaigns), None)
-            return None if number is None else _document(session, session.get_one(t.DiagnosisRow, number))
+            return None if number is None else rows.document(DiagnosisDocument, session.get_one(t.DiagnosisRow, number))
 
     def open(self) -> tuple[DiagnosisEntry, ...]:
         """Waiting and running diagnoses of this service's machine: its open jobs."""
         query = select(t.DiagnosisRow).where(t.DiagnosisRow.state.in_(_OPEN)).order_by(t.DiagnosisRow.id)
-        with self._database.read() as session:
-            query = query.where(t.DiagnosisRow.machine_id == rows.own(session))
-            return tuple(_entry(session, row) for row in session.scalars(query))
+        return self._all(DiagnosisEntry, query, own=t.DiagnosisRow.machine_id)
 
     def results(self, diagnosis_id: int) -> dict[str, Document]:
         """Documents of the finished axes, by joint."""
         with self._database.read() as session:
-            return {row.joint: row.document for row in _results(session, diagnosis_id)}
+            diagnosis = rows.get(session, t.DiagnosisRow, diagnosis_id, "diagnosis")
+            return {row.joint: row.document for row in diagnosis.results}
 
     def begin(self, diagnosis_id: int) -> None:
         """waiting -> running; no effect if it already runs."""
@@ -101,7 +97,7 @@ class DiagnosisStore(Transactions):
         """Store the result of an axis; no effect if it exists or the diagnosis is not open."""
         with self._database.write() as session:
             row = _own(session, diagnosis_id)
-            if row.state in _OPEN and joint not in {result.joint for result in _results(session, diagnosis_id)}:
+            if row.state in _OPEN and joint not in row.verdicts:
                 _add_result(session, diagnosis_id, joint, verdict, document)
                 _emit(session, row)
 
@@ -138,10 +134,8 @@ class DiagnosisStore(Transactions):
         """
         with self._database.write() as session:
             row = _own(session, diagnosis_id)
-            check_free(_entry(session, row), _experiment_state(session, row))
-            made = t.PlanRow(robot_id=row.robot_id, document=plan)
-            session.add(made)
-            session.flush()
+            check_free(rows.document(DiagnosisEntry, row), _experiment_state(session, row))
+            made = rows.added(session, t.PlanRow(robot_id=row.robot_id, document=plan))
             campaign = t.CampaignRow(robot_id=row.robot_id, plan_id=made.id, state=CampaignState.PLANNED)
             rows.add_sweeps(session, campaign, sweeps, SweepState.PLANNED)
             rows.emit_campaign(session, campaign)
@@ -150,7 +144,7 @@ class DiagnosisStore(Transactions):
             )
             row.experiment, row.experiment_campaign_id = experiment.model_dump(mode="json"), campaign.id
             _emit(session, row)
-            return rows.campaign_document(session, campaign)
+            return rows.document(CampaignDocument, campaign)
 
     def experiment_state(self, diagnosis_id: int) -> CampaignState | None:
         """State of the campaign of its experiment, None if it has none."""
@@ -170,15 +164,13 @@ class DiagnosisStore(Transactions):
         )
         if campaign_id is not None:
             query = query.where(t.CampaignRow.id == campaign_id)
-        with self._database.read() as session:
-            query = query.where(t.DiagnosisRow.machine_id == rows.own(session))
-            return tuple(_entry(session, row) for row in session.scalars(query))
+        return self._all(DiagnosisEntry, query, own=t.DiagnosisRow.machine_id)
 
     def masses(self, campaigns: Sequence[int]) -> dict[int, BoltedMass]:
         """Test masses of those campaigns that were measured with one."""
         query = select(t.DiagnosisRow).where(t.DiagnosisRow.experiment_campaign_id.in_(campaigns))
         with self._database.read() as session:
-            found = [_entry(session, row).experiment for row in session.scalars(query)]
+            found = [rows.document(DiagnosisEntry, row).experiment for row in session.scalars(query)]
         return {one.campaign_id: one.test_mass for one in found if one is not None and one.test_mass is not None}
 
     def of_experiment(self, campaign_id: int) -> DiagnosisEntry | None:
@@ -186,7 +178,7 @@ class DiagnosisStore(Transactions):
         query = select(t.DiagnosisRow).where(t.DiagnosisRow.experiment_campaign_id == campaign_id)
         with self._database.read() as session:
             row = session.scalar(query)
-            return None if row is None else _entry(session, row)
+            return None if row is None else rows.document(DiagnosisEntry, row)
 
     def attend(self, cause: str, diagnosis_id: int | None = None) -> None:
         """From now on a person must approve experiments: of this diagnosis, or (None) of all unattended ones of this
@@ -196,7 +188,7 @@ class DiagnosisStore(Transactions):
         if diagnosis_id is not None:
             query = query.where(t.DiagnosisRow.id == diagnosis_id)
         with self._database.write() as session:
-            query = query.where(t.DiagnosisRow.machine_id == rows.own(session))
+            query = query.where(t.DiagnosisRow.machine_id == rows.own_id(session))
             for row in session.scalars(query).all():
                 if _child(session, row.id) is None:
                     row.unattended = False
@@ -218,16 +210,15 @@ def _add(session: Session, new: NewDiagnosis) -> t.DiagnosisRow:
     if new.model is not None:
         rows.get(session, t.ModelRow, new.model, "model")
     state = DiagnosisState.WAITING
-    row = t.DiagnosisRow(machine_id=rows.own(session), state=state, **new.model_dump(mode="json"))
-    session.add(row)
-    session.flush()
+    row = t.DiagnosisRow(machine_id=rows.own_id(session), state=state, **new.model_dump(mode="json"))
+    rows.added(session, row)
     _emit(session, row)
     return row
 
 
 def _add_result(session: Session, diagnosis_id: int, joint: str, verdict: str, document: Document) -> None:
-    session.add(t.AxisDiagnosisRow(diagnosis_id=diagnosis_id, joint=joint, verdict=verdict, document=document))
-    session.flush()
+    new = t.AxisDiagnosisRow(diagnosis_id=diagnosis_id, joint=joint, verdict=verdict, document=document)
+    rows.added(session, new)
 
 
 def _move(session: Session, row: t.DiagnosisRow, state: DiagnosisState, cause: str = "") -> None:
@@ -242,7 +233,7 @@ def _emit(session: Session, row: t.DiagnosisRow) -> None:
         "diagnosis": row.id,
         "state": row.state.value,
         "cause": row.cause,
-        "verdicts": dict[str, JsonValue](_verdicts(session, row.id)),
+        "verdicts": dict[str, JsonValue](row.verdicts),
         "parent": row.parent,
     }
     rows.emit(session, None, EventKind.DIAGNOSIS, data)
@@ -252,32 +243,10 @@ def _child(session: Session, diagnosis_id: int) -> int | None:
     return session.scalar(select(t.DiagnosisRow.id).where(t.DiagnosisRow.parent == diagnosis_id))
 
 
-def _results(session: Session, diagnosis_id: int) -> Sequence[t.AxisDiagnosisRow]:
-    query = select(t.AxisDiagnosisRow).where(t.AxisDiagnosisRow.diagnosis_id == diagnosis_id)
-    return session.scalars(query.order_by(t.AxisDiagnosisRow.id)).all()
-
-
-def _verdicts(session: Session, diagnosis_id: int) -> dict[str, str]:
-    return {row.joint: row.verdict for row in _results(session, diagnosis_id)}
-
-
 def _experiment_state(session: Session, row: t.DiagnosisRow) -> CampaignState | None:
     if row.experiment_campaign_id is None:
         return None
     return session.get_one(t.CampaignRow, row.experiment_campaign_id).state
-
-
-def _computed(session: Session, row: t.DiagnosisRow) -> dict[str, object]:
-    """The fields that are not in its row."""
-    return {"verdicts": _verdicts(session, row.id), **rows.machine_of(session, row.machine_id)}
-
-
-def _entry(session: Session, row: t.DiagnosisRow) -> DiagnosisEntry:
-    return rows.document(DiagnosisEntry, row, **_computed(session, row))
-
-
-def _document(session: Session, row: t.DiagnosisRow) -> DiagnosisDocument:
-    return rows.document(DiagnosisDocument, row, **_computed(session, row))
 
 
 def check_free(diagnosis: DiagnosisEntry, experiment: CampaignState | None) -> None:
@@ -294,7 +263,7 @@ def check_free(diagnosis: DiagnosisEntry, experiment: CampaignState | None) -> N
         )
 
 
-class ModelStore(Transactions):
+class ModelStore(rows.Transactions):
     """Every method is one transaction and blocks, as in `service.store.store`; `NotFound` if the id does not exist."""
 
     def add(
@@ -324,13 +293,10 @@ class ModelStore(Transactions):
                 accepted_by=accepted_by,
                 document=document,
             )
-            session.add(row)
-            session.flush()
-            return rows.document(ModelDocument, row)
+            return rows.document(ModelDocument, rows.added(session, row))
 
     def model(self, model_id: int) -> ModelDocument:
-        with self._database.read() as session:
-            return rows.document(ModelDocument, rows.get(session, t.ModelRow, model_id, "model"))
+        return self._one(ModelDocument, t.ModelRow, model_id, "model")
 
     def newest(self, robot_id: int) -> ModelDocument | None:
         """The last revision of a robot's model."""
@@ -340,11 +306,10 @@ class ModelStore(Transactions):
 
     def models(self, robot_id: int | None = None, after: int = 0, limit: int = 100) -> tuple[ModelDocument, ...]:
         """A page of all models, or of one robot's."""
-        query = select(t.ModelRow).where(t.ModelRow.id > after).order_by(t.ModelRow.id).limit(limit)
+        query = rows.page(t.ModelRow, after, limit)
         if robot_id is not None:
             query = query.where(t.ModelRow.robot_id == robot_id)
-        with self._database.read() as session:
-            return rows.documents(ModelDocument, session, query)
+        return self._all(ModelDocument, query)
 
 
 def _newest(session: Session, robot_id: int) -> t.ModelRow | None:

@@ -15,7 +15,7 @@ from drivers.errors import Cause
 from service.model.errors import Conflict, NotFound
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database, OwnMachine, Transactions
+from service.store.database import Database
 from service.store.documents import EventKind, StopDocument, StoredAnswer, StoredDocument
 
 
@@ -35,7 +35,7 @@ class MachineLease:
     clocks are compared, so a clock that is set neither frees nor blocks the machine.
     """
 
-    def __init__(self, database: Database, lease_time: float, machine: OwnMachine | None = None) -> None:
+    def __init__(self, database: Database, lease_time: float, machine: t.OwnMachine | None = None) -> None:
         """`lease_time`: s without renewal until the lease may be taken. `machine`: None uses that of the database.
 
         Raises NoMachine if there is none.
@@ -103,7 +103,7 @@ class MachineLease:
 PATIENCE = 5.0  # s
 
 
-class StopLatch(Transactions):
+class StopLatch(rows.Transactions):
     """The stop of a machine, kept over a restart.
 
     No write waits longer than `PATIENCE` for another writer: then OperationalError.
@@ -118,17 +118,16 @@ class StopLatch(Transactions):
         """`at`: time of the stop, None: now."""
         with self._database.write(patience=PATIENCE) as session:
             row = t.StopRow(
-                machine_id=rows.own(session), by=by, why=why, at=at or t.now(), cause=rows.cause_json(cause)
+                machine_id=rows.own_id(session), by=by, why=why, at=at or t.now(), cause=rows.cause_json(cause)
             )
-            session.add(row)
-            session.flush()
+            rows.added(session, row)
             _emit(session, [row.id], True, by, why)
             return rows.document(StopDocument, row)
 
     def reset(self, by: str, stops: Sequence[int]) -> tuple[StopDocument, ...]:
         """Release these stops and no other. A released one stays so. Raises NotFound if one does not exist."""
         with self._database.write(patience=PATIENCE) as session:
-            mine = t.StopRow.machine_id == rows.own(session)
+            mine = t.StopRow.machine_id == rows.own_id(session)
             found = {row.id: row for row in session.scalars(select(t.StopRow).where(t.StopRow.id.in_(stops), mine))}
             for number in stops:
                 if number not in found:
@@ -143,7 +142,7 @@ class StopLatch(Transactions):
 
 
 def _open_stops(session: Session) -> Select[t.StopRow]:
-    mine = t.StopRow.machine_id == rows.own(session)
+    mine = t.StopRow.machine_id == rows.own_id(session)
     return select(t.StopRow).where(t.StopRow.reset_at.is_(None), mine).order_by(t.StopRow.id)
 
 
@@ -176,7 +175,7 @@ class ApprovalDocument(StoredDocument):
         return f"{who} expired at {self.expires_at:%Y-%m-%d %H:%M} UTC" if at >= self.expires_at else ""
 
 
-class ApprovalStore(Transactions):
+class ApprovalStore(rows.Transactions):
     """Every method is one transaction and blocks, as in `service.store.store`."""
 
     def add(
@@ -184,7 +183,7 @@ class ApprovalStore(Transactions):
     ) -> ApprovalDocument:
         """Raises NotFound if the plan does not exist, and what `wanted` raises."""
         with self._database.write(quiet=True) as session:
-            machine = rows.own(session)
+            machine = rows.own_id(session)
             last_stop = _last_stop(session, machine)  # read before `wanted`: a stop between the two ends the approval
             wanted()
             rows.get(session, t.PlanRow, plan_id, "plan")
@@ -198,9 +197,7 @@ class ApprovalStore(Transactions):
                 expires_at=at + valid,
                 last_stop=last_stop,
             )
-            session.add(row)
-            session.flush()
-            return _document(row, last_stop)
+            return _document(rows.added(session, row), last_stop)
 
     def of_plan(self, plan_id: int) -> tuple[ApprovalDocument, ...]:
         """Approvals for this service's machine, the newest first, at most a hundred."""
@@ -227,7 +224,7 @@ class KeyReused(Conflict):
     """The key was used before with another request: an error of the client program (API: 422)."""
 
 
-class IdempotencyKeys(Transactions):
+class IdempotencyKeys(rows.Transactions):
     """Claim a key, do the work, store the answer; release the key if the work failed."""
 
     def claim(self, key: str, fingerprint: str) -> StoredAnswer | None:
@@ -236,7 +233,7 @@ class IdempotencyKeys(Transactions):
         Raises Conflict while the first request with this key is in progress; KeyReused if it was another request.
         """
         with self._database.write(quiet=True) as session:
-            machine = rows.own(session)
+            machine = rows.own_id(session)
             row = session.get(t.IdempotencyRow, (machine, key))
             if row is None:
                 session.add(t.IdempotencyRow(machine_id=machine, key=key, fingerprint=fingerprint))
@@ -250,17 +247,17 @@ class IdempotencyKeys(Transactions):
     def answer(self, key: str, status: int, body: str) -> None:
         """Store the answer for repeated requests with this key."""
         with self._database.write(quiet=True) as session:
-            row = session.get_one(t.IdempotencyRow, (rows.own(session), key))
+            row = session.get_one(t.IdempotencyRow, (rows.own_id(session), key))
             row.status, row.body = status, body
 
     def release(self, key: str) -> None:
         """The work failed without effect: the key may be used again."""
         with self._database.write(quiet=True) as session:
-            mine = t.IdempotencyRow.machine_id == rows.own(session)
+            mine = t.IdempotencyRow.machine_id == rows.own_id(session)
             session.execute(delete(t.IdempotencyRow).where(t.IdempotencyRow.key == key, mine))
 
     def release_unanswered(self) -> None:
         """At start: requests that the last process did not finish may be sent again."""
         with self._database.write(quiet=True) as session:
-            mine = t.IdempotencyRow.machine_id == rows.own(session)
+            mine = t.IdempotencyRow.machine_id == rows.own_id(session)
             session.execute(delete(t.IdempotencyRow).where(t.IdempotencyRow.status.is_(None), mine))

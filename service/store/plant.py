@@ -14,7 +14,7 @@ from service.model.results.estimate import Estimate
 from service.model.results.stored_json import JsonOf
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database, Transactions
+from service.store.database import Database
 from service.store.documents import BatchState, CampaignState, EstimateDocument, EventKind, StoredDocument, SweepState
 from service.store.store import OVER, Store
 
@@ -32,7 +32,7 @@ class MachineDocument(StoredDocument):
     cell: str | None
 
 
-class PlantStore(Transactions):
+class PlantStore(rows.Transactions):
     """Every method is one transaction and blocks."""
 
     def machines(self) -> tuple[MachineDocument, ...]:
@@ -50,7 +50,7 @@ class PlantStore(Transactions):
     def configure(self, robot_id: int | None, cell: str | None) -> None:
         """Store robot and cell of this service's machine, if they have changed. Raises NoMachine."""
         with self._database.write(quiet=True) as session:
-            row = rows.get(session, t.MachineRow, rows.own(session), "machine")
+            row = rows.get(session, t.MachineRow, rows.own_id(session), "machine")
             row.robot_id, row.cell = robot_id, cell
 
     def campaigns(self) -> dict[tuple[str, CampaignState], int]:
@@ -203,7 +203,7 @@ class BatchEstimate(BatchEntry):
     document: Annotated[dict[str, JsonValue], JsonOf(Estimate)] | None
 
 
-class BatchStore(Transactions):
+class BatchStore(rows.Transactions):
     """Batches of the plant; only those of this service's machine are changed."""
 
     def add(self, campaigns: Sequence[int] | None, asked_by: str) -> BatchDocument:
@@ -222,22 +222,20 @@ class BatchStore(Transactions):
             if not wanted:
                 raise BadInput("campaigns", "this machine has no campaign that has ended and has an identified sweep")
             row = t.BatchRow(
-                machine_id=rows.own(session),
+                machine_id=rows.own_id(session),
                 kind=REIDENTIFY,
                 campaigns=wanted,
                 asked_by=asked_by,
                 state=BatchState.WAITING,
             )
-            session.add(row)
-            session.flush()
-            return _with_event(session, row)
+            return _with_event(session, rows.added(session, row))
 
     def batch(self, batch_id: int) -> BatchDocument:
         with self._database.read() as session:
             return _document(session, rows.get(session, t.BatchRow, batch_id, "job"))
 
     def batches(self, after: int = 0, limit: int = 100) -> tuple[BatchDocument, ...]:
-        query = select(t.BatchRow).where(t.BatchRow.id > after).order_by(t.BatchRow.id).limit(limit)
+        query = rows.page(t.BatchRow, after, limit)
         with self._database.read() as session:
             return tuple(_document(session, row) for row in session.scalars(query))
 
@@ -245,7 +243,7 @@ class BatchStore(Transactions):
         """Batches of this machine that are not finished."""
         query = select(t.BatchRow.id).where(t.BatchRow.state.in_(_OPEN)).order_by(t.BatchRow.id)
         with self._database.read() as session:
-            return tuple(session.scalars(query.where(t.BatchRow.machine_id == rows.own(session))))
+            return tuple(session.scalars(query.where(t.BatchRow.machine_id == rows.own_id(session))))
 
     def begin(self, batch_id: int) -> tuple[int, ...]:
         """Its campaigns without a result; the batch is then running. () if it is finished."""
@@ -279,8 +277,7 @@ class BatchStore(Transactions):
             if row.state not in _OPEN or session.scalar(there) is not None:
                 return
             found = {"sweeps": sweeps, "document": document, "change_percent": change_percent, "cause": cause}
-            session.add(t.BatchResultRow(batch_id=batch_id, campaign_id=campaign_id, **found))
-            session.flush()
+            rows.added(session, t.BatchResultRow(batch_id=batch_id, campaign_id=campaign_id, **found))
             _with_event(session, row)
 
     def end(self, batch_id: int, state: BatchState) -> BatchDocument:
@@ -335,4 +332,4 @@ def _document(session: Session, row: t.BatchRow) -> BatchDocument:
     done, sweeps = session.execute(query).one()
     failed = session.scalar(query.with_only_columns(func.count()).where(result.cause != ""))
     counts = {"campaigns": len(row.campaigns), "done": done, "failed": failed or 0, "sweeps": sweeps}
-    return rows.document(BatchDocument, row, **counts, **rows.machine_of(session, row.machine_id))
+    return rows.document(BatchDocument, row, **counts)

@@ -20,7 +20,7 @@ from service.model.errors import Conflict, NotFound
 from service.store import rows
 from service.store import tables as t
 from service.store.access.audit_chain import Entry
-from service.store.database import Database, Transactions
+from service.store.database import Database
 from service.store.documents import BatchState, CampaignState, DiagnosisState, RecordingDocument, StoredDocument
 from service.store.objects import ObjectStore
 from service.store.people.audit import append
@@ -73,11 +73,12 @@ class HoldDocument(StoredDocument):
     at: datetime
 
 
-class RetentionStore:
+class RetentionStore(rows.Transactions):
     """For one machine, by its id. Every method is one transaction and blocks; NotFound if the id does not exist."""
 
     def __init__(self, database: Database, machine_id: int) -> None:
-        self._database, self._machine = database, machine_id
+        super().__init__(database)
+        self._machine = machine_id
 
     def doomed(self, rules: RetentionRules, at: datetime) -> tuple[tuple[Doomed, ...], dict[int, str]]:
         """What may be removed at this time, and why other campaigns of that age are kept."""
@@ -129,9 +130,8 @@ class RetentionStore:
             row = session.get(t.HoldRow, campaign_id)
             if row is not None:
                 raise Conflict(f"campaign {campaign_id} is already held by {row.by}: {row.why}")
-            session.add(row := t.HoldRow(campaign_id=campaign_id, by=by, why=why, at=t.now()))
+            row = rows.added(session, t.HoldRow(campaign_id=campaign_id, by=by, why=why, at=t.now()))
             append(session, [{**entry, "event": "hold added", "campaign": campaign_id, "why": why}])
-            session.flush()
             return rows.document(HoldDocument, row)
 
     def release(self, campaign_id: int, entry: Entry) -> HoldDocument:
@@ -145,9 +145,7 @@ class RetentionStore:
             return found
 
     def holds(self) -> tuple[HoldDocument, ...]:
-        with self._database.read() as session:
-            query = select(t.HoldRow).order_by(t.HoldRow.campaign_id)
-            return rows.documents(HoldDocument, session, query)
+        return self._all(HoldDocument, select(t.HoldRow).order_by(t.HoldRow.campaign_id))
 
 
 def _last_recorded(session: Session, machine_id: int) -> Iterator[tuple[int, datetime]]:
@@ -335,7 +333,7 @@ class Backlog:
     trouble: str = ""
 
 
-class MoveStore(Transactions):
+class MoveStore(rows.Transactions):
     """Every method is one transaction and blocks, as in `service.store.store`."""
 
     def backlog(self) -> Backlog:

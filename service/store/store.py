@@ -17,7 +17,6 @@ from service.model.recording import SweepSpec
 from service.model.robot import Robot
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Transactions
 from service.store.documents import (
     CampaignDocument,
     CampaignState,
@@ -47,7 +46,7 @@ class StaleVersion(Conflict):
     """The campaign has changed since the client read it (API: 412)."""
 
 
-class Store(Transactions):
+class Store(rows.Transactions):
     """The service's memory."""
 
     # robots and plans: written once, never changed
@@ -66,58 +65,43 @@ class Store(Transactions):
                     description=robot.description.model_dump(mode="json"),
                     urdf_text=robot.urdf_text,
                 )
-                session.add(row)
-                session.flush()
+                rows.added(session, row)
             return rows.document(RobotDocument, row)
 
     def robot(self, robot_id: int) -> RobotDocument:
-        with self._database.read() as session:
-            return rows.document(RobotDocument, rows.get(session, t.RobotRow, robot_id, "robot"))
+        return self._one(RobotDocument, t.RobotRow, robot_id, "robot")
 
     def robots(self, after: int = 0, limit: int = 100) -> tuple[RobotDocument, ...]:
-        query = select(t.RobotRow).where(t.RobotRow.id > after).order_by(t.RobotRow.id).limit(limit)
-        with self._database.read() as session:
-            return rows.documents(RobotDocument, session, query)
+        return self._all(RobotDocument, rows.page(t.RobotRow, after, limit))
 
     def add_plan(self, robot_id: int, document: dict[str, JsonValue]) -> PlanRecord:
         with self._database.write() as session:
             rows.get(session, t.RobotRow, robot_id, "robot")
-            row = t.PlanRow(robot_id=robot_id, document=document)
-            session.add(row)
-            session.flush()
-            return rows.document(PlanRecord, row)
+            return rows.document(PlanRecord, rows.added(session, t.PlanRow(robot_id=robot_id, document=document)))
 
     def plan(self, plan_id: int) -> PlanRecord:
-        with self._database.read() as session:
-            return rows.document(PlanRecord, rows.get(session, t.PlanRow, plan_id, "plan"))
+        return self._one(PlanRecord, t.PlanRow, plan_id, "plan")
 
     def plans(self, after: int = 0, limit: int = 100) -> tuple[PlanRecord, ...]:
-        query = select(t.PlanRow).where(t.PlanRow.id > after).order_by(t.PlanRow.id).limit(limit)
-        with self._database.read() as session:
-            return rows.documents(PlanRecord, session, query)
+        return self._all(PlanRecord, rows.page(t.PlanRow, after, limit))
 
     # campaigns and sweeps: read
 
     def campaign(self, campaign_id: int) -> CampaignDocument:
-        with self._database.read() as session:
-            return rows.campaign_document(session, rows.get(session, t.CampaignRow, campaign_id, "campaign"))
+        return self._one(CampaignDocument, t.CampaignRow, campaign_id, "campaign")
 
     def own_campaign(self, campaign_id: int) -> CampaignDocument:
         """As `campaign`, for one of this service's machine. Raises OtherMachine, NoMachine."""
         with self._database.read() as session:
-            return rows.campaign_document(session, rows.own_campaign(session, campaign_id))
+            return rows.document(CampaignDocument, rows.own_campaign(session, campaign_id))
 
     def campaigns(self, after: int = 0, limit: int = 100) -> tuple[CampaignDocument, ...]:
-        query = select(t.CampaignRow).where(t.CampaignRow.id > after).order_by(t.CampaignRow.id).limit(limit)
-        with self._database.read() as session:
-            return tuple(rows.campaign_document(session, row) for row in session.scalars(query))
+        return self._all(CampaignDocument, rows.page(t.CampaignRow, after, limit))
 
     def campaigns_in(self, *states: CampaignState) -> tuple[CampaignDocument, ...]:
         """Of this service's machine."""
         query = select(t.CampaignRow).where(t.CampaignRow.state.in_(states)).order_by(t.CampaignRow.id)
-        with self._database.read() as session:
-            query = query.where(rows.of_own(session))
-            return tuple(rows.campaign_document(session, row) for row in session.scalars(query))
+        return self._all(CampaignDocument, query, own=t.CampaignRow.machine_id)
 
     def sweep(self, campaign_id: int, number: int) -> SweepDocument:
         with self._database.read() as session:
@@ -141,9 +125,8 @@ class Store(Transactions):
     def sweeps_in(self, state: SweepState) -> tuple[SweepDocument, ...]:
         """Of all campaigns of this service's machine; RECORDED gives its open identification jobs."""
         query = select(t.SweepRow).join(t.CampaignRow, t.CampaignRow.id == t.SweepRow.campaign_id)
-        with self._database.read() as session:
-            query = query.where(t.SweepRow.state == state, rows.of_own(session)).order_by(t.SweepRow.id)
-            return rows.documents(SweepDocument, session, query)
+        query = query.where(t.SweepRow.state == state).order_by(t.SweepRow.id)
+        return self._all(SweepDocument, query, own=t.CampaignRow.machine_id)
 
     def recording(self, campaign_id: int, number: int) -> RecordingDocument:
         """Of the latest attempt that has one."""
@@ -265,7 +248,7 @@ class Store(Transactions):
             campaign = t.CampaignRow(robot_id=plan.robot_id, plan_id=plan_id, state=CampaignState.PLANNED)
             rows.add_sweeps(session, campaign, sweeps, SweepState.PLANNED)
             rows.emit_campaign(session, campaign)
-            return rows.campaign_document(session, campaign)
+            return rows.document(CampaignDocument, campaign)
 
     def add_measured(
         self, robot_id: int, sweeps: Sequence[NewSweep], recordings: Sequence[NewRecording]
@@ -278,7 +261,7 @@ class Store(Transactions):
             for row, recording in zip(new, recordings, strict=True):
                 session.add(t.RecordingRow(sweep_id=row.id, attempt=row.attempt, **recording.model_dump()))
             rows.emit_campaign(session, campaign)
-            return rows.campaign_document(session, campaign)
+            return rows.document(CampaignDocument, campaign)
 
     def move_campaign(
         self,
@@ -305,7 +288,7 @@ class Store(Transactions):
             for sweep in session.scalars(query.order_by(t.SweepRow.number)).all():
                 rows.move_sweep(session, sweep, sweeps[sweep.state], cause)
             rows.emit_campaign(session, row)
-            return rows.campaign_document(session, row)
+            return rows.document(CampaignDocument, row)
 
     def begin_sweep(self, campaign_id: int, number: int, move: SweepMove, last_attempt: int = 0) -> SweepDocument:
         """As `move_sweep`, and count the attempt, on from `last_attempt` on disk. Committed before anything moves."""
@@ -389,8 +372,7 @@ class Store(Transactions):
         query = select(t.EventRow).where(t.EventRow.id > after).order_by(t.EventRow.id).limit(limit)
         if campaign_id is not None:
             query = query.where((t.EventRow.campaign_id == campaign_id) | rows.stops_of_machine_of(campaign_id))
-        with self._database.read() as session:
-            return rows.documents(EventDocument, session, query)
+        return self._all(EventDocument, query)
 
     def recorded(self) -> dict[RecordingState, Recorded]:
         """How many recordings there are of each state, with their samples."""
@@ -411,7 +393,7 @@ OVER = (CampaignState.MEASURED, CampaignState.COMPLETED, CampaignState.ABORTED)
 COMPLETE = (SweepState.RECORDED, SweepState.IDENTIFIED)
 
 
-class CheckStore(Transactions):
+class CheckStore(rows.Transactions):
     """Every method is one transaction and blocks, as in `service.store.store`."""
 
     def document(self, campaign_id: int) -> Document | None:

@@ -1,13 +1,25 @@
 """The tables. Rows stay inside `service.store`; what leaves it are documents. Changes need a migration."""
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from enum import Enum
-from typing import ClassVar
+from typing import ClassVar, NamedTuple, cast
 
 from pydantic import JsonValue
-from sqlalchemy import JSON, DateTime, Dialect, ForeignKey, Index, String, TypeDecorator, UniqueConstraint
+from sqlalchemy import (
+    JSON,
+    DateTime,
+    Dialect,
+    ForeignKey,
+    Index,
+    String,
+    TypeDecorator,
+    UniqueConstraint,
+    func,
+    select,
+)
 from sqlalchemy import Enum as SqlEnum
-from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column, object_session
 
 from drivers.ports import SweepMode
 from service.store.access.permissions import Role
@@ -60,6 +72,38 @@ class StoredRow(DeclarativeBase):
     }
 
 
+OWN = "machine"  # in the `info` of a session: the machine of its service
+
+
+class OwnMachine(NamedTuple):
+    """The machine of a service, as in its row."""
+
+    id: int
+    name: str
+
+
+class OfMachine:
+    """A row of one machine, with the fields of its document that are not in the row."""
+
+    machine_id: Mapped[int]
+
+    @property
+    def machine(self) -> str:
+        """The machine's name."""
+        return session_of(self).get_one(MachineRow, self.machine_id).name
+
+    @property
+    def here(self) -> bool:
+        """Whether it is the machine of this service."""
+        own: OwnMachine | None = session_of(self).info[OWN]
+        return own is not None and own.id == self.machine_id
+
+
+def session_of(row: object) -> Session:
+    """The session in which a row was read or added."""
+    return cast(Session, object_session(row))
+
+
 class MachineRow(StoredRow):
     """One row a cell's machine; `machine_id` elsewhere is its id."""
 
@@ -108,7 +152,7 @@ class ApprovalRow(StoredRow):
     last_stop: Mapped[int]  # id of the machine's last stop before it, 0: none
 
 
-class CampaignRow(StoredRow):
+class CampaignRow(OfMachine, StoredRow):
     __tablename__ = "campaign"
     id: Mapped[int] = mapped_column(primary_key=True)
     machine_id: Mapped[int] = mapped_column(index=True)  # runs it, and has its files
@@ -120,6 +164,12 @@ class CampaignRow(StoredRow):
     version: Mapped[int] = mapped_column(default=1)
     created_at: Mapped[datetime] = mapped_column(default=now)
     started_at: Mapped[datetime | None]
+
+    @property
+    def sweeps(self) -> dict[SweepState, int]:
+        """Number of sweeps by state."""
+        counts = select(SweepRow.state, func.count()).where(SweepRow.campaign_id == self.id).group_by(SweepRow.state)
+        return dict(session_of(self).execute(counts).all())
 
 
 class SweepRow(StoredRow):
@@ -181,12 +231,11 @@ class EstimateRow(StoredRow):
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
-class DiagnosisRow(StoredRow):
+class DiagnosisRow(OfMachine, StoredRow):
     """The unique parent makes a diagnosis go on once only, the unique campaign an experiment belong to one."""
 
     __tablename__ = "diagnosis"
     id: Mapped[int] = mapped_column(primary_key=True)
-    machine_id: Mapped[int]
     robot_id: Mapped[int] = mapped_column(ForeignKey("robot.id"))
     parent: Mapped[int | None] = mapped_column("parent_id", ForeignKey("diagnosis.id"), unique=True)
     # diagnosis and model refer to each other: this one is added when both tables are there
@@ -205,6 +254,17 @@ class DiagnosisRow(StoredRow):
     experiment_campaign_id: Mapped[int | None] = mapped_column(ForeignKey("campaign.id"), unique=True)
     created_at: Mapped[datetime] = mapped_column(default=now)
     finished_at: Mapped[datetime | None]
+
+    @property
+    def results(self) -> "Sequence[AxisDiagnosisRow]":
+        """Of the finished axes."""
+        query = select(AxisDiagnosisRow).where(AxisDiagnosisRow.diagnosis_id == self.id).order_by(AxisDiagnosisRow.id)
+        return session_of(self).scalars(query).all()
+
+    @property
+    def verdicts(self) -> dict[str, str]:
+        """By joint."""
+        return {result.joint: result.verdict for result in self.results}
 
 
 class AxisDiagnosisRow(StoredRow):
@@ -254,12 +314,11 @@ class HoldRow(StoredRow):
     at: Mapped[datetime] = mapped_column(default=now)
 
 
-class BatchRow(StoredRow):
+class BatchRow(OfMachine, StoredRow):
     """A computation over stored campaigns; what of `campaigns` has no result yet is still to do."""
 
     __tablename__ = "batch"
     id: Mapped[int] = mapped_column(primary_key=True)
-    machine_id: Mapped[int]
     kind: Mapped[str] = mapped_column(String(16))
     campaigns: Mapped[list[int]]
     asked_by: Mapped[str]

@@ -23,7 +23,6 @@ from service.store import rows
 from service.store import tables as t
 from service.store.access.audit_chain import FIRST, Entry, Head, Link, canonical, sha256
 from service.store.access.credentials import Callers
-from service.store.database import Transactions
 from service.store.tables import now
 
 _PIECE = 1000  # entries read per query
@@ -42,7 +41,7 @@ class AuditDocument(BaseModel):
     sha256: str
 
 
-class AuditStore(Transactions):
+class AuditStore(rows.Transactions):
     """Every method is one transaction and blocks. Reading methods raise AuditUnreadable."""
 
     def append(self, entries: Sequence[Entry]) -> int:

@@ -19,7 +19,6 @@ from service.store import tables as t
 from service.store.access.audit_chain import Entry, Fact
 from service.store.access.credentials import key_sha256, new_key, unique_name
 from service.store.access.permissions import Role
-from service.store.database import Transactions
 from service.store.people.audit import append
 
 
@@ -41,7 +40,7 @@ class UserDocument(BaseModel):
         return "" if self.disabled_at is None else f"{self.name} was disabled on {self.disabled_at:%Y-%m-%d}"
 
 
-class UserStore(Transactions):
+class UserStore(rows.Transactions):
     """Every method is one transaction and blocks; those with a password take about 0.1 s.
 
     `entry`: of the audit, with user and address.
@@ -95,8 +94,7 @@ class UserStore(Transactions):
             return rows.document(UserDocument, row)
 
     def all(self) -> tuple[UserDocument, ...]:
-        with self._database.read() as session:
-            return rows.documents(UserDocument, session, select(t.UserRow).order_by(t.UserRow.id))
+        return self._all(UserDocument, select(t.UserRow).order_by(t.UserRow.id))
 
     def knows(self, name: str) -> bool:
         with self._database.read() as session:
@@ -135,7 +133,7 @@ def end_sessions(session: Session, row: t.UserRow) -> None:
     session.execute(update(t.SessionRow).where(*open_ones).values(ended_at=t.now()))
 
 
-class ExternalUsers(Transactions):
+class ExternalUsers(rows.Transactions):
     """Every method is one transaction and blocks. `entry`: of the audit, with user and address."""
 
     def renew(self, issuer: str, subject: str, name: str, role: Role | None, entry: Entry) -> UserDocument | None:
@@ -208,7 +206,7 @@ class KeyDocument(BaseModel):
         return f"the key of {self.name} expired on {self.expires_at:%Y-%m-%d}" if at >= self.expires_at else ""
 
 
-class KeyStore(Transactions):
+class KeyStore(rows.Transactions):
     """Every method is one transaction and blocks. `entry`: of the audit, with user and address."""
 
     def add(
