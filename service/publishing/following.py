@@ -29,8 +29,6 @@ from service.store.store import Store
 
 _log = structlog.get_logger(__name__)
 
-_OF_CAMPAIGNS = (EventKind.CAMPAIGN, EventKind.SWEEP, EventKind.CHECK_MOVE, EventKind.ESTIMATE, EventKind.DATA_CHECK)
-
 
 class Following:
     """One machine; the drives are asked at each look (`Machine.ask`)."""
@@ -55,8 +53,8 @@ class Following:
         await asyncio.to_thread(self._recover)
         self._tell()
         async for event in feed.follow(after):
-            if event.kind not in _OF_CAMPAIGNS or event.campaign_id is None:
-                continue  # `look` publishes stops: other machines may share the database
+            if event.campaign_id is None:  # `look` publishes stops: other machines may share the database
+                continue
             try:
                 ours = await asyncio.to_thread(self._take, event, event.campaign_id)
             except (SQLAlchemyError, BadInput, NotFound) as error:

@@ -1,4 +1,19 @@
-"""Backup of the embedded store (SQLite and data folder), its restoration, and examination of a store."""
+"""Backup of the embedded store (SQLite and data folder), and its restoration.
+
+A backup has the layout of a data folder below ``data/``; ``manifest.json`` is written last::
+
+    BACKUP/manifest.json
+    BACKUP/data/sweepid.sqlite
+    BACKUP/data/database.json
+    BACKUP/data/recordings/campaign-000001/0001-1.parquet ...
+
+The database is copied first, at one instant, while a service runs or not. All files that it names then exist and do
+not change any more: a file is on the disk before its row is committed, and none is overwritten or removed later, except
+recordings that are in the object store. Those that are only there are listed, not fetched: it has its own backups.
+
+The file of a database is read from outside: it is not migrated, and no writer is blocked, because readers of a WAL do
+not block. SQLite itself copies it (its backup API), never the files, because the last commits are in the WAL.
+"""
 
 import hashlib
 import shutil
@@ -84,7 +99,6 @@ def read_manifest(backup: Path) -> Manifest:
 
 
 PARTIAL = ".partial"
-_CHUNK = 2**20  # bytes
 
 
 class NotCopied(SweepidError):
@@ -124,7 +138,7 @@ def copy_file(source: Path, target: Path) -> StoredFile:
     target.parent.mkdir(parents=True, exist_ok=True)
     digest, size = hashlib.sha256(), 0
     with source.open("rb") as read, target.open("xb") as written:
-        while chunk := read.read(_CHUNK):
+        while chunk := read.read(2**20):  # bytes
             digest.update(chunk)
             size += written.write(chunk)
     sync(target)

@@ -32,15 +32,17 @@ def refusal(error: SQLAlchemyError) -> str:
     return f"the database refused: {reason or type(own).__name__}"
 
 
-SET_BACK = timedelta(seconds=60)  # a clock may differ by so much from that of another service, or of the last run
-
-
 def _wall() -> datetime:
     return datetime.now(UTC)
 
 
 class SteadyClock:
-    """Of one process; usable from any thread."""
+    """Time for sessions and keys: it never runs backward. Of one process; usable from any thread.
+
+    It is the wall clock while that runs forward. When the clock is set back, it runs on from where it was, by the
+    monotonic clock; over a restart, from the time that the database keeps. So nothing that has expired is valid again,
+    and what was issued while the clock was ahead keeps its limit from then on.
+    """
 
     def __init__(self, wall: Callable[[], datetime] = _wall, monotonic: Callable[[], float] = time.monotonic) -> None:
         self.wall, self._monotonic = wall, monotonic

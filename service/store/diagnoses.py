@@ -30,7 +30,6 @@ from service.store.documents import (
 
 Document = dict[str, JsonValue]
 _OPEN = (DiagnosisState.WAITING, DiagnosisState.RUNNING)
-_GONE = (CampaignState.ABORTED,)  # of an experiment without result
 
 
 class DiagnosisStore(rows.Transactions):
@@ -255,7 +254,7 @@ def check_free(diagnosis: DiagnosisEntry, experiment: CampaignState | None) -> N
         raise Conflict(
             f"diagnosis {diagnosis.id} is {diagnosis.state.value}; an experiment requires a diagnosis that is done"
         )
-    if experiment is not None and experiment not in _GONE and diagnosis.experiment is not None:
+    if experiment not in (None, CampaignState.ABORTED) and diagnosis.experiment is not None:
         raise Conflict(
             f"diagnosis {diagnosis.id} already has an experiment, campaign "
             f"{diagnosis.experiment.campaign_id} ({experiment.value}); the next one is proposed by the "

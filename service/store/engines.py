@@ -1,4 +1,9 @@
-"""Differences between the supported databases: one file for each, and nowhere else."""
+"""SQLite and PostgreSQL: all differences between them, and which one a setting names.
+
+SQLite is embedded: one file in the data folder. PostgreSQL, by psycopg 3, is a server, which may be unavailable at any
+time. Its writers are serialised by one advisory lock of the database, as by the lock of SQLite's file. Therefore the
+chain of the audit has no fork, the outbox is in order, and no writer reads rows that another one changes.
+"""
 
 import sqlite3
 from collections.abc import Sequence
@@ -96,9 +101,6 @@ def _begin_sqlite(connection: Connection) -> None:
     connection.exec_driver_sql("BEGIN IMMEDIATE" if options.get(WRITE, False) else "BEGIN")
 
 
-_WRITERS = 0x73776565706964  # the lock's number: "sweepid"
-_IDLE = 60_000  # ms of inactivity of a writer, e.g. after a power failure, until the next one may write
-_AWAY = ("08", "57P")  # classes of SQLSTATE: no connection; the server stops, crashed or starts
 _CONNECTING: dict[str, str | int] = {
     "connect_timeout": 5,  # s
     "target_session_attrs": "read-write",  # no standby
@@ -109,15 +111,6 @@ _CONNECTING: dict[str, str | int] = {
     "keepalives_count": 3,
     "tcp_user_timeout": 15_000,
 }
-_SESSION = (
-    # the server detects a lost client in the same time, because it may hold the writers' lock
-    "SET tcp_keepalives_idle = 5",
-    "SET tcp_keepalives_interval = 3",
-    "SET tcp_keepalives_count = 3",
-    f"SET idle_in_transaction_session_timeout = {_IDLE}",
-    # committed data is on disk, whatever the default of the server
-    "SELECT set_config('synchronous_commit', 'on', false) WHERE current_setting('synchronous_commit') = 'off'",
-)
 
 
 class NotReached(SweepidError):
@@ -158,7 +151,8 @@ class Postgresql:
 
     def is_away(self, error: OperationalError) -> bool:
         state = getattr(error.orig, "sqlstate", None)
-        return state is None or str(state).startswith(_AWAY)
+        # classes of SQLSTATE: no connection; the server stops, crashed or starts
+        return state is None or str(state).startswith(("08", "57P"))
 
     def continue_ids(self, connection: Connection, tables: Sequence[Table]) -> None:
         for table in tables:
@@ -188,7 +182,16 @@ def _configure_postgresql(connection: Any, _: ConnectionPoolEntry) -> None:
 
     connection.adapters.register_dumper(str, NoNul)
     with connection.cursor() as cursor:
-        for statement in _SESSION:
+        for statement in (
+            # the server detects a lost client in the same time, because it may hold the writers' lock
+            "SET tcp_keepalives_idle = 5",
+            "SET tcp_keepalives_interval = 3",
+            "SET tcp_keepalives_count = 3",
+            # ms of inactivity of a writer, e.g. after a power failure, until the next one may write
+            "SET idle_in_transaction_session_timeout = 60000",
+            # committed data is on disk, whatever the default of the server
+            "SELECT set_config('synchronous_commit', 'on', false) WHERE current_setting('synchronous_commit') = 'off'",
+        ):
             cursor.execute(statement)
     connection.commit()
 
@@ -201,7 +204,7 @@ def _begin_postgresql(connection: Connection) -> None:
     # READ COMMITTED: each statement after the lock sees the commit of the previous writer
     connection.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL READ COMMITTED READ WRITE")
     connection.exec_driver_sql(f"SET LOCAL lock_timeout = {int(options.get(PATIENCE, BUSY_TIMEOUT) * 1000)}")
-    connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({_WRITERS})")
+    connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({0x73776565706964})")  # "sweepid"
     connection.info["transaction"] = connection.exec_driver_sql("SELECT pg_current_xact_id()::text").scalar_one()
 
 

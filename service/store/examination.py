@@ -1,4 +1,4 @@
-"""A database as examined by `doctor`: a SQLite file, or a server. Nothing is written or migrated."""
+"""Finds errors in a data folder and its database, SQLite or a server. Nothing is written, migrated or repaired."""
 
 import json
 import os
@@ -22,15 +22,6 @@ from service.store.files.recordings import RecordingFiles, file_sha256
 from service.store.objects import MissingObject, ObjectStore, StoreAway, WrongObject
 
 RESTORE = "restore a backup"
-_TRIGGERS = (
-    "SELECT count(*) FROM pg_trigger "
-    "WHERE tgrelid = to_regclass('audit') AND left(tgname, 9) = 'audit_no_' AND tgenabled = 'O'"
-)
-_FAILURES = "SELECT coalesce(checksum_failures, 0) FROM pg_stat_database WHERE datname = current_database()"
-_SQLITE_TRIGGERS = (
-    "SELECT count(*) FROM sqlite_master WHERE type = 'trigger' "
-    "AND tbl_name = 'audit' AND substr(name, 1, 9) = 'audit_no_'"
-)
 _UNPROTECTED = (
     "the triggers that protect the audit against changes are missing or disabled",
     "run `sweepid audit verify`, then restore a backup if needed",
@@ -133,18 +124,25 @@ def _wrong(connection: Connection) -> Iterator[tuple[str, str]]:
     for setting in ("fsync", "full_page_writes"):
         if connection.exec_driver_sql(f"SHOW {setting}").scalar_one() == "off":
             yield f"{setting} is off on the server: stored data are lost on a power failure", f"set {setting} = on"
-    if failures := connection.exec_driver_sql(_FAILURES).scalar():
+    failed = connection.exec_driver_sql(
+        "SELECT coalesce(checksum_failures, 0) FROM pg_stat_database WHERE datname = current_database()"
+    )
+    if failures := failed.scalar():
         yield f"the server found {failures} pages whose checksum is wrong", "check the disk and restore a dump"
-    if connection.exec_driver_sql(_TRIGGERS).scalar_one() != 4:
+    triggers = connection.exec_driver_sql(
+        "SELECT count(*) FROM pg_trigger "
+        "WHERE tgrelid = to_regclass('audit') AND left(tgname, 9) = 'audit_no_' AND tgenabled = 'O'"
+    )
+    if triggers.scalar_one() != 4:
         yield _UNPROTECTED
 
 
 def _unprotected(connection: sqlite3.Connection) -> list[tuple[str, str]]:
-    ((found,),) = connection.execute(_SQLITE_TRIGGERS)
+    ((found,),) = connection.execute(
+        "SELECT count(*) FROM sqlite_master WHERE type = 'trigger' "
+        "AND tbl_name = 'audit' AND substr(name, 1, 9) = 'audit_no_'"
+    )
     return [] if found == 3 else [_UNPROTECTED]
-
-
-_PUT_ASIDE = (".unknown", ".unreadable")
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,7 +254,7 @@ def _nobodys(path: Path, database: Path | None, data_dir: Path, named: Contents)
 
 def _unknown_file(path: Path, data_dir: Path) -> tuple[str, str]:
     """Description of a file without a row, and what to do."""
-    if any(end in path.name for end in _PUT_ASIDE):
+    if any(end in path.name for end in (".unknown", ".unreadable")):
         return (
             "a stream that the service set aside, because it contains no complete recording",
             "look at it, then move it away",

@@ -1,4 +1,8 @@
-"""Which service may move a machine: one at a time (lease), and none after a stop until a person resets it (latch)."""
+"""What must hold before a machine moves or a request is executed.
+
+One service at a time may move a machine (lease), none after a stop until a person resets it (latch), a plan only with
+an approval where it is needed; a request that is sent twice has one effect (idempotency key).
+"""
 
 import os
 import socket

@@ -1,4 +1,9 @@
-"""Recordings that are, or will be, in a shared folder or an object store."""
+"""Recordings in a shared folder or an S3-compatible store, through fsspec, which is imported when needed.
+
+Objects are named by the SHA-256 of their content: every writer writes the same content, and an object whose content
+does not match its name is useless, so that writing it again repairs it. An object is always complete: S3 guarantees
+that, and in a folder a finished file is renamed.
+"""
 
 import configparser
 import hashlib
@@ -17,8 +22,6 @@ from service.store.files.columns import read_columns
 from service.store.files.recordings import FETCHED, RecordingFile, check_file, place, place_new, still_here, sync
 
 _CHUNK = 2**20  # bytes
-_CONNECT = 5.0  # s
-_SLOWEST = 1e5  # bytes/s of an upload; a slower one is aborted
 
 
 class StoreAway(NotNow):
@@ -126,7 +129,7 @@ class ObjectStore:
         """With a time limit: an upload to a host that accepts no data would wait forever."""
         from fsspec import asyn
 
-        longest = self._address.wait + path.stat().st_size / _SLOWEST
+        longest = self._address.wait + path.stat().st_size / 1e5  # bytes/s of an upload; a slower one is aborted
         cast(Any, asyn).sync(self._files.loop, self._files._put_file, str(path), key, timeout=longest)
 
     def _check_root(self) -> None:
@@ -175,7 +178,7 @@ def _opened(address: StoreAddress) -> tuple[Any, tuple[type[Exception], ...]]:
     except ModuleNotFoundError as error:
         raise _not_installed(error.name) from None
     options: dict[str, Any] = {
-        "connect_timeout": min(_CONNECT, address.wait),
+        "connect_timeout": min(5.0, address.wait),  # s
         "read_timeout": address.wait,
         "retries": {"total_max_attempts": 1},  # s3fs repeats attempts itself
         # not every store supports AWS's newer checksums; SHA-256 is compared here in any case

@@ -1,4 +1,7 @@
-"""Queries over all machines of a plant."""
+"""The machines of a plant, its measured robots, and batches: computations over many stored campaigns.
+
+Every method is one transaction and blocks, as in `service.store.store`; `NotFound` if the id does not exist.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -73,9 +76,6 @@ class PlantStore(rows.Transactions):
             return dict(session.execute(query).all())
 
 
-_OVER = (CampaignState.MEASURED, CampaignState.COMPLETED)
-
-
 @dataclass(frozen=True, slots=True)
 class RobotNamed:
     """A robot of a plant. `serial`: None if its file has none; then the machine identifies the robot."""
@@ -140,7 +140,7 @@ class FleetStore:
             .join(robot, robot.id == campaign.robot_id)
             .join(t.MachineRow, t.MachineRow.id == campaign.machine_id)
             .outerjoin(plan, plan.id == campaign.plan_id)
-            .where(robot.name == name, campaign.state.in_(_OVER))
+            .where(robot.name == name, campaign.state.in_((CampaignState.MEASURED, CampaignState.COMPLETED)))
             .where(plan.document["request"]["kind"].as_string().is_(None))
             .order_by(at, campaign.id)
         )
@@ -159,7 +159,6 @@ class FleetStore:
         return {sweep.spec.id: sweep.spec.pose for sweep in self._store.sweeps(campaign_id)}
 
 
-REIDENTIFY = "reidentify"
 _OPEN = (BatchState.WAITING, BatchState.RUNNING)
 
 
@@ -223,7 +222,7 @@ class BatchStore(rows.Transactions):
                 raise BadInput("campaigns", "this machine has no campaign that has ended and has an identified sweep")
             row = t.BatchRow(
                 machine_id=rows.own_id(session),
-                kind=REIDENTIFY,
+                kind="reidentify",
                 campaigns=wanted,
                 asked_by=asked_by,
                 state=BatchState.WAITING,

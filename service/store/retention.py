@@ -1,8 +1,9 @@
-"""Retention rule: which data of finished campaigns may be removed, what is protected, and holds set by people.
+"""Where recordings are and how long: moved to the object store, removed here, removed for ever.
 
-Protected campaigns are kept completely: unfinished ones, held ones, the evidence of accepted models and of open
-diagnoses, of open batches, and campaigns named by their plans. The newest estimate of every campaign is kept, and
-each revision from which a diagnosis started.
+Retention rule: protected campaigns are kept completely: unfinished ones, held ones, the evidence of accepted models and
+of open diagnoses, of open batches, and campaigns named by their plans. The newest estimate of every campaign is kept,
+and each revision from which a diagnosis started. Rows go first, then files, so that an interrupted run is completed by
+the next one.
 """
 
 import time
@@ -25,10 +26,6 @@ from service.store.documents import BatchState, CampaignState, DiagnosisState, R
 from service.store.objects import ObjectStore
 from service.store.people.audit import append
 from service.store.rows import document, of_own
-
-_OVER = (CampaignState.COMPLETED, CampaignState.ABORTED)
-_OPEN_DIAGNOSES = (DiagnosisState.WAITING, DiagnosisState.RUNNING)
-_OPEN_BATCHES = (BatchState.WAITING, BatchState.RUNNING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +200,7 @@ def _earlier_estimates(session: Session, campaign_id: int) -> tuple[int, ...]:
 def _protected(session: Session) -> dict[int, str]:
     """Campaigns from which nothing may be removed, and why."""
     found: dict[int, str] = {}
-    over = t.CampaignRow.state.in_(_OVER)
+    over = t.CampaignRow.state.in_((CampaignState.COMPLETED, CampaignState.ABORTED))
     for number in session.scalars(select(t.CampaignRow.id).where(~over)):
         found[number] = "it has not ended"
     for hold in session.scalars(select(t.HoldRow)):
@@ -211,11 +208,15 @@ def _protected(session: Session) -> dict[int, str]:
     for model, diagnosis in session.execute(select(t.ModelRow.id, t.ModelRow.diagnosis_id)):
         for number in _evidence(session, diagnosis):
             found.setdefault(number, f"model {model} was made from it")
-    open_ones = select(t.DiagnosisRow.id).where(t.DiagnosisRow.state.in_(_OPEN_DIAGNOSES))
+    open_ones = select(t.DiagnosisRow.id).where(
+        t.DiagnosisRow.state.in_((DiagnosisState.WAITING, DiagnosisState.RUNNING))
+    )
     for diagnosis in session.scalars(open_ones):
         for number in _evidence(session, diagnosis):
             found.setdefault(number, f"diagnosis {diagnosis} has not ended")
-    for batch in session.scalars(select(t.BatchRow).where(t.BatchRow.state.in_(_OPEN_BATCHES))):
+    for batch in session.scalars(
+        select(t.BatchRow).where(t.BatchRow.state.in_((BatchState.WAITING, BatchState.RUNNING)))
+    ):
         for number in batch.campaigns:
             found.setdefault(number, f"job {batch.id} has not ended")
     for number, by in _named_by_plans(session, found).items():
@@ -376,9 +377,6 @@ class MoveStore(rows.Transactions):
             return frozenset(session.scalars(select(t.RecordingRow.path).where(t.RecordingRow.moved_at.is_not(None))))
 
 
-_IN_USE = 60.0  # s after writing or fetching in which no file is removed, because it may be about to be opened
-
-
 def make_room(data_dir: Path, limit: int, moved: Callable[[], Collection[str]]) -> int:
     """Remove the oldest files of moved recordings until the rest has at most `limit` bytes. Returns how many were
     removed.
@@ -389,7 +387,8 @@ def make_room(data_dir: Path, limit: int, moved: Callable[[], Collection[str]]) 
     if sum(status.st_size for status in here.values()) <= limit:
         return 0
     paths = moved()
-    old = time.time() - _IN_USE
+    # s after writing or fetching in which no file is removed, because it may be about to be opened
+    old = time.time() - 60.0
     room, removed = limit, 0
     for path, status in sorted(here.items(), key=lambda each: each[1].st_mtime, reverse=True):
         if path.relative_to(data_dir).as_posix() not in paths:

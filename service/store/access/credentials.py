@@ -1,4 +1,4 @@
-"""API keys: 32 random bytes, which a person or a program sends. Only their SHA-256 is stored."""
+"""API keys, names of people and keys, callers. A key is 32 random bytes; only its SHA-256 is stored."""
 
 import hashlib
 import re
@@ -10,21 +10,15 @@ from pydantic import AfterValidator, StringConstraints
 
 from service.store.access.permissions import Role
 
-BYTES = 32
-_FORM = re.compile(rf"sweepid-([0-9a-f]{{{2 * BYTES}}})", re.ASCII)
-_PART = re.compile(
-    r"sweepid-[0-9a-f]{16,}", re.ASCII
-)  # also of a key that was cut off; 15 digits or fewer reveal nothing
-
 
 def new_key() -> str:
     """A new key as text. It is displayed once only."""
-    return f"sweepid-{secrets.token_hex(BYTES)}"
+    return f"sweepid-{secrets.token_hex(32)}"
 
 
 def key_sha256(key: str) -> str | None:
     """The stored hash of a key; None for an invalid key. No salt: a list of 256 random bits is impossible."""
-    found = _FORM.fullmatch(key)
+    found = re.fullmatch(r"sweepid-([0-9a-f]{64})", key)
     return None if found is None else hashlib.sha256(bytes.fromhex(found[1])).hexdigest()
 
 
@@ -36,7 +30,8 @@ def bearer(authorization: str) -> str:
 
 def masked(text: str) -> str:
     """The text without keys in wrong places, for example in a path or as a person's name."""
-    return _PART.sub("sweepid-(key)", text)
+    # also of a key that was cut off; 15 digits or fewer reveal nothing
+    return re.sub(r"sweepid-[0-9a-f]{16,}", "sweepid-(key)", text)
 
 
 TAKEN = ("local", "anybody", "unknown")  # these have another meaning in the audit

@@ -170,12 +170,11 @@ _CHANGES = {
     "jobs": "diagnose",
 }
 """The scope of a route that does not only read, by the first word of its path."""
-_WHOEVER = {("GET", f"{API}/me"), ("POST", f"{API}/logout")}
 
 
 def scope_of(route: Route | None) -> str | None:
     """The scope that a key needs for a route; None: any key is sufficient. An unknown path needs the scope "read"."""
-    if route is None or route in _WHOEVER or PERMISSIONS[route] is None:
+    if route is None or route in {("GET", f"{API}/me"), ("POST", f"{API}/logout")} or PERMISSIONS[route] is None:
         return "read" if route is None else None
     method, path = route
     word = path.removeprefix(API).split("/")[1]

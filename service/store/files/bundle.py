@@ -27,7 +27,6 @@ from service.store.documents import NewRecording, RecordingState
 from service.store.files.columns import check_possible, check_samples, columns_of, read_columns, write_columns
 from service.store.files.recordings import RecordingFiles
 
-FORMAT = "sweepid-bundle/1"
 MOST_NUMBERS = 250_000_000  # all sweeps of a bundle are in memory together
 
 
@@ -207,17 +206,12 @@ def _write_into(directory: Path, robot: Robot, sweeps: Sequence[Sweep], samples:
         write_columns(directory / name, sweep.recording)
         entries.append(_Entry.model_validate(sweep.spec.model_dump() | {"file": name}))
     description = robot.description.model_copy(update={"urdf": "robot.urdf"})
-    document = _BundleDocument(format=FORMAT, robot=description, sweeps=tuple(entries))
+    document = _BundleDocument(format="sweepid-bundle/1", robot=description, sweeps=tuple(entries))
     (directory / "bundle.json").write_text(document.model_dump_json(indent=2) + "\n", encoding="utf-8")
 
 
 _MAX_UNPACKED = 4 * 2**30  # bytes; a small zip can contain a very large file
 _MOST_MEMBERS = 20_000  # of an archive
-# LZMA allocates the dictionary size stated by the member, up to 4 GiB, before it reads a byte
-_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)
-# a name that is too long, a file that is also a folder, an offset before the archive; None: bad bzip2 data.
-# Other codes, such as a full disk, are errors of this computer
-_BAD_MEMBER = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.EINVAL, None)
 
 
 class SavedBundle(BaseModel):
@@ -283,7 +277,8 @@ def _unpack(archive: Path, folder: Path) -> None:
                 raise BadInput("bundle", f"has {len(members)} files, limit {_MOST_MEMBERS}")
             for member in members:
                 member.filename = member.filename.replace("\\", "/")  # of a program of Windows
-                if member.compress_type not in _METHODS:
+                # LZMA allocates the dictionary size stated by the member, up to 4 GiB, before it reads a byte
+                if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2):
                     raise BadInput(
                         f"bundle {member.filename[:60]!r}",
                         f"is compressed by method {member.compress_type} of zip, which is not read; compress it by "
@@ -296,7 +291,9 @@ def _unpack(archive: Path, folder: Path) -> None:
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
         raise BadInput("bundle", f"cannot be unpacked: {error}") from None
     except OSError as error:
-        if error.errno not in _BAD_MEMBER:
+        # a name that is too long, a file that is also a folder, an offset before the archive; None: bad bzip2 data.
+        # Other codes, such as a full disk, are errors of this computer
+        if error.errno not in (errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.EINVAL, None):
             raise
         raise BadInput("bundle", f"cannot be unpacked: {error.strerror or error}") from None
 

@@ -25,7 +25,6 @@ from service.store.rows import NoMachine, of_own
 from service.store.store import Store
 
 FILE = "database.json"
-_SPECTRUM = ".spectrum-"  # in the name of the spectrum next to a recording
 
 
 class Owner(BaseModel):
@@ -86,7 +85,12 @@ def _recordings(folder: Path, kind: str) -> int:
     """Number of recordings, including those whose samples are in an object store: their manifests stay."""
     files = (folder / "recordings").glob(f"{kind}/*")
     return len(
-        {path.with_suffix("") for path in files if path.suffix in (".parquet", ".json") and _SPECTRUM not in path.name}
+        # in the name of the spectrum next to a recording
+        {
+            path.with_suffix("")
+            for path in files
+            if path.suffix in (".parquet", ".json") and ".spectrum-" not in path.name
+        }
     )
 
 

@@ -1,4 +1,4 @@
-"""The audit: caller, request, address and outcome."""
+"""The audit: entries with caller, request, address and outcome; its head outside of the database; its writer."""
 
 import json
 import os
@@ -24,8 +24,6 @@ from service.store import tables as t
 from service.store.access.audit_chain import FIRST, Entry, Head, Link, canonical, sha256
 from service.store.access.credentials import Callers
 from service.store.tables import now
-
-_PIECE = 1000  # entries read per query
 
 
 class AuditUnreadable(SweepidError):
@@ -76,7 +74,7 @@ class AuditStore(rows.Transactions):
     def links(self) -> Iterator[Link]:
         """The whole chain, in batches."""
         after = 0
-        while piece := self._piece(after, _PIECE):
+        while piece := self._piece(after, 1000):  # entries read per query
             yield from piece
             after = piece[-1][0]
 
@@ -132,7 +130,9 @@ EVERY = 600.0  # s between two heads, if entries were added
 
 
 class AuditHeads:
-    """Used by one thread."""
+    """The head outside of the database: a line of the log and of a file, so that a chain that was cut off or made anew
+    is noticed although it fits in itself. Used by one thread.
+    """
 
     def __init__(self, store: AuditStore, file: Path, monotonic: Callable[[], float] = time.monotonic) -> None:
         """`file`: only ever added to; may be on another computer."""
@@ -163,9 +163,6 @@ class AuditHeads:
 
 
 _MOST_WAITING = 2000
-_AT_ONCE = 100
-_MINUTE = 60.0  # s
-_AGAIN = 1.0  # s until a refused entry is written again
 
 
 class NotAudited(SweepidError):
@@ -183,7 +180,12 @@ class _Item:
 
 
 class AuditWriter:
-    """Used as a context manager."""
+    """Writes the audit in a thread, as a context manager: a caller can wait without blocking the event loop.
+
+    One writer and one transaction for all waiting entries: a flood of requests is not a flood of transactions. A stop
+    is executed whether or not the database accepts its entry; the entry is kept and written later. The user of the key
+    that came with a stop is looked up here, because the stop itself does not wait for the database.
+    """
 
     def __init__(self, store: AuditStore, *callers: Callers, each_minute: Callable[[bool], None] | None = None) -> None:
         """`callers`: where the user of a key is looked up. `each_minute`: called in the thread of the writer, with
@@ -239,7 +241,7 @@ class AuditWriter:
             self._append([*self._refused, *(item for item in items if item.future.set_running_or_notify_cancel())])
             if ended or time.monotonic() >= due:
                 self._keep(ended)
-                due = time.monotonic() + _MINUTE
+                due = time.monotonic() + 60.0  # s
         for item in self._refused:
             self._give_up(item, "the service ended before the database stored the entry")
 
@@ -255,12 +257,13 @@ class AuditWriter:
         """Waiting entries, and whether the end is reached. Empty after `within` s, earlier if refused entries wait."""
         items: list[_Item] = []
         try:
-            found = self._waiting.get(timeout=min(within, _AGAIN) if self._refused else within)
+            # s until a refused entry is written again
+            found = self._waiting.get(timeout=min(within, 1.0) if self._refused else within)
         except queue.Empty:
             return items, False
         while found is not None:
             items.append(found)
-            if len(items) >= _AT_ONCE or self._waiting.empty():
+            if len(items) >= 100 or self._waiting.empty():
                 return items, False
             found = self._waiting.get()
         return items, True

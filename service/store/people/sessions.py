@@ -1,4 +1,7 @@
-"""Browser sessions of users: opened by a password, ended by time or by a person. They are in the audit."""
+"""Browser sessions of users: opened by a password, ended by time or by a person, in the audit; and their time.
+
+The time of sessions and keys is kept in the database, so that it does not run backward over a restart.
+"""
 
 from collections.abc import Callable
 from datetime import datetime, timedelta
@@ -14,11 +17,9 @@ from service.store import tables as t
 from service.store.access.audit_chain import Entry
 from service.store.access.credentials import key_sha256, new_key
 from service.store.access.permissions import Role
-from service.store.database import SET_BACK, Database
+from service.store.database import Database
 from service.store.people.audit import AuditHeads, AuditStore, append
 from service.store.people.users import UserDocument
-
-_SEEN_EVERY = timedelta(minutes=1)  # a page sends a request per second; not every request writes
 
 
 class SessionDocument(BaseModel):
@@ -81,7 +82,8 @@ class SessionStore:
             documents = [self._document(row, user) for row, user in session.execute(of_it)]
             at = self._database.now(session)
         document = next(iter(documents), None)
-        if document is not None and not document.trouble(at) and at - document.seen_at >= _SEEN_EVERY:
+        # a page sends a request per second; not every request writes
+        if document is not None and not document.trouble(at) and at - document.seen_at >= timedelta(minutes=1):
             with self._database.write(quiet=True) as session:
                 session.execute(update(t.SessionRow).where(t.SessionRow.id == document.id).values(seen_at=at))
                 self._database.keep_time(session)
@@ -121,12 +123,10 @@ class SessionStore:
 
 _log = structlog.get_logger(__name__)
 
-_PATIENCE = 1.0  # s for another writer: the next minute comes
-
 
 def keep_time(database: Database) -> None:
     """Store the time, so that a restart does not begin before it. Blocks; at least once a minute."""
-    with database.write(quiet=True, patience=_PATIENCE) as session:
+    with database.write(quiet=True, patience=1.0) as session:  # s for another writer: the next minute comes
         database.keep_time(session)
 
 
@@ -139,7 +139,7 @@ def begin_time(database: Database) -> None:
     with database.write(quiet=True) as session:
         kept = session.scalar(select(t.SteadyTimeRow.at))
         wall = database.clock.wall()
-        if kept is not None and wall < kept - SET_BACK:
+        if kept is not None and wall < kept - timedelta(seconds=60):  # by so much clocks of services may differ
             open_ones = t.SessionRow.ended_at.is_(None)
             ended = session.scalar(select(func.count()).select_from(t.SessionRow).where(open_ones)) or 0
             session.execute(update(t.SessionRow).where(open_ones).values(ended_at=wall))
