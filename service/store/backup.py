@@ -206,9 +206,7 @@ def look(place: Path, read: Callable[[sqlite3.Connection], Result]) -> Result:
 
 
 def copy_database(place: Path, target: Path) -> None:
-    """One consistent state of the database as a separate file, without a WAL. Raises sqlite3.Error if the disk
-    is full.
-    """
+    """One consistent state of the database as a separate file, without a WAL. sqlite3.Error if the disk is full."""
 
     def copy(source: sqlite3.Connection) -> None:
         with closing(sqlite3.connect(target, isolation_level=None)) as copied:

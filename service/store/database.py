@@ -1,6 +1,4 @@
-"""Opens the database: migrations, transactions. SQLite by default, PostgreSQL by URL (`engines` has the
-differences).
-"""
+"""Opens the database: migrations, transactions. SQLite by default, PostgreSQL by URL (`engines`)."""
 
 import threading
 import time

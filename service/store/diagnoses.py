@@ -151,9 +151,7 @@ class DiagnosisStore(rows.Transactions):
             return _experiment_state(session, rows.get(session, t.DiagnosisRow, diagnosis_id, "diagnosis"))
 
     def to_go_on(self, campaign_id: int | None = None) -> tuple[DiagnosisEntry, ...]:
-        """Diagnoses of this service's machine whose experiment (this campaign; None: any) is completed and that are not
-        continued yet.
-        """
+        """Diagnoses of this machine whose experiment (this campaign; None: any) is completed, not continued yet."""
         child = t.DiagnosisRow.id.in_(select(t.DiagnosisRow.parent).where(t.DiagnosisRow.parent.is_not(None)))
         query = (
             select(t.DiagnosisRow)
@@ -180,9 +178,7 @@ class DiagnosisStore(rows.Transactions):
             return None if row is None else rows.document(DiagnosisEntry, row)
 
     def attend(self, cause: str, diagnosis_id: int | None = None) -> None:
-        """From now on a person must approve experiments: of this diagnosis, or (None) of all unattended ones of this
-        machine.
-        """
+        """From now on a person approves experiments: of this diagnosis, or (None) all unattended of this machine."""
         query = select(t.DiagnosisRow).where(t.DiagnosisRow.unattended)
         if diagnosis_id is not None:
             query = query.where(t.DiagnosisRow.id == diagnosis_id)

@@ -346,9 +346,7 @@ class DiagnosisDocument(DiagnosisEntry):
     document: Annotated[dict[str, JsonValue], JsonOf(Diagnosis)] | None
 
     def found(self, to_do: str = "show") -> Diagnosis:
-        """Content of `document`. Raises Conflict if it is not done yet (`to_do`: action in the message), BadInput if it
-        is invalid.
-        """
+        """Content of `document`. Raises Conflict if it is not done (`to_do`: action in the message), BadInput."""
         if self.document is None:
             raise Conflict(f"diagnosis {self.id} is {self.state.value}, there is nothing to {to_do} yet")
         return Diagnosis.read(self.document, f"diagnosis {self.id}")

@@ -6,7 +6,7 @@ import sqlite3
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from sqlalchemy import Connection, inspect
 from sqlalchemy.exc import SQLAlchemyError
@@ -38,23 +38,9 @@ class Unreadable(Exception):
         self.what, self.action = what, action
 
 
-class Examined(Protocol):
-    """Each method raises Unreadable."""
-
-    @property
-    def place(self) -> str: ...
-
-    @property
-    def file(self) -> Path | None: ...
-
-    def contents(self) -> Contents: ...
-
-    def wrong(self) -> list[tuple[str, str]]:
-        """Errors of the database itself, each with what to do."""
-        ...
-
-
 class SqliteFile:
+    """A database to be examined. Each method raises Unreadable."""
+
     def __init__(self, file: Path) -> None:
         self.file, self.place = file, str(file)
 
@@ -62,6 +48,7 @@ class SqliteFile:
         return self._look(contents)
 
     def wrong(self) -> list[tuple[str, str]]:
+        """Errors of the database itself, each with what to do."""
         found = [(line, RESTORE) for line in self._look(integrity)] + self._look(_unprotected)
         if not os.access(self.file, os.R_OK | os.W_OK):
             found.insert(0, ("this user cannot read and write it", "put owner and permissions right"))
@@ -78,6 +65,8 @@ class SqliteFile:
 
 
 class ServerDatabase:
+    """As `SqliteFile`."""
+
     file = None
 
     def __init__(self, url: str, password_file: Path | None) -> None:
@@ -159,7 +148,7 @@ class Defect:
 
 
 def examine(
-    database: Path | Examined, data_dir: Path, least_free: int, store: StoreAddress | None = None
+    database: Path | SqliteFile | ServerDatabase, data_dir: Path, least_free: int, store: StoreAddress | None = None
 ) -> tuple[Defect, ...]:
     """All findings, the database's first. `least_free`: bytes that should be free on the disk. Every file is read.
 

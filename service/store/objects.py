@@ -214,9 +214,7 @@ def _keys(file: Path | None) -> dict[str, str]:
 
 
 def read_recording(file: RecordingFile) -> Recording:
-    """Samples of a recording. Raises BadInput if it is missing or was changed, StoreAway while the store does not
-    answer.
-    """
+    """Samples of a recording. BadInput if it is missing or was changed, StoreAway while the store does not answer."""
     if file.store is None:
         return read_columns(file.path)
     if still_here(file.path):

@@ -206,9 +206,7 @@ class BatchStore(rows.Transactions):
     """Batches of the plant; only those of this service's machine are changed."""
 
     def add(self, campaigns: Sequence[int] | None, asked_by: str) -> BatchDocument:
-        """A waiting batch: of these campaigns of this machine, or (None) all finished ones. Raises BadInput if there is
-        none.
-        """
+        """A waiting batch of these campaigns of this machine, or (None) all finished. BadInput if there is none."""
         with self._database.write() as session:
             own = select(t.CampaignRow.id).where(rows.of_own(session), t.CampaignRow.state.in_(OVER))
             identified = select(t.SweepRow.campaign_id).where(t.SweepRow.state == SweepState.IDENTIFIED)

@@ -25,7 +25,6 @@ from service.store.database import Database
 from service.store.documents import BatchState, CampaignState, DiagnosisState, RecordingDocument, StoredDocument
 from service.store.objects import ObjectStore
 from service.store.people.audit import append
-from service.store.rows import document, of_own
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,9 +262,7 @@ def _named_by_plans(session: Session, campaigns: Collection[int]) -> dict[int, i
 
 @dataclass(slots=True)
 class Pruned:
-    """What was, or would be, removed. `bytes`: of files in the data folder. `stay`: why campaigns are kept, by
-    number.
-    """
+    """What was, or would be, removed. `bytes`: of files in the data folder. `stay`: campaigns kept, and why."""
 
     campaigns: int = 0
     recordings: int = 0
@@ -345,12 +342,12 @@ class MoveStore(rows.Transactions):
             .where(t.RecordingRow.moved_at.is_(None), t.RecordingRow.pruned_at.is_(None))
         )
         with self._database.read() as session:
-            return Backlog(*session.execute(query.where(of_own(session))).one())
+            return Backlog(*session.execute(query.where(rows.of_own(session))).one())
 
     def waiting(self, after: int, limit: int) -> dict[int, RecordingDocument]:
         """Recordings not moved yet, by the id of their row above `after`, the oldest first."""
         query = (
-            select(t.RecordingRow, t.SweepRow.campaign_id, t.SweepRow.number)
+            select(t.RecordingRow)
             .join(t.SweepRow, t.SweepRow.id == t.RecordingRow.sweep_id)
             .join(t.CampaignRow, t.CampaignRow.id == t.SweepRow.campaign_id)
             .where(t.RecordingRow.moved_at.is_(None), t.RecordingRow.pruned_at.is_(None), t.RecordingRow.id > after)
@@ -358,11 +355,8 @@ class MoveStore(rows.Transactions):
             .limit(limit)
         )
         with self._database.read() as session:
-            found = session.execute(query.where(of_own(session))).all()
-            return {
-                row.id: document(RecordingDocument, row, campaign_id=campaign_id, number=number)
-                for row, campaign_id, number in found
-            }
+            found = session.scalars(query.where(rows.of_own(session)))
+            return {row.id: rows.document(RecordingDocument, row) for row in found}
 
     def mark(self, recording_id: int) -> None:
         """The recording was read back from the store unchanged."""

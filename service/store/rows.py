@@ -99,9 +99,7 @@ def owned(session: Session) -> t.OwnMachine | None:
 
 
 def check_own(session: Session, machine_id: int, what: str) -> None:
-    """Raises OtherMachine, or NoMachine, unless the machine is this service's. `what`: the object that belongs
-    to it.
-    """
+    """Raises OtherMachine, or NoMachine, unless the machine is this service's. `what` belongs to it."""
     if own_id(session) != machine_id:
         name = get(session, t.MachineRow, machine_id, "machine").name
         raise OtherMachine(f"{what} belongs to machine {name!r}: send it to the service of that machine")
@@ -199,12 +197,3 @@ def emit_campaign(session: Session, row: t.CampaignRow) -> None:
     data: dict[str, JsonValue] = {"state": row.state.value, "cause": row.cause, "version": row.version}
     emit(session, row.id, EventKind.CAMPAIGN, data)
     session.flush()
-
-
-def estimates_of(campaign_id: int) -> Select[t.EstimateRow, int]:
-    """Estimates with the numbers of their sweeps."""
-    return (
-        select(t.EstimateRow, t.SweepRow.number)
-        .join(t.SweepRow, t.SweepRow.id == t.EstimateRow.sweep_id)
-        .where(t.EstimateRow.campaign_id == campaign_id)
-    )

@@ -131,31 +131,21 @@ class Store(rows.Transactions):
     def recording(self, campaign_id: int, number: int) -> RecordingDocument:
         """Of the latest attempt that has one."""
         with self._database.read() as session:
-            sweep = rows.get_sweep(session, campaign_id, number)
-            row = session.scalar(
-                select(t.RecordingRow)
-                .where(t.RecordingRow.sweep_id == sweep.id)
-                .order_by(t.RecordingRow.attempt.desc())
-                .limit(1)
-            )
+            of_it = t.RecordingRow.sweep_id == rows.get_sweep(session, campaign_id, number).id
+            row = session.scalar(select(t.RecordingRow).where(of_it).order_by(t.RecordingRow.attempt.desc()).limit(1))
             if row is None:
                 raise NotFound(f"campaign {campaign_id} sweep {number} has no recording")
-            return rows.document(RecordingDocument, row, campaign_id=campaign_id, number=number)
+            return rows.document(RecordingDocument, row)
 
     def recordings(self, campaign_id: int) -> dict[int, RecordingDocument]:
         """Of every sweep that has one, by number: that of its latest attempt."""
         query = (
-            select(t.RecordingRow, t.SweepRow.number)
+            select(t.RecordingRow)
             .join(t.SweepRow, t.SweepRow.id == t.RecordingRow.sweep_id)
             .where(t.SweepRow.campaign_id == campaign_id)
             .order_by(t.SweepRow.number, t.RecordingRow.attempt)
         )
-        with self._database.read() as session:
-            found = session.execute(query).all()
-            return {
-                number: rows.document(RecordingDocument, row, campaign_id=campaign_id, number=number)
-                for row, number in found
-            }
+        return {recording.number: recording for recording in self._all(RecordingDocument, query)}
 
     def spectra(self, campaign_id: int) -> tuple[SpectrumRecord, ...]:
         """Of the identified sweeps, by number."""
@@ -170,16 +160,16 @@ class Store(rows.Transactions):
 
     def estimate(self, campaign_id: int, revision: int | None = None) -> EstimateDocument:
         """A revision, or the latest."""
-        query = rows.estimates_of(campaign_id).order_by(t.EstimateRow.revision.desc()).limit(1)
+        query = select(t.EstimateRow).where(t.EstimateRow.campaign_id == campaign_id)
+        query = query.order_by(t.EstimateRow.revision.desc()).limit(1)
         if revision is not None:
             query = query.where(t.EstimateRow.revision == revision)
         with self._database.read() as session:
-            found = session.execute(query).first()
-            if found is None:
+            row = session.scalar(query)
+            if row is None:
                 which = "estimate" if revision is None else f"estimate revision {revision}"
                 raise NotFound(f"campaign {campaign_id} has no {which}")
-            row, number = found
-            return rows.document(EstimateDocument, row, number=number)
+            return rows.document(EstimateDocument, row)
 
     def estimated(self, robot_id: int) -> tuple[EstimateOf, ...]:
         """The latest revision of each campaign of a robot that has an estimate, the newest first."""
@@ -213,12 +203,9 @@ class Store(rows.Transactions):
             return {name: EstimateOf(campaign_id=number, revision=revision) for name, number, revision in found}
 
     def estimates(self, campaign_id: int, after: int = 0, limit: int = 100) -> tuple[EstimateDocument, ...]:
-        query = rows.estimates_of(campaign_id).where(t.EstimateRow.revision > after).order_by(t.EstimateRow.revision)
-        with self._database.read() as session:
-            return tuple(
-                rows.document(EstimateDocument, row, number=number)
-                for row, number in session.execute(query.limit(limit))
-            )
+        row = t.EstimateRow
+        query = select(row).where(row.campaign_id == campaign_id, row.revision > after).order_by(row.revision)
+        return self._all(EstimateDocument, query.limit(limit))
 
     def base_parameters(self, campaign_id: int, revisions: Sequence[int]) -> dict[int, JsonValue]:
         """ "base_parameters" of these revisions; the rest of their documents, which is large, is not read."""
@@ -356,7 +343,7 @@ class Store(rows.Transactions):
                 session.add(t.SpectrumRow(sweep_id=row.id, **spectrum.model_dump()))
                 rows.move_sweep(session, row, move, None)
             session.flush()
-            return rows.document(EstimateDocument, estimate, number=last.number)
+            return rows.document(EstimateDocument, estimate)
 
     # outbox
 

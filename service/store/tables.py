@@ -19,7 +19,7 @@ from sqlalchemy import (
     select,
 )
 from sqlalchemy import Enum as SqlEnum
-from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column, object_session
+from sqlalchemy.orm import DeclarativeBase, Mapped, Session, column_property, mapped_column, object_session
 
 from drivers.ports import SweepMode
 from service.store.access.permissions import Role
@@ -199,6 +199,12 @@ class RecordingRow(StoredRow):
     created_at: Mapped[datetime] = mapped_column(default=now)
     moved_at: Mapped[datetime | None] = mapped_column(index=True)  # read back from the object store as it was written
     pruned_at: Mapped[datetime | None]  # its samples were removed by the retention rule
+    campaign_id: Mapped[int] = column_property(
+        select(SweepRow.campaign_id).where(SweepRow.id == sweep_id).correlate_except(SweepRow).scalar_subquery()
+    )
+    number: Mapped[int] = column_property(
+        select(SweepRow.number).where(SweepRow.id == sweep_id).correlate_except(SweepRow).scalar_subquery()
+    )
 
 
 class SpectrumRow(StoredRow):
@@ -229,6 +235,9 @@ class EstimateRow(StoredRow):
     sweep_id: Mapped[int] = mapped_column(ForeignKey("sweep.id"), unique=True)
     document: Mapped[dict[str, JsonValue]]
     created_at: Mapped[datetime] = mapped_column(default=now)
+    number: Mapped[int] = column_property(
+        select(SweepRow.number).where(SweepRow.id == sweep_id).correlate_except(SweepRow).scalar_subquery()
+    )
 
 
 class DiagnosisRow(OfMachine, StoredRow):

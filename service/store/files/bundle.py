@@ -92,9 +92,7 @@ def read_bundle(directory: Path) -> Bundle:
 def write_bundle(
     directory: Path, robot: Robot, sweeps: Sequence[Sweep], samples: Literal[".parquet", ".csv"] = ".parquet"
 ) -> None:
-    """Write a bundle to a new or empty directory. Raises BadInput, and writes nothing, if `read_bundle` would refuse
-    it.
-    """
+    """Write a bundle to a new or empty directory. BadInput, and nothing is written, if `read_bundle` would refuse."""
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
         raise BadInput(str(directory), "exists already and is not an empty folder")
     check_specs(robot, [sweep.spec for sweep in sweeps], str(directory))

@@ -55,9 +55,7 @@ def write_columns(path: Path, recording: Recording) -> None:
 
 
 def check_samples(recording: Recording, place: str) -> None:
-    """Raises BadInput unless all columns have equal length and are finite, and `time` starts at 0 and increases
-    strictly.
-    """
+    """Raises BadInput unless all columns are equally long and finite, and `time` starts at 0 and increases strictly."""
     count = recording.time.size
     if count < 2:
         raise BadInput(place, f"has {count} samples; limit at least 2")
@@ -247,9 +245,7 @@ class SampleStream:
         os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Close the file, without an end mark: a truncated stream is also readable, and a full disk cannot store
-        one.
-        """
+        """Close without an end mark: a truncated stream is readable, and a full disk cannot store one."""
         self._file.close()
 
 

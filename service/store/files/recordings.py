@@ -160,9 +160,7 @@ class RecordingFiles:
         return folder / f"{run.number:04d}-{run.attempt}.arrows"
 
     def last_attempt(self, campaign_id: int, number: int) -> int:
-        """The highest attempt at a sweep with a file in the folder, even if the database does not have it; 0 if
-        none.
-        """
+        """The highest attempt at a sweep with a file in the folder, also if the database lacks it; 0 if none."""
         name = re.compile(rf"{number:04d}-(\d+)\.")
         found = map(name.match, os.listdir(self.stream(Run(campaign_id, number, 0)).parent))
         return max((int(match.group(1)) for match in found if match), default=0)
@@ -286,9 +284,7 @@ class RecordingFiles:
         return path
 
     def named(self, document: RecordingDocument) -> RecordingFile:
-        """The recording for a job. Raises BadInput unless the file is unchanged here, or there is a store to fetch it
-        from.
-        """
+        """The recording for a job. BadInput unless the file is unchanged here, or there is a store to fetch it from."""
         file = self.reference(document)
         if file.was_here:
             check_file(file.path, document.sha256)

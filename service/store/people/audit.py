@@ -5,8 +5,9 @@ import os
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, wait
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -55,21 +56,14 @@ class AuditStore(rows.Transactions):
 
     def newest(self, limit: int) -> tuple[AuditDocument, ...]:
         """The last entries, in their order."""
-        try:
-            with self._database.read() as session:
-                last = session.scalar(select(func.max(t.AuditRow.number))) or 0
-        except SQLAlchemyError as error:
-            raise _unreadable(error) from error
+        with self._read() as session:
+            last = session.scalar(select(func.max(t.AuditRow.number))) or 0
         return self.documents(max(0, last - limit), limit)
 
     def head(self) -> Head:
         """Number and hash of the last entry; (0, FIRST) if there is none."""
-        try:
-            with self._database.read() as session:
-                last = session.scalar(select(t.AuditRow).order_by(t.AuditRow.number.desc()).limit(1))
-                return (0, FIRST) if last is None else (last.number, last.sha256)
-        except SQLAlchemyError as error:
-            raise _unreadable(error) from error
+        with self._read() as session:
+            return _last(session)
 
     def links(self) -> Iterator[Link]:
         """The whole chain, in batches."""
@@ -80,18 +74,23 @@ class AuditStore(rows.Transactions):
 
     def _piece(self, after: int, limit: int) -> tuple[Link, ...]:
         query = select(t.AuditRow).where(t.AuditRow.number > after).order_by(t.AuditRow.number).limit(limit)
+        with self._read() as session:
+            return tuple((row.number, row.entry, row.sha256) for row in session.scalars(query))
+
+    @contextmanager
+    def _read(self) -> Generator[Session]:
         try:
             with self._database.read() as session:
-                return tuple((row.number, row.entry, row.sha256) for row in session.scalars(query))
+                yield session
         except SQLAlchemyError as error:
-            raise _unreadable(error) from error
+            reason = " ".join(str(getattr(error, "orig", None) or type(error).__name__).split())
+            advice = "check it with `sweepid data doctor`, restore a backup if it is damaged"
+            raise AuditUnreadable(f"the audit cannot be read: {reason}; {advice}") from error
 
 
-def _unreadable(error: SQLAlchemyError) -> AuditUnreadable:
-    reason = " ".join(str(getattr(error, "orig", None) or type(error).__name__).split())
-    return AuditUnreadable(
-        f"the audit cannot be read: {reason}; check it with `sweepid data doctor`, restore a backup if it is damaged"
-    )
+def _last(session: Session) -> Head:
+    last = session.scalar(select(t.AuditRow).order_by(t.AuditRow.number.desc()).limit(1))
+    return (0, FIRST) if last is None else (last.number, last.sha256)
 
 
 def _content(number: int, entry: str) -> dict[str, JsonValue]:
@@ -108,13 +107,10 @@ def _content(number: int, entry: str) -> dict[str, JsonValue]:
 
 
 def append(session: Session, entries: Iterable[Entry]) -> int:
-    """Add entries within the caller's transaction. Returns the number of the first. Each names the service's machine,
-    if any.
-    """
+    """Add entries in the caller's transaction, each with the service's machine, if any. Returns the first's number."""
     owned = rows.owned(session)
     where: Entry = {} if owned is None else {"machine": owned.name}
-    last = session.scalar(select(t.AuditRow).order_by(t.AuditRow.number.desc()).limit(1))
-    number, previous = (0, FIRST) if last is None else (last.number, last.sha256)
+    number, previous = _last(session)
     first = number + 1
     for entry in entries:
         number += 1

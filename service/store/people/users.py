@@ -60,9 +60,7 @@ class UserStore(rows.Transactions):
             return rows.document(UserDocument, row)
 
     def change_password(self, name: str, password: str, entry: Entry) -> UserDocument:
-        """Ends the sessions with the old password. Raises BadInput; NotFound; Conflict for a disabled or
-        external user.
-        """
+        """Ends the sessions with the old password. Raises BadInput; NotFound; Conflict if disabled or external."""
         stored = password_hash(password)
         with self._database.write(quiet=True) as session:
             row = _row(session, name)
@@ -181,9 +179,7 @@ def _free_name(session: Session, name: str, subject: str) -> str:
 
 
 def check_free(session: Session, name: str) -> None:
-    """Raises Conflict if the name of a user or a key is or was in use: each is used once, so that the audit is
-    unambiguous.
-    """
+    """Raises Conflict if a user or key has or had the name: each is used once, so that the audit is unambiguous."""
     for row, who in ((t.ApiKeyRow, "a key of"), (t.UserRow, "a user")):
         if session.scalar(select(row.id).where(row.name == name)) is not None:
             raise Conflict(f"{who} {name} exists or existed: use another name, because the audit needs unique names")
