@@ -36,7 +36,6 @@ from service.store.files.recordings import RecordingFiles, file_sha256, place_fo
 
 FILE = "manifest.json"
 DATA = "data"
-LARGEST = 2**26  # bytes: of some 300,000 recordings
 
 
 Sha256 = Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
@@ -79,14 +78,14 @@ class Manifest(BaseModel):
         return sum(file.size for file in self.files.values())
 
 
-def read_manifest(backup: Path) -> Manifest:
-    """BadInput for a folder that is not a backup, or not a complete one."""
+def read_manifest(backup: Path, largest: int = 2**26) -> Manifest:
+    """BadInput for a folder that is not a backup, or not a complete one. `largest`: bytes (300,000 recordings)."""
     place = backup / FILE
     try:
         with place.open("rb") as file:
-            content = file.read(LARGEST + 1)
-        if len(content) > LARGEST:
-            raise BadInput(str(place), f"is larger than {LARGEST} bytes")
+            content = file.read(largest + 1)
+        if len(content) > largest:
+            raise BadInput(str(place), f"is larger than {largest} bytes")
         return Manifest.model_validate_json(content)
     except (FileNotFoundError, NotADirectoryError):
         raise BadInput(str(backup), f"is not a complete backup: {FILE} is missing") from None

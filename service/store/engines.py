@@ -215,9 +215,6 @@ def _as_operational(context: ExceptionContext) -> None:
         raise OperationalError(context.statement, None, context.original_exception, connection_invalidated=True)
 
 
-_SETTING = "database_url"
-
-
 def kind_of(url: str, password_file: Path | None = None) -> DatabaseKind:
     """Raises BadInput for another database, a password in the URL, or a password file that cannot be read."""
     parsed = parsed_url(url)
@@ -231,17 +228,17 @@ def parsed_url(url: str) -> URL:
     try:
         parsed = make_url(url)
     except (ArgumentError, ValueError):
-        raise BadInput(_SETTING, "is not the URL of a database") from None
+        raise BadInput("database_url", "is not the URL of a database") from None
     if parsed.password is not None or "password" in parsed.query:
         raise BadInput(
-            _SETTING,
+            "database_url",
             "contains a password, which would appear in logs and process lists: put it into a file "
             "and set `database_password_file` (SWEEPID_DATABASE_PASSWORD_FILE), or use libpq's "
             "PGPASSFILE",
         )
     if parsed.drivername not in ("sqlite", "postgresql+psycopg"):
         reason = f"begins with {parsed.drivername!r}; sqlite:///... and postgresql+psycopg://... are known"
-        raise BadInput(_SETTING, reason)
+        raise BadInput("database_url", reason)
     return parsed
 
 

@@ -21,8 +21,6 @@ from service.process.settings.object_store import StoreAddress
 from service.store.files.columns import read_columns
 from service.store.files.recordings import FETCHED, RecordingFile, check_file, place, place_new, still_here, sync
 
-_CHUNK = 2**20  # bytes
-
 
 class StoreAway(NotNow):
     """The store does not answer, or refuses the login: the request may be repeated."""
@@ -101,14 +99,14 @@ class ObjectStore:
         with file:
             while True:
                 with self._asked():
-                    chunk = file.read(_CHUNK)
+                    chunk = file.read(2**20)
                 if not chunk:
                     return
                 yield chunk
 
     @property
     def _reading(self) -> dict[str, Any]:
-        return {"cache_type": "readahead", "block_size": 8 * _CHUNK} if self._address.protocol == "s3" else {}
+        return {"cache_type": "readahead", "block_size": 2**23} if self._address.protocol == "s3" else {}
 
     def _write(self, path: Path, sha256: str) -> None:
         key = self._address.key(sha256)

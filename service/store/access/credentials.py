@@ -34,7 +34,6 @@ def masked(text: str) -> str:
     return re.sub(r"sweepid-[0-9a-f]{16,}", "sweepid-(key)", text)
 
 
-TAKEN = ("local", "anybody", "unknown")  # these have another meaning in the audit
 LONGEST_NAME = 100  # characters
 
 PersonName = Annotated[
@@ -44,8 +43,13 @@ PersonName = Annotated[
 
 
 def is_name(name: str) -> bool:
-    """Whether the name is printable, not too long, and not reserved."""
-    return name not in TAKEN and name.isprintable() and name == name.strip() and 1 <= len(name) <= LONGEST_NAME
+    """Whether the name is printable, not too long, and has no other meaning in the audit."""
+    return (
+        name not in ("local", "anybody", "unknown")
+        and name.isprintable()
+        and name == name.strip()
+        and 1 <= len(name) <= LONGEST_NAME
+    )
 
 
 def unique_name(name: str, subject: str) -> str:

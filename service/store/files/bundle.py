@@ -208,10 +208,6 @@ def _write_into(directory: Path, robot: Robot, sweeps: Sequence[Sweep], samples:
     (directory / "bundle.json").write_text(document.model_dump_json(indent=2) + "\n", encoding="utf-8")
 
 
-_MAX_UNPACKED = 4 * 2**30  # bytes; a small zip can contain a very large file
-_MOST_MEMBERS = 20_000  # of an archive
-
-
 class SavedBundle(BaseModel):
     """A bundle whose samples are already in files, one recording per sweep; `folder`: the name of their folder."""
 
@@ -266,13 +262,13 @@ def read_from(source: Path, folder: Path) -> Bundle:
         raise BadInput(_own_place(error.place, folder), _own_place(error.reason, folder)) from None
 
 
-def _unpack(archive: Path, folder: Path) -> None:
-    """Unpack into `folder`; `zipfile` itself removes path components that would leave it."""
+def _unpack(archive: Path, folder: Path, most_bytes: int = 4 * 2**30, most_files: int = 20_000) -> None:
+    """A small zip can contain very large files. `zipfile` itself removes path components that would leave it."""
     try:
         with zipfile.ZipFile(archive) as content:
             members = content.infolist()
-            if len(members) > _MOST_MEMBERS:
-                raise BadInput("bundle", f"has {len(members)} files, limit {_MOST_MEMBERS}")
+            if len(members) > most_files:
+                raise BadInput("bundle", f"has {len(members)} files, limit {most_files}")
             for member in members:
                 member.filename = member.filename.replace("\\", "/")  # of a program of Windows
                 # LZMA allocates the dictionary size stated by the member, up to 4 GiB, before it reads a byte
@@ -283,8 +279,8 @@ def _unpack(archive: Path, folder: Path) -> None:
                         "deflate (8) or bzip2 (12), or store it (0)",
                     )
             size = sum(member.file_size for member in members)
-            if size > _MAX_UNPACKED:
-                raise BadInput("bundle", f"unpacks to {size} bytes, limit {_MAX_UNPACKED} bytes")
+            if size > most_bytes:
+                raise BadInput("bundle", f"unpacks to {size} bytes, limit {most_bytes} bytes")
             content.extractall(folder, members)
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
         raise BadInput("bundle", f"cannot be unpacked: {error}") from None

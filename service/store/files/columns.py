@@ -25,7 +25,6 @@ _arrow, _csv, _parquet = cast(Any, pa), cast(Any, pa_csv), cast(Any, pa_parquet)
 
 MOST_NUMBERS = 50_000_000  # per file: more than an hour of all columns at 1 kHz
 LARGEST_CSV = 2**29  # bytes
-_MOST_SHOWN = 20  # names of columns in an error message
 
 
 def read_columns(path: Path, place: str | None = None) -> Recording:
@@ -159,9 +158,9 @@ def _check_type(kind: Any, name: str, place: str) -> None:
         raise BadInput(place, f"column {name!r} holds {kind}, not numbers")
 
 
-def _shown(names: list[str]) -> str:
-    more = f" and {len(names) - _MOST_SHOWN} more" if len(names) > _MOST_SHOWN else ""
-    return ", ".join(name[:60] for name in names[:_MOST_SHOWN]) + more if names else "none"
+def _shown(names: list[str], most: int = 20) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(name[:60] for name in names[:most]) + more if names else "none"
 
 
 def _read_csv(path: Path, required: Collection[str], wanted: Sequence[str], place: str) -> dict[str, Array]:

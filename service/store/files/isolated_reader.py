@@ -1,7 +1,7 @@
 """External files are read in a separate process: a file that expands without limit or crashes its reader does not
 affect the memory or the life of the process that owns the machine.
 
-The reader (`files.reader`) answers with JSON, never with objects: a compromised reader cannot run code here.
+The reader (`main`) answers with JSON, never with objects: a compromised reader cannot run code here.
 """
 
 import asyncio
@@ -110,7 +110,11 @@ def _result(answer: dict[str, Any], place: str, limits: Limits) -> Any:
 
 
 def main(arguments: list[str]) -> None:
-    """Run the task and write the answer."""
+    """The reader: ``python -m ...files.isolated_reader MEMORY MODULE:FUNCTION [PATH ...]`` runs the task.
+
+    It writes one JSON object: ``done`` with the function's result, ``place`` and ``reason`` of a BadInput, ``errno`` of
+    a disk error, or ``memory`` if there was not enough of it.
+    """
     memory, named, *paths = arguments
     give_way()
     _limit(int(memory))

@@ -122,25 +122,26 @@ def append(session: Session, entries: Iterable[Entry]) -> int:
 
 _log = structlog.get_logger(__name__)
 
-EVERY = 600.0  # s between two heads, if entries were added
-
 
 class AuditHeads:
     """The head outside of the database: a line of the log and of a file, so that a chain that was cut off or made anew
     is noticed although it fits in itself. Used by one thread.
     """
 
-    def __init__(self, store: AuditStore, file: Path, monotonic: Callable[[], float] = time.monotonic) -> None:
-        """`file`: only ever added to; may be on another computer."""
+    def __init__(
+        self, store: AuditStore, file: Path, monotonic: Callable[[], float] = time.monotonic, every: float = 600.0
+    ) -> None:
+        """`file`: only ever added to; may be on another computer. `every`: s between two heads, if entries came."""
         self._store, self._file, self._monotonic = store, file, monotonic
         self._last: Head = (0, FIRST)
-        self._noted = monotonic() - EVERY
+        self._every = every
+        self._noted = monotonic() - every
 
     def note(self, at_end: bool = False) -> None:
-        """Write the head if it is new and the last one is `EVERY` s old, or at the end. Blocks. Raises
+        """Write the head if it is new and the last one is `every` s old, or at the end. Blocks. Raises
         AuditUnreadable; a file that cannot be written is only logged, with the head.
         """
-        if not at_end and self._monotonic() - self._noted < EVERY:
+        if not at_end and self._monotonic() - self._noted < self._every:
             return
         self._noted = self._monotonic()
         head = self._store.head()
@@ -156,9 +157,6 @@ class AuditHeads:
                 os.fsync(file.fileno())
         except OSError as error:
             _log.error("audit_head_not_written", file=str(self._file), head=line, reason=error.strerror or str(error))
-
-
-_MOST_WAITING = 2000
 
 
 class NotAudited(SweepidError):
@@ -224,7 +222,7 @@ class AuditWriter:
 
     def _queue(self, item: _Item) -> "Future[int]":
         waiting = self._waiting.qsize() + len(self._refused)
-        if waiting >= _MOST_WAITING or not self._thread.is_alive():
+        if waiting >= 2000 or not self._thread.is_alive():
             self._give_up(item, "the queue of the audit is full")
         else:
             self._waiting.put(item)
