@@ -109,6 +109,21 @@ def test_sweeps_go_with_their_campaign_in_one_step(store: Store, campaign: Campa
     assert aborted.sweeps == {SweepState.SKIPPED: 3}
 
 
+def test_two_campaigns_are_told_apart(store: Store, campaign: CampaignDocument) -> None:
+    assert campaign.plan_id is not None
+    other = store.add_campaign(campaign.plan_id, [NewSweep(spec=store.sweep(campaign.id, 1).spec, mode=None)])
+    assert other.sweeps == {SweepState.PLANNED: 1}
+    assert (store.campaigns(limit=1), store.campaigns(after=campaign.id)) == ((campaign,), (other,))
+    store.begin_sweep(other.id, 1, sweep_move(SweepEvent.BEGIN))
+    sweep = store.end_sweep(other.id, 1, sweep_move(SweepEvent.RECORD), recording=RECORDING)
+    found = store.recording(other.id, 1)
+    assert (found.campaign_id, found.number) == (other.id, 1)
+    assert (store.recordings(other.id), store.recordings(campaign.id)) == ({1: found}, {})
+    estimate = store.add_estimate([(sweep, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), {})
+    assert estimate is not None
+    assert (estimate, estimate.number) == (store.estimate(other.id), 1)
+
+
 def test_a_result_counts_once(store: Store, campaign: CampaignDocument, record: Callable[[int], SweepDocument]) -> None:
     sweep = record(1)
     identify = sweep_move(SweepEvent.IDENTIFY)
