@@ -5,9 +5,9 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import cast
 
+from drivers.bounded_yaml import read_mapping
 from drivers.errors import BadProfile
 from drivers.ports import DrivePort
-from drivers.yaml_file import read_mapping
 
 GROUP = "sweepid.drives"
 

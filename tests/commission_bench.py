@@ -16,7 +16,7 @@ from typing import Any, cast
 import can
 
 from drivers.canopen.profile import parse_profile
-from drivers.commission.sheet import Sheet
+from drivers.commission.drive import Sheet
 from drivers.commission.survey import survey
 from drivers.registry import load_profile
 from simulator.machine import Machine

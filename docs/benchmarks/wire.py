@@ -23,10 +23,9 @@ import can
 
 from docs.benchmarks.measured import Measured
 from drivers.canopen import frames
-from drivers.canopen.bus import Bus
+from drivers.canopen.bus import Bus, SocketcandBus
 from drivers.canopen.host_sweep import BLOCK_TIME
 from drivers.canopen.profile import BusProfile, CanopenAxis
-from drivers.canopen.socketcand import SocketcandBus
 from drivers.canopen.streamed_axis import StreamedAxis, StreamRequest
 from drivers.canopen.units import Codec
 from drivers.cia402.checks import Envelope

@@ -8,19 +8,20 @@ import queue
 import socket
 import threading
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, cast
 
 import can
 import canopen
 from can.interfaces.socketcan import SocketcanBus
+from can.interfaces.socketcand import SocketCanDaemonBus
 from canopen.sdo.client import SdoClient
 
 from drivers.canopen import frames
-from drivers.canopen.foreign_frames import ForeignFrames
 from drivers.canopen.profile import BusProfile
 from drivers.canopen.sdo import RemoteNode
-from drivers.canopen.socketcand import SocketcandBus
+from drivers.canopen.stop_sender import UPLOAD
 from drivers.cia402.host_watch import HostWatch
 from drivers.eds import object_dictionary
 from drivers.errors import CommunicationLost, ConnectionFailed, Measured
@@ -291,3 +292,89 @@ def _open(profile: BusProfile) -> can.BusABC:
 def _in_a_line(error: Exception) -> str:
     """For an operator: python-can's socketcand client puts its whole traceback into the message."""
     return " ".join(str(error).partition("Traceback")[0].split())
+
+
+READINGS = 128  # SDO uploads after a stop that belong to it
+_EVERY_NODE = 0  # in an NMT command
+_SAID = {
+    frames.RPDO1: "RPDO1 to",
+    frames.RPDO2: "RPDO2 to",
+    frames.RPDO3: "RPDO3 to",
+    frames.RPDO4: "RPDO4 to",
+    frames.SDO_REQUEST: "SDO request to",
+}
+
+
+class ForeignFrames:
+    """Checks every data frame with an 11-bit identifier, in the order of the bus."""
+
+    def __init__(self, nodes: Iterable[int], host_node: int, wires: frames.Wires = frames.VIRTUAL_WIRES) -> None:
+        """`nodes`: our drives; `host_node`: node id of this host; `wires`: the RPDO that stops the drives."""
+        self._nodes, self._host_node = frozenset(nodes), host_node
+        self._quick_stops = frozenset(wires.stop_frame(node) for node in self._nodes)
+        self._stopping = False  # a quick stop was received and its SYNC was not
+        self._readings = 0  # remaining ones of the last stop
+
+    def word(self, identifier: int, data: bytes) -> str:
+        """Description of a frame from another host, with the COB-ID; "" if it does not address our drives, or is a
+        stop.
+        """
+        said = self._said(identifier, data)
+        return f"another host is on the bus: {said} (COB-ID {identifier:03X}h)" if said else ""
+
+    def _said(self, identifier: int, data: bytes) -> str:
+        if identifier == frames.SYNC:
+            stopping, self._stopping = self._stopping, False
+            return "" if stopping else "SYNC"
+        if identifier == frames.NMT:
+            return self._command(data)
+        function, node = identifier & ~0x7F, identifier & 0x7F
+        if function == frames.HEARTBEAT and node == self._host_node:
+            return f"heartbeat with node number {node}, which this host uses"
+        if node not in self._nodes or function not in _SAID:
+            return ""
+        if (identifier, bytes(data)) in self._quick_stops:
+            self._stopping, self._readings = True, READINGS
+            return ""
+        if function == frames.SDO_REQUEST and data[:1] == bytes([UPLOAD]) and self._readings:
+            self._readings -= 1
+            return ""
+        return f"{_SAID[function]} node {node}"
+
+    def _command(self, data: bytes) -> str:
+        if len(data) < 2 or data[0] == frames.NMT_STOP or data[1] not in self._nodes | {_EVERY_NODE}:
+            return ""
+        whom = "every node" if data[1] == _EVERY_NODE else f"node {data[1]}"
+        return f"NMT command {data[0]:02X}h to {whom}"
+
+
+class SocketcandBus(SocketCanDaemonBus):
+    """python-can's socketcand client, for a bus on which other nodes already send.
+
+    python-can 4.6 reads each answer of its handshake together with the bytes after it, and so refuses a gateway whose
+    first frames arrive in the same packet as the last "< ok >". Here exactly the answer is read. Raises CanError, and
+    leaves nothing open, if the gateway gives another answer or is too late.
+    """
+
+    answer_timeout = 10.0  # s, for each answer of the handshake
+
+    def _expect_msg(self, msg: str) -> None:
+        connection = cast(socket.socket, cast(Any, self)._SocketCanDaemonBus__socket)
+        connection.settimeout(self.answer_timeout)
+        try:
+            answer = _exactly(connection, len(msg)).decode("ascii", "replace")
+        except OSError as error:
+            connection.close()
+            raise can.CanError(f"the gateway did not send '{msg}': {error}") from None
+        if answer != msg:
+            connection.close()
+            raise can.CanError(f"Expected '{msg}' got: '{answer}'")
+        connection.settimeout(None)
+
+
+def _exactly(connection: socket.socket, length: int) -> bytes:
+    """Read `length` bytes, or fewer if the gateway closes."""
+    received = b""
+    while len(received) < length and (more := connection.recv(length - len(received))):
+        received += more
+    return received

@@ -5,12 +5,21 @@ import math
 import time
 from dataclasses import dataclass
 
-from drivers.canopen import configuration, frames, measuring, objects, speed_control
+from drivers.canopen import frames, measuring
 from drivers.canopen.bus import Bus
-from drivers.canopen.device_map import Way
-from drivers.canopen.objects import Entry
+from drivers.canopen.device_map import Cia301, Entry, Way
 from drivers.canopen.profile import CanopenAxis, CanopenProfile
-from drivers.canopen.sdo import ObjectAbsent, Sdo
+from drivers.canopen.sdo import (
+    ObjectAbsent,
+    Pdo,
+    Sdo,
+    Setting,
+    configure_pdos,
+    limit_settings,
+    pdos_are_mapped,
+    session_settings,
+    streaming_pdos,
+)
 from drivers.canopen.units import codec
 from drivers.cia402.device import Abilities, Injector, MeasuringState, Mode, Motion
 from drivers.errors import WrongConfiguration, WrongIdentity
@@ -59,10 +68,10 @@ class CanopenDevice:
         """
         self.forbid_motion()  # a node in NMT stopped does not answer
         read = self.sdo.integer
-        kind = read(objects.DEVICE_TYPE)
-        if kind & 0xFFFF != objects.SERVO_DRIVE:
+        kind = read(Cia301.DEVICE_TYPE)
+        if kind & 0xFFFF != Cia301.SERVO_DRIVE:
             raise WrongIdentity(self.place, f"device type {kind:08X}h is not a CiA 402 drive")
-        found = (read(objects.VENDOR), read(objects.PRODUCT), read(objects.REVISION), read(objects.SERIAL))
+        found = (read(Cia301.VENDOR), read(Cia301.PRODUCT), read(Cia301.REVISION), read(Cia301.SERIAL))
         expected = self.profile.identity
         wanted = (expected.vendor, expected.product, expected.revision, expected.serial)
         for name, have, want in zip(("vendor", "product", "revision", "serial"), found, wanted, strict=True):
@@ -86,10 +95,10 @@ class CanopenDevice:
         way = self._choose_way()
         self.way = way or self.way
         self._streaming_mode = self.way.mode(self._supported_modes())
-        configuration.settle_sync(self.sdo)
-        self._pdos = configuration.pdos(self._map, self.way, self.profile.node)
-        self._pdos_mapped = configuration.configure_pdos(self.sdo, self._pdos, self._map, self.profile.node)
-        needed = (measuring.KIND, measuring.SEED, speed_control.COMMISSIONED_RESET_TIME)
+        self.sdo.settle_sync()
+        self._pdos = streaming_pdos(self._map, self.way, self.profile.node)
+        self._pdos_mapped = configure_pdos(self.sdo, self._pdos, self._map, self.profile.node)
+        needed = (measuring.KIND, measuring.SEED, measuring.COMMISSIONED_RESET_TIME)
         measures = self._map.measuring is not None and self._has(measuring.STATE)
         self.injector = self if measures and all(self._has(entry) for entry in needed) else None
         absent = self._settle_session() | self._settle(
@@ -105,7 +114,7 @@ class CanopenDevice:
             velocity_limit=at("max_speed") not in absent,
             effort_limit=at("max_torque") not in absent,
             position_limits=not absent & {at("position_min"), at("position_max")},
-            host_watchdog=not absent & {objects.HEARTBEAT_CONSUMER, at("connection_loss")},
+            host_watchdog=not absent & {Cia301.HEARTBEAT_CONSUMER, at("connection_loss")},
             set_point=f"{self.way.value} ({at(self.way.target).index:04X}h)" if streams else "none",
         )
 
@@ -188,7 +197,7 @@ class CanopenDevice:
 
     def read_back(self) -> None:
         self._settle_session()
-        if self._pdos_mapped and not configuration.pdos_are_mapped(self.sdo, self._pdos):
+        if self._pdos_mapped and not pdos_are_mapped(self.sdo, self._pdos):
             raise WrongConfiguration(self.place, "PDO mapping was changed since connect")
 
     def settle_limits(self, velocity: float, effort: float, window: tuple[float, float]) -> None:
@@ -202,7 +211,7 @@ class CanopenDevice:
         self.sdo.settle(self._map.entry("target_position"), self.codec.raw_position(position))
 
     @property
-    def cyclic_pdos(self) -> tuple[configuration.Pdo, ...]:
+    def cyclic_pdos(self) -> tuple[Pdo, ...]:
         """PDOs sent in each cycle of a streamed sweep, without the RPDO of the stop."""
         return tuple(pdo for pdo in self._pdos if pdo.mapped != (self._map.entry("controlword"),))
 
@@ -231,10 +240,10 @@ class CanopenDevice:
         self._prepare(measuring.noise_parameters(command, self.codec), measuring.trace_cycle(command), noise=True)
 
     def soften(self, softening: float) -> None:
-        speed_control.soften(self.sdo, softening)
+        measuring.soften(self.sdo, softening)
 
     def restore_control(self) -> None:
-        speed_control.restore(self.sdo)
+        measuring.restore(self.sdo)
 
     def start_measuring(self) -> None:
         self.sdo.write(measuring.COMMAND, measuring.START)
@@ -269,11 +278,11 @@ class CanopenDevice:
 
     def _harden(self) -> None:
         """Restore a speed control that a noise run of another host, or an interrupted one, left softened."""
-        found = speed_control.restore(self.sdo) if self.injector is not None else None
+        found = measuring.restore(self.sdo) if self.injector is not None else None
         if found is not None:
             logger.warning("%s: speed control was left softened, now restored: %s", self.place, found)
 
-    def _prepare(self, settings: list[configuration.Setting], trace_cycle: int, *, noise: bool) -> None:
+    def _prepare(self, settings: list[Setting], trace_cycle: int, *, noise: bool) -> None:
         self._trace_cycle, self._noise = trace_cycle, noise
         self.sdo.write(measuring.COMMAND, measuring.NONE)
         for entry, value in settings:
@@ -296,20 +305,20 @@ class CanopenDevice:
             self.sdo.settle(Entry(maker.index, maker.sub, maker.type, maker.name), maker.value)
         self._harden()
         bus, options = self._machine.bus, self._machine.stop_options
-        return self._settle_present(configuration.standing(self.profile, bus, options, self.codec, self._map))
+        return self._settle_present(session_settings(self.profile, bus, options, self.codec, self._map))
 
     def _settle_map(self) -> None:
         for setting in self._map.settings:
             self.sdo.settle(setting.entry, setting.value)
 
     def _settle(self, velocity: float, effort: float, window: tuple[float, float]) -> frozenset[Entry]:
-        return self._settle_present(configuration.limits(self.codec, velocity, effort, window, self._map))
+        return self._settle_present(limit_settings(self.codec, velocity, effort, window, self._map))
 
-    def _settle_present(self, settings: tuple[configuration.Setting, ...]) -> frozenset[Entry]:
-        """As `configuration.settle`, without the objects that the map lists as missing."""
+    def _settle_present(self, settings: tuple[Setting, ...]) -> frozenset[Entry]:
+        """As `Sdo.settle_all`, without the objects that the map lists as missing."""
         missing = {self._map.entry(name) for name in self._map.missing}
         present = tuple(setting for setting in settings if setting[0] not in missing)
-        return configuration.settle(self.sdo, present) | {entry for entry, _ in settings if entry in missing}
+        return self.sdo.settle_all(present) | {entry for entry, _ in settings if entry in missing}
 
     def _read(self, name: str) -> float:
         """An object of the map. A missing object counts as 1: a factor that is not changed."""
@@ -326,7 +335,7 @@ class CanopenDevice:
         """Set to zero what the drive would add to the set-points: it keeps the value last written by any host."""
         added = [name for name in ("velocity_offset", "target_velocity") if name not in self._map.missing]
         present = tuple((self._map.entry(name), 0) for name in added if name != self.way.target)
-        configuration.settle(self.sdo, present)
+        self.sdo.settle_all(present)
 
     def _choose_way(self) -> Way | None:
         """The first way of the map that the drive supports."""
@@ -349,7 +358,7 @@ class CanopenDevice:
 
     def _history(self) -> int:
         try:
-            return self.sdo.integer(objects.ERROR_HISTORY)
+            return self.sdo.integer(Cia301.ERROR_HISTORY)
         except WrongConfiguration:  # missing, or empty and refused
             return 0
 

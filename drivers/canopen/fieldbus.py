@@ -5,25 +5,25 @@ import hashlib
 import logging
 import math
 import threading
-from collections.abc import AsyncGenerator, Mapping, Sequence
+from collections.abc import AsyncGenerator, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 from drivers.canopen import frames
 from drivers.canopen.bcm import set_point_source
 from drivers.canopen.bus import Bus
-from drivers.canopen.bus_load import bus_load, check_bus_load
 from drivers.canopen.device import CanopenDevice
+from drivers.canopen.device_map import bits
 from drivers.canopen.host_sweep import HostSweep
-from drivers.canopen.profile import CanopenProfile
+from drivers.canopen.profile import BusProfile, CanopenProfile
+from drivers.canopen.sdo import Pdo
 from drivers.canopen.stop_sender import CanopenStopSender
 from drivers.canopen.streamed_axis import Ending, StreamRequest
 from drivers.cia402.axis import Axis
 from drivers.cia402.checks import Envelope
-from drivers.cia402.connection import capabilities
+from drivers.cia402.connection import DriveThread, capabilities, to_the_end
 from drivers.cia402.device import Mode
 from drivers.cia402.host_watch import HostWatch
-from drivers.cia402.thread import DriveThread, to_the_end
 from drivers.errors import (
     CommunicationLost,
     ConnectionFailed,
@@ -34,6 +34,61 @@ from drivers.errors import (
     SweepInterrupted,
 )
 from drivers.ports import AxisIdentity, BusTraffic, Capabilities, SampleBlock, SetPointTiming, SweepCommand
+
+MOST = 0.7  # share of the bit rate; the rest is for SDO, EMCY, repeated frames
+
+
+def frame_bits(size: int) -> int:
+    """Longest data frame with an 11-bit identifier and `size` bytes, including interframe space (ISO 11898-1), in bits.
+
+    The 34 bits from start bit to checksum and the data are stuffed, in the worst case after every fourth bit. 13
+    bits are not stuffed.
+    """
+    return 34 + 8 * size + (34 + 8 * size - 1) // 4 + 13
+
+
+def bus_load(settings: BusProfile, moving: Iterable[tuple[Pdo, ...]], nodes: int) -> float:
+    """Share of the bit rate that a streamed sweep of axes with these PDOs uses; 0 if the profile has no bit rate.
+
+    `stop` frames are not counted, because they are sent once.
+    """
+    if settings.bitrate is None:
+        return 0.0
+    return (_cycle(moving) / settings.sync_period + _heartbeats(settings, nodes)) / settings.bitrate
+
+
+def check_bus_load(settings: BusProfile, moving: Iterable[tuple[Pdo, ...]], nodes: int) -> None:
+    """Raises LimitExceeded if sweeps of axes with these PDOs need more than 70 % of the bit rate. States the cycle that
+    fits.
+
+    Nothing is checked if the profile has no bit rate.
+    """
+    if settings.bitrate is None:
+        return
+    moving = tuple(moving)
+    load = bus_load(settings, moving, nodes)
+    if load <= MOST:
+        return
+    left = MOST * settings.bitrate - _heartbeats(settings, nodes)
+    fits = (
+        f"sync_period {math.ceil(_cycle(moving) / left * 1e3) * 1e-3:g} s fits" if left > 0 else "no sync_period fits"
+    )
+    raise LimitExceeded(
+        f"bus {settings.channel}: a sweep of these axes takes {load:.0%} of {settings.bitrate} bit/s, "
+        f"{MOST:.0%} are allowed; {fits}"
+    )
+
+
+def _cycle(moving: Iterable[tuple[Pdo, ...]]) -> int:
+    """Bits of one cycle: SYNC and the PDOs of the moving axes."""
+    sizes = [sum(bits(entry) for entry in pdo.mapped) // 8 for pdos in moving for pdo in pdos]
+    return frame_bits(0) + sum(frame_bits(size) for size in sizes)
+
+
+def _heartbeats(settings: BusProfile, nodes: int) -> float:
+    """Bits per second."""
+    return frame_bits(1) * (1 / settings.host_heartbeat + nodes / settings.drive_heartbeat)
+
 
 logger = logging.getLogger(__name__)
 

@@ -69,3 +69,70 @@ class Pairing:
         if motion is None or not different <= advance <= motions:
             return None
         return Sample(self._index, motion.statusword, motion.velocity, motion.torque, event.position)
+
+
+class Windows:
+    """Combines TPDO1 and TPDO2 of one axis by the SYNC after which they arrived."""
+
+    ahead = 0  # without a counter the drive cannot be ahead
+
+    def __init__(self) -> None:
+        self.doubt: str | None = None
+        """Why delivered samples may belong to another SYNC than stated."""
+        self._syncs = 0
+        self._motions: list[MotionPdo] = []
+        self._places: list[PositionPdo] = []
+        self._settled = False  # frames of the open and earlier windows have arrived, or are lost
+        self._certain = True  # so far
+        self._agreed: int | None = None  # velocity of the previous window, if its frames agreed
+        self._owed_motions = self._owed_places = 0  # frames that are missing and may be late
+        self._risked: int | None = None  # first sample delivered while both kinds were missing
+
+    @property
+    def answered(self) -> bool:
+        """Both TPDOs arrived after the last SYNC."""
+        return bool(self._motions and self._places)
+
+    def motion(self, event: MotionPdo) -> None:
+        self._motions.append(event)
+
+    def position(self, event: PositionPdo) -> None:
+        self._places.append(event)
+
+    def settle(self) -> None:
+        """So much time has passed since the last SYNC that no answer is pending any more."""
+        self._settled = True
+
+    def sync(self) -> Sample | None:
+        """The next SYNC is sent. Returns the sample of the previous one, None if there is a gap."""
+        sample = self._close() if self._syncs else None
+        self._motions.clear()
+        self._places.clear()
+        self._settled = False
+        self._syncs += 1
+        return sample
+
+    def _close(self) -> Sample | None:
+        motions, places, index = self._motions, self._places, self._syncs - 1
+        if max(len(motions), len(places)) > 1 and self._risked is not None:
+            self.doubt = f"answers to SYNC came a cycle late since sample {self._risked}"
+        self._owed_motions = max(0, self._owed_motions + 1 - len(motions))
+        self._owed_places = max(0, self._owed_places + 1 - len(places))
+        good = len(motions) == len(places) == 1 and motions[0].velocity == places[0].velocity
+        agreed, self._agreed = self._agreed, motions[0].velocity if good else None
+        proven = good and agreed is not None and agreed != self._agreed
+        if proven and min(self._owed_motions, self._owed_places) == 0:
+            self._owed_motions = self._owed_places = 0  # the other kind is in step: the missing frames were lost
+        if self._settled:
+            self._owed_motions = self._owed_places = 0
+        believed = good and (self._certain or proven or self._settled)
+        lost = self._settled and len(motions) + len(places) <= 1
+        self._certain = believed or lost
+        if not min(self._owed_motions, self._owed_places):
+            self._risked = None
+        elif believed and self._risked is None:
+            self._risked = index
+        if not believed:
+            return None
+        motion, place = motions[0], places[0]
+        return Sample(index, motion.statusword, motion.velocity, motion.torque, place.position)

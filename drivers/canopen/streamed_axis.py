@@ -2,24 +2,150 @@
 
 import sys
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, IntEnum
+from typing import Protocol
 
 import numpy as np
 
 from drivers.canopen import frames
 from drivers.canopen.frames import VIRTUAL_WIRES, Wires
 from drivers.canopen.profile import CanopenAxis
-from drivers.canopen.samples import Pairing, Sample
-from drivers.canopen.set_points import Positions, SetPoints, Velocities
-from drivers.canopen.stop_sequence import StopSequence, StopStage
+from drivers.canopen.samples import Pairing, Sample, Windows
 from drivers.canopen.units import Codec
-from drivers.canopen.windows import Windows
 from drivers.cia402 import states
-from drivers.cia402.checks import Envelope
-from drivers.cia402.states import State
-from drivers.cia402.waveform import set_point
+from drivers.cia402.checks import Envelope, set_point
+from drivers.cia402.states import State, Wish
 from drivers.errors import Measured
 from drivers.ports import SampleBlock, SweepCommand
+
+
+class StopStage(IntEnum):
+    """Stage of the stop; it never decreases."""
+
+    RUN = 0
+    RAMP = 1
+    QUICK_STOP = 2
+    DISABLE = 3
+    DONE = 4
+
+
+@dataclass(slots=True)
+class StopSequence:
+    """`ramp_step`: raw velocity units per cycle. A stage without success by its deadline (s) is followed by the next
+    one.
+    """
+
+    ramp_step: int
+    ramp_time: float
+    quick_stop_time: float
+    disable_time: float
+    stage: StopStage = StopStage.RUN
+    _target: int = 0
+    _deadline: float = 0.0
+
+    def advance(self, stage: StopStage, now: float, target: int) -> None:
+        """Go to `stage` unless it is already reached; `target` is the present set-point."""
+        if stage <= self.stage:
+            return
+        self.stage = stage
+        self._target = target
+        self._deadline = now + (0.0, self.ramp_time, self.quick_stop_time, self.disable_time, 0.0)[stage]
+
+    def command(self, now: float, standing: bool, state: State) -> tuple[int, int]:
+        """Controlword and target velocity of this cycle, after changing the stage if it is due.
+
+        If the drive has left the expected state, the quick stop begins.
+        """
+        if self.stage is StopStage.RUN:
+            self.advance(StopStage.QUICK_STOP, now, 0)
+        off = state not in states.ENERGISED | {State.UNKNOWN}
+        if self.stage is StopStage.RAMP:
+            self._target -= max(-self.ramp_step, min(self.ramp_step, self._target))
+            if self._target == 0 and standing:
+                self.advance(StopStage.DISABLE, now, 0)
+            elif now > self._deadline or state is not State.OPERATION_ENABLED:
+                self.advance(StopStage.QUICK_STOP, now, 0)
+            else:
+                return states.ENABLE_OPERATION, self._target
+        if self.stage is StopStage.QUICK_STOP:
+            if standing or off or now > self._deadline:
+                self.advance(StopStage.DISABLE, now, 0)
+            else:
+                return states.step(state, Wish.QUICK_STOP), 0
+        if self.stage is StopStage.DISABLE and (off or now > self._deadline):
+            self.advance(StopStage.DONE, now, 0)
+        return states.step(state, Wish.DISABLED), 0
+
+
+SUBSTEPS = 8  # integration steps per cycle: exact to 10^-4 of an amplitude up to 5 Hz at 8 ms
+
+
+class SetPoints(Protocol):
+    """Targets in drive units, one per cycle. The target sent before SYNC k is reached one period later."""
+
+    mode_bits: int
+    """Bits of the controlword while the axis follows the set-points."""
+
+    def planned(self, number: int) -> int:
+        """Target of this cycle of the sweep; the last target after its end."""
+        ...
+
+    def velocity(self, number: int) -> int:
+        """Velocity of this cycle in drive units, from which a ramp to standstill begins."""
+        ...
+
+    def ramped(self, number: int, velocity: int) -> int:
+        """Target that continues from cycle `number` at this velocity, in drive units; call once per cycle."""
+        ...
+
+
+class Velocities:
+    """Targets for 60FFh."""
+
+    mode_bits = 0
+
+    def __init__(self, codec: Codec, command: SweepCommand, last: int, period: float) -> None:
+        """`last` is the number of the last sample; `period` s."""
+        wave = set_point(command, np.arange(1, last + 1, dtype=float) * period)
+        self._targets = [codec.raw_velocity(velocity) for velocity in (*wave, 0.0)]
+
+    def planned(self, number: int) -> int:
+        return self._targets[min(number, len(self._targets) - 1)]
+
+    velocity = planned
+
+    def ramped(self, number: int, velocity: int) -> int:
+        return velocity
+
+
+class Positions:
+    """Targets for 607Ah or 60C1h: the velocities integrated from `start`, drive units."""
+
+    def __init__(
+        self, codec: Codec, command: SweepCommand, last: int, period: float, start: int, mode_bits: int
+    ) -> None:
+        self.mode_bits = mode_bits
+        self._velocities = Velocities(codec, command, last, period)
+        fine = set_point(command, np.arange(last * SUBSTEPS + 1, dtype=float) * (period / SUBSTEPS))
+        travelled = np.concatenate([[0.0], np.cumsum((fine[1:] + fine[:-1]) * (period / SUBSTEPS / 2))])[::SUBSTEPS]
+        begin = float(codec.position(start))
+        targets = [codec.raw_position(begin + float(each)) for each in travelled[1:]]
+        self._targets = [*targets, targets[-1]]
+        self._step = abs(codec.velocity_unit * codec.increments) * period  # position units per cycle and velocity unit
+        self._place: float | None = None  # position during the ramp
+
+    def planned(self, number: int) -> int:
+        return self._targets[min(number, len(self._targets) - 1)]
+
+    def velocity(self, number: int) -> int:
+        return self._velocities.planned(number)
+
+    def ramped(self, number: int, velocity: int) -> int:
+        if self._place is None:
+            self._place = float(self.planned(max(0, number - 1)))
+        self._place += velocity * self._step
+        return round(self._place)
+
 
 STANDING_SAMPLES = 5  # in a row below the standstill velocity
 MOST_AHEAD = 0.2  # s of SYNCs without a sample, before a host that may miss deadlines waits for a drive that counts

@@ -3,24 +3,20 @@ stopped.
 """
 
 import asyncio
+import itertools
 import logging
 import threading
-from collections.abc import AsyncGenerator, Callable, Coroutine, Generator, Mapping, Sequence
+from collections.abc import AsyncGenerator, Callable, Collection, Coroutine, Generator, Mapping, Sequence
 from contextlib import aclosing, contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
-from drivers.cia402 import checks
+from drivers.cia402 import checks, states
 from drivers.cia402.axis import Axis, Energy
-from drivers.cia402.connection import Connection, Fieldbus, Run
-from drivers.cia402.drive_sweep import DriveSweep
-from drivers.cia402.enabling import enable_alone
-from drivers.cia402.idle_axes import Watched
-from drivers.cia402.monitoring import look
-from drivers.cia402.positioning import move
+from drivers.cia402.connection import Connection, DriveThread, Fieldbus, Run
+from drivers.cia402.motions import DriveSweep, bring_down, move
 from drivers.cia402.profile import AxisProfile
-from drivers.cia402.stopping import bring_down
-from drivers.errors import Cause, DriveError, LimitExceeded, NotReady, StopNotConfirmed
+from drivers.errors import Cause, DriveError, LimitExceeded, NotReady, StopNotConfirmed, SweepInterrupted
 from drivers.ports import (
     AxisIdentity,
     AxisStatus,
@@ -378,3 +374,89 @@ def _check_together(axes: tuple[Axis, ...], commands: Sequence[SweepCommand], ca
     times = {(c.mode, c.ramp, c.settle, c.period, c.periods) for c in commands}
     if len(times) > 1:
         raise LimitExceeded("sweeps of several axes at once must have the same mode, ramp, settle, period and periods")
+
+
+def enable_alone(axes: Collection[Axis], all_axes: Collection[Axis], stop: threading.Event) -> None:
+    """Enables `axes`; if one cannot be enabled, all of them are left disabled. Blocking.
+
+    The others are checked before and after: of two hosts that enable different axes at once, each energises its own
+    before it looks at the other's, so at least one sees the other's and takes its own back before it moves.
+    """
+    _require_alone(axes, all_axes)
+    try:
+        for axis in axes:
+            axis.enable(stop)
+        _require_alone(axes, all_axes)
+    except BaseException:
+        for axis in (each for each in axes if each.energy is not Energy.OFF):  # the others may be another host's
+            try:
+                axis.disable()
+            except DriveError as error:  # the others must be disabled all the same
+                logger.error("after enabling failed: %s", error)
+        raise
+
+
+def _require_alone(axes: Collection[Axis], all_axes: Collection[Axis]) -> None:
+    """Raises NotReady if another axis has energy."""
+    for other in all_axes:
+        state = other.state()
+        other.check(state)
+        if other not in axes and state in states.ENERGISED:
+            place = next(iter(axes)).place
+            raise NotReady(place, f"{other.place} is '{state.value}'; it must be disabled first")
+
+
+POLL = 0.02  # s
+
+
+class Watched:
+    """Runs a sweep inside the block: an error of a standing axis sets `stop` and is raised instead of the interruption.
+
+    Not a generator: the end of an event loop closes generators in any order.
+    """
+
+    def __init__(self, thread: DriveThread, standing: Sequence[Axis], stop: threading.Event) -> None:
+        self._work = thread, standing, stop
+
+    async def __aenter__(self) -> None:
+        self._watch = asyncio.create_task(_watch(*self._work), name="standing axes")
+
+    async def __aexit__(self, _: object, error: BaseException | None, __: object) -> None:
+        over = self._watch.done() and not self._watch.cancelled()
+        found = self._watch.exception() if over else None
+        self._watch.cancel()
+        await asyncio.gather(self._watch, return_exceptions=True)
+        if found is not None and isinstance(error, SweepInterrupted):
+            raise found
+
+
+async def _watch(thread: DriveThread, standing: Sequence[Axis], stop: threading.Event) -> None:
+    """Runs until `stop` is set. During the stop sequence the standing axes receive commands too."""
+    try:
+        while not stop.is_set():
+            await thread.run(_check, standing)
+            await asyncio.sleep(POLL)
+    except Exception:  # nobody watches any more
+        stop.set()
+        raise
+
+
+def _check(standing: Sequence[Axis]) -> None:
+    for axis in standing:
+        axis.check_standing()
+
+
+LOOK = 0.3  # s from the check of one axis to that of the next
+
+
+async def look(link: Connection, reading: asyncio.Lock, idle: Callable[[], bool]) -> None:
+    """Checks one axis after the other whether another host enabled it, until cancelled.
+
+    `reading`: lock held while the axes are polled; `idle`: True if no motion is in progress.
+    """
+    for axis in itertools.cycle(link.axes.values()):
+        await asyncio.sleep(LOOK)
+        async with reading:
+            if idle():
+                with suppress(DriveError):  # the next caller gets the error
+                    await link.thread.run(axis.check_unused)

@@ -12,7 +12,7 @@ from drivers.errors import BadProfile
 
 if TYPE_CHECKING:
     from drivers.canopen.profile import CanopenAxis
-    from drivers.commission.sheet import Row
+    from drivers.commission.drive import Row
 
 commission = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="CANopen drives of other manufacturers.")
 
@@ -35,9 +35,8 @@ def draft(
     refused.
     """
     from drivers.cia402.profile import FILL_IN
-    from drivers.commission.dictionary import read_dictionary
-    from drivers.commission.draft import map_text, profile_text, shortcomings, unfilled
-    from drivers.commission.fitting import fitting
+    from drivers.commission.draft import fitting, map_text, profile_text, shortcomings, unfilled
+    from drivers.commission.drive import read_dictionary
 
     dictionary = read_dictionary(eds, 1)
     maps = fitting(dictionary, devices)
@@ -79,8 +78,8 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document instead of the table.")] = False,
 ) -> None:
     """Compare every drive with its profile, without energy except for --move. Exit code 1 if anything differs."""
-    from drivers.commission.by_hand import named, turned
     from drivers.commission.survey import digests, load, survey
+    from drivers.commission.units import named, turned
 
     machine = load(profile)
     ways = [_way(each) for each in turn or []]

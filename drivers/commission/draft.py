@@ -1,13 +1,12 @@
 """Drafts a drive profile and a device map from a dictionary; the loader refuses values that are left open."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 
-from drivers.canopen.device_map import NEEDED, PDO_TYPES, STANDARD, TYPES, DeviceMap, Way
-from drivers.canopen.objects import Entry
+from drivers.canopen.device_map import NEEDED, PDO_TYPES, STANDARD, TYPES, DeviceMap, Entry, Way, load_device_map
 from drivers.cia402.profile import FILL_IN
-from drivers.commission.dictionary import Dictionary
-from drivers.commission.fitting import ways
+from drivers.commission.drive import Dictionary
 
 _WIRE = {letter: name for name, letter in TYPES.items()}
 WITHOUT_EFFORT = "without 6077h or 6078h the drive cannot be used"
@@ -206,3 +205,46 @@ def _instead(dictionary: Dictionary, name: str, entry: Entry, able: set[str], ta
     return (
         json.dumps(why) if other and _has(dictionary, other) else _open(f"what replaces it: {entry} is not in the file")
     )
+
+
+def fitting(dictionary: Dictionary, devices: Path) -> Mapping[Path, DeviceMap]:
+    """The maps in a folder that are for this drive, by file. Raises BadProfile for a map that cannot be read."""
+    maps = {path: load_device_map(path) for path in sorted(devices.glob("*.yaml"))}
+    return {path: device_map for path, device_map in maps.items() if _fits(dictionary, device_map)}
+
+
+def ways(dictionary: Dictionary) -> tuple[Way, ...]:
+    """Ways of excitation for which the dictionary has the objects and whose mode 6502h does not exclude."""
+    plain = DeviceMap()
+    modes = dictionary.value(STANDARD["supported_modes"].index)
+    return tuple(
+        way for way in Way if _has_object(dictionary, plain, way.target) and way.mode(modes or None) is not None
+    )
+
+
+def _fits(dictionary: Dictionary, device_map: DeviceMap) -> bool:
+    """Compares the manufacturer, the objects that the map requires, its first way, and which PDO settings may be
+    changed.
+    """
+    if device_map.vendor is None:
+        maker = device_map.description.split()[:1]
+        if not maker or maker[0].lower() not in dictionary.name.lower():
+            return False
+    elif device_map.vendor != dictionary.vendor:
+        return False
+    if device_map.product not in (None, dictionary.product):
+        return False
+    first = device_map.excitation[0]
+    needed = NEEDED | device_map.used() - {way.target for way in device_map.excitation} | {first.target}
+    identifier = dictionary.objects.get((0x1400, 1))
+    fixed = identifier is not None and not identifier.writable
+    return (
+        first in ways(dictionary)
+        and all(_has_object(dictionary, device_map, name) for name in needed)
+        and fixed == (device_map.pdos.cob_id == "fixed")
+    )
+
+
+def _has_object(dictionary: Dictionary, device_map: DeviceMap, name: str) -> bool:
+    entry = device_map.entry(name)
+    return (entry.index, entry.sub) in dictionary.objects

@@ -11,10 +11,8 @@ from drivers.canopen import frames
 from drivers.canopen.bus import Bus
 from drivers.canopen.fieldbus import check_alone
 from drivers.canopen.profile import CanopenAxis, CanopenProfile, parse_profile
-from drivers.commission import identity, objects, settings, units
-from drivers.commission.dictionary import read_dictionary
-from drivers.commission.read_only_drive import Node, ReadOnlySdo
-from drivers.commission.sheet import Row, Sheet, Verdict
+from drivers.commission import checks, units
+from drivers.commission.drive import Node, ReadOnlySdo, Row, Sheet, Verdict, read_dictionary
 from drivers.errors import BadProfile, CommunicationLost, ConnectionFailed
 from drivers.registry import load_profile
 
@@ -67,13 +65,13 @@ def _axis(bus: Bus, axis: CanopenAxis, profile: CanopenProfile, ways: dict[str, 
     node = Node(axis, profile, read_dictionary(profile.eds, axis.node), sdo)
     bus.expect_nodes()  # the time of an earlier silent node does not count
     try:
-        other = [*identity.who(node)]
+        other = [*checks.who(node)]
         yield from other
         if _wrong(other):
             yield node.note("not-asked", "units, limits, settings, mapping: it is not the drive of the profile")
-            yield from objects.present(node)
+            yield from checks.present(node)
             return
-        yield from identity.state(node)
+        yield from checks.state(node)
         yield from _looked_at(node)
         yield from _compared(node, ways)
     except CommunicationLost as error:
@@ -100,7 +98,7 @@ def _announced(events: "queue.SimpleQueue[frames.Event]", joints: Mapping[int, s
 
 def _looked_at(node: Node) -> Iterator[Row]:
     """Checks that only read."""
-    yield from objects.present(node)
+    yield from checks.present(node)
     yield from units.scale(node)
     codec, rows = units.conversions(node)
     yield from rows
@@ -111,17 +109,17 @@ def _looked_at(node: Node) -> Iterator[Row]:
 
 def _compared(node: Node, ways: dict[str, str]) -> Iterator[Row]:
     """What a connection writes; after the settings on which its units depend, `node` is the configured drive."""
-    yield from settings.of_map(node)
+    yield from checks.of_map(node)
     node = node.configured()
     codec, rows = units.conversions(node)
     yield from rows
     if codec is None:
         return
     yield from units.resolution(node, codec)
-    way, rows = settings.way_of(node)
+    way, rows = checks.way_of(node)
     yield from rows
     if way is not None:
         ways[node.axis.joint] = f"{way.value} ({node.map.entry(way.target).index:04X}h)"
-        yield from settings.mapping(node, way)
-    yield from settings.standing(node, codec)
-    yield from settings.limits(node, codec)
+        yield from checks.mapping(node, way)
+    yield from checks.standing(node, codec)
+    yield from checks.limits(node, codec)

@@ -4,16 +4,16 @@ The limits in a drive are evidence only until `sweepid` has written its own: `co
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
-from drivers.canopen.device_map import SPEEDS
-from drivers.canopen.objects import HEARTBEAT_CONSUMER, INCREMENTS, MOTOR_REVOLUTIONS, VELOCITY_UNIT, Entry
+from drivers.canopen.bus import Bus
+from drivers.canopen.device_map import SPEEDS, STANDARD, Cia301, Entry
+from drivers.canopen.profile import CanopenAxis, CanopenProfile
 from drivers.canopen.sdo import ObjectAbsent, OtherType
 from drivers.canopen.units import Codec, codec, velocity_unit
-from drivers.commission.identity import rated_torque
-from drivers.commission.read_only_drive import Node
-from drivers.commission.sheet import Row
-from drivers.errors import LimitExceeded, WrongConfiguration
+from drivers.commission.checks import rated_torque
+from drivers.commission.drive import Node, ReadOnlySdo, Row, Verdict, read_dictionary
+from drivers.errors import BadProfile, CommunicationLost, LimitExceeded, WrongConfiguration
 
 POLARITY = Entry(0x607E, 0, "B", "polarity")
 GEAR_MOTOR = Entry(0x6091, 1, "I", "gear ratio, motor revolutions")
@@ -125,7 +125,7 @@ def resolution(node: Node, units: Codec) -> Iterator[Row]:
 
 def configured_before(node: Node) -> bool:
     """Whether `sweepid` has configured the drive since power-on: then it monitors the heartbeat of this host."""
-    return (node.value(HEARTBEAT_CONSUMER) or 0) >> 16 & 0x7F == node.machine.bus.host_node
+    return (node.value(Cia301.HEARTBEAT_CONSUMER) or 0) >> 16 & 0x7F == node.machine.bus.host_node
 
 
 def _gear(node: Node) -> Iterator[Row]:
@@ -145,7 +145,7 @@ def _fixed_increments(node: Node) -> Iterator[Row]:
     given = node.axis.increments if units.increments == "profile" else units.increments
     if isinstance(given, str) or given is None or "increments" in node.missing:
         return
-    held, turns = node.listed(INCREMENTS), node.listed(MOTOR_REVOLUTIONS)
+    held, turns = node.listed(STANDARD["increments"]), node.listed(STANDARD["motor_revolutions"])
     if held:
         found = held / max(1, turns or 1)
         yield node.row("increments", found == given, f"608Fh has {found:g} a revolution, map or profile {given:g}")
@@ -153,7 +153,7 @@ def _fixed_increments(node: Node) -> Iterator[Row]:
 
 def _fixed_velocity(node: Node) -> Iterator[Row]:
     unit = SPEEDS.get(node.map.units.velocity)
-    code = node.listed(VELOCITY_UNIT)
+    code = node.listed(STANDARD["velocity_unit"])
     if unit is None or not code:
         return
     try:
@@ -193,3 +193,62 @@ def _inside(node: Node, wanted: tuple[int, int], held: tuple[int, int]) -> Row:
     return node.row(
         "position-limits", False, f"{what}: check position_limits, gear_ratio, increments and position_offset"
     )
+
+
+TOLERANCE = 0.15  # of the travel: accuracy of turning by hand to a mark on the joint
+LEAST = 0.05  # of the travel: less does not count as a turn
+
+
+def turned(profile: CanopenProfile, joint: str, way: float, wait: Callable[[], None]) -> list[Row]:
+    """The rows `turned`, `sign` and `gear`. `way` in rad (m), signed; `wait` returns after the joint was turned.
+
+    Raises BadProfile for a joint that the profile does not have.
+    """
+    axis = named(profile, joint)
+    bus = Bus(profile.bus, tuple(each.node for each in profile.axes), profile.device_map.wires)
+    try:
+        sdo = ReadOnlySdo(bus.add_node(axis.node, None), f"{joint} (node {axis.node})", bus.check_alive)
+        node = Node(axis, profile, read_dictionary(profile.eds, axis.node), sdo)
+        codec, rows = conversions(node)
+        if codec is None:
+            return rows
+        entry = node.map.entry("position")
+        before = float(codec.position(sdo.read(entry)))
+        wait()
+        bus.expect_nodes()  # the bus was not used while the person turned the joint
+        return _judged(node, way, float(codec.position(sdo.read(entry))) - before)
+    except CommunicationLost as error:
+        return [Row(joint, "no-answer", Verdict.MISMATCH, str(error))]
+    finally:
+        bus.close()
+
+
+def named(profile: CanopenProfile, joint: str) -> CanopenAxis:
+    """Raises BadProfile for a joint that the profile does not have."""
+    axis = next((each for each in profile.axes if each.joint == joint), None)
+    if axis is None:
+        raise BadProfile(f"axes: no joint {joint!r}; there are {', '.join(each.joint for each in profile.axes)}")
+    return axis
+
+
+def _judged(node: Node, way: float, found: float) -> list[Row]:
+    unit = node.axis.unit
+    what = f"turned by {way:+.4g} {unit}, the drive reports {found:+.4g} {unit}"
+    if abs(found) < LEAST * abs(way):
+        return [node.row("turned", False, f"{what}: another joint's encoder, or none")]
+    share = abs(found / way)
+    right = node.axis.gear_ratio * share
+    return [
+        node.row("turned", True, what),
+        node.row("sign", found * way > 0, what if found * way > 0 else f"{what}: change the sign of gear_ratio"),
+        node.row(
+            "gear",
+            abs(share - 1) <= TOLERANCE,
+            f"{what}, {share:.3g} times the turn; gear_ratio is {node.axis.gear_ratio:g}"
+            + (
+                ""
+                if abs(share - 1) <= TOLERANCE
+                else f", this turn gives {abs(right):.4g}: check gear_ratio, increments and the unit of the joint"
+            ),
+        ),
+    ]

@@ -8,14 +8,10 @@ Tests of functions that the machine's `Bench` lacks are skipped with the reason.
 import pytest
 
 # registered before the import, so that failed asserts show their values
-pytest.register_assert_rewrite(
-    *(f"drivers.contract.{name}" for name in ("bench", "faults", "motion", "noise", "suite"))
-)
+pytest.register_assert_rewrite(*(f"drivers.contract.{name}" for name in ("bench", "faults", "motion")))
 
-from drivers.contract.bench import Bench, Machine  # noqa: E402
+from drivers.contract.bench import Bench, Machine, lacking, needs  # noqa: E402
 from drivers.contract.faults import FaultSuite  # noqa: E402
-from drivers.contract.motion import DrivePortSuite  # noqa: E402
-from drivers.contract.noise import NoiseSuite  # noqa: E402
-from drivers.contract.requirements import lacking, needs  # noqa: E402
+from drivers.contract.motion import DrivePortSuite, NoiseSuite  # noqa: E402
 
 __all__ = ["Bench", "DrivePortSuite", "FaultSuite", "Machine", "NoiseSuite", "lacking", "needs"]

@@ -7,9 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.contract.bench import Machine, column, consume, eventually
-from drivers.contract.requirements import needs
-from drivers.contract.suite import Suite
+from drivers.contract.bench import Machine, Suite, column, consume, eventually, needs
 from drivers.errors import (
     CommunicationLost,
     DriveError,

@@ -10,13 +10,11 @@ from drivers.cia402.device import Abilities, MeasuringState, Mode, Motion
 from drivers.cia402.states import State
 from drivers.errors import CommunicationLost, DriveFault, WrongConfiguration, WrongIdentity
 from drivers.modbus import measuring
-from drivers.modbus.codec import Format, Rounding
-from drivers.modbus.control import Control
 from drivers.modbus.line import Line
+from drivers.modbus.measuring import Gear
 from drivers.modbus.profile import ModbusAxis, ModbusProfile
-from drivers.modbus.registers import RegisterMap, Trace
-from drivers.modbus.unit import Setting, Unit
-from drivers.modbus.units import Gear
+from drivers.modbus.registers import Format, RegisterMap, Rounding, Trace
+from drivers.modbus.unit import Control, Setting, Unit
 from drivers.ports import AxisIdentity, SampleBlock, SweepCommand
 
 logger = logging.getLogger(__name__)

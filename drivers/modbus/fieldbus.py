@@ -10,17 +10,15 @@ from dataclasses import dataclass
 
 from drivers.cia402.axis import Axis
 from drivers.cia402.checks import Envelope
-from drivers.cia402.connection import Run, capabilities
+from drivers.cia402.connection import DriveThread, Run, capabilities, to_the_end
 from drivers.cia402.host_watch import HostWatch
-from drivers.cia402.thread import DriveThread, to_the_end
 from drivers.errors import DriveError, NotReady
-from drivers.modbus.control import Control
 from drivers.modbus.device import ModbusDevice, place_of
 from drivers.modbus.line import Line
 from drivers.modbus.profile import ModbusProfile
 from drivers.modbus.registers import load_registers
 from drivers.modbus.stop_sender import ModbusStopSender
-from drivers.modbus.unit import Unit
+from drivers.modbus.unit import Control, Unit
 from drivers.ports import AxisIdentity, Capabilities, SweepCommand
 
 logger = logging.getLogger(__name__)

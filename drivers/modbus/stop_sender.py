@@ -12,9 +12,9 @@ from collections.abc import Collection, Mapping
 from drivers.cia402 import states
 from drivers.errors import ConnectionFailed, NotReady
 from drivers.modbus.line import READ, WRITE
+from drivers.modbus.measuring import Gear
 from drivers.modbus.profile import DIRECT, ModbusAxis, ModbusProfile, TcpLine
 from drivers.modbus.registers import RegisterMap
-from drivers.modbus.units import Gear
 
 CONNECT_TIMEOUT = 0.3  # s
 ANSWER_TIMEOUT = 0.03  # s for a unit, before the stop is sent to the next

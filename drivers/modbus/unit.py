@@ -1,13 +1,16 @@
 """The signals of one unit: physical values written to and read from its registers, with read-back."""
 
+import logging
 import math
-from collections.abc import Iterable, Mapping
+import secrets
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
-from drivers.errors import LimitExceeded, WrongConfiguration
-from drivers.modbus.codec import Rounding
+from drivers.cia402.host_watch import HostWatch
+from drivers.errors import CommunicationLost, DriveError, LimitExceeded, NotReady, WrongConfiguration
 from drivers.modbus.line import Line
-from drivers.modbus.registers import MAX_WRITE, RegisterMap, Signal, spans
+from drivers.modbus.registers import MAX_WRITE, RegisterMap, Rounding, Signal, spans
 
 HELD = 1e-4  # relative tolerance of a float, which the drive may round; integers must be equal
 
@@ -116,3 +119,59 @@ def _same(signal: Signal, wanted: list[int], held: list[int]) -> bool:
 
 def _shown(signal: Signal, registers: list[int]) -> str:
     return f"{signal.format.decode(registers)[0]:.9g}"
+
+
+logger = logging.getLogger(__name__)
+
+OWNER = "control_owner"
+NOBODY = 0
+
+
+class Control:
+    """Blocking, on the thread of the line. Does nothing if the map lacks the signal."""
+
+    def __init__(self, units: Sequence[Unit], registers: RegisterMap, watch: HostWatch) -> None:
+        self._signal = registers.signals.get(OWNER)
+        self._units = tuple(units) if self._signal is not None else ()
+        self._watch = watch
+        most = 0 if self._signal is None else self._signal.format.most
+        self._token = 1 + secrets.randbelow(max(1, int(most)))
+        self._held = False
+
+    def take(self) -> None:
+        """Raises NotReady if another host has control of a unit; then none is taken."""
+        if self._held or self._signal is None:
+            return
+        taken: list[Unit] = []
+        try:
+            for unit in self._units:
+                unit.settle(Setting(self._signal, self._token))
+                taken.append(unit)
+        except WrongConfiguration as error:
+            self._give_up(taken)
+            raise NotReady(f"another host has control of this machine, or had it until this moment: {error}") from None
+        except BaseException:
+            self._give_up(taken)
+            raise
+        self._held = True
+
+    def renew(self) -> None:
+        """With every heartbeat. If another host has taken a unit, nothing may move until a person has checked."""
+        for unit in self._units if self._held else ():
+            try:
+                unit.write({OWNER: self._token})
+            except CommunicationLost:
+                pass  # reported by the heartbeat
+            except WrongConfiguration as error:
+                self._watch.seen(f"another host has taken control: {error}")
+
+    def release(self) -> None:
+        """May be called twice."""
+        held, self._held = self._held, False
+        self._give_up(self._units if held else ())
+
+    def _give_up(self, units: Sequence[Unit]) -> None:
+        for unit in units:
+            with suppress(DriveError):  # it lapses
+                if unit.integer(OWNER) == self._token:
+                    unit.write({OWNER: NOBODY})

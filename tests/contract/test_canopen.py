@@ -14,13 +14,12 @@ import pytest
 from canopen.sdo.client import SdoClient
 
 from drivers.canopen import frames
+from drivers.canopen.device_map import Entry
 from drivers.canopen.fieldbus import CanopenConnection
-from drivers.canopen.measuring import ABORT, COMMAND
-from drivers.canopen.objects import Entry
-from drivers.canopen.speed_control import GAIN
+from drivers.canopen.measuring import ABORT, COMMAND, GAIN
 from drivers.canopen.streamed_axis import StreamedAxis
+from drivers.cia402.connection import DriveThread
 from drivers.cia402.machine import Cia402Machine
-from drivers.cia402.thread import DriveThread
 from drivers.contract.bench import closing, consume, eventually
 from drivers.errors import MotionForbidden, WrongConfiguration, WrongIdentity
 from drivers.ports import AxisState, DrivePort, SweepMode

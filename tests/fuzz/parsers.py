@@ -11,8 +11,8 @@ import yaml
 from drivers.canopen.device_map import load_device_map
 from drivers.canopen.profile import parse_profile as canopen_profile
 from drivers.cia402.profile import refuse_unfilled
-from drivers.commission.dictionary import read_dictionary
 from drivers.commission.draft import map_text, profile_text
+from drivers.commission.drive import read_dictionary
 from drivers.errors import BadProfile
 from drivers.modbus.profile import parse_profile as modbus_profile
 from drivers.modbus.registers import load_registers

@@ -9,7 +9,7 @@ import can
 import yaml
 
 from drivers.canopen import frames
-from drivers.canopen.socketcand import SocketcandBus
+from drivers.canopen.bus import SocketcandBus
 from drivers.cia402 import states
 from tests.system.rest_bench import VirtualMachine
 

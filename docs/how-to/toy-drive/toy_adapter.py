@@ -18,12 +18,11 @@ import numpy as np
 from drivers.cia402 import states
 from drivers.cia402.axis import Axis
 from drivers.cia402.checks import Envelope
-from drivers.cia402.connection import Run, capabilities
+from drivers.cia402.connection import DriveThread, Run, capabilities, to_the_end
 from drivers.cia402.device import Abilities, MeasuringState, Mode, Motion
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
 from drivers.cia402.profile import AxisProfile, Frozen, parse
-from drivers.cia402.thread import DriveThread, to_the_end
 from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady, WrongConfiguration, WrongIdentity
 from drivers.ports import AxisIdentity, Capabilities, SampleBlock, StopSender, SweepCommand
 

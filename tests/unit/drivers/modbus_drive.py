@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from drivers.cia402.host_watch import HostWatch
-from drivers.modbus.control import Control
 from drivers.modbus.profile import ModbusProfile, RtuLine, TcpLine, parse_profile
 from drivers.modbus.registers import RegisterMap, load_registers
+from drivers.modbus.unit import Control
 from drivers.registry import load_profile
 from tests.unit.drivers.modbus_bank import Bank, Request
 

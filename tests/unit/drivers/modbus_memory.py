@@ -9,7 +9,7 @@ from pymodbus.exceptions import ModbusIOException
 from pymodbus.pdu import ExceptionResponse, ModbusPDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersResponse, WriteMultipleRegistersResponse
 
-from drivers.modbus.client import Client
+from drivers.modbus.line import Client
 from drivers.modbus.profile import RtuLine, TcpLine
 from tests.unit.drivers.modbus_bank import Bank, Request
 
@@ -61,7 +61,7 @@ class Wire:
 
 @dataclass
 class MemoryClient:
-    """See `drivers.modbus.client.Client`."""
+    """See `drivers.modbus.line.Client`."""
 
     wire: Wire
     left: Callable[[], float]

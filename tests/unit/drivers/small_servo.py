@@ -11,12 +11,11 @@ import numpy as np
 
 from drivers.cia402 import states
 from drivers.cia402.axis import Axis
-from drivers.cia402.connection import Run, capabilities
+from drivers.cia402.connection import DriveThread, P, Run, T, capabilities
 from drivers.cia402.device import Abilities, MeasuringState, Mode, Motion
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
 from drivers.cia402.states import State
-from drivers.cia402.thread import DriveThread, P, T
 from drivers.errors import CommunicationLost
 from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SweepCommand
 from tests.unit.drivers.given import axis

@@ -16,12 +16,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.canopen import bus as bus_module
-from drivers.canopen import frames, socketcand
-from drivers.canopen.bus import Bus
-from drivers.canopen.bus_load import bus_load, check_bus_load
-from drivers.canopen.configuration import Pdo, pdos
+from drivers.canopen import frames
+from drivers.canopen.bus import Bus, SocketcandBus
 from drivers.canopen.device_map import Way, load_device_map
+from drivers.canopen.fieldbus import bus_load, check_bus_load
 from drivers.canopen.profile import BusProfile
+from drivers.canopen.sdo import Pdo, streaming_pdos
 from drivers.cia402 import states
 from drivers.contract.bench import eventually
 from drivers.errors import CommunicationLost, ConnectionFailed, LimitExceeded
@@ -253,7 +253,7 @@ async def test_frames_in_the_packet_of_the_last_answer_are_frames() -> None:
 def test_a_gateway_that_answers_otherwise_is_refused_and_nothing_stays_open(
     answers: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(socketcand, "ANSWER_TIMEOUT", 0.5)
+    monkeypatch.setattr(SocketcandBus, "answer_timeout", 0.5)
     with (
         gateway(answers) as port,
         pytest.raises(ConnectionFailed, match=r"could not be opened: (Expected|the gateway did not send) '< "),
@@ -270,7 +270,7 @@ def line_of(**changes: object) -> BusProfile:
 
 def cyclic_of(axes: int) -> list[tuple[Pdo, ...]]:
     plain = load_device_map(DEVICES / "plain-402.yaml")
-    cyclic = tuple(p for p in pdos(plain, Way.CYCLIC_VELOCITY, 1) if len(p.mapped) > 1)
+    cyclic = tuple(p for p in streaming_pdos(plain, Way.CYCLIC_VELOCITY, 1) if len(p.mapped) > 1)
     assert len(cyclic) == 3
     return [cyclic] * axes
 

@@ -9,10 +9,9 @@ import pytest
 
 from drivers.cia402 import states
 from drivers.cia402.axis import Axis
+from drivers.cia402.connection import DriveThread
 from drivers.cia402.host_watch import HostWatch
-from drivers.cia402.idle_axes import Watched
-from drivers.cia402.machine import Cia402Machine
-from drivers.cia402.thread import DriveThread
+from drivers.cia402.machine import Cia402Machine, Watched
 from drivers.contract.bench import eventually
 from drivers.errors import (
     CommunicationLost,

@@ -13,9 +13,9 @@ from typer.testing import CliRunner, Result
 
 from drivers.canopen.device_map import load_device_map
 from drivers.canopen.profile import parse_profile
-from drivers.commission.by_hand import turned
 from drivers.commission.command import commission
 from drivers.commission.survey import load
+from drivers.commission.units import turned
 from drivers.errors import BadProfile
 from tests.commission_bench import DRIVES, OWN, Cabinet, cabinet, words_of_energy
 from tests.foreign_bench import MAKERS, ROOT, file_of

@@ -12,7 +12,7 @@ import canopen  # isort: skip - after lean_can
 from canopen.objectdictionary import ODVariable  # isort: skip
 from collections.abc import Callable
 
-from drivers.commission.dictionary import read_dictionary
+from drivers.commission.drive import read_dictionary
 from drivers.errors import BadProfile
 from simulator.drive.dictionary import Dictionary
 from simulator.foreign.dictionary import ForeignDictionary

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.commission.dictionary import Dictionary, read_dictionary
+from drivers.commission.drive import Dictionary, read_dictionary
 from drivers.errors import BadProfile
 
 LINES = (Path(__file__).parents[3] / "config/eds/plain-402.eds").read_text("utf-8").splitlines()

@@ -10,9 +10,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen import frames, objects
-from drivers.canopen.bus import Bus
-from drivers.canopen.foreign_frames import READINGS, ForeignFrames
+from drivers.canopen import frames
+from drivers.canopen.bus import READINGS, Bus, ForeignFrames
+from drivers.canopen.device_map import STANDARD, Entry
 from drivers.canopen.frames import (
     Controller,
     ControllerState,
@@ -23,9 +23,8 @@ from drivers.canopen.frames import (
     SetPoint,
     decode,
 )
-from drivers.canopen.heard_state import HeardState, upload_request
-from drivers.canopen.objects import STATUSWORD, Entry
 from drivers.canopen.profile import BusProfile, parse_profile
+from drivers.canopen.stop_sender import HeardState, upload_request
 from drivers.cia402 import states
 from tests.unit.drivers.test_bus import soon
 
@@ -72,7 +71,7 @@ def test_the_stop_of_the_stop_process_is_none_and_excuses_one_sync() -> None:
 
 
 def test_the_questions_that_confirm_a_stop_are_none_and_are_counted() -> None:
-    strangers, reading = ForeignFrames(NODES, HOST), (frames.SDO_REQUEST + 1, upload_request(STATUSWORD))
+    strangers, reading = ForeignFrames(NODES, HOST), (frames.SDO_REQUEST + 1, upload_request(STANDARD["statusword"]))
     assert strangers.word(*reading) != ""  # without a stop
     for frame in frames.stop(NODES, ()):
         strangers.word(*frame)
@@ -185,31 +184,31 @@ def test_process_data_confirm_standstill_without_energy(heard: HeardState) -> No
 
 
 def test_answers_to_the_service_confirm_it_if_the_velocity_is_not_older_than_the_state(heard: HeardState) -> None:
-    exchanged(heard, objects.VELOCITY, 0, 1.0)
-    exchanged(heard, objects.STATUSWORD, OFF, 2.0)
+    exchanged(heard, STANDARD["velocity"], 0, 1.0)
+    exchanged(heard, STANDARD["statusword"], OFF, 2.0)
     assert heard.doubt(0.5) != ""  # it may have begun to turn since
-    exchanged(heard, objects.VELOCITY, 0, 3.0)
+    exchanged(heard, STANDARD["velocity"], 0, 3.0)
     assert heard.doubt(0.5) == ""
-    exchanged(heard, objects.STATUSWORD, ON, 4.0)
+    exchanged(heard, STANDARD["statusword"], ON, 4.0)
     assert heard.doubt(0.5) == "is 'operation enabled'"
 
 
 def test_a_segment_that_looks_like_an_answer_is_none(heard: HeardState) -> None:
-    exchanged(heard, objects.STATUSWORD, ON, 1.0)
-    heard.answered(replied(objects.STATUSWORD, OFF), 1.1)
-    heard.answered(replied(objects.VELOCITY, 0), 1.2)
+    exchanged(heard, STANDARD["statusword"], ON, 1.0)
+    heard.answered(replied(STANDARD["statusword"], OFF), 1.1)
+    heard.answered(replied(STANDARD["velocity"], 0), 1.2)
     assert heard.doubt(0.5) == "is 'operation enabled'"
-    heard.requested(b"\xa0" + upload_request(objects.STATUSWORD)[1:], 1.3)  # a block upload
-    heard.answered(replied(objects.STATUSWORD, OFF), 1.4)
+    heard.requested(b"\xa0" + upload_request(STANDARD["statusword"])[1:], 1.3)  # a block upload
+    heard.answered(replied(STANDARD["statusword"], OFF), 1.4)
     assert heard.doubt(0.5) == "is 'operation enabled'"
 
 
 def test_a_velocity_within_the_noise_counts_only_in_a_unit_that_was_heard(heard: HeardState) -> None:
     heard.note(frames.MotionPdo(1, OFF, 1, 0), 1.0)
     assert heard.doubt(0.5).startswith("turns at 1 velocity units, standstill is at most 0")
-    exchanged(heard, objects.VELOCITY_UNIT, 0xFDB44700, 0.1)  # 1e-3 rev/min
-    exchanged(heard, objects.INCREMENTS, 1048576, 0.1)
-    exchanged(heard, objects.MOTOR_REVOLUTIONS, 1, 0.1)
+    exchanged(heard, STANDARD["velocity_unit"], 0xFDB44700, 0.1)  # 1e-3 rev/min
+    exchanged(heard, STANDARD["increments"], 1048576, 0.1)
+    exchanged(heard, STANDARD["motor_revolutions"], 1, 0.1)
     assert heard.doubt(0.5) == ""
 
 
@@ -217,11 +216,11 @@ def test_it_asks_for_what_is_missing_and_awaits_each_answer(heard: HeardState) -
     now, asked = 1.0, list[str]()
     values = {"statusword": OFF, "velocity": 0, "velocity_unit": 0xFDB44700, "increments": 1, "motor_revolutions": 1}
     entries = {
-        "statusword": objects.STATUSWORD,
-        "velocity": objects.VELOCITY,
-        "velocity_unit": objects.VELOCITY_UNIT,
-        "increments": objects.INCREMENTS,
-        "motor_revolutions": objects.MOTOR_REVOLUTIONS,
+        "statusword": STANDARD["statusword"],
+        "velocity": STANDARD["velocity"],
+        "velocity_unit": STANDARD["velocity_unit"],
+        "increments": STANDARD["increments"],
+        "motor_revolutions": STANDARD["motor_revolutions"],
     }
     while heard.doubt(0.5) and len(asked) < 10:
         request = heard.question(0.5, now)

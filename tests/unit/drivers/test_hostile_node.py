@@ -16,8 +16,9 @@ from canopen.sdo.client import SdoClient
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from drivers.canopen import frames, objects
+from drivers.canopen import frames
 from drivers.canopen.bus import Bus
+from drivers.canopen.device_map import STANDARD
 from drivers.canopen.fieldbus import CanopenFieldbus
 from drivers.canopen.profile import BusProfile, parse_profile
 from drivers.canopen.sdo import Sdo
@@ -86,8 +87,8 @@ def desk() -> Iterator[Desk]:
 
 
 REQUESTS: dict[str, Callable[[Sdo], object]] = {
-    "read": lambda sdo: sdo.read(objects.POSITION),
-    "write": lambda sdo: sdo.write(objects.CONTROLWORD, 0),
+    "read": lambda sdo: sdo.read(STANDARD["position"]),
+    "write": lambda sdo: sdo.write(STANDARD["controlword"], 0),
     "segments": lambda sdo: sdo.upload(0x2110, 3, block=False),
     "blocks": lambda sdo: sdo.upload(0x2110, 3, block=True),
 }
@@ -108,7 +109,7 @@ def test_any_answer_ends_in_a_value_or_an_error_of_ours(desk: Desk, request_name
     desk.settle()
     desk.client.RESPONSE_TIMEOUT = PATIENT
     desk.answers.put(bytes.fromhex("4364600007000000"))
-    assert desk.sdo.read(objects.POSITION) == 7
+    assert desk.sdo.read(STANDARD["position"]) == 7
 
 
 @pytest.mark.parametrize(("request_name", "answer"), [("read", "4364600007000000"), ("write", "6040600000000000")])

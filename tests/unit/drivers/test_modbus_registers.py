@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from drivers.errors import BadProfile, LimitExceeded
 from drivers.modbus import from_profile
-from drivers.modbus.codec import Format, WireType, WordOrder
 from drivers.modbus.profile import RtuLine, TcpLine, parse_profile
-from drivers.modbus.registers import MEASURING, load_registers, parse_registers, spans
+from drivers.modbus.registers import MEASURING, Format, WireType, WordOrder, load_registers, parse_registers, spans
 from drivers.registry import load_profile, open_drive
 
 MAPS = Path(__file__).parents[3] / "config" / "registers"

@@ -13,10 +13,9 @@ import pytest
 
 from drivers.cia402 import states
 from drivers.cia402.axis import Axis
-from drivers.cia402.connection import capabilities
+from drivers.cia402.connection import DriveThread, capabilities
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
-from drivers.cia402.thread import DriveThread
 from drivers.errors import CommunicationLost, DriveError, StopNotConfirmed, SweepInterrupted
 from drivers.modbus.device import ModbusDevice
 from drivers.modbus.fieldbus import ModbusConnection, ModbusFieldbus

@@ -13,15 +13,14 @@ from greenlet import getcurrent, greenlet
 
 from drivers.cia402 import states
 from drivers.cia402.axis import Axis
-from drivers.cia402.enabling import enable_alone
 from drivers.cia402.host_watch import HostWatch
+from drivers.cia402.machine import enable_alone
 from drivers.errors import DriveError, MotionForbidden, NotReady
-from drivers.modbus.control import OWNER, Control
 from drivers.modbus.device import ModbusDevice, place_of
 from drivers.modbus.line import Line
 from drivers.modbus.profile import TcpLine
 from drivers.modbus.registers import RegisterMap
-from drivers.modbus.unit import Unit
+from drivers.modbus.unit import OWNER, Control, Unit
 from tests.unit.drivers.modbus_bank import Bank, Request
 from tests.unit.drivers.modbus_drive import HIGH, drive, following, get, profile_on, put
 from tests.unit.drivers.modbus_memory import Clock, Wire

@@ -7,7 +7,7 @@ import pytest
 
 from drivers.cia402 import states
 from drivers.cia402.device import Motion
-from drivers.cia402.positioning import MARGIN, move
+from drivers.cia402.motions import MARGIN, move
 from drivers.errors import DriveError
 from tests.unit.drivers.small_servo import Servo, connected, machine
 

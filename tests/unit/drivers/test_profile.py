@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 import yaml
 
-from drivers.canopen.configuration import pdos
 from drivers.canopen.device_map import (
     STANDARD,
     TYPES,
@@ -22,6 +21,7 @@ from drivers.canopen.device_map import (
 )
 from drivers.canopen.frames import MotionPdo, PositionPdo, SetPoint, Wires, decode, stop
 from drivers.canopen.profile import parse_profile
+from drivers.canopen.sdo import streaming_pdos
 from drivers.cia402.profile import parse
 from drivers.errors import BadProfile
 from drivers.modbus.registers import load_registers
@@ -168,7 +168,7 @@ def test_every_map_of_the_house_is_one_and_its_pdos_fit(path: Path) -> None:
     device_map = load_device_map(path)
     assert device_map.description
     for way in device_map.excitation:
-        for pdo in pdos(device_map, way, 5):
+        for pdo in streaming_pdos(device_map, way, 5):
             assert sum(bits(entry) for entry in pdo.mapped) <= 64
             assert pdo.identifier & 0x7F == 5
 

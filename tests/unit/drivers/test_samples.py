@@ -9,8 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from drivers.canopen.frames import MotionPdo, PositionPdo
-from drivers.canopen.samples import Pairing, Sample
-from drivers.canopen.windows import Windows
+from drivers.canopen.samples import Pairing, Sample, Windows
 
 SYNCS = 7
 Item = MotionPdo | PositionPdo | None  # None: SYNC

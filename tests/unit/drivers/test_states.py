@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen.stop_sequence import StopSequence, StopStage
+from drivers.canopen.streamed_axis import StopSequence, StopStage
 from drivers.cia402 import states
 from drivers.cia402.states import ENERGISED, PATTERNS, STEPS, State, Wish, decode, operator_view, step
 from drivers.errors import NotReady

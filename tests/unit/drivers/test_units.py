@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.canopen import measuring
-from drivers.canopen.device_map import load_device_map
-from drivers.canopen.objects import Entry
+from drivers.canopen.device_map import Entry, load_device_map
 from drivers.canopen.units import Codec, velocity_unit
 from drivers.canopen.units import codec as codec_of
 from drivers.errors import CommunicationLost, LimitExceeded, WrongConfiguration

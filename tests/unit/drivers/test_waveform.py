@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen.set_points import Positions, Velocities
+from drivers.canopen.streamed_axis import Positions, Velocities
 from drivers.canopen.units import Codec
-from drivers.cia402.checks import Envelope, check_move, check_sweep
-from drivers.cia402.waveform import envelope, set_point, travel
+from drivers.cia402.checks import Envelope, check_move, check_sweep, envelope, set_point, travel
 from drivers.errors import LimitExceeded, distinct
 from drivers.ports import Sine, SweepCommand, SweepMode
 from tests.unit.drivers.given import axis, sweep

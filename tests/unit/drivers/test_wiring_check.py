@@ -10,8 +10,8 @@ import pytest
 from canopen.objectdictionary import datatypes
 
 from drivers.canopen import frames
-from drivers.commission.channels import judge
-from drivers.commission.sheet import Verdict
+from drivers.commission.drive import Verdict
+from drivers.commission.moving import judge
 from drivers.ports import ChannelTiming
 from tests.commission_bench import Cabinet, cabinet
 from tests.planted_mismatches import BOTH, CASES, KINDS, Case, holds, typed
