@@ -24,7 +24,7 @@ import can
 from docs.benchmarks.measured import Measured
 from drivers.canopen import frames
 from drivers.canopen.bus import Bus, SocketcandBus
-from drivers.canopen.host_sweep import BLOCK_TIME
+from drivers.canopen.host_sweep import HostSweep
 from drivers.canopen.profile import BusProfile, CanopenAxis
 from drivers.canopen.streamed_axis import StreamedAxis, StreamRequest
 from drivers.canopen.units import Codec
@@ -43,10 +43,10 @@ PATIENCE = 10.0  # s
 
 def cycle(number: int) -> bytes:
     """What is on the bus in one, with counters from 1."""
-    told = [(frames.SYNC, b"")]
+    told = [(frames.Cob.SYNC, b"")]
     for node in NODES:
-        told.append((frames.TPDO1 + node, struct.pack("<Hih", ENABLED, 500 + number % 7, number % 100)))
-        told.append((frames.TPDO2 + node, struct.pack("<iI", 1000 + number, number + 1)))
+        told.append((frames.Cob.TPDO1 + node, struct.pack("<Hih", ENABLED, 500 + number % 7, number % 100)))
+        told.append((frames.Cob.TPDO2 + node, struct.pack("<iI", 1000 + number, number + 1)))
     return b"".join(f"< frame {identifier:03X} 1.0 {data.hex().upper()} >".encode() for identifier, data in told)
 
 
@@ -109,15 +109,15 @@ def bare(port: int, cycles: int) -> Taken:
     places: list[tuple[int, ...]] = []
     with SocketcandBus("can0", "127.0.0.1", port, tcp_tune=True) as bus:
         watch = Watch()
-        bus.send(can.Message(arbitration_id=frames.SYNC, is_extended_id=False))
+        bus.send(can.Message(arbitration_id=frames.Cob.SYNC, is_extended_id=False))
         while len(places) < cycles * len(NODES):
             message = bus.recv(PATIENCE)
             if message is None:
                 raise TimeoutError(f"{len(places)} samples came")
             function = message.arbitration_id & ~0x7F
-            if function == frames.TPDO1:
+            if function == frames.Cob.TPDO1:
                 motions.append(struct.unpack("<Hih", message.data))
-            elif function == frames.TPDO2:
+            elif function == frames.Cob.TPDO2:
                 places.append(struct.unpack("<iI", message.data))
         return watch.taken(len(places))
 
@@ -127,7 +127,7 @@ def recorded(port: int, cycles: int, folder: Path) -> Taken:
     profile = BusProfile(interface="socketcand", channel="can0", host="127.0.0.1", port=port, drive_timeout=60.0)
     requests = {node: _request(node, cycles) for node in NODES}
     axes = {node: StreamedAxis(request, PERIOD) for node, request in requests.items()}
-    at_least = round(BLOCK_TIME / PERIOD)
+    at_least = round(HostSweep.block_time / PERIOD)
     wanted = (cycles - cycles % at_least) * len(NODES)
     with closing(Bus(profile, NODES)) as bus, ExitStack() as stack:
         recorders = {
@@ -138,7 +138,7 @@ def recorded(port: int, cycles: int, folder: Path) -> Taken:
         for axis in axes.values():
             axis.begin()
         watch = Watch()
-        bus.send(frames.SYNC, b"")
+        bus.send(frames.Cob.SYNC, b"")
         while done < wanted:
             event = events.get(timeout=PATIENCE)
             if isinstance(event, frames.Sync):

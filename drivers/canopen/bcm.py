@@ -14,20 +14,21 @@ import socket
 import struct
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from enum import IntFlag
 
 from drivers.canopen.bus import Bus
 from drivers.errors import CauseCode, CommunicationLost
 
-TX_SETUP, TX_DELETE = 1, 2
-SETTIMER, STARTTIMER = 1, 2
-RING = 256  # frames of one job at most
-LONGEST_RING = 1.0  # s
-MOST_STEERING = 0.1  # share of the interval; a kernel that needs more is late, which is counted
-
 Cycle = Sequence[tuple[int, bytes]]
 
-_HEAD = struct.Struct("@3I4l2I0q")  # opcode, flags, count, ival1 s us, ival2 s us, can_id, nframes
-_FRAME = struct.Struct("=IB3x8s")
+
+class Bcm(IntFlag):
+    """Operations and flags of the broadcast manager."""
+
+    TX_SETUP = 1
+    TX_DELETE = 2
+    SETTIMER = 1
+    STARTTIMER = 2
 
 
 def set_point_source(bus: Bus, *, waits: bool = False) -> str:
@@ -72,7 +73,7 @@ class KernelStream:
         """
         size = len(rest)
         self._plan, self._rest = plan, _pack(rest)
-        self._cycles = min(RING // size, round(LONGEST_RING / period))
+        self._cycles = min(256 // size, round(1.0 / period))  # frames of a job at most; 1 s
         self._spare = max(2, self._cycles // 4)  # cycles of `rest` after the planned ones
         self._step = max(1, self._cycles // 8)  # cycles between refills
         self._identifier = rest[0][0]
@@ -90,7 +91,7 @@ class KernelStream:
     def begin(self) -> None:
         """Send cycle 0 now."""
         self._fill(0)
-        self._set_up(SETTIMER | STARTTIMER)
+        self._set_up(Bcm.SETTIMER | Bcm.STARTTIMER)
 
     def note(self, late: float) -> None:
         """A cycle was sent `late` s after its deadline."""
@@ -104,12 +105,12 @@ class KernelStream:
             self._next_top_up = sent + self._step
             self._fill(sent)
             self._steering.adjust()
-            self._set_up(SETTIMER)
+            self._set_up(Bcm.SETTIMER)
 
     def close(self) -> None:
         """Nothing is sent after this."""
         with suppress(OSError):  # the interface and its job may be gone
-            self._socket.send(_head(TX_DELETE, 0, 0, 0.0, self._identifier, 0))
+            self._socket.send(_head(Bcm.TX_DELETE, 0, 0, 0.0, self._identifier, 0))
         self._socket.close()
 
     def _fill(self, sent: int) -> None:
@@ -124,7 +125,7 @@ class KernelStream:
         # A cycle may be in progress or sent but not yet seen: the count ends half-way through the spare ones.
         count = (self._cycles - self._spare + self._spare // 2) * self._size
         interval = self._steering.interval
-        head = _head(TX_SETUP, flags, count, interval, self._identifier, self._cycles * self._size)
+        head = _head(Bcm.TX_SETUP, flags, count, interval, self._identifier, self._cycles * self._size)
         try:
             self._socket.send(head + b"".join(self._ring))
         except OSError as error:
@@ -152,15 +153,16 @@ class Steering:
         self._sum, self._count = 0.0, 0
         correction = 0.5 * late / self._frames
         self._delay += 0.2 * late / self._frames
-        most = MOST_STEERING * self._nominal
+        most = 0.1 * self._nominal  # a kernel that needs more is late, which is counted
         self._delay = max(-most, min(most, self._delay))
         self.interval = self._nominal - max(-most, min(most, self._delay + correction))
 
 
 def _head(opcode: int, flags: int, count: int, interval: float, identifier: int, size: int) -> bytes:
     microseconds = max(1, round(interval * 1e6))
-    return _HEAD.pack(opcode, flags, count, 0, microseconds, 0, 0, identifier, size)
+    # opcode, flags, count, ival1 s us, ival2 s us, can_id, nframes
+    return struct.pack("@3I4l2I0q", opcode, flags, count, 0, microseconds, 0, 0, identifier, size)
 
 
 def _pack(cycle: Cycle) -> bytes:
-    return b"".join(_FRAME.pack(identifier, len(data), data) for identifier, data in cycle)
+    return b"".join(struct.pack("=IB3x8s", identifier, len(data), data) for identifier, data in cycle)

@@ -1,13 +1,12 @@
 """A CiA 402 drive on CANopen: `drivers.cia402.device.Device` through SDO, NMT and EMCY."""
 
 import logging
-import math
-import time
 from dataclasses import dataclass
 
 from drivers.canopen import frames, measuring
 from drivers.canopen.bus import Bus
 from drivers.canopen.device_map import Cia301, Entry, Way
+from drivers.canopen.measuring import MeasuringObject
 from drivers.canopen.profile import CanopenAxis, CanopenProfile
 from drivers.canopen.sdo import (
     ObjectAbsent,
@@ -21,16 +20,25 @@ from drivers.canopen.sdo import (
     streaming_pdos,
 )
 from drivers.canopen.units import codec
-from drivers.cia402.device import Abilities, Injector, MeasuringState, Mode, Motion
+from drivers.cia402.device import (
+    Abilities,
+    Injector,
+    MeasuringCommand,
+    MeasuringState,
+    Mode,
+    Motion,
+    await_mode,
+    rejection_text,
+    require_identity,
+    require_rated_torque,
+    trace_cycle,
+)
 from drivers.errors import WrongConfiguration, WrongIdentity
 from drivers.ports import AxisIdentity, NoiseCommand, SampleBlock, SweepCommand
 
 logger = logging.getLogger(__name__)
 
-MODE_TIMEOUT = 2.0  # s
-POLL = 0.002  # s
 RESTARTED = 0  # used as error code: the node booted, for which there is no code
-FOLLOW = 0x10  # controlword bit 4 in interpolated position mode
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,20 +80,11 @@ class CanopenDevice:
         if kind & 0xFFFF != Cia301.SERVO_DRIVE:
             raise WrongIdentity(self.place, f"device type {kind:08X}h is not a CiA 402 drive")
         found = (read(Cia301.VENDOR), read(Cia301.PRODUCT), read(Cia301.REVISION), read(Cia301.SERIAL))
-        expected = self.profile.identity
-        wanted = (expected.vendor, expected.product, expected.revision, expected.serial)
-        for name, have, want in zip(("vendor", "product", "revision", "serial"), found, wanted, strict=True):
-            if want is not None and have != want:
-                raise WrongIdentity(self.place, f"{name} is {have:08X}h, the profile says {want:08X}h")
+        require_identity(self.place, found, self.profile.identity)
         self._rated_torque = self.profile.rated_torque
         if "rated_torque" not in self._map.missing:
             self._rated_torque = self._read("rated_torque") * self._map.units.rated_torque
-        if not math.isclose(self._rated_torque, self.profile.rated_torque, rel_tol=2e-3):
-            raise WrongIdentity(
-                self.place,
-                f"rated torque of the motor is {self._rated_torque:.4g} N m, "
-                f"the profile says {self.profile.rated_torque:.4g} N m",
-            )
+        require_rated_torque(self.place, self._rated_torque, self.profile.rated_torque)
         return AxisIdentity(self.profile.joint, f"node {self.profile.node}", *found, self._sha256)
 
     def configure(self) -> Abilities:
@@ -98,8 +97,8 @@ class CanopenDevice:
         self.sdo.settle_sync()
         self._pdos = streaming_pdos(self._map, self.way, self.profile.node)
         self._pdos_mapped = configure_pdos(self.sdo, self._pdos, self._map, self.profile.node)
-        needed = (measuring.KIND, measuring.SEED, measuring.COMMISSIONED_RESET_TIME)
-        measures = self._map.measuring is not None and self._has(measuring.STATE)
+        needed = (MeasuringObject.KIND, MeasuringObject.SEED, MeasuringObject.COMMISSIONED_RESET_TIME)
+        measures = self._map.measuring is not None and self._has(MeasuringObject.STATE)
         self.injector = self if measures and all(self._has(entry) for entry in needed) else None
         absent = self._settle_session() | self._settle(
             self.profile.velocity_limit, self.profile.effort_limit, self.profile.position_limits
@@ -123,10 +122,10 @@ class CanopenDevice:
     def allow_motion(self) -> None:
         """With the commissioned speed control."""
         self._harden()
-        self._nmt(frames.NMT_START)
+        self._nmt(frames.Nmt.START)
 
     def forbid_motion(self) -> None:
-        self._nmt(frames.NMT_PRE_OPERATIONAL)
+        self._nmt(frames.Nmt.PRE_OPERATIONAL)
 
     def statusword(self) -> int:
         return self.sdo.integer(self._map.entry("statusword"))
@@ -137,11 +136,7 @@ class CanopenDevice:
     def set_mode(self, mode: Mode) -> None:
         """Write 6060h and wait until 6061h shows the mode."""
         self.sdo.write(self._map.entry("mode"), mode)
-        deadline = time.monotonic() + MODE_TIMEOUT
-        while (shown := self.sdo.integer(self._map.entry("mode_display"))) != mode:
-            if time.monotonic() > deadline:
-                raise WrongConfiguration(self.place, f"mode {mode} was not accepted, the drive reports mode {shown}")
-            time.sleep(POLL)
+        await_mode(self.place, mode, lambda: self.sdo.integer(self._map.entry("mode_display")))
 
     def check_alive(self) -> None:
         self._bus.check(self.profile.node, self.profile.joint)
@@ -173,7 +168,7 @@ class CanopenDevice:
         return f"error {code:04X}h" + (f", history {history:08X}h" if history else "")
 
     def reopen(self) -> None:
-        self._nmt(frames.NMT_PRE_OPERATIONAL)
+        self._nmt(frames.Nmt.PRE_OPERATIONAL)
 
     @property
     def deaf(self) -> bool:
@@ -224,7 +219,8 @@ class CanopenDevice:
             raise WrongConfiguration(self.place, f"6502h has no mode for {self.way.value}")
         self.set_mode(self._streaming_mode)
         counter = self.sdo.integer(self._map.entry("sample_counter")) if self._map.samples == "counter" else None
-        return Start(counter, position, FOLLOW if self.way is Way.INTERPOLATED_POSITION else 0)
+        # bit 4 of the controlword makes the drive follow interpolated positions
+        return Start(counter, position, 0x10 if self.way is Way.INTERPOLATED_POSITION else 0)
 
     # -- measuring function --------------------------------------------------------------------------------------
 
@@ -233,11 +229,11 @@ class CanopenDevice:
     def prepare_measuring(self, command: SweepCommand) -> None:
         settings = measuring.parameters(command, self.codec)
         if self.injector is not None:
-            settings.append((measuring.KIND, measuring.MULTI_SINE))
-        self._prepare(settings, measuring.trace_cycle(command), noise=False)
+            settings.append((MeasuringObject.KIND, 0))
+        self._prepare(settings, trace_cycle(command), noise=False)
 
     def prepare_noise(self, command: NoiseCommand) -> None:
-        self._prepare(measuring.noise_parameters(command, self.codec), measuring.trace_cycle(command), noise=True)
+        self._prepare(measuring.noise_parameters(command, self.codec), trace_cycle(command), noise=True)
 
     def soften(self, softening: float) -> None:
         measuring.soften(self.sdo, softening)
@@ -246,29 +242,28 @@ class CanopenDevice:
         measuring.restore(self.sdo)
 
     def start_measuring(self) -> None:
-        self.sdo.write(measuring.COMMAND, measuring.START)
+        self.sdo.write(MeasuringObject.COMMAND, MeasuringCommand.START)
 
     def abort_measuring(self) -> None:
-        self.sdo.write(measuring.COMMAND, measuring.ABORT)
+        self.sdo.write(MeasuringObject.COMMAND, MeasuringCommand.ABORT)
 
     def measuring_state(self) -> MeasuringState:
         """Raises WrongConfiguration for a state that this adapter does not know."""
-        number = self.sdo.integer(measuring.STATE)
+        number = self.sdo.integer(MeasuringObject.STATE)
         try:
             return MeasuringState(number)
         except ValueError:
-            raise WrongConfiguration(self.place, f"{measuring.STATE} is {number}") from None
+            raise WrongConfiguration(self.place, f"{MeasuringObject.STATE} is {number}") from None
 
     def rejection(self) -> str:
-        reason = self.sdo.integer(measuring.REASON)
-        return measuring.REASONS.get(reason, f"reason {reason}")
+        return rejection_text(self.sdo.integer(MeasuringObject.REASON))
 
     def samples_recorded(self) -> int:
-        return self.sdo.integer(measuring.RECORDED)
+        return self.sdo.integer(MeasuringObject.RECORDED)
 
     def page(self, first: int, count: int) -> SampleBlock:
-        self.sdo.write(measuring.PAGE_FIRST, first)
-        self.sdo.write(measuring.PAGE_COUNT, count)
+        self.sdo.write(MeasuringObject.PAGE_FIRST, first)
+        self.sdo.write(MeasuringObject.PAGE_COUNT, count)
         raw = self._upload()
         return measuring.samples(
             raw, first, count, self.profile, self.codec, self._trace_cycle, self.place, noise=self._noise
@@ -284,7 +279,7 @@ class CanopenDevice:
 
     def _prepare(self, settings: list[Setting], trace_cycle: int, *, noise: bool) -> None:
         self._trace_cycle, self._noise = trace_cycle, noise
-        self.sdo.write(measuring.COMMAND, measuring.NONE)
+        self.sdo.write(MeasuringObject.COMMAND, MeasuringCommand.NONE)
         for entry, value in settings:
             self.sdo.settle(entry, value)
 
@@ -363,4 +358,4 @@ class CanopenDevice:
             return 0
 
     def _nmt(self, command: int) -> None:
-        self._bus.send(frames.NMT, bytes([command, self.profile.node]))
+        self._bus.send(frames.Cob.NMT, bytes([command, self.profile.node]))

@@ -35,7 +35,7 @@ from drivers.errors import (
 )
 from drivers.ports import AxisIdentity, BusTraffic, Capabilities, SampleBlock, SetPointTiming, SweepCommand
 
-MOST = 0.7  # share of the bit rate; the rest is for SDO, EMCY, repeated frames
+logger = logging.getLogger(__name__)
 
 
 def frame_bits(size: int) -> int:
@@ -57,25 +57,23 @@ def bus_load(settings: BusProfile, moving: Iterable[tuple[Pdo, ...]], nodes: int
     return (_cycle(moving) / settings.sync_period + _heartbeats(settings, nodes)) / settings.bitrate
 
 
-def check_bus_load(settings: BusProfile, moving: Iterable[tuple[Pdo, ...]], nodes: int) -> None:
-    """Raises LimitExceeded if sweeps of axes with these PDOs need more than 70 % of the bit rate. States the cycle that
-    fits.
-
-    Nothing is checked if the profile has no bit rate.
+def check_bus_load(settings: BusProfile, moving: Iterable[tuple[Pdo, ...]], nodes: int, most: float = 0.7) -> None:
+    """Raises LimitExceeded if sweeps of axes with these PDOs need more than `most` of the bit rate (the rest is for
+    SDO, EMCY, repeated frames), with the cycle that fits. Nothing is checked if the profile has no bit rate.
     """
     if settings.bitrate is None:
         return
     moving = tuple(moving)
     load = bus_load(settings, moving, nodes)
-    if load <= MOST:
+    if load <= most:
         return
-    left = MOST * settings.bitrate - _heartbeats(settings, nodes)
+    left = most * settings.bitrate - _heartbeats(settings, nodes)
     fits = (
         f"sync_period {math.ceil(_cycle(moving) / left * 1e3) * 1e-3:g} s fits" if left > 0 else "no sync_period fits"
     )
     raise LimitExceeded(
         f"bus {settings.channel}: a sweep of these axes takes {load:.0%} of {settings.bitrate} bit/s, "
-        f"{MOST:.0%} are allowed; {fits}"
+        f"{most:.0%} are allowed; {fits}"
     )
 
 
@@ -88,16 +86,6 @@ def _cycle(moving: Iterable[tuple[Pdo, ...]]) -> int:
 def _heartbeats(settings: BusProfile, nodes: int) -> float:
     """Bits per second."""
     return frame_bits(1) * (1 / settings.host_heartbeat + nodes / settings.drive_heartbeat)
-
-
-logger = logging.getLogger(__name__)
-
-LISTENING = 3  # heartbeats
-# velocity units of the drive per amplitude: rounding then changes a line by at most one in a thousand
-STEPS_OF_A_SINE = 20
-# position units per amplitude where positions are sent: the axis follows the rounding and the drive measures it, so
-# it is noise of the motion and no error of the estimate; with fewer, mostly quantisation is sent
-STEPS_OF_A_POSITION = 5
 
 
 class CanopenFieldbus:
@@ -258,23 +246,28 @@ class StreamedSweep:
 
 
 def _check_resolution(device: CanopenDevice, command: SweepCommand) -> None:
-    """LimitExceeded if the velocity or position unit of the drive is too coarse for the sines."""
+    """LimitExceeded if the velocity or position unit of the drive is too coarse for the sines.
+
+    20 velocity units per amplitude: rounding then changes a line by at most one in a thousand. 5 position units where
+    positions are sent: the axis follows the rounding and the drive measures it, so it is noise of the motion and no
+    error of the estimate; with fewer, mostly quantisation is sent.
+    """
     unit = device.profile.unit
     speed = abs(float(device.codec.velocity(1.0)))
     place = abs(float(device.codec.position(1.0) - device.codec.position(0.0)))
     for sine in command.sines:
-        if 0 < sine.amplitude < STEPS_OF_A_SINE * speed:
+        if 0 < sine.amplitude < 20 * speed:
             raise LimitExceeded(
                 device.place,
                 f"a sine of {sine.amplitude:.3g} {unit}/s has fewer than "
-                f"{STEPS_OF_A_SINE} steps of the drive's velocity unit of {speed:.3g} {unit}/s",
+                f"20 steps of the drive's velocity unit of {speed:.3g} {unit}/s",
             )
         amplitude = sine.amplitude / (2 * math.pi * sine.frequency)
-        if device.way.positions and 0 < amplitude < STEPS_OF_A_POSITION * place:
+        if device.way.positions and 0 < amplitude < 5 * place:
             raise LimitExceeded(
                 device.place,
                 f"a sine of {amplitude:.3g} {unit} at {sine.frequency:g} Hz has fewer than "
-                f"{STEPS_OF_A_POSITION} steps of the drive's position unit of {place:.3g} {unit}",
+                f"5 steps of the drive's position unit of {place:.3g} {unit}",
             )
 
 
@@ -286,7 +279,7 @@ async def check_alone(bus: Bus, profile: CanopenProfile) -> None:
     """
     settings = profile.bus
     for _ in range(2):
-        await asyncio.sleep(LISTENING * settings.host_heartbeat)
+        await asyncio.sleep(3 * settings.host_heartbeat)
         if not bus.host_heard():
             bus.expect_nodes()
             bus.expect_no_host()
@@ -305,7 +298,7 @@ async def _beat(bus: Bus, profile: CanopenProfile) -> None:
     with suppress(CommunicationLost):  # the bus stores the reason and raises it at the next use
         while True:
             bus.check_alive()
-            bus.send(frames.HEARTBEAT + settings.host_node, bytes([frames.OPERATIONAL]))
+            bus.send(frames.Cob.HEARTBEAT + settings.host_node, bytes([frames.NmtState.OPERATIONAL]))
             await asyncio.sleep(settings.host_heartbeat)
 
 

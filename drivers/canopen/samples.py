@@ -14,9 +14,6 @@ from dataclasses import dataclass
 
 from drivers.canopen.frames import MotionPdo, PositionPdo
 
-WORD = 0xFFFFFFFF
-LONGEST_GAP = 10_000  # SYNCs; a counter that jumps further, or back, does not belong to this sweep
-
 
 @dataclass(frozen=True, slots=True)
 class Sample:
@@ -59,8 +56,8 @@ class Pairing:
 
     def position(self, event: PositionPdo) -> Sample | None:
         """The sample that this TPDO2 completes; None if it was already received, or if its TPDO1 is not certain."""
-        advance = (event.counter - self._counter) & WORD
-        if not 0 < advance <= LONGEST_GAP:
+        advance = (event.counter - self._counter) & 0xFFFFFFFF
+        if not 0 < advance <= 10_000:  # a counter that jumps further, or back, does not belong to this sweep
             return None
         motion, motions, different = self._motion, self._motions, self._different
         self._counter = event.counter

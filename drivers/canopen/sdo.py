@@ -20,8 +20,6 @@ from drivers.errors import CauseCode, CommunicationLost, WrongConfiguration
 
 _INITIATE = frozenset({*range(0x20, 0x30), 0x40, *range(0xA0, 0xA8, 4), *range(0xC0, 0xC8, 2)})
 """Requests that name an object: download, upload, block upload, block download."""
-_NONE = bytes(3)
-ABSENT = frozenset({0x06020000, 0x06090011})  # object, sub-index does not exist
 
 
 class SharedSdoClient(SdoClient):
@@ -38,7 +36,7 @@ class SharedSdoClient(SdoClient):
         cast(Any, super()).send_request(request)
 
     def on_response(self, can_id: int, data: bytes, timestamp: float) -> None:
-        if self._object is None or bytes(data[1:4]) in (self._object, _NONE):
+        if self._object is None or bytes(data[1:4]) in (self._object, bytes(3)):
             cast(Any, super()).on_response(can_id, data, timestamp)
 
 
@@ -154,7 +152,8 @@ class Sdo:
     def _explain(self, entry: Entry, error: Exception, value: str = "") -> WrongConfiguration | CommunicationLost:
         if not isinstance(error, SdoAbortedError):
             return CommunicationLost(self.place, f"{entry}{value}: {error}")
-        kind = ObjectAbsent if error.code in ABSENT else WrongConfiguration
+        absent = error.code in (0x06020000, 0x06090011)  # object, sub-index does not exist
+        kind = ObjectAbsent if absent else WrongConfiguration
         return kind(self.place, f"{entry}{value}: {error}")
 
 

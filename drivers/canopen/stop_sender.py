@@ -1,8 +1,8 @@
 """The stop of CANopen drives from a separate process: a second socketcand client or SocketCAN socket, without a
 library.
 
-It sends no heartbeat, so that neither the drives nor the service detect it as a host. How it hears that an axis stands:
-`heard_state`.
+It sends no heartbeat, so that neither the drives nor the service detect it as a host. `HeardState` is how it hears that
+an axis stands.
 """
 
 import re
@@ -21,21 +21,19 @@ from drivers.canopen.units import codec
 from drivers.cia402 import states
 from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady
 
-PATIENCE = 0.1  # s until a question without an answer is asked again
-UPLOAD = 0x40  # command specifier of an SDO upload request
-_REQUEST = struct.Struct("<BHB4x")
-_EXPEDITED = {0x43: 4, 0x47: 3, 0x4B: 2, 0x4F: 1, 0x42: 4}  # by command specifier of the answer: number of data bytes
-_UNIT = ("velocity_unit", "increments", "motor_revolutions")
-_PRE_OPERATIONAL = 0x7F
-
 
 def upload_request(entry: Entry) -> bytes:
     """SDO request that reads an object."""
-    return _REQUEST.pack(UPLOAD, entry.index, entry.sub)
+    return struct.pack("<BHB4x", frames.UPLOAD, entry.index, entry.sub)
 
 
 class HeardState:
-    """Times are s on the monotonic clock."""
+    """What one node reports of its state on a bus that another host uses: statusword and velocity. Pure.
+
+    Sources, none of which disturbs the other host: TPDO `state`, and the answers to SDO uploads that the other host
+    requests. A block or segmented transfer has data that look like answers; so an answer counts only after its request.
+    Times are s on the monotonic clock.
+    """
 
     def __init__(self, axis: CanopenAxis, device_map: DeviceMap) -> None:
         self._axis, self._map = axis, device_map
@@ -50,7 +48,7 @@ class HeardState:
     @property
     def pre_operational(self) -> bool:
         """Whether the node reports that it accepts no process data, and answers SDO."""
-        return self._nmt == _PRE_OPERATIONAL
+        return self._nmt == frames.NmtState.PRE_OPERATIONAL
 
     def note(self, event: frames.Event, now: float) -> None:
         """A frame of this node other than SDO."""
@@ -72,12 +70,13 @@ class HeardState:
         if (index, sub) != self._requested:
             return
         self._requested = None
-        if size := _EXPEDITED.get(specifier):
+        size = {0x43: 4, 0x47: 3, 0x4B: 2, 0x4F: 1, 0x42: 4}.get(specifier)  # of an expedited answer, bytes
+        if size:
             self._values[index, sub] = data[4 : 4 + size], self._at
 
     def question(self, since: float, now: float) -> bytes:
         """The next SDO upload request that is needed to know the state after `since`; b"" if an answer is awaited."""
-        if self._requested is not None and now - self._asked < PATIENCE:
+        if self._requested is not None and now - self._asked < 0.1:  # s, then it is asked again
             return b""
         status, velocity = (self._value(name, since) for name in ("statusword", "velocity"))
         if status is None or (velocity is not None and velocity[1] >= status[1]):
@@ -100,7 +99,7 @@ class HeardState:
         limit = self._limit()
         return "" if abs(velocity) <= limit else f"turns at {velocity} velocity units, standstill is at most {limit:g}"
 
-    # -- inside
+    # -- inside --------------------------------------------------------------------------------------------------
 
     def _reported(self, since: float) -> tuple[int, int] | None:
         """Statusword and raw velocity of the same time or of a later velocity; the newest after `since`."""
@@ -126,13 +125,13 @@ class HeardState:
 
     def _expect(self, data: bytes, now: float) -> None:
         self._requested = None
-        if len(data) == _REQUEST.size and data[0] == UPLOAD:
-            _, index, sub = _REQUEST.unpack(data)
+        if len(data) == 8 and data[0] == frames.UPLOAD:
+            _, index, sub = struct.unpack("<BHB4x", data)
             self._requested, self._at = (index, sub), now
 
     def _unknown_units(self) -> list[str]:
         units = self._map.units
-        wanted = _UNIT if units.velocity == "60A9h" else ()
+        wanted = ("velocity_unit", "increments", "motor_revolutions") if units.velocity == "60A9h" else ()
         return [
             name
             for name in wanted
@@ -159,16 +158,9 @@ class HeardState:
             return 0.0
 
 
-OPEN_TIMEOUT = 1.0  # s, of one step of opening
 SEND_TIMEOUT = 0.2  # s; a gateway that takes no more frames is lost
-AGAIN = 0.05  # s until the stop is sent again: its SYNC makes nodes in NMT operational report their state
-ALONE = 0.3  # s without a question of the service to a node, after which the node is asked from here
-ANSWER = 0.05  # s for the answers of nodes that are asked before they are made deaf
 _POLL = 0.005  # s
-_SOCKETCAND_FRAME = re.compile(rb"< (frame|error) ([0-9A-Fa-f]+) [^ <>]+(?: ([0-9A-Fa-f ]*))?>")
 _CAN_FRAME = struct.Struct("=IB3x8s")  # linux/can.h
-_CAN_RAW_ERR_FILTER = 2  # linux/can/raw.h; the socket module lacks this constant
-_ERROR_FLAG, _ERROR_MASK = 0x20000000, 0x1FFFFFFF
 
 
 class CanopenStopSender:
@@ -218,13 +210,14 @@ class CanopenStopSender:
         """Nodes in NMT operational report their state at the SYNC of the stop, which is repeated. The others are heard
         when they answer the stop sequence of the service; a node that the service does not ask is asked from here.
         """
+        every = 0.05  # s
         deadline, since = time.monotonic() + within, self._sent
-        again = time.monotonic() + AGAIN
+        again = time.monotonic() + every
         self._confirming += 1
         try:
             while any((doubts := self._unconfirmed(since)).values()) and (now := time.monotonic()) < deadline:
                 if now >= again:
-                    again = now + AGAIN
+                    again = now + every
                     self._send()
                 self._ask(since)
                 if self._receiving.acquire(timeout=_POLL):  # otherwise `listen` receives
@@ -245,7 +238,7 @@ class CanopenStopSender:
         self._alone = True
         listening = [node for node, state in self._states.items() if state.pre_operational]
         self._send(deaf=[node for node in self._joints if node not in listening])
-        until = time.monotonic() + ANSWER
+        until = time.monotonic() + 0.05  # s for the answers of nodes that are asked before they are made deaf
         while self._confirming and time.monotonic() < until:
             if not any(self._states[node].doubt(self._sent) for node in listening):
                 break
@@ -279,12 +272,12 @@ class CanopenStopSender:
         return {joint: self._doubt(node) or self._states[node].doubt(since) for node, joint in self._joints.items()}
 
     def _ask(self, since: float) -> None:
-        """Ask nodes that the service has not asked for a while."""
+        """Ask nodes that the service has not asked for 0.3 s."""
         now = time.monotonic()
         for node, state in self._states.items():
             quiet = now - max(state.asked_by_service, since)
-            if (self._alone or quiet > ALONE) and state.doubt(since) and (request := state.question(since, now)):
-                self._transmit([(frames.SDO_REQUEST + node, request)])
+            if (self._alone or quiet > 0.3) and state.doubt(since) and (request := state.question(since, now)):
+                self._transmit([(frames.Cob.SDO_REQUEST + node, request)])
 
     def _send(self, *, deaf: Iterable[int] = ()) -> None:
         self._transmit(frames.stop(self._joints, deaf, wires=self._wires))
@@ -315,10 +308,12 @@ class CanopenStopSender:
     def _take(self, data: bytes) -> None:
         if self._bus.interface == "socketcan":
             word, length, content = _CAN_FRAME.unpack(data[: _CAN_FRAME.size])
-            self._note(word & _ERROR_MASK, content[:length], error=bool(word & _ERROR_FLAG))
+            self._note(word & 0x1FFFFFFF, content[:length], error=bool(word & 0x20000000))  # CAN_ERR_MASK, CAN_ERR_FLAG
             return
         data = self._rest + data
-        for kind, identifier, content in _SOCKETCAND_FRAME.findall(data):
+        for kind, identifier, content in re.findall(
+            rb"< (frame|error) ([0-9A-Fa-f]+) [^ <>]+(?: ([0-9A-Fa-f ]*))?>", data
+        ):
             if kind == b"error" or len(identifier) <= 3:  # no 29 bits
                 with suppress(ValueError):  # an odd number of digits
                     self._note(int(identifier, 16), bytes.fromhex(content.decode()), error=kind == b"error")
@@ -326,27 +321,27 @@ class CanopenStopSender:
 
     def _note(self, identifier: int, data: bytes, *, error: bool) -> None:
         if error:
-            self._off = self._off or bool(identifier & frames.ERROR_BUS_OFF)
+            self._off = self._off or bool(identifier & frames.ErrorClass.BUS_OFF)
             return
         now, function, node = time.monotonic(), identifier & ~0x7F, identifier & 0x7F
         state = self._states.get(node)
         if state is None:
             return
-        if function == frames.SDO_REQUEST:  # of the service: we do not receive what we send
+        if function == frames.Cob.SDO_REQUEST:  # of the service: we do not receive what we send
             state.requested(data, now)
             return
-        if function == frames.SDO_RESPONSE:
+        if function == frames.Cob.SDO_RESPONSE:
             state.answered(data, now)
         elif (event := frames.decode(identifier, data, wires=self._wires)) is not None:
             state.note(event, now)
-        if function in (frames.HEARTBEAT, frames.tpdo_id(self._wires.state), frames.SDO_RESPONSE):
+        if function in (frames.Cob.HEARTBEAT, frames.tpdo_id(self._wires.state), frames.Cob.SDO_RESPONSE):
             self._heard[node] = now
             self._off = False
 
 
 def _socketcand(profile: BusProfile) -> socket.socket:
     """A client in raw mode. Raises OSError."""
-    client = socket.create_connection((profile.host or "", profile.port or 0), OPEN_TIMEOUT)
+    client = socket.create_connection((profile.host or "", profile.port or 0), 1.0)  # s, of each step
     try:
         client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         for said, answer in (("", "< hi >"), (f"< open {profile.channel} >", "< ok >"), ("< rawmode >", "< ok >")):
@@ -372,10 +367,10 @@ def _socketcan(profile: BusProfile, wires: frames.Wires) -> socket.socket:
         raise OSError("this computer has no SocketCAN")
     bus = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     try:
-        heard = (frames.HEARTBEAT, frames.tpdo_id(wires.state), frames.SDO_REQUEST, frames.SDO_RESPONSE)
+        heard = (frames.Cob.HEARTBEAT, frames.tpdo_id(wires.state), frames.Cob.SDO_REQUEST, frames.Cob.SDO_RESPONSE)
         filters = b"".join(struct.pack("=II", function, 0x780) for function in heard)
         bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters)
-        bus.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, frames.ERROR_BUS_OFF)
+        bus.setsockopt(socket.SOL_CAN_RAW, 2, frames.ErrorClass.BUS_OFF)  # CAN_RAW_ERR_FILTER of linux/can/raw.h
         bus.settimeout(SEND_TIMEOUT)
         bus.bind((profile.channel,))
     except BaseException:

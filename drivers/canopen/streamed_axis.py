@@ -14,7 +14,7 @@ from drivers.canopen.samples import Pairing, Sample, Windows
 from drivers.canopen.units import Codec
 from drivers.cia402 import states
 from drivers.cia402.checks import Envelope, set_point
-from drivers.cia402.states import State, Wish
+from drivers.cia402.states import Controlword, State, Wish
 from drivers.errors import Measured
 from drivers.ports import SampleBlock, SweepCommand
 
@@ -66,7 +66,7 @@ class StopSequence:
             elif now > self._deadline or state is not State.OPERATION_ENABLED:
                 self.advance(StopStage.QUICK_STOP, now, 0)
             else:
-                return states.ENABLE_OPERATION, self._target
+                return Controlword.ENABLE_OPERATION, self._target
         if self.stage is StopStage.QUICK_STOP:
             if standing or off or now > self._deadline:
                 self.advance(StopStage.DISABLE, now, 0)
@@ -75,9 +75,6 @@ class StopSequence:
         if self.stage is StopStage.DISABLE and (off or now > self._deadline):
             self.advance(StopStage.DONE, now, 0)
         return states.step(state, Wish.DISABLED), 0
-
-
-SUBSTEPS = 8  # integration steps per cycle: exact to 10^-4 of an amplitude up to 5 Hz at 8 ms
 
 
 class SetPoints(Protocol):
@@ -126,8 +123,9 @@ class Positions:
     ) -> None:
         self.mode_bits = mode_bits
         self._velocities = Velocities(codec, command, last, period)
-        fine = set_point(command, np.arange(last * SUBSTEPS + 1, dtype=float) * (period / SUBSTEPS))
-        travelled = np.concatenate([[0.0], np.cumsum((fine[1:] + fine[:-1]) * (period / SUBSTEPS / 2))])[::SUBSTEPS]
+        # 8 steps per cycle: exact to 10^-4 of an amplitude up to 5 Hz at 8 ms
+        fine = set_point(command, np.arange(last * 8 + 1, dtype=float) * (period / 8))
+        travelled = np.concatenate([[0.0], np.cumsum((fine[1:] + fine[:-1]) * (period / 8 / 2))])[::8]
         begin = float(codec.position(start))
         targets = [codec.raw_position(begin + float(each)) for each in travelled[1:]]
         self._targets = [*targets, targets[-1]]
@@ -145,10 +143,6 @@ class Positions:
             self._place = float(self.planned(max(0, number - 1)))
         self._place += velocity * self._step
         return round(self._place)
-
-
-STANDING_SAMPLES = 5  # in a row below the standstill velocity
-MOST_AHEAD = 0.2  # s of SYNCs without a sample, before a host that may miss deadlines waits for a drive that counts
 
 
 class Ending(Enum):
@@ -208,6 +202,9 @@ class StreamedAxis:
     The set-point sent before SYNC k is reached one period later, so that the axis should have w(k T) at SYNC k.
     """
 
+    standing_samples = 5  # in a row below the standstill velocity
+    most_ahead = 0.2  # s of SYNCs without a sample, before a host that may miss deadlines waits for a drive that counts
+
     def __init__(self, request: StreamRequest, period: float) -> None:
         axis, codec = request.axis, request.codec
         self.joint = axis.joint
@@ -237,7 +234,7 @@ class StreamedAxis:
 
     @property
     def standing(self) -> bool:
-        return self._standing >= STANDING_SAMPLES
+        return self._standing >= self.standing_samples
 
     @property
     def complete(self) -> bool:
@@ -246,10 +243,10 @@ class StreamedAxis:
 
     @property
     def answered(self) -> bool:
-        """Both TPDOs came since the last SYNC; those of a drive that counts samples may be `MOST_AHEAD` late."""
+        """Both TPDOs came since the last SYNC; those of a drive that counts samples may be `most_ahead` late."""
         if isinstance(self._pairing, Windows):
             return self._pairing.answered
-        return (self.behind + self.silent) * self._period <= MOST_AHEAD
+        return (self.behind + self.silent) * self._period <= self.most_ahead
 
     @property
     def counts(self) -> bool:
@@ -259,7 +256,7 @@ class StreamedAxis:
     def planned(self, number: int) -> bytes:
         """RPDO of the set-point of this cycle; after the end of the sweep without the bits that start a mode."""
         bits = self._set_points.mode_bits if number <= self.last else 0
-        return frames.rpdo1(states.ENABLE_OPERATION | bits, self._set_points.planned(number))
+        return frames.rpdo1(Controlword.ENABLE_OPERATION | bits, self._set_points.planned(number))
 
     def was_sent(self, number: int) -> None:
         """This cycle was sent as planned."""
@@ -271,7 +268,7 @@ class StreamedAxis:
             self.was_sent(number)
             return self.planned(number)
         controlword, self.velocity = self.stop_sequence.command(now, self.standing, self.state)
-        if controlword == states.ENABLE_OPERATION:
+        if controlword == Controlword.ENABLE_OPERATION:
             controlword |= self._set_points.mode_bits
         return frames.rpdo1(controlword, self._set_points.ramped(number, self.velocity))
 
@@ -305,7 +302,7 @@ class StreamedAxis:
                 return self._take_position(event)
             case frames.Emergency() if event.code:
                 return Trouble(Ending.LEFT_STATE, f"error {event.code:04X}h")
-            case frames.Heartbeat() if event.state == frames.BOOT_UP:
+            case frames.Heartbeat() if event.state == frames.NmtState.BOOT_UP:
                 self.state = State.UNKNOWN
                 return Trouble(Ending.LEFT_STATE, "node restarted")
             case _:

@@ -9,7 +9,7 @@ from enum import Enum
 from drivers.cia402 import states
 from drivers.cia402.device import Device, MeasuringState, Mode, Motion
 from drivers.cia402.host_watch import HostWatch
-from drivers.cia402.states import State, Wish
+from drivers.cia402.states import Controlword, State, Statusword, Wish
 from drivers.errors import (
     CauseCode,
     CommunicationLost,
@@ -22,11 +22,6 @@ from drivers.errors import (
     WrongConfiguration,
 )
 from drivers.ports import AxisIdentity, AxisState, AxisStatus, Fault
-
-TRANSITION_TIMEOUT = 2.0  # s, for one step of the power state machine (brakes take about 100 ms)
-RESET_TIMEOUT = 0.5  # s
-POLL = 0.002  # s
-STOP_WORD = 0.1  # s by which the report of a stop of another process may arrive after its effect
 
 
 class Energy(Enum):
@@ -50,6 +45,9 @@ class Reading(Motion):
 
 class Axis:
     """Stores the properties read at connect, the latched fault, and whether this host energised the axis."""
+
+    transition_timeout = 2.0  # s, for one step of the power state machine (brakes take about 100 ms)
+    poll = 0.002  # s
 
     def __init__(self, device: Device, watch: HostWatch) -> None:
         """`watch` is checked before each command that enables or moves the axis."""
@@ -161,11 +159,11 @@ class Axis:
             while state is not State.OPERATION_ENABLED:
                 self._check_wanted(stop)
                 self._command(states.step(state, Wish.ENABLED))
-                following = self._next_state(state, TRANSITION_TIMEOUT, stop)
+                following = self._next_state(state, self.transition_timeout, stop)
                 self._check_wanted(stop)
                 self.check(following)
                 if following is state:
-                    raise NotReady(self.place, f"stays in state '{state.value}' for {TRANSITION_TIMEOUT} s")
+                    raise NotReady(self.place, f"stays in state '{state.value}' for {self.transition_timeout} s")
                 state = following
             self.energy = Energy.ON
             self._check_wanted(stop)
@@ -176,18 +174,18 @@ class Axis:
     def disable(self) -> None:
         """Sends disable voltage in any state, without reading the state first, and waits until it takes effect."""
         self.expect_stop()
-        self.device.control(states.DISABLE_VOLTAGE)
-        deadline = time.monotonic() + TRANSITION_TIMEOUT
+        self.device.control(Controlword.DISABLE_VOLTAGE)
+        deadline = time.monotonic() + self.transition_timeout
         while (state := self.state()) in states.ENERGISED:
             if time.monotonic() > deadline:
                 raise WrongConfiguration(self.place, f"does not leave state '{state.value}' on 'disable voltage'")
-            time.sleep(POLL)
+            time.sleep(self.poll)
         self.energy = Energy.OFF
         self.device.forbid_motion()
 
     def quick_stop(self) -> None:
         self.expect_stop()
-        self.device.control(states.QUICK_STOP)
+        self.device.control(Controlword.QUICK_STOP)
 
     def halt(self) -> None:
         """First stage of the stop sequence for a move: decelerate by 605Dh, in closed loop if that is still allowed."""
@@ -195,7 +193,7 @@ class Axis:
         if self._watch.reason:
             self.quick_stop()
         elif self.state() is State.OPERATION_ENABLED:
-            self.device.control(states.ENABLE_OPERATION | states.HALT)
+            self.device.control(Controlword.ENABLE_OPERATION | Controlword.HALT)
 
     def slow_down(self) -> None:
         """First stage of the stop sequence: abort the measuring function if it runs, otherwise halt."""
@@ -208,10 +206,10 @@ class Axis:
         """Fault reset by a rising edge of bit 7 only. Raises DriveFault if the fault remains."""
         state = self.state()
         if state is State.FAULT:
-            self.device.control(states.DISABLE_VOLTAGE)
+            self.device.control(Controlword.DISABLE_VOLTAGE)
             self.device.control(states.step(state, Wish.FAULT_RESET))
-            self.device.control(states.DISABLE_VOLTAGE)
-            state = self._next_state(state, RESET_TIMEOUT, stop=threading.Event())
+            self.device.control(Controlword.DISABLE_VOLTAGE)
+            state = self._next_state(state, 0.5, stop=threading.Event())
         if state in (State.FAULT, State.FAULT_REACTION):
             code = self.device.error_code()
             raise DriveFault(
@@ -238,18 +236,18 @@ class Axis:
         The axis may move before the drive acknowledges. `stop` interrupts waiting, so that the stop sequence gets
         the thread.
         """
-        self._command(states.ENABLE_OPERATION)
+        self._command(Controlword.ENABLE_OPERATION)
         self.device.set_target(position, velocity)
-        self._command(states.ENABLE_OPERATION | states.NEW_SET_POINT)
-        deadline = time.monotonic() + TRANSITION_TIMEOUT
-        while not self.device.statusword() & states.SET_POINT_ACKNOWLEDGED:
+        self._command(Controlword.ENABLE_OPERATION | Controlword.NEW_SET_POINT)
+        deadline = time.monotonic() + self.transition_timeout
+        while not self.device.statusword() & Statusword.SET_POINT_ACKNOWLEDGED:
             if stop.is_set():
                 return
             self.check(self.state())
             if time.monotonic() > deadline:
                 raise WrongConfiguration(self.place, "does not acknowledge the set-point (statusword bit 12)")
-            time.sleep(POLL)
-        self._command(states.ENABLE_OPERATION)
+            time.sleep(self.poll)
+        self._command(Controlword.ENABLE_OPERATION)
 
     def start_measuring(self) -> None:
         """Raises SweepRejected with the drive's reason; then nothing moved."""
@@ -275,7 +273,7 @@ class Axis:
         """MotionForbidden if an axis enabled here lost its energy. Waits so that an external stop can be reported
         first.
         """
-        deadline = time.monotonic() + STOP_WORD
+        deadline = time.monotonic() + 0.1  # s by which the report of a stop may arrive after its effect
         while self.energy is Energy.ON and state is not State.OPERATION_ENABLED:
             if time.monotonic() > deadline:
                 self.device.look_for_restart()
@@ -286,7 +284,7 @@ class Axis:
                     self.profile.joint,
                 )
                 self._watch.check()
-            time.sleep(POLL)
+            time.sleep(self.poll)
 
     def _notice_enabled(self, state: State) -> None:
         if self.energy is Energy.OFF and state in (State.SWITCHED_ON, State.OPERATION_ENABLED):
@@ -304,5 +302,5 @@ class Axis:
         """The state that follows `state`, or `state` if it does not change within `within` s or before `stop`."""
         deadline = time.monotonic() + within
         while (now := self.state()) is state and time.monotonic() < deadline and not stop.is_set():
-            time.sleep(POLL)
+            time.sleep(self.poll)
         return now

@@ -10,9 +10,6 @@ from drivers.cia402.profile import AxisProfile
 from drivers.errors import LimitExceeded, Measured, distinct
 from drivers.ports import NoiseCommand, SweepCommand, SweepMode
 
-MAX_SINES = 16  # of the measuring function
-OVERSHOOT = 1.1  # of the speed during a positioning move, over the highest speed that may be commanded
-
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
@@ -48,12 +45,8 @@ def _beyond(value: float, limit: float) -> tuple[str, str]:
 
 
 def move_envelope(axis: AxisProfile) -> Envelope:
-    """Envelope of positioning moves: the limits of the profile, with margin for the overshoot of the speed
-    controller.
-    """
-    return Envelope(
-        OVERSHOOT * axis.velocity_limit, axis.effort_limit, axis.position_limits, axis.unit, axis.effort_unit
-    )
+    """Envelope of positioning moves: the limits of the profile, with 10 % for the overshoot of the speed controller."""
+    return Envelope(1.1 * axis.velocity_limit, axis.effort_limit, axis.position_limits, axis.unit, axis.effort_unit)
 
 
 def sweep_envelope(axis: AxisProfile, command: SweepCommand | NoiseCommand) -> Envelope:
@@ -91,8 +84,8 @@ def check_sweep(axis: AxisProfile, command: SweepCommand, start: float, sync_per
             axis.joint,
             f"peak velocity {peak:.4g} {axis.unit}/s is beyond the limit of {command.velocity_limit:.4g} {axis.unit}/s",
         )
-    if command.mode is SweepMode.DRIVE_SIDE and len(command.sines) > MAX_SINES:
-        raise LimitExceeded(axis.joint, f"{len(command.sines)} sines are more than the drive's {MAX_SINES}")
+    if command.mode is SweepMode.DRIVE_SIDE and len(command.sines) > 16:
+        raise LimitExceeded(axis.joint, f"{len(command.sines)} sines are more than the drive's 16")
     rate = 1 / sync_period if command.mode is SweepMode.HOST_STREAMED else command.sample_rate
     highest = max((sine.frequency for sine in command.sines), default=0.0)
     if not highest < rate / 2:

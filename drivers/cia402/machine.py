@@ -406,9 +406,6 @@ def _require_alone(axes: Collection[Axis], all_axes: Collection[Axis]) -> None:
             raise NotReady(place, f"{other.place} is '{state.value}'; it must be disabled first")
 
 
-POLL = 0.02  # s
-
-
 class Watched:
     """Runs a sweep inside the block: an error of a standing axis sets `stop` and is raised instead of the interruption.
 
@@ -435,7 +432,7 @@ async def _watch(thread: DriveThread, standing: Sequence[Axis], stop: threading.
     try:
         while not stop.is_set():
             await thread.run(_check, standing)
-            await asyncio.sleep(POLL)
+            await asyncio.sleep(0.02)
     except Exception:  # nobody watches any more
         stop.set()
         raise
@@ -446,16 +443,13 @@ def _check(standing: Sequence[Axis]) -> None:
         axis.check_standing()
 
 
-LOOK = 0.3  # s from the check of one axis to that of the next
-
-
 async def look(link: Connection, reading: asyncio.Lock, idle: Callable[[], bool]) -> None:
     """Checks one axis after the other whether another host enabled it, until cancelled.
 
     `reading`: lock held while the axes are polled; `idle`: True if no motion is in progress.
     """
     for axis in itertools.cycle(link.axes.values()):
-        await asyncio.sleep(LOOK)
+        await asyncio.sleep(0.3)
         async with reading:
             if idle():
                 with suppress(DriveError):  # the next caller gets the error

@@ -1,4 +1,6 @@
-"""The stop sequence, executed step by step: decelerate, quick stop, disable voltage; each stage has a deadline."""
+"""The motions of one axis that the host follows by reading it: its stop sequence, a move, a drive-side sweep or noise
+run. A host-streamed sweep is the fieldbus' own (`drivers.cia402.connection.Run`).
+"""
 
 import asyncio
 import logging
@@ -9,11 +11,11 @@ from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
 from contextlib import asynccontextmanager, suppress
 
 from drivers.cia402 import checks, states
-from drivers.cia402.axis import Axis, Reading
+from drivers.cia402.axis import Axis
 from drivers.cia402.checks import Envelope
 from drivers.cia402.connection import DriveThread
 from drivers.cia402.device import MeasuringState
-from drivers.cia402.states import State
+from drivers.cia402.states import State, Statusword
 from drivers.errors import (
     CommunicationLost,
     DriveError,
@@ -32,11 +34,11 @@ from drivers.ports import NoiseCommand, SampleBlock, SweepCommand
 logger = logging.getLogger(__name__)
 
 POLL = 0.01  # s
-RAMP_MARGIN = 0.5  # s added to the ramp time of a stage
 
 
 async def bring_down(thread: DriveThread, axis: Axis) -> None:
-    """Brings the axis to standstill and de-energises it, whatever it does now.
+    """Brings the axis to standstill and de-energises it, whatever it does now: decelerate, quick stop, disable voltage,
+    each with a deadline, 0.5 s after the time of its ramp.
 
     Raises CommunicationLost if the drive does not answer and WrongConfiguration if it refuses. In both cases a stop
     that needs no answer was sent before.
@@ -74,9 +76,9 @@ async def _come_to_rest(thread: DriveThread, axis: Axis) -> None:
     reading = await thread.run(axis.read)
     if reading.state in states.ENERGISED and not axis.stands(reading):
         await thread.run(axis.slow_down)
-        if not await _stands(thread, axis, profile.velocity_limit / profile.acceleration + RAMP_MARGIN):
+        if not await _stands(thread, axis, profile.velocity_limit / profile.acceleration + 0.5):
             await thread.run(axis.quick_stop)
-            await _stands(thread, axis, profile.velocity_limit / profile.quick_stop_deceleration + RAMP_MARGIN)
+            await _stands(thread, axis, profile.velocity_limit / profile.quick_stop_deceleration + 0.5)
     elif reading.state in states.ENERGISED:
         await thread.run(axis.slow_down)  # a sweep's first instants look like standstill
 
@@ -84,7 +86,7 @@ async def _come_to_rest(thread: DriveThread, axis: Axis) -> None:
 async def _confirm_rest(thread: DriveThread, axis: Axis) -> None:
     """WrongConfiguration if the axis still turns without energy, e.g. under its weight or with an open brake."""
     profile = axis.profile
-    deadline = time.monotonic() + profile.velocity_limit / profile.quick_stop_deceleration + RAMP_MARGIN
+    deadline = time.monotonic() + profile.velocity_limit / profile.quick_stop_deceleration + 0.5
     while True:
         reading = await thread.run(axis.read)
         if axis.stands(reading) and reading.state in states.WITHOUT_ENERGY:
@@ -109,14 +111,6 @@ async def _stands(thread: DriveThread, axis: Axis, within: float) -> bool:
     return False
 
 
-MARGIN = 5.0  # s for at least `LEAST` of the travel that a start from standstill makes in it
-LEAST = 0.1
-GAP = MARGIN / 10  # s, counted at most between two readings: a host that was suspended has not seen the axis stand
-ARRIVAL = 2e-3  # rad (m), tolerance at the target
-# s at standstill there: where a controller overshoots, the speed passes through zero before the axis stands
-ARRIVAL_TIME = 0.05
-
-
 async def move(
     thread: DriveThread,
     axis: Axis,
@@ -125,18 +119,22 @@ async def move(
     stop: threading.Event,
     standing: Iterable[Axis],
     clock: Callable[[], float] = time.monotonic,
+    margin: float = 5.0,
+    tolerance: float = 2e-3,
 ) -> None:
-    """Returns at standstill at `position`, rad (m). If the axis did not arrive, the caller must stop it.
+    """Returns at standstill within `tolerance` of `position`, rad (m), in profile position mode: the drive generates
+    the ramps. If the axis did not arrive, the caller must stop it.
 
-    An error of an axis that is `standing` also ends the move. The axis has to come nearer; when it arrives is the
-    drive's affair, whose clock is not the host's.
+    An error of an axis that is `standing` also ends the move. The axis has to come nearer, in `margin` s by a tenth of
+    the travel that a start from standstill makes in it; when it arrives is the drive's affair, whose clock is not the
+    host's.
     """
     profile = axis.profile
     envelope = checks.move_envelope(profile)
     start = await thread.run(axis.require_enabled)
     await thread.run(axis.device.read_back)
     await thread.run(axis.device.settle_limits, envelope.velocity_limit, envelope.effort_limit, envelope.window)
-    least = LEAST * min(velocity * MARGIN, profile.acceleration * MARGIN**2 / 2)
+    least = 0.1 * min(velocity * margin, profile.acceleration * margin**2 / 2)
     await thread.run(_start, axis, position, velocity, stop)
     arrived = math.inf  # since when, s on `clock`
     nearest, waited, before = abs(position - start.position), 0.0, clock()
@@ -154,20 +152,22 @@ async def move(
             text, measured = violation
             raise EnvelopeLeft(axis.place, text, measured=measured)
         now, distance = clock(), abs(position - reading.position)
-        waited, before = waited + min(now - before, GAP), now
+        # a host that was suspended has not seen the axis stand
+        waited, before = waited + min(now - before, margin / 10), now
         if distance <= nearest - least:
             nearest, waited = distance, 0.0
-        arrived = min(arrived, now) if _arrived(axis, reading, position) else math.inf
-        if now - arrived >= ARRIVAL_TIME:
+        reached = bool(reading.statusword & Statusword.TARGET_REACHED)
+        arrived = min(arrived, now) if reached and axis.stands(reading) and distance <= tolerance else math.inf
+        if now - arrived >= 0.05:  # s: where a controller overshoots, the speed passes through zero before it stands
             return
-        if waited > MARGIN:
-            reached = "" if reading.statusword & states.TARGET_REACHED else ", target not reported as reached"
+        if waited > margin:
+            missed = "" if reached else ", target not reported as reached"
             raise TargetNotReached(
                 axis.place,
                 f"{reading.position - position:+.2g} {profile.unit} from its target "
-                f"{position:.5g} {profile.unit}, no nearer for {MARGIN} s, "
-                f"at {reading.velocity:.2g} {profile.unit}/s{reached}",
-                measured=Measured(reading.position - position, ARRIVAL, profile.unit),
+                f"{position:.5g} {profile.unit}, no nearer for {margin} s, "
+                f"at {reading.velocity:.2g} {profile.unit}/s{missed}",
+                measured=Measured(reading.position - position, tolerance, profile.unit),
             )
         await asyncio.sleep(POLL)
 
@@ -177,11 +177,6 @@ def _start(axis: Axis, position: float, velocity: float, stop: threading.Event) 
     if stop.is_set():
         raise SweepInterrupted(axis.place, "move was stopped before it started")
     axis.start_positioning(position, velocity, stop)
-
-
-def _arrived(axis: Axis, reading: Reading, position: float) -> bool:
-    reached = bool(reading.statusword & states.TARGET_REACHED)
-    return reached and axis.stands(reading) and abs(reading.position - position) <= ARRIVAL
 
 
 @asynccontextmanager
@@ -212,14 +207,12 @@ async def prepared(thread: DriveThread, axis: Axis, command: SweepCommand | Nois
     await thread.run(injector.restore_control)
 
 
-LIVE_TIME = 0.1  # s; shortest page that is read during the run
-STALLED = 5.0  # s without a new sample
-REST = 2.0  # s from the end of a run to standstill
-OVERLONG = 1.6  # times the expected samples: a trace cycle in whole ms may be shorter than requested
-
-
 class DriveSweep:
-    """One run. `stop` (a threading.Event) may be set from any thread; the task then stops the axis and ends."""
+    """One run: a task starts the measuring function, monitors it, and reads its trace in pages, whether or not the
+    samples are consumed. `stop` (a threading.Event) may be set from any thread; the task then stops the axis and ends.
+    """
+
+    stalled = 5.0  # s without a new sample
 
     def __init__(
         self,
@@ -234,8 +227,9 @@ class DriveSweep:
         self._thread, self._axis, self._command = thread, axis, command
         self._envelope, self._stop, self._bring_down = envelope, stop, bring_down
         self._largest = axis.device.page_size
-        self._live = max(1, min(self._largest, round(LIVE_TIME * command.sample_rate)))
-        self._most = round(OVERLONG * (command.duration + 1.0) * command.sample_rate)
+        self._live = max(1, min(self._largest, round(0.1 * command.sample_rate)))
+        # 1.6 times the expected samples: a trace cycle in whole ms may be shorter than requested
+        self._most = round(1.6 * (command.duration + 1.0) * command.sample_rate)
         self._done = 0  # samples handed over
         self._blocks: asyncio.Queue[SampleBlock | None] = asyncio.Queue()
         self._task = asyncio.create_task(self._run(), name="drive-side sweep")
@@ -307,13 +301,15 @@ class DriveSweep:
                 grown = time.monotonic()
                 await self._hand_over(min(recorded, self._done + self._largest))
                 continue
-            if time.monotonic() - grown > STALLED:
-                raise CommunicationLost(self._axis.place, f"no new sample of the measuring function for {STALLED} s")
+            if time.monotonic() - grown > self.stalled:
+                raise CommunicationLost(
+                    self._axis.place, f"no new sample of the measuring function for {self.stalled} s"
+                )
             await asyncio.sleep(POLL)
 
     async def _come_to_rest(self) -> None:
         """After torque noise an axis with softened control oscillates for a moment."""
-        deadline = time.monotonic() + REST
+        deadline = time.monotonic() + 2.0
         while True:
             reading = await self._thread.run(self._axis.read)
             self._axis.check(reading.state)

@@ -1,6 +1,6 @@
 """The CiA 402 power state machine as one pure table (IEC 61800-7-201, statusword 6041h, controlword 6040h)."""
 
-from enum import Enum
+from enum import Enum, IntFlag
 
 from drivers.errors import NotReady
 from drivers.ports import AxisState
@@ -29,6 +29,29 @@ class Wish(Enum):
     FAULT_RESET = "fault reset"
 
 
+class Controlword(IntFlag):
+    """Commands of 6040h, and the bits that are added to `ENABLE_OPERATION`."""
+
+    DISABLE_VOLTAGE = 0x00
+    QUICK_STOP = 0x02
+    SHUTDOWN = 0x06
+    SWITCH_ON = 0x07
+    ENABLE_OPERATION = 0x0F
+    FAULT_RESET = 0x80
+    NEW_SET_POINT = 0x10
+    """In profile position mode."""
+    HALT = 0x100
+
+
+class Statusword(IntFlag):
+    """Bits of 6041h beside the state."""
+
+    REMOTE = 0x200
+    """The drive obeys its controlword."""
+    TARGET_REACHED = 0x400
+    SET_POINT_ACKNOWLEDGED = 0x1000
+
+
 # (mask, value, state); the patterns exclude one another.
 PATTERNS = (
     (0x4F, 0x00, State.NOT_READY),
@@ -41,29 +64,16 @@ PATTERNS = (
     (0x4F, 0x08, State.FAULT),
 )
 
-DISABLE_VOLTAGE = 0x00
-QUICK_STOP = 0x02
-SHUTDOWN = 0x06
-SWITCH_ON = 0x07
-ENABLE_OPERATION = 0x0F
-FAULT_RESET = 0x80
-NEW_SET_POINT = 0x10  # bit 4 in profile position mode
-HALT = 0x100  # bit 8
-
-SET_POINT_ACKNOWLEDGED = 0x1000  # statusword bit 12
-TARGET_REACHED = 0x400  # statusword bit 10
-REMOTE = 0x200  # statusword bit 9: the drive obeys its controlword
-
 # The next controlword from a state towards a target. A pair that is not in the table is refused. Only ENABLED and only
 # along its one path closes the loop; QUICK_STOP and DISABLED are allowed from everywhere, for they only take energy.
-STEPS: dict[tuple[State, Wish], int] = {
-    (State.SWITCH_ON_DISABLED, Wish.ENABLED): SHUTDOWN,
-    (State.READY, Wish.ENABLED): SWITCH_ON,
-    (State.SWITCHED_ON, Wish.ENABLED): ENABLE_OPERATION,
-    (State.OPERATION_ENABLED, Wish.ENABLED): ENABLE_OPERATION,
-    (State.FAULT, Wish.FAULT_RESET): FAULT_RESET,
-    **{(state, Wish.QUICK_STOP): QUICK_STOP for state in State},
-    **{(state, Wish.DISABLED): DISABLE_VOLTAGE for state in State},
+STEPS: dict[tuple[State, Wish], Controlword] = {
+    (State.SWITCH_ON_DISABLED, Wish.ENABLED): Controlword.SHUTDOWN,
+    (State.READY, Wish.ENABLED): Controlword.SWITCH_ON,
+    (State.SWITCHED_ON, Wish.ENABLED): Controlword.ENABLE_OPERATION,
+    (State.OPERATION_ENABLED, Wish.ENABLED): Controlword.ENABLE_OPERATION,
+    (State.FAULT, Wish.FAULT_RESET): Controlword.FAULT_RESET,
+    **{(state, Wish.QUICK_STOP): Controlword.QUICK_STOP for state in State},
+    **{(state, Wish.DISABLED): Controlword.DISABLE_VOLTAGE for state in State},
 }
 
 ENERGISED = frozenset({State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION})
@@ -90,7 +100,7 @@ def decode(statusword: int) -> State:
     return State.UNKNOWN
 
 
-def step(state: State, wish: Wish) -> int:
+def step(state: State, wish: Wish) -> Controlword:
     """The controlword that leads from `state` towards `wish`. Raises NotReady if none may be sent."""
     controlword = STEPS.get((state, wish))
     if controlword is None:

@@ -19,7 +19,7 @@ from drivers.canopen.sdo import (
 from drivers.canopen.units import Codec
 from drivers.cia402 import states
 from drivers.cia402.device import Mode
-from drivers.cia402.states import State
+from drivers.cia402.states import State, Statusword
 from drivers.commission.drive import COMMANDS, Node, Row
 from drivers.errors import LimitExceeded, WrongConfiguration
 
@@ -46,7 +46,7 @@ def state(node: Node) -> Iterator[Row]:
         )
     else:
         yield node.row("energy", True, f"none: '{found.value}'")
-    remote = bool(word & states.REMOTE)
+    remote = bool(word & Statusword.REMOTE)
     what = f"statusword {word:04X}h: bit 9 (remote) is {remote:d}"
     yield node.row(
         "remote", remote, what if remote else f"{what}: the drive does not obey the fieldbus: end its local mode"

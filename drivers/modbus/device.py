@@ -6,12 +6,22 @@ import time
 from contextlib import suppress
 
 from drivers.cia402 import states
-from drivers.cia402.device import Abilities, MeasuringState, Mode, Motion
-from drivers.cia402.states import State
+from drivers.cia402.device import (
+    Abilities,
+    MeasuringCommand,
+    MeasuringState,
+    Mode,
+    Motion,
+    await_mode,
+    rejection_text,
+    require_identity,
+    require_rated_torque,
+    trace_cycle,
+)
+from drivers.cia402.states import Controlword, State
 from drivers.errors import CommunicationLost, DriveFault, WrongConfiguration, WrongIdentity
 from drivers.modbus import measuring
 from drivers.modbus.line import Line
-from drivers.modbus.measuring import Gear
 from drivers.modbus.profile import ModbusAxis, ModbusProfile
 from drivers.modbus.registers import Format, RegisterMap, Rounding, Trace
 from drivers.modbus.unit import Control, Setting, Unit
@@ -19,15 +29,7 @@ from drivers.ports import AxisIdentity, SampleBlock, SweepCommand
 
 logger = logging.getLogger(__name__)
 
-MODE_TIMEOUT = 2.0  # s
-POLL = 0.002  # s
 RESTARTED = 0  # used as error code of a restart
-PAGE_TIME = 0.1  # s that a page may occupy the line, because a stop must wait for it
-
-
-def place_of(axis: ModbusAxis) -> str:
-    """As in "joint_1 (unit 1)"."""
-    return f"{axis.joint} (unit {axis.unit_id})"
 
 
 class ModbusDevice:
@@ -45,7 +47,7 @@ class ModbusDevice:
         control: Control,
     ) -> None:
         self.profile = profile
-        self.place = place_of(profile)
+        self.place = profile.place
         self.emergency_stop_codes = machine.emergency_stop_codes
         self._machine = machine
         self._map = registers
@@ -53,7 +55,7 @@ class ModbusDevice:
         self._line = line
         self._control = control
         self._unit = Unit(line, profile.unit_id, registers, self.place)
-        self._gear = Gear(profile.gear_ratio, profile.position_offset, profile.rated_torque)
+        self._gear = profile.gear
         self._trace_cycle = 1  # ms
         self._restarted = False
         self._faulty = False
@@ -68,13 +70,7 @@ class ModbusDevice:
         self.forbid_motion()
         self._check_constant()
         found = self._check_identity()
-        rated_torque = self._unit.value("rated_torque")
-        if not math.isclose(rated_torque, self.profile.rated_torque, rel_tol=2e-3):
-            raise WrongIdentity(
-                self.place,
-                f"rated torque of the motor is {rated_torque:.4g} N m, "
-                f"the profile says {self.profile.rated_torque:.4g} N m",
-            )
+        require_rated_torque(self.place, self._unit.value("rated_torque"), self.profile.rated_torque)
         self._serial = found[3]
         return AxisIdentity(self.profile.joint, f"unit {self.profile.unit_id}", *found, self._sha256)
 
@@ -114,11 +110,7 @@ class ModbusDevice:
 
     def set_mode(self, mode: Mode) -> None:
         self._unit.write({"mode": mode})
-        deadline = time.monotonic() + MODE_TIMEOUT
-        while (shown := self._unit.integer("mode_display")) != mode:
-            if time.monotonic() > deadline:
-                raise WrongConfiguration(self.place, f"mode {mode} was not accepted, the drive reports mode {shown}")
-            time.sleep(POLL)
+        await_mode(self.place, mode, lambda: self._unit.integer("mode_display"))
 
     def check_alive(self) -> None:
         self._line.check(self.profile.unit_id, self.place)
@@ -150,16 +142,16 @@ class ModbusDevice:
 
     def halt(self) -> None:
         """Quick stop without waiting for the answer."""
-        self._unit.tell("controlword", states.QUICK_STOP)
+        self._unit.tell("controlword", Controlword.QUICK_STOP)
 
     def reopen(self) -> None:
         """Nothing to do: a Modbus drive always receives."""
 
     def stop_unheard(self) -> None:
         """Quick stop, and disable voltage after the time of its ramp."""
-        self._unit.tell("controlword", states.QUICK_STOP)
+        self._unit.tell("controlword", Controlword.QUICK_STOP)
         time.sleep(self.profile.velocity_limit / self.profile.quick_stop_deceleration)
-        self._unit.tell("controlword", states.DISABLE_VOLTAGE)
+        self._unit.tell("controlword", Controlword.DISABLE_VOLTAGE)
 
     def beat(self) -> None:
         """A request to the drive that proves both are alive, if there was no other request recently."""
@@ -173,9 +165,9 @@ class ModbusDevice:
         """Values of one instant, if the three registers are adjacent in the map."""
         values = self._unit.read("position", "velocity", "torque")
         return Motion(
-            self._gear.position(values["position"]),
-            self._gear.velocity(values["velocity"]),
-            self._gear.effort_of_permille(values["torque"]),
+            self._gear.motor_position(values["position"]),
+            self._gear.motor_velocity(values["velocity"]),
+            self._gear.motor_effort(values["torque"] * 1e-3 * self._gear.rated_torque),
         )
 
     def read_back(self) -> None:
@@ -193,10 +185,10 @@ class ModbusDevice:
 
     def settle_limits(self, velocity: float, effort: float, window: tuple[float, float]) -> None:
         """Writes those of the four limits that the map has, limited to the range of their registers."""
-        low, high = self._gear.window(window)
+        low, high = sorted(self._gear.revolutions(limit) for limit in window)
         limits: dict[str, tuple[float, Rounding]] = {
             "max_torque": (self._gear.permille(effort), math.floor),
-            "max_speed": (self._gear.speed(velocity), round),
+            "max_speed": (self._speed(velocity), round),
             "position_min": (low, math.floor),
             "position_max": (high, math.ceil),
         }
@@ -215,7 +207,7 @@ class ModbusDevice:
     def set_target(self, position: float, velocity: float) -> None:
         signals = self._map.signals
         self._unit.settle(
-            Setting(signals["profile_velocity"], self._gear.speed(velocity)),
+            Setting(signals["profile_velocity"], self._speed(velocity)),
             Setting(signals["target_position"], self._gear.revolutions(position)),
         )
 
@@ -223,22 +215,22 @@ class ModbusDevice:
 
     @property
     def page_size(self) -> int:
-        """At most one page of the map, and at most what the line carries in `PAGE_TIME`."""
+        """At most one page of the map, and what the line carries in 0.1 s, because a stop must wait for it."""
         trace, piece = self._trace(), self._piece
-        requests = max(1, math.floor(PAGE_TIME / self._machine.line.read_time(piece)))
+        requests = max(1, math.floor(0.1 / self._machine.line.read_time(piece)))
         return min(trace.registers, requests * piece) // trace.width
 
     def prepare_measuring(self, command: SweepCommand) -> None:
         """Raises LimitExceeded if the register of a parameter is too coarse for its value."""
-        self._trace_cycle = measuring.trace_cycle(command)
-        self._unit.write({"measuring_command": measuring.NONE})
+        self._trace_cycle = trace_cycle(command)
+        self._unit.write({"measuring_command": MeasuringCommand.NONE})
         self._unit.settle(*measuring.parameters(command, self._map.signals, self._gear))
 
     def start_measuring(self) -> None:
-        self._unit.write({"measuring_command": measuring.START})
+        self._unit.write({"measuring_command": MeasuringCommand.START})
 
     def abort_measuring(self) -> None:
-        self._unit.write({"measuring_command": measuring.ABORT})
+        self._unit.write({"measuring_command": MeasuringCommand.ABORT})
 
     def measuring_state(self) -> MeasuringState:
         """Raises WrongConfiguration for a state that this adapter does not know."""
@@ -251,8 +243,7 @@ class ModbusDevice:
             raise WrongConfiguration(self.place, f"measuring_state is {number}") from None
 
     def rejection(self) -> str:
-        reason = self._unit.integer("measuring_reason")
-        return measuring.REASONS.get(reason, f"reason {reason}")
+        return rejection_text(self._unit.integer("measuring_reason"))
 
     def samples_recorded(self) -> int:
         return self._unit.integer("samples_recorded")
@@ -268,6 +259,10 @@ class ModbusDevice:
         return measuring.samples(registers, first, count, trace, self.profile, self._gear, self._trace_cycle)
 
     # -- inside --------------------------------------------------------------------------------------------------
+
+    def _speed(self, speed: float) -> float:
+        """Magnitude of a speed, rad/s (m/s) -> rev/min; also rad/s^2 (m/s^2) -> rev/min/s."""
+        return abs(self._gear.rev_per_min(speed))
 
     def _check_constant(self) -> None:
         signal = self._map.signals["constant"]
@@ -285,11 +280,7 @@ class ModbusDevice:
     def _check_identity(self) -> tuple[int, int, int, int]:
         read = self._unit.read("vendor", "product", "revision", "serial")
         found = (int(read["vendor"]), int(read["product"]), int(read["revision"]), int(read["serial"]))
-        expected = self.profile.identity
-        wanted = (expected.vendor, expected.product, expected.revision, expected.serial)
-        for name, have, want in zip(("vendor", "product", "revision", "serial"), found, wanted, strict=True):
-            if want is not None and have != want:
-                raise WrongIdentity(self.place, f"{name} is {have:08X}h, the profile says {want:08X}h")
+        require_identity(self.place, found, self.profile.identity)
         return found
 
     def _look(self) -> None:
@@ -316,7 +307,7 @@ class ModbusDevice:
     def _settle_session(self) -> None:
         """Settings for the whole session, as far as the map has them."""
         options = self._machine.stop_options
-        acceleration = self._gear.speed(self.profile.acceleration)
+        acceleration = self._speed(self.profile.acceleration)
         settings = {
             "watchdog": self._machine.line.watchdog * 1e3,
             "connection_loss_option": options.connection_loss,
@@ -327,7 +318,7 @@ class ModbusDevice:
             "fault_option": options.fault_reaction,
             "profile_acceleration": acceleration,
             "profile_deceleration": acceleration,
-            "quick_stop_deceleration": self._gear.speed(self.profile.quick_stop_deceleration),
+            "quick_stop_deceleration": self._speed(self.profile.quick_stop_deceleration),
         }
         signals = self._map.signals
         self._unit.settle(*(Setting(signals[name], value) for name, value in settings.items() if name in signals))

@@ -13,7 +13,7 @@ from drivers.cia402.checks import Envelope
 from drivers.cia402.connection import DriveThread, Run, capabilities, to_the_end
 from drivers.cia402.host_watch import HostWatch
 from drivers.errors import DriveError, NotReady
-from drivers.modbus.device import ModbusDevice, place_of
+from drivers.modbus.device import ModbusDevice
 from drivers.modbus.line import Line
 from drivers.modbus.profile import ModbusProfile
 from drivers.modbus.registers import load_registers
@@ -35,7 +35,7 @@ class ModbusFieldbus:
     async def open(self) -> "ModbusConnection":
         profile, thread, line = self._profile, DriveThread("modbus"), Line(self._profile.line)
         digest = hashlib.sha256(profile.registers.read_bytes()).hexdigest()
-        units = [Unit(line, each.unit_id, self._map, place_of(each)) for each in profile.axes]
+        units = [Unit(line, each.unit_id, self._map, each.place) for each in profile.axes]
         control = Control(units, self._map, self.watch)
         devices = [ModbusDevice(each, profile, self._map, digest, line, control) for each in profile.axes]
         axes = {device.profile.joint: Axis(device, self.watch) for device in devices}

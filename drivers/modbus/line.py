@@ -1,14 +1,14 @@
 """One Modbus line, TCP or RTU: one request at a time, and the last reception of every unit. Blocking.
 
 A write is never repeated: it is unknown whether the drive executed it, and a motion command must not be sent twice.
-A read that the drive answers by "busy" is repeated after `BUSY_PAUSES`. An RTU read is repeated once if the answer was
-damaged, because then no answer is pending. After a time-out nothing
-is repeated: an RTU answer does not show to which request it belongs. A unit that did not answer is lost. It is only
-stopped, and not asked, until `due` lets the heartbeat look for it again; its late answers have then been discarded
-with the buffer of the line. On TCP the transaction id identifies an answer, and the connection is opened again.
+A read that the drive answers by "busy" is repeated up to five times. An RTU read is repeated once if the answer was
+damaged, because then no answer is pending. After a time-out nothing is repeated: an RTU answer does not show to which
+request it belongs. A unit that did not answer is lost. It is only stopped, and not asked, until `due` lets the
+heartbeat look for it again; its late answers have then been discarded with the buffer of the line. On TCP the
+transaction id identifies an answer, and the connection is opened again.
 
-A stop goes before everything (`hurry`): the answer to a running request is awaited for `STOP_WAIT` at most, and no
-request is made until the stops are written. For `STOP_TIME` after that a silent unit costs at most `STOP_TIMEOUT`.
+A stop goes before everything (`hurry`): the answer to a running request is awaited for `stop_wait` at most, and no
+request is made until the stops are written. For `stop_time` after that a silent unit costs at most `stop_timeout`.
 """
 
 import logging
@@ -17,7 +17,7 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, NoReturn, Protocol, cast
 
@@ -29,6 +29,12 @@ from pymodbus.pdu import ModbusPDU
 from drivers.cia402.connection import StopFirst
 from drivers.errors import CommunicationLost, ConnectionFailed, Measured, WrongConfiguration
 from drivers.modbus.profile import DIRECT, RtuLine, TcpLine
+
+logger = logging.getLogger(__name__)
+
+READ, WRITE = 3, 16  # function codes
+# pymodbus does not convert all errors of its decoders.
+BROKEN = (ModbusException, OSError, struct.error, IndexError, ValueError)
 
 
 class Client(Protocol):
@@ -197,31 +203,6 @@ class SerialClient(ModbusSerialClient):
             raise ConnectionException(f"{self}: {error}") from None
 
 
-logger = logging.getLogger(__name__)
-
-BEATS = 4  # requests to each unit within the watchdog time
-LOOK_AGAIN = 2.0  # s between attempts to reach a lost unit
-STOP_WAIT = 0.1  # s that a stop waits for the answer to a request before it; drives answer within 0.02 s
-STOP_TIMEOUT = 0.5  # s for an answer while the machine is being stopped
-STOP_TIME = 3.0  # s after a stop during which the machine is being stopped
-
-BUSY_PAUSES = (0.01, 0.02, 0.04, 0.08, 0.16)  # s before a read is asked again; in all less than `STOP_TIMEOUT`
-
-READ, WRITE = 3, 16  # function codes
-BUSY = frozenset({5, 6})  # exceptions: the request is in process, or has to be asked again (Modbus V1.1b3, 7)
-GATEWAY = frozenset({0x0A, 0x0B})  # exceptions of a gateway that cannot reach the unit
-EXCEPTIONS = {
-    1: "the drive does not know this function",
-    2: "no such register",
-    3: "the drive refuses the value",
-    4: "the drive refuses in its present state",
-    5: "the drive is still processing the request",
-    6: "the drive is busy",
-}
-# pymodbus does not convert all errors of its decoders.
-BROKEN = (ModbusException, OSError, struct.error, IndexError, ValueError)
-
-
 class Clock(Protocol):
     """The module `time`, or another clock for a test."""
 
@@ -232,6 +213,19 @@ class Clock(Protocol):
 
 class Line:
     """An open line. For one thread, except `hurry`."""
+
+    stop_wait = 0.1  # s that a stop waits for the answer to a request before it; drives answer within 0.02 s
+    stop_timeout = 0.5  # s for an answer while the machine is being stopped
+    stop_time = 3.0  # s after a stop during which the machine is being stopped
+    busy_pauses = (0.01, 0.02, 0.04, 0.08, 0.16)  # s before a read is asked again; in all less than `stop_timeout`
+    refusals: Mapping[int, str] = {
+        1: "the drive does not know this function",
+        2: "no such register",
+        3: "the drive refuses the value",
+        4: "the drive refuses in its present state",
+        5: "the drive is still processing the request",
+        6: "the drive is busy",
+    }
 
     def __init__(
         self,
@@ -256,8 +250,8 @@ class Line:
 
     @property
     def beat(self) -> float:
-        """Period of the heartbeat, s."""
-        return self._profile.watchdog / BEATS
+        """Period of the heartbeat, s: four requests to each unit within the watchdog time."""
+        return self._profile.watchdog / 4
 
     def open(self) -> None:
         """Raises ConnectionFailed if the line cannot be opened."""
@@ -292,10 +286,10 @@ class Line:
     @property
     def left(self) -> float:
         """For how long the answer to the running request is awaited, s. A stop shortens it."""
-        hurried = self._sent < self._stopped + STOP_TIME
-        until = self._sent + (min(self._profile.timeout, STOP_TIMEOUT) if hurried else self._profile.timeout)
+        hurried = self._sent < self._stopped + self.stop_time
+        until = self._sent + (min(self._profile.timeout, self.stop_timeout) if hurried else self._profile.timeout)
         if self._stops:
-            until = min(until, self._stopped + STOP_WAIT)
+            until = min(until, self._stopped + self.stop_wait)
         return until - self._clock.monotonic()
 
     # -- requests ------------------------------------------------------------------------------------------------
@@ -366,7 +360,7 @@ class Line:
         now = self._clock.monotonic()
         if unit not in self._lost:
             return now - self._asked.get(unit, 0.0) > self.beat / 2
-        if now - self._lost[unit][0] < LOOK_AGAIN or self._in_use - self._lost.keys():
+        if now - self._lost[unit][0] < 2.0 or self._in_use - self._lost.keys():
             return False
         del self._lost[unit]
         return True
@@ -375,13 +369,13 @@ class Line:
 
     def _ask(self, unit: int, what: str, function: int, request: Callable[[], ModbusPDU]) -> ModbusPDU:
         response = self._answered(unit, what, function, request)
-        for pause in BUSY_PAUSES:
-            if function != READ or not response.isError() or response.exception_code not in BUSY:
+        for pause in self.busy_pauses:
+            if function != READ or not response.isError() or response.exception_code not in (5, 6):
                 break
             self._clock.sleep(pause)
             response = self._answered(unit, what, function, request)
         if response.isError():
-            meaning = EXCEPTIONS.get(response.exception_code, "refused")
+            meaning = self.refusals.get(response.exception_code, "refused")
             raise WrongConfiguration(f"{what}: Modbus exception {response.exception_code}: {meaning}")
         return response
 
@@ -402,7 +396,7 @@ class Line:
                 response = self._exchange(unit, request)
             except BROKEN as again:
                 self._lose(unit, f"{what}: {again}")
-        if response.function_code & 0x7F != function or response.exception_code in GATEWAY:
+        if response.function_code & 0x7F != function or response.exception_code in (0x0A, 0x0B):  # gateway
             self._lose(unit, f"{what}: answered by {response}")
         if response.isError():
             self._heard[unit] = self._clock.monotonic()
@@ -428,7 +422,7 @@ class Line:
 
     def _leave(self, unit: int, what: str) -> NoReturn:
         """A stop cannot wait for this answer any longer. On a serial line a late one could be taken for the next."""
-        reason = f"{what}: no answer within {STOP_WAIT} s of a stop"
+        reason = f"{what}: no answer within {self.stop_wait} s of a stop"
         if self._profile.transport == "rtu":
             self._lost[unit] = (self._clock.monotonic(), reason)
         elif self._client.garbled:  # the rest must not be read by the next request

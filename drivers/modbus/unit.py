@@ -12,8 +12,6 @@ from drivers.errors import CommunicationLost, DriveError, LimitExceeded, NotRead
 from drivers.modbus.line import Line
 from drivers.modbus.registers import MAX_WRITE, RegisterMap, Rounding, Signal, spans
 
-HELD = 1e-4  # relative tolerance of a float, which the drive may round; integers must be equal
-
 Registers = dict[Signal, list[int]]
 
 
@@ -112,9 +110,10 @@ class Unit:
 
 
 def _same(signal: Signal, wanted: list[int], held: list[int]) -> bool:
+    """Integers must be equal; a float may be rounded by the drive."""
     if signal.format.whole:
         return wanted == held
-    return math.isclose(signal.format.decode(wanted)[0], signal.format.decode(held)[0], rel_tol=HELD)
+    return math.isclose(signal.format.decode(wanted)[0], signal.format.decode(held)[0], rel_tol=1e-4)
 
 
 def _shown(signal: Signal, registers: list[int]) -> str:
@@ -124,7 +123,6 @@ def _shown(signal: Signal, registers: list[int]) -> str:
 logger = logging.getLogger(__name__)
 
 OWNER = "control_owner"
-NOBODY = 0
 
 
 class Control:
@@ -174,4 +172,4 @@ class Control:
         for unit in units:
             with suppress(DriveError):  # it lapses
                 if unit.integer(OWNER) == self._token:
-                    unit.write({OWNER: NOBODY})
+                    unit.write({OWNER: 0})

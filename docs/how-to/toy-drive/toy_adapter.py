@@ -15,7 +15,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from drivers.cia402 import states
 from drivers.cia402.axis import Axis
 from drivers.cia402.checks import Envelope
 from drivers.cia402.connection import DriveThread, Run, capabilities, to_the_end
@@ -23,6 +22,7 @@ from drivers.cia402.device import Abilities, MeasuringState, Mode, Motion
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
 from drivers.cia402.profile import AxisProfile, Frozen, parse
+from drivers.cia402.states import Controlword
 from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady, WrongConfiguration, WrongIdentity
 from drivers.ports import AxisIdentity, Capabilities, SampleBlock, StopSender, SweepCommand
 
@@ -160,7 +160,7 @@ class ToyDevice:
     def stop_unheard(self) -> None:
         """Without a connection the drive stops by its watchdog."""
         with suppress(DriveError):
-            self.control(states.QUICK_STOP)
+            self.control(Controlword.QUICK_STOP)
 
     def motion(self) -> Motion:
         position, velocity, torque = self.line.ask("motion")

@@ -15,7 +15,7 @@ from drivers.cia402.connection import DriveThread, P, Run, T, capabilities
 from drivers.cia402.device import Abilities, MeasuringState, Mode, Motion
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
-from drivers.cia402.states import State
+from drivers.cia402.states import Controlword, State, Statusword
 from drivers.errors import CommunicationLost
 from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SweepCommand
 from tests.unit.drivers.given import axis
@@ -24,9 +24,9 @@ HOST_TIMEOUT = 60.0  # s
 PATIENCE = 20.0  # s
 SHOWN = {State.SWITCH_ON_DISABLED: 0x40, State.READY: 0x21, State.SWITCHED_ON: 0x23, State.OPERATION_ENABLED: 0x27}
 STEPS = {
-    states.SHUTDOWN: State.READY,
-    states.SWITCH_ON: State.SWITCHED_ON,
-    states.ENABLE_OPERATION: State.OPERATION_ENABLED,
+    Controlword.SHUTDOWN: State.READY,
+    Controlword.SWITCH_ON: State.SWITCHED_ON,
+    Controlword.ENABLE_OPERATION: State.OPERATION_ENABLED,
 }
 
 
@@ -70,8 +70,8 @@ class Servo:
 
     def statusword(self) -> int:
         self.before("statusword")
-        acknowledged = self.acknowledges and bool(self.told) and self.told[-1] & states.NEW_SET_POINT
-        return SHOWN[self.state] | (states.SET_POINT_ACKNOWLEDGED if acknowledged else 0)
+        acknowledged = self.acknowledges and bool(self.told) and self.told[-1] & Controlword.NEW_SET_POINT
+        return SHOWN[self.state] | (Statusword.SET_POINT_ACKNOWLEDGED if acknowledged else 0)
 
     def control(self, controlword: int) -> None:
         self.before(f"control {controlword:02X}")

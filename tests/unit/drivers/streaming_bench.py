@@ -55,8 +55,8 @@ class Drive:
         self.counter = (self.counter + 1) & 0xFFFFFFFF
         self.position += self.velocity
         answer = [
-            (frames.TPDO1 + self.node, struct.pack("<Hih", self.statusword, self.velocity, self.velocity % 1000)),
-            (frames.TPDO2 + self.node, struct.pack("<iI", self.position + self.offset, self._second)),
+            (frames.Cob.TPDO1 + self.node, struct.pack("<Hih", self.statusword, self.velocity, self.velocity % 1000)),
+            (frames.Cob.TPDO2 + self.node, struct.pack("<iI", self.position + self.offset, self._second)),
         ]
         if self._pending is not None:
             controlword, target = self._pending
@@ -97,11 +97,11 @@ class Cabinet(threading.Thread):
                 continue
             identifier = message.arbitration_id
             self.heard.append(identifier)
-            if identifier == frames.SYNC:
+            if identifier == frames.Cob.SYNC:
                 for drive in self.drives.values():
                     for answer in drive.sync():
                         self.say(*answer)
-            elif identifier & ~0x7F == frames.RPDO1 and identifier & 0x7F in self.drives:
+            elif identifier & ~0x7F == frames.Cob.RPDO1 and identifier & 0x7F in self.drives:
                 self.drives[identifier & 0x7F].set_point(bytes(message.data))
 
     def close(self) -> None:

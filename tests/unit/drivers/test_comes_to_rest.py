@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import pytest
 
-from drivers.cia402 import states
 from drivers.cia402.axis import Axis
 from drivers.cia402.connection import DriveThread
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine, Watched
+from drivers.cia402.states import Controlword
 from drivers.contract.bench import eventually
 from drivers.errors import (
     CommunicationLost,
@@ -182,7 +182,7 @@ async def test_an_axis_that_turns_without_energy_is_not_confirmed() -> None:
 async def test_a_stop_does_not_wait_for_a_set_point_that_is_never_acknowledged(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("drivers.cia402.axis.TRANSITION_TIMEOUT", 2 * PATIENCE)
+    monkeypatch.setattr(Axis, "transition_timeout", 2 * PATIENCE)
     servo = Servo("joint_1", acknowledges=False)
     async with connected(servo) as (port, _):
         await port.enable("joint_1")
@@ -228,7 +228,7 @@ async def test_no_further_step_is_told_to_a_drive(way: Callable[[Cia402Machine],
         with pytest.raises(SweepInterrupted, match="stopped while it was being enabled"):
             await asyncio.wait_for(enabling, PATIENCE)
         await asyncio.wait_for(ending, PATIENCE)
-        assert states.ENABLE_OPERATION not in second.told
+        assert Controlword.ENABLE_OPERATION not in second.told
         assert [first.energised, second.energised] == [False, False]
 
 
@@ -237,22 +237,22 @@ class Stuck(Servo):
     """Stays "ready to switch on"."""
 
     def control(self, controlword: int) -> None:
-        if controlword == states.SWITCH_ON:
+        if controlword == Controlword.SWITCH_ON:
             self.told.append(controlword)
         else:
             super().control(controlword)
 
 
 async def test_a_stop_does_not_wait_for_a_step_that_the_drive_does_not_take(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.cia402.axis.TRANSITION_TIMEOUT", 2 * PATIENCE)
+    monkeypatch.setattr(Axis, "transition_timeout", 2 * PATIENCE)
     servo = Stuck("joint_1")
     async with connected(servo) as (port, _):
         enabling = asyncio.create_task(port.enable("joint_1"))
-        await eventually(lambda: states.SWITCH_ON in servo.told)
+        await eventually(lambda: Controlword.SWITCH_ON in servo.told)
         await asyncio.wait_for(port.stop(), PATIENCE)
         with pytest.raises(SweepInterrupted):
             await asyncio.wait_for(enabling, PATIENCE)
-        assert servo.told[-1] == states.DISABLE_VOLTAGE
+        assert servo.told[-1] == Controlword.DISABLE_VOLTAGE
         await port.enable()  # what was stopped is over: the next is not
 
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.canopen import frames
-from drivers.canopen.bus import READINGS, Bus, ForeignFrames
+from drivers.canopen.bus import Bus, ForeignFrames
 from drivers.canopen.device_map import STANDARD, Entry
 from drivers.canopen.frames import (
     Controller,
@@ -25,31 +25,31 @@ from drivers.canopen.frames import (
 )
 from drivers.canopen.profile import BusProfile, parse_profile
 from drivers.canopen.stop_sender import HeardState, upload_request
-from drivers.cia402 import states
+from drivers.cia402.states import Controlword
 from tests.unit.drivers.test_bus import soon
 
 HOST, NODES = 127, (1, 2)
 
 TRESPASSES = {
-    "heartbeat with node number 127, which this host uses (COB-ID 77Fh)": (frames.HEARTBEAT + HOST, b"\x05"),
-    "SYNC (COB-ID 080h)": (frames.SYNC, b""),
-    "NMT command 01h to node 2 (COB-ID 000h)": (frames.NMT, b"\x01\x02"),
-    "NMT command 81h to every node (COB-ID 000h)": (frames.NMT, b"\x81\x00"),
-    "NMT command 80h to node 1 (COB-ID 000h)": (frames.NMT, b"\x80\x01"),
-    "RPDO1 to node 1 (COB-ID 201h)": (frames.RPDO1 + 1, frames.rpdo1(states.ENABLE_OPERATION, 7)),
-    "RPDO2 to node 2 (COB-ID 302h)": (frames.RPDO2 + 2, b"\x00"),
-    "SDO request to node 1 (COB-ID 601h)": (frames.SDO_REQUEST + 1, bytes(8)),
+    "heartbeat with node number 127, which this host uses (COB-ID 77Fh)": (frames.Cob.HEARTBEAT + HOST, b"\x05"),
+    "SYNC (COB-ID 080h)": (frames.Cob.SYNC, b""),
+    "NMT command 01h to node 2 (COB-ID 000h)": (frames.Cob.NMT, b"\x01\x02"),
+    "NMT command 81h to every node (COB-ID 000h)": (frames.Cob.NMT, b"\x81\x00"),
+    "NMT command 80h to node 1 (COB-ID 000h)": (frames.Cob.NMT, b"\x80\x01"),
+    "RPDO1 to node 1 (COB-ID 201h)": (frames.Cob.RPDO1 + 1, frames.rpdo1(Controlword.ENABLE_OPERATION, 7)),
+    "RPDO2 to node 2 (COB-ID 302h)": (frames.Cob.RPDO2 + 2, b"\x00"),
+    "SDO request to node 1 (COB-ID 601h)": (frames.Cob.SDO_REQUEST + 1, bytes(8)),
 }
 OTHERS = (
-    (frames.HEARTBEAT + 1, b"\x05"),
-    (frames.HEARTBEAT + 9, b"\x05"),
-    (frames.NMT, b"\x01\x09"),
-    (frames.NMT, b"\x01"),
-    (frames.RPDO1 + 9, frames.rpdo1(states.ENABLE_OPERATION, 7)),
-    (frames.SDO_REQUEST + 9, bytes(8)),
-    (frames.SDO_RESPONSE + 1, bytes(8)),
-    (frames.TPDO1 + 1, bytes(8)),
-    (frames.EMERGENCY + 1, bytes(8)),
+    (frames.Cob.HEARTBEAT + 1, b"\x05"),
+    (frames.Cob.HEARTBEAT + 9, b"\x05"),
+    (frames.Cob.NMT, b"\x01\x09"),
+    (frames.Cob.NMT, b"\x01"),
+    (frames.Cob.RPDO1 + 9, frames.rpdo1(Controlword.ENABLE_OPERATION, 7)),
+    (frames.Cob.SDO_REQUEST + 9, bytes(8)),
+    (frames.Cob.SDO_RESPONSE + 1, bytes(8)),
+    (frames.Cob.TPDO1 + 1, bytes(8)),
+    (frames.Cob.EMERGENCY + 1, bytes(8)),
 )
 
 
@@ -67,19 +67,22 @@ def test_the_stop_of_the_stop_process_is_none_and_excuses_one_sync() -> None:
     strangers = ForeignFrames(NODES, HOST)
     for frame in (*frames.stop(NODES, ()), *frames.stop(NODES, NODES)):
         assert strangers.word(*frame) == ""
-    assert strangers.word(frames.SYNC, b"") != ""
+    assert strangers.word(frames.Cob.SYNC, b"") != ""
 
 
 def test_the_questions_that_confirm_a_stop_are_none_and_are_counted() -> None:
-    strangers, reading = ForeignFrames(NODES, HOST), (frames.SDO_REQUEST + 1, upload_request(STANDARD["statusword"]))
+    strangers, reading = (
+        ForeignFrames(NODES, HOST),
+        (frames.Cob.SDO_REQUEST + 1, upload_request(STANDARD["statusword"])),
+    )
     assert strangers.word(*reading) != ""  # without a stop
     for frame in frames.stop(NODES, ()):
         strangers.word(*frame)
-    assert [strangers.word(*reading) for _ in range(READINGS)] == [""] * READINGS
+    assert [strangers.word(*reading) for _ in range(ForeignFrames.readings)] == [""] * ForeignFrames.readings
     assert strangers.word(*reading) != ""
     for frame in frames.stop(NODES, ()):
         strangers.word(*frame)
-    assert strangers.word(frames.SDO_REQUEST + 1, b"\x2b" + bytes(7)) != ""  # it writes
+    assert strangers.word(frames.Cob.SDO_REQUEST + 1, b"\x2b" + bytes(7)) != ""  # it writes
 
 
 def test_a_bus_hears_them_once_it_was_alone() -> None:
@@ -90,11 +93,11 @@ def test_a_bus_hears_them_once_it_was_alone() -> None:
         bus = Bus(BusProfile(interface="virtual", channel=channel, drive_timeout=60.0), NODES)
         try:
             peer.send(message)
-            peer.send(can.Message(arbitration_id=frames.HEARTBEAT + 1, data=b"\x00", is_extended_id=False))
+            peer.send(can.Message(arbitration_id=frames.Cob.HEARTBEAT + 1, data=b"\x00", is_extended_id=False))
             soon(lambda: bus.restarted(1))  # both were heard
             assert bus.watch.reason == ""
             bus.expect_no_host()
-            for own in (frames.stop(NODES, ()), [(frames.HEARTBEAT + HOST, b"\x05"), (frames.SYNC, b"")]):
+            for own in (frames.stop(NODES, ()), [(frames.Cob.HEARTBEAT + HOST, b"\x05"), (frames.Cob.SYNC, b"")]):
                 for frame in own:
                     bus.send(*frame)
             peer.send(message)

@@ -7,10 +7,9 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from drivers.cia402 import states
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
-from drivers.cia402.states import State
+from drivers.cia402.states import Controlword, State
 from drivers.contract.bench import eventually
 from drivers.errors import MotionForbidden
 from drivers.ports import Sine
@@ -81,7 +80,11 @@ async def watched(
 
 
 def enabling(servo: Servo) -> list[int]:
-    return [word for word in servo.told if word & 0x0F in (states.SHUTDOWN, states.SWITCH_ON, states.ENABLE_OPERATION)]
+    return [
+        word
+        for word in servo.told
+        if word & 0x0F in (Controlword.SHUTDOWN, Controlword.SWITCH_ON, Controlword.ENABLE_OPERATION)
+    ]
 
 
 async def enable_and_move(port: Cia402Machine) -> None:
@@ -164,7 +167,7 @@ async def test_energy_that_nobody_here_took_is_missed_in_a_move() -> None:
     async with connected(servo) as (port, _):
         await port.enable("joint_1")
         moving = asyncio.create_task(port.move_to("joint_1", 0.5, 0.1))
-        await eventually(lambda: any(word & states.NEW_SET_POINT for word in servo.told))
+        await eventually(lambda: any(word & Controlword.NEW_SET_POINT for word in servo.told))
         servo.state = State.SWITCH_ON_DISABLED
         with pytest.raises(MotionForbidden, match=LOST):
             await moving

@@ -52,7 +52,7 @@ class Desk:
     def settle(self) -> None:
         """Until nothing is under way any more that either side said, also on a busy computer."""
         self.bus.note_configured(NODE)
-        self.bus.send(frames.NMT, bytes([0x81, NODE]))  # reset
+        self.bus.send(frames.Cob.NMT, bytes([0x81, NODE]))  # reset
         deadline = time.monotonic() + PATIENT
         while not self.bus.restarted(NODE):
             assert time.monotonic() < deadline
@@ -70,12 +70,12 @@ def desk() -> Iterator[Desk]:
     node = can.Bus(interface="virtual", channel=channel)
 
     def answer(message: can.Message) -> None:
-        if message.arbitration_id == frames.NMT:
-            node.send(can.Message(arbitration_id=frames.HEARTBEAT + NODE, data=[0], is_extended_id=False))
+        if message.arbitration_id == frames.Cob.NMT:
+            node.send(can.Message(arbitration_id=frames.Cob.HEARTBEAT + NODE, data=[0], is_extended_id=False))
         if message.arbitration_id == 0x600 + NODE and message.data[0] != 0x80 and not answers.empty():
             said = answers.get()
             for one in (said[:8], said[8:]) if len(said) > 8 else (said,):
-                node.send(can.Message(arbitration_id=frames.SDO_RESPONSE + NODE, data=one, is_extended_id=False))
+                node.send(can.Message(arbitration_id=frames.Cob.SDO_RESPONSE + NODE, data=one, is_extended_id=False))
 
     listening = can.Notifier(node, [answer], timeout=0.05)
     bus = Bus(BusProfile(interface="virtual", channel=channel, drive_timeout=3600.0), (NODE,))
@@ -126,7 +126,7 @@ def test_an_answer_that_the_stop_process_asked_for_is_no_lost_communication(
 DRIVES = Path(__file__).parents[3] / "config" / "drives"
 BEAT = 0.3  # s
 WAIT = 20.0  # s
-WORD = can.Message(arbitration_id=frames.HEARTBEAT + 127, data=[frames.OPERATIONAL], is_extended_id=False)
+WORD = can.Message(arbitration_id=frames.Cob.HEARTBEAT + 127, data=[frames.NmtState.OPERATIONAL], is_extended_id=False)
 
 
 @dataclass(frozen=True)
@@ -171,4 +171,4 @@ async def test_one_word_of_a_host_that_is_gone_keeps_nobody_away(peer: Peer) -> 
     peer.bus.send(WORD)  # a gateway had held it back
     with pytest.raises(CommunicationLost):  # of the drives that are not there
         await opening
-    assert peer.heard() >= {WORD.arbitration_id, frames.NMT}
+    assert peer.heard() >= {WORD.arbitration_id, frames.Cob.NMT}

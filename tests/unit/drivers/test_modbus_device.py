@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.cia402.axis import Axis
-from drivers.cia402.device import Mode
+from drivers.cia402.device import Mode, await_mode
 from drivers.cia402.host_watch import HostWatch
 from drivers.errors import (
     CommunicationLost,
@@ -191,7 +191,7 @@ def test_a_turned_gear_turns_the_signs(kind: str, registers: RegisterMap) -> Non
 
 
 def test_mode_that_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.modbus.device.MODE_TIMEOUT", 0.05)
+    monkeypatch.setattr(await_mode, "__defaults__", (0.05,))
     with connected("tcp") as (bank, device):
         device.set_mode(Mode.PROFILE_POSITION)
         bank.react = lambda _: None

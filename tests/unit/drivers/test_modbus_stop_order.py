@@ -16,6 +16,7 @@ from drivers.cia402.axis import Axis
 from drivers.cia402.connection import DriveThread, capabilities
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
+from drivers.cia402.states import Controlword
 from drivers.errors import CommunicationLost, DriveError, StopNotConfirmed, SweepInterrupted
 from drivers.modbus.device import ModbusDevice
 from drivers.modbus.fieldbus import ModbusConnection, ModbusFieldbus
@@ -161,9 +162,9 @@ async def test_no_enabling_goes_on_after_the_stop_that_interrupted_it(after: flo
     await machine.thread.run(lambda: None)
     assert states.decode(machine.devices[0].statusword()) not in states.ENERGISED
     words = [r.words[-1] for _, r in machine.wire.log if r.function == 16 and r.address == machine.controlword]
-    assert states.QUICK_STOP in words
-    told = len(words) - 1 - words[::-1].index(states.QUICK_STOP)
-    assert set(words[told:]) <= {states.QUICK_STOP, states.DISABLE_VOLTAGE}
+    assert Controlword.QUICK_STOP in words
+    told = len(words) - 1 - words[::-1].index(Controlword.QUICK_STOP)
+    assert set(words[told:]) <= {Controlword.QUICK_STOP, Controlword.DISABLE_VOLTAGE}
     await machine.thread.close()
 
 
@@ -184,7 +185,7 @@ async def test_on_a_real_line_the_moving_unit_is_told_and_confirmed_before_the_s
 
         def react(request: Request) -> None:
             follow(request)
-            if request.unit == 3 and request.words[-1] == states.QUICK_STOP:
+            if request.unit == 3 and request.words[-1] == Controlword.QUICK_STOP:
                 told.set()
 
         def spoil(request: Request, frame: bytes) -> bytes | None:

@@ -11,7 +11,7 @@ import yaml
 from drivers.errors import ConnectionFailed
 from drivers.modbus.profile import RtuLine, TcpLine, parse_profile
 from drivers.modbus.registers import load_registers
-from drivers.modbus.stop_sender import CONNECT_TIMEOUT, SENDING, ModbusStopSender
+from drivers.modbus.stop_sender import ModbusStopSender
 from tests.unit.drivers.modbus_bank import Bank, Request, serving, tcp_frame
 from tests.unit.drivers.modbus_drive import HIGH, drive, following, profile_on, put
 
@@ -148,10 +148,10 @@ def test_units_that_are_all_silent_take_no_more_than_their_part_of_the_time(root
         told = sender(root, line)
         begun = time.monotonic()
         assert set(told.send().values()) == {"did not answer"}
-        assert time.monotonic() - begun < CONNECT_TIMEOUT + SENDING
+        assert time.monotonic() - begun < ModbusStopSender.connect_timeout + ModbusStopSender.sending
         begun = time.monotonic()
         assert set(told.confirm(0.0).values()) == {"no time was left to ask it"}
-        assert time.monotonic() - begun < CONNECT_TIMEOUT
+        assert time.monotonic() - begun < ModbusStopSender.connect_timeout
 
 
 def test_no_answer_is_taken_for_that_of_another_unit_or_request(root: Path) -> None:

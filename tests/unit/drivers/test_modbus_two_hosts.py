@@ -15,6 +15,7 @@ from drivers.cia402 import states
 from drivers.cia402.axis import Axis
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import enable_alone
+from drivers.cia402.states import Controlword
 from drivers.errors import DriveError, MotionForbidden, NotReady
 from drivers.modbus.device import ModbusDevice, place_of
 from drivers.modbus.line import Line
@@ -160,7 +161,7 @@ def test_control_is_kept_until_it_is_released() -> None:
     one.axes[0].disable()
     with pytest.raises(NotReady, match=r"another host has control .*joint_1 \(unit 1\): control_owner"):
         enable_alone((other.axes[1],), other.axes, threading.Event())
-    assert get(drives, HIGH, "controlword", 2) == states.DISABLE_VOLTAGE
+    assert get(drives, HIGH, "controlword", 2) == Controlword.DISABLE_VOLTAGE
     one.control.release()
     other.enable(1)
     assert other.enabled

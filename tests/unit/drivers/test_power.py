@@ -11,7 +11,7 @@ from drivers.cia402 import axis as power
 from drivers.cia402 import states
 from drivers.cia402.axis import Axis
 from drivers.cia402.host_watch import HostWatch
-from drivers.cia402.states import State
+from drivers.cia402.states import Controlword, State
 from drivers.errors import DriveError
 from tests.unit.drivers.small_servo import Servo
 
@@ -46,7 +46,7 @@ class Whim(Servo):
 def test_torque_is_asked_for_only_along_the_one_path(
     monkeypatch: pytest.MonkeyPatch, statuswords: list[int], wish: str
 ) -> None:
-    monkeypatch.setattr(power, "TRANSITION_TIMEOUT", 0.0)
+    monkeypatch.setattr(Axis, "transition_timeout", 0.0)
     monkeypatch.setattr(power, "RESET_TIMEOUT", 0.0)
     whim = Whim(statuswords)
     axis = Axis(whim, HostWatch(60.0))
@@ -55,12 +55,12 @@ def test_torque_is_asked_for_only_along_the_one_path(
         axis.enable(threading.Event()) if wish == "enable" else getattr(axis, wish)()
     except DriveError:
         refused = True
-    enabling = [state for state, word in whim.asked if word & 0x0F == states.ENABLE_OPERATION]
+    enabling = [state for state, word in whim.asked if word & 0x0F == Controlword.ENABLE_OPERATION]
     assert set(enabling) <= READY
     if wish not in ("enable", "halt"):
         assert not enabling
-    resets = [state for state, word in whim.asked if word & states.FAULT_RESET]
+    resets = [state for state, word in whim.asked if word & Controlword.FAULT_RESET]
     assert set(resets) <= {State.FAULT}
     assert not resets or wish == "acknowledge"
     if wish == "enable" and refused and whim.asked:
-        assert whim.asked[-1][1] == states.DISABLE_VOLTAGE
+        assert whim.asked[-1][1] == Controlword.DISABLE_VOLTAGE

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from drivers.canopen.streamed_axis import StopSequence, StopStage
 from drivers.cia402 import states
-from drivers.cia402.states import ENERGISED, PATTERNS, STEPS, State, Wish, decode, operator_view, step
+from drivers.cia402.states import ENERGISED, PATTERNS, STEPS, Controlword, State, Wish, decode, operator_view, step
 from drivers.errors import NotReady
 from drivers.ports import AxisState
 
@@ -151,7 +151,7 @@ def test_whatever_happens_it_enables_no_drive_that_is_not_enabled_and_only_slows
             one.advance(goal, now, start)
         controlword, target = one.command(now, standing, state)
         assert not controlword & BIT_3 or state is ENABLED
-        assert controlword in (states.ENABLE_OPERATION, states.QUICK_STOP, states.DISABLE_VOLTAGE)
+        assert controlword in (Controlword.ENABLE_OPERATION, Controlword.QUICK_STOP, Controlword.DISABLE_VOLTAGE)
         assert abs(target) <= last
         assert one.stage >= max(stage, StopStage.RAMP)
         last, stage = abs(target), one.stage

@@ -25,7 +25,7 @@ def drives(request: pytest.FixtureRequest) -> Iterator[Cabinet]:
 
 def commands(messages: list[can.Message]) -> list[str]:
     """Every frame of a host that is not an SDO upload. A check that is killed at any time leaves what it found."""
-    hosts = {frames.NMT, frames.SYNC, frames.HEARTBEAT + 127}
+    hosts = {frames.Cob.NMT, frames.Cob.SYNC, frames.Cob.HEARTBEAT + 127}
     uploads = {2, 3, 4, 5}  # client command specifiers, CiA 301: initiate, segment, abort, block
     return [
         f"{message.arbitration_id:03X}h {message.data.hex()}"
