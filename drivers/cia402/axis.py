@@ -47,6 +47,7 @@ class Axis:
     """Stores the properties read at connect, the latched fault, and whether this host energised the axis."""
 
     transition_timeout = 2.0  # s, for one step of the power state machine (brakes take about 100 ms)
+    reset_timeout = 0.5  # s
     poll = 0.002  # s
 
     def __init__(self, device: Device, watch: HostWatch) -> None:
@@ -209,7 +210,7 @@ class Axis:
             self.device.control(Controlword.DISABLE_VOLTAGE)
             self.device.control(states.step(state, Wish.FAULT_RESET))
             self.device.control(Controlword.DISABLE_VOLTAGE)
-            state = self._next_state(state, 0.5, stop=threading.Event())
+            state = self._next_state(state, self.reset_timeout, stop=threading.Event())
         if state in (State.FAULT, State.FAULT_REACTION):
             code = self.device.error_code()
             raise DriveFault(

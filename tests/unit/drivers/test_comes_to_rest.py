@@ -2,13 +2,14 @@
 
 import asyncio
 import threading
-from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from dataclasses import dataclass, replace
 
 import pytest
 
 from drivers.cia402.axis import Axis
 from drivers.cia402.connection import DriveThread
+from drivers.cia402.device import Abilities
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine, Watched
 from drivers.cia402.states import Controlword
@@ -21,6 +22,7 @@ from drivers.errors import (
     SweepInterrupted,
     WrongConfiguration,
 )
+from drivers.ports import SampleBlock, SweepMode
 from tests.unit.drivers.given import sweep
 from tests.unit.drivers.small_servo import PATIENCE, Gate, Link, Servo, connected, machine
 
@@ -309,3 +311,66 @@ async def test_no_axis_waits_for_the_answer_of_another() -> None:
         assert link.halted == before + 1
         gate.open()
         assert set(await asyncio.wait_for(stop, PATIENCE)) == {"joint_1", "joint_2"}
+
+
+class Streaming(Servo):
+    """Takes set-points of the host; `log` has what it is asked, and the end of its stream."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.log: list[str] = []
+        self.before = self.log.append
+
+    def configure(self) -> Abilities:
+        return replace(super().configure(), streams=True)
+
+
+class Stream:
+    """A run of one block, which goes on until it is told to stop and then takes its time to end."""
+
+    streams = True
+
+    def __init__(self, servo: Streaming, stop: threading.Event) -> None:
+        self._servo, self._stop = servo, stop
+
+    async def blocks(self) -> AsyncGenerator[SampleBlock, None]:
+        yield self._servo.page(0, 1)
+        await asyncio.Event().wait()
+
+    def halt(self) -> None: ...
+
+    async def interrupted(self) -> None: ...
+
+    async def over(self) -> None:
+        await eventually(self._stop.is_set)
+        await asyncio.sleep(0)
+        self._servo.log.append("the stream has ended")
+
+    def timing(self) -> None: ...
+
+
+@pytest.mark.parametrize("way", ["left", "cancelled"])
+async def test_an_axis_is_brought_down_only_after_its_stream_has_ended(way: str) -> None:
+    servo = Streaming("joint_1")
+    async with connected(servo) as (port, link):
+
+        async def stream(_: object, stop: threading.Event) -> Stream:
+            return Stream(servo, stop)
+
+        link.stream = stream
+        await port.enable("joint_1")
+        run = port.run_sweep(sweep(mode=SweepMode.HOST_STREAMED, sample_rate=1 / link.sync_period))
+        await anext(run)
+        servo.log.clear()
+        if way == "left":
+            await run.aclose()
+        else:
+            consumer = asyncio.ensure_future(anext(run))
+            await asyncio.sleep(0)
+            consumer.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await consumer
+            await eventually(lambda: not servo.energised)
+        assert servo.log[0] == "the stream has ended"
+        assert servo.log[-1] == "motion"  # and it was confirmed
+        assert not servo.energised

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.cia402 import axis as power
 from drivers.cia402 import states
 from drivers.cia402.axis import Axis
 from drivers.cia402.host_watch import HostWatch
@@ -47,7 +46,7 @@ def test_torque_is_asked_for_only_along_the_one_path(
     monkeypatch: pytest.MonkeyPatch, statuswords: list[int], wish: str
 ) -> None:
     monkeypatch.setattr(Axis, "transition_timeout", 0.0)
-    monkeypatch.setattr(power, "RESET_TIMEOUT", 0.0)
+    monkeypatch.setattr(Axis, "reset_timeout", 0.0)
     whim = Whim(statuswords)
     axis = Axis(whim, HostWatch(60.0))
     refused = False
