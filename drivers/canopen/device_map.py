@@ -32,6 +32,11 @@ class Entry:
     def __str__(self) -> str:
         return f"{self.index:04X}h:{self.sub:02X} {self.name}"
 
+    @property
+    def type_name(self) -> str:
+        """The type as device maps name it, "i32"."""
+        return next(name for name, letter in TYPES.items() if letter == self.type)
+
     def pack(self, value: float) -> bytes:
         """The bytes of the value. Raises struct.error if it does not fit the type."""
         return struct.pack("<" + self.type, value if self.type == "d" else int(value))

@@ -4,7 +4,7 @@ import math
 import struct
 from collections.abc import Callable, Iterable, Iterator
 
-from drivers.canopen.device_map import NEEDED, STANDARD, TYPES, Cia301, Entry, Way
+from drivers.canopen.device_map import NEEDED, STANDARD, Cia301, Entry, Way
 from drivers.canopen.fieldbus import check_bus_load
 from drivers.canopen.profile import CanopenAxis
 from drivers.canopen.sdo import (
@@ -23,10 +23,7 @@ from drivers.cia402.states import State, Statusword
 from drivers.commission.drive import COMMANDS, Node, Row
 from drivers.errors import LimitExceeded, WrongConfiguration
 
-_WORDS = (Cia301.VENDOR, Cia301.PRODUCT, Cia301.REVISION, Cia301.SERIAL)
 _NAMES = ("vendor", "product", "revision", "serial")
-_ENERGISED = {State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION}
-_LIKE = 2e-3  # tolerance of the rated torque, as at connect
 
 
 def state(node: Node) -> Iterator[Row]:
@@ -35,7 +32,7 @@ def state(node: Node) -> Iterator[Row]:
     if word is None:
         return  # reported by `objects`
     found = states.decode(word)
-    if found in _ENERGISED:
+    if found in states.ENERGISED:
         yield node.row(
             "energy", False, f"the drive is in '{found.value}' and this program did not enable it: disable the drive"
         )
@@ -58,7 +55,7 @@ def who(node: Node) -> Iterator[Row]:
     kind = node.value(Cia301.DEVICE_TYPE)
     fits = kind is not None and kind & 0xFFFF == Cia301.SERVO_DRIVE
     yield node.row("device-type", fits, f"1000h is {_hex(kind)}, a CiA 402 drive ends in 0192h")
-    found = [node.value(entry) for entry in _WORDS]
+    found = [node.value(entry) for entry in (Cia301.VENDOR, Cia301.PRODUCT, Cia301.REVISION, Cia301.SERIAL)]
     torque = rated_torque(node)
     wrong = [*_different(node.axis, found)]
     for name, have, want in zip(_NAMES, found, _identity_of(node.axis), strict=True):
@@ -109,14 +106,13 @@ def _different(axis: CanopenAxis, found: list[int | None]) -> list[str]:
 
 
 def _alike(torque: float, axis: CanopenAxis) -> bool:
-    return math.isclose(torque, axis.rated_torque, rel_tol=_LIKE)
+    return math.isclose(torque, axis.rated_torque, rel_tol=2e-3)  # as at connect
 
 
 def _hex(value: int | None) -> str:
     return "nothing" if value is None else f"{value:08X}h"
 
 
-_WIRE = {letter: name for name, letter in TYPES.items()}
 _INSTEAD = {  # replacement if the drive has no such object
     "max_torque": "host: the envelope of each motion watches the effort",
     "max_speed": "host: the envelope of each motion watches the speed",
@@ -129,7 +125,6 @@ _INSTEAD = {  # replacement if the drive has no such object
     "supported_modes": "the first excitation mode of the map is used",
     "rated_torque": "profile: rated_torque",
 }
-_ITSELF = "the drive has its own method: see the maker's manual"
 
 
 def present(node: Node) -> Iterator[Row]:
@@ -164,22 +159,18 @@ def _used(node: Node) -> set[str]:
 
 def _wanted(node: Node, name: str) -> bool:
     """Whether the object is ever used."""
-    return name not in _ONLY_WITH or name in node.map.used()
-
-
-_ONLY_WITH = {
-    "current", "rated_current", "increments", "motor_revolutions", "velocity_unit", "interpolated_position",
-    "target_velocity", "velocity_offset", "sample_counter", "torque",
-}  # fmt: skip
+    only_with = {
+        "current", "rated_current", "increments", "motor_revolutions", "velocity_unit", "interpolated_position",
+        "target_velocity", "velocity_offset", "sample_counter", "torque",
+    }  # fmt: skip
+    return name not in only_with or name in node.map.used()
 
 
 def _there(node: Node, name: str, entry: Entry, needed: bool) -> Row:
     listed = node.dictionary.objects.get((entry.index, entry.sub))
     found = node.answer(entry)
     if isinstance(found, OtherType):
-        return node.row(
-            "wrong-type", False, f"{entry}: the drive's value is not {_WIRE[entry.type]}, as the map has it"
-        )
+        return node.row("wrong-type", False, f"{entry}: the drive's value is not {entry.type_name}, as the map has it")
     if node.absent(entry):
         if needed:
             return node.row("missing-object", False, f"{entry}: the drive does not have it, and nothing replaces it")
@@ -187,20 +178,23 @@ def _there(node: Node, name: str, entry: Entry, needed: bool) -> Row:
             return node.row(
                 "eds-differs", False, f"{entry}: in the EDS and not in the drive: the EDS is of another firmware"
             )
-        return node.host(f"object {name}", f"{entry}: missing: {_INSTEAD.get(name, _ITSELF)}")
+        instead = _INSTEAD.get(name, "the drive has its own method: see the maker's manual")
+        return node.host(f"object {name}", f"{entry}: missing: {instead}")
     if isinstance(found, WrongConfiguration):
         return node.row("refused-object", False, f"{entry}: the drive does not report its value: {found}")
-    if listed is not None and listed.type != _WIRE[entry.type]:
+    if listed is not None and listed.type != entry.type_name:
         return node.row(
-            "type-in-eds", False, f"{entry}: {listed.type or 'no number'} in the EDS, {_WIRE[entry.type]} in the map"
+            "type-in-eds",
+            False,
+            f"{entry}: {listed.type or 'no number'} in the EDS, {entry.type_name} in the map",
         )
     if entry in node.sdo.long:
-        return node.note(f"object {name}", f"{entry}: present, sent in 4 bytes, of which {_WIRE[entry.type]} is used")
+        return node.note(f"object {name}", f"{entry}: present, sent in 4 bytes, of which {entry.type_name} is used")
     if listed is None:
         return node.row(
             "eds-differs", False, f"{entry}: in the drive and not in the EDS: the EDS is of another firmware"
         )
-    return node.row(f"object {name}", True, f"{entry}: present, {_WIRE[entry.type]}, {found:.0f}")
+    return node.row(f"object {name}", True, f"{entry}: present, {entry.type_name}, {found:.0f}")
 
 
 def of_map(node: Node) -> Iterator[Row]:

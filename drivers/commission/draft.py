@@ -4,11 +4,18 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from drivers.canopen.device_map import NEEDED, PDO_TYPES, STANDARD, TYPES, DeviceMap, Entry, Way, load_device_map
+from drivers.canopen.device_map import (
+    NEEDED,
+    PDO_TYPES,
+    STANDARD,
+    DeviceMap,
+    Entry,
+    Way,
+    load_device_map,
+)
 from drivers.cia402.profile import FILL_IN
 from drivers.commission.drive import Dictionary
 
-_WIRE = {letter: name for name, letter in TYPES.items()}
 WITHOUT_EFFORT = "without 6077h or 6078h the drive cannot be used"
 _NEEDLESS = {  # object: (object that makes it unnecessary, reason)
     "torque": ("current", "6078h gives the current"),
@@ -16,7 +23,6 @@ _NEEDLESS = {  # object: (object that makes it unnecessary, reason)
     "rated_current": ("torque", "6077h gives the torque"),
     "sync_period": ("cycle_value", "not needed: 60C2h has the cycle"),
 }
-_COUNTER = "host: each sample belongs to the SYNC after which it came"
 
 
 def profile_text(
@@ -175,10 +181,10 @@ def _objects(dictionary: Dictionary) -> Iterator[str]:
     """Objects with another type than in CiA 402."""
     for name, entry in STANDARD.items():
         listed = dictionary.objects.get((entry.index, entry.sub))
-        if listed is None or listed.type == _WIRE[entry.type]:
+        if listed is None or listed.type == entry.type_name:
             continue
         if name in PDO_TYPES or not listed.type:
-            what = f"{listed.type or 'no number'} in the file, and only {_WIRE[entry.type]} can be used"
+            what = f"{listed.type or 'no number'} in the file, and only {entry.type_name} can be used"
             yield f"  {name}: {_open(what)}"
         else:
             yield f"  {name}: {{index: 0x{entry.index:04X}, sub: {entry.sub}, type: {listed.type}}}"
@@ -189,7 +195,7 @@ def _missing(dictionary: Dictionary) -> Iterator[str]:
     targets = {way.target for way in Way}
     for name, entry in STANDARD.items():
         if name == "sample_counter":
-            yield f"  {name}: {json.dumps(_COUNTER)}"
+            yield f"  {name}: {json.dumps('host: each sample belongs to the SYNC after which it came')}"
         elif not _has(dictionary, name):
             yield f"  {name}: {_instead(dictionary, name, entry, able, targets)}"
 

@@ -177,7 +177,6 @@ def _table(rows: tuple[Row, ...]) -> list[str]:
     ]
 
 
-LONG = 4  # bytes
 COMMANDS = {  # objects that energise or move: controlword, mode, targets, offsets
     (0x6040, 0), (0x6060, 0), (0x6071, 0), (0x607A, 0), (0x60B0, 0), (0x60B1, 0), (0x60B2, 0), (0x60C1, 1), (0x60FF, 0),
 }  # fmt: skip
@@ -203,9 +202,9 @@ class ReadOnlySdo(Sdo):
         wanted = struct.calcsize("<" + entry.type)
         with cast(Any, self.client).open(entry.index, entry.sub, buffering=0) as stream:
             stated, data = cast("int | None", stream.size), cast(bytes, stream.read())
-        if stated == LONG and wanted < LONG:
+        if stated == 4 and wanted < 4:
             self.long.add(entry)
-        return data[:wanted] if stated is None or stated == LONG else data
+        return data[:wanted] if stated is None or stated == 4 else data
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,12 +24,8 @@ class ChannelFinding:
 
 WAY = {"rad": math.radians(0.5), "m": 2e-3}
 SPEED = {"rad": 0.015, "m": 3.5e-3}  # 1/s, constant speed, so that the axis does not reverse
-AMPLITUDE = 0.6  # of the constant speed
 FREQUENCY = 2.0  # Hz
 PERIODS = 4  # of 1 s
-ROOM = 1.5  # times the travel of the sine, on both sides
-ASTRAY, MISSED = 0.1, 0.25  # share of the travel: motion of another joint; error of this one at its target
-_COLUMNS = ("time", "position", "velocity", "effort", "velocity_setpoint")
 
 
 def motion_text(axis: CanopenAxis) -> str:
@@ -60,7 +56,7 @@ async def _there_and_back(port: DrivePort, axis: CanopenAxis) -> list[Row]:
     gone = after[axis.joint].position - start
     rows = [*_others(axis, before, after)]
     rows.append(
-        _judged(axis, "move", abs(gone - way) <= MISSED * way, f"commanded {way:+.3g} {axis.unit}, moved {gone:+.3g}")
+        _judged(axis, "move", abs(gone - way) <= 0.25 * way, f"commanded {way:+.3g} {axis.unit}, moved {gone:+.3g}")
     )
     if rows[-1].verdict is not Verdict.MISMATCH:
         await port.move_to(axis.joint, start, way)
@@ -68,7 +64,7 @@ async def _there_and_back(port: DrivePort, axis: CanopenAxis) -> list[Row]:
 
 
 def _others(axis: CanopenAxis, before: Mapping[str, AxisStatus], after: Mapping[str, AxisStatus]) -> list[Row]:
-    limit = ASTRAY * WAY[axis.unit]
+    limit = 0.1 * WAY[axis.unit]
     gone = {joint: status.position - before[joint].position for joint, status in after.items() if joint != axis.joint}
     astray = [f"{joint} by {way:+.3g}" for joint, way in gone.items() if not abs(way) <= limit]
     return [_judged(axis, "others-stand", not astray, ", ".join(astray) or "no other joint moved")]
@@ -87,13 +83,13 @@ async def _sweep(port: DrivePort, axis: CanopenAxis) -> list[ChannelFinding]:
 
 
 def _command(axis: CanopenAxis, start: float, mode: SweepMode) -> SweepCommand:
-    speed, room = SPEED[axis.unit], ROOM * _travel(axis)
+    speed, room = SPEED[axis.unit], 1.5 * _travel(axis)
     low, high = axis.position_limits
     return SweepCommand(
         joint=axis.joint,
         mode=mode,
         offset_velocity=speed,
-        sines=(Sine(FREQUENCY, AMPLITUDE * speed, 0.0),),
+        sines=(Sine(FREQUENCY, 0.6 * speed, 0.0),),
         period=1.0,
         periods=PERIODS,
         ramp=0.5,
@@ -110,7 +106,8 @@ def _travel(axis: CanopenAxis) -> float:
 
 
 def _settled(blocks: Sequence[SampleBlock], command: SweepCommand) -> dict[str, Array]:
-    whole = {name: np.concatenate([getattr(block, name) for block in blocks]) for name in _COLUMNS}
+    names = ("time", "position", "velocity", "effort", "velocity_setpoint")
+    whole = {name: np.concatenate([getattr(block, name) for block in blocks]) for name in names}
     time = whole["time"]
     inside = (time >= command.measure_from) & (time < command.measure_from + command.periods * command.period)
     return {name: values[inside] for name, values in whole.items()}
@@ -134,12 +131,6 @@ async def _closing(port: DrivePort) -> AsyncGenerator[None]:
         await port.close()
 
 
-UNIT = 0.05  # relative difference allowed between velocity and slope of the position
-MAX_DELAY = 0.02  # s, maximum of the profile's `channels`
-DELAY_TOLERANCE = 0.002  # s, allowed difference from the delay in the profile
-_HARMONICS = 3
-
-
 @dataclass(frozen=True, slots=True)
 class _Fit:
     mean: float  # at the middle of the window
@@ -154,6 +145,7 @@ def judge(
     """`columns`: time, position, velocity, effort, velocity_setpoint of the settled part, whole periods, (n,) each.
 
     `offset` is the constant speed of the set-point, 1/s and not 0; `timing`: delays of the velocity in the profile.
+    Velocity and slope of the position may differ by 5 %, the delay from the profile's by 2 ms, and be 20 ms at most.
     """
     time, angular = columns["time"], 2 * np.pi * frequency
     position, velocity, effort, wanted = (
@@ -171,16 +163,16 @@ def judge(
         ChannelFinding("sign", share > 0, f"position: {went} at {offset:+.4g} commanded"),
         ChannelFinding("sign", shares[0] > 0, f"velocity: {velocity.mean:+.4g} {unit}/s; from position: {went}"),
         ChannelFinding("sign", inertia > 0, f"effort: {inertia:.4g} {effort_unit} for 1 {unit}/s^2; must be above 0"),
-        ChannelFinding("unit", abs(share - 1) <= UNIT, f"position: {share:.4f} of the speed commanded"),
+        ChannelFinding("unit", abs(share - 1) <= 0.05, f"position: {share:.4f} of the speed commanded"),
         ChannelFinding(
             "unit",
-            all(abs(each - 1) <= UNIT for each in shares),
+            all(abs(each - 1) <= 0.05 for each in shares),
             f"velocity: {shares[0]:.4f} of the position's in the mean, {shares[1]:.4f} at {frequency:g} Hz",
         ),
         ChannelFinding("delay", None, f"position: {1e3 * behind:.2f} ms behind the set-point, with speed control lag"),
         ChannelFinding(
             "delay",
-            abs(late - stated) <= DELAY_TOLERANCE and abs(late) <= MAX_DELAY,
+            abs(late - stated) <= 0.002 and abs(late) <= 0.02,
             f"velocity: {1e3 * late:.2f} ms behind the position, the profile's channels say {1e3 * stated:.2f} ms",
         ),
         *(
@@ -196,7 +188,7 @@ def judge(
 
 def _fit(time: Array, values: Array, angular: float) -> _Fit:
     middle = float(np.mean(time))
-    phases = [angular * harmonic * time for harmonic in range(1, _HARMONICS + 1)]
+    phases = [angular * harmonic * time for harmonic in range(1, 4)]
     basis = np.stack(
         [np.ones_like(time), time - middle, *(wave(phase) for phase in phases for wave in (np.cos, np.sin))], axis=1
     )

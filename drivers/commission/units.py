@@ -15,19 +15,12 @@ from drivers.commission.checks import rated_torque
 from drivers.commission.drive import Node, ReadOnlySdo, Row, Verdict, read_dictionary
 from drivers.errors import BadProfile, CommunicationLost, LimitExceeded, WrongConfiguration
 
-POLARITY = Entry(0x607E, 0, "B", "polarity")
-GEAR_MOTOR = Entry(0x6091, 1, "I", "gear ratio, motor revolutions")
-GEAR_SHAFT = Entry(0x6091, 2, "I", "gear ratio, shaft revolutions")
-_READINGS = 10  # number of readings of the speed at rest
 _ROUNDING = 1e-3  # tolerance relative to a limit
-STEPS = 20  # velocity units per line of a sweep, as the adapter requires
-MOST_EFFORT = 32.767  # times the rated torque: 16 bits of per mille
-COARSE = 0.1  # of the velocity limit: a line above it cannot be used
 
 
 def scale(node: Node) -> Iterator[Row]:
     """Units, gear and polarity as reported by the drive."""
-    polarity = node.listed(POLARITY)
+    polarity = node.listed(Entry(0x607E, 0, "B", "polarity"))
     if polarity is not None:
         word = (
             f"607Eh is {polarity:02X}h: the drive inverts the signs of position and speed, not of torque; it must be 0"
@@ -71,7 +64,7 @@ def at_rest(node: Node, units: Codec) -> Iterator[Row]:
         yield node.row("position", low <= place <= high, what + hint)
     entry = node.map.entry("velocity")
     try:
-        speeds = [abs(float(units.velocity(node.sdo.read(entry)))) for _ in range(_READINGS)]
+        speeds = [abs(float(units.velocity(node.sdo.read(entry)))) for _ in range(10)]
     except WrongConfiguration:
         return  # reported by `objects`
     yield node.row(
@@ -98,7 +91,7 @@ def limits(node: Node, units: Codec) -> Iterator[Row]:
     except LimitExceeded as error:
         yield node.row("limits", False, f"in drive units: {error}: check gear_ratio and units")
         return
-    most = MOST_EFFORT * units.rated_torque * abs(axis.gear_ratio)
+    most = 32.767 * units.rated_torque * abs(axis.gear_ratio)  # 16 bits of per mille
     if axis.effort_limit > most:
         what = f"effort_limit {axis.effort_limit:g} {axis.effort_unit} is above {most:.4g}, the largest value of 6077h"
         yield node.row("effort-limit", False, f"{what}: check effort_limit and gear_ratio")
@@ -116,11 +109,13 @@ def limits(node: Node, units: Codec) -> Iterator[Row]:
 
 
 def resolution(node: Node, units: Codec) -> Iterator[Row]:
-    """Whether the velocity unit, which stays the same in the session, is fine enough for a small sine."""
-    least, limit = STEPS * abs(float(units.velocity(1.0))), node.axis.velocity_limit
+    """Whether the velocity unit, which stays the same in the session, is fine enough for a small sine: a line needs 20
+    units, and one above a tenth of the limit cannot be used.
+    """
+    least, limit = 20 * abs(float(units.velocity(1.0))), node.axis.velocity_limit
     unit = f"{node.axis.unit}/s"
-    what = f"lines from {least:.3g} {unit} on have {STEPS} steps of the drive's velocity unit"
-    yield node.row("velocity-unit", least <= COARSE * limit, f"{what}; velocity_limit is {limit:g} {unit}")
+    what = f"lines from {least:.3g} {unit} on have 20 steps of the drive's velocity unit"
+    yield node.row("velocity-unit", least <= 0.1 * limit, f"{what}; velocity_limit is {limit:g} {unit}")
 
 
 def configured_before(node: Node) -> bool:
@@ -129,7 +124,7 @@ def configured_before(node: Node) -> bool:
 
 
 def _gear(node: Node) -> Iterator[Row]:
-    motor, shaft = node.listed(GEAR_MOTOR), node.listed(GEAR_SHAFT)
+    motor, shaft = (node.listed(Entry(0x6091, sub, "I", "gear ratio")) for sub in (1, 2))
     if not motor or not shaft:
         return
     held, ratio = motor / shaft, abs(node.axis.gear_ratio)
@@ -195,10 +190,6 @@ def _inside(node: Node, wanted: tuple[int, int], held: tuple[int, int]) -> Row:
     )
 
 
-TOLERANCE = 0.15  # of the travel: accuracy of turning by hand to a mark on the joint
-LEAST = 0.05  # of the travel: less does not count as a turn
-
-
 def turned(profile: CanopenProfile, joint: str, way: float, wait: Callable[[], None]) -> list[Row]:
     """The rows `turned`, `sign` and `gear`. `way` in rad (m), signed; `wait` returns after the joint was turned.
 
@@ -234,20 +225,21 @@ def named(profile: CanopenProfile, joint: str) -> CanopenAxis:
 def _judged(node: Node, way: float, found: float) -> list[Row]:
     unit = node.axis.unit
     what = f"turned by {way:+.4g} {unit}, the drive reports {found:+.4g} {unit}"
-    if abs(found) < LEAST * abs(way):
+    if abs(found) < 0.05 * abs(way):
         return [node.row("turned", False, f"{what}: another joint's encoder, or none")]
     share = abs(found / way)
     right = node.axis.gear_ratio * share
+    fits = abs(share - 1) <= 0.15  # accuracy of turning by hand to a mark on the joint
     return [
         node.row("turned", True, what),
         node.row("sign", found * way > 0, what if found * way > 0 else f"{what}: change the sign of gear_ratio"),
         node.row(
             "gear",
-            abs(share - 1) <= TOLERANCE,
+            fits,
             f"{what}, {share:.3g} times the turn; gear_ratio is {node.axis.gear_ratio:g}"
             + (
                 ""
-                if abs(share - 1) <= TOLERANCE
+                if fits
                 else f", this turn gives {abs(right):.4g}: check gear_ratio, increments and the unit of the joint"
             ),
         ),

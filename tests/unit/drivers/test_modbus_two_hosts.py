@@ -17,7 +17,7 @@ from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import enable_alone
 from drivers.cia402.states import Controlword
 from drivers.errors import DriveError, MotionForbidden, NotReady
-from drivers.modbus.device import ModbusDevice, place_of
+from drivers.modbus.device import ModbusDevice
 from drivers.modbus.line import Line
 from drivers.modbus.profile import TcpLine
 from drivers.modbus.registers import RegisterMap
@@ -51,7 +51,7 @@ class Host:
         self.wire, self.watch = Wire(drives, Clock()), HostWatch(60.0)
         line = Line(LINE, self.wire.clock, self.wire)
         line.open()
-        units = [Unit(line, axis.unit_id, registers, place_of(axis)) for axis in PROFILE.axes]
+        units = [Unit(line, axis.unit_id, registers, axis.place) for axis in PROFILE.axes]
         self.control = Control(units, registers, self.watch)
         devices = [ModbusDevice(axis, PROFILE, registers, "", line, self.control) for axis in PROFILE.axes]
         self.axes = [Axis(device, self.watch) for device in devices]
