@@ -16,7 +16,7 @@ from typing import Any, cast
 import can
 
 from drivers.canopen.profile import parse_profile
-from drivers.commission.drive import Sheet
+from drivers.commission.drive import CheckSheet
 from drivers.commission.survey import survey
 from drivers.registry import load_profile
 from simulator.machine import Machine
@@ -47,7 +47,7 @@ class Cabinet:
     def node(self, joint: str = "joint_1") -> Any:
         return cast(Any, self.virtual.cabinet).nodes[joint]
 
-    def check(self, **changes: Any) -> Sheet:
+    def check(self, **changes: Any) -> CheckSheet:
         """A survey of these drives by their profile with other values."""
         return survey(parse_profile(self.profile | changes, DRIVES), "test.yaml")
 

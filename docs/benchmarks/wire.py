@@ -1,8 +1,8 @@
 """From the wire to the disk: samples through the adapter and the recorder, against a bare python-can loop.
 
 The bus is a socketcand gateway in a process of its own, ``python -m docs.benchmarks.wire CYCLES``, that sends as fast
-as one reads: SYNC and two TPDOs of six nodes a cycle. Ours: the adapter's `Bus` with its thread, sorting, pairing by
-counter, envelope, blocks of 0.1 s in SI units, and a `Recorder` an axis whose every block the disk has. The peer
+as one reads: SYNC and two TPDOs of six nodes a cycle. Ours: the adapter's `CanopenBus` with its thread, sorting,
+pairing, envelope, blocks of 0.1 s in SI units, and a `Recorder` an axis whose every block the disk has. The peer
 receives frames, unpacks them and keeps the numbers. The host's own half of a cycle, sending, is in neither.
 """
 
@@ -23,12 +23,12 @@ import can
 
 from docs.benchmarks.measured import Measured
 from drivers.canopen import frames
-from drivers.canopen.bus import Bus, SocketcandBus
+from drivers.canopen.bus import CanopenBus, SocketcandBus
 from drivers.canopen.host_sweep import HostSweep
 from drivers.canopen.profile import BusProfile, CanopenAxis
 from drivers.canopen.streamed_axis import StreamedAxis, StreamRequest
 from drivers.canopen.units import Codec
-from drivers.cia402.checks import Envelope
+from drivers.cia402.checks import DriveEnvelope
 from drivers.cia402.profile import IdentityProfile
 from drivers.ports import SweepCommand, SweepMode
 from service.machine.execution.recording.recorder import Recorder
@@ -129,7 +129,7 @@ def recorded(port: int, cycles: int, folder: Path) -> Taken:
     axes = {node: StreamedAxis(request, PERIOD) for node, request in requests.items()}
     at_least = round(HostSweep.block_time / PERIOD)
     wanted = (cycles - cycles % at_least) * len(NODES)
-    with closing(Bus(profile, NODES)) as bus, ExitStack() as stack:
+    with closing(CanopenBus(profile, NODES)) as bus, ExitStack() as stack:
         recorders = {
             node: stack.enter_context(closing(Recorder(folder / f"{time.monotonic_ns()}-{node}.arrow", each.command)))
             for node, each in requests.items()
@@ -169,7 +169,7 @@ def _request(node: int, cycles: int) -> StreamRequest:
         periods=1, ramp=0.1, settle=0.1, sample_rate=1 / PERIOD, velocity_limit=5.0, effort_limit=1000.0,
         position_window=(-50.0, 50.0),
     )  # fmt: skip
-    envelope = Envelope(command.velocity_limit, command.effort_limit, command.position_window, "rad", "N m")
+    envelope = DriveEnvelope(command.velocity_limit, command.effort_limit, command.position_window, "rad", "N m")
     return StreamRequest(axis, Codec(axis.gear_ratio, 0.0, 100.0, 1e6, 1e-3), command, envelope, 0)
 
 

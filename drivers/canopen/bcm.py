@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from enum import IntFlag
 
-from drivers.canopen.bus import Bus
+from drivers.canopen.bus import CanopenBus
 from drivers.errors import CauseCode, CommunicationLost
 
 Cycle = Sequence[tuple[int, bytes]]
@@ -31,7 +31,7 @@ class Bcm(IntFlag):
     STARTTIMER = 2
 
 
-def set_point_source(bus: Bus, *, waits: bool = False) -> str:
+def set_point_source(bus: CanopenBus, *, waits: bool = False) -> str:
     """What times the set-points of streamed sweeps on this bus: "bcm" (the kernel) or "thread".
 
     `waits`: the host delays SYNC until all drives have answered. Only its own thread can do that.

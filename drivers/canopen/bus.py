@@ -29,7 +29,7 @@ from drivers.ports import BusTraffic
 logger = logging.getLogger(__name__)
 
 
-class Bus:
+class CanopenBus:
     """An open bus. `send` may be called from any thread."""
 
     def __init__(
@@ -324,7 +324,7 @@ class ForeignFrames:
             stopping, self._stopping = self._stopping, False
             return "" if stopping else "SYNC"
         if identifier == frames.Cob.NMT:
-            if len(data) < 2 or data[0] == frames.Nmt.STOP or (data[1] and data[1] not in self._nodes):
+            if len(data) < 2 or data[0] == frames.NmtCommand.STOP or (data[1] and data[1] not in self._nodes):
                 return ""
             return f"NMT command {data[0]:02X}h to {f'node {data[1]}' if data[1] else 'every node'}"
         function, node = identifier & ~0x7F, identifier & 0x7F

@@ -4,13 +4,13 @@ import logging
 from dataclasses import dataclass
 
 from drivers.canopen import frames, measuring
-from drivers.canopen.bus import Bus
-from drivers.canopen.device_map import Cia301, Entry, Way
+from drivers.canopen.bus import CanopenBus
+from drivers.canopen.device_map import Cia301, Entry, SetPointWay
 from drivers.canopen.measuring import MeasuringObject
 from drivers.canopen.profile import CanopenAxis, CanopenProfile
 from drivers.canopen.sdo import (
     ObjectAbsent,
-    Pdo,
+    PdoMapping,
     Sdo,
     Setting,
     configure_pdos,
@@ -22,11 +22,11 @@ from drivers.canopen.sdo import (
 from drivers.canopen.units import codec
 from drivers.cia402.device import (
     Abilities,
+    Feedback,
     Injector,
     MeasuringCommand,
     MeasuringState,
-    Mode,
-    Motion,
+    OperationMode,
     await_mode,
     rejection_text,
     require_identity,
@@ -42,7 +42,7 @@ RESTARTED = 0  # used as error code: the node booted, for which there is no code
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class StreamStart:
     """An axis that waits for set-points: see `streamed_axis.StreamRequest`."""
 
     counter: int | None
@@ -53,7 +53,7 @@ class Start:
 class CanopenDevice:
     """One node. See `Device`."""
 
-    def __init__(self, profile: CanopenAxis, machine: CanopenProfile, bus: Bus, dictionary_sha256: str) -> None:
+    def __init__(self, profile: CanopenAxis, machine: CanopenProfile, bus: CanopenBus, dictionary_sha256: str) -> None:
         self.profile = profile
         self.place = f"{profile.joint} (node {profile.node})"
         self.emergency_stop_codes = machine.emergency_stop_codes
@@ -122,10 +122,10 @@ class CanopenDevice:
     def allow_motion(self) -> None:
         """With the commissioned speed control."""
         self._harden()
-        self._nmt(frames.Nmt.START)
+        self._nmt(frames.NmtCommand.START)
 
     def forbid_motion(self) -> None:
-        self._nmt(frames.Nmt.PRE_OPERATIONAL)
+        self._nmt(frames.NmtCommand.PRE_OPERATIONAL)
 
     def statusword(self) -> int:
         return self.sdo.integer(self._map.entry("statusword"))
@@ -133,7 +133,7 @@ class CanopenDevice:
     def control(self, controlword: int) -> None:
         self.sdo.write(self._map.entry("controlword"), controlword)
 
-    def set_mode(self, mode: Mode) -> None:
+    def set_mode(self, mode: OperationMode) -> None:
         """Write 6060h and wait until 6061h shows the mode."""
         self.sdo.write(self._map.entry("mode"), mode)
         await_mode(self.place, mode, lambda: self.sdo.integer(self._map.entry("mode_display")))
@@ -168,7 +168,7 @@ class CanopenDevice:
         return f"error {code:04X}h" + (f", history {history:08X}h" if history else "")
 
     def reopen(self) -> None:
-        self._nmt(frames.Nmt.PRE_OPERATIONAL)
+        self._nmt(frames.NmtCommand.PRE_OPERATIONAL)
 
     @property
     def deaf(self) -> bool:
@@ -183,8 +183,8 @@ class CanopenDevice:
 
     # -- motion --------------------------------------------------------------------------------------------------
 
-    def motion(self) -> Motion:
-        return Motion(
+    def motion(self) -> Feedback:
+        return Feedback(
             float(self.codec.position(self._read("position"))),
             float(self.codec.velocity(self._read("velocity"))),
             float(self.codec.effort(self.sdo.read(self._map.effort))),
@@ -206,11 +206,11 @@ class CanopenDevice:
         self.sdo.settle(self._map.entry("target_position"), self.codec.raw_position(position))
 
     @property
-    def cyclic_pdos(self) -> tuple[Pdo, ...]:
+    def cyclic_pdos(self) -> tuple[PdoMapping, ...]:
         """PDOs sent in each cycle of a streamed sweep, without the RPDO of the stop."""
         return tuple(pdo for pdo in self._pdos if pdo.mapped != (self._map.entry("controlword"),))
 
-    def prepare_streaming(self) -> Start:
+    def prepare_streaming(self) -> StreamStart:
         """Switch to the mode that follows set-points, with set-point zero or the actual position."""
         position = int(self._read("position")) if self.way.positions else None
         self._settle_rest()
@@ -220,7 +220,7 @@ class CanopenDevice:
         self.set_mode(self._streaming_mode)
         counter = self.sdo.integer(self._map.entry("sample_counter")) if self._map.samples == "counter" else None
         # bit 4 of the controlword makes the drive follow interpolated positions
-        return Start(counter, position, 0x10 if self.way is Way.INTERPOLATED_POSITION else 0)
+        return StreamStart(counter, position, 0x10 if self.way is SetPointWay.INTERPOLATED_POSITION else 0)
 
     # -- measuring function --------------------------------------------------------------------------------------
 
@@ -332,13 +332,13 @@ class CanopenDevice:
         present = tuple((self._map.entry(name), 0) for name in added if name != self.way.target)
         self.sdo.settle_all(present)
 
-    def _choose_way(self) -> Way | None:
+    def _choose_way(self) -> SetPointWay | None:
         """The first way of the map that the drive supports."""
         modes = self._supported_modes()
         able = (way for way in self._map.excitation if way.mode(modes) is not None)
-        return next((way for way in able if way is not Way.VELOCITY_OFFSET or self._has_target(way)), None)
+        return next((way for way in able if way is not SetPointWay.VELOCITY_OFFSET or self._has_target(way)), None)
 
-    def _has_target(self, way: Way) -> bool:
+    def _has_target(self, way: SetPointWay) -> bool:
         """Whether the drive has the target object; 6502h does not cover optional objects."""
         return self._has(self._map.entry(way.target))
 

@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 
 from drivers.bounded_yaml import read_mapping
 from drivers.canopen.frames import Wires
-from drivers.cia402.device import Mode
+from drivers.cia402.device import OperationMode
 from drivers.cia402.profile import Frozen, parse
 from drivers.errors import BadProfile
 
@@ -127,7 +127,7 @@ Speed = Literal["60A9h", "increments/s", "rev/min", "1e-3 rev/min", "1e-3 deg/s"
 OtherSpeed = Literal["velocity", "increments/s", "rev/min", "1e-3 rev/min", "1e-3 deg/s"]
 
 
-class Way(Enum):
+class SetPointWay(Enum):
     """How the set-points of a streamed sweep enter the drive: mode of operation, and object that receives them.
 
     `VELOCITY_OFFSET` is added to a profile of the drive that stands still (60FFh = 0). It bypasses the ramps of the
@@ -142,19 +142,23 @@ class Way(Enum):
     @property
     def positions(self) -> bool:
         """True if the host sends positions, False if it sends velocities."""
-        return self in (Way.CYCLIC_POSITION, Way.INTERPOLATED_POSITION)
+        return self in (SetPointWay.CYCLIC_POSITION, SetPointWay.INTERPOLATED_POSITION)
 
     @property
     def target(self) -> str:
         """Name of the target object in the map."""
-        return {Way.CYCLIC_VELOCITY: "target_velocity", Way.CYCLIC_POSITION: "target_position"}.get(self, self.value)
+        return {SetPointWay.CYCLIC_VELOCITY: "target_velocity", SetPointWay.CYCLIC_POSITION: "target_position"}.get(
+            self, self.value
+        )
 
-    def mode(self, supported: int | None) -> Mode | None:
+    def mode(self, supported: int | None) -> OperationMode | None:
         """The mode to use among those `supported` (6502h; None: unknown). None if the drive has no mode for this
         way.
         """
         for mode in (
-            (Mode.CYCLIC_VELOCITY, Mode.PROFILE_VELOCITY) if self is Way.VELOCITY_OFFSET else (Mode[self.name],)
+            (OperationMode.CYCLIC_VELOCITY, OperationMode.PROFILE_VELOCITY)
+            if self is SetPointWay.VELOCITY_OFFSET
+            else (OperationMode[self.name],)
         ):
             if supported is None or supported >> (mode - 1) & 1:
                 return mode
@@ -185,7 +189,7 @@ class MapSetting(Frozen):
         return Entry(self.index, self.sub, TYPES[self.type], self.name)
 
 
-class Units(Frozen):
+class DeviceUnits(Frozen):
     """Units of raw values. Revolutions are those of `side`."""
 
     side: Literal["motor", "joint"] = "motor"
@@ -220,10 +224,10 @@ class DeviceMap(Frozen):
     vendor: int | None = None
     product: int | None = None
     objects: Mapping[str, ObjectPlace] = {}
-    units: Units = Units()
+    units: DeviceUnits = DeviceUnits()
     pdos: Pdos = Pdos()
-    excitation: tuple[Way, ...] = Field(
-        default=(Way.CYCLIC_VELOCITY,), min_length=1
+    excitation: tuple[SetPointWay, ...] = Field(
+        default=(SetPointWay.CYCLIC_VELOCITY,), min_length=1
     )  # the first one that the drive supports (6502h) is used
     streaming_needs: tuple[str, ...] = ("cycle_value",)  # objects that tell the drive the cycle time
     samples: Literal["counter", "window"] = "window"

@@ -11,18 +11,18 @@ from dataclasses import dataclass
 
 from drivers.canopen import frames
 from drivers.canopen.bcm import set_point_source
-from drivers.canopen.bus import Bus
+from drivers.canopen.bus import CanopenBus
 from drivers.canopen.device import CanopenDevice
 from drivers.canopen.device_map import bits
 from drivers.canopen.host_sweep import HostSweep
 from drivers.canopen.profile import BusProfile, CanopenProfile
-from drivers.canopen.sdo import Pdo
+from drivers.canopen.sdo import PdoMapping
 from drivers.canopen.stop_sender import CanopenStopSender
 from drivers.canopen.streamed_axis import Ending, StreamRequest
-from drivers.cia402.axis import Axis
-from drivers.cia402.checks import Envelope
+from drivers.cia402.axis import Cia402Axis
+from drivers.cia402.checks import DriveEnvelope
 from drivers.cia402.connection import DriveThread, capabilities, to_the_end
-from drivers.cia402.device import Mode
+from drivers.cia402.device import OperationMode
 from drivers.cia402.host_watch import HostWatch
 from drivers.errors import (
     CommunicationLost,
@@ -47,7 +47,7 @@ def frame_bits(size: int) -> int:
     return 34 + 8 * size + (34 + 8 * size - 1) // 4 + 13
 
 
-def bus_load(settings: BusProfile, moving: Iterable[tuple[Pdo, ...]], nodes: int) -> float:
+def bus_load(settings: BusProfile, moving: Iterable[tuple[PdoMapping, ...]], nodes: int) -> float:
     """Share of the bit rate that a streamed sweep of axes with these PDOs uses; 0 if the profile has no bit rate.
 
     `stop` frames are not counted, because they are sent once.
@@ -57,7 +57,9 @@ def bus_load(settings: BusProfile, moving: Iterable[tuple[Pdo, ...]], nodes: int
     return (_cycle(moving) / settings.sync_period + _heartbeats(settings, nodes)) / settings.bitrate
 
 
-def check_bus_load(settings: BusProfile, moving: Iterable[tuple[Pdo, ...]], nodes: int, most: float = 0.7) -> None:
+def check_bus_load(
+    settings: BusProfile, moving: Iterable[tuple[PdoMapping, ...]], nodes: int, most: float = 0.7
+) -> None:
     """Raises LimitExceeded if sweeps of axes with these PDOs need more than `most` of the bit rate (the rest is for
     SDO, EMCY, repeated frames), with the cycle that fits. Nothing is checked if the profile has no bit rate.
     """
@@ -77,7 +79,7 @@ def check_bus_load(settings: BusProfile, moving: Iterable[tuple[Pdo, ...]], node
     )
 
 
-def _cycle(moving: Iterable[tuple[Pdo, ...]]) -> int:
+def _cycle(moving: Iterable[tuple[PdoMapping, ...]]) -> int:
     """Bits of one cycle: SYNC and the PDOs of the moving axes."""
     sizes = [sum(bits(entry) for entry in pdo.mapped) // 8 for pdos in moving for pdo in pdos]
     return frame_bits(0) + sum(frame_bits(size) for size in sizes)
@@ -99,7 +101,7 @@ class CanopenFieldbus:
         profile, thread = self._profile, DriveThread("can-sdo")
         nodes = tuple(axis.node for axis in profile.axes)
         opening = asyncio.create_task(
-            thread.run(Bus, profile.bus, nodes, profile.device_map.wires, self.watch), name="open the bus"
+            thread.run(CanopenBus, profile.bus, nodes, profile.device_map.wires, self.watch), name="open the bus"
         )
         heart: asyncio.Task[None] | None = None
         try:
@@ -142,15 +144,15 @@ def _loads(profile: CanopenProfile, devices: Mapping[str, CanopenDevice]) -> lis
 
 @dataclass(frozen=True, slots=True)
 class CanopenConnection:
-    """See `drivers.cia402.connection.Connection`."""
+    """See `drivers.cia402.connection.DriveConnection`."""
 
     profile: CanopenProfile
     thread: DriveThread
-    opening: asyncio.Task[Bus]
-    bus: Bus
+    opening: asyncio.Task[CanopenBus]
+    bus: CanopenBus
     heart: asyncio.Task[None]
     devices: Mapping[str, CanopenDevice]
-    axes: Mapping[str, Axis]
+    axes: Mapping[str, Cia402Axis]
     identities: tuple[AxisIdentity, ...]
     capabilities: Capabilities
 
@@ -162,7 +164,9 @@ class CanopenConnection:
     def sync_period(self) -> float:
         return self.profile.bus.sync_period
 
-    async def stream(self, sweeps: Sequence[tuple[SweepCommand, Envelope]], stop: threading.Event) -> "StreamedSweep":
+    async def stream(
+        self, sweeps: Sequence[tuple[SweepCommand, DriveEnvelope]], stop: threading.Event
+    ) -> "StreamedSweep":
         requests: list[StreamRequest] = []
         swept = [self.devices[command.joint] for command, _ in sweeps]
         check_bus_load(self.profile.bus, [device.cyclic_pdos for device in swept], len(self.devices))
@@ -194,9 +198,9 @@ class CanopenConnection:
 
 
 class StreamedSweep:
-    """A host-streamed sweep and its end. See `drivers.cia402.connection.Run`."""
+    """A host-streamed sweep and its end. See `drivers.cia402.connection.RunningSweep`."""
 
-    def __init__(self, run: HostSweep, thread: DriveThread, axes: Mapping[str, Axis]) -> None:
+    def __init__(self, run: HostSweep, thread: DriveThread, axes: Mapping[str, Cia402Axis]) -> None:
         self.run = run
         self._thread, self._axes = thread, axes
 
@@ -225,7 +229,7 @@ class StreamedSweep:
         run = self.run
         if run.ending is Ending.COMPLETED:
             for axis in self._axes.values():
-                await self._thread.run(axis.device.set_mode, Mode.PROFILE_POSITION)
+                await self._thread.run(axis.device.set_mode, OperationMode.PROFILE_POSITION)
             run.release()
         await run.finished()
         match run.ending:
@@ -271,7 +275,7 @@ def _check_resolution(device: CanopenDevice, command: SweepCommand) -> None:
             )
 
 
-async def check_alone(bus: Bus, profile: CanopenProfile) -> None:
+async def check_alone(bus: CanopenBus, profile: CanopenProfile) -> None:
     """Raises ConnectionFailed if another host uses our node id: the drives would not detect the loss of either host.
 
     Two heartbeats are required: frames held back by a gateway arrive together and may be from our previous
@@ -290,7 +294,7 @@ async def check_alone(bus: Bus, profile: CanopenProfile) -> None:
     )
 
 
-async def _beat(bus: Bus, profile: CanopenProfile) -> None:
+async def _beat(bus: CanopenBus, profile: CanopenProfile) -> None:
     """Our heartbeat. It runs on the event loop on purpose: if the host hangs, it stops, and the drives stop the
     axes.
     """
@@ -302,17 +306,17 @@ async def _beat(bus: Bus, profile: CanopenProfile) -> None:
             await asyncio.sleep(settings.host_heartbeat)
 
 
-Introduced = tuple[dict[str, CanopenDevice], dict[str, Axis], tuple[AxisIdentity, ...]]
+Introduced = tuple[dict[str, CanopenDevice], dict[str, Cia402Axis], tuple[AxisIdentity, ...]]
 
 
-def _introduce(profile: CanopenProfile, bus: Bus) -> Introduced:
+def _introduce(profile: CanopenProfile, bus: CanopenBus) -> Introduced:
     digest = hashlib.sha256(profile.eds.read_bytes()).hexdigest()
     devices = {each.joint: CanopenDevice(each, profile, bus, digest) for each in profile.axes}
-    axes = {joint: Axis(device, bus.watch) for joint, device in devices.items()}
+    axes = {joint: Cia402Axis(device, bus.watch) for joint, device in devices.items()}
     return devices, axes, tuple(axis.introduce() for axis in axes.values())
 
 
-async def _release(thread: DriveThread, opening: asyncio.Task[Bus], heart: asyncio.Task[None] | None) -> None:
+async def _release(thread: DriveThread, opening: asyncio.Task[CanopenBus], heart: asyncio.Task[None] | None) -> None:
     """Ends heartbeat, bus and SDO thread. A bus that is still being opened is awaited and closed."""
     if heart is not None:
         heart.cancel()

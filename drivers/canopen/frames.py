@@ -28,7 +28,7 @@ class Cob(IntEnum):
     HEARTBEAT = 0x700
 
 
-class Nmt(IntEnum):
+class NmtCommand(IntEnum):
     """Commands of network management."""
 
     START = 0x01
@@ -226,7 +226,11 @@ def stop(
     pre-operational.
     """
     quick_stops = [wires.stop_frame(node) for node in nodes]
-    return [*quick_stops, *([(Cob.SYNC, b"")] if sync else []), *((Cob.NMT, bytes([Nmt.STOP, node])) for node in deaf)]
+    return [
+        *quick_stops,
+        *([(Cob.SYNC, b"")] if sync else []),
+        *((Cob.NMT, bytes([NmtCommand.STOP, node])) for node in deaf),
+    ]
 
 
 def rpdo1(controlword: int, target: int) -> bytes:

@@ -20,7 +20,7 @@ import numpy as np
 
 from drivers.canopen import frames
 from drivers.canopen.bcm import Cycle, KernelRefused, KernelStream, set_point_source
-from drivers.canopen.bus import Bus
+from drivers.canopen.bus import CanopenBus
 from drivers.canopen.profile import BusProfile
 from drivers.canopen.streamed_axis import (
     Ending,
@@ -30,7 +30,7 @@ from drivers.canopen.streamed_axis import (
     Trouble,
     unplanned,
 )
-from drivers.cia402.states import State
+from drivers.cia402.states import PowerState
 from drivers.errors import CommunicationLost, Measured
 from drivers.ports import SampleBlock, SetPointTiming
 
@@ -97,7 +97,7 @@ class HostSweep:
     hold_timeout = 5.0  # s, maximum wait at standstill until the mode is left
 
     def __init__(
-        self, bus: Bus, settings: BusProfile, requests: Sequence[StreamRequest], stop: threading.Event
+        self, bus: CanopenBus, settings: BusProfile, requests: Sequence[StreamRequest], stop: threading.Event
     ) -> None:
         """Starts at once. The axes must stand, enabled, in cyclic synchronous velocity."""
         self.ending = Ending.COMPLETED
@@ -212,7 +212,7 @@ class HostSweep:
                 axis.begin()
 
     def _unknown(self) -> list[StreamedAxis]:
-        return [axis for axis in self._axes.values() if axis.state is State.UNKNOWN]
+        return [axis for axis in self._axes.values() if axis.state is PowerState.UNKNOWN]
 
     def _by_kernel(self, events: Events) -> None:
         """The cycles of the sweep, planned in advance. Returns at its end, or once the stop sequence has begun."""

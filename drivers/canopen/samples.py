@@ -16,7 +16,7 @@ from drivers.canopen.frames import MotionPdo, PositionPdo
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class SyncSample:
     """Values of an axis at one SYNC, drive units; `index` counts the SYNCs since the counter was read."""
 
     index: int
@@ -26,7 +26,7 @@ class Sample:
     position: int
 
 
-class Pairing:
+class CounterPairing:
     """Combines TPDO1 and TPDO2 of one axis."""
 
     def __init__(self, counter: int) -> None:
@@ -54,7 +54,7 @@ class Pairing:
         self._different += event != self._motion or self._different == 0
         self._motion = event
 
-    def position(self, event: PositionPdo) -> Sample | None:
+    def position(self, event: PositionPdo) -> SyncSample | None:
         """The sample that this TPDO2 completes; None if it was already received, or if its TPDO1 is not certain."""
         advance = (event.counter - self._counter) & 0xFFFFFFFF
         if not 0 < advance <= 10_000:  # a counter that jumps further, or back, does not belong to this sweep
@@ -65,7 +65,7 @@ class Pairing:
         self._motions = self._different = 0
         if motion is None or not different <= advance <= motions:
             return None
-        return Sample(self._index, motion.statusword, motion.velocity, motion.torque, event.position)
+        return SyncSample(self._index, motion.statusword, motion.velocity, motion.torque, event.position)
 
 
 class Windows:
@@ -100,7 +100,7 @@ class Windows:
         """So much time has passed since the last SYNC that no answer is pending any more."""
         self._settled = True
 
-    def sync(self) -> Sample | None:
+    def sync(self) -> SyncSample | None:
         """The next SYNC is sent. Returns the sample of the previous one, None if there is a gap."""
         sample = self._close() if self._syncs else None
         self._motions.clear()
@@ -109,7 +109,7 @@ class Windows:
         self._syncs += 1
         return sample
 
-    def _close(self) -> Sample | None:
+    def _close(self) -> SyncSample | None:
         motions, places, index = self._motions, self._places, self._syncs - 1
         if max(len(motions), len(places)) > 1 and self._risked is not None:
             self.doubt = f"answers to SYNC came a cycle late since sample {self._risked}"
@@ -132,4 +132,4 @@ class Windows:
         if not believed:
             return None
         motion, place = motions[0], places[0]
-        return Sample(index, motion.statusword, motion.velocity, motion.torque, place.position)
+        return SyncSample(index, motion.statusword, motion.velocity, motion.torque, place.position)

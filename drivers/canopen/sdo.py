@@ -12,7 +12,7 @@ from canopen.sdo.client import BlockUploadStream, SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from drivers.canopen import frames
-from drivers.canopen.device_map import STANDARD, Cia301, DeviceMap, Entry, Way, bits
+from drivers.canopen.device_map import STANDARD, Cia301, DeviceMap, Entry, SetPointWay, bits
 from drivers.canopen.profile import BusProfile
 from drivers.canopen.units import Codec
 from drivers.cia402.profile import AxisProfile, StopOptions
@@ -165,7 +165,7 @@ SYNCHRONOUS = 1  # transmission type: every SYNC
 
 
 @dataclass(frozen=True, slots=True)
-class Pdo:
+class PdoMapping:
     """Required state of one PDO: communication and mapping object, COB-ID of the node, mapped objects."""
 
     communication: int
@@ -174,7 +174,7 @@ class Pdo:
     mapped: tuple[Entry, ...]
 
 
-def streaming_pdos(device_map: DeviceMap, way: Way, node: int) -> tuple[Pdo, ...]:
+def streaming_pdos(device_map: DeviceMap, way: SetPointWay, node: int) -> tuple[PdoMapping, ...]:
     """The PDOs of a streamed sweep, with the numbers of the map."""
     entry, numbers = device_map.entry, device_map.pdos
     second = entry("sample_counter" if device_map.samples == "counter" else "velocity")
@@ -188,12 +188,12 @@ def streaming_pdos(device_map: DeviceMap, way: Way, node: int) -> tuple[Pdo, ...
     return tuple(wanted)
 
 
-def _rpdo(number: int, node: int, *mapped: Entry) -> Pdo:
-    return Pdo(0x13FF + number, 0x15FF + number, frames.rpdo_id(number) + node, mapped)
+def _rpdo(number: int, node: int, *mapped: Entry) -> PdoMapping:
+    return PdoMapping(0x13FF + number, 0x15FF + number, frames.rpdo_id(number) + node, mapped)
 
 
-def _tpdo(number: int, node: int, *mapped: Entry) -> Pdo:
-    return Pdo(0x17FF + number, 0x19FF + number, frames.tpdo_id(number) + node, mapped)
+def _tpdo(number: int, node: int, *mapped: Entry) -> PdoMapping:
+    return PdoMapping(0x17FF + number, 0x19FF + number, frames.tpdo_id(number) + node, mapped)
 
 
 def session_settings(
@@ -235,7 +235,7 @@ def limit_settings(
     )
 
 
-def configure_pdos(sdo: Sdo, wanted: tuple[Pdo, ...], device_map: DeviceMap, node: int) -> bool:
+def configure_pdos(sdo: Sdo, wanted: tuple[PdoMapping, ...], device_map: DeviceMap, node: int) -> bool:
     """Map the PDOs unless they are already mapped as required. Returns False if the drive lacks an object for that."""
     fixed = device_map.pdos.cob_id == "fixed"
     try:
@@ -259,22 +259,22 @@ def configure_pdos(sdo: Sdo, wanted: tuple[Pdo, ...], device_map: DeviceMap, nod
     return True
 
 
-def pdos_are_mapped(sdo: Sdo, wanted: tuple[Pdo, ...]) -> bool:
+def pdos_are_mapped(sdo: Sdo, wanted: tuple[PdoMapping, ...]) -> bool:
     """Whether the PDOs are mapped as required; read before each host-streamed sweep."""
     return all(_is_mapped(sdo, pdo) for pdo in wanted)
 
 
-def _unused(device_map: DeviceMap, node: int) -> list[Pdo]:
+def _unused(device_map: DeviceMap, node: int) -> list[PdoMapping]:
     numbers = device_map.pdos
     receive = [_rpdo(number, node) for number in numbers.unused_rpdos]
     return [*receive, *(_tpdo(number, node) for number in numbers.unused_tpdos)]
 
 
-def _identifier(pdo: Pdo) -> Entry:
+def _identifier(pdo: PdoMapping) -> Entry:
     return Entry(pdo.communication, 1, "I", "COB-ID")
 
 
-def _switch_off(sdo: Sdo, pdo: Pdo, fixed: bool) -> None:
+def _switch_off(sdo: Sdo, pdo: PdoMapping, fixed: bool) -> None:
     if fixed:
         sdo.settle(Entry(pdo.mapping, 0, "B", "number of mapped objects"), 0)
     else:
@@ -283,7 +283,7 @@ def _switch_off(sdo: Sdo, pdo: Pdo, fixed: bool) -> None:
             sdo.write(_identifier(pdo), INVALID | found)
 
 
-def _is_mapped(sdo: Sdo, pdo: Pdo) -> bool:
+def _is_mapped(sdo: Sdo, pdo: PdoMapping) -> bool:
     if sdo.integer(_identifier(pdo)) & ~NO_RTR != pdo.identifier:
         return False
     wanted: list[Setting] = [

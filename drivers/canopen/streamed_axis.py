@@ -10,11 +10,11 @@ import numpy as np
 from drivers.canopen import frames
 from drivers.canopen.frames import VIRTUAL_WIRES, Wires
 from drivers.canopen.profile import CanopenAxis
-from drivers.canopen.samples import Pairing, Sample, Windows
+from drivers.canopen.samples import CounterPairing, SyncSample, Windows
 from drivers.canopen.units import Codec
 from drivers.cia402 import states
-from drivers.cia402.checks import Envelope, set_point
-from drivers.cia402.states import Controlword, State, Wish
+from drivers.cia402.checks import DriveEnvelope, set_point
+from drivers.cia402.states import Controlword, PowerState, Wish
 from drivers.errors import Measured
 from drivers.ports import SampleBlock, SweepCommand
 
@@ -51,19 +51,19 @@ class StopSequence:
         self._target = target
         self._deadline = now + (0.0, self.ramp_time, self.quick_stop_time, self.disable_time, 0.0)[stage]
 
-    def command(self, now: float, standing: bool, state: State) -> tuple[int, int]:
+    def command(self, now: float, standing: bool, state: PowerState) -> tuple[int, int]:
         """Controlword and target velocity of this cycle, after changing the stage if it is due.
 
         If the drive has left the expected state, the quick stop begins.
         """
         if self.stage is StopStage.RUN:
             self.advance(StopStage.QUICK_STOP, now, 0)
-        off = state not in states.ENERGISED | {State.UNKNOWN}
+        off = state not in states.ENERGISED | {PowerState.UNKNOWN}
         if self.stage is StopStage.RAMP:
             self._target -= max(-self.ramp_step, min(self.ramp_step, self._target))
             if self._target == 0 and standing:
                 self.advance(StopStage.DISABLE, now, 0)
-            elif now > self._deadline or state is not State.OPERATION_ENABLED:
+            elif now > self._deadline or state is not PowerState.OPERATION_ENABLED:
                 self.advance(StopStage.QUICK_STOP, now, 0)
             else:
                 return Controlword.ENABLE_OPERATION, self._target
@@ -189,7 +189,7 @@ class StreamRequest:
     axis: CanopenAxis
     codec: Codec
     command: SweepCommand
-    envelope: Envelope
+    envelope: DriveEnvelope
     counter: int | None
     start: int | None = None
     mode_bits: int = 0
@@ -209,7 +209,7 @@ class StreamedAxis:
         axis, codec = request.axis, request.codec
         self.joint = axis.joint
         self.place = f"{axis.joint} (node {axis.node})"
-        self.state = State.UNKNOWN  # until a TPDO is received
+        self.state = PowerState.UNKNOWN  # until a TPDO is received
         self.velocity = 0  # of the last set-point, drive units
         self.silent = 0  # SYNCs since the last sample
         self.behind = 0  # SYNCs sent but not yet counted in the last sample
@@ -223,14 +223,14 @@ class StreamedAxis:
             quick_stop_time=axis.velocity_limit / axis.quick_stop_deceleration + 1.0,
             disable_time=1.0,
         )
-        self._pairing = Windows() if request.counter is None else Pairing(request.counter)
+        self._pairing = Windows() if request.counter is None else CounterPairing(request.counter)
         self._motion: frames.MotionPdo | None = None  # last received
         self._standing = 0
         self._syncs = 0  # sent since the counter was read
         self._first = sys.maxsize  # SYNCs before the first one of the sweep
         self._number = -1  # of the last sample
         self._over = False  # no further sample is needed
-        self._fresh: list[Sample] = []
+        self._fresh: list[SyncSample] = []
 
     @property
     def standing(self) -> bool:
@@ -251,7 +251,7 @@ class StreamedAxis:
     @property
     def counts(self) -> bool:
         """Whether the drive counts its samples."""
-        return isinstance(self._pairing, Pairing)
+        return isinstance(self._pairing, CounterPairing)
 
     def planned(self, number: int) -> bytes:
         """RPDO of the set-point of this cycle; after the end of the sweep without the bits that start a mode."""
@@ -264,7 +264,7 @@ class StreamedAxis:
 
     def command(self, number: int, now: float) -> bytes:
         """RPDO of the set-point of this cycle: along the sweep, or along the stop sequence."""
-        if self.stop_sequence.stage is StopStage.RUN and self.state is State.OPERATION_ENABLED:
+        if self.stop_sequence.stage is StopStage.RUN and self.state is PowerState.OPERATION_ENABLED:
             self.was_sent(number)
             return self.planned(number)
         controlword, self.velocity = self.stop_sequence.command(now, self.standing, self.state)
@@ -303,7 +303,7 @@ class StreamedAxis:
             case frames.Emergency() if event.code:
                 return Trouble(Ending.LEFT_STATE, f"error {event.code:04X}h")
             case frames.Heartbeat() if event.state == frames.NmtState.BOOT_UP:
-                self.state = State.UNKNOWN
+                self.state = PowerState.UNKNOWN
                 return Trouble(Ending.LEFT_STATE, "node restarted")
             case _:
                 pass
@@ -341,7 +341,7 @@ class StreamedAxis:
         self._keep(sample)
         return self._watch(sample.statusword, sample.velocity, sample.torque, sample.position)
 
-    def _keep(self, sample: Sample) -> None:
+    def _keep(self, sample: SyncSample) -> None:
         self.silent = 0
         velocity = float(self._request.codec.velocity(sample.velocity))
         self._standing = self._standing + 1 if abs(velocity) <= self._request.axis.standstill_velocity else 0
@@ -356,7 +356,7 @@ class StreamedAxis:
         self.state = states.decode(statusword)
         if self.stop_sequence.stage is not StopStage.RUN:
             return None
-        if self.state is not State.OPERATION_ENABLED:
+        if self.state is not PowerState.OPERATION_ENABLED:
             return Trouble(Ending.LEFT_STATE, f"is '{self.state.value}'")
         violation = self._request.envelope.violation(
             float(codec.position(position)), float(codec.velocity(velocity)), float(codec.effort(torque))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.canopen.device_map import SPEEDS, Units
+from drivers.canopen.device_map import SPEEDS, DeviceUnits
 from drivers.canopen.profile import CanopenAxis
 from drivers.cia402.profile import Gear
 from drivers.errors import LimitExceeded, WrongConfiguration
@@ -75,7 +75,7 @@ class Codec(Gear):
         return max(math.floor(low), -(2**31)), min(math.ceil(high), 2**31 - 1)
 
 
-def codec(axis: CanopenAxis, units: Units, rated_torque: float, read: Callable[[str], float]) -> Codec:
+def codec(axis: CanopenAxis, units: DeviceUnits, rated_torque: float, read: Callable[[str], float]) -> Codec:
     """Built from the unit objects of the drive, the map and the profile; `read` returns an object of the map.
     `rated_torque` N m.
 

@@ -12,7 +12,7 @@ from drivers.ports import NoiseCommand, SweepCommand, SweepMode
 
 
 @dataclass(frozen=True, slots=True)
-class Envelope:
+class DriveEnvelope:
     """Limits of a moving axis; rad, rad/s, N m (m, m/s, N)."""
 
     velocity_limit: float
@@ -44,14 +44,18 @@ def _beyond(value: float, limit: float) -> tuple[str, str]:
     return f"-{size}" if value < 0 else size, most
 
 
-def move_envelope(axis: AxisProfile) -> Envelope:
+def move_envelope(axis: AxisProfile) -> DriveEnvelope:
     """Envelope of positioning moves: the limits of the profile, with 10 % for the overshoot of the speed controller."""
-    return Envelope(1.1 * axis.velocity_limit, axis.effort_limit, axis.position_limits, axis.unit, axis.effort_unit)
+    return DriveEnvelope(
+        1.1 * axis.velocity_limit, axis.effort_limit, axis.position_limits, axis.unit, axis.effort_unit
+    )
 
 
-def sweep_envelope(axis: AxisProfile, command: SweepCommand | NoiseCommand) -> Envelope:
+def sweep_envelope(axis: AxisProfile, command: SweepCommand | NoiseCommand) -> DriveEnvelope:
     """Envelope of a sweep or noise run: the limits of the command."""
-    return Envelope(command.velocity_limit, command.effort_limit, command.position_window, axis.unit, axis.effort_unit)
+    return DriveEnvelope(
+        command.velocity_limit, command.effort_limit, command.position_window, axis.unit, axis.effort_unit
+    )
 
 
 def check_move(axis: AxisProfile, position: float, velocity: float) -> None:

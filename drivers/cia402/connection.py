@@ -9,8 +9,8 @@ from contextlib import suppress
 from functools import partial
 from typing import ParamSpec, Protocol, TypeVar
 
-from drivers.cia402.axis import Axis
-from drivers.cia402.checks import Envelope
+from drivers.cia402.axis import Cia402Axis
+from drivers.cia402.checks import DriveEnvelope
 from drivers.cia402.host_watch import HostWatch
 from drivers.errors import CauseCode, CommunicationLost, DriveError
 from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SetPointTiming, StopSender, SweepCommand, SweepMode
@@ -77,7 +77,7 @@ async def to_the_end(work: Coroutine[object, object, None]) -> None:
     task.result()
 
 
-class Run(Protocol):
+class RunningSweep(Protocol):
     """A running sweep."""
 
     def blocks(self) -> AsyncGenerator[SampleBlock, None]:
@@ -106,14 +106,14 @@ class Run(Protocol):
         ...
 
 
-class Connection(Protocol):
+class DriveConnection(Protocol):
     """An open bus with every axis identified, configured and disabled."""
 
     @property
     def thread(self) -> DriveThread: ...
 
     @property
-    def axes(self) -> Mapping[str, Axis]: ...
+    def axes(self) -> Mapping[str, Cia402Axis]: ...
 
     @property
     def identities(self) -> tuple[AxisIdentity, ...]: ...
@@ -126,7 +126,7 @@ class Connection(Protocol):
         """Cycle time of host-streamed sweeps, s."""
         ...
 
-    async def stream(self, sweeps: Sequence[tuple[SweepCommand, Envelope]], stop: threading.Event) -> Run:
+    async def stream(self, sweeps: Sequence[tuple[SweepCommand, DriveEnvelope]], stop: threading.Event) -> RunningSweep:
         """Start the set-points on enabled axes whose limits are already written to the drives."""
         ...
 
@@ -150,7 +150,7 @@ class Fieldbus(Protocol):
         """One for all connections: a finding outlives the connection."""
         ...
 
-    async def open(self) -> Connection:
+    async def open(self) -> DriveConnection:
         """Open, identify and configure; if that fails, everything is closed again."""
         ...
 
@@ -160,7 +160,7 @@ class Fieldbus(Protocol):
 
 
 def capabilities(
-    axes: Iterable[Axis],
+    axes: Iterable[Cia402Axis],
     set_point_timing: str = "none",
     *,
     hears_other_hosts: bool = False,

@@ -33,7 +33,7 @@ class Abilities:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class Feedback:
     """Actual values at one instant: rad (m), rad/s (m/s), N m (N)."""
 
     position: float
@@ -59,7 +59,7 @@ class MeasuringCommand(IntEnum):
     ABORT = 2
 
 
-class Mode(IntEnum):
+class OperationMode(IntEnum):
     """Modes of operation, 6060h."""
 
     PROFILE_POSITION = 1
@@ -122,7 +122,7 @@ class Device(Protocol):
 
     def control(self, controlword: int) -> None: ...
 
-    def set_mode(self, mode: Mode) -> None:
+    def set_mode(self, mode: OperationMode) -> None:
         """Returns when the drive reports the mode."""
         ...
 
@@ -165,7 +165,7 @@ class Device(Protocol):
 
     # -- motion
 
-    def motion(self) -> Motion: ...
+    def motion(self) -> Feedback: ...
 
     def read_back(self) -> None:
         """Raises WrongConfiguration if a session setting has changed, e.g. by another host."""
@@ -233,7 +233,7 @@ def require_rated_torque(place: str, torque: float, wanted: float) -> None:
         raise WrongIdentity(place, f"rated torque of the motor is {torque:.4g} N m, the profile says {wanted:.4g} N m")
 
 
-def await_mode(place: str, mode: Mode, shown: Callable[[], int], within: float = 2.0) -> None:
+def await_mode(place: str, mode: OperationMode, shown: Callable[[], int], within: float = 2.0) -> None:
     """Returns when the drive reports the mode; WrongConfiguration if it does not within `within` s."""
     deadline = time.monotonic() + within
     while (found := shown()) != mode:

@@ -1,5 +1,5 @@
 """The motions of one axis that the host follows by reading it: its stop sequence, a move, a drive-side sweep or noise
-run. A host-streamed sweep is the fieldbus' own (`drivers.cia402.connection.Run`).
+run. A host-streamed sweep is the fieldbus' own (`drivers.cia402.connection.RunningSweep`).
 """
 
 import asyncio
@@ -11,11 +11,11 @@ from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
 from contextlib import asynccontextmanager, suppress
 
 from drivers.cia402 import checks, states
-from drivers.cia402.axis import Axis
-from drivers.cia402.checks import Envelope
+from drivers.cia402.axis import Cia402Axis
+from drivers.cia402.checks import DriveEnvelope
 from drivers.cia402.connection import DriveThread
 from drivers.cia402.device import MeasuringState
-from drivers.cia402.states import State, Statusword
+from drivers.cia402.states import PowerState, Statusword
 from drivers.errors import (
     CommunicationLost,
     DriveError,
@@ -36,7 +36,7 @@ logger = logging.getLogger(__name__)
 POLL = 0.01  # s
 
 
-async def bring_down(thread: DriveThread, axis: Axis) -> None:
+async def bring_down(thread: DriveThread, axis: Cia402Axis) -> None:
     """Brings the axis to standstill and de-energises it, whatever it does now: decelerate, quick stop, disable voltage,
     each with a deadline, 0.5 s after the time of its ramp.
 
@@ -51,7 +51,7 @@ async def bring_down(thread: DriveThread, axis: Axis) -> None:
         raise
 
 
-async def _stop_sequence(thread: DriveThread, axis: Axis) -> None:
+async def _stop_sequence(thread: DriveThread, axis: Cia402Axis) -> None:
     try:
         await _come_to_rest(thread, axis)
     except WrongConfiguration as error:  # after a refused stage the next ones must still run
@@ -61,7 +61,7 @@ async def _stop_sequence(thread: DriveThread, axis: Axis) -> None:
     await _confirm_rest(thread, axis)
 
 
-async def _quick_stop(thread: DriveThread, axis: Axis) -> None:
+async def _quick_stop(thread: DriveThread, axis: Cia402Axis) -> None:
     """Quick stop for a drive that does not report its motion: the command and the time of its ramp."""
     try:
         await thread.run(axis.quick_stop)
@@ -71,7 +71,7 @@ async def _quick_stop(thread: DriveThread, axis: Axis) -> None:
         await asyncio.sleep(axis.profile.velocity_limit / axis.profile.quick_stop_deceleration)
 
 
-async def _come_to_rest(thread: DriveThread, axis: Axis) -> None:
+async def _come_to_rest(thread: DriveThread, axis: Cia402Axis) -> None:
     profile = axis.profile
     reading = await thread.run(axis.read)
     if reading.state in states.ENERGISED and not axis.stands(reading):
@@ -83,7 +83,7 @@ async def _come_to_rest(thread: DriveThread, axis: Axis) -> None:
         await thread.run(axis.slow_down)  # a sweep's first instants look like standstill
 
 
-async def _confirm_rest(thread: DriveThread, axis: Axis) -> None:
+async def _confirm_rest(thread: DriveThread, axis: Cia402Axis) -> None:
     """WrongConfiguration if the axis still turns without energy, e.g. under its weight or with an open brake."""
     profile = axis.profile
     deadline = time.monotonic() + profile.velocity_limit / profile.quick_stop_deceleration + 0.5
@@ -101,7 +101,7 @@ async def _confirm_rest(thread: DriveThread, axis: Axis) -> None:
         await asyncio.sleep(POLL)
 
 
-async def _stands(thread: DriveThread, axis: Axis, within: float) -> bool:
+async def _stands(thread: DriveThread, axis: Cia402Axis, within: float) -> bool:
     deadline = time.monotonic() + within
     while time.monotonic() < deadline:
         reading = await thread.run(axis.read)
@@ -113,11 +113,11 @@ async def _stands(thread: DriveThread, axis: Axis, within: float) -> bool:
 
 async def move(
     thread: DriveThread,
-    axis: Axis,
+    axis: Cia402Axis,
     position: float,
     velocity: float,
     stop: threading.Event,
-    standing: Iterable[Axis],
+    standing: Iterable[Cia402Axis],
     clock: Callable[[], float] = time.monotonic,
     margin: float = 5.0,
     tolerance: float = 2e-3,
@@ -145,7 +145,7 @@ async def move(
         await thread.run(axis.check, reading.state)
         for other in standing:
             await thread.run(other.check_standing)
-        if reading.state is not State.OPERATION_ENABLED:
+        if reading.state is not PowerState.OPERATION_ENABLED:
             raise NotReady(axis.place, f"changed to state '{reading.state.value}' during the move")
         violation = envelope.violation(reading.position, reading.velocity, reading.effort)
         if violation is not None:
@@ -172,7 +172,7 @@ async def move(
         await asyncio.sleep(POLL)
 
 
-def _start(axis: Axis, position: float, velocity: float, stop: threading.Event) -> None:
+def _start(axis: Cia402Axis, position: float, velocity: float, stop: threading.Event) -> None:
     """On the SDO thread, so that no stop can come between the check and the start."""
     if stop.is_set():
         raise SweepInterrupted(axis.place, "move was stopped before it started")
@@ -180,7 +180,7 @@ def _start(axis: Axis, position: float, velocity: float, stop: threading.Event) 
 
 
 @asynccontextmanager
-async def prepared(thread: DriveThread, axis: Axis, command: SweepCommand | NoiseCommand) -> AsyncGenerator[None]:
+async def prepared(thread: DriveThread, axis: Cia402Axis, command: SweepCommand | NoiseCommand) -> AsyncGenerator[None]:
     """Writes the parameters to the drive. For torque noise the speed control is also softened inside the block.
 
     However the block ends, the commissioned speed control is restored and read back. A failure of that is raised if
@@ -217,9 +217,9 @@ class DriveSweep:
     def __init__(
         self,
         thread: DriveThread,
-        axis: Axis,
+        axis: Cia402Axis,
         command: SweepCommand | NoiseCommand,
-        envelope: Envelope,
+        envelope: DriveEnvelope,
         stop: threading.Event,
         bring_down: Callable[[], Awaitable[None]],
     ) -> None:

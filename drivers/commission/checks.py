@@ -4,7 +4,7 @@ import math
 import struct
 from collections.abc import Callable, Iterable, Iterator
 
-from drivers.canopen.device_map import NEEDED, STANDARD, Cia301, Entry, Way
+from drivers.canopen.device_map import NEEDED, STANDARD, Cia301, Entry, SetPointWay
 from drivers.canopen.fieldbus import check_bus_load
 from drivers.canopen.profile import CanopenAxis
 from drivers.canopen.sdo import (
@@ -18,15 +18,15 @@ from drivers.canopen.sdo import (
 )
 from drivers.canopen.units import Codec
 from drivers.cia402 import states
-from drivers.cia402.device import Mode
-from drivers.cia402.states import State, Statusword
-from drivers.commission.drive import COMMANDS, Node, Row
+from drivers.cia402.device import OperationMode
+from drivers.cia402.states import PowerState, Statusword
+from drivers.commission.drive import COMMANDS, CheckedNode, CheckRow
 from drivers.errors import LimitExceeded, WrongConfiguration
 
 _NAMES = ("vendor", "product", "revision", "serial")
 
 
-def state(node: Node) -> Iterator[Row]:
+def state(node: CheckedNode) -> Iterator[CheckRow]:
     """The drive has no energy and no fault, and its fieldbus controls it."""
     word = node.of_map("statusword")
     if word is None:
@@ -36,7 +36,7 @@ def state(node: Node) -> Iterator[Row]:
         yield node.row(
             "energy", False, f"the drive is in '{found.value}' and this program did not enable it: disable the drive"
         )
-    elif found in (State.FAULT, State.UNKNOWN):
+    elif found in (PowerState.FAULT, PowerState.UNKNOWN):
         code = node.of_map("error_code")
         yield node.row(
             "fault", False, f"the drive is in '{found.value}'" + ("" if code is None else f", error {code:04X}h")
@@ -50,7 +50,7 @@ def state(node: Node) -> Iterator[Row]:
     )
 
 
-def who(node: Node) -> Iterator[Row]:
+def who(node: CheckedNode) -> Iterator[CheckRow]:
     """Type, 1018h and rated torque. A drive that fits another axis of the profile is reported as swapped."""
     kind = node.value(Cia301.DEVICE_TYPE)
     fits = kind is not None and kind & 0xFFFF == Cia301.SERVO_DRIVE
@@ -78,13 +78,13 @@ def who(node: Node) -> Iterator[Row]:
         yield from _swapped(node, found, torque)
 
 
-def rated_torque(node: Node) -> float | None:
+def rated_torque(node: CheckedNode) -> float | None:
     """Rated torque of the motor stored in the drive, N m; None if it is not reported."""
     raw = node.of_map("rated_torque")
     return None if raw is None else raw * node.map.units.rated_torque
 
 
-def _swapped(node: Node, found: list[int | None], torque: float | None) -> Iterator[Row]:
+def _swapped(node: CheckedNode, found: list[int | None], torque: float | None) -> Iterator[CheckRow]:
     for other in node.machine.axes:
         if other is node.axis or _different(other, found) or (torque is not None and not _alike(torque, other)):
             continue
@@ -127,7 +127,7 @@ _INSTEAD = {  # replacement if the drive has no such object
 }
 
 
-def present(node: Node) -> Iterator[Row]:
+def present(node: CheckedNode) -> Iterator[CheckRow]:
     """Every object of the map and the heartbeats."""
     needed = NEEDED | _used(node) | set(node.map.streaming_needs) | {"rated_torque"}
     for name in STANDARD:
@@ -140,7 +140,7 @@ def present(node: Node) -> Iterator[Row]:
     yield _there(node, "heartbeat consumer", Cia301.HEARTBEAT_CONSUMER, False)
 
 
-def mappable(node: Node, way: Way) -> Iterator[Row]:
+def mappable(node: CheckedNode, way: SetPointWay) -> Iterator[CheckRow]:
     """Whether the objects may be mapped to a PDO according to the EDS; `settings` checks whether the drive
     accepts it.
     """
@@ -151,13 +151,13 @@ def mappable(node: Node, way: Way) -> Iterator[Row]:
                 yield node.row("not-mappable", False, f"{entry}: the EDS says that no PDO may carry it")
 
 
-def _used(node: Node) -> set[str]:
+def _used(node: CheckedNode) -> set[str]:
     """Objects that the map requires. One of its ways of excitation is sufficient (`settings` selects it)."""
     targets = {way.target for way in node.map.excitation}
     return node.map.used() - targets | {"target_position"}
 
 
-def _wanted(node: Node, name: str) -> bool:
+def _wanted(node: CheckedNode, name: str) -> bool:
     """Whether the object is ever used."""
     only_with = {
         "current", "rated_current", "increments", "motor_revolutions", "velocity_unit", "interpolated_position",
@@ -166,7 +166,7 @@ def _wanted(node: Node, name: str) -> bool:
     return name not in only_with or name in node.map.used()
 
 
-def _there(node: Node, name: str, entry: Entry, needed: bool) -> Row:
+def _there(node: CheckedNode, name: str, entry: Entry, needed: bool) -> CheckRow:
     listed = node.dictionary.objects.get((entry.index, entry.sub))
     found = node.answer(entry)
     if isinstance(found, OtherType):
@@ -197,7 +197,7 @@ def _there(node: Node, name: str, entry: Entry, needed: bool) -> Row:
     return node.row(f"object {name}", True, f"{entry}: present, {entry.type_name}, {found:.0f}")
 
 
-def of_map(node: Node) -> Iterator[Row]:
+def of_map(node: CheckedNode) -> Iterator[CheckRow]:
     """Objects that must hold a value before the units are read, and the manufacturer's settings; a missing one is
     refused.
     """
@@ -210,7 +210,7 @@ def of_map(node: Node) -> Iterator[Row]:
         yield from _differences(node, check, wanted)
 
 
-def standing(node: Node, units: Codec) -> Iterator[Row]:
+def standing(node: CheckedNode, units: Codec) -> Iterator[CheckRow]:
     """Stop reactions, heartbeats, cycle times, ramps."""
     machine = node.machine
     yield from _all(
@@ -218,7 +218,7 @@ def standing(node: Node, units: Codec) -> Iterator[Row]:
     )
 
 
-def limits(node: Node, units: Codec) -> Iterator[Row]:
+def limits(node: CheckedNode, units: Codec) -> Iterator[CheckRow]:
     """The profile's limits, where the drive has objects for them."""
     axis = node.axis
     yield from _all(
@@ -228,11 +228,11 @@ def limits(node: Node, units: Codec) -> Iterator[Row]:
     )
 
 
-def way_of(node: Node) -> tuple[Way | None, list[Row]]:
+def way_of(node: CheckedNode) -> tuple[SetPointWay | None, list[CheckRow]]:
     """The excitation that a sweep will use, and whether the drive can move to poses."""
-    rows: list[Row] = []
+    rows: list[CheckRow] = []
     modes = node.of_map("supported_modes")
-    if modes is not None and not modes >> (Mode.PROFILE_POSITION - 1) & 1:
+    if modes is not None and not modes >> (OperationMode.PROFILE_POSITION - 1) & 1:
         rows.append(
             node.row("no-profile-position", False, f"6502h is {modes:08X}h: the drive cannot move to a position")
         )
@@ -254,7 +254,7 @@ def way_of(node: Node) -> tuple[Way | None, list[Row]]:
     return way, rows
 
 
-def mapping(node: Node, way: Way) -> Iterator[Row]:
+def mapping(node: CheckedNode, way: SetPointWay) -> Iterator[CheckRow]:
     """The PDOs of a streamed sweep, written and read back, and the bus load."""
     refused = [*mappable(node, way)]
     yield from refused
@@ -291,11 +291,11 @@ def mapping(node: Node, way: Way) -> Iterator[Row]:
     )
 
 
-def _own_sweep(node: Node) -> bool:
+def _own_sweep(node: CheckedNode) -> bool:
     return node.map.measuring is not None
 
 
-def _all(node: Node, check: str, make: Callable[[], tuple[Setting, ...]]) -> Iterator[Row]:
+def _all(node: CheckedNode, check: str, make: Callable[[], tuple[Setting, ...]]) -> Iterator[CheckRow]:
     """Missing objects are reported by `objects`."""
     try:
         wanted = make()
@@ -311,7 +311,7 @@ def _all(node: Node, check: str, make: Callable[[], tuple[Setting, ...]]) -> Ite
     yield from _differences(node, check, there)
 
 
-def _obstacle(node: Node, entry: Entry, value: float) -> str:
+def _obstacle(node: CheckedNode, entry: Entry, value: float) -> str:
     """Why a connection could not make the object hold the value; "" if nothing is known that prevents it."""
     found = node.answer(entry)
     if (entry.index, entry.sub) in COMMANDS:
@@ -328,7 +328,7 @@ def _obstacle(node: Node, entry: Entry, value: float) -> str:
     return ""
 
 
-def _differences(node: Node, check: str, wanted: Iterable[Setting]) -> Iterator[Row]:
+def _differences(node: CheckedNode, check: str, wanted: Iterable[Setting]) -> Iterator[CheckRow]:
     """One row for all that hold their value, one note for all that do not."""
     readable = [
         (entry, value, found)

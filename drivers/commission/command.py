@@ -12,7 +12,7 @@ from drivers.errors import BadProfile
 
 if TYPE_CHECKING:
     from drivers.canopen.profile import CanopenAxis
-    from drivers.commission.drive import Row
+    from drivers.commission.drive import CheckRow
 
 commission = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="CANopen drives of other manufacturers.")
 
@@ -83,7 +83,7 @@ def check(
 
     machine = load(profile)
     ways = [_way(each) for each in turn or []]
-    rows: list[Row] = []
+    rows: list[CheckRow] = []
     for joint, way in ways:
         unit = next((axis.unit for axis in machine.axes if axis.joint == joint), "rad")
         instruction = f"Turn {joint} by hand by {way:+g} {'mm' if unit == 'm' else 'degrees'}, then press Enter"
@@ -113,7 +113,7 @@ def _confirmed(axis: "CanopenAxis") -> None:
         raise BadProfile(f"--move: {typed!r} was typed, not {axis.joint}; nothing moved")
 
 
-def _moved(profile: Path, axis: "CanopenAxis") -> list["Row"]:
+def _moved(profile: Path, axis: "CanopenAxis") -> list["CheckRow"]:
     """Every signal that ends a program ends the motion first."""
     import asyncio
 

@@ -37,7 +37,7 @@ _NAMES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Listed:
+class ListedObject:
     """One object. `type` as in device maps ("i32"), "" for other types; `value` as commissioned, otherwise the
     default.
     """
@@ -49,12 +49,12 @@ class Listed:
 
 
 @dataclass(frozen=True, slots=True)
-class Dictionary:
+class DriveDictionary:
     """The objects of a file by index and sub-index, and the manufacturer of the drive; None if the file does not state
     it, or states 0, which no manufacturer has.
     """
 
-    objects: Mapping[Key, Listed]
+    objects: Mapping[Key, ListedObject]
     vendor: int | None
     product: int | None
     revision: int | None
@@ -66,19 +66,19 @@ class Dictionary:
         return None if listed is None else listed.value
 
 
-def read_dictionary(path: Path, node: int) -> Dictionary:
+def read_dictionary(path: Path, node: int) -> DriveDictionary:
     """BadProfile names the file and the reason. `node` resolves ``$NODEID``."""
     try:
         whole: Any = object_dictionary(path, node)
     except (OSError, ValueError) as error:
         raise BadProfile(f"eds: {path}: {getattr(error, 'strerror', None) or error}") from None
-    objects: dict[Key, Listed] = {}
+    objects: dict[Key, ListedObject] = {}
     for entry in whole.values():
         for variable in [entry] if isinstance(entry, ODVariable) else entry.values():
             objects[variable.index, variable.subindex] = _described(variable)
     about = whole.device_information
     identity = [objects[0x1018, sub].value if (0x1018, sub) in objects else None for sub in (1, 2, 3)]
-    return Dictionary(
+    return DriveDictionary(
         objects,
         vendor=about.vendor_number or identity[0] or None,
         product=about.product_number or identity[1] or None,
@@ -92,13 +92,13 @@ def _printable(name: str) -> str:
     return " ".join("".join(letter if letter.isprintable() else " " for letter in name).split())
 
 
-def _described(variable: Any) -> Listed:
+def _described(variable: Any) -> ListedObject:
     values = (getattr(variable, "value", None), variable.default)
     value = next((each for each in values if isinstance(each, int)), None)
-    return Listed(_NAMES.get(variable.data_type, ""), variable.writable, variable.pdo_mappable, value)
+    return ListedObject(_NAMES.get(variable.data_type, ""), variable.writable, variable.pdo_mappable, value)
 
 
-class Verdict(Enum):
+class CheckVerdict(Enum):
     """Meaning of a row for the person who signs."""
 
     FITS = "fits"
@@ -108,31 +108,31 @@ class Verdict(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class CheckRow:
     """One item of the check. `check` is a permanent name; `what` is a sentence with values and limits."""
 
     joint: str  # "": the whole machine
     check: str
-    verdict: Verdict
+    verdict: CheckVerdict
     what: str
 
 
 @dataclass(frozen=True, slots=True)
-class Sheet:
+class CheckSheet:
     """One check of one machine. `files`: SHA-256 of the files used."""
 
     profile: str
     made: str  # time, ISO 8601
     files: dict[str, str]
     excitation: dict[str, str]  # by joint
-    rows: tuple[Row, ...]
+    rows: tuple[CheckRow, ...]
     energy: str = "without energy"
 
     @property
-    def mismatches(self) -> tuple[Row, ...]:
-        return tuple(row for row in self.rows if row.verdict is Verdict.MISMATCH)
+    def mismatches(self) -> tuple[CheckRow, ...]:
+        return tuple(row for row in self.rows if row.verdict is CheckVerdict.MISMATCH)
 
-    def with_rows(self, rows: Iterable[Row], energy: str = "without energy") -> "Sheet":
+    def with_rows(self, rows: Iterable[CheckRow], energy: str = "without energy") -> "CheckSheet":
         """The sheet with further rows."""
         return replace(self, rows=(*self.rows, *rows), energy=energy)
 
@@ -147,7 +147,7 @@ class Sheet:
         lines += [f"{name}  SHA-256 {digest}" for name, digest in self.files.items()]
         lines += ["", *_table(self.rows)]
         lines += ["", *(f"{joint}: set-points by {way}" for joint, way in self.excitation.items())]
-        lines += _listed("The host, not the drive:", (row for row in self.rows if row.verdict is Verdict.HOST))
+        lines += _listed("The host, not the drive:", (row for row in self.rows if row.verdict is CheckVerdict.HOST))
         lines += _listed(f"Mismatches: {len(self.mismatches) or 'none'}", self.mismatches)
         end = (
             "NOT fit for motion: correct the mismatches and check again" if self.mismatches else "Fit for a first move"
@@ -157,7 +157,7 @@ class Sheet:
         )
 
 
-def _listed(title: str, rows: Iterable[Row]) -> list[str]:
+def _listed(title: str, rows: Iterable[CheckRow]) -> list[str]:
     """Sentences under a title; a sentence that applies to several joints is printed once."""
     joints = Counter[tuple[str, str]]()
     names: dict[tuple[str, str], list[str]] = {}
@@ -167,7 +167,7 @@ def _listed(title: str, rows: Iterable[Row]) -> list[str]:
     return ["", title, *(f"  {', '.join(names[key])}: {key[0]}: {key[1]}" for key in joints)]
 
 
-def _table(rows: tuple[Row, ...]) -> list[str]:
+def _table(rows: tuple[CheckRow, ...]) -> list[str]:
     titles = ("axis", "check", "verdict", "what")
     cells = [(row.joint or "machine", row.check, row.verdict.value, row.what) for row in rows]
     widths = [max(map(len, column)) for column in zip(titles, *cells, strict=True)][:3]
@@ -208,7 +208,7 @@ class ReadOnlySdo(Sdo):
 
 
 @dataclass(frozen=True, slots=True)
-class Node:
+class CheckedNode:
     """One axis under check. Every query raises CommunicationLost if the drive does not answer.
 
     `_answers`: of the drive so far; `configured` has those that the drive will give once it is configured.
@@ -216,7 +216,7 @@ class Node:
 
     axis: CanopenAxis
     machine: CanopenProfile
-    dictionary: Dictionary
+    dictionary: DriveDictionary
     sdo: ReadOnlySdo
     _answers: dict[Entry, float | WrongConfiguration] = field(default_factory=dict[Entry, float | WrongConfiguration])
 
@@ -229,12 +229,12 @@ class Node:
         """Objects that the map lists as missing, and what replaces them."""
         return self.map.missing
 
-    def configured(self) -> "Node":
+    def configured(self) -> "CheckedNode":
         """The drive as it will be with the settings of map and manufacturer, on which its units may depend."""
         own = [(setting.entry, float(setting.value)) for setting in self.map.settings]
         makers = [(Entry(m.index, m.sub, m.type, m.name), float(m.value)) for m in self.machine.maker_settings]
         there = {entry: value for entry, value in (*own, *makers) if not isinstance(self.answer(entry), Exception)}
-        return Node(self.axis, self.machine, self.dictionary, self.sdo, {**self._answers, **there})
+        return CheckedNode(self.axis, self.machine, self.dictionary, self.sdo, {**self._answers, **there})
 
     def answer(self, entry: Entry) -> float | WrongConfiguration:
         """The value, or the error why there is none."""
@@ -274,11 +274,11 @@ class Node:
 
     # -- rows ----------------------------------------------------------------------------------------------------
 
-    def row(self, check: str, fits: bool, what: str) -> Row:
-        return Row(self.axis.joint, check, Verdict.FITS if fits else Verdict.MISMATCH, what)
+    def row(self, check: str, fits: bool, what: str) -> CheckRow:
+        return CheckRow(self.axis.joint, check, CheckVerdict.FITS if fits else CheckVerdict.MISMATCH, what)
 
-    def note(self, check: str, what: str) -> Row:
-        return Row(self.axis.joint, check, Verdict.NOTE, what)
+    def note(self, check: str, what: str) -> CheckRow:
+        return CheckRow(self.axis.joint, check, CheckVerdict.NOTE, what)
 
-    def host(self, check: str, what: str) -> Row:
-        return Row(self.axis.joint, check, Verdict.HOST, what)
+    def host(self, check: str, what: str) -> CheckRow:
+        return CheckRow(self.axis.joint, check, CheckVerdict.HOST, what)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.canopen.profile import CanopenAxis
-from drivers.commission.drive import Row, Verdict
+from drivers.commission.drive import CheckRow, CheckVerdict
 from drivers.errors import NotReady
 from drivers.ports import Array, AxisStatus, ChannelTiming, DrivePort, SampleBlock, Sine, SweepCommand, SweepMode
 
@@ -36,19 +36,19 @@ def motion_text(axis: CanopenAxis) -> str:
     )
 
 
-async def moved(port: DrivePort, axis: CanopenAxis) -> list[Row]:
+async def moved(port: DrivePort, axis: CanopenAxis) -> list[CheckRow]:
     """Connects, moves, disables, closes. After any error the axis is disabled, and the error is raised."""
     async with _closing(port):
         await port.connect()
         await port.enable(axis.joint)
         rows = [*await _there_and_back(port, axis)]
-        if all(row.verdict is not Verdict.MISMATCH for row in rows):
+        if all(row.verdict is not CheckVerdict.MISMATCH for row in rows):
             rows += [_row(axis, finding) for finding in await _sweep(port, axis)]
         await port.disable(axis.joint)
     return rows
 
 
-async def _there_and_back(port: DrivePort, axis: CanopenAxis) -> list[Row]:
+async def _there_and_back(port: DrivePort, axis: CanopenAxis) -> list[CheckRow]:
     before = await port.status()
     start, way = before[axis.joint].position, WAY[axis.unit]
     await port.move_to(axis.joint, start + way, way)  # 1 s
@@ -58,12 +58,12 @@ async def _there_and_back(port: DrivePort, axis: CanopenAxis) -> list[Row]:
     rows.append(
         _judged(axis, "move", abs(gone - way) <= 0.25 * way, f"commanded {way:+.3g} {axis.unit}, moved {gone:+.3g}")
     )
-    if rows[-1].verdict is not Verdict.MISMATCH:
+    if rows[-1].verdict is not CheckVerdict.MISMATCH:
         await port.move_to(axis.joint, start, way)
     return rows
 
 
-def _others(axis: CanopenAxis, before: Mapping[str, AxisStatus], after: Mapping[str, AxisStatus]) -> list[Row]:
+def _others(axis: CanopenAxis, before: Mapping[str, AxisStatus], after: Mapping[str, AxisStatus]) -> list[CheckRow]:
     limit = 0.1 * WAY[axis.unit]
     gone = {joint: status.position - before[joint].position for joint, status in after.items() if joint != axis.joint}
     astray = [f"{joint} by {way:+.3g}" for joint, way in gone.items() if not abs(way) <= limit]
@@ -113,12 +113,12 @@ def _settled(blocks: Sequence[SampleBlock], command: SweepCommand) -> dict[str, 
     return {name: values[inside] for name, values in whole.items()}
 
 
-def _row(axis: CanopenAxis, finding: ChannelFinding) -> Row:
-    verdict = {None: Verdict.NOTE, True: Verdict.FITS, False: Verdict.MISMATCH}[finding.fits]
-    return Row(axis.joint, finding.check, verdict, finding.what)
+def _row(axis: CanopenAxis, finding: ChannelFinding) -> CheckRow:
+    verdict = {None: CheckVerdict.NOTE, True: CheckVerdict.FITS, False: CheckVerdict.MISMATCH}[finding.fits]
+    return CheckRow(axis.joint, finding.check, verdict, finding.what)
 
 
-def _judged(axis: CanopenAxis, check: str, fits: bool, what: str) -> Row:
+def _judged(axis: CanopenAxis, check: str, fits: bool, what: str) -> CheckRow:
     return _row(axis, ChannelFinding(check, fits, what))
 
 

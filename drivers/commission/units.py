@@ -6,19 +6,19 @@ The limits in a drive are evidence only until `sweepid` has written its own: `co
 import math
 from collections.abc import Callable, Iterator
 
-from drivers.canopen.bus import Bus
+from drivers.canopen.bus import CanopenBus
 from drivers.canopen.device_map import SPEEDS, STANDARD, Cia301, Entry
 from drivers.canopen.profile import CanopenAxis, CanopenProfile
 from drivers.canopen.sdo import ObjectAbsent, OtherType
 from drivers.canopen.units import Codec, codec, velocity_unit
 from drivers.commission.checks import rated_torque
-from drivers.commission.drive import Node, ReadOnlySdo, Row, Verdict, read_dictionary
+from drivers.commission.drive import CheckedNode, CheckRow, CheckVerdict, ReadOnlySdo, read_dictionary
 from drivers.errors import BadProfile, CommunicationLost, LimitExceeded, WrongConfiguration
 
 _ROUNDING = 1e-3  # tolerance relative to a limit
 
 
-def scale(node: Node) -> Iterator[Row]:
+def scale(node: CheckedNode) -> Iterator[CheckRow]:
     """Units, gear and polarity as reported by the drive."""
     polarity = node.listed(Entry(0x607E, 0, "B", "polarity"))
     if polarity is not None:
@@ -31,7 +31,7 @@ def scale(node: Node) -> Iterator[Row]:
     yield from _fixed_velocity(node)
 
 
-def conversions(node: Node) -> tuple[Codec | None, list[Row]]:
+def conversions(node: CheckedNode) -> tuple[Codec | None, list[CheckRow]]:
     """Units of the axis as the drive holds them now. If they are not understood: no codec, and the row that
     states it.
     """
@@ -48,7 +48,7 @@ def conversions(node: Node) -> tuple[Codec | None, list[Row]]:
     return found, []
 
 
-def at_rest(node: Node, units: Codec) -> Iterator[Row]:
+def at_rest(node: CheckedNode, units: Codec) -> Iterator[CheckRow]:
     """Position of the axis, and noise of its speed."""
     axis = node.axis
     low, high = axis.position_limits
@@ -75,7 +75,7 @@ def at_rest(node: Node, units: Codec) -> Iterator[Row]:
     )
 
 
-def limits(node: Node, units: Codec) -> Iterator[Row]:
+def limits(node: CheckedNode, units: Codec) -> Iterator[CheckRow]:
     """The profile's limits must be inside the commissioned limits of the drive."""
     if configured_before(node):
         yield node.row(
@@ -108,7 +108,7 @@ def limits(node: Node, units: Codec) -> Iterator[Row]:
         yield _inside(node, window, (low, high))
 
 
-def resolution(node: Node, units: Codec) -> Iterator[Row]:
+def resolution(node: CheckedNode, units: Codec) -> Iterator[CheckRow]:
     """Whether the velocity unit, which stays the same in the session, is fine enough for a small sine: a line needs 20
     units, and one above a tenth of the limit cannot be used.
     """
@@ -118,12 +118,12 @@ def resolution(node: Node, units: Codec) -> Iterator[Row]:
     yield node.row("velocity-unit", least <= 0.1 * limit, f"{what}; velocity_limit is {limit:g} {unit}")
 
 
-def configured_before(node: Node) -> bool:
+def configured_before(node: CheckedNode) -> bool:
     """Whether `sweepid` has configured the drive since power-on: then it monitors the heartbeat of this host."""
     return (node.value(Cia301.HEARTBEAT_CONSUMER) or 0) >> 16 & 0x7F == node.machine.bus.host_node
 
 
-def _gear(node: Node) -> Iterator[Row]:
+def _gear(node: CheckedNode) -> Iterator[CheckRow]:
     motor, shaft = (node.listed(Entry(0x6091, sub, "I", "gear ratio")) for sub in (1, 2))
     if not motor or not shaft:
         return
@@ -134,7 +134,7 @@ def _gear(node: Node) -> Iterator[Row]:
     yield node.row("gear", fits, f"6091h has {held:g} motor revolutions a shaft revolution; it must be {wanted}")
 
 
-def _fixed_increments(node: Node) -> Iterator[Row]:
+def _fixed_increments(node: CheckedNode) -> Iterator[CheckRow]:
     """A number in map or profile, in addition to an object of the drive that reports it."""
     units = node.map.units
     given = node.axis.increments if units.increments == "profile" else units.increments
@@ -146,7 +146,7 @@ def _fixed_increments(node: Node) -> Iterator[Row]:
         yield node.row("increments", found == given, f"608Fh has {found:g} a revolution, map or profile {given:g}")
 
 
-def _fixed_velocity(node: Node) -> Iterator[Row]:
+def _fixed_velocity(node: CheckedNode) -> Iterator[CheckRow]:
     unit = SPEEDS.get(node.map.units.velocity)
     code = node.listed(STANDARD["velocity_unit"])
     if unit is None or not code:
@@ -164,7 +164,7 @@ def _fixed_velocity(node: Node) -> Iterator[Row]:
     )
 
 
-def _beyond(node: Node, check: str, entry: Entry, wanted: int, held: int) -> Row:
+def _beyond(node: CheckedNode, check: str, entry: Entry, wanted: int, held: int) -> CheckRow:
     what = f"{entry}: the drive holds {held}, the profile's limit is {wanted} of its units"
     fits = wanted <= held * (1 + _ROUNDING) + 1
     return node.row(
@@ -174,7 +174,7 @@ def _beyond(node: Node, check: str, entry: Entry, wanted: int, held: int) -> Row
     )
 
 
-def _inside(node: Node, wanted: tuple[int, int], held: tuple[int, int]) -> Row:
+def _inside(node: CheckedNode, wanted: tuple[int, int], held: tuple[int, int]) -> CheckRow:
     what = f"607Dh: the drive holds {held[0]} to {held[1]}, position_limits are {wanted[0]} to {wanted[1]} of its units"
     room = _ROUNDING * (held[1] - held[0]) + 1
 
@@ -190,16 +190,16 @@ def _inside(node: Node, wanted: tuple[int, int], held: tuple[int, int]) -> Row:
     )
 
 
-def turned(profile: CanopenProfile, joint: str, way: float, wait: Callable[[], None]) -> list[Row]:
+def turned(profile: CanopenProfile, joint: str, way: float, wait: Callable[[], None]) -> list[CheckRow]:
     """The rows `turned`, `sign` and `gear`. `way` in rad (m), signed; `wait` returns after the joint was turned.
 
     Raises BadProfile for a joint that the profile does not have.
     """
     axis = named(profile, joint)
-    bus = Bus(profile.bus, tuple(each.node for each in profile.axes), profile.device_map.wires)
+    bus = CanopenBus(profile.bus, tuple(each.node for each in profile.axes), profile.device_map.wires)
     try:
         sdo = ReadOnlySdo(bus.add_node(axis.node, None), f"{joint} (node {axis.node})", bus.check_alive)
-        node = Node(axis, profile, read_dictionary(profile.eds, axis.node), sdo)
+        node = CheckedNode(axis, profile, read_dictionary(profile.eds, axis.node), sdo)
         codec, rows = conversions(node)
         if codec is None:
             return rows
@@ -209,7 +209,7 @@ def turned(profile: CanopenProfile, joint: str, way: float, wait: Callable[[], N
         bus.expect_nodes()  # the bus was not used while the person turned the joint
         return _judged(node, way, float(codec.position(sdo.read(entry))) - before)
     except CommunicationLost as error:
-        return [Row(joint, "no-answer", Verdict.MISMATCH, str(error))]
+        return [CheckRow(joint, "no-answer", CheckVerdict.MISMATCH, str(error))]
     finally:
         bus.close()
 
@@ -222,7 +222,7 @@ def named(profile: CanopenProfile, joint: str) -> CanopenAxis:
     return axis
 
 
-def _judged(node: Node, way: float, found: float) -> list[Row]:
+def _judged(node: CheckedNode, way: float, found: float) -> list[CheckRow]:
     unit = node.axis.unit
     what = f"turned by {way:+.4g} {unit}, the drive reports {found:+.4g} {unit}"
     if abs(found) < 0.05 * abs(way):

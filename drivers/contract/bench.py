@@ -91,7 +91,7 @@ class Bench:
         return replace(command, **changes)
 
 
-class Machine(Protocol):
+class MachineUnderTest(Protocol):
     """A running machine, seen independently of its port: its true state, and faults that can be injected."""
 
     @property
@@ -222,23 +222,23 @@ class Suite:
         return request.param
 
     @pytest.fixture(autouse=True)
-    def fitting(self, request: pytest.FixtureRequest, virtual: Machine) -> None:
+    def fitting(self, request: pytest.FixtureRequest, virtual: MachineUnderTest) -> None:
         """Skips tests of functions that the bench lacks."""
         mode = request.getfixturevalue("mode") if "mode" in request.fixturenames else None
         if reason := lacking(request.function, virtual.bench, mode):
             pytest.skip(reason)
 
     @pytest.fixture
-    def axis(self, virtual: Machine) -> str:
+    def axis(self, virtual: MachineUnderTest) -> str:
         return virtual.bench.axis
 
     @pytest.fixture
-    def other(self, virtual: Machine, fitting: None) -> str:
+    def other(self, virtual: MachineUnderTest, fitting: None) -> str:
         assert virtual.bench.other is not None
         return virtual.bench.other
 
     @pytest.fixture
-    async def port(self, virtual: Machine, fitting: None) -> AsyncGenerator[DrivePort]:
+    async def port(self, virtual: MachineUnderTest, fitting: None) -> AsyncGenerator[DrivePort]:
         """Connected, with every fault acknowledged. Closed afterwards, and the disturbances of the machine are
         removed.
         """
@@ -246,7 +246,7 @@ class Suite:
             yield connected
 
 
-async def connected_port(virtual: Machine) -> AsyncGenerator[DrivePort]:
+async def connected_port(virtual: MachineUnderTest) -> AsyncGenerator[DrivePort]:
     """Implementation of the fixture `port`."""
     connected = virtual.open()
     await connected.connect()

@@ -8,23 +8,23 @@ from contextlib import suppress
 from drivers.cia402 import states
 from drivers.cia402.device import (
     Abilities,
+    Feedback,
     MeasuringCommand,
     MeasuringState,
-    Mode,
-    Motion,
+    OperationMode,
     await_mode,
     rejection_text,
     require_identity,
     require_rated_torque,
     trace_cycle,
 )
-from drivers.cia402.states import Controlword, State
+from drivers.cia402.states import Controlword, PowerState
 from drivers.errors import CommunicationLost, DriveFault, WrongConfiguration, WrongIdentity
 from drivers.modbus import measuring
-from drivers.modbus.line import Line
+from drivers.modbus.line import MasterLine
 from drivers.modbus.profile import ModbusAxis, ModbusProfile
-from drivers.modbus.registers import Format, RegisterMap, Rounding, Trace
-from drivers.modbus.unit import Control, Setting, Unit
+from drivers.modbus.registers import Format, RegisterMap, Rounding, TraceLayout
+from drivers.modbus.unit import ControlToken, RegisterSetting, RegisterUnit
 from drivers.ports import AxisIdentity, SampleBlock, SweepCommand
 
 logger = logging.getLogger(__name__)
@@ -43,8 +43,8 @@ class ModbusDevice:
         machine: ModbusProfile,
         registers: RegisterMap,
         sha256: str,
-        line: Line,
-        control: Control,
+        line: MasterLine,
+        control: ControlToken,
     ) -> None:
         self.profile = profile
         self.place = profile.place
@@ -54,7 +54,7 @@ class ModbusDevice:
         self._sha256 = sha256
         self._line = line
         self._control = control
-        self._unit = Unit(line, profile.unit_id, registers, self.place)
+        self._unit = RegisterUnit(line, profile.unit_id, registers, self.place)
         self._gear = profile.gear
         self._trace_cycle = 1  # ms
         self._restarted = False
@@ -108,7 +108,7 @@ class ModbusDevice:
     def control(self, controlword: int) -> None:
         self._unit.write({"controlword": controlword})
 
-    def set_mode(self, mode: Mode) -> None:
+    def set_mode(self, mode: OperationMode) -> None:
         self._unit.write({"mode": mode})
         await_mode(self.place, mode, lambda: self._unit.integer("mode_display"))
 
@@ -161,10 +161,10 @@ class ModbusDevice:
 
     # -- motion --------------------------------------------------------------------------------------------------
 
-    def motion(self) -> Motion:
+    def motion(self) -> Feedback:
         """Values of one instant, if the three registers are adjacent in the map."""
         values = self._unit.read("position", "velocity", "torque")
-        return Motion(
+        return Feedback(
             self._gear.motor_position(values["position"]),
             self._gear.motor_velocity(values["velocity"]),
             self._gear.motor_effort(values["torque"] * 1e-3 * self._gear.rated_torque),
@@ -195,7 +195,7 @@ class ModbusDevice:
         signals = self._map.signals
         self._unit.settle(
             *(
-                Setting(signals[name], signals[name].format.clip(value), rounding=rounding)
+                RegisterSetting(signals[name], signals[name].format.clip(value), rounding=rounding)
                 for name, (value, rounding) in limits.items()
                 if name in signals
             )
@@ -207,8 +207,8 @@ class ModbusDevice:
     def set_target(self, position: float, velocity: float) -> None:
         signals = self._map.signals
         self._unit.settle(
-            Setting(signals["profile_velocity"], self._speed(velocity)),
-            Setting(signals["target_position"], self._gear.revolutions(position)),
+            RegisterSetting(signals["profile_velocity"], self._speed(velocity)),
+            RegisterSetting(signals["target_position"], self._gear.revolutions(position)),
         )
 
     # -- measuring function --------------------------------------------------------------------------------------
@@ -287,7 +287,7 @@ class ModbusDevice:
         """One short exchange: checks for a fault, and every second time for a restart."""
         self._looks += 1
         if self._looks % 2:
-            self._faulty = states.decode(self.statusword()) in (State.FAULT, State.FAULT_REACTION)
+            self._faulty = states.decode(self.statusword()) in (PowerState.FAULT, PowerState.FAULT_REACTION)
         else:
             self.look_for_restart()
 
@@ -321,7 +321,9 @@ class ModbusDevice:
             "quick_stop_deceleration": self._speed(self.profile.quick_stop_deceleration),
         }
         signals = self._map.signals
-        self._unit.settle(*(Setting(signals[name], value) for name, value in settings.items() if name in signals))
+        self._unit.settle(
+            *(RegisterSetting(signals[name], value) for name, value in settings.items() if name in signals)
+        )
 
     @property
     def _piece(self) -> int:
@@ -329,7 +331,7 @@ class ModbusDevice:
         width = self._trace().width
         return self._map.max_read // width * width
 
-    def _trace(self) -> Trace:
+    def _trace(self) -> TraceLayout:
         if self._map.trace is None:
             raise WrongConfiguration(self.place, "the register map has no measuring function")
         return self._map.trace

@@ -28,7 +28,7 @@ from pymodbus.pdu import ModbusPDU
 
 from drivers.cia402.connection import StopFirst
 from drivers.errors import CommunicationLost, ConnectionFailed, Measured, WrongConfiguration
-from drivers.modbus.profile import DIRECT, RtuLine, TcpLine
+from drivers.modbus.profile import DIRECT, RtuProfile, TcpProfile
 
 logger = logging.getLogger(__name__)
 
@@ -58,12 +58,12 @@ class Client(Protocol):
     ) -> ModbusPDU: ...
 
 
-def refusal(profile: TcpLine | RtuLine) -> str:
+def refusal(profile: TcpProfile | RtuProfile) -> str:
     """Why there is no connection: pymodbus only logs it. Tried afterwards, because a drive may accept a single
     client.
     """
     try:
-        if isinstance(profile, TcpLine):
+        if isinstance(profile, TcpProfile):
             socket.create_connection((profile.host, profile.port), profile.timeout).close()
         else:
             serial.Serial(profile.device).close()
@@ -72,9 +72,9 @@ def refusal(profile: TcpLine | RtuLine) -> str:
     return "the log has the reason"
 
 
-def make_client(profile: TcpLine | RtuLine, left: Callable[[], float]) -> Client:
+def make_client(profile: TcpProfile | RtuProfile, left: Callable[[], float]) -> Client:
     """`left`: for how long the answer to the running request is awaited, s."""
-    if isinstance(profile, TcpLine):
+    if isinstance(profile, TcpProfile):
         return TcpClient(left, profile.host, port=profile.port, timeout=profile.timeout, retries=0)
     return SerialClient(
         left,
@@ -87,7 +87,7 @@ def make_client(profile: TcpLine | RtuLine, left: Callable[[], float]) -> Client
     )
 
 
-class _Waiting:
+class _AnswerWait:
     """Waits for bytes as long as an answer is awaited. pymodbus waits by the wall clock, and nothing shortens it."""
 
     def __init__(self, left: Callable[[], float]) -> None:
@@ -133,7 +133,7 @@ class TcpClient(ModbusTcpClient):
         super().__init__(host, trace_packet=self._as_asked, **others)
         self.garbled = False
         self._unit = 0
-        self._waiting = _Waiting(left)
+        self._waiting = _AnswerWait(left)
         self.wake = self._waiting.wake
 
     def _as_asked(self, sending: bool, data: bytes) -> bytes:
@@ -176,7 +176,7 @@ class SerialClient(ModbusSerialClient):
     def __init__(self, left: Callable[[], float], port: str, **others: Any) -> None:
         super().__init__(port, **others)
         self.garbled = False
-        self._waiting = _Waiting(left)
+        self._waiting = _AnswerWait(left)
         self.wake = self._waiting.wake
 
     def connect(self) -> bool:
@@ -211,9 +211,10 @@ class Clock(Protocol):
     def sleep(self, seconds: float, /) -> None: ...
 
 
-class Line:
+class MasterLine:
     """An open line. For one thread, except `hurry`."""
 
+    look_again = 2.0  # s between attempts to reach a lost unit
     stop_wait = 0.1  # s that a stop waits for the answer to a request before it; drives answer within 0.02 s
     stop_timeout = 0.5  # s for an answer while the machine is being stopped
     stop_time = 3.0  # s after a stop during which the machine is being stopped
@@ -229,9 +230,9 @@ class Line:
 
     def __init__(
         self,
-        profile: TcpLine | RtuLine,
+        profile: TcpProfile | RtuProfile,
         clock: Clock = time,
-        make: Callable[[TcpLine | RtuLine, Callable[[], float]], Client] = make_client,
+        make: Callable[[TcpProfile | RtuProfile, Callable[[], float]], Client] = make_client,
     ) -> None:
         """`make` returns the client; it gets for how long it awaits the answer to the running request, s."""
         self._profile = profile
@@ -360,7 +361,7 @@ class Line:
         now = self._clock.monotonic()
         if unit not in self._lost:
             return now - self._asked.get(unit, 0.0) > self.beat / 2
-        if now - self._lost[unit][0] < 2.0 or self._in_use - self._lost.keys():
+        if now - self._lost[unit][0] < self.look_again or self._in_use - self._lost.keys():
             return False
         del self._lost[unit]
         return True

@@ -8,12 +8,12 @@ from drivers.cia402.device import trace_block, trace_cycle
 from drivers.cia402.profile import Gear
 from drivers.errors import LimitExceeded
 from drivers.modbus.profile import ModbusAxis
-from drivers.modbus.registers import Array, Signal, Trace
-from drivers.modbus.unit import Setting
+from drivers.modbus.registers import Array, RegisterSignal, TraceLayout
+from drivers.modbus.unit import RegisterSetting
 from drivers.ports import SampleBlock, SweepCommand
 
 
-def parameters(command: SweepCommand, signals: Mapping[str, Signal], gear: Gear) -> list[Setting]:
+def parameters(command: SweepCommand, signals: Mapping[str, RegisterSignal], gear: Gear) -> list[RegisterSetting]:
     """All parameters of a sweep in the units of their signals. Raises LimitExceeded for more sines than the map has.
 
     A register may change a parameter by 1e-4 of it, a phase by 1e-4 rad, and let a sine drift by 1e-3 of a period.
@@ -28,7 +28,7 @@ def parameters(command: SweepCommand, signals: Mapping[str, Signal], gear: Gear)
         "sines": float(len(command.sines)),
         "trace_cycle": float(trace_cycle(command)),
     }
-    settings = [Setting(signals[name], value, near * abs(value)) for name, value in single.items()]
+    settings = [RegisterSetting(signals[name], value, near * abs(value)) for name, value in single.items()]
     frequencies, amplitudes, phases = (signals[name].elements() for name in ("frequency", "amplitude", "phase"))
     room = min(len(frequencies), len(amplitudes), len(phases))
     if len(command.sines) > room:
@@ -37,15 +37,15 @@ def parameters(command: SweepCommand, signals: Mapping[str, Signal], gear: Gear)
         # A negative gear ratio makes the amplitude negative and does not change the phase.
         speed = gear.rev_per_min(sine.amplitude)
         settings += [
-            Setting(frequency, sine.frequency, 1e-3 / command.duration),
-            Setting(amplitude, speed, near * abs(speed)),
-            Setting(phase, sine.phase, near),
+            RegisterSetting(frequency, sine.frequency, 1e-3 / command.duration),
+            RegisterSetting(amplitude, speed, near * abs(speed)),
+            RegisterSetting(phase, sine.phase, near),
         ]
     return settings
 
 
 def samples(
-    registers: Sequence[int], first: int, count: int, trace: Trace, axis: ModbusAxis, gear: Gear, cycle_ms: int
+    registers: Sequence[int], first: int, count: int, trace: TraceLayout, axis: ModbusAxis, gear: Gear, cycle_ms: int
 ) -> SampleBlock:
     """The samples `first` to `first + count` from the registers of a page. Raises CommunicationLost if it has others.
 
@@ -54,7 +54,7 @@ def samples(
     return trace_block(axis, gear, axis.place, first, _columns(registers, count, trace), cycle_ms)
 
 
-def _columns(registers: Sequence[int], count: int, trace: Trace) -> dict[str, Array]:
+def _columns(registers: Sequence[int], count: int, trace: TraceLayout) -> dict[str, Array]:
     """(count,) of each signal. The lowest value of an integer register means that there is no load encoder: NaN."""
     table = np.asarray(registers, np.uint16).reshape(count, trace.width)
     columns: dict[str, Array] = {}

@@ -36,7 +36,7 @@ class _Clocks(Frozen):
         return self
 
 
-class TcpLine(_Clocks):
+class TcpProfile(_Clocks):
     """A drive or a gateway with Modbus TCP."""
 
     transport: Literal["tcp"]
@@ -62,7 +62,7 @@ class TcpLine(_Clocks):
         return 4e-3
 
 
-class RtuLine(_Clocks):
+class RtuProfile(_Clocks):
     """A serial line."""
 
     transport: Literal["rtu"]
@@ -97,7 +97,7 @@ class RtuLine(_Clocks):
         return (9 + (self.parity != "N") + self.stopbits) / self.baudrate
 
 
-Line = Annotated[TcpLine | RtuLine, Field(discriminator="transport")]
+Line = Annotated[TcpProfile | RtuProfile, Field(discriminator="transport")]
 
 
 class ModbusAxis(AxisProfile):

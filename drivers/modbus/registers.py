@@ -172,7 +172,7 @@ class _Wire(Frozen):
     unit: str | None = None
 
 
-class _Place(_Wire):
+class _SignalPlace(_Wire):
     address: int = Field(ge=0, le=0xFFFF)
     access: Literal["ro", "rw"]
     count: int = Field(default=1, ge=1, le=16)
@@ -205,7 +205,7 @@ class _Trace(Frozen):
 class _Map(Frozen):
     word_order: WordOrder
     max_read: int = Field(default=125, ge=2, le=125)  # registers per request
-    signals: dict[str, _Place]
+    signals: dict[str, _SignalPlace]
     trace: _Trace | None = None
 
     @model_validator(mode="after")
@@ -223,7 +223,7 @@ class _Map(Frozen):
         self._check_places()
         return self
 
-    def _check(self, name: str, place: _Place) -> None:
+    def _check(self, name: str, place: _SignalPlace) -> None:
         _check_unit(f"signals.{name}", place, _SIGNALS[name])
         if (place.access == "ro") is not (name in READ_ONLY):
             raise ValueError(f"signals.{name}: access must be {'ro' if name in READ_ONLY else 'rw'}")
@@ -250,7 +250,7 @@ class _Map(Frozen):
 
 
 @dataclass(frozen=True, slots=True)
-class Signal:
+class RegisterSignal:
     """One signal of the map."""
 
     name: str
@@ -266,17 +266,17 @@ class Signal:
         """The first register after it."""
         return self.address + self.count * self.format.width
 
-    def elements(self) -> list["Signal"]:
+    def elements(self) -> list["RegisterSignal"]:
         """Each value as a signal of its own."""
         width = self.format.width
         return [
-            Signal(f"{self.name} {number + 1}", self.address + number * width, self.format)
+            RegisterSignal(f"{self.name} {number + 1}", self.address + number * width, self.format)
             for number in range(self.count)
         ]
 
 
 @dataclass(frozen=True, slots=True)
-class Trace:
+class TraceLayout:
     """The page buffer and the layout of one sample."""
 
     address: int
@@ -294,14 +294,14 @@ class RegisterMap:
     """A checked map."""
 
     max_read: int
-    signals: Mapping[str, Signal]
+    signals: Mapping[str, RegisterSignal]
     constant: int
-    trace: Trace | None
+    trace: TraceLayout | None
 
 
-def spans(signals: Iterable[Signal], most: int) -> list[list[Signal]]:
+def spans(signals: Iterable[RegisterSignal], most: int) -> list[list[RegisterSignal]]:
     """The signals by address, grouped if they are adjacent and fit one request of `most` registers."""
-    joined: list[list[Signal]] = []
+    joined: list[list[RegisterSignal]] = []
     for signal in sorted(signals, key=lambda signal: signal.address):
         last = joined[-1] if joined else None
         if last and signal.address == last[-1].end and signal.end - last[0].address <= most:
@@ -329,11 +329,11 @@ def parse_registers(content: object) -> RegisterMap:
     if parsed.trace is not None:
         page, sample = parsed.trace.page, parsed.trace.sample
         layout = tuple((field.signal, Format(field.type, order, field.scale)) for field in sample)
-        trace = Trace(page.address, page.registers, layout)
+        trace = TraceLayout(page.address, page.registers, layout)
     return RegisterMap(
         max_read=parsed.max_read,
         signals={
-            name: Signal(name, place.address, Format(place.type, order, place.scale), place.count)
+            name: RegisterSignal(name, place.address, Format(place.type, order, place.scale), place.count)
             for name, place in parsed.signals.items()
         },
         constant=parsed.signals["constant"].value or 0,
@@ -348,7 +348,7 @@ def _check_unit(what: str, wire: _Wire, unit: str | None) -> None:
         raise ValueError(f"{what}: must be a whole number without scale")
 
 
-def _tells_the_word_order(place: _Place, order: WordOrder) -> bool:
+def _tells_the_word_order(place: _SignalPlace, order: WordOrder) -> bool:
     if place.type not in ("u32", "i32") or place.value is None:
         return False
     here = Format(place.type, order)

@@ -13,7 +13,7 @@ from drivers.cia402 import states
 from drivers.cia402.states import Controlword
 from drivers.errors import ConnectionFailed, NotReady
 from drivers.modbus.line import READ, WRITE
-from drivers.modbus.profile import DIRECT, ModbusAxis, ModbusProfile, TcpLine
+from drivers.modbus.profile import DIRECT, ModbusAxis, ModbusProfile, TcpProfile
 from drivers.modbus.registers import RegisterMap
 
 LATE_ANSWER = 0.1  # s for a unit that did not answer in time; the stop is sent again after all others
@@ -29,7 +29,7 @@ class ModbusStopSender:
 
     def __init__(self, profile: ModbusProfile, registers: RegisterMap) -> None:
         """Raises NotReady on a serial line."""
-        if not isinstance(profile.line, TcpLine):
+        if not isinstance(profile.line, TcpProfile):
             raise NotReady(
                 f"Modbus {profile.line.place}: only one process can open a serial line, and the service has it"
             )
@@ -106,7 +106,7 @@ def _doubt(readings: "_Readings", axis: ModbusAxis) -> str:
     if word is None:
         return _SILENT
     state = states.decode(int(word))
-    if state in states.ENERGISED or state is states.State.UNKNOWN:
+    if state in states.ENERGISED or state is states.PowerState.UNKNOWN:
         return f"reports '{state.value}'"
     speed = readings.value(axis.unit_id, "velocity")
     if speed is None:

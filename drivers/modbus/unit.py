@@ -9,26 +9,26 @@ from dataclasses import dataclass
 
 from drivers.cia402.host_watch import HostWatch
 from drivers.errors import CommunicationLost, DriveError, LimitExceeded, NotReady, WrongConfiguration
-from drivers.modbus.line import Line
-from drivers.modbus.registers import MAX_WRITE, RegisterMap, Rounding, Signal, spans
+from drivers.modbus.line import MasterLine
+from drivers.modbus.registers import MAX_WRITE, RegisterMap, RegisterSignal, Rounding, spans
 
-Registers = dict[Signal, list[int]]
+Registers = dict[RegisterSignal, list[int]]
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
+class RegisterSetting:
     """Required value of a signal; `resolution`: allowed error caused by the resolution of its register."""
 
-    signal: Signal
+    signal: RegisterSignal
     value: float
     resolution: float = math.inf
     rounding: Rounding = round
 
 
-class Unit:
+class RegisterUnit:
     """Blocking. Raises CommunicationLost if the unit does not answer and WrongConfiguration if it refuses."""
 
-    def __init__(self, line: Line, number: int, registers: RegisterMap, place: str) -> None:
+    def __init__(self, line: MasterLine, number: int, registers: RegisterMap, place: str) -> None:
         """`place` as in "joint_1 (unit 1)"."""
         self._line, self._number, self._map, self._place = line, number, registers, place
 
@@ -45,9 +45,11 @@ class Unit:
 
     def write(self, values: Mapping[str, float]) -> None:
         """Write without read-back. Raises LimitExceeded if a register cannot hold its value."""
-        self._write({signal: self._encode(Setting(signal, values[signal.name])) for signal in self._named(values)})
+        self._write(
+            {signal: self._encode(RegisterSetting(signal, values[signal.name])) for signal in self._named(values)}
+        )
 
-    def settle(self, *settings: Setting) -> None:
+    def settle(self, *settings: RegisterSetting) -> None:
         """Make the signals hold these values: write those that differ, and read them back.
 
         Raises LimitExceeded if a register is coarser than the allowed error, and WrongConfiguration if the drive
@@ -67,7 +69,9 @@ class Unit:
     def tell(self, name: str, value: float) -> None:
         """Write without waiting for an answer."""
         signal = self._map.signals[name]
-        self._line.tell(self._number, signal.address, self._encode(Setting(signal, value)), f"{self._place}: {signal}")
+        self._line.tell(
+            self._number, signal.address, self._encode(RegisterSetting(signal, value)), f"{self._place}: {signal}"
+        )
 
     def registers(self, address: int, count: int, what: str) -> list[int]:
         """Raw registers, at most `max_read`."""
@@ -75,10 +79,10 @@ class Unit:
 
     # -- inside --------------------------------------------------------------------------------------------------
 
-    def _named(self, names: Iterable[str]) -> list[Signal]:
+    def _named(self, names: Iterable[str]) -> list[RegisterSignal]:
         return [self._map.signals[name] for name in names]
 
-    def _encode(self, setting: Setting) -> list[int]:
+    def _encode(self, setting: RegisterSetting) -> list[int]:
         signal, value = setting.signal, setting.value
         try:
             registers = signal.format.encode(value, setting.rounding)
@@ -89,7 +93,7 @@ class Unit:
             raise LimitExceeded(self._place, f"{signal}: {value:.9g} would be {near:.9g} in the drive's steps")
         return registers
 
-    def _held(self, signals: Iterable[Signal]) -> Registers:
+    def _held(self, signals: Iterable[RegisterSignal]) -> Registers:
         held: Registers = {}
         for span in spans(signals, self._map.max_read):
             start = span[0].address
@@ -109,14 +113,14 @@ class Unit:
         return {signal: words for signal, words in wanted.items() if not _same(signal, words, held[signal])}
 
 
-def _same(signal: Signal, wanted: list[int], held: list[int]) -> bool:
+def _same(signal: RegisterSignal, wanted: list[int], held: list[int]) -> bool:
     """Integers must be equal; a float may be rounded by the drive."""
     if signal.format.whole:
         return wanted == held
     return math.isclose(signal.format.decode(wanted)[0], signal.format.decode(held)[0], rel_tol=1e-4)
 
 
-def _shown(signal: Signal, registers: list[int]) -> str:
+def _shown(signal: RegisterSignal, registers: list[int]) -> str:
     return f"{signal.format.decode(registers)[0]:.9g}"
 
 
@@ -125,10 +129,10 @@ logger = logging.getLogger(__name__)
 OWNER = "control_owner"
 
 
-class Control:
+class ControlToken:
     """Blocking, on the thread of the line. Does nothing if the map lacks the signal."""
 
-    def __init__(self, units: Sequence[Unit], registers: RegisterMap, watch: HostWatch) -> None:
+    def __init__(self, units: Sequence[RegisterUnit], registers: RegisterMap, watch: HostWatch) -> None:
         self._signal = registers.signals.get(OWNER)
         self._units = tuple(units) if self._signal is not None else ()
         self._watch = watch
@@ -140,10 +144,10 @@ class Control:
         """Raises NotReady if another host has control of a unit; then none is taken."""
         if self._held or self._signal is None:
             return
-        taken: list[Unit] = []
+        taken: list[RegisterUnit] = []
         try:
             for unit in self._units:
-                unit.settle(Setting(self._signal, self._token))
+                unit.settle(RegisterSetting(self._signal, self._token))
                 taken.append(unit)
         except WrongConfiguration as error:
             self._give_up(taken)
@@ -168,7 +172,7 @@ class Control:
         held, self._held = self._held, False
         self._give_up(self._units if held else ())
 
-    def _give_up(self, units: Sequence[Unit]) -> None:
+    def _give_up(self, units: Sequence[RegisterUnit]) -> None:
         for unit in units:
             with suppress(DriveError):  # it lapses
                 if unit.integer(OWNER) == self._token:

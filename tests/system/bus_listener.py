@@ -42,7 +42,7 @@ class Ear:
 
     def nmt_stops(self) -> set[int]:
         words = [data for identifier, data in tuple(self.heard) if identifier == frames.Cob.NMT]
-        return {data[1] for data in words if data[0] == frames.Nmt.STOP}
+        return {data[1] for data in words if data[0] == frames.NmtCommand.STOP}
 
     def words_of_motion(self) -> list[str]:
         """What closes a loop or moves an axis, by RPDO1 or SDO: enable operation, start of a measuring function."""

@@ -6,7 +6,7 @@ well, later. Not in the list, because nothing that anybody could observe changes
 - one of the checks of the epoch removed while another follows before the energy (before the drives are connected; in
   the transaction of a start; before or after enabling): a later one refuses. All of one kind together are in the list.
 - `HostWatch.check` alone: `halt` and the beat of the event loop find the same gap.
-- `Axis._check_wanted` alone: the stop sequence, which follows on the same thread, takes the energy away within 0.5 s.
+- `Cia402Axis._check_wanted` alone: the stop sequence, next on the same thread, takes the energy away within 0.5 s.
 - the latch in the database alone, without a restart: the one in memory holds.
 - `Bus.stop` alone: the confirmation sends the stop again.
 - the stop of the service alone while the stop process sends it, and the reverse while the service runs: each hides the
@@ -20,7 +20,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from drivers.canopen.stop_sender import CanopenStopSender
-from drivers.cia402.axis import Axis
+from drivers.cia402.axis import Cia402Axis
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
 from service.machine.execution import statement
@@ -97,7 +97,7 @@ DRIVES: dict[str, Plant] = {
     "the stop does nothing": _set(Cia402Machine, "stop", _nothing_async),
     "the stop sequence leaves out the first axis": _set(Cia402Machine, "_bring_down", _only_first),
     "the stop sequence disables nothing": _set(Cia402Machine, "_bring_down", _nothing_async),
-    "an axis is not disabled": _set(Axis, "disable", _nothing),
+    "an axis is not disabled": _set(Cia402Axis, "disable", _nothing),
 }
 """Found by a stop at any moment, each within 30 s of processor time."""
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from drivers.modbus.profile import RtuLine, TcpLine
+from drivers.modbus.profile import RtuProfile, TcpProfile
 
 TIMEOUT = 0.1
 
@@ -84,15 +84,15 @@ def tcp_frame(transaction: int, unit: int, pdu: bytes) -> bytes:
 
 
 @contextmanager
-def serving(bank: Bank, timeout: float = TIMEOUT) -> Generator[TcpLine | RtuLine]:
+def serving(bank: Bank, timeout: float = TIMEOUT) -> Generator[TcpProfile | RtuProfile]:
     """The line that leads to the bank."""
     end = threading.Event()
     with _tcp(bank, end) if bank.transport == "tcp" else _rtu(bank, end) as place:
         if bank.transport == "tcp":
-            yield TcpLine(transport="tcp", host="127.0.0.1", port=int(place), timeout=timeout, watchdog=20 * timeout)
+            yield TcpProfile(transport="tcp", host="127.0.0.1", port=int(place), timeout=timeout, watchdog=20 * timeout)
         else:
             # a pseudo-terminal has no parity
-            yield RtuLine(
+            yield RtuProfile(
                 transport="rtu", device=place, baudrate=115200, parity="N", timeout=timeout, watchdog=20 * timeout
             )
 

@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from drivers.cia402.host_watch import HostWatch
-from drivers.modbus.profile import ModbusProfile, RtuLine, TcpLine, parse_profile
+from drivers.modbus.profile import ModbusProfile, RtuProfile, TcpProfile, parse_profile
 from drivers.modbus.registers import RegisterMap, load_registers
-from drivers.modbus.unit import Control
+from drivers.modbus.unit import ControlToken
 from drivers.registry import load_profile
 from tests.unit.drivers.modbus_bank import Bank, Request
 
@@ -20,9 +20,9 @@ STATES = {0x00: 0x40, 0x02: 0x40, 0x06: 0x21, 0x07: 0x23, 0x0F: 0x27}  # statusw
 KINDS = pytest.mark.parametrize(("kind", "registers"), [("tcp", HIGH), ("rtu", LOW)], ids=["tcp", "rtu"])
 
 
-def nobody() -> Control:
+def nobody() -> ControlToken:
     """Of a line whose drives have no register for an owner."""
-    return Control((), HIGH, HostWatch(60.0))
+    return ControlToken((), HIGH, HostWatch(60.0))
 
 
 def drive(bank: Bank, registers: RegisterMap, unit: int, rated_torque: float) -> None:
@@ -61,7 +61,7 @@ def following(bank: Bank, registers: RegisterMap) -> None:
     bank.react = react
 
 
-def profile_on(line: TcpLine | RtuLine, kind: str, axes: int = 1, **axis: Any) -> ModbusProfile:
+def profile_on(line: TcpProfile | RtuProfile, kind: str, axes: int = 1, **axis: Any) -> ModbusProfile:
     content = load_profile(DRIVES / f"virtual-max100-modbus-{kind}.yaml")
     all_axes: Any = content["axes"]
     content |= {

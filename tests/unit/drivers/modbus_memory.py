@@ -10,7 +10,7 @@ from pymodbus.pdu import ExceptionResponse, ModbusPDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersResponse, WriteMultipleRegistersResponse
 
 from drivers.modbus.line import Client
-from drivers.modbus.profile import RtuLine, TcpLine
+from drivers.modbus.profile import RtuProfile, TcpProfile
 from tests.unit.drivers.modbus_bank import Bank, Request
 
 ANSWER = 2e-3  # s from a request to its answer
@@ -55,7 +55,7 @@ class Wire:
     silent: Collection[int] = ()
     log: list[tuple[float, Request]] = field(default_factory=list)
 
-    def __call__(self, _: TcpLine | RtuLine, left: Callable[[], float]) -> Client:
+    def __call__(self, _: TcpProfile | RtuProfile, left: Callable[[], float]) -> Client:
         return MemoryClient(self, left)
 
 

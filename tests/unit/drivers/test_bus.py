@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 
 from drivers.canopen import bus as bus_module
 from drivers.canopen import frames
-from drivers.canopen.bus import Bus, SocketcandBus
-from drivers.canopen.device_map import Way, load_device_map
+from drivers.canopen.bus import CanopenBus, SocketcandBus
+from drivers.canopen.device_map import SetPointWay, load_device_map
 from drivers.canopen.fieldbus import bus_load, check_bus_load
 from drivers.canopen.profile import BusProfile
-from drivers.canopen.sdo import Pdo, streaming_pdos
+from drivers.canopen.sdo import PdoMapping, streaming_pdos
 from drivers.cia402.states import Controlword
 from drivers.contract.bench import eventually
 from drivers.errors import CommunicationLost, ConnectionFailed, LimitExceeded
@@ -33,7 +33,7 @@ DRIVE_TIMEOUT = 60.0  # s, which no test waits for: the bus' clock is set on ins
 
 @dataclass(frozen=True)
 class Pair:
-    bus: Bus
+    bus: CanopenBus
     peer: can.BusABC
 
     def say(self, identifier: int, data: bytes, error: bool = False) -> None:
@@ -54,7 +54,7 @@ def pair() -> Iterator[Pair]:
     channel = f"bus-{uuid.uuid4()}"
     peer = can.Bus(interface="virtual", channel=channel)
     profile = BusProfile(interface="virtual", channel=channel, drive_timeout=DRIVE_TIMEOUT)
-    bus = Bus(profile, (NODE, 2))
+    bus = CanopenBus(profile, (NODE, 2))
     yield Pair(bus, peer)
     bus.close()
     bus.close()
@@ -177,12 +177,12 @@ def test_nothing_a_bus_may_carry_ends_the_receiving_thread(pair: Pair, identifie
 def test_a_closed_port_is_told_with_its_address() -> None:
     profile = BusProfile(interface="socketcand", channel="can0", host="127.0.0.1", port=1)
     with pytest.raises(ConnectionFailed, match=r"socketcand can0 at 127\.0\.0\.1:1 could not be opened"):
-        Bus(profile, (NODE,))
+        CanopenBus(profile, (NODE,))
 
 
 def test_an_unknown_interface_is_told() -> None:
     with pytest.raises(ConnectionFailed, match="telegraph"):
-        Bus(BusProfile(interface="telegraph", channel="can0"), (NODE,))
+        CanopenBus(BusProfile(interface="telegraph", channel="can0"), (NODE,))
 
 
 def test_a_bus_on_which_nobody_is_heard_still_takes_the_stop() -> None:
@@ -190,7 +190,7 @@ def test_a_bus_on_which_nobody_is_heard_still_takes_the_stop() -> None:
     beats = {"host_heartbeat": 0.01, "drive_heartbeat": 0.01, "drive_timeout": 0.02}
     profile = BusProfile.model_validate({"interface": "virtual", "channel": channel, **beats})
     with can.Bus(interface="virtual", channel=channel) as peer:
-        ours = Bus(profile, (1, 2))
+        ours = CanopenBus(profile, (1, 2))
         try:
             while not ours.silent(1):
                 pass
@@ -241,7 +241,7 @@ def profile(port: int) -> BusProfile:
 
 async def test_frames_in_the_packet_of_the_last_answer_are_frames() -> None:
     with gateway([b"< hi >", b"< ok >", b"< ok >" + HEARTBEAT + b"< frame 081 12.6 0010000000000000 >"]) as port:
-        bus = Bus(profile(port), (1,))
+        bus = CanopenBus(profile(port), (1,))
         try:
             await eventually(lambda: bus.emergency(1) is not None)
             bus.send(frames.Cob.SYNC, b"")
@@ -258,7 +258,7 @@ def test_a_gateway_that_answers_otherwise_is_refused_and_nothing_stays_open(
         gateway(answers) as port,
         pytest.raises(ConnectionFailed, match=r"could not be opened: (Expected|the gateway did not send) '< "),
     ):
-        Bus(profile(port), (1,))
+        CanopenBus(profile(port), (1,))
 
 
 DEVICES = Path(__file__).parents[3] / "config" / "devices"
@@ -268,9 +268,9 @@ def line_of(**changes: object) -> BusProfile:
     return BusProfile.model_validate({"interface": "virtual", "channel": "can0", **changes})
 
 
-def cyclic_of(axes: int) -> list[tuple[Pdo, ...]]:
+def cyclic_of(axes: int) -> list[tuple[PdoMapping, ...]]:
     plain = load_device_map(DEVICES / "plain-402.yaml")
-    cyclic = tuple(p for p in streaming_pdos(plain, Way.CYCLIC_VELOCITY, 1) if len(p.mapped) > 1)
+    cyclic = tuple(p for p in streaming_pdos(plain, SetPointWay.CYCLIC_VELOCITY, 1) if len(p.mapped) > 1)
     assert len(cyclic) == 3
     return [cyclic] * axes
 

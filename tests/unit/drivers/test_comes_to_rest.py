@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import pytest
 
-from drivers.cia402.axis import Axis
+from drivers.cia402.axis import Cia402Axis
 from drivers.cia402.connection import DriveThread
 from drivers.cia402.device import Abilities
 from drivers.cia402.host_watch import HostWatch
@@ -184,7 +184,7 @@ async def test_an_axis_that_turns_without_energy_is_not_confirmed() -> None:
 async def test_a_stop_does_not_wait_for_a_set_point_that_is_never_acknowledged(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(Axis, "transition_timeout", 2 * PATIENCE)
+    monkeypatch.setattr(Cia402Axis, "transition_timeout", 2 * PATIENCE)
     servo = Servo("joint_1", acknowledges=False)
     async with connected(servo) as (port, _):
         await port.enable("joint_1")
@@ -246,7 +246,7 @@ class Stuck(Servo):
 
 
 async def test_a_stop_does_not_wait_for_a_step_that_the_drive_does_not_take(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Axis, "transition_timeout", 2 * PATIENCE)
+    monkeypatch.setattr(Cia402Axis, "transition_timeout", 2 * PATIENCE)
     servo = Stuck("joint_1")
     async with connected(servo) as (port, _):
         enabling = asyncio.create_task(port.enable("joint_1"))
@@ -289,7 +289,7 @@ async def test_a_stop_by_a_person_stays_a_stop() -> None:
 
 async def test_the_end_of_the_moving_axis_is_told_before_that_of_one_that_stands() -> None:
     standing, stop = Servo("joint_2", announced=0x4310), threading.Event()
-    thread, axis = DriveThread("test"), Axis(standing, HostWatch(60.0))
+    thread, axis = DriveThread("test"), Cia402Axis(standing, HostWatch(60.0))
 
     async def lose() -> None:
         async with Watched(thread, [axis], stop):
@@ -354,7 +354,7 @@ async def test_an_axis_is_brought_down_only_after_its_stream_has_ended(way: str)
     servo = Streaming("joint_1")
     async with connected(servo) as (port, link):
 
-        async def stream(_: object, stop: threading.Event) -> Stream:
+        async def stream(sweeps: object, stop: threading.Event) -> Stream:
             return Stream(servo, stop)
 
         link.stream = stream

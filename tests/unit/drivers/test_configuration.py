@@ -10,7 +10,7 @@ import pytest
 from canopen.objectdictionary import ObjectDictionary, ODVariable, datatypes
 from canopen.sdo.client import SdoClient
 
-from drivers.canopen.bus import Bus
+from drivers.canopen.bus import CanopenBus
 from drivers.canopen.device_map import STANDARD, Entry
 from drivers.canopen.profile import BusProfile
 from drivers.canopen.sdo import ObjectAbsent, Sdo
@@ -49,7 +49,7 @@ def desk() -> Iterator[Desk]:
     server.NOTIFIER_CYCLE = 0.05
     server.connect()
     node = server.create_node(1, dictionary())
-    bus = Bus(BusProfile(interface="virtual", channel=channel, sdo_timeout=5.0, drive_timeout=60.0), (1, 2))
+    bus = CanopenBus(BusProfile(interface="virtual", channel=channel, sdo_timeout=5.0, drive_timeout=60.0), (1, 2))
     client = bus.add_node(1, None)
     yield Desk(Sdo(client, "joint_1 (node 1)", bus.check_alive), client, node)
     bus.close()

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.canopen import frames
-from drivers.canopen.bus import Bus, ForeignFrames
+from drivers.canopen.bus import CanopenBus, ForeignFrames
 from drivers.canopen.device_map import STANDARD, Entry
 from drivers.canopen.frames import (
     Controller,
@@ -90,16 +90,19 @@ def test_a_bus_hears_them_once_it_was_alone() -> None:
     channel = f"strangers-{uuid.uuid4()}"
     message = can.Message(arbitration_id=identifier, data=data, is_extended_id=False)
     with can.Bus(interface="virtual", channel=channel) as peer:
-        bus = Bus(BusProfile(interface="virtual", channel=channel, drive_timeout=60.0), NODES)
+        bus = CanopenBus(BusProfile(interface="virtual", channel=channel, drive_timeout=60.0), NODES)
         try:
             peer.send(message)
             peer.send(can.Message(arbitration_id=frames.Cob.HEARTBEAT + 1, data=b"\x00", is_extended_id=False))
             soon(lambda: bus.restarted(1))  # both were heard
             assert bus.watch.reason == ""
             bus.expect_no_host()
-            for own in (frames.stop(NODES, ()), [(frames.Cob.HEARTBEAT + HOST, b"\x05"), (frames.Cob.SYNC, b"")]):
-                for frame in own:
-                    bus.send(*frame)
+            for identifier, data in (
+                *frames.stop(NODES, ()),
+                (frames.Cob.HEARTBEAT + HOST, b"\x05"),
+                (frames.Cob.SYNC, b""),
+            ):
+                bus.send(identifier, data)
             peer.send(message)
             soon(lambda: bus.watch.reason != "")
             assert what in bus.watch.reason

@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from drivers.canopen import frames
-from drivers.canopen.bus import Bus
+from drivers.canopen.bus import CanopenBus
 from drivers.canopen.device_map import STANDARD
 from drivers.canopen.fieldbus import CanopenFieldbus
 from drivers.canopen.profile import BusProfile, parse_profile
@@ -44,7 +44,7 @@ IMPATIENT, PATIENT = 0.03, 20.0  # s
 
 @dataclass
 class Desk:
-    bus: Bus
+    bus: CanopenBus
     client: SdoClient
     sdo: Sdo
     answers: "queue.SimpleQueue[bytes]"
@@ -78,7 +78,7 @@ def desk() -> Iterator[Desk]:
                 node.send(can.Message(arbitration_id=frames.Cob.SDO_RESPONSE + NODE, data=one, is_extended_id=False))
 
     listening = can.Notifier(node, [answer], timeout=0.05)
-    bus = Bus(BusProfile(interface="virtual", channel=channel, drive_timeout=3600.0), (NODE,))
+    bus = CanopenBus(BusProfile(interface="virtual", channel=channel, drive_timeout=3600.0), (NODE,))
     client = bus.add_node(NODE, None)
     yield Desk(bus, client, Sdo(client, "joint_1 (node 1)", bus.check_alive), answers)
     bus.close()

@@ -12,7 +12,7 @@ from typing import Any, cast
 import pytest
 
 from drivers.cia402 import states
-from drivers.cia402.axis import Axis
+from drivers.cia402.axis import Cia402Axis
 from drivers.cia402.connection import DriveThread, capabilities
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
@@ -20,8 +20,8 @@ from drivers.cia402.states import Controlword
 from drivers.errors import CommunicationLost, DriveError, StopNotConfirmed, SweepInterrupted
 from drivers.modbus.device import ModbusDevice
 from drivers.modbus.fieldbus import ModbusConnection, ModbusFieldbus
-from drivers.modbus.line import Line
-from drivers.modbus.profile import RtuLine, TcpLine
+from drivers.modbus.line import MasterLine
+from drivers.modbus.profile import RtuProfile, TcpProfile
 from drivers.modbus.registers import RegisterMap
 from tests.unit.drivers.modbus_bank import Bank, Request, serving
 from tests.unit.drivers.modbus_drive import HIGH, KINDS, LOW, drive, following, nobody, profile_on
@@ -34,10 +34,10 @@ OTHERS = [unit for unit in range(1, AXES + 1) if unit != MOVING]
 SILENT = [silent for number in range(len(OTHERS) + 1) for silent in combinations(OTHERS, number)]
 
 
-def line_of(kind: str) -> TcpLine | RtuLine:
+def line_of(kind: str) -> TcpProfile | RtuProfile:
     if kind == "tcp":
-        return TcpLine(transport="tcp", host="127.0.0.1", timeout=TIMEOUT, watchdog=5.0)
-    return RtuLine(transport="rtu", device="memory", timeout=TIMEOUT, watchdog=5.0, silence_between_frames=0.01)
+        return TcpProfile(transport="tcp", host="127.0.0.1", timeout=TIMEOUT, watchdog=5.0)
+    return RtuProfile(transport="rtu", device="memory", timeout=TIMEOUT, watchdog=5.0, silence_between_frames=0.01)
 
 
 class Machine:
@@ -50,10 +50,10 @@ class Machine:
         for axis in profile.axes:
             drive(self.bank, registers, axis.unit_id, axis.rated_torque)
         following(self.bank, registers)
-        self.line, self.thread = Line(profile.line, self.clock, self.wire), DriveThread("test")
+        self.line, self.thread = MasterLine(profile.line, self.clock, self.wire), DriveThread("test")
         control, watch = nobody(), HostWatch(60.0)
         self.devices = [ModbusDevice(axis, profile, registers, "", self.line, control) for axis in profile.axes]
-        self.axes = {device.profile.joint: Axis(device, watch) for device in self.devices}
+        self.axes = {device.profile.joint: Cia402Axis(device, watch) for device in self.devices}
         self.line.open()
         identities = tuple(axis.introduce() for axis in self.axes.values())
         can = capabilities(self.axes.values())

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from drivers.errors import ConnectionFailed
-from drivers.modbus.profile import RtuLine, TcpLine, parse_profile
+from drivers.modbus.profile import RtuProfile, TcpProfile, parse_profile
 from drivers.modbus.registers import load_registers
 from drivers.modbus.stop_sender import ModbusStopSender
 from tests.unit.drivers.modbus_bank import Bank, Request, serving, tcp_frame
@@ -19,8 +19,8 @@ ANYTHING = dict.fromkeys(range(0x10000), 0)
 UNITS = range(1, 7)
 
 
-def sender(root: Path, line: TcpLine | RtuLine) -> ModbusStopSender:
-    assert isinstance(line, TcpLine)
+def sender(root: Path, line: TcpProfile | RtuProfile) -> ModbusStopSender:
+    assert isinstance(line, TcpProfile)
     file = root / "config" / "drives" / "virtual-max100-modbus-tcp.yaml"
     content = yaml.safe_load(file.read_text("utf-8"))
     content["line"]["port"] = line.port

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.cia402.device import Motion
+from drivers.cia402.device import Feedback
 from drivers.cia402.motions import move
 from drivers.cia402.states import Statusword
 from drivers.errors import DriveError
@@ -26,9 +26,9 @@ class Overshooting(Servo):
     def statusword(self) -> int:
         return super().statusword() | Statusword.TARGET_REACHED
 
-    def motion(self) -> Motion:
+    def motion(self) -> Feedback:
         self.last = next(self._tail, 0.0)
-        return Motion(0.0, self.last, 0.0)
+        return Feedback(0.0, self.last, 0.0)
 
 
 @pytest.mark.parametrize("moves", [1, 3])
@@ -53,12 +53,12 @@ class Drive(Servo):
         reached = Statusword.TARGET_REACHED if self.position == 0.1 else 0
         return super().statusword() | reached
 
-    def motion(self) -> Motion:
+    def motion(self) -> Feedback:
         self.time += 0.5
         before, self.position = self.position, next(self.positions, self.position)
         if before != self.position == 0.1:
             self.time += self.gap
-        return Motion(self.position, 0.01 if self.position not in (before, 0.1) else 0.0, 0.0)
+        return Feedback(self.position, 0.01 if self.position not in (before, 0.1) else 0.0, 0.0)
 
 
 async def moved(drive: Drive, positions: list[float]) -> float:
