@@ -63,14 +63,10 @@ class KernelRefused(CommunicationLost, code=CauseCode.COMMUNICATION_LOST):
 
 
 class KernelStream:
-    """The cycles of a sweep, sent by the kernel. Every method raises KernelRefused if the kernel does not accept
-    them.
-    """
+    """The cycles of a sweep, sent by the kernel. Every method raises KernelRefused if the kernel refuses them."""
 
     def __init__(self, interface: str, period: float, plan: Callable[[int], Cycle], rest: Cycle) -> None:
-        """`plan(k)` is cycle k of the sweep, set-points and SYNC; `rest` is sent if there is no refill. `period`
-        in s.
-        """
+        """`plan(k)`: set-points and SYNC of cycle k; `rest` is sent if there is no refill. `period` in s."""
         size = len(rest)
         self._plan, self._rest = plan, _pack(rest)
         self._cycles = min(256 // size, round(1.0 / period))  # frames of a job at most; 1 s
@@ -98,9 +94,7 @@ class KernelStream:
         self._steering.note(late)
 
     def top_up(self, sent: int) -> None:
-        """Plans further cycles if it is time. `sent` cycles are known to be sent, and no event about further ones is
-        waiting.
-        """
+        """Plans further cycles if it is time. `sent` cycles were sent, and no event about further ones is waiting."""
         if sent >= self._next_top_up:
             self._next_top_up = sent + self._step
             self._fill(sent)

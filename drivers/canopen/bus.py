@@ -76,9 +76,7 @@ class CanopenBus:
         return BusTraffic(self._received, self._sent, 47 * frames_ + 8 * data, self._profile.bitrate)
 
     def add_node(self, node: int, eds: str | None) -> SdoClient:
-        """The SDO client of a node with the dictionary of `eds`. Without a dictionary, values have the length
-        received.
-        """
+        """The SDO client of a node. Without the dictionary of `eds`, values have the length received."""
         objects = None if eds is None else object_dictionary(Path(eds), node)
         remote = RemoteNode(node, cast(Any, objects))
         self._network.add_node(remote)
@@ -101,9 +99,7 @@ class CanopenBus:
             raise CommunicationLost(f"bus {self._profile.channel}: {reason}") from None
 
     def shout(self, identifier: int, data: bytes) -> None:
-        """As `send`, but also on a bus counted as lost because no node is heard: a node that does not answer may still
-        receive.
-        """
+        """As `send`, also on a bus that is lost because no node is heard: one that is silent may still receive."""
         try:
             self._network.send_message(identifier, data)
         except (can.CanError, OSError, RuntimeError) as error:  # RuntimeError: closed
@@ -114,9 +110,7 @@ class CanopenBus:
         return self._lost is not None or self._silence(self._heard[node]) > self._profile.drive_timeout
 
     def host_heard(self) -> bool:
-        """Whether a heartbeat under our own node id came since the last call. It is from another host if we send
-        none.
-        """
+        """Whether a heartbeat under our node id came since the last call; another host's if we send none."""
         heard, self._host_heard = self._host_heard, False
         return heard
 

@@ -71,9 +71,7 @@ class CanopenDevice:
     # -- at connect ----------------------------------------------------------------------------------------------
 
     def identify(self) -> AxisIdentity:
-        """Read the drive's units. Raises WrongIdentity if device type, 1018h or rated torque differ from the
-        profile.
-        """
+        """Raises WrongIdentity if device type, 1018h or rated torque differ from the profile."""
         self.forbid_motion()  # a node in NMT stopped does not answer
         read = self.sdo.integer
         kind = read(Cia301.DEVICE_TYPE)

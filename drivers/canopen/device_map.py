@@ -152,9 +152,7 @@ class SetPointWay(Enum):
         )
 
     def mode(self, supported: int | None) -> OperationMode | None:
-        """The mode to use among those `supported` (6502h; None: unknown). None if the drive has no mode for this
-        way.
-        """
+        """The mode to use among those `supported` (6502h; None: unknown); None if the drive has none."""
         for mode in (
             (OperationMode.CYCLIC_VELOCITY, OperationMode.PROFILE_VELOCITY)
             if self is SetPointWay.VELOCITY_OFFSET
@@ -174,9 +172,7 @@ class ObjectPlace(Frozen):
 
 
 class MapSetting(Frozen):
-    """An object that must hold a value before the units are read, in drive units. A missing or different object is
-    refused.
-    """
+    """An object that must hold this value, in drive units, before the units are read; otherwise it is refused."""
 
     name: str
     index: int = Field(ge=0x1000, le=0x9FFF)

@@ -295,9 +295,7 @@ async def check_alone(bus: CanopenBus, profile: CanopenProfile) -> None:
 
 
 async def _beat(bus: CanopenBus, profile: CanopenProfile) -> None:
-    """Our heartbeat. It runs on the event loop on purpose: if the host hangs, it stops, and the drives stop the
-    axes.
-    """
+    """Our heartbeat, on the event loop on purpose: if the host hangs, it stops, and the drives stop the axes."""
     settings = profile.bus
     with suppress(CommunicationLost):  # the bus stores the reason and raises it at the next use
         while True:

@@ -133,9 +133,7 @@ class HostSweep:
         self._executor.shutdown(wait=False)  # the thread ends with its only task
 
     async def blocks(self) -> AsyncGenerator[SampleBlock, None]:
-        """The samples as they arrive, in order for each axis. Ends when all stand: enabled if COMPLETED, else
-        disabled.
-        """
+        """The samples as they arrive, in order for each axis, until all stand: enabled if COMPLETED, else disabled."""
         while (block := await self._blocks.get()) is not None:
             yield block
         if not self._held:

@@ -74,9 +74,7 @@ class Sdo:
         self._check_alive = check_alive
 
     def read(self, entry: Entry) -> float:
-        """Raises WrongConfiguration if the drive refuses; ObjectAbsent or OtherType if it has no such object or
-        type.
-        """
+        """WrongConfiguration if the drive refuses; ObjectAbsent, OtherType if it has no such object or type."""
         self._check_alive()
         try:
             return entry.unpack(self._answer(entry))
@@ -101,9 +99,7 @@ class Sdo:
             raise WrongConfiguration(self.place, f"{entry} cannot hold {value:g}: {error}") from None
 
     def settle(self, entry: Entry, value: float) -> None:
-        """Make the object hold `value`: write it if it differs, and read it back. Raises WrongConfiguration if it
-        differs then.
-        """
+        """Write `value` if the object holds another, and read it back. WrongConfiguration if it differs then."""
         if self.read(entry) == value:
             return
         self.write(entry, value)

@@ -31,9 +31,7 @@ class StopStage(IntEnum):
 
 @dataclass(slots=True)
 class StopSequence:
-    """`ramp_step`: raw velocity units per cycle. A stage without success by its deadline (s) is followed by the next
-    one.
-    """
+    """`ramp_step`: raw velocity units per cycle. A stage without success by its deadline, s, leads to the next."""
 
     ramp_step: int
     ramp_time: float

@@ -67,9 +67,7 @@ class Codec(Gear):
         return min(math.floor(self.permille(effort)), 0xFFFF)
 
     def raw_window(self, window: tuple[float, float]) -> tuple[int, int]:
-        """Joint limits, rad (m) -> increments, low before high for either sign of the gear ratio; limited to 32
-        bits.
-        """
+        """Joint limits, rad (m) -> increments, low before high for either sign of the gear ratio, of 32 bits."""
         scale = self.gear_ratio / math.tau * self.increments
         low, high = sorted((limit - self.position_offset) * scale for limit in window)
         return max(math.floor(low), -(2**31)), min(math.ceil(high), 2**31 - 1)

@@ -125,9 +125,7 @@ class Cia402Axis:
             self.check(self.state())
 
     def check_unused(self) -> None:
-        """Between motions: checks whether another host enabled the axis, and reports it to the watch.
-        CommunicationLost.
-        """
+        """Between motions: reports to the watch if another host enabled the axis. CommunicationLost."""
         self.device.check_alive()
         self._notice_enabled(self.state())
 
@@ -271,9 +269,7 @@ class Cia402Axis:
             raise kind(self.place, fault.text, measured=Measured(fault.code, None, "hex"))
 
     def _check_kept(self, state: PowerState) -> None:
-        """MotionForbidden if an axis enabled here lost its energy. Waits so that an external stop can be reported
-        first.
-        """
+        """MotionForbidden if an axis enabled here lost its energy. An external stop may be reported first."""
         deadline = time.monotonic() + 0.1  # s by which the report of a stop may arrive after its effect
         while self.energy is Energy.ON and state is not PowerState.OPERATION_ENABLED:
             if time.monotonic() > deadline:

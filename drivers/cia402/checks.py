@@ -70,9 +70,7 @@ def check_move(axis: AxisProfile, position: float, velocity: float) -> None:
 
 
 def check_sweep(axis: AxisProfile, command: SweepCommand, start: float, sync_period: float) -> None:
-    """Raises LimitExceeded if a sweep from position `start`, rad (m), would exceed its own limits or those of the
-    profile.
-    """
+    """Raises LimitExceeded if a sweep from `start`, rad (m), would exceed its own limits or those of the profile."""
     _at_most(axis, "velocity limit", command.velocity_limit, axis.velocity_limit, f"{axis.unit}/s")
     _at_most(axis, "effort limit", command.effort_limit, axis.effort_limit, axis.effort_unit)
     for what, value in (("ramp", command.ramp), ("period", command.period), ("sample rate", command.sample_rate)):
@@ -117,20 +115,8 @@ def check_noise(axis: AxisProfile, command: NoiseCommand, start: float) -> None:
 
     The additional motion caused by the noise depends on the plant; the envelope monitors it.
     """
-    turn = SweepCommand(
-        joint=command.joint,
-        mode=SweepMode.DRIVE_SIDE,
-        offset_velocity=command.offset_velocity,
-        sines=(),
-        period=command.period,
-        periods=command.periods,
-        ramp=command.ramp,
-        settle=command.settle,
-        sample_rate=command.sample_rate,
-        velocity_limit=command.velocity_limit,
-        effort_limit=command.effort_limit,
-        position_window=command.position_window,
-    )
+    common = {name: getattr(command, name) for name in SweepCommand.__dataclass_fields__ if hasattr(command, name)}
+    turn = SweepCommand(mode=SweepMode.DRIVE_SIDE, sines=(), **common)
     check_sweep(axis, turn, start, math.inf)
     _at_most(axis, "RMS of the injected effort", command.effort, command.effort_limit, axis.effort_unit)
     _at_most(axis, "softening", command.softening, 1.0, "of the speed control")

@@ -26,9 +26,7 @@ class StopFirst(DriveError, code=CauseCode.SWEEP_INTERRUPTED):
 
 
 class DriveThread:
-    """First come, first served, except for `post`. If a caller is cancelled, its call, once started, still runs to its
-    end.
-    """
+    """First come, first served, except for `post`. A call, once started, runs to its end if its caller is cancelled."""
 
     def __init__(self, name: str) -> None:
         self._executor = ThreadPoolExecutor(1, thread_name_prefix=name)
@@ -42,9 +40,7 @@ class DriveThread:
         return await asyncio.wrap_future(self._executor.submit(self._call, partial(function, *args, **kwargs)))
 
     def post(self, function: Callable[P, object], *args: P.args, **kwargs: P.kwargs) -> None:
-        """Call `function` on the thread without waiting for it, before everything that has not begun. Does nothing
-        after `close`.
-        """
+        """Call `function` on the thread, before everything that has not begun; do not wait. Nothing after `close`."""
         self._posted.append(partial(function, *args, **kwargs))
         with suppress(RuntimeError):  # closed this moment
             self._executor.submit(self._call_posted)

@@ -77,9 +77,7 @@ class Injector(Protocol):
         ...
 
     def soften(self, softening: float) -> None:
-        """Set the gain to commissioned gain * `softening` and the reset time to commissioned time / `softening`, with
-        read-back.
-        """
+        """Multiply the commissioned gain by `softening` and divide the reset time by it, with read-back."""
         ...
 
     def restore_control(self) -> None:
@@ -131,9 +129,7 @@ class Device(Protocol):
         ...
 
     def look_for_restart(self) -> None:
-        """Check for a restart if the fieldbus does not report it; `announced_error` then reports it.
-        CommunicationLost.
-        """
+        """Check for a restart that the fieldbus does not report, for `announced_error`. CommunicationLost."""
         ...
 
     def announced_error(self) -> int | None:

@@ -64,9 +64,7 @@ class HostWatch:
 
     @property
     def woke(self) -> float:
-        """End of the last gap, s on the monotonic clock. Nodes were not received before it because the host did not
-        run.
-        """
+        """End of the last gap, s on the monotonic clock. Before it the host did not run, and received no node."""
         self.look()
         return self._woke
 

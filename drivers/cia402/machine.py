@@ -1,6 +1,4 @@
-"""A `drivers.ports.DrivePort` over CiA 402 axes on any fieldbus: which motion is allowed, and how all axes are
-stopped.
-"""
+"""A `DrivePort` over CiA 402 axes on any fieldbus: which motion is allowed, and how all axes are stopped."""
 
 import asyncio
 import itertools

@@ -39,9 +39,7 @@ class TravelLimits(Frozen):
 
 
 class IdentityProfile(Frozen):
-    """Identity that the device must report. `serial` distinguishes two drives of one type, e.g. after swapped
-    addresses.
-    """
+    """Identity that the device must report. `serial` tells two drives of one type apart, for example if swapped."""
 
     vendor: int
     product: int
@@ -192,9 +190,7 @@ def require_different(axes: Sequence[AxisProfile], what: str, addresses: Sequenc
 
 
 def require_near(axes: Sequence[AxisProfile], limits: TravelLimits, silence: float, key: str) -> None:
-    """Raises ValueError if an axis would travel too far after the loss of its host. `silence`: s, `key`: its key in the
-    file.
-    """
+    """Raises ValueError if an axis would travel too far after `silence` s (`key` in the file) without its host."""
     for number, axis in enumerate(axes):
         unit, travel = axis.unit, axis.travel_without_host(silence)
         limit = limits.rad if unit == "rad" else limits.m

@@ -141,9 +141,7 @@ def present(node: CheckedNode) -> Iterator[CheckRow]:
 
 
 def mappable(node: CheckedNode, way: SetPointWay) -> Iterator[CheckRow]:
-    """Whether the objects may be mapped to a PDO according to the EDS; `settings` checks whether the drive
-    accepts it.
-    """
+    """Whether PDOs may carry the objects according to the EDS; `mapping` checks whether the drive accepts it."""
     for pdo in streaming_pdos(node.map, way, node.axis.node):
         for entry in pdo.mapped:
             listed = node.dictionary.objects.get((entry.index, entry.sub))
@@ -198,9 +196,7 @@ def _there(node: CheckedNode, name: str, entry: Entry, needed: bool) -> CheckRow
 
 
 def of_map(node: CheckedNode) -> Iterator[CheckRow]:
-    """Objects that must hold a value before the units are read, and the manufacturer's settings; a missing one is
-    refused.
-    """
+    """Values that must be held before the units are read, and maker settings; a missing object is refused."""
     makers = [(Entry(m.index, m.sub, m.type, m.name), m.value) for m in node.machine.maker_settings]
     for check, wanted in (("map-setting", [(s.entry, s.value) for s in node.map.settings]), ("maker-setting", makers)):
         for entry, value in wanted:

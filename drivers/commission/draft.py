@@ -229,9 +229,7 @@ def ways(dictionary: DriveDictionary) -> tuple[SetPointWay, ...]:
 
 
 def _fits(dictionary: DriveDictionary, device_map: DeviceMap) -> bool:
-    """Compares the manufacturer, the objects that the map requires, its first way, and which PDO settings may be
-    changed.
-    """
+    """By manufacturer, objects that the map requires, its first way, and which PDO settings may be changed."""
     if device_map.vendor is None:
         maker = device_map.description.split()[:1]
         if not maker or maker[0].lower() not in dictionary.name.lower():

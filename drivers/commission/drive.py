@@ -259,9 +259,7 @@ class CheckedNode:
         return None if name in self.missing else self.value(self.map.entry(name))
 
     def read(self, name: str) -> float:
-        """As `CanopenDevice` reads its units: an object that the map lists as missing counts as 1.
-        WrongConfiguration.
-        """
+        """As `CanopenDevice` reads its units: what the map lists as missing counts as 1. WrongConfiguration."""
         if name in self.missing:
             return 1.0
         found = self.answer(self.map.entry(name))

@@ -32,9 +32,7 @@ def scale(node: CheckedNode) -> Iterator[CheckRow]:
 
 
 def conversions(node: CheckedNode) -> tuple[Codec | None, list[CheckRow]]:
-    """Units of the axis as the drive holds them now. If they are not understood: no codec, and the row that
-    states it.
-    """
+    """Units of the axis as the drive holds them now; no codec if they are not understood, and a row that says so."""
     try:
         found = codec(node.axis, node.map.units, rated_torque(node) or node.axis.rated_torque, node.read)
     except (ObjectAbsent, OtherType):

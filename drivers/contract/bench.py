@@ -239,9 +239,7 @@ class Suite:
 
     @pytest.fixture
     async def port(self, virtual: MachineUnderTest, fitting: None) -> AsyncGenerator[DrivePort]:
-        """Connected, with every fault acknowledged. Closed afterwards, and the disturbances of the machine are
-        removed.
-        """
+        """Connected, with every fault acknowledged. Afterwards closed, and the disturbances are removed."""
         async for connected in connected_port(virtual):
             yield connected
 

@@ -64,9 +64,7 @@ class ModbusDevice:
     # -- at connect ----------------------------------------------------------------------------------------------
 
     def identify(self) -> AxisIdentity:
-        """Raises WrongIdentity if the constant, vendor, product, revision, serial or rated torque differs from the
-        profile.
-        """
+        """Raises WrongIdentity if constant, vendor, product, revision, serial or rated torque are others."""
         self.forbid_motion()
         self._check_constant()
         found = self._check_identity()

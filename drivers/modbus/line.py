@@ -59,9 +59,7 @@ class Client(Protocol):
 
 
 def refusal(profile: TcpProfile | RtuProfile) -> str:
-    """Why there is no connection: pymodbus only logs it. Tried afterwards, because a drive may accept a single
-    client.
-    """
+    """Why there is no connection: pymodbus only logs it. Tried afterwards: a drive may accept a single client."""
     try:
         if isinstance(profile, TcpProfile):
             socket.create_connection((profile.host, profile.port), profile.timeout).close()

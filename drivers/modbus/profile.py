@@ -86,9 +86,7 @@ class RtuProfile(_Clocks):
         return self.turnaround + 8 * self._character
 
     def read_time(self, registers: int) -> float:
-        """Approximate time to read `registers` registers, s: request of 8 bytes, answer of 5 bytes and the
-        registers.
-        """
+        """Approximate time to read `registers` registers, s: request of 8 bytes, answer of 5 and the registers."""
         return self.silence + (13 + 2 * registers) * self._character
 
     @property

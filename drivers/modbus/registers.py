@@ -72,9 +72,7 @@ class Format:
         return max(self.least, min(self.most, value))
 
     def encode(self, value: float, rounding: Rounding = round) -> list[int]:
-        """Registers of a physical value; an integer is rounded by `rounding`. Raises LimitExceeded if it does not fit
-        the type.
-        """
+        """Registers of a physical value, rounded by `rounding` if whole. LimitExceeded if it does not fit the type."""
         words = np.array([self._raw(value, rounding)], _TYPES[self.type]).view(">u2").reshape(-1, self.width)
         return [int(word) for word in self._ordered(words).ravel()]
 

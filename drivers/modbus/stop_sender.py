@@ -1,6 +1,4 @@
-"""The stop of Modbus TCP drives from a separate process. It connects only for the stop: a drive may accept one client
-only.
-"""
+"""The stop of Modbus TCP drives from another process, connected only for it: a drive may accept one client only."""
 
 import itertools
 import select
@@ -164,9 +162,7 @@ class _Answers:
         return self.words.keys() >= set(units)
 
     def wait_for(self, units: Collection[int], seconds: float) -> None:
-        """Read until all of these units have answered or the time is over. Raises OSError if the drives close
-        the line.
-        """
+        """Read until all of these units have answered or the time is over. OSError if the drives close the line."""
         deadline = time.monotonic() + seconds
         while not self.complete(units):
             left = deadline - time.monotonic()
