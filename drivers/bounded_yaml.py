@@ -1,4 +1,4 @@
-"""A loader of YAML files that anybody may have written."""
+"""Reads YAML files that anybody may have written, and those that describe a machine: profile, device map, register map."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The CAN bus of a profile: opened, with our heartbeat, every node identified; sweeps streamed over it."""
+"""The CAN bus of a profile: its load, opened with our heartbeat, every node identified; sweeps streamed over it."""
 
 import asyncio
 import hashlib

@@ -1,14 +1,4 @@
-"""Two TPDOs of one SYNC -> one sample, numbered by the drive's own counter. Pure.
-
-Only TPDO2 carries the counter. A TPDO1 belongs to the same SYNC if the number of TPDO1 since the last TPDO2 equals
-the advance of the counter, because the frames of a node keep their order on CAN. A TPDO1 that arrives when every
-SYNC is already answered is late and is not counted; one that repeats the previous one may be a duplicated frame and
-need not be counted.
-
-Any single frame that is lost, duplicated or late therefore causes a gap, never a mixed sample. One case remains: a
-TPDO1 is lost *and* a late frame arrives in its place. Such a sample lies within two SYNCs of a gap, which makes the
-recording invalid.
-"""
+"""Two TPDOs of one SYNC -> one sample: by the drive's own counter, or by the SYNC after which they came. Pure."""
 
 from dataclasses import dataclass
 
@@ -27,7 +17,17 @@ class SyncSample:
 
 
 class CounterPairing:
-    """Combines TPDO1 and TPDO2 of one axis."""
+    """Combines TPDO1 and TPDO2 of one axis by the drive's own counter.
+
+    Only TPDO2 carries the counter. A TPDO1 belongs to the same SYNC if the number of TPDO1 since the last TPDO2 equals
+    the advance of the counter, because the frames of a node keep their order on CAN. A TPDO1 that arrives when every
+    SYNC is already answered is late and is not counted; one that repeats the previous one may be a duplicated frame and
+    need not be counted.
+
+    Any single frame that is lost, duplicated or late therefore causes a gap, never a mixed sample. One case remains: a
+    TPDO1 is lost *and* a late frame arrives in its place. Such a sample lies within two SYNCs of a gap, which makes the
+    recording invalid.
+    """
 
     def __init__(self, counter: int) -> None:
         """`counter` is 2120h:01 before the first SYNC."""
@@ -69,7 +69,28 @@ class CounterPairing:
 
 
 class Windows:
-    """Combines TPDO1 and TPDO2 of one axis by the SYNC after which they arrived."""
+    """Combines TPDO1 and TPDO2 of one axis by the SYNC after which they arrived, for drives that count no samples.
+
+    The answers to a SYNC arrive after it and before the next one: this interval is the window of the SYNC. TPDO1 and
+    TPDO2 both contain the velocity at their SYNC, so two frames that disagree belong to different SYNCs. A window gives
+    a sample if it holds one TPDO1 and one TPDO2 that agree. Anything else is a gap. After a gap no sample is accepted
+    until two consecutive windows agree with different velocities: a frame that is one cycle late would then have
+    disagreed.
+
+    Therefore, with frames late by up to one cycle:
+
+    - A lost, late or duplicated frame of one TPDO is a gap, never a mixed sample.
+    - If both answers to a SYNC are missing, their loss cannot be distinguished from all later answers being one cycle
+      late. Samples continue after the gap. Late answers are detected at the end, as more frames than SYNCs (the host
+      leaves out one SYNC after the last sample for this reason): `doubt` then states it, and the sweep is void.
+    - If the host waits with the next SYNC until all drives have answered (`settle`), even that is certain: a frame that
+      is missing then is lost.
+
+    These cases remain: a late *duplicated* frame arrives in place of a lost one with exactly the same velocity; both
+    answers are late in a row of SYNCs that ends with the loss of both; both answers to a SYNC arrive more than one
+    cycle late. In the last two cases both values of a sample belong to one SYNC nevertheless, and the window limits the
+    error of its number.
+    """
 
     ahead = 0  # without a counter the drive cannot be ahead
 

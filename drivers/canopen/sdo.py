@@ -1,4 +1,8 @@
-"""Typed SDO access to one node; blocking, for one thread at a time."""
+"""Typed SDO access to one node, and the values that the objects of an axis must hold before it may move.
+
+Each object is read, written if it differs, and read back (`Sdo.settle`). PDOs are configured only in NMT
+pre-operational, as CiA 301 requires. Blocking, for one thread at a time.
+"""
 
 import struct
 from collections.abc import Callable, Iterable

@@ -1,4 +1,4 @@
-"""One axis of a streamed sweep: its set-points, samples, stop sequence and errors. No I/O."""
+"""One axis of a streamed sweep: its stop sequence, set-points, samples and errors. No I/O."""
 
 import sys
 from dataclasses import dataclass
@@ -31,7 +31,10 @@ class StopStage(IntEnum):
 
 @dataclass(slots=True)
 class StopSequence:
-    """`ramp_step`: raw velocity units per cycle. A stage without success by its deadline, s, leads to the next."""
+    """Ramp to zero, quick stop, disable voltage, as a table of stages. `ramp_step`: raw velocity units per cycle.
+
+    A stage without success by its deadline, s, leads to the next.
+    """
 
     ramp_step: int
     ramp_time: float

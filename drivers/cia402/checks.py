@@ -1,4 +1,4 @@
-"""Limits on the joint side: checks of a command before any motion, and of a moving axis."""
+"""Limits on the joint side: checks of a command and its set-point before any motion, and of a moving axis."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,6 @@
-"""Interface of a fieldbus for a whole machine: an open connection with its axes, and its streamed sweeps."""
+"""Interface of a fieldbus for a whole machine: an open connection with its axes and the single thread of its blocking
+exchanges, so that they never overlap on the bus, and its streamed sweeps.
+"""
 
 import asyncio
 import threading

@@ -1,4 +1,9 @@
-"""Checks that the node is the drive of the profile, at rest and without energy."""
+"""Checks without energy: the node is the drive of the profile and at rest, it has each object that the adapter needs,
+and what a connection will write differs from what it holds.
+
+Nothing is written: a value that differs is a note, because the connection writes it and reads it back before energy.
+What can never be written is a mismatch: an object that is missing or read-only, a command, a value that does not fit.
+"""
 
 import math
 import struct

@@ -1,4 +1,5 @@
-"""Checks that units, sign, gear and limits of the profile agree with the commissioned values of the drive.
+"""Checks that units, sign, gear and limits of the profile agree with the commissioned values of the drive, or with a
+turn of the joint by hand (`turned`).
 
 The limits in a drive are evidence only until `sweepid` has written its own: `configured_before`.
 """

@@ -1,4 +1,4 @@
-"""Properties of a machine under test, and the motions that the suite uses."""
+"""Properties of a machine under test, what a test needs of it, the motions and fixtures of the suite."""
 
 import asyncio
 import threading

@@ -1,4 +1,7 @@
-"""The register map of a type of drive (docs/how-to/connect-a-modbus-drive.md): address and format of each signal."""
+"""The register map of a type of drive (docs/how-to/connect-a-modbus-drive.md): address and format of each signal.
+
+Within a register the high byte is always first. The word order applies to values of more than one register.
+"""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence

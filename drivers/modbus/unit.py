@@ -1,4 +1,4 @@
-"""The signals of one unit: physical values written to and read from its registers, with read-back."""
+"""One unit of a line: its signals, written and read as physical values with read-back, and which host controls it."""
 
 import logging
 import math
@@ -130,7 +130,13 @@ OWNER = "control_owner"
 
 
 class ControlToken:
-    """Blocking, on the thread of the line. Does nothing if the map lacks the signal."""
+    """Exclusive control of the units of a line, where their map has the signal `control_owner`; otherwise nothing.
+
+    Modbus does not tell a drive which host writes. Drives with such a register hold the token of one host, refuse that
+    of another, and drop it if it is not repeated for the time of their watchdog. Every unit is taken before the first
+    axis is enabled, so that two hosts cannot enable two axes of one machine, and is kept until the connection is
+    closed. Blocking, on the thread of the line.
+    """
 
     def __init__(self, units: Sequence[RegisterUnit], registers: RegisterMap, watch: HostWatch) -> None:
         self._signal = registers.signals.get(OWNER)
