@@ -1,4 +1,4 @@
-"""Reads YAML files that anybody may have written, and those that describe a machine: profile, device map, register map."""
+"""Reads YAML files that anybody may have written, and those that describe a machine: profiles and maps."""
 
 from collections.abc import Mapping
 from pathlib import Path

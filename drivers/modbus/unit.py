@@ -12,6 +12,10 @@ from drivers.errors import CommunicationLost, DriveError, LimitExceeded, NotRead
 from drivers.modbus.line import MasterLine
 from drivers.modbus.registers import MAX_WRITE, RegisterMap, RegisterSignal, Rounding, spans
 
+logger = logging.getLogger(__name__)
+
+OWNER = "control_owner"
+
 Registers = dict[RegisterSignal, list[int]]
 
 
@@ -122,11 +126,6 @@ def _same(signal: RegisterSignal, wanted: list[int], held: list[int]) -> bool:
 
 def _shown(signal: RegisterSignal, registers: list[int]) -> str:
     return f"{signal.format.decode(registers)[0]:.9g}"
-
-
-logger = logging.getLogger(__name__)
-
-OWNER = "control_owner"
 
 
 class ControlToken:

@@ -31,8 +31,20 @@ from drivers.modbus.profile import RtuProfile
 from drivers.modbus.registers import RegisterMap, load_registers
 from drivers.ports import AxisState, Sine
 from tests.unit.drivers.given import sweep
-from tests.unit.drivers.modbus_bank import Bank, serving
-from tests.unit.drivers.modbus_drive import HIGH, KINDS, LOW, MAPS, drive, following, get, nobody, profile_on, put
+from tests.unit.drivers.modbus_bank import (
+    HIGH,
+    KINDS,
+    LOW,
+    MAPS,
+    Bank,
+    drive,
+    following,
+    get,
+    nobody,
+    profile_on,
+    put,
+    serving,
+)
 
 SWEEP = sweep(
     Sine(2.0, 0.002, 0.3),

@@ -18,8 +18,18 @@ from drivers.modbus.fieldbus import ModbusConnection, ModbusFieldbus
 from drivers.modbus.line import MasterLine
 from drivers.modbus.profile import RtuProfile, TcpProfile
 from drivers.modbus.registers import RegisterMap
-from tests.unit.drivers.modbus_bank import TIMEOUT, Bank, Request, rtu_frame, serving
-from tests.unit.drivers.modbus_drive import HIGH, KINDS, drive, following, profile_on
+from tests.unit.drivers.modbus_bank import (
+    HIGH,
+    KINDS,
+    TIMEOUT,
+    Bank,
+    Request,
+    drive,
+    following,
+    profile_on,
+    rtu_frame,
+    serving,
+)
 from tests.unit.drivers.test_bus import soon
 
 pytestmark = pytest.mark.slow

@@ -23,9 +23,20 @@ from drivers.modbus.fieldbus import ModbusConnection, ModbusFieldbus
 from drivers.modbus.line import MasterLine
 from drivers.modbus.profile import RtuProfile, TcpProfile
 from drivers.modbus.registers import RegisterMap
-from tests.unit.drivers.modbus_bank import Bank, Request, serving
-from tests.unit.drivers.modbus_drive import HIGH, KINDS, LOW, drive, following, nobody, profile_on
-from tests.unit.drivers.modbus_memory import Clock, Wire
+from tests.unit.drivers.modbus_bank import (
+    HIGH,
+    KINDS,
+    LOW,
+    Bank,
+    Clock,
+    Request,
+    Wire,
+    drive,
+    following,
+    nobody,
+    profile_on,
+    serving,
+)
 
 PROMISE = 0.2  # s from a stop to its write to the unit that moves
 AXES, MOVING = 6, 4  # unit ids from 1

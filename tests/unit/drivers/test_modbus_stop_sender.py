@@ -12,8 +12,7 @@ from drivers.errors import ConnectionFailed
 from drivers.modbus.profile import RtuProfile, TcpProfile, parse_profile
 from drivers.modbus.registers import load_registers
 from drivers.modbus.stop_sender import ModbusStopSender
-from tests.unit.drivers.modbus_bank import Bank, Request, serving, tcp_frame
-from tests.unit.drivers.modbus_drive import HIGH, drive, following, profile_on, put
+from tests.unit.drivers.modbus_bank import HIGH, Bank, Request, drive, following, profile_on, put, serving, tcp_frame
 
 ANYTHING = dict.fromkeys(range(0x10000), 0)
 UNITS = range(1, 7)

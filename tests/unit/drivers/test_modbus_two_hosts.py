@@ -22,9 +22,7 @@ from drivers.modbus.line import MasterLine
 from drivers.modbus.profile import TcpProfile
 from drivers.modbus.registers import RegisterMap
 from drivers.modbus.unit import OWNER, ControlToken, RegisterUnit
-from tests.unit.drivers.modbus_bank import Bank, Request
-from tests.unit.drivers.modbus_drive import HIGH, drive, following, get, profile_on, put
-from tests.unit.drivers.modbus_memory import Clock, Wire
+from tests.unit.drivers.modbus_bank import HIGH, Bank, Clock, Request, Wire, drive, following, get, profile_on, put
 
 LINE = TcpProfile(transport="tcp", host="127.0.0.1", timeout=0.5, watchdog=5.0)
 PLAIN = replace(HIGH, signals={name: signal for name, signal in HIGH.signals.items() if name != OWNER})
