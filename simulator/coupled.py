@@ -20,11 +20,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.drive_train import DriveTrains
-from simulator.moving_axis import MovingAxis, moving_axis
-from simulator.rigid_body import RigidBody
+from simulator.drive_train import DriveTrains, TrainAlone
+from simulator.rigid_body import MovingAxis, RigidBody, moving_axis
 from simulator.scenario import Scenario
-from simulator.train_step import TrainAlone
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.coupled import CoupledTrains
-from simulator.noise import measure
-from simulator.plant import Plant, Samples
+from simulator.plant import Plant, Samples, measure
 from simulator.scenario import CYCLE, STEP, Scenario, ScenarioError
 
 Array = NDArray[np.float64]

@@ -14,12 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.channel import Channel
 from simulator.drive_train import DriveTrains
-from simulator.effects.friction import FrictionLaw
-from simulator.effects.lugre_friction import Bristles
-from simulator.effects.ripples import KnownRipples, Ripples, cogging
-from simulator.moving_axis import MovingAxis
+from simulator.effects import Bristles, FrictionLaw, KnownRipples, Ripples, cogging
+from simulator.plant import Channel
+from simulator.rigid_body import MovingAxis
 from simulator.scenario import CYCLE, STEP, Measurement
 
 if TYPE_CHECKING:  # otherwise a virtual machine would load SciPy without using it

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.torque_noise import torque_noise
+from simulator.waveform import torque_noise
 
 Array = NDArray[np.float64]
 

@@ -49,7 +49,7 @@ from service.store.files.intake import read_from
 from service.store.files.stream import UnreadableStream
 from simulator.drive.dictionary import Dictionary
 from simulator.foreign.dictionary import ForeignDictionary
-from simulator.modbus.register_map import RegisterMapError, load_register_map
+from simulator.modbus.registers import RegisterMapError, load_register_map
 from simulator.scenario import ScenarioError, load_scenario
 from sweepid.files import read_document, read_effects, read_gains
 from tests.fuzz import measurement_files, seeds

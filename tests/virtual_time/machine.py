@@ -8,9 +8,9 @@ import yaml
 
 from drivers.ports import DrivePort
 from drivers.registry import open_profile
-from simulator.fault_orders import Plant, carry_out
+from simulator.control import Plant, carry_out
 from simulator.machine import Machine
-from simulator.modbus.register_map import load_register_map
+from simulator.modbus.registers import load_register_map
 from simulator.scenario import load_scenario
 from tests.virtual_time import canbus, modbus
 from tests.virtual_time.canbus import Wire

@@ -18,7 +18,7 @@ import drivers.modbus.client
 import drivers.modbus.stop_sender
 from simulator.machine import Machine
 from simulator.modbus.cabinet import ModbusCabinet
-from simulator.modbus.register_map import RegisterMap
+from simulator.modbus.registers import RegisterMap
 from tests.virtual_time import primitives
 from tests.virtual_time.cabinets import EventDriven, Powered
 from tests.virtual_time.scheduler import SimThread

@@ -26,7 +26,7 @@ from drivers.cia402.profile import parse
 from drivers.errors import BadProfile
 from drivers.modbus.registers import load_registers
 from drivers.registry import load_profile, open_drive, open_profile
-from simulator.modbus.register_map import RegisterMapError, load_register_map
+from simulator.modbus.registers import RegisterMapError, load_register_map
 from simulator.scenario import ScenarioError, load_scenario
 
 DRIVES = Path(__file__).parents[3] / "config" / "drives"

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from simulator import Scenario, load_scenario
 from simulator.canopen.cabinet import Cabinet
 from simulator.canopen.node import Frame
-from simulator.fault_orders import ORDERS, Plant, carry_out
+from simulator.control import ORDERS, Plant, carry_out
 from simulator.machine import Machine
 from tests.unit.simulator.conftest import CONFIG, EDS
 

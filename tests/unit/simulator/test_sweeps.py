@@ -25,9 +25,8 @@ from simulator import (
 )
 from simulator.coupled import CoupledTrains
 from simulator.machine import Machine
-from simulator.moving_axis import moving_axis
 from simulator.plant import Plant
-from simulator.rigid_body import RigidBody, real_urdf
+from simulator.rigid_body import RigidBody, moving_axis, real_urdf
 from simulator.scenario import STEP
 from tests.unit.simulator.conftest import line
 

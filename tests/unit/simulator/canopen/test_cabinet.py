@@ -12,7 +12,7 @@ import pytest
 from simulator import Scenario
 from simulator.canopen.cabinet import Cabinet
 from simulator.canopen.node import Frame
-from simulator.fault_orders import Plant, carry_out
+from simulator.control import Plant, carry_out
 from simulator.machine import Machine
 
 EDS = Path(__file__).parents[4] / "config/eds/virtual-axis.eds"

@@ -17,7 +17,7 @@ from simulator.drive.host_loss import lose_host
 from simulator.drive.measuring import Rejection, Run, Samples, Trace
 from simulator.drive.states import State
 from simulator.machine import Machine
-from simulator.torque_noise import torque_noise
+from simulator.waveform import torque_noise
 
 Turn = Callable[..., np.ndarray]
 Enable = Callable[[int], None]

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from simulator.canopen.node import Frame
-from simulator.fault_orders import Plant, carry_out
+from simulator.control import Plant, carry_out
 from simulator.foreign.cabinet import ForeignCabinet
 from simulator.machine import Machine
 from simulator.scenario import ScenarioError, load_scenario

@@ -18,9 +18,8 @@ from pymodbus.pdu.register_message import (
 
 from simulator import load_scenario
 from simulator.machine import Machine
-from simulator.modbus.cabinet import ModbusCabinet
-from simulator.modbus.register_map import RegisterMap, load_register_map
-from simulator.modbus.unit import Refusal, Unit
+from simulator.modbus.cabinet import ModbusCabinet, Refusal, Unit
+from simulator.modbus.registers import RegisterMap, load_register_map
 
 CONFIG = Path(__file__).parents[4] / "config"
 ADDRESS, VALUE, STATE = ExcCodes.ILLEGAL_ADDRESS, ExcCodes.ILLEGAL_VALUE, ExcCodes.DEVICE_FAILURE
