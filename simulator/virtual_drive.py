@@ -1,39 +1,35 @@
-"""The process around the cabinet: one thread that owns machine, nodes and sockets and handles events in order."""
+"""The process of a virtual machine tool: one thread owns machine, nodes and sockets and handles events in order."""
 
-import selectors
-import socket
-import time
-from collections.abc import Mapping
-from enum import Enum
-from pathlib import Path
-from typing import TYPE_CHECKING
+import drivers.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
-from simulator.canopen.line import CanLine
-from simulator.control import ControlServer
-from simulator.machine import Machine
-from simulator.modbus.line import PTY
-from simulator.modbus.registers import RegisterMap
-
-if TYPE_CHECKING:
-    from simulator.modbus.line import ModbusLine
+# isort: split
 import gc
 import json
 import logging
 import math
+import selectors
 import signal
+import socket
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import can
 import structlog
 import typer
 
-import drivers.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
+from simulator.canopen.line import CanLine
+from simulator.control import ControlServer
 from simulator.hidden import hide as hidden_in
-from simulator.modbus.registers import RegisterMapError, load_register_map
+from simulator.machine import Machine
+from simulator.modbus.registers import RegisterMap, RegisterMapError, load_register_map
 from simulator.scenario import Scenario, ScenarioError, load_scenario
 
-_LONGEST_WAIT = 1.0  # s
+if TYPE_CHECKING:
+    from simulator.modbus.line import ModbusLine
 
 
 class Fieldbus(Enum):
@@ -62,7 +58,7 @@ class VirtualDrive:
         bus: str = "socketcand",
         channel: str = "can0",
         registers: RegisterMap | None = None,
-        device: str = PTY,
+        device: str = "pty",
         host: str = "127.0.0.1",
         port: int = 0,
         control_port: int = 0,
@@ -105,7 +101,7 @@ class VirtualDrive:
         self.cabinet.boot()
         while not self._stopping:
             now = time.monotonic()
-            for key, mask in self._selector.select(min(self.cabinet.due(now), self._line.due(now), _LONGEST_WAIT)):
+            for key, mask in self._selector.select(min(self.cabinet.due(now), self._line.due(now), 1.0)):
                 key.data(mask)
             now = time.monotonic()
             self._line.run(now)
