@@ -9,25 +9,20 @@ from functools import partial
 from math import inf
 from typing import Any, Protocol, cast
 
-from simulator.cabinet import Cabinet, Node
-from simulator.canopen.node import Node as CanNode
-from simulator.drive.disturbance import Glitch, OrderedFault
-from simulator.drive.units import PER_MILLE
-from simulator.foreign.cabinet import ForeignCabinet
-from simulator.foreign.node import ForeignNode
+from simulator.cabinet import DriveCabinet, FieldbusNode
+from simulator.canopen.node import CanopenNode, ForeignNode
+from simulator.drive.limits import PER_MILLE
+from simulator.drive.power_drive import Glitch, OrderedFault
 
 Request = dict[str, Any]
 Reply = dict[str, object]
-AnyCabinet = Cabinet[Any] | ForeignCabinet
-
-_LONGEST_ECHO = 60  # characters of a wrong value in a reply
 
 
 class BadOrder(ValueError):
     """An order that cannot be executed; the text is the reply."""
 
 
-class Bus(Protocol):
+class SwitchableBus(Protocol):
     """A bus that can be switched off."""
 
     def switch_off(self, *, off: bool) -> None:
@@ -35,153 +30,107 @@ class Bus(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Plant:
+class OrderTarget:
     """Target of the orders; `bus` is None if the fieldbus has no equivalent of bus-off."""
 
-    cabinet: AnyCabinet
-    bus: Bus | None
+    cabinet: DriveCabinet[Any]
+    bus: SwitchableBus | None
 
 
-def _status(plant: Plant, _: Request) -> Reply:
-    return plant.cabinet.status()
+def _disturb(node: FieldbusNode, **values: object) -> None:
+    for name, value in values.items():
+        setattr(node.axis.disturbance, name, value)
 
 
-def _fault(plant: Plant, request: Request) -> Reply:
+def _fault(plant: OrderTarget, request: Request) -> None:
     node, code = _node(plant, request), _number(request, "code", 0xFFFF)
     if "at_sample" in request and "at_counter" in request:
         raise BadOrder("at_sample, at_counter: one of them at most")
     if "at_sample" in request:
-        _own(node).axis.disturbance.fault = OrderedFault(code, at_sample=_number(request, "at_sample"))
+        _disturb(_own(node), fault=OrderedFault(code, at_sample=_number(request, "at_sample")))
     elif "at_counter" in request:
-        _can(node).disturbance.fault = OrderedFault(code, at_counter=_number(request, "at_counter"))
+        _disturb(_can(node), fault=OrderedFault(code, at_counter=_number(request, "at_counter")))
     else:
         node.axis.fail(code)
-    return {}
 
 
-def _emergency_message(plant: Plant, request: Request) -> Reply:
-    _can(_node(plant, request)).axis.errors.announce(_number(request, "code", 0xFFFF))
-    return {}
-
-
-def _silence(plant: Plant, request: Request) -> Reply:
-    _node(plant, request).axis.disturbance.mute = _flag(request)
-    return {}
-
-
-def _drop_tpdos(plant: Plant, request: Request) -> Reply:
-    _can(_node(plant, request)).disturbance.drop_tpdos = _number(request, "count")
-    return {}
-
-
-def _duplicate_tpdos(plant: Plant, request: Request) -> Reply:
-    _can(_node(plant, request)).disturbance.duplicate_tpdos = _number(request, "count")
-    return {}
-
-
-def _delay_tpdos(plant: Plant, request: Request) -> Reply:
-    disturbance = _can(_node(plant, request)).disturbance
+def _delay_tpdos(plant: OrderTarget, request: Request) -> None:
+    node = _can(_node(plant, request))
     count, cycles = _number(request, "count"), _number(request, "cycles", 1000)
-    disturbance.delay_tpdos, disturbance.delay_cycles = count, cycles
-    return {}
+    _disturb(node, delay_tpdos=count, delay_cycles=cycles)
 
 
-def _freeze_counter(plant: Plant, request: Request) -> Reply:
-    _own(_can(_node(plant, request))).axis.disturbance.counter_frozen = _flag(request)
-    return {}
-
-
-def _bus_off(plant: Plant, _: Request) -> Reply:
-    _bus(plant).switch_off(off=True)
-    return {}
-
-
-def _bus_on(plant: Plant, _: Request) -> Reply:
-    _bus(plant).switch_off(off=False)
-    return {}
-
-
-def _emergency_stop(plant: Plant, request: Request) -> Reply:
-    plant.cabinet.emergency_stop(on=_flag(request))
-    return {}
-
-
-def _limit(plant: Plant, request: Request) -> Reply:
-    _node(plant, request).axis.hit_limit_switch(on=_flag(request))
-    return {}
-
-
-def _glitch(plant: Plant, request: Request) -> Reply:
+def _glitch(plant: OrderTarget, request: Request) -> None:
     node, revolutions = _node(plant, request), request.get("revolutions")
     if not isinstance(revolutions, int | float) or isinstance(revolutions, bool) or not 0 < abs(revolutions) <= 1000:
         raise BadOrder(f"revolutions: {_echo(revolutions)} is not a number up to 1000 either way, and not 0")
     at_sample = _number(request, "at_sample") if "at_sample" in request and _own(node) else None
-    node.axis.disturbance.glitch = Glitch(float(revolutions), at_sample)
-    return {}
+    _disturb(node, glitch=Glitch(float(revolutions), at_sample))
 
 
-def _saturate(plant: Plant, request: Request) -> Reply:
+def _saturate(plant: OrderTarget, request: Request) -> None:
     node = _node(plant, request)
     released = request["torque_permille"] is None
-    node.axis.disturbance.torque_cap = inf if released else _number(request, "torque_permille", 5000) / PER_MILLE
-    return {}
+    _disturb(node, torque_cap=inf if released else _number(request, "torque_permille", 5000) / PER_MILLE)
 
 
-def _reboot(plant: Plant, request: Request) -> Reply:
-    _node(plant, request).boot()
-    return {}
-
-
-def _swap(plant: Plant, request: Request) -> Reply:
+def _swap(plant: OrderTarget, request: Request) -> None:
     one, other = _node(plant, request), _node(plant, request, "with")
     if one is other:
         raise BadOrder(f"with: {_echo(request['with'])} is the same drive")
     first, second = one.number, other.number
     one.renumber(second)
     other.renumber(first)
-    return {}
 
 
-def _identity(plant: Plant, request: Request) -> Reply:
+def _identity(plant: OrderTarget, request: Request) -> None:
     node = _node(plant, request)
     fields = {"vendor": 1, "product": 2, "revision": 3, "serial": 4}
-    values = {(0x1018, sub): _number(request, name) for name, sub in fields.items() if name in request}
-    node.dictionary.nameplate |= values
+    node.dictionary.nameplate |= {
+        (0x1018, sub): _number(request, name) for name, sub in fields.items() if name in request
+    }
     node.boot()
-    return {}
 
 
 @dataclass(frozen=True, slots=True)
 class Order:
     """Function that executes the order, and its required and optional fields."""
 
-    act: Callable[[Plant, Request], Reply]
+    act: Callable[[OrderTarget, Request], Reply | None]
     required: tuple[str, ...] = ()
     optional: tuple[str, ...] = ()
 
 
 ORDERS = {
-    "status": Order(_status),
+    "status": Order(lambda plant, _: plant.cabinet.status()),
     "fault": Order(_fault, ("joint", "code"), ("at_sample", "at_counter")),
-    "emcy": Order(_emergency_message, ("joint", "code")),
-    "silence": Order(_silence, ("joint", "on")),
-    "drop_tpdos": Order(_drop_tpdos, ("joint", "count")),
-    "duplicate_tpdos": Order(_duplicate_tpdos, ("joint", "count")),
+    "emcy": Order(
+        lambda plant, r: _can(_node(plant, r)).axis.errors.announce(_number(r, "code", 0xFFFF)), ("joint", "code")
+    ),
+    "silence": Order(lambda plant, r: _disturb(_node(plant, r), mute=_flag(r)), ("joint", "on")),
+    "drop_tpdos": Order(
+        lambda plant, r: _disturb(_can(_node(plant, r)), drop_tpdos=_number(r, "count")), ("joint", "count")
+    ),
+    "duplicate_tpdos": Order(
+        lambda plant, r: _disturb(_can(_node(plant, r)), duplicate_tpdos=_number(r, "count")), ("joint", "count")
+    ),
     "delay_tpdos": Order(_delay_tpdos, ("joint", "count", "cycles")),
-    "freeze_counter": Order(_freeze_counter, ("joint", "on")),
-    "bus_off": Order(_bus_off),
-    "bus_on": Order(_bus_on),
-    "emergency_stop": Order(_emergency_stop, ("on",)),
-    "limit": Order(_limit, ("joint", "on")),
+    "freeze_counter": Order(
+        lambda plant, r: _disturb(_own(_can(_node(plant, r))), counter_frozen=_flag(r)), ("joint", "on")
+    ),
+    "bus_off": Order(lambda plant, _: _bus(plant).switch_off(off=True)),
+    "bus_on": Order(lambda plant, _: _bus(plant).switch_off(off=False)),
+    "emergency_stop": Order(lambda plant, r: plant.cabinet.emergency_stop(on=_flag(r)), ("on",)),
+    "limit": Order(lambda plant, r: _node(plant, r).axis.hit_limit_switch(on=_flag(r)), ("joint", "on")),
     "glitch": Order(_glitch, ("joint", "revolutions"), ("at_sample",)),
     "saturate": Order(_saturate, ("joint", "torque_permille")),
-    "reboot": Order(_reboot, ("joint",)),
+    "reboot": Order(lambda plant, r: _node(plant, r).boot(), ("joint",)),
     "swap": Order(_swap, ("joint", "with")),
     "identity": Order(_identity, ("joint",), ("vendor", "product", "revision", "serial")),
 }
 
 
-def carry_out(plant: Plant, line: bytes) -> Reply:
+def carry_out(plant: OrderTarget, line: bytes) -> Reply:
     """Executes one request line and returns its reply. Does not raise for any input of a client."""
     try:
         request = json.loads(line)
@@ -202,29 +151,29 @@ def carry_out(plant: Plant, line: bytes) -> Reply:
     except (ValueError, RecursionError) as error:
         return {"ok": False, "error": str(error)}
     plant.cabinet.switch()
-    return {"ok": True, **reply}
+    return {"ok": True, **(reply or {})}
 
 
-def _node(plant: Plant, request: Request, field: str = "joint") -> Node | ForeignNode:
+def _node(plant: OrderTarget, request: Request, field: str = "joint") -> FieldbusNode:
     joint = request.get(field)
     if not isinstance(joint, str) or joint not in plant.cabinet.nodes:
         raise BadOrder(f"{field} {_echo(joint)} is not one of {', '.join(plant.cabinet.nodes)}")
     return plant.cabinet.nodes[joint]
 
 
-def _can(node: Node | ForeignNode) -> CanNode | ForeignNode:
-    if not isinstance(node, CanNode | ForeignNode):
+def _can(node: FieldbusNode) -> FieldbusNode:
+    if not isinstance(cast(object, node), CanopenNode):
         raise BadOrder("not on this fieldbus")
     return node
 
 
-def _own(node: Node | ForeignNode) -> Node:
+def _own(node: FieldbusNode) -> FieldbusNode:
     if isinstance(node, ForeignNode):
         raise BadOrder("not with this drive: it has neither trace nor sample counter")
     return node
 
 
-def _bus(plant: Plant) -> Bus:
+def _bus(plant: OrderTarget) -> SwitchableBus:
     if plant.bus is None:
         raise BadOrder("not on this fieldbus")
     return plant.bus
@@ -247,7 +196,7 @@ def _flag(request: Request) -> bool:
 def _echo(value: object) -> str:
     """Value sent by the client, shortened for a reply."""
     text = repr(value)
-    return text if len(text) <= _LONGEST_ECHO else text[:_LONGEST_ECHO] + "..."
+    return text if len(text) <= 60 else text[:60] + "..."
 
 
 _LARGEST_LINE = 65536
@@ -257,10 +206,15 @@ class ControlServer:
     """Serves orders on `host`:`port` (0: a free one) through the owner's selector, in the owner's thread."""
 
     def __init__(
-        self, selector: selectors.BaseSelector, host: str, port: int, cabinet: AnyCabinet, bus: Bus | None = None
+        self,
+        selector: selectors.BaseSelector,
+        host: str,
+        port: int,
+        cabinet: DriveCabinet[Any],
+        bus: SwitchableBus | None = None,
     ) -> None:
         self._selector = selector
-        self._plant = Plant(cabinet, bus)
+        self._plant = OrderTarget(cabinet, bus)
         self._clients: dict[socket.socket, bytearray] = {}
         self._listener = socket.create_server((host, port))
         self._listener.setblocking(False)

@@ -32,7 +32,7 @@ class AxisInfo:
     locked: bool  # its brake cannot be opened
 
 
-class Machine:
+class LiveMachine:
     """Every joint of the robot, base to tip; initially all brakes are closed and all positions zero. Not
     thread-safe.
     """

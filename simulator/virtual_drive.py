@@ -24,7 +24,7 @@ import typer
 from simulator.canopen.line import CanLine
 from simulator.control import ControlServer
 from simulator.hidden import hide as hidden_in
-from simulator.machine import Machine
+from simulator.machine import LiveMachine
 from simulator.modbus.registers import RegisterMap, RegisterMapError, load_register_map
 from simulator.scenario import Scenario, ScenarioError, load_scenario
 
@@ -51,7 +51,7 @@ class VirtualDrive:
 
     def __init__(
         self,
-        machine: Machine,
+        machine: LiveMachine,
         eds: Path | Mapping[str, Path],
         *,
         fieldbus: Fieldbus = Fieldbus.CANOPEN,
@@ -126,7 +126,7 @@ class VirtualDrive:
 
 def _modbus_line(
     selector: selectors.BaseSelector,
-    machine: Machine,
+    machine: LiveMachine,
     eds: Path,
     speed_factor: float,
     registers: RegisterMap,
@@ -211,8 +211,8 @@ def run_drive(
         virtual.close()
 
 
-def _machine(scenario: Scenario, seed: int, start_pose: str) -> Machine:
-    machine = Machine(scenario, seed)
+def _machine(scenario: Scenario, seed: int, start_pose: str) -> LiveMachine:
+    machine = LiveMachine(scenario, seed)
     if start_pose:
         try:
             pose = [float(value) for value in start_pose.split(",")]

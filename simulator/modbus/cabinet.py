@@ -20,11 +20,12 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterResponse,
 )
 
-from simulator.cabinet import Cabinet
-from simulator.drive.axis import Axis, Mode
-from simulator.drive.dictionary import Abort, AbortCode, Dictionary, Key
-from simulator.drive.host_loss import lose_host
-from simulator.machine import Machine
+from simulator.cabinet import VirtualDriveCabinet
+from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
+from simulator.drive.makers import Key
+from simulator.drive.power_drive import Mode
+from simulator.drive.virtual_axis import VirtualAxis
+from simulator.machine import LiveMachine
 from simulator.modbus.registers import OWNER, SIGNALS, WATCHDOG, MappedSignal, RegisterMap, factor, page_registers
 
 _EXCEPTIONS = {
@@ -35,10 +36,6 @@ _EXCEPTIONS = {
     AbortCode.STATE: ExcCodes.DEVICE_FAILURE,
     AbortCode.NO_DATA: ExcCodes.DEVICE_FAILURE,
 }  # every other abort concerns the value
-_SERIAL = (0x1018, 4)
-_MODE = (0x6060, 0)
-_PAGE_COUNT = (0x2110, 2)
-_PAGE = (0x2110, 3)
 
 
 class Refusal(Exception):
@@ -57,16 +54,15 @@ class _Element(NamedTuple):
     wire: MappedSignal
 
 
-class Unit:
+class ModbusUnit:
     """The node of an axis. All calls are made in the owner's thread."""
 
     def __init__(self, number: int, eds: Path, registers: RegisterMap, cycle: float, *, can_move: bool) -> None:
         self.number = number
-        self.dictionary = Dictionary(eds, number)
-        page_count = min(registers.trace.capacity, self.dictionary[_PAGE_COUNT])
-        self.dictionary.nameplate = {_SERIAL: self.dictionary[_SERIAL], _PAGE_COUNT: page_count}
-        self.dictionary.on_download(_PAGE_COUNT, self._check_page_count)
-        self.axis = Axis(self.dictionary, cycle, can_move=can_move)
+        self.dictionary = ObjectDictionary(eds, number)
+        self.dictionary.nameplate[0x2110, 2] = min(registers.trace.capacity, self.dictionary[0x2110, 2])
+        self.dictionary.on_download((0x2110, 2), self._check_page_count)
+        self.axis = VirtualAxis(self.dictionary, cycle, can_move=can_move)
         self.disturbance = self.axis.disturbance
         self._map = registers
         self._at = {
@@ -101,7 +97,7 @@ class Unit:
         """Check the watchdog at `now`, s."""
         if now > self.due(now):
             self._heard = None
-            lose_host(self.axis, self.dictionary)
+            self.axis.lose_host()
         self.axis.errors.take_messages()  # Modbus has no unsolicited messages; the error is read as error_code
 
     def due(self, now: float) -> float:
@@ -163,7 +159,7 @@ class Unit:
             return held.get(element.signal, float(element.wire.value or 0))
         try:
             data = self.dictionary.upload(*key)
-        except Abort as abort:
+        except SdoAbort as abort:
             raise Refusal(_EXCEPTIONS.get(abort.code, ExcCodes.ILLEGAL_VALUE)) from None
         (value,) = struct.unpack("<" + self.dictionary.struct_format(key), data)
         return value * factor(self.dictionary, key)
@@ -179,13 +175,13 @@ class Unit:
                 self._watchdog = float(round(value))
                 return
             if key not in self.dictionary:
-                raise Abort(AbortCode.NO_OBJECT)
+                raise SdoAbort(AbortCode.NO_OBJECT)
             kind = self.dictionary.struct_format(key)
             raw = value if kind in "fd" else round(value / factor(self.dictionary, key))
-            if key == _MODE and raw == Mode.CYCLIC_VELOCITY:  # cannot be streamed through Modbus
-                raise Abort(AbortCode.VALUE)
+            if key == (0x6060, 0) and raw == Mode.CYCLIC_VELOCITY:  # cannot be streamed through Modbus
+                raise SdoAbort(AbortCode.VALUE)
             self.dictionary.download(*key, struct.pack("<" + kind, raw))
-        except Abort as abort:
+        except SdoAbort as abort:
             raise Refusal(_EXCEPTIONS.get(abort.code, ExcCodes.ILLEGAL_VALUE)) from None
         except (ValueError, OverflowError, struct.error):  # NaN, infinity, wider than the object
             raise Refusal(ExcCodes.ILLEGAL_VALUE) from None
@@ -193,21 +189,21 @@ class Unit:
     def _own(self, token: int) -> None:
         """0 releases. Abort if another token has the unit."""
         if token and self._owner not in (0, token):
-            raise Abort(AbortCode.STATE)
+            raise SdoAbort(AbortCode.STATE)
         self._owner, self._owned = token, self._heard or 0.0
 
     def _page(self) -> bytes:
         """The samples from page_first on, as far as they are recorded."""
         try:
-            return self.dictionary.upload(*_PAGE)
-        except Abort as abort:
+            return self.dictionary.upload(0x2110, 3)
+        except SdoAbort as abort:
             if abort.code == AbortCode.NO_DATA:
                 return b""
             raise Refusal(_EXCEPTIONS.get(abort.code, ExcCodes.ILLEGAL_VALUE)) from None
 
     def _check_page_count(self, value: int) -> None:
         if value > self._map.trace.capacity:
-            raise Abort(AbortCode.TOO_HIGH)
+            raise SdoAbort(AbortCode.TOO_HIGH)
 
 
 def _key(element: _Element) -> Key | None:
@@ -215,12 +211,12 @@ def _key(element: _Element) -> Key | None:
     return None if key is None else (key[0], key[1] + element.number)
 
 
-class ModbusCabinet(Cabinet[Unit]):
+class ModbusCabinet(VirtualDriveCabinet[ModbusUnit]):
     """Unit ids 1, 2, ... in the order of the machine's joints."""
 
-    def __init__(self, machine: Machine, eds: Path, registers: RegisterMap, speed_factor: float) -> None:
+    def __init__(self, machine: LiveMachine, eds: Path, registers: RegisterMap, speed_factor: float) -> None:
         units = {
-            info.joint: Unit(number, eds, registers, machine.cycle, can_move=not info.locked)
+            info.joint: ModbusUnit(number, eds, registers, machine.cycle, can_move=not info.locked)
             for number, info in enumerate(machine.axes, 1)
         }
         super().__init__(machine, units, speed_factor)
@@ -239,7 +235,7 @@ class ModbusCabinet(Cabinet[Unit]):
         return None if unit.disturbance.mute else response
 
 
-def _carry_out(unit: Unit, request: ModbusPDU) -> ModbusPDU:
+def _carry_out(unit: ModbusUnit, request: ModbusPDU) -> ModbusPDU:
     match request:
         case ReadInputRegistersRequest():
             return ReadInputRegistersResponse(registers=unit.read(request.address, request.count))
@@ -259,7 +255,7 @@ def _carry_out(unit: Unit, request: ModbusPDU) -> ModbusPDU:
             raise Refusal(ExcCodes.ILLEGAL_FUNCTION)
 
 
-def _identify(unit: Unit, request: ReadDeviceInformationRequest) -> ModbusPDU:
+def _identify(unit: ModbusUnit, request: ReadDeviceInformationRequest) -> ModbusPDU:
     """Read codes: 1 basic and 2 regular objects, 3 all, 4 a single one."""
     objects = unit.identification()
     match request.read_code:

@@ -22,7 +22,7 @@ from pymodbus.pdu import ModbusPDU
 from pymodbus.server import ModbusBaseServer, ModbusSerialServer, ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-from simulator.machine import Machine
+from simulator.machine import LiveMachine
 from simulator.modbus.cabinet import ModbusCabinet
 from simulator.modbus.registers import RegisterMap
 
@@ -184,7 +184,7 @@ class ModbusLine:
     def __init__(
         self,
         selector: selectors.BaseSelector,
-        machine: Machine,
+        machine: LiveMachine,
         eds: Path,
         speed_factor: float,
         *,

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from simulator.drive.dictionary import Dictionary, Key
-from simulator.drive.units import INCREMENTS, speed_unit
+from simulator.drive.dictionary import ObjectDictionary
+from simulator.drive.limits import INCREMENTS, speed_unit
+from simulator.drive.makers import Key
 from simulator.scenario import parse_yaml, read_text
 
 ELEMENTS = 16
@@ -98,7 +99,7 @@ _BY_SPEED_UNIT = (0x606C, 0x6080, 0x6081, 0x6083, 0x6084, 0x6085)
 _INCREMENTS = (0x6064, 0x607A, 0x607D)
 
 
-def factor(dictionary: Dictionary, key: Key) -> float:
+def factor(dictionary: ObjectDictionary, key: Key) -> float:
     """Unit of the object relative to that of its signal: physical = value in the dictionary * factor."""
     index = key[0]
     if index in _BY_SPEED_UNIT:

@@ -47,8 +47,7 @@ from service.store.files.bundle import write_bundle
 from service.store.files.columns import read_columns
 from service.store.files.intake import read_from
 from service.store.files.stream import UnreadableStream
-from simulator.drive.dictionary import Dictionary
-from simulator.foreign.dictionary import ForeignDictionary
+from simulator.drive.dictionary import ObjectDictionary
 from simulator.modbus.registers import RegisterMapError, load_register_map
 from simulator.scenario import ScenarioError, load_scenario
 from sweepid.files import read_document, read_effects, read_gains
@@ -198,8 +197,8 @@ PARSERS: Mapping[str, Parser] = {
     "simulator's registers": Parser(
         _named("registers/*.yaml"), lambda path, _: load_register_map(path), (RegisterMapError,)
     ),
-    "simulator's eds": Parser(_named("eds/*.eds"), lambda path, _: Dictionary(path, 3), (ScenarioError,)),
-    "foreign eds": Parser(_dictionaries, lambda path, _: ForeignDictionary(path, 3), (ScenarioError,)),
+    "simulator's eds": Parser(_named("eds/*.eds"), lambda path, _: ObjectDictionary(path, 3), (ScenarioError,)),
+    "foreign eds": Parser(_dictionaries, lambda path, _: ObjectDictionary(path, 3, None), (ScenarioError,)),
     "scenario": Parser(_scenarios, lambda path, _: load_scenario(path), (ScenarioError,)),
     "trace": Parser(lambda: list(seeds.traces()), _trace),
     "trace alone": Parser(lambda: list(seeds.traces_alone()), _trace_alone),

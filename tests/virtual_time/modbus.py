@@ -16,7 +16,7 @@ from pymodbus.pdu import DecodePDU
 
 import drivers.modbus.client
 import drivers.modbus.stop_sender
-from simulator.machine import Machine
+from simulator.machine import LiveMachine
 from simulator.modbus.cabinet import ModbusCabinet
 from simulator.modbus.registers import RegisterMap
 from tests.virtual_time import primitives
@@ -37,7 +37,7 @@ class EventDrivenModbusCabinet(EventDriven, ModbusCabinet):
 class Gateway(Powered[EventDrivenModbusCabinet]):
     """Accepts any number of clients; answers a request after the other of each."""
 
-    def __init__(self, address: Address, machine: Machine, eds: Path, registers: RegisterMap, speed: float) -> None:
+    def __init__(self, address: Address, machine: LiveMachine, eds: Path, registers: RegisterMap, speed: float) -> None:
         self.gone = ""
         """"refused": what is open fails, nothing can be opened; "silent": nothing is answered, nothing fails."""
         self.lost: Callable[[bytes, bool], bool] = lambda _adu, _command: False

@@ -11,11 +11,11 @@ from tests.foreign_bench import file_of
 import canopen  # isort: skip - after lean_can
 from canopen.objectdictionary import ODVariable  # isort: skip
 from collections.abc import Callable
+from functools import partial
 
 from drivers.commission.dictionary import read_dictionary
 from drivers.errors import BadProfile
-from simulator.drive.dictionary import Dictionary
-from simulator.foreign.dictionary import ForeignDictionary
+from simulator.drive.dictionary import ObjectDictionary
 from simulator.scenario import ScenarioError
 
 OWN = Path(__file__).parents[3] / "config" / "eds" / "virtual-axis.eds"
@@ -56,7 +56,8 @@ def test_a_file_that_was_changed_is_read_again(tmp_path: Path) -> None:
 
 TEXT = (Path(__file__).parents[3] / "config/eds/virtual-axis.eds").read_text("utf-8")
 NAMES = "[8000]\nParameterName=x\nObjectType=8\nDataType=5\nAccessType=ro\nCompactSubObj=9\n[8000Name]\nNrOfEntries="
-DICTIONARIES: Any = {"drivers": read_dictionary, "virtual": Dictionary, "foreign": ForeignDictionary}
+FOREIGN = partial(ObjectDictionary, maker=None)
+DICTIONARIES: Any = {"drivers": read_dictionary, "virtual": ObjectDictionary, "foreign": FOREIGN}
 
 
 @pytest.mark.parametrize("read", DICTIONARIES.values(), ids=DICTIONARIES)
@@ -85,5 +86,4 @@ def test_names_of_entries_are_read(tmp_path: Path) -> None:
     path.write_text(f"{TEXT}\n{NAMES.replace('=9', '=254')}254\n{entries}", "utf-8")
     own, virtual, foreign = (read(path, 3) for read in DICTIONARIES.values())
     assert (0x8000, 254) in own.objects
-    assert virtual.mapping((0x8000, 254)) is not None
-    assert foreign.bits((0x8000, 254)) == 8
+    assert virtual.bits((0x8000, 254)) == foreign.bits((0x8000, 254)) == 8

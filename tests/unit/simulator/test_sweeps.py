@@ -24,7 +24,7 @@ from simulator import (
     true_inertia,
 )
 from simulator.coupled import CoupledTrains
-from simulator.machine import Machine
+from simulator.machine import LiveMachine
 from simulator.plant import Plant
 from simulator.rigid_body import RigidBody, moving_axis, real_urdf
 from simulator.scenario import STEP
@@ -280,7 +280,7 @@ def test_the_live_machine_couples_its_axes(noise_free: Load) -> None:
     setpoints[:, 2] = 0.1 * np.sin(np.pi * np.arange(600) / 600) ** 2
     effort = {}
     for energised in (("joint_3",), ("joint_2", "joint_3")):
-        machine = Machine(without_spring(noise_free("six")), seed=1)
+        machine = LiveMachine(without_spring(noise_free("six")), seed=1)
         for joint in energised:
             machine.energise(joint, True)
         effort[energised] = machine.advance(setpoints).effort[:, 1:3]

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from simulator import Scenario
-from simulator.canopen.cabinet import Cabinet
-from simulator.canopen.node import Frame
-from simulator.control import Plant, carry_out
-from simulator.machine import Machine
+from simulator.canopen.cabinet import CanopenCabinet
+from simulator.canopen.pdo import Frame
+from simulator.control import OrderTarget, carry_out
+from simulator.machine import LiveMachine
 
 EDS = Path(__file__).parents[4] / "config/eds/virtual-axis.eds"
 TRACE = np.dtype(
@@ -25,11 +25,11 @@ GEAR = 171.0  # of joint_1
 class Bench:
     """A cabinet with a clock in the test's hand."""
 
-    def __init__(self, machine: Machine, speed_factor: float) -> None:
+    def __init__(self, machine: LiveMachine, speed_factor: float) -> None:
         self.sent: list[Frame] = []
         self.now = 1000.0
         self.machine = machine
-        self.cabinet = Cabinet(machine, EDS, speed_factor, self.sent.append)
+        self.cabinet = CanopenCabinet(machine, EDS, speed_factor, self.sent.append)
         self.cabinet.boot()
         self.booted = self.take()
 
@@ -73,7 +73,7 @@ class Bench:
 
     def order(self, order: str, joint: str | None = "joint_1", **fields: object) -> None:
         request = {"order": order, **fields} | ({} if joint is None else {"joint": joint})
-        assert carry_out(Plant(self.cabinet, None), json.dumps(request).encode()) == {"ok": True}
+        assert carry_out(OrderTarget(self.cabinet, None), json.dumps(request).encode()) == {"ok": True}
 
     def move(self, node: int, revolutions: float) -> None:
         self.write(node, 0x607A, 0, "i", round(revolutions * 2**20))
@@ -115,7 +115,7 @@ class Bench:
 
 @pytest.fixture
 def bench(scenario: Callable[[str], Scenario]) -> Bench:
-    return Bench(Machine(scenario("rigid"), 1), speed_factor=5.0)
+    return Bench(LiveMachine(scenario("rigid"), 1), speed_factor=5.0)
 
 
 def test_boots_six_nodes_that_stand(bench: Bench) -> None:

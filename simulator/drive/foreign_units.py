@@ -3,18 +3,13 @@
 from dataclasses import dataclass
 from math import inf
 
-from simulator.drive.dictionary import Abort, AbortCode
-from simulator.foreign.dictionary import ForeignDictionary
-from simulator.foreign.makers import Scaling
-
-_REVOLUTIONS, _INCREMENTS = 0xB4, 0xB5  # numerators of 60A9h (CiA 303-2)
-_SECONDS = {0x03: 1.0, 0x47: 60.0}
-_DEGREES = 360_000.0  # 10^-3 degrees per revolution
-_PER_MILLE = 1000
+from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort, power_of_ten
+from simulator.drive.limits import PER_MILLE
+from simulator.drive.makers import Scaling
 
 
 @dataclass(frozen=True, slots=True)
-class Plate:
+class MotorPlate:
     """Motor and gear of a drive; motor side: N m, N m/A, rev/s, rev. The window is that of the joint."""
 
     gear_ratio: float  # motor revolutions per joint revolution
@@ -25,10 +20,10 @@ class Plate:
     window: tuple[float, float]
 
 
-class Units:
+class DriveUnits:
     """A view of one dictionary."""
 
-    def __init__(self, dictionary: ForeignDictionary, plate: Plate) -> None:
+    def __init__(self, dictionary: ObjectDictionary, plate: MotorPlate) -> None:
         self._dictionary = dictionary
         self._maker = dictionary.maker
         self.plate = plate
@@ -48,7 +43,7 @@ class Units:
             case Scaling.FACTORS:
                 return self._maker.increments / self._ratio(0x6093)
             case Scaling.JOINT:
-                return _DEGREES / self.plate.gear_ratio
+                return 360_000.0 / self.plate.gear_ratio  # 10^-3 degrees
 
     @property
     def velocity(self) -> float:
@@ -87,10 +82,10 @@ class Units:
         """Minimum of motor, 6072h and 6073h, N m."""
         d, limit = self._dictionary, self.plate.most_torque
         if (0x6072, 0) in d:
-            limit = min(limit, d[0x6072, 0] / _PER_MILLE * self.rated_torque)
+            limit = min(limit, d[0x6072, 0] / PER_MILLE * self.rated_torque)
         if (0x6073, 0) in d:
             rated = d[0x6075, 0] * 1e-3 * self.plate.torque_constant if (0x6075, 0) in d else self.rated_torque
-            limit = min(limit, d[0x6073, 0] / _PER_MILLE * rated)
+            limit = min(limit, d[0x6073, 0] / PER_MILLE * rated)
         return limit
 
     @property
@@ -133,18 +128,16 @@ class Units:
         return (d.get(index, 1, 1) or 1) / (d.get(index, 2, 1) or 1)
 
     def _of_code(self, code: int) -> float:
-        prefix = (code >> 24) - (256 if code >> 31 else 0)
-        numerator = self.position if code >> 16 & 0xFF == _INCREMENTS else 1.0
-        return numerator * _SECONDS[code >> 8 & 0xFF] * 10.0**-prefix
+        numerator = self.position if code >> 16 & 0xFF == 0xB5 else 1.0  # increments, else revolutions (CiA 303-2)
+        return numerator * {0x03: 1.0, 0x47: 60.0}[code >> 8 & 0xFF] * 10.0 ** -power_of_ten(code)
 
     def _check_velocity_unit(self, code: int) -> None:
         """Only the power of ten of the drive's own unit may change; numerator and time are fixed."""
-        prefix = (code >> 24) - (256 if code >> 31 else 0)
-        if (code ^ self._dictionary[0x60A9, 0]) & 0xFFFFFF or not -6 <= prefix <= 0:
-            raise Abort(AbortCode.VALUE)
+        if (code ^ self._dictionary[0x60A9, 0]) & 0xFFFFFF or not -6 <= power_of_ten(code) <= 0:
+            raise SdoAbort(AbortCode.VALUE)
 
 
-def nameplate(units: Units, dictionary: ForeignDictionary) -> dict[tuple[int, int], int]:
+def nameplate(units: DriveUnits, dictionary: ObjectDictionary) -> dict[tuple[int, int], int]:
     """Values commissioned in the drive for this motor, if it has objects for them."""
     plate, maker = units.plate, dictionary.maker
     position, velocity, acceleration = units.position, abs(units.velocity), units.acceleration
@@ -152,8 +145,8 @@ def nameplate(units: Units, dictionary: ForeignDictionary) -> dict[tuple[int, in
     values = {
         (0x6065, 0): round(abs(position) / 2),
         (0x6066, 0): 0,
-        (0x6072, 0): round(_PER_MILLE * plate.most_torque / plate.rated_torque),
-        (0x6073, 0): round(_PER_MILLE * plate.most_torque / plate.rated_torque),
+        (0x6072, 0): round(PER_MILLE * plate.most_torque / plate.rated_torque),
+        (0x6073, 0): round(PER_MILLE * plate.most_torque / plate.rated_torque),
         (0x6075, 0): round(plate.rated_torque / plate.torque_constant * 1e3),
         (0x6076, 0): round(plate.rated_torque / maker.torque_unit),
         (0x607D, 1): ends[0],
