@@ -10,6 +10,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from xml.etree import ElementTree
 
 import numpy as np
+import structlog
 
 from simulator.drive.dictionary import ObjectDictionary, Value
 from simulator.drive.foreign_axis import ForeignAxis
@@ -19,6 +20,8 @@ from simulator.drive.measuring import DriveSamples
 from simulator.drive.power_drive import Mode
 from simulator.drive.virtual_axis import VirtualAxis
 from simulator.machine import AxisInfo, LiveMachine
+
+_log = structlog.get_logger(__name__)
 
 
 class FieldbusNode(Protocol):
@@ -71,6 +74,7 @@ class DriveCabinet(Generic[AnyNode]):
         self._speed_factor = speed_factor
         self._time: float | None = None  # real time up to which the machine has run
         self._now = 0.0
+        self._slow = False  # it could not keep up
         self.cycles = 0
         self.nodes = dict(nodes)
         self._axes: list[tuple[AxisInfo, Any]] = [(info, self.nodes[info.joint].axis) for info in machine.axes]
@@ -91,7 +95,7 @@ class DriveCabinet(Generic[AnyNode]):
             self._time = now
         else:
             cycle = self._machine.cycle / pace
-            self._time = max(self._time, now - self.backlog * chunk * cycle)
+            self._keep_up(now - self.backlog * chunk * cycle)
             cycles = min(int((now - self._time) / cycle + 1e-6), chunk)
             if cycles == chunk:
                 self._time += cycles * cycle
@@ -169,6 +173,13 @@ class DriveCabinet(Generic[AnyNode]):
     def _pace(self) -> tuple[float, int]:
         """(simulated seconds per real second, 0: not by real time; cycles per chunk)."""
         raise NotImplementedError
+
+    def _keep_up(self, latest: float) -> None:
+        """Drop what lies before `latest`, s: a computer that is too slow slows the clock of the machine, no motion."""
+        if self._time is not None and self._time < latest:
+            if not self._slow:
+                _log.warning("too slow: the machine's clock runs slower than asked", speed_factor=self._speed_factor)
+            self._slow, self._time = True, latest
 
     def _torque_limit(self, info: AxisInfo, axis: Any) -> float:
         """Maximum torque of the drive, N m on the joint side."""

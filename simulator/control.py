@@ -199,11 +199,10 @@ def _echo(value: object) -> str:
     return text if len(text) <= 60 else text[:60] + "..."
 
 
-_LARGEST_LINE = 65536
-
-
 class ControlServer:
     """Serves orders on `host`:`port` (0: a free one) through the owner's selector, in the owner's thread."""
+
+    largest_line = 65536
 
     def __init__(
         self,
@@ -236,7 +235,7 @@ class ControlServer:
 
     def _serve(self, client: socket.socket, _: int) -> None:
         try:
-            data = client.recv(_LARGEST_LINE)
+            data = client.recv(self.largest_line)
             received = self._clients[client]
             received += data
             *lines, rest = received.split(b"\n")
@@ -245,7 +244,7 @@ class ControlServer:
                 client.sendall(json.dumps(carry_out(self._plant, bytes(line))).encode() + b"\n")
         except OSError:
             data = b""
-        if not data or len(self._clients[client]) > _LARGEST_LINE:
+        if not data or len(self._clients[client]) > self.largest_line:
             self._drop(client)
 
     def _drop(self, client: socket.socket) -> None:

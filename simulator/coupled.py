@@ -28,10 +28,6 @@ Array = NDArray[np.float64]
 
 _mujoco = cast(Any, mujoco)  # a binary module without type stubs
 
-_ROUNDS = 4  # of the projected Jacobi iteration per step
-_RELAXATION = 0.7
-_KEPT = 4  # steps with a constant inertia matrix: one cycle of 1 ms, in which the pose hardly changes
-
 
 @dataclass(frozen=True, slots=True)
 class _Masses:
@@ -64,6 +60,11 @@ class Dynamics(RigidBody):
 
 class CoupledTrains(DriveTrains):
     """The driven axes of one robot, one row each. The other joints and those with a closed brake stand."""
+
+    rounds = 4
+    """Of the projected Jacobi iteration per step."""
+    kept = 4
+    """Steps with a constant inertia matrix: one cycle of 1 ms, in which the pose hardly changes."""
 
     def __init__(self, scenario: Scenario, step: float) -> None:
         self._body = Dynamics(scenario)
@@ -160,7 +161,7 @@ class CoupledTrains(DriveTrains):
         self._age += 1
         masses = self._answering
         changing = self._has_gap or self.gear_error is not None  # changes in every step
-        stale = changing or self._age >= _KEPT
+        stale = changing or self._age >= self.kept
         if masses is None or stale or (masses.free != self.free).any():
             mass, drag = self._mass.copy(), self._resistance
             mass[self._links, self._links] += inertia[np.ix_(self._driven, self._driven)]
@@ -169,7 +170,7 @@ class CoupledTrains(DriveTrains):
             moving = np.flatnonzero(np.tile(self.free, len(self.velocity)))
             mass, drag = mass[np.ix_(moving, moving)], drag[np.ix_(moving, moving)]
             gain: Array = np.asarray(np.linalg.inv(mass + drag), dtype=float)
-            relax = _RELAXATION / np.diag(gain)
+            relax = 0.7 / np.diag(gain)
             self._answering = masses = _Masses(self.free.copy(), moving, mass - drag, gain, relax)
             self._age = 0
         return masses
@@ -179,7 +180,7 @@ class CoupledTrains(DriveTrains):
         least, most = dry
         impulse = np.minimum(np.maximum(self._impulse[masses.moving], least), most)
         rubbed = velocity - masses.gain @ impulse
-        for _ in range(_ROUNDS):
+        for _ in range(self.rounds):
             before = impulse
             impulse = np.minimum(np.maximum(impulse + masses.relax * rubbed, least), most)
             if (impulse == before).all():  # every axis slips

@@ -190,11 +190,11 @@ class TrainAlone:
         self.position = tuple([q + self._step * v for q, v in zip(self.position, self.velocity, strict=True)])
 
 
-FEW = 5  # up to this number of rows, stepping them one by one is faster
-
-
 class DriveTrains:
     """State and one step of many rows. `position` and `velocity` are (masses, rows): motor first, load last."""
+
+    few = 5
+    """Up to this number of rows, stepping them one by one is faster."""
 
     def __init__(self, axes: Sequence[MovingAxis], step: float) -> None:
         trains = [axis.train for axis in axes]
@@ -351,7 +351,7 @@ class DriveTrains:
         """
         effects = (self.friction, self.gear_error, self._bristles, self.appendages)
         free = np.flatnonzero(self.free).tolist()
-        if len(free) > FEW or any(effect is not None for effect in effects):
+        if len(free) > self.few or any(effect is not None for effect in effects):
             return None
         cogging = None if self._cogging is None else self._cogging.alone
         self._each |= {row: self._train.alone(row) for row in free if row not in self._each}

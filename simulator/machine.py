@@ -14,8 +14,6 @@ from simulator.scenario import CYCLE, STEP, Scenario, ScenarioError
 
 Array = NDArray[np.float64]
 
-_MOVED = 1e-3  # rad; after a larger motion, inertia and gravity are computed again
-
 
 @dataclass(frozen=True, slots=True)
 class AxisInfo:
@@ -109,7 +107,7 @@ class LiveMachine:
         shift = np.abs(pose - self._loaded)
         if np.count_nonzero(free) == 1:  # the motion of an axis does not change its own inertia
             shift[self._driven[int(free.argmax())]] = 0.0
-        if shift.max() > _MOVED:
+        if shift.max() > 1e-3:  # rad
             self._load_pose(pose)
         torque = None if injected is None else injected[:, driven] * free
         clean = self._plant.advance(setpoints[:, driven] * free, torque)

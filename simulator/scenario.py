@@ -13,23 +13,20 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from drivers.bounded_yaml import NO_VALUE, BoundedLoader
 
-LARGEST = 2**26  # bytes
-LARGEST_YAML = 2**20  # bytes
 
-
-def read_text(path: Path) -> str:
+def read_text(path: Path, largest: int = 2**26) -> str:
     """The UTF-8 text of a file. Raises OSError, and ValueError if it is not UTF-8 or too large."""
     with path.open("rb") as file:
-        content = file.read(LARGEST + 1)
-    if len(content) > LARGEST:
-        raise ValueError(f"is larger than {LARGEST} bytes")
+        content = file.read(largest + 1)
+    if len(content) > largest:
+        raise ValueError(f"is larger than {largest} bytes")
     return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
 
 
-def parse_yaml(text: str) -> object:
+def parse_yaml(text: str, largest: int = 2**20) -> object:
     """The content of a YAML text. Raises ValueError with the reason if it is invalid."""
-    if len(text) > LARGEST_YAML:
-        raise ValueError(f"YAML of {len(text)} characters, limit {LARGEST_YAML}")
+    if len(text) > largest:
+        raise ValueError(f"YAML of {len(text)} characters, limit {largest}")
     try:
         return yaml.load(text, Loader=BoundedLoader)
     except (yaml.YAMLError, *NO_VALUE) as error:

@@ -8,7 +8,7 @@ from math import inf, tau
 from pathlib import Path
 
 from simulator.cabinet import DriveCabinet, VirtualDriveCabinet, joint_limits
-from simulator.canopen.node import SYNC_ID, ForeignNode, VirtualNode
+from simulator.canopen.node import ForeignNode, VirtualNode
 from simulator.canopen.pdo import Frame
 from simulator.drive.foreign_axis import ForeignAxis
 from simulator.drive.foreign_units import MotorPlate
@@ -30,7 +30,7 @@ class CanopenCabinet(VirtualDriveCabinet[VirtualNode]):
 
     def receive(self, frame: Frame, now: float) -> None:
         """A frame of the bus at `now`, s of a monotonic clock."""
-        if frame.id == SYNC_ID:
+        if frame.id == 0x80:
             for node in self.nodes.values():
                 node.sync(now)
             self.switch()

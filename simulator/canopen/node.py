@@ -14,8 +14,6 @@ from simulator.drive.foreign_units import MotorPlate, nameplate
 from simulator.drive.power_drive import FaultCode, PowerDrive
 from simulator.drive.virtual_axis import VirtualAxis
 
-SYNC_ID = 0x80
-
 
 class Nmt(IntEnum):
     """NMT states as in the heartbeat."""

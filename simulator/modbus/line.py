@@ -26,9 +26,6 @@ from simulator.machine import LiveMachine
 from simulator.modbus.cabinet import ModbusCabinet
 from simulator.modbus.registers import RegisterMap
 
-PTY = "pty"  # device name that requests a pair
-_CHUNK = 4096
-
 
 class PtyPair:
     """Bytes written to `near` can be read from `far` and vice versa, transferred by the owner's selector.
@@ -56,7 +53,7 @@ class PtyPair:
     @staticmethod
     def _carry(source: int, sink: int, _: int) -> None:
         with contextlib.suppress(BlockingIOError):
-            os.write(sink, os.read(source, _CHUNK))
+            os.write(sink, os.read(source, 4096))
 
 
 Answer = Callable[[ModbusPDU], ModbusPDU | None]
@@ -196,7 +193,7 @@ class ModbusLine:
         self.device: str | None = None
         if isinstance(line, SerialLine):
             self.device = line.device
-            if line.device == PTY:
+            if line.device == "pty":
                 self._pair = PtyPair(selector)
                 self.device, line = self._pair.far, SerialLine(self._pair.near)
         self._server = ModbusServer(selector, line, self._answer)

@@ -95,16 +95,13 @@ SIGNALS: dict[str, Signal] = {
 
 ARRAYS = ("frequency", "amplitude", "phase")
 
-_BY_SPEED_UNIT = (0x606C, 0x6080, 0x6081, 0x6083, 0x6084, 0x6085)
-_INCREMENTS = (0x6064, 0x607A, 0x607D)
-
 
 def factor(dictionary: ObjectDictionary, key: Key) -> float:
     """Unit of the object relative to that of its signal: physical = value in the dictionary * factor."""
     index = key[0]
-    if index in _BY_SPEED_UNIT:
+    if index in (0x606C, 0x6080, 0x6081, 0x6083, 0x6084, 0x6085):
         return 60 / speed_unit(dictionary)
-    if index in _INCREMENTS:
+    if index in (0x6064, 0x607A, 0x607D):
         return 1 / INCREMENTS
     return 1e-3 if index == 0x6076 else 1.0
 
