@@ -59,17 +59,18 @@ async def move(
             raise EnvelopeLeft(axis.place, text, measured=measured)
         now, distance = clock(), abs(position - reading.position)
         waited, before = waited + min(now - before, GAP), now
-        if distance <= nearest - least:
+        if distance < nearest - min(least, LEAST * nearest):  # near the target a slow drive comes nearer in small steps
             nearest, waited = distance, 0.0
         arrived = min(arrived, now) if _arrived(axis, reading, position) else math.inf
         if now - arrived >= ARRIVAL_TIME:
             return
-        if waited > MARGIN:
+        patience = MARGIN if distance > ARRIVAL else 4 * MARGIN  # what is left is the rest at the target
+        if waited > patience:
             reached = "" if reading.statusword & states.TARGET_REACHED else ", target not reported as reached"
             raise TargetNotReached(
                 axis.place,
                 f"{reading.position - position:+.2g} {profile.unit} from its target "
-                f"{position:.5g} {profile.unit}, no nearer for {MARGIN} s, "
+                f"{position:.5g} {profile.unit}, no nearer for {patience} s, "
                 f"at {reading.velocity:.2g} {profile.unit}/s{reached}",
                 measured=Measured(reading.position - position, ARRIVAL, profile.unit),
             )

@@ -184,7 +184,7 @@ def test_a_slow_computer_slows_the_clock_of_the_machine_and_says_so_once(bench: 
     with structlog.testing.capture_logs() as logs:
         bench.wait(30.0, step=0.2)  # of which 0.004 s a step can be computed: not even real time
     assert [log["event"] for log in logs] == ["too slow: the machine's clock runs slower than asked"]
-    assert bench.cabinet.status()["plant_time"] < 2.0
+    assert bench.cabinet.cycles < 2000  # ms
     assert bench.axis("joint_2")["state"] == "operation_enabled"
     bench.wait(1.0)
     assert bench.held(0x6064, joint="joint_2") / 2**20 == pytest.approx(10.0, abs=0.01)
