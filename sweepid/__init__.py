@@ -149,8 +149,7 @@ def import_trace(
     BadInput
         File, column and reason.
     """
-    from service.formats.traces.drafts import mapping_of
-    from service.formats.traces.trace_import import read_traces
+    from service.formats.traces.trace_import import mapping_of, read_traces
     from service.model.errors import writing
     from service.store.files.bundle import Bundle, write_bundle
 

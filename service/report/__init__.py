@@ -7,33 +7,33 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from service.report.assembly import content_of, example_of, used_sweeps
     from service.report.campaign import campaign_page
-    from service.report.content import Axis, CampaignReport, Content, Drive, Revision, Row, axes_of
+    from service.report.content import (
+        Axis,
+        CampaignReport,
+        Content,
+        Drive,
+        Row,
+        axes_of,
+        content_of,
+        example_of,
+        used_sweeps,
+    )
     from service.report.diagnosis import diagnosis_figures, diagnosis_page
+    from service.report.fleet import fleet_page
     from service.report.html import Form, Page
     from service.report.page import analysis_page, estimate_page
-    from service.report.plant.fleet import fleet_page
 
-_MODULES = {
-    "Axis": "content",
-    "CampaignReport": "content",
-    "Content": "content",
-    "Drive": "content",
-    "Form": "html",
-    "Page": "html",
-    "Revision": "content",
-    "Row": "content",
-    "analysis_page": "page",
-    "axes_of": "content",
-    "campaign_page": "campaign",
-    "content_of": "assembly",
-    "diagnosis_figures": "diagnosis",
-    "diagnosis_page": "diagnosis",
-    "estimate_page": "page",
-    "example_of": "assembly",
-    "fleet_page": "plant.fleet",
-    "used_sweeps": "assembly",
+_HOMES = {
+    "campaign": ("campaign_page",),
+    "content": (
+        *("Axis", "CampaignReport", "Content", "Drive", "Row"),
+        *("axes_of", "content_of", "example_of", "used_sweeps"),
+    ),
+    "diagnosis": ("diagnosis_figures", "diagnosis_page"),
+    "fleet": ("fleet_page",),
+    "html": ("Form", "Page"),
+    "page": ("analysis_page", "estimate_page"),
 }
 
 __all__ = [
@@ -43,7 +43,6 @@ __all__ = [
     "Drive",
     "Form",
     "Page",
-    "Revision",
     "Row",
     "analysis_page",
     "axes_of",
@@ -59,6 +58,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    for module, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{module}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

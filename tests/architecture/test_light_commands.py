@@ -140,7 +140,7 @@ def test_the_service_loads_nothing_that_only_its_worker_needs(root: Path) -> Non
     """Every start of the service would pay for it, and a service that starts late is a machine that stands."""
     found = modules(root, LOADED, "serve", "--config", "none")
     worker = {"service.data_check", "service.diagnosis.diagnose", "service.report.campaign", "simulator"}
-    assert found & (worker | {"service.report.paper", "scipy.stats", "weasyprint", "dask", "s3fs"}) == set()
+    assert found & (worker | {"service.report.plotting", "scipy.stats", "weasyprint", "dask", "s3fs"}) == set()
 
 
 def test_a_virtual_can_machine_loads_no_modbus(root: Path) -> None:

@@ -14,8 +14,7 @@ import numpy as np
 from scipy.io import savemat
 
 from service.formats.export.recordings import write_recordings
-from service.formats.traces.containers.reading import read_here
-from service.formats.traces.containers.request import Channel
+from service.formats.traces.containers import Channel, read_here
 from service.model.configuration import read_robot
 from service.store.files.bundle import Bundle
 from tests.forked import forked

@@ -21,16 +21,14 @@ from service.cli.campaign.measure import plan_number
 from service.cli.commands.export import export_path
 from service.cli.recordings.control_file import import_control_file
 from service.formats.export import identified_model
-from service.formats.export.sheets.load import load_of
+from service.formats.export.sheets.inertias import load_of
 from service.formats.export.sheets.making import check_sheet, sheet
 from service.formats.export.sheets.text import as_markdown
 from service.formats.export.started_robot import started_from
-from service.formats.maker_urdf.check import check_urdf
-from service.formats.maker_urdf.draft import side_file_text
+from service.formats.maker_urdf.check import check_urdf, side_file_text
 from service.formats.maker_urdf.packages import Packages
 from service.formats.sinumerik.document import Given
-from service.formats.traces.drafts import mapping_of
-from service.formats.traces.trace_import import import_trace, read_traces
+from service.formats.traces.trace_import import import_trace, mapping_of, read_traces
 from service.machine.execution.recording.recorder import read_stream
 from service.machine.paths.control import read_control
 from service.model.configuration import read_robot, read_text

@@ -16,8 +16,7 @@ from drivers.canopen.profile import parse_profile
 from drivers.registry import load_profile
 from service.formats.export import model_of
 from service.formats.maker_urdf import side_file_text
-from service.formats.maker_urdf.meshes import mesh_points
-from service.formats.maker_urdf.packages import Packages
+from service.formats.maker_urdf.packages import Packages, mesh_points
 from service.formats.maker_urdf.virtual import DraftedRobot, virtual_machine
 from service.identification.estimates.document import as_document
 from service.identification.estimates.estimate import Estimate, identify

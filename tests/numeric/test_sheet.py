@@ -11,8 +11,7 @@ import pytest
 
 from service.formats.export import model_of
 from service.formats.export.sheets.inertias import of_estimate
-from service.formats.export.sheets.making import fingerprint, sheet
-from service.formats.export.sheets.same_robot import compare
+from service.formats.export.sheets.making import compare, fingerprint, sheet
 from service.formats.export.sheets.text import as_markdown
 from service.identification.estimates.document import as_document
 from service.identification.estimates.estimate import Estimate, identify

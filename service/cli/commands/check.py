@@ -41,7 +41,7 @@ def check_sheet(
     from service.cli.documents import put_json
     from service.cli.exports.check_sheet import as_text, of_bundle, of_campaign
     from service.cli.progress_indicator import waiting
-    from service.formats.export.sheets.same_robot import compare
+    from service.formats.export.sheets.making import compare
     from service.model.results.identified.sheet import Sheet
     from sweepid.files import read_document
 

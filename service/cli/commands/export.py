@@ -84,9 +84,8 @@ def export_sheet(
     """Tell the identified inertias as the values that controls take, with uncertainty and the place to type them."""
     from service.cli.documents import put_json
     from service.cli.exports.estimates import read_estimate
-    from service.formats.export.sheets.load import load_of
+    from service.formats.export.sheets.inertias import UPRIGHT, load_of
     from service.formats.export.sheets.making import sheet
-    from service.formats.export.sheets.supplementary import UPRIGHT
     from service.formats.export.sheets.text import as_markdown
     from service.model.results.identified.payload import Payload
     from sweepid.files import read_document

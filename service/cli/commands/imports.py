@@ -124,8 +124,7 @@ def import_trace(
     from service.cli.progress_indicator import waiting
     from service.cli.recordings.check import warn
     from service.data_check import check
-    from service.formats.traces.drafts import mapping_of, mapping_text
-    from service.formats.traces.trace_import import read_traces
+    from service.formats.traces.trace_import import mapping_of, mapping_text, read_traces
     from service.store.files.bundle import write_bundle
 
     with waiting("reading the traces"):

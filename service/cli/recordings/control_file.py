@@ -10,16 +10,20 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from service.cli.documents import put_json
-from service.formats.sinumerik import measurement, tuning
+from service.formats.sinumerik import measurement
 from service.formats.sinumerik.document import (
     Given,
+    LoopInertia,
+    MeasuredResponse,
+    Response,
+    ServoTuning,
+    Size,
     measurement_document,
     recording_table,
     response_table,
     tuning_document,
 )
 from service.formats.sinumerik.members import read_members
-from service.formats.sinumerik.models import LoopInertia, MeasuredResponse, Response, ServoTuning, Size
 from service.model.errors import BadInput, writing
 
 Array = NDArray[np.float64]
@@ -43,12 +47,12 @@ def is_measurement(path: Path) -> bool:
 def import_control_file(path: Path, given: Given, out: Path | None, json_to: str | None) -> None:
     """Read, print or write; BadInput for what is not of the family."""
     root = read_members(path)
-    if root.kind == tuning.ROOT:
-        measurement.check_family(root, tuning.ROOT)
-        tuned = tuning.tuning_of(root)
+    if root.kind == measurement.TUNING:
+        measurement.check_family(root, measurement.TUNING)
+        tuned = measurement.tuning_of(root)
         document, tables = tuning_document(tuned, given, str(path)), {"frequency_response": response_table(tuned)}
     else:
-        measurement.check_family(root, measurement.ROOT)
+        measurement.check_family(root, measurement.RESPONSE)
         found = measurement.measurement_of(root)
         document = measurement_document(found, given, str(path))
         tables = {"frequency_response": response_table(found), "recording": recording_table(found)}

@@ -8,8 +8,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formats.export.workspace import worth_of
-from service.identification.estimates.worth import AxisWorth
+from service.identification.estimates.worth import AxisWorth, Observation, worth
+from service.identification.model.base_parameters import base_parameters
+from service.identification.model.regressor import fold, lock
 from service.model.errors import BadInput
 from service.model.results.estimate import (
     BaseParameter,
@@ -24,6 +25,32 @@ from service.model.robot import INERTIAL_NAMES, Robot
 from service.model.urdf import inertia_matrix
 
 Array = NDArray[np.float64]
+
+
+def worth_of(robot: Robot, found: Estimate, parameters: Array) -> tuple[AxisWorth, ...]:
+    """Of the parameters (11 n,) of an estimate; empty if it determines none, or is of another robot."""
+    fixed = {robot.index(joint): position for joint, position in found.base.locked.items()}
+    left = [k for k in range(len(robot.joints)) if k not in fixed]
+    moved = sorted(robot.index(joint) for joint in found.axes)
+    known = [k for k, one in enumerate(found.base_parameters) if one.std is not None]
+    if not moved or not known or not set(moved) <= set(left):
+        return ()
+    own = base_parameters(lock(robot.chain, fixed), tuple(left.index(k) for k in moved))
+    stated = found.base_parameters
+    if tuple(one.name for one in stated) != own.names:
+        return ()
+    whole = np.array(found.base.covariance, dtype=float)
+    if whole.shape != (len(stated), len(stated)):
+        whole = np.diag([(one.std or 0.0) ** 2 for one in stated])
+    combination = own.combination[known] @ fold(robot.chain, fixed)
+    values = np.array([stated[k].value for k in known])
+    motors = np.array([axis.reflected_motor_inertia or 0.0 for axis in robot.axes])
+    unknown = motors == 0
+    motors[unknown] = parameters[-len(motors) :][unknown]
+    nominal = np.concatenate([robot.chain.inertial.ravel(), motors])
+    spread = robot.prior.inertia, np.where(unknown, 1.0, robot.prior.motor_inertia)
+    observed = Observation(combination, values, whole[np.ix_(known, known)])
+    return worth(robot, nominal, spread, observed, parameters)
 
 
 @dataclass(frozen=True)
@@ -120,10 +147,10 @@ def _body(standard: StandardParameters, link: str, place: str) -> Body:
         raise BadInput(place, f"lacks the ten parameters of link {link}")
     if values["m"] <= 0:
         raise BadInput(place, f"mass of link {link} is {values['m']} kg, must exceed 0")
-    return body(link, np.array([_finite(values[name], f"{place} {link} {name}") for name in INERTIAL_NAMES]))
+    return body_of(link, np.array([_finite(values[name], f"{place} {link} {name}") for name in INERTIAL_NAMES]))
 
 
-def body(link: str, parameters: Array) -> Body:
+def body_of(link: str, parameters: Array) -> Body:
     """From the ten parameters (10,) at the frame's origin; the mass is not 0."""
     mass = float(parameters[0])
     centre = parameters[1:4] / mass

@@ -6,9 +6,8 @@ completes links without, `check` reports unusual and missing data, `draft` write
 `virtual` a virtual machine.
 """
 
-from service.formats.maker_urdf.check import UrdfCheck, check_urdf
-from service.formats.maker_urdf.draft import bare_robot, cell_text, side_file_text
-from service.formats.maker_urdf.finding import Finding
-from service.formats.maker_urdf.macros import read_description
+from service.formats.maker_urdf.chain import Finding
+from service.formats.maker_urdf.check import UrdfCheck, bare_robot, cell_text, check_urdf, side_file_text
+from service.formats.maker_urdf.packages import read_description
 
 __all__ = ["Finding", "UrdfCheck", "bare_robot", "cell_text", "check_urdf", "read_description", "side_file_text"]

@@ -3,14 +3,25 @@
 import math
 import warnings
 import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from service.formats.maker_urdf.finding import Finding
 from service.model.errors import BadInput
 from service.model.robot import rotation_about
 from service.model.urdf import read_axis, read_inertial, read_origin
+
+
+@dataclass(frozen=True)
+class Finding:
+    """`missing`: the user must complete it; `changed`: modified here; `unusual`: the user should check it."""
+
+    kind: Literal["missing", "changed", "unusual"]
+    place: str  # link, joint or file
+    sentence: str
+
 
 MOVING = ("revolute", "continuous", "prismatic")
 

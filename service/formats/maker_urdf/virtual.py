@@ -13,7 +13,7 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from service.formats.maker_urdf.draft import cell_text
+from service.formats.maker_urdf.check import cell_text
 from service.formats.maker_urdf.inertials import gravity_efforts, random_poses
 from service.model.errors import BadInput
 from service.model.robot import Robot, RobotDescription, link_frames, robot_from_outside

@@ -9,19 +9,63 @@ The lines are at k / (n T), n samples of interval T. The frequencies in the file
 """
 
 from dataclasses import dataclass, replace
+from enum import Enum
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.formats.sinumerik.members import Member, read_members
-from service.formats.sinumerik.signals import DRIVE, PARAMETERS, SIGNALS, Meaning
 from service.model.errors import BadInput
+
+DRIVE, CONTROL = 5, 6  # platforms of signals and parameters
+
+
+class Quantity(Enum):
+    """A quantity on the motor side; units of a linear motor are m/s and N."""
+
+    SPEED = "speed"  # rad/s
+    SPEED_SETPOINT = "speed set-point"  # rad/s
+    TORQUE = "torque"  # N m
+    CURRENT = "torque-forming current"  # A
+
+
+@dataclass(frozen=True, slots=True)
+class Meaning:
+    """Name, quantity and unit of a drive's signal."""
+
+    name: str
+    quantity: Quantity
+    unit: str
+
+
+SIGNALS = {
+    61: Meaning("r0061 speed actual value", Quantity.SPEED, "rad/s"),
+    62: Meaning("r0062 speed set-point after the filter", Quantity.SPEED_SETPOINT, "rad/s"),
+    63: Meaning("r0063 speed actual value, smoothed", Quantity.SPEED, "rad/s"),
+    77: Meaning("r0077 torque-forming current set-point", Quantity.CURRENT, "A"),
+    78: Meaning("r0078 torque-forming current actual value", Quantity.CURRENT, "A"),
+    80: Meaning("r0080 torque actual value", Quantity.TORQUE, "N m"),
+}
+
+GAIN = (DRIVE, 1460)
+PARAMETERS = {
+    GAIN: "p1460 speed controller gain, N m s/rad",
+    (DRIVE, 1462): "p1462 speed controller reset time, ms",
+    (DRIVE, 1656): "p1656 current set-point filters active",
+    (CONTROL, 32200): "MD32200 position controller gain",
+    (CONTROL, 32500): "MD32500 friction compensation active",
+    (CONTROL, 36000): "MD36000 exact stop coarse, mm or deg",
+    (CONTROL, 36010): "MD36010 exact stop fine, mm or deg",
+    (CONTROL, 36030): "MD36030 standstill tolerance, mm or deg",
+    (CONTROL, 36400): "MD36400 contour monitoring tolerance, mm or deg",
+}
+
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-ROOT = "ResponseTestCustom"
+RESPONSE = "ResponseTestCustom"
 VERSIONS = ("4.7.", "4.96.")  # of the available files
 SPEED_LOOP, NOISE = 2, 4  # codes of control loop and waveform in these files
 SAME = 1e-6  # relative
@@ -93,7 +137,7 @@ class Measurement:
 def read_measurement(path: Path) -> Measurement:
     """BadInput names file and member if something is missing, unknown or inconsistent."""
     root = read_members(path)
-    check_family(root, ROOT)
+    check_family(root, RESPONSE)
     return measurement_of(root)
 
 
@@ -216,3 +260,106 @@ def _instant(stamp: Member) -> str:
     date, time = stamp.whole("Date"), stamp.number("Time")
     day = f"{date // 10000:04}-{date // 100 % 100:02}-{date % 100:02}"
     return f"{day}T{int(time) // 10000:02}:{int(time) // 100 % 100:02}:{time % 100:04.1f}"
+
+
+TUNING = "DynamicModelAxisController"
+MODEL = "DynamicModelSpeedControllerS120"
+SMALLEST = 1e-12  # of an inertia, kg m^2, or of the way per turn of a motor
+
+
+@dataclass(frozen=True, slots=True)
+class Regulator:
+    """Settings of the speed controller: gain, N m s/rad, reset time, s."""
+
+    gain: float
+    reset_time: float
+    reference_model: bool
+
+
+@dataclass(frozen=True)
+class Plant:
+    """Speed over torque (b,), rad/s per N m, at `frequency` (b,), Hz; coherence (b,) if it is in the file."""
+
+    frequency: Array
+    response: Complex
+    coherence: Array | None
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """On the motor side: kg m^2, N m s/rad, Hz. `axis_per_motor`: rad (m) of the axis per rad of the motor."""
+
+    version: str
+    axis: str
+    measured_at: str
+    motor_inertia: float
+    total_inertia: float
+    friction: float
+    lowest_frequency: float  # above it, the control considers its response valid
+    antiresonance: float | None  # the lowest zero of the mechanics; None if the control found none
+    axis_per_motor: float
+    rotary: bool
+    plant: Plant
+    regulators: tuple[Regulator, ...]
+    unread: tuple[str, ...]
+
+
+def read_tuning(path: Path) -> Tuning:
+    """BadInput names file and member if something is missing or unknown."""
+    root = read_members(path)
+    check_family(root, TUNING)
+    return tuning_of(root)
+
+
+def tuning_of(root: Member) -> Tuning:
+    """The tuning from the root of a file."""
+    position, model = root.first("DynamicModelPositionController840DSL"), root.first(MODEL)
+    if not model.flag("m_bMotorIsRotary"):
+        raise BadInput(root.place, "is of a linear motor, which is not supported: its units are not known")
+    zero = model.number("m_dSpeedPlantLowestEstZeroFreq")
+    found = Tuning(
+        version=root.version,
+        axis=root.string("m_szAxisName"),
+        measured_at=root.string("m_szInitTime"),
+        motor_inertia=_positive(model, "m_dMotorInertia"),
+        total_inertia=_positive(model, "m_dTotalInertia"),
+        friction=model.number("m_dViscousCoeff"),
+        lowest_frequency=model.number("m_dMinUsableMechPlantFrequency"),
+        antiresonance=zero if zero > SMALLEST else None,
+        axis_per_motor=_positive(position, "m_dAxisDistPerMotorDistUnitsMetersAndRadians"),
+        rotary=position.flag("m_bAxisIsRotary"),
+        plant=_plant(model.get("m_listMechPlants").first("PlantMeasRecord")),
+        regulators=tuple(
+            Regulator(each.number("m_dKpGain"), each.number("m_dIntegralTime"), each.flag("m_bUsingReferenceModel"))
+            for each in model.each("SpeedLoopRegulator")
+        ),
+        unread=(),
+    )
+    return replace(found, unread=root.unread())
+
+
+def _positive(member: Member, name: str) -> float:
+    value = member.number(name)
+    if not value > SMALLEST:
+        raise BadInput(member.place, f"member {name} is {value}, and must be above {SMALLEST:g}")
+    return value
+
+
+def _plant(record: Member) -> Plant:
+    frequency, response = _frequency_response(record.get("m_pPlant"))
+    coherence = None
+    if record.find("m_pMeasCoherence") is not None:
+        at, values = _frequency_response(record.get("m_pMeasCoherence"))
+        if not np.array_equal(at, frequency):
+            raise BadInput(record.place, "m_pMeasCoherence is not of the frequencies of m_pPlant")
+        coherence = values.real
+        if (coherence < 0).any() or (coherence > 1 + 1e-6).any():
+            raise BadInput(record.place, "m_pMeasCoherence leaves 0 ... 1")
+    return Plant(frequency, response, coherence)
+
+
+def _frequency_response(member: Member) -> tuple[Array, Complex]:
+    pairs, frequency = member.array("m_ValueVector", per_value=2), member.array("m_FrequencyVector")
+    if len(pairs) != len(frequency) or (np.diff(frequency) <= 0).any() or frequency.min(initial=1.0) < 0:
+        raise BadInput(member.place, f"{member.name} has {len(pairs)} values at {len(frequency)} rising frequencies")
+    return frequency, np.asarray(pairs @ np.array([1, 1j]), dtype=np.complex128)

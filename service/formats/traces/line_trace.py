@@ -17,8 +17,8 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formats.traces.containers.request import Channel, Listed, Taken, check_numbers, shown
-from service.formats.traces.roles import axis_of, role_of
+from service.formats.traces.containers import Channel, Listed, Taken, check_numbers, shown
+from service.formats.traces.units import axis_of, role_of
 from service.model.errors import BadInput
 from service.store.files.columns import LARGEST_CSV, MOST_NUMBERS
 

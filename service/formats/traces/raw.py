@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formats.traces.containers.reading import format_of, list_containers, read_containers
-from service.formats.traces.containers.request import Channel, Listed, Taken
+from service.formats.traces.containers import Channel, Listed, Taken, format_of, list_containers, read_containers
 from service.formats.traces.line_trace import LineTrace
 from service.formats.traces.mapping import Column, Columns, Csv, FromPosition, Mapping, TraceSweep
-from service.formats.traces.roles import find_roles
 from service.formats.traces.tables import TextTable
+from service.formats.traces.units import find_roles
 from service.model.errors import BadInput
 from service.store.files.columns import read_table, table_names
 

@@ -1,4 +1,4 @@
-r"""Converts traces (.mat, .csv, .parquet, .mf4, .h5) to a bundle with a mapping (docs/how-to/your-own-trace.md).
+"""Converts traces (.mat, .csv, .parquet, .mf4, .h5) to a bundle with a mapping (docs/how-to/your-own-trace.md).
 
 For a machine that records position but no velocity, the mapping contains ``velocity: {from_position: 100}``; the
 number is the corner of a low-pass filter in Hz. The differentiation must not look like inertia:
@@ -18,18 +18,19 @@ from collections.abc import Mapping as Mapping_
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 from pydantic import ValidationError
 from scipy.signal import butter, sosfiltfilt
 
 from service.formats.traces.alignment import check_follows, motion_start
-from service.formats.traces.clock import even, filled, spacing, unit_of_time
 from service.formats.traces.mapping import CncAxis, Columns, FromPosition, Mapping, SingleAxis, TraceSweep
 from service.formats.traces.meaning import Channel, Train, find_kind, scalings
 from service.formats.traces.raw import Raw, read_raw, sessions_of
+from service.formats.traces.tables import even, filled, spacing, unit_of_time
 from service.formats.traces.units import check_same, to_si
 from service.identification.design.excitation import Excitation
 from service.identification.design.sweep_path import way
@@ -402,3 +403,40 @@ def _single_axis_robot(axis: SingleAxis, place: str) -> Robot:
     except ValidationError as error:
         raise bad_field(f"{place} robot", error) from None
     return robot_from_outside(description, urdf, f"{place} robot")
+
+
+def mapping_of(
+    path: Path,
+    *,
+    axis: str | None = None,
+    torque_constant: float | None = None,
+    sample_rate: float | None = None,
+    **known: Any,
+) -> Mapping:
+    """A mapping file (YAML), or the mapping of a trace file; `known`: fields of the axis. BadInput names the field."""
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return read_yaml(path, Mapping)
+    given = {name: value for name, value in known.items() if value is not None}
+    name = "".join(letter for letter in path.stem if letter.isprintable())[:200] or "trace"
+    try:
+        mapping = of_file(path, SingleAxis(name=name, joint="axis", **given), axis, torque_constant)
+        if sample_rate is None:
+            return mapping
+        return mapping.model_copy(
+            update={
+                "sweeps": tuple(
+                    one.model_validate(one.model_dump(exclude_unset=True) | {"sample_rate": sample_rate})
+                    for one in mapping.sweeps
+                )
+            }
+        )
+    except ValidationError as error:
+        raise bad_field(str(path), error) from None
+
+
+def mapping_text(made: Imported) -> str:
+    """The whole mapping as YAML, with the guesses as comments."""
+    content = made.mapping.model_dump(mode="json", exclude_defaults=True)
+    content["robot"] = made.mapping.model_dump(mode="json", exclude_none=True)["robot"]
+    notes = "".join(f"# {note}\n" for note in made.notes)
+    return notes + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)

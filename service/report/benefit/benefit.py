@@ -5,11 +5,14 @@ standard parameters: the part that the inertias do not determine is that of CAD.
 is that of an estimate from all sweeps, with its covariance.
 """
 
-from collections.abc import Sequence
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import ndtr, ndtri
 
 from service.identification.axis.axis_estimate import AxisEstimate
 from service.identification.estimates.estimate import Estimate, identify
@@ -18,12 +21,11 @@ from service.identification.model.regressor import axis_rows, gravity_terms
 from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.model.errors import BadInput
-from service.model.recording import Sweep
-from service.model.results.effect import Value
-from service.model.robot import Robot
-from service.report.benefit.held_out import EVERY, held_out, poses_of
-from service.report.benefit.lever_arm import ON_THE_AXIS, lever_arm
-from service.report.benefit.monitor import QUIET_HOURS, alarm_probability, smallest_effort
+from service.model.recording import Sweep, SweepSpec
+from service.model.results.effect import Number, Value
+from service.model.results.part import Document, Part
+from service.model.robot import Robot, link_frames
+from service.model.urdf import read_origin
 from service.report.benefit.prediction import (
     RigidBody,
     Window,
@@ -33,9 +35,88 @@ from service.report.benefit.prediction import (
     window_of,
     without_friction,
 )
-from service.report.benefit.result import AxisBenefit, Benefit, ModelBenefit
 
 Array = NDArray[np.float64]
+
+
+class ModelBenefit(Part):
+    """One model on the held-out sweeps of an axis; N m (N), for prismatic axes in brackets.
+
+    `effort_rms` and `effort_peak` of measured minus predicted effort, sample by sample; `lines_rms` of its part at the
+    excited lines, `left_percent` that part over the measured one. `inertia_percent`: RMS over the held-out sweeps of
+    model minus measured inertia, relative. `inertia_error`: the same in kg m^2 (kg), which is N m for each rad/s^2.
+    `smallest_effort`: the smallest external effort that the monitor can detect; `smallest_force` at the robot's end
+    that causes it, N, null if that end is on the axis.
+    """
+
+    effort_rms: Number
+    effort_peak: Number
+    lines_rms: Number
+    left_percent: Number
+    inertia_percent: Value
+    inertia_error: Number
+    smallest_effort: Number
+    smallest_force: Number | None
+
+
+class AxisBenefit(Part):
+    """Both models on one axis. `effort_rms`, `lines_rms`: of the measured effort itself, in the held-out sweeps.
+
+    `lever_arm`: median over the held-out poses of the distance of the robot's end from the axis, m; null: prismatic.
+    """
+
+    unit: str
+    training: tuple[str, ...]
+    held_out: tuple[str, ...]
+    poses: int
+    held_out_poses: int
+    effort_rms: Number
+    lines_rms: Number
+    lever_arm: Number | None
+    cad: ModelBenefit
+    identified: ModelBenefit
+
+    @property
+    def lines_ratio(self) -> float:
+        """Factor by which the residual at the excited lines is smaller with the estimate."""
+        return self.cad.lines_rms / self.identified.lines_rms
+
+    @property
+    def smallest_ratio(self) -> float:
+        """Factor by which the smallest detectable effort is smaller with the estimate."""
+        return self.cad.smallest_effort / self.identified.smallest_effort
+
+
+class Followed(Part):
+    """Error of an axis on a path, motor side, referred to the joint: rad (m)."""
+
+    rms: Number
+    peak: Number
+
+
+class Tracking(Part):
+    """The same path with torque feed-forward of each model, by joint. `top_speed`, `top_acceleration` of any joint."""
+
+    duration: Number  # s
+    top_speed: Number  # rad/s (m/s)
+    top_acceleration: Number  # rad/s^2 (m/s^2)
+    gain: Number  # 1/s, of the position controllers
+    cad: Mapping[str, Followed]
+    identified: Mapping[str, Followed]
+
+
+class Benefit(Document):
+    """By joint. `every`: every so-many-th pose of an axis is held out; `quiet_hours`: time per false alarm.
+
+    `not_judged`: reasons why an axis has no result. `tracking`: result of a simulation, if there was one.
+    """
+
+    robot: str
+    every: int
+    quiet_hours: Number
+    axes: Mapping[str, AxisBenefit]
+    not_judged: Mapping[str, str]
+    tracking: Tracking | None = None
 
 
 @dataclass(frozen=True)
@@ -150,7 +231,7 @@ def _judge(axis: _Axis, known: Estimate, identified: Array, counts: tuple[int, i
         poses=counts[0],
         held_out_poses=counts[1],
         effort_rms=_rms([float(np.mean(one.effort**2)) for one in windows]),
-        lines_rms=_lines(windows, [one.effort for one in windows]),
+        lines_rms=_lines_rms(windows, [one.effort for one in windows]),
         lever_arm=arm,
         cad=_model(axis, nominal, axis.covariance, arm),
         identified=_model(axis, identified, axis.covariance + uncertain, arm),
@@ -175,14 +256,14 @@ def _model(axis: _Axis, parameters: Array, covariance: Array, arm: float | None)
         peak,
         alarm_probability(rate),
     )
-    lines = _lines(windows, left)
+    lines = _lines_rms(windows, left)
     error = np.array([body.inertia for body in own]) - axis.measured
     percent = 100 / axis.measured
     return ModelBenefit(
         effort_rms=_rms([float(np.mean(one**2)) for one in left]),
         effort_peak=peak,
         lines_rms=lines,
-        left_percent=100 * lines / _lines(windows, [one.effort for one in windows]),
+        left_percent=100 * lines / _lines_rms(windows, [one.effort for one in windows]),
         inertia_percent=rms_with_std(error * percent, covariance * np.outer(percent, percent), "%"),
         inertia_error=float(np.sqrt(np.mean(error**2))),
         smallest_effort=smallest,
@@ -206,10 +287,97 @@ def _bodies(axis: _Axis, parameters: Array, sweeps: Sequence[Sweep]) -> list[Rig
     return [RigidBody(float(j), float(g), float(k)) for j, (g, k) in zip(inertia, gravity, strict=True)]
 
 
-def _lines(windows: Sequence[Window], signals: Sequence[Array]) -> float:
+def _lines_rms(windows: Sequence[Window], signals: Sequence[Array]) -> float:
     return _rms([lines_power(signal, one) for signal, one in zip(signals, windows, strict=True)])
 
 
 def _rms(powers: Sequence[float]) -> float:
     """RMS over sweeps with equal weights."""
     return float(np.sqrt(np.mean(powers)))
+
+
+EVERY = 4
+SAME_POSITION = 2e-3  # rad (m) of the other joints, as of an estimate
+SAME_WAY = 0.1  # rad (m) of the axis itself: a sweep travels about 4 degrees, forward or backward
+
+
+def poses_of(specs: Sequence[SweepSpec], own: int) -> list[list[SweepSpec]]:
+    """The sweeps of joint number `own`, grouped by pose, in the order in which the poses first occur."""
+    found: list[list[SweepSpec]] = []
+    for spec in specs:
+        same = next((pose for pose in found if _same(pose[0], spec, own)), None)
+        if same is None:
+            found.append([spec])
+        else:
+            same.append(spec)
+    return found
+
+
+def held_out(poses: Sequence[Sequence[SweepSpec]]) -> frozenset[str]:
+    """The ids of the sweeps of every `EVERY`th pose."""
+    return frozenset(spec.id for pose in poses[EVERY - 1 :: EVERY] for spec in pose)
+
+
+def _same(one: SweepSpec, other: SweepSpec, own: int) -> bool:
+    apart: Array = np.abs(np.subtract(one.pose, other.pose))
+    limit = np.full(len(apart), SAME_POSITION)
+    limit[own] = SAME_WAY
+    return bool(np.all(apart < limit))
+
+
+ON_THE_AXIS = 0.01  # m: if nearer, a force at the end has no torque about the axis
+
+
+def end_of(robot: Robot) -> Array:
+    """Origin (3,) of the last link in the frame of the last moving one, along fixed joints to their end, for example a
+    flange or tool.
+    """
+    root = ET.fromstring(robot.urdf_text)  # the robot's chain was read from it: it is valid
+    fixed = {
+        parent.get("link"): (joint, child.get("link"))
+        for joint in root.findall("joint")
+        if joint.get("type") == "fixed"
+        and (parent := joint.find("parent")) is not None
+        and (child := joint.find("child")) is not None
+    }
+    link: str | None = robot.chain.joints[-1].link
+    rotation, place = np.eye(3), np.zeros(3)
+    while link in fixed:
+        joint, link = fixed[link]
+        turn, way = read_origin(joint, f"joint {joint.get('name')}")
+        place = place + rotation @ way
+        rotation = rotation @ turn
+    return place
+
+
+def lever_arm(robot: Robot, own: int, poses: Array) -> Array:
+    """Distance (m,) in m between the robot's end and the line of revolute joint number `own`, at poses (m, joints)."""
+    rotations, origins = link_frames(robot.chain, poses)
+    end = origins[:, -1] + rotations[:, -1] @ end_of(robot)
+    axis = rotations[:, own] @ robot.chain.joints[own].axis
+    return np.linalg.norm(np.cross(axis, end - origins[:, own]), axis=-1)
+
+
+QUIET_HOURS = 8.0  # one shift
+TINY = 1e-9  # of the largest difference: standard deviation of a sweep without differences
+
+
+def alarm_probability(sample_rate: float, quiet_hours: float = QUIET_HOURS) -> float:
+    """Probability per sample for one false alarm in `quiet_hours`; `sample_rate` in Hz."""
+    return 1.0 / (3600.0 * quiet_hours * sample_rate)
+
+
+def smallest_effort(means: Array, stds: Array, peak: float, probability: float) -> float:
+    """L from means (s,) and standard deviations (s,) of the sweeps and the largest difference recorded; N m (N)."""
+    scale = max(float(np.abs(means).max()), float(stds.max()))
+    if scale == 0:
+        return peak
+    spread = np.maximum(stds, TINY * scale)
+
+    def excess(limit: float) -> float:
+        tails = ndtr(-(limit - means) / spread) + ndtr(-(limit + means) / spread)
+        return float(np.mean(tails)) - probability
+
+    # each sweep alone meets the rate here, so all together do
+    enough = float(np.max(np.abs(means) - ndtri(probability / 2) * spread))
+    return max(float(brentq(excess, 0.0, 1.01 * enough)), peak)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from html import escape
 
-from service.report.benefit.result import AxisBenefit, Benefit, ModelBenefit, Tracking
+from service.report.benefit.benefit import AxisBenefit, Benefit, ModelBenefit, Tracking
 from service.report.drawing import IDENTIFIED, REFERENCE, Drawn, Figure, Part, figure, scale
 from service.report.html import Page
 

@@ -14,8 +14,7 @@ import pytest
 from asammdf.blocks.v4_blocks import ChannelConversion
 
 from service.formats.export.recordings import write_recordings
-from service.formats.traces.containers.reading import read_containers, read_here
-from service.formats.traces.containers.request import Channel, Taken
+from service.formats.traces.containers import Channel, Taken, read_containers, read_here
 from service.formats.traces.trace_import import import_trace
 from service.model.errors import BadInput
 from service.store.files.isolated_reader import Limits

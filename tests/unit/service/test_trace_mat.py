@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from service.formats.traces.containers.reading import read_containers
-from service.formats.traces.containers.request import Channel
+from service.formats.traces.containers import Channel, read_containers
 from service.formats.traces.trace_import import import_trace
 from service.model.errors import BadInput
 from service.store.files.isolated_reader import Limits

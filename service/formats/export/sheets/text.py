@@ -2,8 +2,8 @@
 
 import math
 
-from service.formats.export.mjcf import quaternion
-from service.formats.export.sheets.load import Load, zyx
+from service.formats.export.files import quaternion
+from service.formats.export.sheets.inertias import Load, zyx
 from service.model.results.identified.sheet import AxisSheet, Sheet, SheetBody, Supplementary, SupplementaryLoad
 
 _NO_LOAD = (

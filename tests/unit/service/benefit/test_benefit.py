@@ -10,12 +10,24 @@ from service.identification.spectra.frequency_response import spectrum
 from service.model.errors import BadInput
 from service.report import Page
 from service.report.benefit import Benefit, benefit, benefit_section, feed_forward, sentence
-from service.report.benefit.benefit import rms_with_std
-from service.report.benefit.feed_forward import path_between
-from service.report.benefit.held_out import held_out, poses_of
-from service.report.benefit.lever_arm import end_of, lever_arm
-from service.report.benefit.monitor import alarm_probability, smallest_effort
-from service.report.benefit.prediction import RigidBody, dry_friction, left_by, lines_power, window_of, without_friction
+from service.report.benefit.benefit import (
+    alarm_probability,
+    end_of,
+    held_out,
+    lever_arm,
+    poses_of,
+    rms_with_std,
+    smallest_effort,
+)
+from service.report.benefit.prediction import (
+    RigidBody,
+    dry_friction,
+    left_by,
+    lines_power,
+    path_between,
+    window_of,
+    without_friction,
+)
 from service.report.benefit.section import worth
 from service.report.plotting import svg
 from tests.unit.service.benefit import pair

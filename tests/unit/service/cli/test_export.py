@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from service.formats.export.sheets.load import Load, load_of
+from service.formats.export.sheets.inertias import Load, load_of
 from service.formats.export.sheets.making import check_sheet, fingerprint, sheet
 from service.formats.export.sheets.text import as_markdown
 from service.model.configuration import read_robot

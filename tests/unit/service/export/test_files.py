@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from service.formats.export import identified_model, model_files, write_model
-from service.formats.export.mjcf import quaternion
+from service.formats.export.files import quaternion
 from service.identification.estimates.worth import AxisWorth, Worth
 from service.identification.model.physical_consistency import is_physical
 from service.model.configuration import read_robot

@@ -10,8 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from service.formats.maker_urdf.hulls import FINEST, MOST_VERTICES, convex_hull, embed_hulls, solid
-from service.formats.maker_urdf.inertials import DENSITY, check_inertials
+from service.formats.maker_urdf.inertials import (
+    DENSITY,
+    FINEST,
+    MOST_VERTICES,
+    check_inertials,
+    convex_hull,
+    embed_hulls,
+    solid,
+)
 from service.formats.maker_urdf.packages import Packages
 from service.model.errors import BadInput
 from service.model.geometry.hull import read_hull, write_hull

@@ -14,7 +14,7 @@ from service.model.results.diagnosis import Diagnosis
 from service.model.results.estimate import BaseParameter, Estimate
 from service.model.robot import Robot
 from service.report import CampaignReport, Content, Drive, campaign_page, content_of
-from service.report.verdict import CONFIRMED, CONTRADICTED, OPEN, verdict
+from service.report.campaign import CONFIRMED, CONTRADICTED, OPEN, verdict
 from tests.stored import documents
 from tests.stored.documents import axis_document, stored
 from tests.unit.service.report.test_report import content, sweep

@@ -11,12 +11,17 @@ import pytest
 
 from service.cli.commands.imports import import_trace
 from service.cli.recordings.control_file import import_control_file
-from service.formats.sinumerik.base85 import decode
-from service.formats.sinumerik.document import Given, measurement_document, response_table, tuning_document
-from service.formats.sinumerik.measurement import Measurement, read_measurement
-from service.formats.sinumerik.members import LARGEST
-from service.formats.sinumerik.models import LoopInertia, Size, SpeedController
-from service.formats.sinumerik.tuning import read_tuning
+from service.formats.sinumerik.document import (
+    Given,
+    LoopInertia,
+    Size,
+    SpeedController,
+    measurement_document,
+    response_table,
+    tuning_document,
+)
+from service.formats.sinumerik.measurement import Measurement, read_measurement, read_tuning
+from service.formats.sinumerik.members import LARGEST, decode
 from service.model.errors import BadInput
 from tests.control_file import DELAY, GAIN, INERTIA, TOTAL, Loop, array, base85, tuning_xml
 

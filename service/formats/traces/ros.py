@@ -15,7 +15,7 @@ from rosbags.rosbag2 import ReaderError as Ros2Error
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
-from service.formats.traces.containers.request import Array, Channel, Listed, Taken, check_numbers, shown
+from service.formats.traces.containers import Array, Channel, Listed, Taken, check_numbers, shown
 from service.model.errors import BadInput
 from service.store.files.columns import MOST_NUMBERS
 

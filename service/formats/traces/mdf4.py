@@ -16,7 +16,7 @@ from asammdf.blocks.mdf_v4 import MDF4
 from asammdf.blocks.utils import MdfException
 from numpy.typing import NDArray
 
-from service.formats.traces.containers.request import Array, Channel, Listed, Taken, check_numbers, shown
+from service.formats.traces.containers import Array, Channel, Listed, Taken, check_numbers, shown
 from service.formats.traces.units import to_si
 from service.model.errors import BadInput
 from service.store.files.columns import MOST_NUMBERS

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.io import loadmat, whosmat
 from scipy.io.matlab import MatReadError
 
-from service.formats.traces.containers.request import (
+from service.formats.traces.containers import (
     Channel,
     Listed,
     Taken,

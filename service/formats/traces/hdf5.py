@@ -10,7 +10,7 @@ from typing import Any, cast
 import h5py
 import numpy as np
 
-from service.formats.traces.containers.request import (
+from service.formats.traces.containers import (
     Channel,
     Listed,
     Taken,
