@@ -7,7 +7,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from service.formats.maker_urdf import Finding, UrdfCheck, side_file_text
+from service.formats.maker_urdf import UrdfCheck, UrdfFinding, side_file_text
 from service.model.errors import BadInput
 
 
@@ -31,7 +31,7 @@ def refuse_existing(drafts: Iterable[Path]) -> None:
             raise BadInput(str(path), "exists already; nothing is overwritten")
 
 
-def print_findings(findings: tuple[Finding, ...], checked: UrdfCheck, name: str, console: Console) -> None:
+def print_findings(findings: tuple[UrdfFinding, ...], checked: UrdfCheck, name: str, console: Console) -> None:
     """One row a finding."""
     joints = checked.chain.joints
     table = Table(title=f"{name}: {len(joints)} axes, {joints[0].name} to {joints[-1].name}")

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from service.report.campaign import campaign_page
     from service.report.content import (
-        Axis,
         CampaignReport,
         Content,
         Drive,
-        Row,
+        ReportedAxis,
+        TruthRow,
         axes_of,
         content_of,
         example_of,
@@ -21,29 +21,29 @@ if TYPE_CHECKING:
     )
     from service.report.diagnosis import diagnosis_figures, diagnosis_page
     from service.report.fleet import fleet_page
-    from service.report.html import Form, Page
+    from service.report.html import Form, ReportPage
     from service.report.page import analysis_page, estimate_page
 
 _HOMES = {
     "campaign": ("campaign_page",),
     "content": (
-        *("Axis", "CampaignReport", "Content", "Drive", "Row"),
+        *("ReportedAxis", "CampaignReport", "Content", "Drive", "TruthRow"),
         *("axes_of", "content_of", "example_of", "used_sweeps"),
     ),
     "diagnosis": ("diagnosis_figures", "diagnosis_page"),
     "fleet": ("fleet_page",),
-    "html": ("Form", "Page"),
+    "html": ("Form", "ReportPage"),
     "page": ("analysis_page", "estimate_page"),
 }
 
 __all__ = [
-    "Axis",
     "CampaignReport",
     "Content",
     "Drive",
     "Form",
-    "Page",
-    "Row",
+    "ReportPage",
+    "ReportedAxis",
+    "TruthRow",
     "analysis_page",
     "axes_of",
     "campaign_page",

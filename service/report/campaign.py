@@ -12,14 +12,14 @@ from service.model.results.diagnosis import Diagnosis, standing_of
 from service.model.results.estimate import Estimate, Suspect
 from service.report.content import CampaignReport, Content
 from service.report.diagnosis import diagnosis_section, findings, not_looked_at, plain
-from service.report.html import Page
+from service.report.html import ReportPage
 from service.report.page import analysis_section, estimate_sections, parameters_section
 
 CONFIRMED, OPEN, CONTRADICTED = "Confirmed", "Not confirmed", "Contradicted"
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class EstimateVerdict:
     """The verdict on the estimate (one of the three words above) and the reasons; one sentence each."""
 
     standing: str
@@ -31,12 +31,12 @@ def verdict(
     check: DataCheck | None,
     diagnosis: tuple[int, Diagnosis] | None,
     test_mass: float | None = None,
-) -> Verdict:
+) -> EstimateVerdict:
     """The verdict from an estimate, the findings of the data check, and number and document of the newest diagnosis."""
     parts = (_of_estimate(estimate), _of_mass(test_mass), _of_check(check), _of_diagnosis(estimate, diagnosis))
     standings = {standing for standing, _ in parts}
     standing = next(one for one in (CONTRADICTED, OPEN, CONFIRMED) if one in standings)
-    return Verdict(standing, f"{'; '.join(sentences for _, sentences in parts if sentences)}.")
+    return EstimateVerdict(standing, f"{'; '.join(sentences for _, sentences in parts if sentences)}.")
 
 
 def _of_estimate(estimate: Estimate) -> tuple[str, str]:
@@ -129,9 +129,11 @@ def _count(number: int, one: str, many: str) -> str:
 _LOOK = {CONFIRMED: "settled", OPEN: "open", CONTRADICTED: "unexplained"}  # CSS class of the card; the word is on it
 
 
-def campaign_page(report: CampaignReport, joints: Sequence[str], estimate: Estimate, content: Content | None) -> Page:
+def campaign_page(
+    report: CampaignReport, joints: Sequence[str], estimate: Estimate, content: Content | None
+) -> ReportPage:
     """`content`: None if the estimate has no inertia of a single axis, or its sweeps are not available."""
-    page = Page(report.title, report.subtitle)
+    page = ReportPage(report.title, report.subtitle)
     found = verdict(estimate, report.check, report.diagnosis, report.test_mass)
     page.add(
         f'<div class="card {_LOOK[found.standing]}"><p class="verdict"><b>{found.standing}.</b> '
@@ -164,7 +166,7 @@ def _not_looked_at(report: CampaignReport, estimate: Estimate) -> list[str]:
     return [*lines[:-1], f"<li>{joints}: no diagnosis, so no effect was looked for</li>", lines[-1]]
 
 
-def _origin(page: Page, report: CampaignReport) -> None:
+def _origin(page: ReportPage, report: CampaignReport) -> None:
     page.origin(report.origin)
     page.add("<h3>Drives</h3>")
     if not report.drives:
@@ -185,7 +187,7 @@ def _origin(page: Page, report: CampaignReport) -> None:
     )
 
 
-def _tables(page: Page, estimate: Estimate) -> None:
+def _tables(page: ReportPage, estimate: Estimate) -> None:
     """The values of an estimate for axes without a figure; nothing if there are none."""
     if not estimate.axes:
         return
@@ -213,7 +215,7 @@ def _tables(page: Page, estimate: Estimate) -> None:
     parameters_section(page, estimate)
 
 
-def _combination(page: Page, combination: Combination) -> None:
+def _combination(page: ReportPage, combination: Combination) -> None:
     page.add(
         "<h2>Sweeps and trajectories together</h2>",
         "<p>The base parameters of the whole dynamics, SI, and what determines them.</p>",
@@ -234,7 +236,7 @@ def _combination(page: Page, combination: Combination) -> None:
     )
 
 
-def _suspects(page: Page, suspects: Sequence[Suspect]) -> None:
+def _suspects(page: ReportPage, suspects: Sequence[Suspect]) -> None:
     if not suspects:
         return
     page.add(
@@ -245,7 +247,7 @@ def _suspects(page: Page, suspects: Sequence[Suspect]) -> None:
     page.table(["sweep", "axis", "why", "weight"], rows)
 
 
-def _check(page: Page, check: DataCheck | None) -> None:
+def _check(page: ReportPage, check: DataCheck | None) -> None:
     page.add("<h2>Check of the data</h2>")
     if check is None:
         page.add(

@@ -37,7 +37,7 @@ class Revision:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class TruthRow:
     """One row of a table of values known only to the caller, for example errors with respect to a virtual robot."""
 
     label: str
@@ -57,7 +57,7 @@ class Content:
     revisions: tuple[Revision, ...] = ()
     example: Sweep | None = None  # shown in time and frequency
     truth_columns: tuple[str, ...] = ()
-    truth: tuple[Row, ...] = ()
+    truth: tuple[TruthRow, ...] = ()
     diagnosis: Diagnosis | None = None
 
 
@@ -85,7 +85,7 @@ class CampaignReport:
 
 
 @dataclass(frozen=True)
-class Axis:
+class ReportedAxis:
     """One axis: its sweeps in order of measurement, and both models. Inertias in kg m^2 (kg)."""
 
     joint: str
@@ -104,12 +104,12 @@ class Axis:
     rmse: tuple[float, float, float]  # reference-measured, identified-measured, reference-identified; percent, Table 1
 
 
-def axes_of(content: Content) -> tuple[Axis, ...]:
+def axes_of(content: Content) -> tuple[ReportedAxis, ...]:
     """The measured axes in the order of the estimate."""
     model = _Models(content)
     order = {spec.id: number for number, spec in enumerate(content.specs, start=1)}
     poses = {spec.id: spec.pose for spec in content.specs}
-    axes: list[Axis] = []
+    axes: list[ReportedAxis] = []
     for joint, found in content.estimate.axes.items():
         sweeps = sorted(found.inertia, key=lambda sweep: order[sweep.sweep])
         own = np.array([poses[sweep.sweep] for sweep in sweeps])
@@ -117,7 +117,7 @@ def axes_of(content: Content) -> tuple[Axis, ...]:
         identified, reference = model.inertia(index, own)
         identified_workspace, reference_workspace = model.inertia(index, content.workspace)
         axes.append(
-            Axis(
+            ReportedAxis(
                 joint=joint,
                 unit="kg" if slides(content.robot, index) else "kg m²",
                 poses=own,
@@ -178,10 +178,6 @@ def _number(value: float | None) -> float:
     return float("nan") if value is None else float(value)
 
 
-DRAWN = 2000  # poses for the drawing of models, at most
-FINEST = 25  # largest number of positions of one joint
-
-
 def content_of(
     robot: Robot,
     estimate: Estimate,
@@ -232,7 +228,8 @@ def covered(robot: Robot, used: Sequence[SweepSpec]) -> Array:
     varied = np.flatnonzero(np.ptp(stood, axis=0) > SAME_POSITION)
     if not varied.size:
         return stood
-    count = max(2, min(FINEST, math.floor(DRAWN ** (1 / varied.size))))
+    # largest number of positions of one joint
+    count = max(2, min(25, math.floor(2000 ** (1 / varied.size))))  # poses for the drawing of models, at most
     ranges = [np.linspace(float(stood[:, k].min()), float(stood[:, k].max()), count).tolist() for k in varied]
     poses = np.tile(stood.mean(axis=0), (count**varied.size, 1))
     poses[:, varied] = list(product(*ranges))

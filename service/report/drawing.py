@@ -14,7 +14,7 @@ Drawn = str | float | None | Sequence["Drawn"] | Mapping[str, "Drawn"]  # accept
 Part = Mapping[str, Drawn]  # a trace, a scale, an annotation
 
 
-class Figure(TypedDict):
+class DrawnFigure(TypedDict):
     """A figure for plotly.js; the layout has a "height", px."""
 
     data: Sequence[Part]
@@ -54,7 +54,7 @@ def points(
     return trace
 
 
-def figure(traces: Sequence[Part], layout: Part) -> Figure:
+def figure(traces: Sequence[Part], layout: Part) -> DrawnFigure:
     """Traces and layout in the report's look."""
     base: Part = {
         "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#334155"},

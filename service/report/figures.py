@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from service.model.recording import Sweep
 from service.model.robot import Robot
-from service.report.content import Axis, Revision
+from service.report.content import ReportedAxis, Revision
 from service.report.drawing import (
     DECADES,
     IDENTIFIED,
@@ -15,7 +15,7 @@ from service.report.drawing import (
     PAPER,
     REFERENCE,
     Drawn,
-    Figure,
+    DrawnFigure,
     Part,
     colours,
     figure,
@@ -31,7 +31,7 @@ from service.report.drawing import (
 Array = NDArray[np.float64]
 
 
-def inertia_map(robot: Robot, axis: Axis) -> Figure:
+def inertia_map(robot: Robot, axis: ReportedAxis) -> DrawnFigure:
     """Inertia of the identified model over the two joints that vary most, and of each measured pose (Fig. 2)."""
     first, second = axis.varied[:2]
     values = np.concatenate((axis.identified_workspace, axis.measured))
@@ -59,7 +59,7 @@ def inertia_map(robot: Robot, axis: Axis) -> Figure:
     )
 
 
-def deviation_map(robot: Robot, axis: Axis) -> Figure:
+def deviation_map(robot: Robot, axis: ReportedAxis) -> DrawnFigure:
     """Difference between identified model and reference over the workspace, and the measured poses."""
     first, second = axis.varied[:2]
     deviation = 100 * (axis.identified_workspace / axis.reference_workspace - 1)
@@ -88,7 +88,7 @@ def deviation_map(robot: Robot, axis: Axis) -> Figure:
     )
 
 
-def _map(robot: Robot, axis: Axis, values: Array, look: Part, poses: Part) -> Figure:
+def _map(robot: Robot, axis: ReportedAxis, values: Array, look: Part, poses: Part) -> DrawnFigure:
     """Values of the free poses of the workspace as a field with contour lines, and the measured poses."""
     first, second = axis.varied[:2]
     x, y, z = _mesh(axis.workspace, first, second, values)
@@ -108,7 +108,7 @@ def _map(robot: Robot, axis: Axis, values: Array, look: Part, poses: Part) -> Fi
     )
 
 
-def curve(robot: Robot, axis: Axis) -> Figure:
+def curve(robot: Robot, axis: ReportedAxis) -> DrawnFigure:
     """Inertia over the one joint after the axis that varies, or over the sweeps if none does."""
     if axis.varied:
         joint = axis.varied[0]
@@ -130,7 +130,7 @@ def curve(robot: Robot, axis: Axis) -> Figure:
     )
 
 
-def residuals(axes: Sequence[Axis]) -> Figure:
+def residuals(axes: Sequence[ReportedAxis]) -> DrawnFigure:
     """Measured against identified model, percent, sweep by sweep with two standard deviations."""
     traces: list[Part] = []
     for axis, colour, symbol in zip(axes, colours(len(axes)), symbols(len(axes)), strict=True):
@@ -155,7 +155,7 @@ def residuals(axes: Sequence[Axis]) -> Figure:
     )
 
 
-def paper_residuals(axes: Sequence[Axis]) -> Figure:
+def paper_residuals(axes: Sequence[ReportedAxis]) -> DrawnFigure:
     """The paper's formula against the identified model, percent, over the inertia."""
     traces = [
         points(
@@ -178,7 +178,7 @@ def paper_residuals(axes: Sequence[Axis]) -> Figure:
     )
 
 
-def convergence(revisions: Sequence[Revision], names: Sequence[str]) -> Figure:
+def convergence(revisions: Sequence[Revision], names: Sequence[str]) -> DrawnFigure:
     """Each base parameter over the number of sweeps, with a band of two standard deviations: small multiples."""
     columns = 3
     rows = -(-len(names) // columns)
@@ -246,7 +246,7 @@ def convergence(revisions: Sequence[Revision], names: Sequence[str]) -> Figure:
     return figure(traces, layout)
 
 
-def in_time(sweep: Sweep, *, linear: bool = False) -> Figure:
+def in_time(sweep: Sweep, *, linear: bool = False) -> DrawnFigure:
     """One sweep: velocity and effort over time, the measured window shaded. `linear`: of a prismatic axis."""
     recording, spec = sweep.recording, sweep.spec
     step = max(1, len(recording.time) // 4000)
@@ -282,7 +282,7 @@ def in_time(sweep: Sweep, *, linear: bool = False) -> Figure:
     )
 
 
-def in_frequency(sweep: Sweep, *, linear: bool = False) -> Figure:
+def in_frequency(sweep: Sweep, *, linear: bool = False) -> DrawnFigure:
     """Amplitudes of velocity and effort over the measured complete periods; the excited lines are highlighted."""
     spec, recording = sweep.spec, sweep.recording
     end = spec.measure_from + (spec.period or 0.0) * (spec.periods or 0)

@@ -8,16 +8,16 @@ from html import escape
 import numpy as np
 
 from service.identification.fleet.document import Fleet, FleetAxis, FleetRobot, FleetType
-from service.report.drawing import Figure, Part, colours, figure, line, points, scale, symbols
-from service.report.html import Page
+from service.report.drawing import DrawnFigure, Part, colours, figure, line, points, scale, symbols
+from service.report.html import ReportPage
 
 _NONE = "\u2013"
 
 
-def fleet_page(fleet: Fleet, origin: Sequence[tuple[str, str]]) -> Page:
+def fleet_page(fleet: Fleet, origin: Sequence[tuple[str, str]]) -> ReportPage:
     """The complete report; deterministic for equal content. `origin`: source of the data, and of the report."""
     robots = [robot for one in fleet.types for robot in one.robots]
-    page = Page("Robots of the plant", f"As of {_day(fleet.made_at)}.")
+    page = ReportPage("Robots of the plant", f"As of {_day(fleet.made_at)}.")
     page.facts(
         (
             (str(len(robots)), "robots"),
@@ -32,7 +32,7 @@ def fleet_page(fleet: Fleet, origin: Sequence[tuple[str, str]]) -> Page:
     return page
 
 
-def _type_section(page: Page, one: FleetType) -> None:
+def _type_section(page: ReportPage, one: FleetType) -> None:
     page.add(
         f"<h2>{escape(one.name)}</h2>",
         f"<p>The newest {one.campaigns} campaigns of each robot are compared. The probability of any false alarm among "
@@ -62,7 +62,7 @@ def _type_section(page: Page, one: FleetType) -> None:
         page.table(head, [_axis_row(robot.label, robot.axes[axis]) for robot in robots])
 
 
-def control_chart(axis: str, robots: Sequence[FleetRobot]) -> Figure:
+def control_chart(axis: str, robots: Sequence[FleetRobot]) -> DrawnFigure:
     """J of an axis over time, a line for each robot; the line of a robot that has changed is thick."""
     traces: list[Part] = []
     for robot, colour, symbol in zip(robots, colours(len(robots)), symbols(len(robots)), strict=True):

@@ -7,18 +7,12 @@ import numpy as np
 
 from service.model.results.cell import Bin, Cell
 from service.model.results.diagnosis import AxisDiagnosis, Rival
-from service.report.drawing import IDENTIFIED, Drawn, Figure, Part, figure, line, rounded, scale
+from service.report.drawing import IDENTIFIED, Drawn, DrawnFigure, Part, figure, line, rounded, scale
 
 BEFORE, AFTER, FLOOR, QUIET = "#c2410c", IDENTIFIED, "#15803d", "#e0b8a2"
-RECORDED = "#64748b"
-TIE = "#b45309"
-
-COLUMNS = 3
-SIGNIFICANT = 5.0  # standard deviations from zero gap
-DECISIVE = 10.0  # of Schwarz's criterion: a rival with a larger difference is excluded
 
 
-def gap_map(axis: AxisDiagnosis) -> Figure | None:
+def gap_map(axis: AxisDiagnosis) -> DrawnFigure | None:
     """The gap for each property of sweeps and samples, before and after, with the noise floor in each panel."""
     dimensions: dict[str, list[Cell]] = {}
     for cell in axis.where:
@@ -27,7 +21,8 @@ def gap_map(axis: AxisDiagnosis) -> Figure | None:
         return None
     panels = [_panel(name, cells, axis.explained) for name, cells in dimensions.items()]
     panels.sort(key=lambda panel: -len(panel.labels))  # panels of one height in one row
-    lines = [panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)]
+    columns = 3
+    lines = [panels[k : k + columns] for k in range(0, len(panels), columns)]
     heights = [20 * max(len(panel.labels) for panel in line) + 62 for line in lines]
     floor = axis.gap.noise_floor_rms
     largest = max(max(cell.rms for cell in axis.where), floor or 0.0)
@@ -48,12 +43,12 @@ def gap_map(axis: AxisDiagnosis) -> Figure | None:
         for column, panel in enumerate(row):
             number += 1
             tail = "" if number == 1 else str(number)
-            left = column / COLUMNS
+            left = column / columns
             here = {"xaxis": f"x{tail}", "yaxis": f"y{tail}", "type": "bar", "orientation": "h", "showlegend": False}
             traces += [{**here, **trace} for trace in panel.traces]
             layout[f"xaxis{tail}"] = {
                 **scale(""),
-                "domain": [left + 0.12, left + 0.985 / COLUMNS],
+                "domain": [left + 0.12, left + 0.985 / columns],
                 "anchor": f"y{tail}",
                 "range": [0, 1.06 * largest],
                 "nticks": 5,
@@ -84,9 +79,10 @@ class _Panel:
         self.title, self.labels, self.with_floor = title, labels, with_floor
         significance = [cell.significance for cell in cells]
         shown = {"y": labels, "customdata": [round(value, 1) for value in significance]}
+        # standard deviations from zero gap
         before = {
             "x": rounded(np.array([cell.rms for cell in cells])),
-            "marker": {"color": [BEFORE if value > SIGNIFICANT else QUIET for value in significance]},
+            "marker": {"color": [BEFORE if value > 5.0 else QUIET for value in significance]},
             "hovertemplate": "%{y}: %{x:.3g} before, significance %{customdata}<extra></extra>",
             "width": 0.72,
         }
@@ -132,7 +128,7 @@ def _keys(axis: AxisDiagnosis) -> list[Part]:
     return [*keys, floor]
 
 
-def gap_by_pose(axis: AxisDiagnosis) -> Figure:
+def gap_by_pose(axis: AxisDiagnosis) -> DrawnFigure:
     """Cross-validated gap before and after in each pose, with the noise floor."""
     poses = axis.gap.by_pose
     labels = pose_labels([pose.pose for pose in poses])
@@ -172,13 +168,13 @@ def gap_by_pose(axis: AxisDiagnosis) -> Figure:
     )
 
 
-def example(axis: AxisDiagnosis) -> Figure:
+def example(axis: AxisDiagnosis) -> DrawnFigure:
     """The sweep with the largest gap: measured effort, effort of both models, and the residual."""
     sweep = axis.example
     time = rounded(np.array(sweep.time), 4)
     measured, before, after = (np.array(effort, dtype=float) for effort in (sweep.measured, sweep.before, sweep.after))
     traces = [
-        line("measured", time, measured, RECORDED, width=3),
+        line("measured", time, measured, "#64748b", width=3),
         line("model before", time, before, BEFORE, width=1.4),
         {**line("left before", time, measured - before, BEFORE, width=1.2), "yaxis": "y2", "showlegend": False},
     ]
@@ -198,7 +194,7 @@ def example(axis: AxisDiagnosis) -> Figure:
     )
 
 
-def evidence(axis: AxisDiagnosis) -> Figure | None:
+def evidence(axis: AxisDiagnosis) -> DrawnFigure | None:
     """Difference of each other candidate from the chosen explanation, on a logarithmic scale."""
     rivals = axis.rivals
     if not rivals or not axis.effects:
@@ -212,6 +208,7 @@ def evidence(axis: AxisDiagnosis) -> Figure | None:
     places = [_signed_power(value) for value in behind]
     ticks = [-1e4, -1e3, -100.0, -10.0, 0.0, 10.0, 100.0, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8]
     ticks = [tick for tick in ticks if min(places) - 1 <= _signed_power(tick) <= max(places) + 1]
+    # of Schwarz's criterion: a rival with a larger difference is excluded
     return figure(
         [
             {
@@ -235,12 +232,12 @@ def evidence(axis: AxisDiagnosis) -> Figure | None:
                 "ticktext": [f"{tick:,.0f}" for tick in ticks],
             },
             "yaxis": {**scale(""), "autorange": "reversed", "type": "category", "showgrid": False},
-            "shapes": [_upright("", _signed_power(DECISIVE), "#64748b")],
+            "shapes": [_upright("", _signed_power(10.0), "#64748b")],
         },
     )
 
 
-def parameters(axis: AxisDiagnosis) -> Figure | None:
+def parameters(axis: AxisDiagnosis) -> DrawnFigure | None:
     """Each parameter of the named effects with two standard deviations, in percent of its value."""
     rows = [
         (f"{effect_words(effect.effect)}: {name.replace('_', ' ')}", value)
@@ -301,7 +298,7 @@ def pose_labels(poses: Sequence[Sequence[float]]) -> list[str]:
 
 
 def _colour(axis: AxisDiagnosis, rival: Rival) -> str:
-    return TIE if rival.effect in axis.candidates else "#94a3b8"
+    return "#b45309" if rival.effect in axis.candidates else "#94a3b8"
 
 
 def _behind(axis: AxisDiagnosis, rival: Rival) -> str:

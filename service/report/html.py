@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Literal, Protocol, TypedDict
 
 from service.model.errors import NoPdf
-from service.report.drawing import Figure
+from service.report.drawing import DrawnFigure
 
 Form = Literal["html", "pdf", "json"]
 
@@ -31,12 +31,12 @@ class _Table(TypedDict):
     rows: list[list[str]]
 
 
-class Page:
+class ReportPage:
     """Collects title, body, figures and tables."""
 
     def __init__(self, title: str, lead: str = "") -> None:
         self._title = title
-        self._parts: list[str | Figure] = [f"<h1>{escape(title)}</h1>"]
+        self._parts: list[str | DrawnFigure] = [f"<h1>{escape(title)}</h1>"]
         if lead:
             self._parts.append(f'<p class="lead">{escape(lead)}</p>')
         self._tables: list[_Table] = []
@@ -63,7 +63,7 @@ class Page:
         self._first = len(self._parts)
         self._section = ["", ""]
 
-    def figure(self, figure: Figure) -> None:
+    def figure(self, figure: DrawnFigure) -> None:
         """Add a figure with the height of its layout."""
         self._parts.append(figure)
 
@@ -168,7 +168,7 @@ class _Typesetting:
         self._figures = 0
         self._section = self._part = ""
 
-    def pieces(self, parts: Sequence[str | Figure]) -> Iterator[str]:
+    def pieces(self, parts: Sequence[str | DrawnFigure]) -> Iterator[str]:
         for part, after in zip_longest(parts, parts[1:]):
             if not isinstance(part, str):
                 yield self._figure(part)
@@ -196,7 +196,7 @@ class _Typesetting:
             self._part = f": {words}"
         return f'<{level} id="section-{len(self._headings)}">{words}</{level}>'
 
-    def _figure(self, figure: Figure) -> str:
+    def _figure(self, figure: DrawnFigure) -> str:
         from service.report.plotting import PAPER, WIDTH, svg  # matplotlib
 
         self._figures += 1

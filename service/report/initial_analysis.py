@@ -14,7 +14,7 @@ from service.report.drawing import (
     MEASURED,
     REFERENCE,
     Drawn,
-    Figure,
+    DrawnFigure,
     Part,
     figure,
     line,
@@ -25,11 +25,8 @@ from service.report.drawing import (
 
 Array = NDArray[np.float64]
 
-COLUMNS = 3
-_LIGHT, _HEAVY = np.array([14, 165, 233]), np.array([124, 45, 18])  # colours of the lightest and the heaviest pose
 
-
-def amplitude_responses(analysis: AxisAnalysis, *, linear: bool = False) -> Figure:
+def amplitude_responses(analysis: AxisAnalysis, *, linear: bool = False) -> DrawnFigure:
     """Fig. 1a: velocity over effort in every pose, measured (dots) and fitted (lines), from light to heavy.
 
     `linear`: of a prismatic axis.
@@ -38,7 +35,12 @@ def amplitude_responses(analysis: AxisAnalysis, *, linear: bool = False) -> Figu
     poses = sorted(analysis.poses, key=lambda pose: pose.fit.inertia.value)
     for number, pose in enumerate(poses):
         share = number / max(len(poses) - 1, 1)
-        colour = "#" + "".join(f"{int(value):02x}" for value in (1 - share) * _LIGHT + share * _HEAVY)
+        # colours of the lightest and the heaviest pose
+        # colours of the lightest and the heaviest pose
+        colour = "#" + "".join(
+            f"{int(value):02x}"
+            for value in (1 - share) * (np.array([14, 165, 233])) + share * (np.array([124, 45, 18]))
+        )
         frequency = pose.response.frequency
         name = f"J = {pose.fit.inertia.value:.0f} {_unit(linear)}"
         measured = points(name, rounded(frequency), 1 / np.abs(pose.response.impedance), colour, size=4)
@@ -55,10 +57,11 @@ def amplitude_responses(analysis: AxisAnalysis, *, linear: bool = False) -> Figu
     )
 
 
-def ideal_frequencies(analysis: AxisAnalysis, *, linear: bool = False) -> Figure:
+def ideal_frequencies(analysis: AxisAnalysis, *, linear: bool = False) -> DrawnFigure:
     """Fig. 1b in every pose: apparent inertia |Z|/ω, its asymptotes, and the ideal frequency between their ends."""
     poses = sorted(analysis.poses, key=lambda pose: pose.fit.inertia.value)
-    rows = -(-len(poses) // COLUMNS)
+    columns = 3
+    rows = -(-len(poses) // columns)
     traces: list[Part] = []
     annotations: list[Drawn] = []
     shapes: list[Drawn] = []
@@ -70,8 +73,8 @@ def ideal_frequencies(analysis: AxisAnalysis, *, linear: bool = False) -> Figure
     }
     for k, pose in enumerate(poses):
         number = "" if k == 0 else str(k + 1)
-        row, column = divmod(k, COLUMNS)
-        left, top, width, height = column / COLUMNS, 1 - row / rows, 1 / COLUMNS, 1 / rows
+        row, column = divmod(k, columns)
+        left, top, width, height = column / columns, 1 - row / rows, 1 / columns, 1 / rows
         here: Part = {"xaxis": f"x{number}", "yaxis": f"y{number}"}
         ends = _ends(pose)
         traces += [{**trace, **here} for trace in _one_pose(analysis, pose, ends)]

@@ -12,11 +12,11 @@ from service.model.errors import BadInput
 from service.model.results.diagnosis import Diagnosis
 from service.model.results.estimate import Estimate
 from service.model.results.part import Document, Part
-from service.report import CampaignReport, Page, campaign_page, diagnosis_page
+from service.report import CampaignReport, ReportPage, campaign_page, diagnosis_page
 from sweepid.files import read_document
 
 
-def result_page(path: Path) -> Page:
+def result_page(path: Path) -> ReportPage:
     """Of a bundle (then identified and checked), an estimate, an initial analysis or a diagnosis; BadInput if none."""
     if path.is_dir():
         bundle = sweepid.read_bundle(path)
@@ -43,7 +43,7 @@ class _Some(Document):
     combination: JsonValue = None
 
 
-def _estimate_page(found: Estimate, path: Path) -> Page:
+def _estimate_page(found: Estimate, path: Path) -> ReportPage:
     """Tables alone: what the figures are drawn of are the sweeps, which a result does not have."""
     report = CampaignReport(
         title="Estimate" if found.axes or found.combination else "Initial analysis",

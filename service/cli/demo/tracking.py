@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict
 
 from service.cli.demo.processes import command, environment
 from service.model.errors import SweepidError
-from service.report.benefit import Followed, Tracking, feed_forward
+from service.report.benefit import FollowingError, Tracking, feed_forward
 from service.store.files.bundle import Bundle
 
 GAIN = 10.0  # 1/s, of the position controllers: 0.6 m/min per mm, usual for elastic gears
@@ -18,8 +18,8 @@ _TIMEOUT = 600.0  # s
 
 class _Answer(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
-    cad: dict[str, Followed]
-    identified: dict[str, Followed]
+    cad: dict[str, FollowingError]
+    identified: dict[str, FollowingError]
 
 
 def drive_path(measured: Bundle, scenario: Path, scratch: Path) -> Tracking:

@@ -12,7 +12,7 @@ from service.cli.demo.processes import command, environment
 from service.identification.model.base_parameters import base_parameters
 from service.identification.model.regressor import lock
 from service.model.errors import SweepidError
-from service.report import Axis, Content, Row
+from service.report import Content, ReportedAxis, TruthRow
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ def read_truth(scenario: Path, poses: Array, scratch: Path) -> dict[str, Array]:
     return {joint: np.array(values, dtype=float) for joint, values in json.loads(answer.stdout).items()}
 
 
-def compare(content: Content, axes: Sequence[Axis], scenario: Path, scratch: Path) -> tuple[Row, ...]:
+def compare(content: Content, axes: Sequence[ReportedAxis], scenario: Path, scratch: Path) -> tuple[TruthRow, ...]:
     """Errors in percent, one column per axis: median and, in brackets, the 95th percentile of their absolute values.
 
     "sweeps": each measured inertia; "workspace": the resulting models, over all collision-free poses. The
@@ -46,10 +46,10 @@ def compare(content: Content, axes: Sequence[Axis], scenario: Path, scratch: Pat
         ("paper's formula, workspace", [(from_paper[a.joint], workspace[a.joint]) for a in axes]),
         ("our model, workspace", [(a.identified_workspace, workspace[a.joint]) for a in axes]),
     )
-    return tuple(Row(label, tuple(_error(found, true) for found, true in pairs)) for label, pairs in lines)
+    return tuple(TruthRow(label, tuple(_error(found, true) for found, true in pairs)) for label, pairs in lines)
 
 
-def _paper_model(content: Content, axes: Sequence[Axis]) -> dict[str, Array]:
+def _paper_model(content: Content, axes: Sequence[ReportedAxis]) -> dict[str, Array]:
     """Inertias over the workspace from base parameters fitted to the paper's values by standard least squares."""
     chain = content.robot.chain
     poses = np.array([spec.pose for spec in content.specs])

@@ -7,11 +7,11 @@ from service.data_check import check, findings_document
 from service.model.errors import BadInput
 from service.model.results.check import DataCheck
 from service.model.results.estimate import Estimate
-from service.report import CampaignReport, Page, campaign_page, content_of, used_sweeps
+from service.report import CampaignReport, ReportPage, campaign_page, content_of, used_sweeps
 from service.store.files.bundle import Bundle
 
 
-def bundle_page(bundle: Bundle, found: Estimate, place: str) -> Page:
+def bundle_page(bundle: Bundle, found: Estimate, place: str) -> ReportPage:
     """Of an estimate that was made of the bundle; BadInput if it holds nothing to report."""
     if not (found.axes or found.analysis or found.combination):
         raise BadInput(place, "has neither sweeps of one axis nor an initial analysis to report")

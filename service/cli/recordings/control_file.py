@@ -15,7 +15,7 @@ from service.formats.sinumerik.document import (
     Given,
     LoopInertia,
     MeasuredResponse,
-    Response,
+    ResponseColumns,
     ServoTuning,
     Size,
     measurement_document,
@@ -48,11 +48,9 @@ def import_control_file(path: Path, given: Given, out: Path | None, json_to: str
     """Read, print or write; BadInput for what is not of the family."""
     root = read_members(path)
     if root.kind == measurement.TUNING:
-        measurement.check_family(root, measurement.TUNING)
         tuned = measurement.tuning_of(root)
         document, tables = tuning_document(tuned, given, str(path)), {"frequency_response": response_table(tuned)}
     else:
-        measurement.check_family(root, measurement.RESPONSE)
         found = measurement.measurement_of(root)
         document = measurement_document(found, given, str(path))
         tables = {"frequency_response": response_table(found), "recording": recording_table(found)}
@@ -99,7 +97,7 @@ def _print(document: MeasuredResponse | ServoTuning, console: Console) -> None:
         line(f"not determined: {what}")
 
 
-def _print_response(response: Response, line: Callable[[str], None]) -> None:
+def _print_response(response: ResponseColumns, line: Callable[[str], None]) -> None:
     """A line an octave; the whole table is in the JSON."""
     line("Hz, amplitude, phase in deg" + (", coherence" if response.coherence else ""))
     frequency = np.array(response.frequency)

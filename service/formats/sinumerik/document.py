@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formats.sinumerik.measurement import GAIN, PARAMETERS, Measurement, Quantity, Tuning
+from service.formats.sinumerik.measurement import GAIN, PARAMETERS, LoopMeasurement, Quantity, SpeedController, Tuning
 from service.identification.spectra.speed_loop import LoopFit, fit_closed_loop, fit_torque_response
 from service.model.errors import BadInput
 from service.model.results.part import Part
@@ -46,7 +46,7 @@ class LoopInertia(Part):
     ended: str
 
 
-class Response(Part):
+class ResponseColumns(Part):
     """Columns of the frequency response: Hz, real and imaginary part of output over input."""
 
     frequency: tuple[float, ...]
@@ -56,7 +56,7 @@ class Response(Part):
     frequency_in_file: tuple[float, ...] | None = None
 
 
-class Excitation(Part):
+class ExcitationSignal(Part):
     """`sample_interval`, s, `bandwidth`, Hz; amplitude and offset in `unit`."""
 
     signal: str
@@ -79,7 +79,7 @@ class MeasuredResponse(Part):
     measured_at: str
     input: str
     output: str
-    excitation: Excitation
+    excitation: ExcitationSignal
     motor_to_axis: float
     torque_constant: float
     parameters: dict[str, float]
@@ -88,7 +88,7 @@ class MeasuredResponse(Part):
     cannot_tell: tuple[str, ...]
     frequencies_too_high_percent: float
     unread: tuple[str, ...]
-    frequency_response: Response
+    frequency_response: ResponseColumns
 
 
 class ByControl(Part):
@@ -98,14 +98,6 @@ class ByControl(Part):
     total_inertia: float
     viscous_friction: float
     antiresonance: float | None
-
-
-class SpeedController(Part):
-    """Gain, N m s/rad, and reset time, s."""
-
-    gain: float
-    reset_time: float
-    reference_model: bool
 
 
 class ServoTuning(Part):
@@ -121,7 +113,7 @@ class ServoTuning(Part):
     speed_controllers: tuple[SpeedController, ...]
     cannot_tell: tuple[str, ...]
     unread: tuple[str, ...]
-    frequency_response: Response
+    frequency_response: ResponseColumns
 
 
 Array = NDArray[np.float64]
@@ -141,7 +133,7 @@ class Given:
     gear_ratio: float | None = None
 
 
-def measurement_document(found: Measurement, given: Given, place: str) -> MeasuredResponse:
+def measurement_document(found: LoopMeasurement, given: Given, place: str) -> MeasuredResponse:
     """`inertia` from its time series and from its own spectrum; BadInput at `place` if neither determines one."""
     ways = {"time_series": _by_series(found, given, place), "spectrum": _by_spectrum(found, given, place)}
     closed = found.input.meaning.quantity is Quantity.SPEED_SETPOINT
@@ -154,7 +146,7 @@ def measurement_document(found: Measurement, given: Given, place: str) -> Measur
         measured_at=found.measured_at,
         input=found.input.meaning.name,
         output=found.output.meaning.name,
-        excitation=Excitation(
+        excitation=ExcitationSignal(
             signal=f"PRBS of order {found.order}, one period of {len(found.output.series[0])} samples",
             sample_interval=found.sample_interval,
             bandwidth=found.bandwidth,
@@ -202,17 +194,14 @@ def tuning_document(found: Tuning, given: Given, place: str) -> ServoTuning:
             viscous_friction=found.friction,
             antiresonance=found.antiresonance,
         ),
-        speed_controllers=tuple(
-            SpeedController(gain=each.gain, reset_time=each.reset_time, reference_model=each.reference_model)
-            for each in found.regulators
-        ),
+        speed_controllers=found.regulators,
         cannot_tell=("dry friction and gravity: the response is of small motions about a speed",),
         unread=found.unread,
         frequency_response=_response(found),
     )
 
 
-def response_table(found: Measurement | Tuning) -> dict[str, Array]:
+def response_table(found: LoopMeasurement | Tuning) -> dict[str, Array]:
     """Columns of the frequency response in the file, at true frequencies."""
     if isinstance(found, Tuning):
         plant = found.plant
@@ -228,11 +217,11 @@ def response_table(found: Measurement | Tuning) -> dict[str, Array]:
     }
 
 
-def _response(found: Measurement | Tuning) -> Response:
-    return Response.model_validate({name: column.tolist() for name, column in response_table(found).items()})
+def _response(found: LoopMeasurement | Tuning) -> ResponseColumns:
+    return ResponseColumns.model_validate({name: column.tolist() for name, column in response_table(found).items()})
 
 
-def recording_table(found: Measurement) -> dict[str, Array]:
+def recording_table(found: LoopMeasurement) -> dict[str, Array]:
     """Columns of the time series: input and output of each direction, on the motor side."""
     time = np.asarray(np.arange(len(found.output.series[0])) * found.sample_interval, dtype=float)
     columns = {"time": time}
@@ -241,7 +230,7 @@ def recording_table(found: Measurement) -> dict[str, Array]:
     return columns
 
 
-def _by_series(found: Measurement, given: Given, place: str) -> LoopFit:
+def _by_series(found: LoopMeasurement, given: Given, place: str) -> LoopFit:
     """Each direction separately, by the DFT of its period; the mean, with at least their difference as uncertainty."""
     fits: list[LoopFit] = []
     for inward, outward in zip(found.input.series, found.output.series, strict=True):
@@ -267,7 +256,7 @@ def _by_series(found: Measurement, given: Given, place: str) -> LoopFit:
     )
 
 
-def _by_spectrum(found: Measurement, given: Given, place: str) -> LoopFit:
+def _by_spectrum(found: LoopMeasurement, given: Given, place: str) -> LoopFit:
     """From the spectra averaged by the control, at the frequencies in the file."""
     good = found.spectra.coherence >= COHERENT
     good[0] = False
@@ -275,7 +264,7 @@ def _by_spectrum(found: Measurement, given: Given, place: str) -> LoopFit:
     return _fit(found, frequency, response, given, f"{place} spectrum")
 
 
-def _fit(found: Measurement, frequency: Array, response: Complex, given: Given, place: str) -> LoopFit:
+def _fit(found: LoopMeasurement, frequency: Array, response: Complex, given: Given, place: str) -> LoopFit:
     inward, outward = found.input.meaning.quantity, found.output.meaning.quantity
     if outward is not Quantity.SPEED or inward not in (Quantity.SPEED_SETPOINT, Quantity.TORQUE, Quantity.CURRENT):
         raise BadInput(place, f"is of {found.output.meaning.name} over {found.input.meaning.name}: shows no inertia")
@@ -303,7 +292,7 @@ def _inertia(fit: LoopFit, gain: float | None, motor_to_axis: float, rotary: boo
     )
 
 
-def _unknown(found: Measurement, gain: float | None) -> tuple[str, ...]:
+def _unknown(found: LoopMeasurement, gain: float | None) -> tuple[str, ...]:
     missing = (
         "dry friction, gravity and offsets: the response is of small motions about a speed",
         "rotor and load apart: below the first antiresonance they move as one",

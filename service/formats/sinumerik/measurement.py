@@ -1,22 +1,28 @@
-"""A frequency response saved by the control: function "frequency response", XML root `ResponseTestCustom`.
+"""What a control saved of an axis: a frequency response, or the result of automatic servo tuning.
 
-The excitation is a pseudo-random binary sequence of 2^order - 1 samples on a speed offset, run in both directions. A
-time series is one period of it, averaged by the control; the spectra are those of the series, averaged over both
-directions: auto-spectra of the input and of the output, and the cross-spectrum of output* and input.
+**Frequency response**, XML root `ResponseTestCustom`: the excitation is a pseudo-random binary sequence of 2^order - 1
+samples on a speed offset, run in both directions. A time series is one period of it, averaged by the control; the
+spectra are those of the series, averaged over both directions: auto-spectra of the input and of the output, and the
+cross-spectrum of output* and input. The lines are at k / (n T), n samples of interval T. The frequencies in the file
+are uniform from 0 to the bandwidth: 0.15 % too high for order 11, `axis_error`.
 
-The lines are at k / (n T), n samples of interval T. The frequencies in the file are uniform from 0 to the bandwidth:
-0.15 % too high for order 11, `axis_error`.
+**Servo tuning** (AST), XML root `DynamicModelAxisController`, contains the model of the speed controller: inertia of
+the rotor, total inertia and friction as identified by the control, zeros of the mechanics, the measured response of
+speed to torque with its coherence, and the controller's settings before and after. The control gives no uncertainty.
+
+The number of a signal is that of its display parameter (SINAMICS S120/S150 List Manual): r0061 is the actual speed.
+Numbers that occur in no available file are not guessed.
 """
 
 from dataclasses import dataclass, replace
 from enum import Enum
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formats.sinumerik.members import Member, read_members
+from service.formats.sinumerik.members import Member
 from service.model.errors import BadInput
+from service.model.results.part import Part
 
 DRIVE, CONTROL = 5, 6  # platforms of signals and parameters
 
@@ -66,13 +72,10 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 RESPONSE = "ResponseTestCustom"
-VERSIONS = ("4.7.", "4.96.")  # of the available files
-SPEED_LOOP, NOISE = 2, 4  # codes of control loop and waveform in these files
-SAME = 1e-6  # relative
 
 
 @dataclass(frozen=True)
-class Signal:
+class LoopSignal:
     """One signal on the motor side: a series (n,) for each direction of motion."""
 
     meaning: Meaning
@@ -101,7 +104,7 @@ class Spectra:
 
 
 @dataclass(frozen=True)
-class Measurement:
+class LoopMeasurement:
     """The content of a file. Amplitudes on the motor side; `motor_to_axis`: motor rad per rad (m) of the axis."""
 
     version: str
@@ -116,8 +119,8 @@ class Measurement:
     motor_to_axis: float
     rotary: bool
     torque_constant: float  # N m/A
-    input: Signal
-    output: Signal
+    input: LoopSignal
+    output: LoopSignal
     spectra: Spectra
     parameters: dict[tuple[int, int], float]
     unread: tuple[str, ...]
@@ -134,27 +137,22 @@ class Measurement:
         return float(self.spectra.frequency[-1] / self.frequency[-1] - 1)
 
 
-def read_measurement(path: Path) -> Measurement:
-    """BadInput names file and member if something is missing, unknown or inconsistent."""
-    root = read_members(path)
-    check_family(root, RESPONSE)
-    return measurement_of(root)
-
-
-def check_family(root: Member, kind: str) -> None:
+def _check_family(root: Member, kind: str) -> None:
     """BadInput for another kind of file, or for a version without known files."""
     if root.kind != kind:
         raise BadInput(root.place, f"is a {root.kind}, not a {kind}")
-    if not root.version.startswith(VERSIONS):
-        known = " and ".join(f"{version}x" for version in VERSIONS)
+    versions = ("4.7.", "4.96.")  # of the available files
+    if not root.version.startswith(versions):
+        known = " and ".join(f"{version}x" for version in versions)
         raise BadInput(root.place, f"has version {root.version!r}; known are {known}")
 
 
-def measurement_of(root: Member) -> Measurement:
-    """The measurement from the root of a file."""
+def measurement_of(root: Member) -> LoopMeasurement:
+    """The measurement in a file; BadInput names file and member if something is missing, unknown or inconsistent."""
+    _check_family(root, RESPONSE)
     for name, code, words in (
-        ("m_eControlLoopType", SPEED_LOOP, "of the speed control loop"),
-        ("m_eWaveformType", NOISE, "with pseudo-random noise"),
+        ("m_eControlLoopType", 2, "of the speed control loop"),
+        ("m_eWaveformType", 4, "with pseudo-random noise"),
     ):
         if root.whole(name) != code:
             raise BadInput(root.place, f"member {name} is {root.whole(name)}: not measured {words} ({code})")
@@ -169,7 +167,7 @@ def measurement_of(root: Member) -> Measurement:
         raise BadInput(root.place, f"its response is of signals {ends}, and it holds {sorted(nodes)}")
     inward, outward = (nodes[end] for end in ends)
     excitation = source.first("ExcitationSourceCondition")
-    found = Measurement(
+    found = LoopMeasurement(
         version=root.version,
         axis=root.whole("m_uAxis"),
         measured_at=_instant(root.get("m_timeStampMeas")),
@@ -195,7 +193,7 @@ def measurement_of(root: Member) -> Measurement:
     return replace(found, unread=root.unread())
 
 
-def _signal(node: Member, interval: float, order: int) -> Signal:
+def _signal(node: Member, interval: float, order: int) -> LoopSignal:
     number, platform = node.whole("m_uNodeId"), node.whole("m_ePlatformType")
     if platform != DRIVE or number not in SIGNALS:
         known = ", ".join(f"r{known:04}" for known in SIGNALS)
@@ -210,7 +208,7 @@ def _signal(node: Member, interval: float, order: int) -> Signal:
     for member in node.each("TimeSeries"):
         values = member.array("m_ValueVector")
         end, stated = member.number("m_TimeVector.end"), member.whole("m_TimeVector.length")
-        if not len(values) == stated == 2**order - 1 or abs(end / ((stated - 1) * interval) - 1) > SAME:
+        if not len(values) == stated == 2**order - 1 or abs(end / ((stated - 1) * interval) - 1) > 1e-6:
             raise BadInput(
                 node.place,
                 f"signal {number} has {len(values)} samples to {end} s; a period of order {order} has {2**order - 1} "
@@ -219,7 +217,7 @@ def _signal(node: Member, interval: float, order: int) -> Signal:
         series.append(values)
     if not series:
         raise BadInput(node.place, f"signal {number} has no TimeSeries: save the measurement with its time series")
-    return Signal(SIGNALS[number], tuple(series))
+    return LoopSignal(SIGNALS[number], tuple(series))
 
 
 def _spectra(inward: Member, outward: Member) -> Spectra:
@@ -263,13 +261,10 @@ def _instant(stamp: Member) -> str:
 
 
 TUNING = "DynamicModelAxisController"
-MODEL = "DynamicModelSpeedControllerS120"
-SMALLEST = 1e-12  # of an inertia, kg m^2, or of the way per turn of a motor
 
 
-@dataclass(frozen=True, slots=True)
-class Regulator:
-    """Settings of the speed controller: gain, N m s/rad, reset time, s."""
+class SpeedController(Part):
+    """Gain, N m s/rad, and reset time, s."""
 
     gain: float
     reset_time: float
@@ -277,7 +272,7 @@ class Regulator:
 
 
 @dataclass(frozen=True)
-class Plant:
+class MeasuredPlant:
     """Speed over torque (b,), rad/s per N m, at `frequency` (b,), Hz; coherence (b,) if it is in the file."""
 
     frequency: Array
@@ -299,21 +294,15 @@ class Tuning:
     antiresonance: float | None  # the lowest zero of the mechanics; None if the control found none
     axis_per_motor: float
     rotary: bool
-    plant: Plant
-    regulators: tuple[Regulator, ...]
+    plant: MeasuredPlant
+    regulators: tuple[SpeedController, ...]
     unread: tuple[str, ...]
 
 
-def read_tuning(path: Path) -> Tuning:
-    """BadInput names file and member if something is missing or unknown."""
-    root = read_members(path)
-    check_family(root, TUNING)
-    return tuning_of(root)
-
-
 def tuning_of(root: Member) -> Tuning:
-    """The tuning from the root of a file."""
-    position, model = root.first("DynamicModelPositionController840DSL"), root.first(MODEL)
+    """The tuning in a file; BadInput names file and member if something is missing or unknown."""
+    _check_family(root, TUNING)
+    position, model = root.first("DynamicModelPositionController840DSL"), root.first("DynamicModelSpeedControllerS120")
     if not model.flag("m_bMotorIsRotary"):
         raise BadInput(root.place, "is of a linear motor, which is not supported: its units are not known")
     zero = model.number("m_dSpeedPlantLowestEstZeroFreq")
@@ -325,12 +314,16 @@ def tuning_of(root: Member) -> Tuning:
         total_inertia=_positive(model, "m_dTotalInertia"),
         friction=model.number("m_dViscousCoeff"),
         lowest_frequency=model.number("m_dMinUsableMechPlantFrequency"),
-        antiresonance=zero if zero > SMALLEST else None,
+        antiresonance=zero if zero > 1e-12 else None,
         axis_per_motor=_positive(position, "m_dAxisDistPerMotorDistUnitsMetersAndRadians"),
         rotary=position.flag("m_bAxisIsRotary"),
         plant=_plant(model.get("m_listMechPlants").first("PlantMeasRecord")),
         regulators=tuple(
-            Regulator(each.number("m_dKpGain"), each.number("m_dIntegralTime"), each.flag("m_bUsingReferenceModel"))
+            SpeedController(
+                gain=each.number("m_dKpGain"),
+                reset_time=each.number("m_dIntegralTime"),
+                reference_model=each.flag("m_bUsingReferenceModel"),
+            )
             for each in model.each("SpeedLoopRegulator")
         ),
         unread=(),
@@ -339,13 +332,14 @@ def tuning_of(root: Member) -> Tuning:
 
 
 def _positive(member: Member, name: str) -> float:
-    value = member.number(name)
-    if not value > SMALLEST:
-        raise BadInput(member.place, f"member {name} is {value}, and must be above {SMALLEST:g}")
+    """An inertia, kg m^2, or the way per turn of a motor."""
+    value, smallest = member.number(name), 1e-12
+    if not value > smallest:
+        raise BadInput(member.place, f"member {name} is {value}, and must be above {smallest:g}")
     return value
 
 
-def _plant(record: Member) -> Plant:
+def _plant(record: Member) -> MeasuredPlant:
     frequency, response = _frequency_response(record.get("m_pPlant"))
     coherence = None
     if record.find("m_pMeasCoherence") is not None:
@@ -355,7 +349,7 @@ def _plant(record: Member) -> Plant:
         coherence = values.real
         if (coherence < 0).any() or (coherence > 1 + 1e-6).any():
             raise BadInput(record.place, "m_pMeasCoherence leaves 0 ... 1")
-    return Plant(frequency, response, coherence)
+    return MeasuredPlant(frequency, response, coherence)
 
 
 def _frequency_response(member: Member) -> tuple[Array, Complex]:

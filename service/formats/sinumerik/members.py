@@ -3,6 +3,7 @@
 A DOCTYPE is rejected, so there are no entities and a small file cannot expand. Unused members can be listed.
 """
 
+import base64
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,8 +17,6 @@ from service.model.errors import BadInput
 Array = NDArray[np.float64]
 
 LARGEST = 32_000_000  # bytes of a file; the control writes 0.2 to 0.3 MB
-MOST = 200_000  # members
-DEEPEST = 64
 
 
 @dataclass(slots=True)
@@ -123,7 +122,7 @@ def read_members(path: Path) -> Member:
         raise BadInput(str(path), f"cannot be read: {error.strerror or error}") from None
     if len(content) > LARGEST:
         raise BadInput(str(path), f"is larger than {LARGEST} bytes; a measurement of the control is not")
-    builder = _Builder(str(path))
+    builder = _MemberBuilder(str(path))
     parser = expat.ParserCreate()
     parser.buffer_text = True
     parser.StartDoctypeDeclHandler = builder.doctype
@@ -137,7 +136,7 @@ def read_members(path: Path) -> Member:
     return builder.top.children[0]
 
 
-class _Builder:
+class _MemberBuilder:
     """Callbacks of expat."""
 
     def __init__(self, place: str) -> None:
@@ -152,8 +151,9 @@ class _Builder:
 
     def start(self, kind: str, attributes: dict[str, str]) -> None:
         self._count += 1
-        if self._count > MOST or len(self._open) > DEEPEST:
-            raise BadInput(self.top.place, f"has more than {MOST} members, or more than {DEEPEST} inside of each other")
+        most, deepest = 200_000, 64
+        if self._count > most or len(self._open) > deepest:
+            raise BadInput(self.top.place, f"has more than {most} members, or more than {deepest} inside of each other")
         member = Member(kind, attributes.get("name", ""), attributes.get("ver", ""), self.top.place)
         self._open[-1].children.append(member)
         self._open.append(member)
@@ -165,28 +165,31 @@ class _Builder:
         self._open[-1].pieces.append(text)
 
 
-ALPHABET = b"0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ!#$`()*+-/:;=?@[]^_{|}~"
 HUGE = 1e15  # larger than any measured quantity, in each unit of the control
-_FOREIGN = 255
-_DIGITS = np.full(256, _FOREIGN, dtype=np.uint8)
-_DIGITS[np.frombuffer(ALPHABET, dtype=np.uint8)] = np.arange(85, dtype=np.uint8)
-_POWERS = 85 ** np.arange(4, -1, -1, dtype=np.uint64)
 
 
 def decode(text: str, place: str) -> Array:
-    """Doubles (n,) of a text; BadInput at `place` if it is truncated, in another format, or has non-finite numbers."""
+    """Doubles (n,), most significant byte first, of a text in base 85, where a point is a word of zero.
+
+    BadInput at `place` if it is truncated, in another format, or has non-finite numbers.
+    """
+    ours = b"0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ!#$`()*+-/:;=?@[]^_{|}~"
+    theirs = b"0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz!#$%&()*+-;<=>?@^_`{|}~"
     words = "".join(text.split()).split(".")
     if any(len(run) % 5 for run in words):
         raise BadInput(
             place, "base-85 data are incomplete: the number of characters between two points is not a multiple of 5"
         )
-    digits = _DIGITS[np.frombuffer("00000".join(words).encode("latin-1", "replace"), dtype=np.uint8)]
-    if (digits == _FOREIGN).any():
+    characters = "00000".join(words).encode("latin-1", "replace")
+    if characters.translate(None, ours):
         raise BadInput(place, "has a character that is not of the control's base 85")
-    values = digits.reshape(-1, 5).astype(np.uint64) @ _POWERS
-    if len(values) % 2 or (values >= 2**32).any():
-        raise BadInput(place, f"{len(values)} words of base 85 are not whole doubles")
-    numbers = np.frombuffer(values.astype(">u4").tobytes(), dtype=">f8").astype(np.float64)
+    try:
+        content = base64.b85decode(characters.translate(bytes.maketrans(ours, theirs)))
+    except ValueError:  # a word of more than 32 bits
+        content = b""
+    if len(content) % 8 or len(content) * 5 != len(characters) * 4:
+        raise BadInput(place, f"{len(characters) // 5} words of base 85 are not whole doubles")
+    numbers = np.frombuffer(content, dtype=">f8").astype(np.float64)
     sensible = np.abs(numbers) < HUGE  # False for NaN
     if not sensible.all():
         raise BadInput(place, f"number {int(np.flatnonzero(~sensible)[0])} is NaN, or not below {HUGE:g}")

@@ -1,7 +1,8 @@
-"""Traces in files with many channels, units and clocks: MDF4 (`mdf4`) and HDF5 (`hdf5`).
+"""Traces in files with many channels, units and clocks: MATLAB (`mat`), MDF4 (`mdf4`), HDF5 (`hdf5`), ROS bags (`ros`).
 
-Third-party libraries read them in a separate process (`reading`) with limits of memory and time. The format of request
-and answer is in `request`.
+Third-party libraries read them in a separate process with limits of memory and time: the parsers of these formats are
+large, and the files are untrusted. The process gets a request file and a folder. It writes one array per sweep into the
+folder and returns the units.
 """
 
 import asyncio
@@ -27,7 +28,7 @@ Array = NDArray[np.float64]
 MOST_SHOWN = 12  # names listed in an error message
 
 
-class Channel(BaseModel):
+class ChannelName(BaseModel):
     """`group`: an MDF4 channel group's name, or its number from 0; for HDF5 a path. None: any with this channel."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -35,7 +36,7 @@ class Channel(BaseModel):
     group: str | int | None
 
 
-class Listed(BaseModel):
+class ListedChannel(BaseModel):
     """A channel that a file has. `role` and `axis`: column of the bundle and axis, where the format states them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -51,10 +52,10 @@ class Asked(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     file: str
-    sweeps: tuple[tuple[Channel, ...], ...]
+    sweeps: tuple[tuple[ChannelName, ...], ...]
 
 
-class Units(BaseModel):
+class TakenUnits(BaseModel):
     """Units of one sweep: one per channel, "" if the file has none. `clocked`: with the channels' own clock, in s."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -110,7 +111,7 @@ def one_column(value: np.ndarray[Any, Any], source: str, place: str) -> np.ndarr
 
 
 def taken_of(
-    channels: Sequence[Channel], values: Sequence[np.ndarray[Any, Any]], units: tuple[str, ...], place: str
+    channels: Sequence[ChannelName], values: Sequence[np.ndarray[Any, Any]], units: tuple[str, ...], place: str
 ) -> Taken:
     """Columns of one length."""
     lengths = {channel.source: len(value) for channel, value in zip(channels, values, strict=True)}
@@ -143,7 +144,6 @@ def check_numbers(rows: int, columns: int, most: int, place: str) -> None:
         raise BadInput(place, f"holds {rows} values of {columns} channels, limit {most} numbers")
 
 
-READERS = {"mat": "SciPy", "mdf4": "asammdf", "hdf5": "h5py", "ros": "rosbags"}
 """Library by format."""
 _MARKS = (
     (b"\x89HDF\r\n", "hdf5"),
@@ -157,7 +157,6 @@ _MARKS = (
     (b"PAR1", "parquet"),
 )
 _SUFFIXES = {".mat": "mat", ".mf4": "mdf4", ".h5": "hdf5", ".hdf5": "hdf5", ".parquet": "parquet"}
-_XML = (b"<?xml", b"<traceSession")
 _FOREIGN = {
     b"PK\x03\x04": "is a zip file, as Excel writes it: export it as CSV",
     b"\xd0\xcf\x11\xe0": "is a file of Office: export it as CSV",
@@ -188,7 +187,7 @@ def format_of(path: Path) -> str:
         kind = "hdf5"
     kind = kind or _SUFFIXES.get(path.suffix.lower())
     bare = head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \r\n")
-    if kind is None and bare.startswith(b"<") and any(mark in bare for mark in _XML):
+    if kind is None and bare.startswith(b"<") and any(mark in bare for mark in (b"<?xml", b"<traceSession")):
         return "xml"
     for mark, what in _FOREIGN.items():
         if kind is None and head.startswith(mark):
@@ -199,26 +198,28 @@ def format_of(path: Path) -> str:
 class _Reader(Protocol):
     LIBRARY_ERRORS: tuple[type[Exception], ...]
 
-    def listed(self, path: Path) -> tuple[Listed, ...]: ...
+    def listed(self, path: Path) -> tuple[ListedChannel, ...]: ...
 
-    def read(self, path: Path, sweeps: Sequence[Sequence[Channel]]) -> Iterator[Taken]: ...
+    def read(self, path: Path, sweeps: Sequence[Sequence[ChannelName]]) -> Iterator[Taken]: ...
 
 
-def read_containers(path: Path, sweeps: Sequence[tuple[Channel, ...]], limits: Limits = LIMITS) -> tuple[Taken, ...]:
+def read_containers(
+    path: Path, sweeps: Sequence[tuple[ChannelName, ...]], limits: Limits = LIMITS
+) -> tuple[Taken, ...]:
     """The requested channels of a file, by sweep. BadInput: unreadable, a channel is missing, or above a limit."""
     with tempfile.TemporaryDirectory(prefix="sweepid-trace-") as name:
         folder = Path(name)
         asked = Asked(file=str(path), sweeps=tuple(sweeps))
         (folder / "asked.json").write_text(asked.model_dump_json(), encoding="utf-8")
         answer: list[object] = asyncio.run(read_isolated(take, (folder / "asked.json", folder), str(path), limits))
-        found = [Units.model_validate(units) for units in answer]
+        found = [TakenUnits.model_validate(units) for units in answer]
         return tuple(_stored(folder, number, units) for number, units in enumerate(found))
 
 
-def list_containers(path: Path, limits: Limits = LIMITS) -> tuple[Listed, ...]:
+def list_containers(path: Path, limits: Limits = LIMITS) -> tuple[ListedChannel, ...]:
     """The channels of a file."""
     answer: list[object] = asyncio.run(read_isolated(list_here, (path,), str(path), limits))
-    return tuple(Listed.model_validate(one) for one in answer)
+    return tuple(ListedChannel.model_validate(one) for one in answer)
 
 
 def list_here(path: Path) -> list[dict[str, Any]]:
@@ -236,12 +237,12 @@ def take(asked: Path, folder: Path) -> list[dict[str, Any]]:
         rows = taken.columns if taken.clock is None else np.vstack([taken.columns, taken.clock])
         np.save(folder / f"{number}.npy", rows, allow_pickle=False)
         answer.append(
-            Units(units=taken.units, clocked=taken.clock is not None, notes=taken.notes).model_dump(mode="json")
+            TakenUnits(units=taken.units, clocked=taken.clock is not None, notes=taken.notes).model_dump(mode="json")
         )
     return answer
 
 
-def read_here(path: Path, sweeps: Sequence[Sequence[Channel]]) -> Iterator[Taken]:
+def read_here(path: Path, sweeps: Sequence[Sequence[ChannelName]]) -> Iterator[Taken]:
     """The same in this process, one sweep after the other."""
     reader = _reader(path)
     with _library_errors(reader, path):
@@ -262,11 +263,11 @@ def _library_errors(reader: _Reader, path: Path) -> Generator[None]:
         yield
     except (*_TORN, OSError, *reader.LIBRARY_ERRORS) as error:
         reason = " ".join(str(error).split())[:300]
-        library = READERS[format_of(path)]
+        library = {"mat": "SciPy", "mdf4": "asammdf", "hdf5": "h5py", "ros": "rosbags"}[format_of(path)]
         raise BadInput(str(path), f"cannot be read by {library}: {reason or type(error).__name__}") from None
 
 
-def _stored(folder: Path, number: int, units: Units) -> Taken:
+def _stored(folder: Path, number: int, units: TakenUnits) -> Taken:
     rows = cast(Array, np.load(folder / f"{number}.npy", allow_pickle=False))
     values, clock = (rows[:-1], rows[-1]) if units.clocked else (rows, None)
     return Taken(values, units.units, clock, units.notes)

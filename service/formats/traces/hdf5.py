@@ -11,8 +11,8 @@ import h5py
 import numpy as np
 
 from service.formats.traces.containers import (
-    Channel,
-    Listed,
+    ChannelName,
+    ListedChannel,
     Taken,
     check_numbers,
     columns_in,
@@ -26,14 +26,13 @@ from service.store.files.columns import MOST_NUMBERS
 
 _h5: Any = h5py  # has no types; each value is checked when it is read
 LIBRARY_ERRORS: tuple[type[Exception], ...] = ()
-_UNIT_NAMES = ("units", "unit", "Units", "Unit")  # of the attribute; the first is that of netCDF and NeXus
 
 
-def read(path: Path, sweeps: Sequence[Sequence[Channel]]) -> Iterator[Taken]:
+def read(path: Path, sweeps: Sequence[Sequence[ChannelName]]) -> Iterator[Taken]:
     """The datasets, one sweep after the other; HDF5 has no clock."""
     with _h5.File(str(path), "r") as file:
         for channels in sweeps:
-            named = [Channel(source=_name(channel), group=None) for channel in channels]
+            named = [ChannelName(source=_name(channel), group=None) for channel in channels]
             datasets = [_dataset(file, split_source(channel.source)[0], str(path)) for channel in named]
             check_numbers(sum(int(each.size) for each in datasets), 1, MOST_NUMBERS, str(path))
             columns = [
@@ -43,13 +42,13 @@ def read(path: Path, sweeps: Sequence[Sequence[Channel]]) -> Iterator[Taken]:
             yield taken_of(named, columns, tuple(_unit(dataset) for dataset in datasets), f"{path} dataset")
 
 
-def listed(path: Path) -> tuple[Listed, ...]:
+def listed(path: Path) -> tuple[ListedChannel, ...]:
     """The columns of numbers, reached only by links inside the file."""
     with _h5.File(str(path), "r") as file:
         return tuple(_below(file, ""))
 
 
-def _below(group: Any, path: str) -> Iterator[Listed]:
+def _below(group: Any, path: str) -> Iterator[ListedChannel]:
     for name in map(str, group):
         link, place = group.get(name, getlink=True), f"{path}{name}"
         if not isinstance(link, _h5.HardLink) or name.startswith("#"):  # MATLAB keeps its references in #refs#
@@ -59,10 +58,10 @@ def _below(group: Any, path: str) -> Iterator[Listed]:
             yield from _below(here, f"{place}/")
         elif not (here.is_virtual or here.external) and here.shape:
             shape = np.lib.stride_tricks.as_strided(np.zeros(1, here.dtype), here.shape, (0,) * len(here.shape))
-            yield from (Listed(name=each, unit=_unit(here)) for each in columns_in(place, shape))
+            yield from (ListedChannel(name=each, unit=_unit(here)) for each in columns_in(place, shape))
 
 
-def _name(channel: Channel) -> str:
+def _name(channel: ChannelName) -> str:
     return channel.source if channel.group is None else f"{channel.group}/{channel.source}"
 
 
@@ -92,7 +91,7 @@ def _dataset(file: Any, name: str, path: str) -> Any:
 
 
 def _unit(dataset: Any) -> str:
-    for name in _UNIT_NAMES:
+    for name in ("units", "unit", "Units", "Unit"):  # of the attribute; the first is that of netCDF and NeXus
         if name in dataset.attrs:
             value: object = np.asarray(dataset.attrs[name]).ravel()[:1].tolist()
             given = cast("list[object]", value)[0] if value else ""

@@ -9,8 +9,8 @@ from scipy.io import loadmat, whosmat
 from scipy.io.matlab import MatReadError
 
 from service.formats.traces.containers import (
-    Channel,
-    Listed,
+    ChannelName,
+    ListedChannel,
     Taken,
     check_numbers,
     columns_in,
@@ -24,7 +24,7 @@ from service.store.files.columns import MOST_NUMBERS
 LIBRARY_ERRORS: tuple[type[Exception], ...] = (MatReadError,)
 
 
-def read(path: Path, sweeps: Sequence[Sequence[Channel]]) -> Iterator[Taken]:
+def read(path: Path, sweeps: Sequence[Sequence[ChannelName]]) -> Iterator[Taken]:
     """The variables, one sweep after the other; the file contains neither units nor a clock.
 
     The shapes in the file header are compared with the limit before values are read.
@@ -37,12 +37,12 @@ def read(path: Path, sweeps: Sequence[Sequence[Channel]]) -> Iterator[Taken]:
         yield taken_of(channels, values, ("",) * len(channels), f"{path} variable")
 
 
-def listed(path: Path) -> tuple[Listed, ...]:
+def listed(path: Path) -> tuple[ListedChannel, ...]:
     """The columns of numbers."""
     stated = {str(name): shape for name, shape, _ in whosmat(str(path))}
     content = _load(path, stated, sorted(stated))
     found = [pair for name in stated if name in content for pair in _leaves(name, content[name])]
-    return tuple(Listed(name=name) for name, value in found for name in columns_in(name, value))
+    return tuple(ListedChannel(name=name) for name, value in found for name in columns_in(name, value))
 
 
 def _load(path: Path, stated: dict[str, tuple[int, ...]], names: list[str]) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from asammdf.blocks.mdf_v4 import MDF4
 from asammdf.blocks.utils import MdfException
 from numpy.typing import NDArray
 
-from service.formats.traces.containers import Array, Channel, Listed, Taken, check_numbers, shown
+from service.formats.traces.containers import Array, ChannelName, ListedChannel, Taken, check_numbers, shown
 from service.formats.traces.units import to_si
 from service.model.errors import BadInput
 from service.store.files.columns import MOST_NUMBERS
@@ -33,10 +33,9 @@ LIBRARY_ERRORS: tuple[type[Exception], ...] = (
     cast("type[Exception]", zstd.Error),
 )
 _MASTERS = (v4_constants.CHANNEL_TYPE_MASTER, v4_constants.CHANNEL_TYPE_VIRTUAL_MASTER)
-_TIME = 1  # sync type of a master channel in seconds
 
 
-class _File(MDF4):
+class _Mdf4(MDF4):
     """If asammdf cannot read a file, the object that it creates prints an error to stderr when it is deleted."""
 
     def __del__(self) -> None:
@@ -44,21 +43,21 @@ class _File(MDF4):
             self.close()
 
 
-def read(path: Path, sweeps: Sequence[Sequence[Channel]]) -> Iterator[Taken]:
+def read(path: Path, sweeps: Sequence[Sequence[ChannelName]]) -> Iterator[Taken]:
     """The channels, one sweep after the other, with the clock of their group."""
     _check_head(path)
-    with path.open("rb") as stream, closing(_File(stream, **_OPENED)) as file:
+    with path.open("rb") as stream, closing(_Mdf4(stream, **_OPENED)) as file:
         for channels in sweeps:
             yield _sweep(file, channels, str(path))
 
 
-def listed(path: Path) -> tuple[Listed, ...]:
+def listed(path: Path) -> tuple[ListedChannel, ...]:
     """The channels but for the clocks."""
     _check_head(path)
-    with path.open("rb") as stream, closing(_File(stream, **_OPENED)) as file:
+    with path.open("rb") as stream, closing(_Mdf4(stream, **_OPENED)) as file:
         groups = cast("list[Any]", cast(Any, file).groups)
         return tuple(
-            Listed(name=str(channel.name), unit=_unit(file, (k, number)), group=k)
+            ListedChannel(name=str(channel.name), unit=_unit(file, (k, number)), group=k)
             for k, group in enumerate(groups)
             for number, channel in enumerate(group.channels)
             if channel.channel_type not in _MASTERS
@@ -78,7 +77,7 @@ def _check_head(path: Path) -> None:
         raise BadInput(str(path), f"is an MDF file of version {version / 100:.2f}; version 4 is read")
 
 
-def _sweep(file: Any, channels: Sequence[Channel], path: str) -> Taken:
+def _sweep(file: Any, channels: Sequence[ChannelName], path: str) -> Taken:
     found = [_find(file, channel, path) for channel in channels]
     groups = list(dict.fromkeys(group for group, _ in found))
     rows = max(_records(file, group) for group in groups)
@@ -88,7 +87,7 @@ def _sweep(file: Any, channels: Sequence[Channel], path: str) -> Taken:
     return Taken(np.array(columns), tuple(_unit(file, place) for place in found), clock)
 
 
-def _find(file: Any, channel: Channel, path: str) -> tuple[int, int]:
+def _find(file: Any, channel: ChannelName, path: str) -> tuple[int, int]:
     """Number of group and channel; BadInput unless there is exactly one."""
     place = f"{path} channel {channel.source}"
     numbered = cast("list[Any]", file.groups)
@@ -144,7 +143,7 @@ def _pace(clock: Array | None) -> str:
 
 def _clock(file: Any, group: int, path: str) -> Array | None:
     for number, channel in enumerate(file.groups[group].channels):
-        if channel.channel_type in _MASTERS and channel.sync_type == _TIME:
+        if channel.channel_type in _MASTERS and channel.sync_type == 1:  # sync type of a master channel in seconds
             unit = _unit(file, (group, number)) or "s"
             factor, _ = to_si("time", unit, False, f"{path} clock of group {_group_names(file, [group])}")
             return factor * _values(file, (group, number), path)

@@ -8,9 +8,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formats.traces.containers import Channel, Listed, Taken, format_of, list_containers, read_containers
+from service.formats.traces.containers import (
+    ChannelName,
+    ListedChannel,
+    Taken,
+    format_of,
+    list_containers,
+    read_containers,
+)
 from service.formats.traces.line_trace import LineTrace
-from service.formats.traces.mapping import Column, Columns, Csv, FromPosition, Mapping, TraceSweep
+from service.formats.traces.mapping import Columns, Csv, FromPosition, Mapping, SourceColumn, TraceSweep
 from service.formats.traces.tables import TextTable
 from service.formats.traces.units import find_roles
 from service.model.errors import BadInput
@@ -29,14 +36,14 @@ class Raw:
     """
 
     columns: dict[str, Array]
-    sources: dict[str, Column]
+    sources: dict[str, SourceColumn]
     units: dict[str, str] = field(default_factory=dict[str, str])
     clock: Array | None = None
     found: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
 
 
-class _File:
+class _TraceFile:
     """One trace file, opened once for all of its sweeps."""
 
     def __init__(self, path: Path, form: Csv) -> None:
@@ -45,15 +52,15 @@ class _File:
         self._xml = LineTrace(path) if self.kind == "xml" else None
 
     @cached_property
-    def listed(self) -> tuple[Listed, ...]:
+    def listed(self) -> tuple[ListedChannel, ...]:
         given = self._text or self._xml
         if given is not None:
             return given.listed
         if self.kind == "parquet":
-            return tuple(Listed(name=name) for name in table_names(self.path))
+            return tuple(ListedChannel(name=name) for name in table_names(self.path))
         return list_containers(self.path)
 
-    def read(self, sweeps: Sequence[tuple[Channel, ...]]) -> Iterator[Taken]:
+    def read(self, sweeps: Sequence[tuple[ChannelName, ...]]) -> Iterator[Taken]:
         given = self._text or self._xml
         if given is not None:
             return (given.read(channels) for channels in sweeps)
@@ -61,7 +68,7 @@ class _File:
             return (self._parquet(channels) for channels in sweeps)
         return iter(read_containers(self.path, sweeps))
 
-    def _parquet(self, channels: tuple[Channel, ...]) -> Taken:
+    def _parquet(self, channels: tuple[ChannelName, ...]) -> Taken:
         names = tuple(dict.fromkeys(channel.source for channel in channels))
         table = read_table(self.path, str(self.path), names)
         return Taken(np.array([table[channel.source] for channel in channels]), ("",) * len(channels), None)
@@ -77,10 +84,10 @@ def read_raw(mapping: Mapping, traces: Sequence[tuple[Path, TraceSweep]]) -> Ite
 
     BadInput names the file and the column.
     """
-    files: dict[Path, _File] = {}
-    plans: list[tuple[Path, dict[str, Column], dict[str, str]]] = []
+    files: dict[Path, _TraceFile] = {}
+    plans: list[tuple[Path, dict[str, SourceColumn], dict[str, str]]] = []
     for path, entry in traces:
-        file = files[path] = files.get(path) or _File(path, mapping.csv)
+        file = files[path] = files.get(path) or _TraceFile(path, mapping.csv)
         if file.kind not in GROUPED:
             _refuse_groups(mapping.columns.sources, entry, path)
         wanted, found = _sources(mapping.columns, entry, file)
@@ -98,7 +105,7 @@ def read_raw(mapping: Mapping, traces: Sequence[tuple[Path, TraceSweep]]) -> Ite
         yield Raw(columns, wanted, units, taken.clock, frozenset(found), taken.notes)
 
 
-def _sources(columns: Columns, entry: TraceSweep, file: _File) -> tuple[dict[str, Column], dict[str, str]]:
+def _sources(columns: Columns, entry: TraceSweep, file: _TraceFile) -> tuple[dict[str, SourceColumn], dict[str, str]]:
     """Columns that the mapping names with those that are found in the file, and the units of these by their role."""
     named = columns.sources
     derived = isinstance(columns.velocity, FromPosition)
@@ -116,7 +123,7 @@ def _sources(columns: Columns, entry: TraceSweep, file: _File) -> tuple[dict[str
     if "position" not in roles and "load_position" in roles:
         roles["position"] = roles.pop("load_position")
     wanted = {
-        name: Column(source=one.name, group=one.group if file.kind in GROUPED else None)
+        name: SourceColumn(source=one.name, group=one.group if file.kind in GROUPED else None)
         for name, one in roles.items()
         if name in Columns.model_fields and name not in named and not (name == "velocity" and derived)
     }
@@ -133,14 +140,14 @@ def _sources(columns: Columns, entry: TraceSweep, file: _File) -> tuple[dict[str
     }
 
 
-def _channels(wanted: dict[str, Column], entry: TraceSweep) -> tuple[Channel, ...]:
+def _channels(wanted: dict[str, SourceColumn], entry: TraceSweep) -> tuple[ChannelName, ...]:
     return tuple(
-        Channel(source=column.name, group=entry.group if column.group is None else column.group)
+        ChannelName(source=column.name, group=entry.group if column.group is None else column.group)
         for column in wanted.values()
     )
 
 
-def _refuse_groups(wanted: dict[str, Column], entry: TraceSweep, path: Path) -> None:
+def _refuse_groups(wanted: dict[str, SourceColumn], entry: TraceSweep, path: Path) -> None:
     for group in (entry.group, *(column.group for column in wanted.values())):
         if group is not None:
             raise BadInput(

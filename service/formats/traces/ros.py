@@ -15,7 +15,7 @@ from rosbags.rosbag2 import ReaderError as Ros2Error
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
-from service.formats.traces.containers import Array, Channel, Listed, Taken, check_numbers, shown
+from service.formats.traces.containers import Array, ChannelName, ListedChannel, Taken, check_numbers, shown
 from service.model.errors import BadInput
 from service.store.files.columns import MOST_NUMBERS
 
@@ -23,7 +23,7 @@ LIBRARY_ERRORS: tuple[type[Exception], ...] = (AnyReaderError, Ros1Error, Ros2Er
 _TYPE = "sensor_msgs/msg/JointState"
 
 
-def read(path: Path, sweeps: Sequence[Sequence[Channel]]) -> Iterator[Taken]:
+def read(path: Path, sweeps: Sequence[Sequence[ChannelName]]) -> Iterator[Taken]:
     """The channels, one sweep after the other; `group` is a topic."""
     for channels in sweeps:
         topic, clock, columns = _records(path, next((str(each.group) for each in channels if each.group), None))
@@ -33,11 +33,11 @@ def read(path: Path, sweeps: Sequence[Sequence[Channel]]) -> Iterator[Taken]:
         yield Taken(np.array([columns[each.source] for each in channels]), ("SI",) * len(channels), clock)
 
 
-def listed(path: Path) -> tuple[Listed, ...]:
+def listed(path: Path) -> tuple[ListedChannel, ...]:
     """Position, velocity and effort of each joint."""
     topic, _, columns = _records(path, None)
     pairs = [(name, *name.rpartition(".")[::2]) for name in columns]
-    return tuple(Listed(name=name, unit="SI", group=topic, role=what, axis=joint) for name, joint, what in pairs)
+    return tuple(ListedChannel(name=name, unit="SI", group=topic, role=what, axis=joint) for name, joint, what in pairs)
 
 
 def _records(path: Path, wanted: str | None) -> tuple[str, Array, dict[str, Array]]:

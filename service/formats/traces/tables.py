@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 from numpy.typing import NDArray
 
-from service.formats.traces.containers import Channel, Listed, Taken, check_numbers, shown
+from service.formats.traces.containers import ChannelName, ListedChannel, Taken, check_numbers, shown
 from service.formats.traces.mapping import Csv
 from service.formats.traces.units import known_unit, measures, unit_in
 from service.model.errors import BadInput
@@ -32,9 +32,6 @@ _STAMP = re.compile(
     r"(\d\d?):(\d\d):(\d\d)(?:[.,:](\d{1,9}))?\s*([AaPp][Mm])?\s*(Z|[+-]\d\d:?\d\d)?"
 )
 _UNITS = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
-_SLOWEST = 20.0  # Hz: slower records do not show an inertia, so that their numbers are of a smaller unit
-_UNEVEN = 0.05  # part of the steps that may be off by 20 % in an even record
-_LOST = 5.0  # times the common step: values were lost
 
 
 def timelike(cell: str) -> bool:
@@ -80,7 +77,8 @@ def unit_of_time(time: Array, sample_rate: float | None) -> tuple[str, float]:
             return name, unit
     if sample_rate is not None:
         return "s", 1.0
-    return next(((name, unit) for name, unit in _UNITS if 1 / (step * unit) >= _SLOWEST), _UNITS[0])
+    # Hz: slower records do not show an inertia, so that their numbers are of a smaller unit
+    return next(((name, unit) for name, unit in _UNITS if 1 / (step * unit) >= 20.0), _UNITS[0])
 
 
 def spacing(time: Array) -> float:
@@ -107,8 +105,9 @@ def even(time: Array, columns: dict[str, Array], place: str) -> tuple[Array, dic
             raise BadInput(place, f"time stands still at row {row + 2}: {time[row]:.6g} s")
         told = f"{int((steps == 0).sum())} stamps are doubled: the rows are taken as even, {1 / mean:.6g} Hz"
         return grid, columns, (told,)
-    gap = steps.max() > 1.5 * usual and (np.abs(steps - usual) > 0.2 * usual).mean() <= _UNEVEN
-    if gap or steps.max() > _LOST * usual or off <= 0.4 * mean:
+    # part of the steps that may be off by 20 % in an even record
+    gap = steps.max() > 1.5 * usual and (np.abs(steps - usual) > 0.2 * usual).mean() <= 0.05
+    if gap or steps.max() > 5.0 * usual or off <= 0.4 * mean:  # times the common step: values were lost
         return time, columns, ()
     grid = time[0] + mean * np.arange(int((time[-1] - time[0]) / mean + 1e-9) + 1)
     told = f"steps of time are {steps.min():.3g} to {steps.max():.3g} s: interpolated to {1 / mean:.6g} Hz"
@@ -130,7 +129,6 @@ _arrow, _csv = cast(Any, pa), cast(Any, pa_csv)  # without types
 
 SAMPLE = 2**18  # characters in which the form is found
 _FIRM = 10  # lines after which another kind of line is a fault in the data, and not their end
-_FORMS = (("\t", "."), (";", "."), (",", "."), ("|", "."), ("\t", ","), (";", ","), ("|", ","), (" ", "."), (" ", ","))
 _BOMS = (
     (b"\xef\xbb\xbf", "utf-8-sig"),
     (b"\xff\xfe\x00\x00", "utf-32"),
@@ -139,7 +137,6 @@ _BOMS = (
     (b"\xfe\xff", "utf-16"),
 )
 _MISSING = frozenset(("", "-", "--", "nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "n/a", "#n/a", "null", "none"))
-_NULLS = sorted({form for one in _MISSING for form in (one, one.upper(), one.capitalize(), "NaN", "None")})
 _TYPE = re.compile(r"(?i)(l?real|u?[sdl]?int|bool|byte|d?word|double|single|float|string|dt_\w+)\d*|-")
 _INTERVAL = re.compile(
     r"(?i)(?:sampl\w*[ _-]?(?:time|period|interval)|abtast(?:zeit|intervall|periode)|cycle[ _-]?time|zykluszeit"
@@ -186,12 +183,12 @@ class TextTable:
         names = self._head.names
         self._numbered = tuple(f"{name} (column {k})" for k, name in enumerate(names, start=1))
         self.listed = tuple(
-            Listed(name=name if names.count(name) == 1 else self._numbered[k], unit=self._head.units[k])
+            ListedChannel(name=name if names.count(name) == 1 else self._numbered[k], unit=self._head.units[k])
             for k, name in enumerate(names)
             if k not in times and name
         )
 
-    def read(self, channels: Sequence[Channel]) -> Taken:
+    def read(self, channels: Sequence[ChannelName]) -> Taken:
         """The columns; the clock is that of a channel's own time, or the interval in the heading."""
         found = [self._index(channel.source) for channel in channels]
         times = [self._head.clocks.get(k) for k in found]
@@ -266,7 +263,9 @@ class TextTable:
                 decimal_point=self._point,
                 include_columns=[str(k) for k in wanted],
                 column_types={str(k): _arrow.string() if k in text else _arrow.float64() for k in wanted},
-                null_values=_NULLS,
+                null_values=(
+                    sorted({form for one in _MISSING for form in (one, one.upper(), one.capitalize(), "NaN", "None")})
+                ),
                 strings_can_be_null=True,
             ),
         ) as file:
@@ -372,7 +371,17 @@ def _is_number(cell: str, point: str) -> bool:
 def _form(lines: Sequence[str], form: Csv, place: str) -> tuple[str, str, int]:
     """Delimiter, decimal point and first line of the data."""
     best: tuple[int, str, str, int] = (0, "", "", 0)
-    for delimiter, point in _FORMS:
+    for delimiter, point in (
+        ("\t", "."),
+        (";", "."),
+        (",", "."),
+        ("|", "."),
+        ("\t", ","),
+        (";", ","),
+        ("|", ","),
+        (" ", "."),
+        (" ", ","),
+    ):
         if form.delimiter not in (None, delimiter) or form.decimal_point not in (None, point) or delimiter == point:
             continue
         numbers = partial(_is_number, point=point)

@@ -28,7 +28,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from service.formats.traces.alignment import check_follows, motion_start
 from service.formats.traces.mapping import CncAxis, Columns, FromPosition, Mapping, SingleAxis, TraceSweep
-from service.formats.traces.meaning import Channel, Train, find_kind, scalings
+from service.formats.traces.meaning import KnownTrain, SourceChannel, find_kind, scalings
 from service.formats.traces.raw import Raw, read_raw, sessions_of
 from service.formats.traces.tables import even, filled, spacing, unit_of_time
 from service.formats.traces.units import check_same, to_si
@@ -43,11 +43,6 @@ from service.model.robot import Axis, Robot, RobotDescription, robot_from_outsid
 from service.store.files.columns import check_samples
 
 Array = NDArray[np.float64]
-
-# f'(x) h of order 8 from samples at x+1 h ... x+4 h minus those at x-1 h ... x-4 h (Fornberg 1988, table 1)
-_CENTRAL = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
-_SETTLED = 10  # periods of the corner
-_SHOWN = 3.0  # standard deviations of an inertia that a trace shows
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,16 +149,16 @@ def _whole(entry: TraceSweep, number: int, joints: tuple[str, ...]) -> TraceSwee
     return entry.model_copy(update=update)
 
 
-def _train(given: Path | SingleAxis, robot: Robot | None, mapping: Mapping, joint: str) -> Train:
+def _train(given: Path | SingleAxis, robot: Robot | None, mapping: Mapping, joint: str) -> KnownTrain:
     constant = mapping.axes.get(joint, CncAxis()).torque_constant
     if isinstance(given, SingleAxis):
         slides = None if given.kind is None else given.kind == "prismatic"
-        return Train(slides, given.gear_ratio, given.rated_effort, constant)
+        return KnownTrain(slides, given.gear_ratio, given.rated_effort, constant)
     if robot is None:
-        return Train(torque_constant=constant)
+        return KnownTrain(torque_constant=constant)
     axis = robot.axis(joint)
     slides = robot.chain.joints[robot.index(joint)].kind == "prismatic"
-    return Train(slides, axis.gear_ratio, axis.rated_effort, constant, fixed=True)
+    return KnownTrain(slides, axis.gear_ratio, axis.rated_effort, constant, fixed=True)
 
 
 def _drafted(
@@ -198,7 +193,8 @@ def _nominal(robot: Robot, sweeps: Sequence[Sweep]) -> float | None:
     """kg m^2 (kg) about the axis, by the sweeps; None where they do not show it."""
     try:
         (axis,) = identify(robot, [spectrum(robot, sweep) for sweep in sweeps]).axes
-        values = [one.value for one in axis.sweeps if one.value > _SHOWN * one.std]
+        # standard deviations of an inertia that a trace shows
+        values = [one.value for one in axis.sweeps if one.value > 3.0 * one.std]
     except (BadInput, ValueError, ArithmeticError, np.linalg.LinAlgError):
         return None
     return float(f"{np.median(values):.6g}") if values else None
@@ -220,11 +216,13 @@ def _sweep(robot: Robot, entry: TraceSweep, converted: "_Converted", place: str)
 def differentiate(signal: Array, sample_rate: float, corner: float) -> Array:
     """Time derivative (n,) of a signal (n,) sampled at `sample_rate` Hz, without phase; see the module docstring."""
     sections = cast(Array, butter(4, corner, fs=sample_rate, output="sos"))
+    # f'(x) h of order 8 from samples at x+1 h ... x+4 h minus those at x-1 h ... x-4 h (Fornberg 1988, table 1)
+    central = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
+    middle = len(central)
     run_in = _run_in(sample_rate, corner)
-    smooth = np.pad(sosfiltfilt(sections, signal, padlen=run_in), len(_CENTRAL), mode="reflect", reflect_type="odd")
+    smooth = np.pad(sosfiltfilt(sections, signal, padlen=run_in), middle, mode="reflect", reflect_type="odd")
     derivative = np.zeros(len(signal))
-    for distance, weight in enumerate(_CENTRAL, start=1):
-        middle = len(_CENTRAL)
+    for distance, weight in enumerate(central, start=1):
         ahead = smooth[middle + distance : middle + distance + len(signal)]
         behind = smooth[middle - distance : middle - distance + len(signal)]
         derivative += weight * sample_rate * (ahead - behind)
@@ -233,7 +231,7 @@ def differentiate(signal: Array, sample_rate: float, corner: float) -> Array:
 
 def _run_in(sample_rate: float, corner: float) -> int:
     """Samples of odd reflection until the filter has settled: its slowest pole decays as exp(-2.4 corner t)."""
-    return int(_SETTLED * sample_rate / corner)
+    return int(10 * sample_rate / corner)
 
 
 def _aligned(entry: TraceSweep, recording: Recording, set_position: Array, position: float, place: str) -> float:
@@ -267,7 +265,7 @@ class _Converted:
     columns: Columns
 
 
-def _convert(mapping: Mapping, train: Train, entry: TraceSweep, raw: Raw, place: str) -> _Converted:
+def _convert(mapping: Mapping, train: KnownTrain, entry: TraceSweep, raw: Raw, place: str) -> _Converted:
     rate = entry.sample_rate if "sample_rate" in entry.model_fields_set else None
     sampled = {name: filled(values) for name, values in raw.columns.items() if name != "time"}
     time, scaled = _time(raw, rate, train, len(raw.columns["position"]), place)
@@ -278,7 +276,7 @@ def _convert(mapping: Mapping, train: Train, entry: TraceSweep, raw: Raw, place:
         step = spacing(time)
         rate = float(f"{1 / step:.6g}") if step > 0 else 1.0
     channels = {
-        name: Channel(raw.sources[name], raw.units.get(name, ""), values, name not in raw.found)
+        name: SourceChannel(raw.sources[name], raw.units.get(name, ""), values, name not in raw.found)
         for name, values in sampled.items()
     }
     for name, one in channels.items():
@@ -317,7 +315,7 @@ def _convert(mapping: Mapping, train: Train, entry: TraceSweep, raw: Raw, place:
     return _Converted(taken, rate, Columns.model_validate({**written, **kept}))
 
 
-def _axis(train: Train, joint: str, channels: Mapping_[str, Channel], place: str) -> Axis:
+def _axis(train: KnownTrain, joint: str, channels: Mapping_[str, SourceChannel], place: str) -> Axis:
     rated = train.rated_effort
     if rated is None and any(one.column.unit == "percent" for one in channels.values()):
         raise BadInput(place, "is in percent of the rated torque: give `rated_effort` of the axis")
@@ -327,7 +325,7 @@ def _axis(train: Train, joint: str, channels: Mapping_[str, Channel], place: str
         raise bad_field(f"{place} robot", error) from None
 
 
-def _time(raw: Raw, rate: float | None, train: Train, count: int, place: str) -> tuple[Array, float | None]:
+def _time(raw: Raw, rate: float | None, train: KnownTrain, count: int, place: str) -> tuple[Array, float | None]:
     """s, and its factor: by mapping, file or step; the file's own clock; the sample rate."""
     if "time" in raw.columns:
         column, values = raw.sources["time"], raw.columns["time"]
@@ -360,7 +358,7 @@ def _derived(position: Array, sample_rate: float, corner: float, place: str) -> 
         raise BadInput(place, f"low-pass of {corner} Hz is not below half the sample rate {sample_rate} Hz")
     if not np.isfinite(position).all():
         raise BadInput(place, "a position is missing; the low-pass filter needs all positions")
-    if not len(position) > _SETTLED * sample_rate / corner:
+    if not len(position) > 10 * sample_rate / corner:
         raise BadInput(place, f"{len(position)} samples are too few for a low-pass of {corner} Hz")
     return differentiate(position, sample_rate, corner)
 

@@ -1,7 +1,10 @@
-"""The one rule of units: what a unit in a file or a heading measures, and its factor to SI.
+"""What a heading says: what its unit measures, with the factor to SI, and which column of a bundle it names.
 
 A unit that fits a column has one meaning on the joint side. ``rpm`` may be of joint or motor, N m too, and ``%`` of
 anything: those are decided by the motion (`service.formats.traces.meaning`), or by the mapping.
+
+A role is the column of a bundle: by what a channel measures and how it is called, in English and German. A reader that
+knows its format (a control's signal, a joint state of ROS) states the role itself.
 """
 
 import math
@@ -9,7 +12,7 @@ import re
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
-from service.formats.traces.containers import Listed, shown
+from service.formats.traces.containers import ListedChannel, shown
 from service.formats.traces.mapping import Unit
 from service.model.errors import BadInput
 
@@ -29,12 +32,10 @@ _TIME = {
 _DEGREE = math.radians(1.0)
 _ANGLE = {"rad": 1.0, "mrad": 1e-3, **dict.fromkeys(("deg", "degree", "degrees", "Grad", "grad"), _DEGREE)}
 _LENGTH = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
-_PER = ("s", "min", "sec")
-_RPM = ("rpm", "1/min", "min^-1", "min-1", "rev/min", "U/min", "r/min", "/min", "min⁻¹", "Upm")
 
 
 def _speeds(ways: Mapping[str, float]) -> dict[str, float]:
-    return {f"{name}/{per}": factor / _TIME[per] for name, factor in ways.items() for per in _PER}
+    return {f"{name}/{per}": factor / _TIME[per] for name, factor in ways.items() for per in ("s", "min", "sec")}
 
 
 QUANTITIES: Mapping[str, Mapping[str, float]] = {
@@ -44,7 +45,12 @@ QUANTITIES: Mapping[str, Mapping[str, float]] = {
     "angular speed": {**_speeds(_ANGLE), "dps": _DEGREE},
     "speed": _speeds(_LENGTH),
     "turns": dict.fromkeys(("rev", "turn", "turns", "U", "Umdr"), math.tau),
-    "turns per time": {**dict.fromkeys(_RPM, math.tau / 60), **dict.fromkeys(("rev/s", "1/s", "rps", "U/s"), math.tau)},
+    "turns per time": {
+        **dict.fromkeys(
+            ("rpm", "1/min", "min^-1", "min-1", "rev/min", "U/min", "r/min", "/min", "min⁻¹", "Upm"), math.tau / 60
+        ),
+        **dict.fromkeys(("rev/s", "1/s", "rps", "U/s"), math.tau),
+    },
     "torque": {"Nm": 1.0, "kNm": 1e3, "mNm": 1e-3, "Ncm": 1e-2},
     "force": {"N": 1.0, "kN": 1e3, "mN": 1e-3},
     "current": {"A": 1.0, "mA": 1e-3, "Aeff": 1.0, "Arms": 1.0, "A_rms": 1.0, "Apk": math.sqrt(0.5)},
@@ -65,7 +71,6 @@ _SUFFIX = re.compile(
     r"^(?P<name>.+?)_(?P<unit>rad_?p?s|deg_?p?s|mm_?p?s|m_?p?s|rad|deg|mm|nm|rpm|ms|us|ns|sec|pct|percent|amps?|s|a)$",
     re.IGNORECASE,
 )
-_SPELT = {"nm": "Nm", "amp": "A", "amps": "A", "a": "A", "pct": "%"}
 
 _SAID: Mapping[Unit, tuple[str, float | None]] = {
     "deg": ("angle", _DEGREE),
@@ -116,7 +121,7 @@ def unit_in(heading: str) -> tuple[str, str]:
             else unit
         )
         per = re.sub(r"(?<=[dgm])s$", "/s", per) if unit not in ("ms", "amps") else per
-        return heading, _SPELT.get(per, per)
+        return heading, {"nm": "Nm", "amp": "A", "amps": "A", "a": "A", "pct": "%"}.get(per, per)
     return heading, ""
 
 
@@ -206,7 +211,7 @@ _AXIS = re.compile(
 _CAMEL = re.compile(r"(?<=[a-zäöü])(?=[A-ZÄÖÜ])|(?<=[A-ZÄÖÜ])(?=[A-ZÄÖÜ][a-zäöü])")
 
 
-def axis_of(channel: Listed) -> str:
+def axis_of(channel: ListedChannel) -> str:
     """Number or name of the axis of a channel; "" if it states none."""
     if channel.axis:
         return channel.axis
@@ -214,7 +219,7 @@ def axis_of(channel: Listed) -> str:
     return "" if found is None else next(part for part in found.groups() if part)
 
 
-def role_of(channel: Listed) -> tuple[str, int]:
+def role_of(channel: ListedChannel) -> tuple[str, int]:
     """Role and rank, the smallest of the best; "" if it is of no use."""
     if channel.role:
         return channel.role, 0
@@ -243,7 +248,7 @@ def role_of(channel: Listed) -> tuple[str, int]:
     return role, rank
 
 
-def find_roles(listed: Sequence[Listed], file_axis: str, place: str) -> dict[str, Listed]:
+def find_roles(listed: Sequence[ListedChannel], file_axis: str, place: str) -> dict[str, ListedChannel]:
     """The best channel of each role, of one axis. BadInput if there are several axes and none is chosen."""
     ranked = sorted(
         ((role_of(one)[1], k, role_of(one)[0], one) for k, one in enumerate(listed)), key=lambda one: one[:2]
@@ -258,7 +263,7 @@ def find_roles(listed: Sequence[Listed], file_axis: str, place: str) -> dict[str
         raise BadInput(
             place, f"has channels of axes {shown(sorted(axes))}: choose one by --axis, or by `file_axis` of the sweep"
         )
-    found: dict[str, Listed] = {}
+    found: dict[str, ListedChannel] = {}
     for _, _, role, one in ranked:
         if role and (not file_axis or axis_of(one) in ("", file_axis)):
             found.setdefault(role, one)

@@ -13,7 +13,7 @@ from service.model.results.estimate import BaseParameter, Estimate
 
 if TYPE_CHECKING:  # loaded when a report is drawn
     from service.model.errors import NoPdf
-    from service.report import CampaignReport, Form, Page
+    from service.report import CampaignReport, Form, ReportPage
 
 _PARAMETERS = TypeAdapter(tuple[BaseParameter, ...])
 
@@ -93,7 +93,7 @@ Written: TypeAlias = "str | bytes | NoPdf"
 """A report, or the reason why it is not available in this form."""
 
 
-def _written(page: "Page", form: "Form") -> Written:
+def _written(page: "ReportPage", form: "Form") -> Written:
     from service.model.errors import NoPdf
 
     try:

@@ -12,7 +12,7 @@ from uuid import uuid4
 import yaml
 from pydantic import BaseModel
 
-from service.formats.traces.mapping import Mapping, Motion, TraceSweep
+from service.formats.traces.mapping import Mapping, SweepMotion, TraceSweep
 from service.machine.paths.control import Control
 from service.machine.paths.part_program import part_program
 from service.machine.paths.sweep_paths import PathSweep, path_sweeps
@@ -79,7 +79,7 @@ def _write_mapping(folder: Path, robot: Robot, control: Control, sweeps: Sequenc
 def _trace_sweep(sweep: PathSweep, sample_rate: float) -> TraceSweep:
     planned = sweep.planned
     spec = planned.spec.model_copy(update={"sample_rate": sample_rate})
-    motion = Motion(ramp=planned.ramp, settle=planned.settle)
+    motion = SweepMotion(ramp=planned.ramp, settle=planned.settle)
     return TraceSweep(**spec.model_dump(), source=Path("traces") / f"{sweep.name}.csv", path=motion)
 
 

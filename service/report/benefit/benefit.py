@@ -1,8 +1,24 @@
-"""CAD and estimate compared on sweeps that were not used in the estimate; see `held_out`, `prediction` and `monitor`.
+r"""CAD and estimate compared on sweeps that were not used in the estimate; see also `prediction`.
 
 The tested estimate uses the training sweeps of all axes and no held-out sweep. Its gravity is that of its physical
 standard parameters: the part that the inertias do not determine is that of CAD. The measured inertia in a held-out pose
 is that of an estimate from all sweeps, with its covariance.
+
+The sweeps of an axis are grouped by pose in the order of the bundle; every `EVERY`th pose is held out with all its
+sweeps, a rule that is independent of the results. Sweeps are of one pose if all other joints have the same position:
+the axis itself may start at either end.
+
+A monitor compares measured and predicted effort at each sample, and gives an alarm if they differ by more than L. False
+alarms: one in `QUIET_HOURS` h of samples at the drive's rate, that is a probability p = 1 / (3600 QUIET_HOURS rate) per
+sample, about 3e-8 at 1 kHz. Minutes of recordings have too few samples for an empirical quantile at this probability,
+so a Gaussian tail is assumed, with the mean m_s and the standard deviation s_s of each sweep:
+
+    mean over s of  Phi(-(L - m_s)/s_s) + Phi(-(L + m_s)/s_s)  =  p
+
+Differences between poses (gravity, friction) are not noise that changes with each sample: one Gaussian over all poses
+would multiply them by 5.5 and make the better model look too good. L is never less than the largest recorded
+difference. An external effort of L is just detected if there is no other difference. Single samples are assumed
+independent, so the requirement is higher than for the filtered monitors of real controls.
 """
 
 import xml.etree.ElementTree as ET
@@ -27,7 +43,7 @@ from service.model.results.part import Document, Part
 from service.model.robot import Robot, link_frames
 from service.model.urdf import read_origin
 from service.report.benefit.prediction import (
-    RigidBody,
+    RigidAxis,
     Window,
     dry_friction,
     left_by,
@@ -37,6 +53,9 @@ from service.report.benefit.prediction import (
 )
 
 Array = NDArray[np.float64]
+QUIET_HOURS = 8.0  # one shift
+ON_THE_AXIS = 0.01  # m: if nearer, a force at the end has no torque about the axis
+EVERY = 4
 
 
 class ModelBenefit(Part):
@@ -87,7 +106,7 @@ class AxisBenefit(Part):
         return self.cad.smallest_effort / self.identified.smallest_effort
 
 
-class Followed(Part):
+class FollowingError(Part):
     """Error of an axis on a path, motor side, referred to the joint: rad (m)."""
 
     rms: Number
@@ -101,8 +120,8 @@ class Tracking(Part):
     top_speed: Number  # rad/s (m/s)
     top_acceleration: Number  # rad/s^2 (m/s^2)
     gain: Number  # 1/s, of the position controllers
-    cad: Mapping[str, Followed]
-    identified: Mapping[str, Followed]
+    cad: Mapping[str, FollowingError]
+    identified: Mapping[str, FollowingError]
 
 
 class Benefit(Document):
@@ -120,7 +139,7 @@ class Benefit(Document):
 
 
 @dataclass(frozen=True)
-class _Axis:
+class _JudgedAxis:
     """One axis that can be compared; arrays are in the order of `held_out`."""
 
     robot: Robot
@@ -188,7 +207,7 @@ def _axis(
     out: frozenset[str],
     known: Estimate,
     every: Estimate,
-) -> _Axis:
+) -> _JudgedAxis:
     own = [sweep for sweep in used if sweep.spec.axis == joint]
     held = tuple(sweep for sweep in own if sweep.spec.id in out)
     all_of_it = _of(every, joint)
@@ -197,7 +216,7 @@ def _axis(
     fit = _of(known, joint).fit
     if fit is None:
         raise ValueError(f"{joint} has sweeps with lines, but no joint fit")
-    return _Axis(
+    return _JudgedAxis(
         robot=robot,
         number=robot.index(joint),
         train=fit.train,
@@ -213,7 +232,7 @@ def _of(estimate: Estimate, joint: str) -> AxisEstimate:
     return next(axis for axis in estimate.axes if axis.joint == joint)
 
 
-def _judge(axis: _Axis, known: Estimate, identified: Array, counts: tuple[int, int]) -> AxisBenefit:
+def _judge(axis: _JudgedAxis, known: Estimate, identified: Array, counts: tuple[int, int]) -> AxisBenefit:
     """`identified` (11 n,): standard parameters. `counts`: poses, and those held out."""
     robot = axis.robot
     motors = [one.reflected_motor_inertia or 0.0 for one in robot.axes]
@@ -238,7 +257,7 @@ def _judge(axis: _Axis, known: Estimate, identified: Array, counts: tuple[int, i
     )
 
 
-def _model(axis: _Axis, parameters: Array, covariance: Array, arm: float | None) -> ModelBenefit:
+def _model(axis: _JudgedAxis, parameters: Array, covariance: Array, arm: float | None) -> ModelBenefit:
     """Result of the model with standard `parameters` (11 n,); `covariance` (h, h) of model minus measured inertia."""
     train_windows, windows = axis.windows(axis.training), axis.windows(axis.held_out)
     bodies = _bodies(axis, parameters, axis.training)
@@ -278,13 +297,13 @@ def rms_with_std(errors: Array, covariance: Array, unit: str) -> Value:
     return Value(value=rms, std=std, unit=unit)
 
 
-def _bodies(axis: _Axis, parameters: Array, sweeps: Sequence[Sweep]) -> list[RigidBody]:
+def _bodies(axis: _JudgedAxis, parameters: Array, sweeps: Sequence[Sweep]) -> list[RigidAxis]:
     """The rigid body of the axis in the sweeps' poses, from `parameters` (11 n,) of the whole robot."""
     poses = np.array([sweep.spec.pose for sweep in sweeps])
     chain = axis.robot.chain
     inertia = axis_rows(chain, axis.number, poses) @ parameters
     gravity = gravity_terms(chain, parameters, axis.robot.gravity, axis.number, poses)
-    return [RigidBody(float(j), float(g), float(k)) for j, (g, k) in zip(inertia, gravity, strict=True)]
+    return [RigidAxis(float(j), float(g), float(k)) for j, (g, k) in zip(inertia, gravity, strict=True)]
 
 
 def _lines_rms(windows: Sequence[Window], signals: Sequence[Array]) -> float:
@@ -294,11 +313,6 @@ def _lines_rms(windows: Sequence[Window], signals: Sequence[Array]) -> float:
 def _rms(powers: Sequence[float]) -> float:
     """RMS over sweeps with equal weights."""
     return float(np.sqrt(np.mean(powers)))
-
-
-EVERY = 4
-SAME_POSITION = 2e-3  # rad (m) of the other joints, as of an estimate
-SAME_WAY = 0.1  # rad (m) of the axis itself: a sweep travels about 4 degrees, forward or backward
 
 
 def poses_of(specs: Sequence[SweepSpec], own: int) -> list[list[SweepSpec]]:
@@ -320,12 +334,9 @@ def held_out(poses: Sequence[Sequence[SweepSpec]]) -> frozenset[str]:
 
 def _same(one: SweepSpec, other: SweepSpec, own: int) -> bool:
     apart: Array = np.abs(np.subtract(one.pose, other.pose))
-    limit = np.full(len(apart), SAME_POSITION)
-    limit[own] = SAME_WAY
+    limit = np.full(len(apart), 2e-3)  # rad (m) of the other joints, as of an estimate
+    limit[own] = 0.1  # rad (m): a sweep travels about 4 degrees, forward or backward
     return bool(np.all(apart < limit))
-
-
-ON_THE_AXIS = 0.01  # m: if nearer, a force at the end has no torque about the axis
 
 
 def end_of(robot: Robot) -> Array:
@@ -358,10 +369,6 @@ def lever_arm(robot: Robot, own: int, poses: Array) -> Array:
     return np.linalg.norm(np.cross(axis, end - origins[:, own]), axis=-1)
 
 
-QUIET_HOURS = 8.0  # one shift
-TINY = 1e-9  # of the largest difference: standard deviation of a sweep without differences
-
-
 def alarm_probability(sample_rate: float, quiet_hours: float = QUIET_HOURS) -> float:
     """Probability per sample for one false alarm in `quiet_hours`; `sample_rate` in Hz."""
     return 1.0 / (3600.0 * quiet_hours * sample_rate)
@@ -372,7 +379,7 @@ def smallest_effort(means: Array, stds: Array, peak: float, probability: float) 
     scale = max(float(np.abs(means).max()), float(stds.max()))
     if scale == 0:
         return peak
-    spread = np.maximum(stds, TINY * scale)
+    spread = np.maximum(stds, 1e-9 * scale)
 
     def excess(limit: float) -> float:
         tails = ndtr(-(limit - means) / spread) + ndtr(-(limit + means) / spread)

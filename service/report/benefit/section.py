@@ -4,13 +4,13 @@ from collections.abc import Callable, Sequence
 from html import escape
 
 from service.report.benefit.benefit import AxisBenefit, Benefit, ModelBenefit, Tracking
-from service.report.drawing import IDENTIFIED, REFERENCE, Drawn, Figure, Part, figure, scale
-from service.report.html import Page
+from service.report.drawing import IDENTIFIED, REFERENCE, Drawn, DrawnFigure, Part, figure, scale
+from service.report.html import ReportPage
 
 HEADROOM = 1.15  # times the highest bar: room for its number above it
 
 
-def benefit_section(page: Page, found: Benefit) -> None:
+def benefit_section(page: ReportPage, found: Benefit) -> None:
     """The section; only the reasons if no axis can be compared."""
     page.add("<h2>What you gain</h2>")
     if found.axes:
@@ -53,7 +53,7 @@ def sentence(found: Benefit) -> str:
     return f"{summary} On {', '.join(worse)} the estimate is no better than CAD." if worse else summary
 
 
-def _tracking(page: Page, found: Tracking) -> None:
+def _tracking(page: ReportPage, found: Tracking) -> None:
     ratios = [found.cad[joint].rms / one.rms for joint, one in found.identified.items()]
     page.add(
         "<h3>The same path with either model</h3>",
@@ -75,7 +75,7 @@ def _tracking(page: Page, found: Tracking) -> None:
     )
 
 
-def worth(found: Benefit) -> Figure:
+def worth(found: Benefit) -> DrawnFigure:
     """Both models for each axis: remaining torque in percent, and smallest force in N."""
     joints, axes = list(found.axes), list(found.axes.values())
     panels: tuple[tuple[str, str, Callable[[ModelBenefit], float | None]], ...] = (

@@ -14,7 +14,7 @@ import pytest
 from asammdf.blocks.v4_blocks import ChannelConversion
 
 from service.formats.export.recordings import write_recordings
-from service.formats.traces.containers import Channel, Taken, read_containers, read_here
+from service.formats.traces.containers import ChannelName, Taken, read_containers, read_here
 from service.formats.traces.trace_import import import_trace
 from service.model.errors import BadInput
 from service.store.files.isolated_reader import Limits
@@ -33,7 +33,7 @@ NAMED = {name: {"source": name} for name in ("effort", "velocity", "position")}
 
 def ask(path: Path, *sources: str, group: str | int | None = None) -> Taken:
     """The channels of one sweep, read in this process."""
-    (taken,) = read_here(path, [[Channel(source=source, group=group) for source in sources]])
+    (taken,) = read_here(path, [[ChannelName(source=source, group=group) for source in sources]])
     return taken
 
 
@@ -235,7 +235,7 @@ def test_a_file_of_a_name_alone(tmp_path: Path) -> None:
 
 def test_the_reader_has_its_limits(tmp_path: Path) -> None:
     path = write_hdf5(tmp_path / "a.h5", effort=(np.zeros(3), ""))
-    channels = [(Channel(source="effort", group="run"),)]
+    channels = [(ChannelName(source="effort", group="run"),)]
     with pytest.raises(BadInput, match=r"a.h5: was not read within the limit of 0.01 s"):
         read_containers(path, channels, Limits(time=0.01))
     (taken,) = read_containers(path, channels)

@@ -3,6 +3,16 @@
 With base parameters beta, their covariance C and the rows W of the poses (`service.identification.model`)
 
     J = W beta,   cov J = W C W^T
+
+Supplementary loads of a KUKA are the difference between estimate and CAD as bodies on the first three links: the
+control contains a model of the bare robot, and takes one additional body each on A1, A2 and A3. With x_k the ten
+parameters of a body on link k, A their contribution to the base parameters and beta_0 those of CAD
+
+    min over P_k >= 0:   |C^-1/2 (A x(P) - (beta - beta_0))|^2 + sum_k (m_k + tr(Sigma_k) / R^2) / M
+
+P_k = [Sigma_k, m c; (m c)^T, m] is the pseudo-inertia (`physical_consistency`), so the bodies are physical. M is the
+mass and R the length of the robot; their term, at most some standard deviations, determines unobservable parts.
+With P_k = L_k L_k^T of full rank, each local minimum is the global one (Burer and Monteiro 2005).
 """
 
 import math
@@ -29,7 +39,6 @@ from service.model.urdf import LARGEST, Chain, inertia_vector, transform_inertia
 Array = NDArray[np.float64]
 
 STILL = 2e-3  # rad (m): smaller differences count as no motion
-NO_SHARE = 1e-9  # of a row's largest entry: below, a parameter does not affect the inertia
 
 
 @dataclass(frozen=True)
@@ -72,7 +81,7 @@ class Inertias:
         """Rows (m, r), and the first of their parameters that is not identified, or ""."""
         free = [k for k in range(len(self.robot.joints)) if k not in self.fixed]
         rows = self.base.rows(self.chain, free.index(self.robot.index(joint)), poses[:, free])
-        share = np.abs(rows).max(axis=0) > NO_SHARE * np.abs(rows).max()
+        share = np.abs(rows).max(axis=0) > 1e-9 * np.abs(rows).max()  # below, a parameter does not affect the inertia
         left = (name for name, used, opened in zip(self.base.names, share, self.opened, strict=True) if used and opened)
         return rows, next(left, "")
 
@@ -120,7 +129,7 @@ _PLACE = "--payload"
 
 
 @dataclass(frozen=True)
-class Load:
+class LoadData:
     """A physical body, in the frame of a joint: kg, m, kg m^2; the columns of `axes` (3, 3) are principal axes."""
 
     frame: str
@@ -131,7 +140,7 @@ class Load:
     axes: Array
 
 
-def load_of(found: Payload) -> Load:
+def load_of(found: Payload) -> LoadData:
     """BadInput if a value that a control needs is missing, or no body can have these values."""
     figures = {"mass": found.mass, **found.center, **found.inertia}
     open_ = [name for name, part in figures.items() if part.value is None]
@@ -155,7 +164,7 @@ def load_of(found: Payload) -> Load:
     if not moments[0] > 0 or moments[2] > moments[0] + moments[1] + 1e-9:
         raise BadInput(_PLACE, "has moments of inertia that are not physically possible")
     least, middle, most = moments.tolist()
-    return Load(found.frame, near.mass, found.mass.std_total, near.center, (least, middle, most), axes)
+    return LoadData(found.frame, near.mass, found.mass.std_total, near.center, (least, middle, most), axes)
 
 
 def zyx(rotation: Array) -> tuple[float, float, float]:
@@ -166,24 +175,15 @@ def zyx(rotation: Array) -> tuple[float, float, float]:
     return math.degrees(a), math.degrees(b), math.degrees(c)
 
 
-LINKS = 3  # A1, A2, A3
 UPRIGHT = -90.0  # deg: position of the second axis that defines the frame of its load
-INSIGNIFICANT = 0.0455  # two standard deviations: a less significant difference from CAD is ignored
-WORTH = 4.0  # of chi-squared: a body that explains less is omitted
-MISFIT = 3.0  # standard deviations, RMS, largest residual with the bodies
-THINNEST = 0.01  # m: least radius of gyration about each axis of a physical body
-TOLERANCE = 1e-6  # of the sum of squares: far below one standard deviation
-EVALUATIONS = 5000  # at most; usually some hundred
-NEGLIGIBLE = 1e-12  # of the largest eigenvalue of the covariance, scaled
 
-_AXES: tuple[Literal["A1", "A2", "A3"], ...] = ("A1", "A2", "A3")
 # FLANGE of the load of A3: Beckhoff TF5120, function block KRC_LDDconfig (M_A3, X_A3 ...). ROBROOT of those of A1 and
 # A2, and moments about the centre of mass: KUKA's class CRobot, setLoadA1 to setLoadA3. No public source gives the axis
 # positions at which a frame is fixed to its link: the sheet says that they must be checked.
-_FRAMES = (
-    "ROBROOT (base frame of the URDF) with A1 = 0 deg",
-    "ROBROOT (base frame of the URDF) with A1 = 0 deg and A2 = -90 deg",
-    "FLANGE (in the URDF: frame of {last}) with A4 = A5 = A6 = 0 deg",
+_FRAMES: tuple[tuple[Literal["A1", "A2", "A3"], str], ...] = (
+    ("A1", "ROBROOT (base frame of the URDF) with A1 = 0 deg"),
+    ("A2", "ROBROOT (base frame of the URDF) with A1 = 0 deg and A2 = -90 deg"),
+    ("A3", "FLANGE (in the URDF: frame of {last}) with A4 = A5 = A6 = 0 deg"),
 )
 
 
@@ -195,8 +195,8 @@ def supplementary(
     `gain`: relative standard deviation of the torque constants, which scale the whole estimate. `upright`: rad,
     position of the second joint in the URDF at which the control displays A2 = -90 deg.
     """
-    kinds = [joint.kind for joint in robot.chain.joints[:LINKS]]
-    if len(kinds) < LINKS or "prismatic" in kinds:
+    kinds = [joint.kind for joint in robot.chain.joints[:3]]
+    if len(kinds) < 3 or "prismatic" in kinds:
         return Supplementary(loads=(), left_out="the first three joints must be revolute", before=0.0, after=0.0)
     combination = known.base.combination @ fold(robot.chain, known.fixed)
     motors = [
@@ -212,23 +212,23 @@ def supplementary(
         return Supplementary(loads=(), left_out=reason, before=0.0, after=0.0)
     white = _whitening(covariance)
     before = float(np.sum((white @ difference) ** 2))
-    if chi2.sf(before, len(difference)) > INSIGNIFICANT:
+    if chi2.sf(before, len(difference)) > 0.0455:  # two standard deviations
         reason = "the estimate does not differ from CAD by more than its uncertainty"
         return Supplementary(loads=(), left_out=reason, before=_per_parameter(before, difference), after=0.0)
-    parts = white @ combination[shown][:, : 10 * LINKS]
+    parts = white @ combination[shown][:, :30]
     size = _Size(float(robot.chain.inertial[:, 0].sum()) or 1.0, _reach(robot))
-    used = list(range(LINKS))
+    used = [0, 1, 2]
     # each body that explains too little is removed
     bodies, after = _fit(parts, white @ difference, used, size)
-    for link in range(LINKS):
+    for link in (0, 1, 2):
         fewer = [k for k in used if k != link]
         without, left = _fit(parts, white @ difference, fewer, size)
-        if left - after < WORTH:
+        if left - after < 4.0:  # of chi-squared
             used, bodies, after = fewer, without, left
     loads = tuple(_load(robot, link, bodies[link], upright) for link in used)
     reason = "" if loads else "no body on A1 to A3 reduces the difference from CAD: the robot has less inertia than CAD"
     left = _per_parameter(after, difference)
-    if loads and left > MISFIT:  # a motor or a lighter link, for example
+    if loads and left > 3.0:  # standard deviations, RMS: a motor or a lighter link, for example
         loads, reason = (
             (),
             f"no bodies on A1 to A3 explain the difference from CAD: {left:.1f} standard deviations remain",
@@ -262,7 +262,8 @@ def _fit(parts: Array, wanted: Array, links: list[int], size: _Size) -> tuple[di
         return columns @ bodies(unknowns).ravel() - wanted
 
     start = np.tile(0.1 * np.eye(4)[lower], len(links))
-    found = least_squares(lambda x: np.concatenate([misfit(x), x]), start, ftol=TOLERANCE, max_nfev=EVALUATIONS)
+    # far below one standard deviation; usually after some hundred evaluations
+    found = least_squares(lambda x: np.concatenate([misfit(x), x]), start, ftol=1e-6, max_nfev=5000)
     converged(found, "supplementary loads", "bodies on A1 to A3")
     result = bodies(found.x)
     return dict(zip(links, result, strict=True)), float(np.sum(misfit(found.x) ** 2))
@@ -274,7 +275,7 @@ def _load(robot: Robot, link: int, parameters: Array, upright: float) -> Supplem
     pose[1] = upright if link == 1 else 0.0
     rotations, origins = (part[0] for part in link_frames(robot.chain, pose[None]))
     rotation, translation = rotations[link], origins[link]
-    if link == LINKS - 1:  # in the flange's frame
+    if link == 2:  # in the flange's frame
         rotation = rotations[-1].T @ rotations[link]
         translation = rotations[-1].T @ (origins[link] - origins[-1])
     moved = transform_inertial(parameters, rotation, translation)
@@ -282,14 +283,14 @@ def _load(robot: Robot, link: int, parameters: Array, upright: float) -> Supplem
     centre = moved[1:4] / mass
     second = pseudo_inertia(moved)[:3, :3] - mass * np.outer(centre, centre)
     values, axes = np.linalg.eigh(second)
-    values = np.maximum(values, mass * THINNEST**2)
+    values = np.maximum(values, mass * 0.01**2)  # least radius of gyration, m
     moments = values.sum() - values
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1
     return SupplementaryLoad(
-        axis=_AXES[link],
+        axis=_FRAMES[link][0],
         link=robot.chain.joints[link].link,
-        frame=_FRAMES[link].format(last=robot.joints[-1]),
+        frame=_FRAMES[link][1].format(last=robot.joints[-1]),
         mass=mass,
         centre=(float(centre[0]), float(centre[1]), float(centre[2])),
         orientation=zyx(axes),
@@ -307,7 +308,7 @@ def _parameters(pseudo: Array) -> Array:
 def _whitening(covariance: Array) -> Array:
     scale = np.sqrt(np.diag(covariance))
     moments, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return np.asarray((directions / np.sqrt(np.maximum(moments, NEGLIGIBLE * moments[-1]))).T / scale, dtype=float)
+    return np.asarray((directions / np.sqrt(np.maximum(moments, 1e-12 * moments[-1]))).T / scale, dtype=float)
 
 
 def _per_parameter(distance: float, difference: Array) -> float:

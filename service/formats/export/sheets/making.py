@@ -14,7 +14,6 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,10 +176,6 @@ def _rounded(value: JsonValue) -> JsonValue:
 
 Array = NDArray[np.float64]
 
-# two-sided probabilities of 2 and 4 standard deviations, which are also the limits of the daily check
-SAME: Final = 0.0455
-CHANGED: Final = 6.33e-5
-
 
 def compare(sheet: Sheet, robot: Robot, estimate: Estimate, poses: Mapping[str, Array], place: str) -> SheetCheck:
     """The sheet compared with a later estimate of `robot`; `poses` (m, n), rad (m): those measured later, by axis.
@@ -254,6 +249,7 @@ def _probability(standardised: Array, correlation: Array) -> float:
 
 
 def _verdict(probability: float) -> SheetVerdict:
-    if probability >= SAME:
+    """Limits: two-sided probabilities of 2 and 4 standard deviations, as in the daily check."""
+    if probability >= 0.0455:
         return "the same"
-    return "perhaps changed" if probability >= CHANGED else "changed"
+    return "perhaps changed" if probability >= 6.33e-5 else "changed"

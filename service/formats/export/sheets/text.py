@@ -3,7 +3,7 @@
 import math
 
 from service.formats.export.files import quaternion
-from service.formats.export.sheets.inertias import Load, zyx
+from service.formats.export.sheets.inertias import LoadData, zyx
 from service.model.results.identified.sheet import AxisSheet, Sheet, SheetBody, Supplementary, SupplementaryLoad
 
 _NO_LOAD = (
@@ -13,7 +13,7 @@ _NO_LOAD = (
 )
 
 
-def as_markdown(sheet: Sheet, load: Load | None = None) -> str:
+def as_markdown(sheet: Sheet, load: LoadData | None = None) -> str:
     """The page; `load`: the payload on the last link, if it was measured."""
     parts = [
         f"# Dynamics of {sheet.robot} for its control",
@@ -118,7 +118,7 @@ def _inertias(sheet: Sheet, name: str) -> str:
     return _table(("axis", name, "± std", "lowest ... highest"), rows)
 
 
-def _kuka(load: Load) -> str:
+def _kuka(load: LoadData) -> str:
     a, b, c = zyx(load.axes)
     return "\n\n".join(
         [
@@ -199,7 +199,7 @@ def _mjcf(body: SheetBody) -> tuple[str, str, str]:
     )
 
 
-def _abb(load: Load) -> str:
+def _abb(load: LoadData) -> str:
     cog = ",".join(f"{1e3 * value:.4g}" for value in load.centre)
     aom = ",".join(f"{value:.6f}" for value in quaternion(load.axes))
     inertia = ",".join(f"{value:.4g}" for value in load.moments)

@@ -8,7 +8,7 @@ import pytest
 from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import spectrum
 from service.model.errors import BadInput
-from service.report import Page
+from service.report import ReportPage
 from service.report.benefit import Benefit, benefit, benefit_section, feed_forward, sentence
 from service.report.benefit.benefit import (
     alarm_probability,
@@ -20,7 +20,7 @@ from service.report.benefit.benefit import (
     smallest_effort,
 )
 from service.report.benefit.prediction import (
-    RigidBody,
+    RigidAxis,
     dry_friction,
     left_by,
     lines_power,
@@ -106,7 +106,7 @@ def test_the_right_model_leaves_dry_friction_which_training_tells() -> None:
     robot, (one, other) = pair.robot(), pair.sweeps([0.0, 0.5])
     windows = [window_of(sweep, spectrum(robot, sweep), 0) for sweep in (one, other)]
     left = [
-        left_by(RigidBody(pair.true_inertia(slide), 0.0, 0.0), RIGID, window)
+        left_by(RigidAxis(pair.true_inertia(slide), 0.0, 0.0), RIGID, window)
         for slide, window in zip((0.0, 0.5), windows, strict=True)
     ]
     assert [part.mean() for part in left] == pytest.approx([pair.DRY] * 2, abs=1e-4)
@@ -119,8 +119,8 @@ def test_the_right_model_leaves_dry_friction_which_training_tells() -> None:
 def test_gravity_is_taken_along_the_way() -> None:
     robot, (sweep,) = pair.robot(), pair.sweeps([0.0])
     window = window_of(sweep, spectrum(robot, sweep), 0)
-    bare = left_by(RigidBody(7.0, 0.0, 0.0), RIGID, window)
-    heavy = left_by(RigidBody(7.0, 30.0, -20.0), RIGID, window)
+    bare = left_by(RigidAxis(7.0, 0.0, 0.0), RIGID, window)
+    heavy = left_by(RigidAxis(7.0, 30.0, -20.0), RIGID, window)
     assert bare - heavy == pytest.approx(30 * np.cos(sweep.recording.position) - 20 * np.sin(sweep.recording.position))
 
 
@@ -240,13 +240,13 @@ def test_an_axis_through_the_end_of_the_robot_has_no_force(found: Benefit) -> No
     }
     alone = found.model_copy(update={"axes": {"j1": axis.model_copy(update=models)}})
     assert "push" not in sentence(alone)
-    page = Page("worth")
+    page = ReportPage("worth")
     benefit_section(page, alone)
     assert "–" in page.html()
 
 
 def test_figure_and_table_of_the_report(found: Benefit) -> None:
-    page = Page("worth")
+    page = ReportPage("worth")
     benefit_section(page, found)
     html = page.html()
     assert "What you gain" in html
@@ -261,7 +261,7 @@ def test_figure_and_table_of_the_report(found: Benefit) -> None:
 
 
 def test_what_is_not_judged_is_told_without_a_figure() -> None:
-    page = Page("worth")
+    page = ReportPage("worth")
     benefit_section(page, benefit(pair.robot(), pair.sweeps([0.0, 0.3, 0.6])))
     html = page.html()
     assert "Not judged: j1 has sweeps in 3 poses" in html

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from service.formats.export.sheets.inertias import Load, load_of
+from service.formats.export.sheets.inertias import LoadData, load_of
 from service.formats.export.sheets.making import check_sheet, fingerprint, sheet
 from service.formats.export.sheets.text import as_markdown
 from service.model.configuration import read_robot
@@ -159,7 +159,7 @@ def test_a_load_that_was_measured_stands_in_the_words_of_kuka_and_abb(made: tupl
 TENSOR = np.array([[0.3, 0.02, 0.0], [0.02, 0.25, 0.01], [0.0, 0.01, 0.2]])
 
 
-def load(document: dict) -> Load:
+def load(document: dict) -> LoadData:
     return load_of(Payload.read(document, "--payload"))
 
 

@@ -16,7 +16,7 @@ from service.model.errors import NoPdf
 from service.model.results.diagnosis import Diagnosis
 from service.model.robot import Robot
 from service.report import campaign_page, diagnosis_figures, estimate_page
-from service.report.drawing import Figure, Part, figure, line, points, scale
+from service.report.drawing import DrawnFigure, Part, figure, line, points, scale
 from service.report.initial_analysis import amplitude_responses, ideal_frequencies
 from service.report.plotting import PAPER, WIDTH, drawn, svg
 from tests.programs import needs
@@ -74,7 +74,7 @@ def test_tables_alone(max100: Robot) -> None:
     assert page.written("html") == page.html()
 
 
-def every_figure(max100: Robot) -> Iterator[Figure]:
+def every_figure(max100: Robot) -> Iterator[DrawnFigure]:
     pages = [estimate_page(content(max100, example=sweep()))]
     yield from (part for page in pages for part in figures(page))
     for name in ("diagnosis-named", "diagnosis-open"):

@@ -13,7 +13,7 @@ from service.identification.model.regressor import axis_rows, lock
 from service.model.recording import Recording, Sine, Sweep, SweepSpec
 from service.model.results.estimate import BaseParameter, Estimate
 from service.model.robot import INERTIAL_NAMES, Robot, build_robot
-from service.report import Content, Page, Row, analysis_page, axes_of, estimate_page
+from service.report import Content, ReportPage, TruthRow, analysis_page, axes_of, estimate_page
 from service.report.content import revision
 from service.report.figures import parameter_unit
 from service.report.initial_analysis import amplitude_responses, ideal_frequencies, table
@@ -87,7 +87,7 @@ def sweep() -> Sweep:
     return Sweep(spec("0001", "joint_1", (0.0,) * 6), recording)
 
 
-def figures(page: Page) -> list[Any]:
+def figures(page: ReportPage) -> list[Any]:
     return [part for part in page._parts if not isinstance(part, str)]  # pyright: ignore[reportPrivateUsage]
 
 
@@ -159,7 +159,7 @@ def test_truth_and_what_is_not_determined(max100: Robot) -> None:
     unknown = (BaseParameter(name="</script>", value=1.0, std=None),)
     estimate = base.estimate.model_copy(update={"condition_number": None, "base_parameters": unknown})
     page = estimate_page(
-        content(max100, estimate=estimate, truth_columns=AXES, truth=(Row("ours", ("0.1", "0.2", "0.3")),))
+        content(max100, estimate=estimate, truth_columns=AXES, truth=(TruthRow("ours", ("0.1", "0.2", "0.3")),))
     ).html()
     assert "<td>0.3</td>" in page
     assert "</script>" not in page
