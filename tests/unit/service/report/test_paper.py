@@ -106,6 +106,14 @@ AXES = {"height": 300, "xaxis": scale("x"), "yaxis": scale("y")}
 POINTS = points("one", [1.0], np.array([0.5]), "#000000")
 
 
+@pytest.mark.parametrize(("width", "size"), [(960.0, (960.0, 300.0)), (240.0, (240.0, 150.0))])
+def test_a_figure_is_as_large_as_its_description_says(width: float, size: tuple[float, float]) -> None:
+    """Its height is that of a page's width; on paper it is flatter. Words keep their size: one point is one px."""
+    described = figure([POINTS], AXES)
+    assert tuple(drawn(described, width).bbox.size) == pytest.approx(size)
+    assert f'viewBox="0 0 {size[0]:.0f} {size[1]:.0f}"' in svg(described, "", width)
+
+
 def test_lines_of_one_panel_differ_by_more_than_colour() -> None:
     y = np.array([1.0, 2.0])
     (axes,) = drawn(figure([line("a", [0, 1], y, "#112233"), line("b", [0, 1], 2 * y, "#445566")], AXES)).axes
