@@ -9,9 +9,11 @@ from service.identification.model.certainty import UNSURE, share_of_value
 from service.model.results.check import DataCheck
 from service.model.results.combination import Combination
 from service.model.results.diagnosis import Diagnosis, standing_of
+from service.model.results.digits import with_std
 from service.model.results.estimate import Estimate, Suspect
 from service.report.content import CampaignReport, Content
-from service.report.diagnosis import diagnosis_section, findings, not_looked_at, plain
+from service.report.diagnosis import diagnosis_section, findings, not_looked_at
+from service.report.gap_figures import plain
 from service.report.html import ReportPage
 from service.report.page import analysis_section, estimate_sections, parameters_section
 
@@ -195,13 +197,15 @@ def _tables(page: ReportPage, estimate: Estimate) -> None:
         "<h2>Inertia of the axes, sweep by sweep</h2>", "<p>kg m², of a linear axis kg; reference: the CAD model.</p>"
     )
     rows = [
-        [joint, one.sweep, f"{one.value:.5g}", f"{one.std:.2g}", f"{one.identified:.5g}", f"{one.reference:.5g}"]
+        [joint, one.sweep, *with_std(one.value, one.std), *(with_std(model, one.std)[0] for model in models)]
         for joint, axis in estimate.axes.items()
         for one in axis.inertia
+        for models in [(one.identified, one.reference)]
     ]
     page.table(["axis", "sweep", "measured", "± std", "identified", "reference"], rows)
     page.add(
-        "<h2>How well the models fit</h2>", "<p>Root-mean-square error in percent, as in Table 1 of the paper.</p>"
+        "<h2>How well the models fit</h2>",
+        "<p>Root-mean-square error in percent of the second, as in Table 1 of the paper.</p>",
     )
     fits = [
         [
@@ -225,8 +229,7 @@ def _combination(page: ReportPage, combination: Combination) -> None:
         [
             [
                 one.name,
-                f"{one.value:.5g}",
-                "–" if one.std is None else f"{one.std:.2g}",
+                *with_std(one.value, one.std),
                 one.reason or one.source,
                 "" if one.identified else "not identified",
             ]

@@ -1,14 +1,15 @@
 """The result of a diagnosis, as a page or as a section of the report; only from its document."""
 
-import math
 from collections.abc import Mapping, Sequence
 from html import escape
 
 from service.model.results.check import Finding
 from service.model.results.diagnosis import AxisDiagnosis, Diagnosis, Gap, RigidParameter, standing_of
-from service.model.results.effect import AxisFit, Effect, PoseInertia, Value
+from service.model.results.digits import with_std
+from service.model.results.effect import AxisFit, Effect, Value
 from service.report import gap_figures as drawn
 from service.report.drawing import DrawnFigure
+from service.report.gap_figures import plain
 from service.report.html import ReportPage
 
 _BUILDERS = {
@@ -164,7 +165,7 @@ def _known(page: ReportPage, axis: AxisDiagnosis) -> None:
 
 
 def _model(value: Value | None) -> str:
-    return "the same" if value is None else f"{value.value:.5g} ± {drawn.number(value.std):.2g}"
+    return "the same" if value is None else " ± ".join(with_std(value.value, value.std))
 
 
 def _effects(page: ReportPage, axis: AxisDiagnosis, figures: Mapping[str, DrawnFigure]) -> None:
@@ -217,7 +218,7 @@ def _rigid_model(page: ReportPage, parameters: Sequence[RigidParameter], started
         "" if by_cad else f"<p>Started from an estimate: {escape(started_from)}.</p>",
     )
     rows = [
-        [one.name, "–" if one.nominal is None else _number(one.nominal, one.std), *_number_and_std(one)]
+        [one.name, "–" if one.nominal is None else with_std(one.nominal, one.std)[0], *with_std(one.value, one.std)]
         for one in parameters
     ]
     page.table(["parameter", "CAD" if by_cad else "estimate", "found", "± std"], rows)
@@ -228,8 +229,14 @@ def _fit(page: ReportPage, fit: AxisFit) -> None:
     page.add(
         "<p>The axis again, with the effects in its model; kg m² and N m s/rad, of a linear axis kg and N s/m.</p>"
     )
-    rows = [[f"inertia at {label}", *_number_and_std(entry)] for label, entry in zip(labels, fit.inertia, strict=True)]
-    page.table(["", "value", "± std"], [*rows, ["viscous friction", *_number_and_std(fit.viscous_friction)]])
+    rows = [
+        [f"inertia at {label}", *with_std(entry.value, entry.std)]
+        for label, entry in zip(labels, fit.inertia, strict=True)
+    ]
+    page.table(
+        ["", "value", "± std"],
+        [*rows, ["viscous friction", *with_std(fit.viscous_friction.value, fit.viscous_friction.std)]],
+    )
 
 
 def _open_questions(page: ReportPage, joint: str, axis: AxisDiagnosis) -> None:
@@ -255,24 +262,9 @@ def _open_questions(page: ReportPage, joint: str, axis: AxisDiagnosis) -> None:
 
 
 def _value(value: Value) -> list[str]:
-    return [*_number_and_std(value), drawn.unit_words(value.unit)]
-
-
-def _number_and_std(of: Value | PoseInertia | RigidParameter) -> list[str]:
-    known = of.std is not None and math.isfinite(of.std)
-    return [_number(of.value, of.std), f"{of.std:.2g}" if known else "–"]
-
-
-def _number(value: float, std: float | None) -> str:
-    """Five digits; 0 if the value is only rounding error, far below its standard deviation."""
-    return f"{0.0 if abs(value) < 1e-6 * (std or 0.0) else value:.5g}"  # of a standard deviation: rounding error
+    return [*with_std(value.value, value.std), drawn.unit_words(value.unit)]
 
 
 def _duration(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes} min {rest} s" if minutes else f"{rest} s"
-
-
-def plain(name: str) -> str:
-    """The name of an effect, a block or a parameter in words."""
-    return name.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")

@@ -17,15 +17,15 @@ from service.report.drawing import (
     Drawn,
     DrawnFigure,
     Part,
-    colours,
     figure,
     line,
+    looks,
+    note,
     points,
     position_title,
     positions,
     rounded,
     scale,
-    symbols,
 )
 
 Array = NDArray[np.float64]
@@ -60,9 +60,9 @@ def inertia_map(robot: Robot, axis: ReportedAxis) -> DrawnFigure:
 
 
 def deviation_map(robot: Robot, axis: ReportedAxis) -> DrawnFigure:
-    """Difference between identified model and reference over the workspace, and the measured poses."""
+    """Difference between identified model and reference over the workspace, of the identified, and measured poses."""
     first, second = axis.varied[:2]
-    deviation = 100 * (axis.identified_workspace / axis.reference_workspace - 1)
+    deviation = 100 * (1 - axis.reference_workspace / axis.identified_workspace)
     low, high = float(deviation.min()), float(deviation.max())
     if low * high < 0:
         high = max(high, -low)
@@ -133,7 +133,7 @@ def curve(robot: Robot, axis: ReportedAxis) -> DrawnFigure:
 def residuals(axes: Sequence[ReportedAxis]) -> DrawnFigure:
     """Measured against identified model, percent, sweep by sweep with two standard deviations."""
     traces: list[Part] = []
-    for axis, colour, symbol in zip(axes, colours(len(axes)), symbols(len(axes)), strict=True):
+    for axis, colour, symbol in looks(axes):
         percent = 100 / axis.identified
         traces.append(
             points(
@@ -165,7 +165,7 @@ def paper_residuals(axes: Sequence[ReportedAxis]) -> DrawnFigure:
             colour,
             symbol=f"{symbol}-open",
         )
-        for axis, colour, symbol in zip(axes, colours(len(axes)), symbols(len(axes)), strict=True)
+        for axis, colour, symbol in looks(axes)
     ]
     units = " or ".join(dict.fromkeys(axis.unit for axis in axes))
     return figure(
@@ -229,20 +229,8 @@ def convergence(revisions: Sequence[Revision], names: Sequence[str]) -> DrawnFig
             "anchor": f"x{number}",
             "nticks": 4,
         }
-        annotations.append(
-            {
-                "text": f"{_short(name)} in {parameter_unit(name)}" if x else f"{_short(name)}: not identified",
-                "hovertext": name,
-                "x": left + 0.13 * width,
-                "y": top - 0.13 * height,
-                "xref": "paper",
-                "yref": "paper",
-                "xanchor": "left",
-                "yanchor": "bottom",
-                "showarrow": False,
-                "font": {"size": 12, "color": "#0f172a"},
-            }
-        )
+        told = f"{_short(name)} in {parameter_unit(name)}" if x else f"{_short(name)}: not identified"
+        annotations.append(note(told, left + 0.13 * width, top - 0.13 * height))
     return figure(traces, layout)
 
 

@@ -8,7 +8,8 @@ from html import escape
 import numpy as np
 
 from service.identification.fleet.document import Fleet, FleetAxis, FleetRobot, FleetType
-from service.report.drawing import DrawnFigure, Part, colours, figure, line, points, scale, symbols
+from service.model.results.digits import with_std
+from service.report.drawing import DrawnFigure, Part, figure, line, looks, points, scale
 from service.report.html import ReportPage
 
 _NONE = "\u2013"
@@ -65,7 +66,7 @@ def _type_section(page: ReportPage, one: FleetType) -> None:
 def control_chart(axis: str, robots: Sequence[FleetRobot]) -> DrawnFigure:
     """J of an axis over time, a line for each robot; the line of a robot that has changed is thick."""
     traces: list[Part] = []
-    for robot, colour, symbol in zip(robots, colours(len(robots)), symbols(len(robots)), strict=True):
+    for robot, colour, symbol in looks(robots):
         series = robot.axes[axis].points
         days = [f"{one.at:%Y-%m-%d %H:%M}" for one in series]
         values = np.array([one.difference_percent for one in series])
@@ -105,8 +106,7 @@ def _axis_row(label: str, axis: FleetAxis) -> list[str]:
     if change is not None:
         kind = "drift" if change.since is None else f"step from campaign {change.since}"
         cells += [
-            f"{change.change_percent:+.2f}",
-            f"{change.std_percent:.2f}",
+            *with_std(change.change_percent, change.std_percent, "+"),
             kind,
             f"{abs(change.statistic):.1f} ({change.limit:.1f})",
             "changed" if change.alarm else "no",

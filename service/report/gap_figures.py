@@ -7,7 +7,7 @@ import numpy as np
 
 from service.model.results.cell import Bin, Cell
 from service.model.results.diagnosis import AxisDiagnosis, Rival
-from service.report.drawing import IDENTIFIED, Drawn, DrawnFigure, Part, figure, line, rounded, scale
+from service.report.drawing import IDENTIFIED, Drawn, DrawnFigure, Part, figure, line, note, rounded, scale, upright
 
 BEFORE, AFTER, FLOOR, QUIET = "#c2410c", IDENTIFIED, "#15803d", "#e0b8a2"
 
@@ -64,11 +64,13 @@ def gap_map(axis: AxisDiagnosis) -> DrawnFigure | None:
                 "tickfont": {"size": 11},
                 "showgrid": False,
             }
-            annotations.append(_title(panel.title, left, top - share * 23 / height))
+            annotations.append(note(panel.title, left, top - share * 23 / height))
             if panel.with_floor and floor is not None:
-                shapes.append(_upright(tail, floor))
+                shapes.append(upright(tail, floor, FLOOR))
         top -= share
-    annotations.append(_title(f"bars: RMS of the repeatable gap in {axis.unit}", 1.0, 0.0, right=True))
+    annotations.append(
+        note(f"bars: RMS of the repeatable gap in {axis.unit}", 1.0, 0.0, xanchor="right", yanchor="top", yshift=-14)
+    )
     return figure(traces, layout)
 
 
@@ -232,7 +234,7 @@ def evidence(axis: AxisDiagnosis) -> DrawnFigure | None:
                 "ticktext": [f"{tick:,.0f}" for tick in ticks],
             },
             "yaxis": {**scale(""), "autorange": "reversed", "type": "category", "showgrid": False},
-            "shapes": [_upright("", _signed_power(10.0), "#64748b")],
+            "shapes": [upright("", _signed_power(10.0), "#64748b")],
         },
     )
 
@@ -249,7 +251,7 @@ def parameters(axis: AxisDiagnosis) -> DrawnFigure | None:
         return None
     interval = [200 * abs(number(value.std) / value.value) for _, value in rows]
     reach = min(1.15 * max((one for one in interval if math.isfinite(one)), default=10.0) + 1, 250)
-    nothing = [_upright("", -100.0, "#64748b")] if reach > 100 else []
+    nothing = [upright("", -100.0, "#64748b")] if reach > 100 else []
     return figure(
         [
             {
@@ -276,9 +278,14 @@ def parameters(axis: AxisDiagnosis) -> DrawnFigure | None:
     )
 
 
+def plain(name: str) -> str:
+    """The name of an effect, a block or a parameter in words."""
+    return name.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
+
+
 def effect_words(effect: str) -> str:
-    """An effect's name in words."""
-    words = effect.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
+    """An effect's name in words, as a sentence begins."""
+    words = plain(effect)
     return words[:1].upper() + words[1:]
 
 
@@ -319,34 +326,6 @@ def _short(value: float, size: float) -> str:
     """Three digits; from 1000 on without an exponent, which would overlap the next panel."""
     shown = 0.0 if abs(value) < 1e-3 * size else value
     return f"{shown:.0f}" if 1e3 <= abs(shown) < 1e6 else f"{shown:.3g}"
-
-
-def _title(text: str, left: float, top: float, right: bool = False) -> Part:
-    return {
-        "text": text,
-        "x": left,
-        "y": top,
-        "xref": "paper",
-        "yref": "paper",
-        "xanchor": "right" if right else "left",
-        "yanchor": "top" if right else "bottom",
-        "yshift": -14 if right else 0,
-        "showarrow": False,
-        "font": {"size": 12},
-    }
-
-
-def _upright(tail: str, place: float, colour: str = FLOOR) -> Part:
-    return {
-        "type": "line",
-        "xref": f"x{tail}",
-        "yref": f"y{tail} domain",
-        "x0": place,
-        "x1": place,
-        "y0": 0,
-        "y1": 1,
-        "line": {"color": colour, "width": 1.5, "dash": "dash"},
-    }
 
 
 def number(value: float | None) -> float:

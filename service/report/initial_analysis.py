@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from service.identification.axis.ideal_frequency import AxisAnalysis, PoseAnalysis
 from service.identification.spectra.axis_inertia import impedance
+from service.model.results.digits import with_std
 from service.report.drawing import (
     DECADES,
     IDENTIFIED,
@@ -18,9 +19,11 @@ from service.report.drawing import (
     Part,
     figure,
     line,
+    note,
     points,
     rounded,
     scale,
+    upright,
 )
 
 Array = NDArray[np.float64]
@@ -92,22 +95,13 @@ def ideal_frequencies(analysis: AxisAnalysis, *, linear: bool = False) -> DrawnF
             "domain": [top - 0.8 * height, top - 0.12 * height],
             "anchor": f"x{number}",
         }
-        annotations.append(
-            {
-                "text": f"J = {pose.fit.inertia.value:.0f} {_unit(linear)}, ideal {_ideal(pose, '.2g')} Hz → "
-                f"{pose.fit.sweep_frequency:.0f} Hz",
-                "x": left + 0.13 * width,
-                "y": top - 0.1 * height,
-                "xref": "paper",
-                "yref": "paper",
-                "xanchor": "left",
-                "yanchor": "bottom",
-                "showarrow": False,
-                "font": {"size": 12, "color": "#0f172a"},
-            }
+        told = (
+            f"J = {pose.fit.inertia.value:.0f} {_unit(linear)}, ideal {_ideal(pose, '.2g')} Hz → "
+            f"{pose.fit.sweep_frequency:.0f} Hz"
         )
+        annotations.append(note(told, left + 0.13 * width, top - 0.1 * height))
         shapes += [
-            _upright(number, frequency, colour)
+            upright(number, frequency, colour, 1.2, "dot")
             for frequency, colour in (
                 (pose.fit.corner.value, REFERENCE),
                 (pose.fit.frequency.value, IDENTIFIED),
@@ -139,9 +133,9 @@ def table(
                         f"{1e3 * place if number in slides else math.degrees(place):.0f}"
                         for number, place in enumerate(pose.pose)
                     ),
-                    f"{fit.inertia.value:.1f} ± {fit.inertia.std:.1f}",
+                    " ± ".join(with_std(fit.inertia.value, fit.inertia.std)),
                     _locked_rotor(pose),
-                    f"{fit.corner.value:.3f} ± {fit.corner.std:.3f} ({read.corner.value:.2f})",
+                    f"{' ± '.join(with_std(fit.corner.value, fit.corner.std))} ({read.corner.value:.2f})",
                     f"{_ideal(pose, '.2f')} → {fit.sweep_frequency:.0f}",
                 ]
             )
@@ -156,7 +150,7 @@ def _locked_rotor(pose: PoseAnalysis) -> str:
     if pose.at_least is not None:  # the asymptotes then end at a resonance that does not exist
         return f"above {pose.at_least[0]:.0f}"
     found = pose.fit.locked_rotor
-    return f"{found.value:.2f} ± {found.std:.2f} ({pose.asymptotes.locked_rotor.value:.1f})"
+    return f"{' ± '.join(with_std(found.value, found.std))} ({pose.asymptotes.locked_rotor.value:.1f})"
 
 
 def _ideal(pose: PoseAnalysis, digits: str) -> str:
@@ -200,16 +194,3 @@ def _ends(pose: PoseAnalysis) -> tuple[float, float]:
 
 def _fine(frequency: Array) -> Array:
     return np.geomspace(float(frequency[0]), float(frequency[-1]), 300)
-
-
-def _upright(number: str, frequency: float, colour: str) -> Part:
-    return {
-        "type": "line",
-        "xref": f"x{number}",
-        "yref": f"y{number} domain",
-        "x0": frequency,
-        "x1": frequency,
-        "y0": 0,
-        "y1": 1,
-        "line": {"color": colour, "width": 1.2, "dash": "dot"},
-    }

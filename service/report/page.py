@@ -7,6 +7,7 @@ from html import escape
 from service.identification.estimates.analysis_document import analyses_from
 from service.identification.model.certainty import UNSURE, not_for_use
 from service.model.results.analysis import Analyses
+from service.model.results.digits import with_std
 from service.model.results.estimate import Estimate
 from service.model.robot import Robot
 from service.report import figures, initial_analysis
@@ -103,7 +104,10 @@ def _inertias(page: ReportPage, content: Content, axes: Sequence[ReportedAxis]) 
             "colours. White: not free.</p>"
         )
         page.figure(figures.inertia_map(content.robot, axis))
-        page.add("<p>Where the robot differs from its CAD model: identified against reference. White: not free.</p>")
+        page.add(
+            "<p>Where the robot differs from its CAD model: identified − reference, in % of the identified. White: not "
+            "free.</p>"
+        )
         page.figure(figures.deviation_map(content.robot, axis))
 
 
@@ -115,7 +119,7 @@ def _accuracy(page: ReportPage, content: Content, axes: Sequence[ReportedAxis]) 
         "reference − identified model, whole workspace",
     )
     rows = [[label, *(f"{axis.rmse[k]:.2f}" for axis in axes)] for k, label in enumerate(labels)]
-    page.add("<p>Root-mean-square error in percent, as in Table 1 of the paper.</p>")
+    page.add("<p>Root-mean-square error in percent of the second, as in Table 1 of the paper.</p>")
     page.table(["RMSE in %", *(axis.joint for axis in axes)], rows)
     if content.truth:
         page.add(
@@ -181,8 +185,7 @@ def parameters_section(page: ReportPage, estimate: Estimate) -> None:
     rows = [
         [
             entry.name if entry.symbolic is None else entry.symbolic,
-            f"{entry.value:.5g}",
-            "–" if entry.std is None else f"{entry.std:.2g}",
+            *with_std(entry.value, entry.std),
             figures.parameter_unit(entry.name),
             not_for_use(entry),
         ]

@@ -68,10 +68,3 @@ def test_a_compressed_file_that_unfolds_meets_the_limit_of_memory(tmp_path: Path
 
 
 MOST = 50_000_000
-
-
-def test_groups_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "trace.mat").write_bytes(written())
-    grouped = {"columns": {name: {"source": "TORQUE", "group": 1} for name in ("effort", "velocity", "position")}}
-    with pytest.raises(BadInput, match="has no groups, but the mapping names 1: only MDF4, HDF5, ROS bags and"):
-        import_trace(mapping(tmp_path, "trace.mat", **grouped))

@@ -141,7 +141,7 @@ def test_a_load_is_not_made_of_an_estimate(made: tuple[Sheet, str]) -> None:
 
 def test_a_load_that_was_measured_stands_in_the_words_of_kuka_and_abb(made: tuple[Sheet, str]) -> None:
     text = as_markdown(made[0], load(payload()))
-    assert "| 12 ± 0.3 | 10, 0, 150 | " in text
+    assert "| 12.00 ± 0.30 | 10, 0, 150 | " in text
     inertia = re.search(r"loaddata measured := \[12,\[10,0,150\],\[(.*?)\],(.*?)\];", text)
     assert inertia
     w, x, y, z = (float(number) for number in inertia[1].split(","))
