@@ -19,6 +19,8 @@ from service.report.page import analysis_section, estimate_sections, parameters_
 
 CONFIRMED, OPEN, CONTRADICTED = "Confirmed", "Not confirmed", "Contradicted"
 
+_LOOK = {CONFIRMED: "settled", OPEN: "open", CONTRADICTED: "unexplained"}  # CSS class of the card; the word is on it
+
 
 @dataclass(frozen=True, slots=True)
 class EstimateVerdict:
@@ -126,9 +128,6 @@ def _list(names: Sequence[str]) -> str:
 
 def _count(number: int, one: str, many: str) -> str:
     return f"{number} {one if number == 1 else many}"
-
-
-_LOOK = {CONFIRMED: "settled", OPEN: "open", CONTRADICTED: "unexplained"}  # CSS class of the card; the word is on it
 
 
 def campaign_page(

@@ -15,19 +15,18 @@ T = TypeVar("T")
 Drawn = str | float | None | Sequence["Drawn"] | Mapping[str, "Drawn"]  # accepted by plotly.js
 Part = Mapping[str, Drawn]  # a trace, a scale, an annotation
 
+MEASURED, IDENTIFIED, REFERENCE, PAPER = "#c2410c", "#1d4ed8", "#94a3b8", "#7c3aed"
+_COLOURS = ("#1d4ed8", "#0f766e", "#b45309", "#7c3aed", "#be123c", "#475569")
+_SYMBOLS = ("circle", "square", "triangle-up", "diamond", "star", "hexagon2")
+GRID = "#e2e8f0"
+DECADES = {"type": "log", "dtick": 1, "exponentformat": "power"}
+
 
 class DrawnFigure(TypedDict):
     """A figure for plotly.js; the layout has a "height", px."""
 
     data: Sequence[Part]
     layout: Part
-
-
-MEASURED, IDENTIFIED, REFERENCE, PAPER = "#c2410c", "#1d4ed8", "#94a3b8", "#7c3aed"
-_COLOURS = ("#1d4ed8", "#0f766e", "#b45309", "#7c3aed", "#be123c", "#475569")
-_SYMBOLS = ("circle", "square", "triangle-up", "diamond", "star", "hexagon2")
-GRID = "#e2e8f0"
-DECADES = {"type": "log", "dtick": 1, "exponentformat": "power"}
 
 
 def line(name: str, x: Drawn, y: Array, colour: str, dash: str = "solid", width: float = 1.8) -> Part:

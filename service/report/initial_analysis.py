@@ -27,6 +27,7 @@ from service.report.drawing import (
 )
 
 Array = NDArray[np.float64]
+_LOG = {"type": "log", "tickvals": [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40]}
 
 
 def amplitude_responses(analysis: AxisAnalysis, *, linear: bool = False) -> DrawnFigure:
@@ -156,9 +157,6 @@ def _locked_rotor(pose: PoseAnalysis) -> str:
 def _ideal(pose: PoseAnalysis, digits: str) -> str:
     found = pose.fit.frequency.value
     return f"{found:{digits}}" if pose.at_least is None else f"above {pose.at_least[1]:{digits}}"
-
-
-_LOG = {"type": "log", "tickvals": [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40]}
 
 
 def _one_pose(analysis: AxisAnalysis, pose: PoseAnalysis, ends: tuple[float, float]) -> list[Part]:

@@ -13,6 +13,8 @@ from service.model.errors import BadInput
 from service.model.robot import rotation_about
 from service.model.urdf import read_axis, read_inertial, read_origin
 
+MOVING = ("revolute", "continuous", "prismatic")
+
 
 @dataclass(frozen=True)
 class UrdfFinding:
@@ -21,9 +23,6 @@ class UrdfFinding:
     kind: Literal["missing", "changed", "unusual"]
     place: str  # link, joint or file
     sentence: str
-
-
-MOVING = ("revolute", "continuous", "prismatic")
 
 
 def choose_chain(root: ET.Element, tip: str | None, place: str) -> list[UrdfFinding]:

@@ -24,6 +24,9 @@ from service.model.urdf import MOST_LINKS, Chain, Joint, look_over, read_chain
 Array = NDArray[np.float64]
 
 _HIDDEN = re.compile("counter_?(balance|weight)|balancer|gas_?spring|spring_?(cyl|rod)|parallel|linkage", re.I)
+Pair = tuple[str, str]
+CLEARANCE, MARGIN = 0.03, 0.02  # m; rad (m)
+POSES = 200  # random poses to find shapes that overlap by construction
 
 
 @dataclass(frozen=True)
@@ -237,12 +240,6 @@ def _number(text: str | None, place: str) -> float:
     if not math.isfinite(value):
         raise BadInput(place, f"{text!r} is not finite")
     return value
-
-
-Pair = tuple[str, str]
-
-CLEARANCE, MARGIN = 0.03, 0.02  # m; rad (m)
-POSES = 200  # random poses to find shapes that overlap by construction
 
 
 def side_file_text(check: UrdfCheck, name: str, urdf: str) -> str:

@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 FINEST = 1e-4  # m, edge of the grid's cells
 MOST_VERTICES = 250  # of a hull; with more, the cells are made larger
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+Bodies = Sequence[tuple[float, Array, Array]]  # as `solid`
+_WIDER = "the prior of the side file is widened to 100 %"
 
 
 def convex_hull(points: Array) -> tuple[Array, float]:
@@ -159,11 +161,6 @@ def solid(vertices: Array) -> tuple[float, Array, Array]:
     moment = np.einsum("f,fi,fj->ij", volumes, total, total) + np.einsum("f,fki,fkj->ij", volumes, corners, corners)
     volume = float(volumes.sum())
     return volume, (volumes @ total) / 4 / volume, moment / 20
-
-
-Bodies = Sequence[tuple[float, Array, Array]]  # as `solid`
-
-_WIDER = "the prior of the side file is widened to 100 %"
 
 
 @dataclass(frozen=True)

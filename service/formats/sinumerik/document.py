@@ -14,6 +14,10 @@ from service.identification.spectra.speed_loop import LoopFit, fit_closed_loop, 
 from service.model.errors import BadInput
 from service.model.results.part import Part
 
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+COHERENT = 0.5  # minimum coherence of a line that is used, if the file has a coherence
+
 
 class Size(Part):
     """A value with one standard deviation."""
@@ -114,12 +118,6 @@ class ServoTuning(Part):
     cannot_tell: tuple[str, ...]
     unread: tuple[str, ...]
     frequency_response: ResponseColumns
-
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
-COHERENT = 0.5  # minimum coherence of a line that is used, if the file has a coherence
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,6 +26,23 @@ from service.model.results.part import Part
 
 DRIVE, CONTROL = 5, 6  # platforms of signals and parameters
 
+GAIN = (DRIVE, 1460)
+PARAMETERS = {
+    GAIN: "p1460 speed controller gain, N m s/rad",
+    (DRIVE, 1462): "p1462 speed controller reset time, ms",
+    (DRIVE, 1656): "p1656 current set-point filters active",
+    (CONTROL, 32200): "MD32200 position controller gain",
+    (CONTROL, 32500): "MD32500 friction compensation active",
+    (CONTROL, 36000): "MD36000 exact stop coarse, mm or deg",
+    (CONTROL, 36010): "MD36010 exact stop fine, mm or deg",
+    (CONTROL, 36030): "MD36030 standstill tolerance, mm or deg",
+    (CONTROL, 36400): "MD36400 contour monitoring tolerance, mm or deg",
+}
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+RESPONSE = "ResponseTestCustom"
+TUNING = "DynamicModelAxisController"
+
 
 class Quantity(Enum):
     """A quantity on the motor side; units of a linear motor are m/s and N."""
@@ -53,25 +70,6 @@ SIGNALS = {
     78: Meaning("r0078 torque-forming current actual value", Quantity.CURRENT, "A"),
     80: Meaning("r0080 torque actual value", Quantity.TORQUE, "N m"),
 }
-
-GAIN = (DRIVE, 1460)
-PARAMETERS = {
-    GAIN: "p1460 speed controller gain, N m s/rad",
-    (DRIVE, 1462): "p1462 speed controller reset time, ms",
-    (DRIVE, 1656): "p1656 current set-point filters active",
-    (CONTROL, 32200): "MD32200 position controller gain",
-    (CONTROL, 32500): "MD32500 friction compensation active",
-    (CONTROL, 36000): "MD36000 exact stop coarse, mm or deg",
-    (CONTROL, 36010): "MD36010 exact stop fine, mm or deg",
-    (CONTROL, 36030): "MD36030 standstill tolerance, mm or deg",
-    (CONTROL, 36400): "MD36400 contour monitoring tolerance, mm or deg",
-}
-
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
-RESPONSE = "ResponseTestCustom"
 
 
 @dataclass(frozen=True)
@@ -258,9 +256,6 @@ def _instant(stamp: Member) -> str:
     date, time = stamp.whole("Date"), stamp.number("Time")
     day = f"{date // 10000:04}-{date // 100 % 100:02}-{date % 100:02}"
     return f"{day}T{int(time) // 10000:02}:{int(time) // 100 % 100:02}:{time % 100:04.1f}"
-
-
-TUNING = "DynamicModelAxisController"
 
 
 class SpeedController(Part):

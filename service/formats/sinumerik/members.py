@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 LARGEST = 32_000_000  # bytes of a file; the control writes 0.2 to 0.3 MB
 
+HUGE = 1e15  # larger than any measured quantity, in each unit of the control
+
 
 @dataclass(slots=True)
 class Member:
@@ -163,9 +165,6 @@ class _MemberBuilder:
 
     def characters(self, text: str) -> None:
         self._open[-1].pieces.append(text)
-
-
-HUGE = 1e15  # larger than any measured quantity, in each unit of the control
 
 
 def decode(text: str, place: str) -> Array:

@@ -25,7 +25,28 @@ from service.store.files.isolated_reader import LIMITS, Limits, read_isolated
 
 Array = NDArray[np.float64]
 
-MOST_SHOWN = 12  # names listed in an error message
+
+_MARKS = (
+    (b"\x89HDF\r\n", "hdf5"),
+    (b"MATLAB 7.3", "hdf5"),
+    (b"MATLAB 5", "mat"),
+    (b"MDF ", "mdf4"),
+    (b"UnFinMF", "mdf4"),
+    (b"\x89MCAP", "ros"),
+    (b"SQLite format 3", "ros"),
+    (b"#ROSBAG", "ros"),
+    (b"PAR1", "parquet"),
+)
+_SUFFIXES = {".mat": "mat", ".mf4": "mdf4", ".h5": "hdf5", ".hdf5": "hdf5", ".parquet": "parquet"}
+_FOREIGN = {
+    b"PK\x03\x04": "is a zip file, as Excel writes it: export it as CSV",
+    b"\xd0\xcf\x11\xe0": "is a file of Office: export it as CSV",
+}
+# exceptions of the libraries for truncated or malicious files; memory and disk errors are not caught
+_TORN = (
+    ArithmeticError, AssertionError, AttributeError, BufferError, EOFError, LookupError, NameError, RuntimeError,
+    SyntaxError, TypeError, ValueError, struct.error, zlib.error,
+)  # fmt: skip
 
 
 class ChannelName(BaseModel):
@@ -125,9 +146,9 @@ def taken_of(
 
 
 def shown(names: list[str]) -> str:
-    """Some of the names, for an error message."""
-    more = f" and {len(names) - MOST_SHOWN} more" if len(names) > MOST_SHOWN else ""
-    return ", ".join(name[:60] for name in names[:MOST_SHOWN]) + more if names else "none"
+    """At most twelve of the names, for an error message."""
+    more = f" and {len(names) - 12} more" if len(names) > 12 else ""
+    return ", ".join(name[:60] for name in names[:12]) + more if names else "none"
 
 
 def in_rows(columns: Iterable[np.ndarray[Any, Any]], count: int, length: int) -> Array:
@@ -145,28 +166,6 @@ def check_numbers(rows: int, columns: int, most: int, place: str) -> None:
 
 
 """Library by format."""
-_MARKS = (
-    (b"\x89HDF\r\n", "hdf5"),
-    (b"MATLAB 7.3", "hdf5"),
-    (b"MATLAB 5", "mat"),
-    (b"MDF ", "mdf4"),
-    (b"UnFinMF", "mdf4"),
-    (b"\x89MCAP", "ros"),
-    (b"SQLite format 3", "ros"),
-    (b"#ROSBAG", "ros"),
-    (b"PAR1", "parquet"),
-)
-_SUFFIXES = {".mat": "mat", ".mf4": "mdf4", ".h5": "hdf5", ".hdf5": "hdf5", ".parquet": "parquet"}
-_FOREIGN = {
-    b"PK\x03\x04": "is a zip file, as Excel writes it: export it as CSV",
-    b"\xd0\xcf\x11\xe0": "is a file of Office: export it as CSV",
-}
-READ = "CSV and other text, MATLAB, Parquet, MDF4, HDF5, ROS bags (SQLite, MCAP), XML of a Sinumerik"
-# exceptions of the libraries for truncated or malicious files; memory and disk errors are not caught
-_TORN = (
-    ArithmeticError, AssertionError, AttributeError, BufferError, EOFError, LookupError, NameError, RuntimeError,
-    SyntaxError, TypeError, ValueError, struct.error, zlib.error,
-)  # fmt: skip
 
 
 def format_of(path: Path) -> str:
@@ -191,7 +190,8 @@ def format_of(path: Path) -> str:
         return "xml"
     for mark, what in _FOREIGN.items():
         if kind is None and head.startswith(mark):
-            raise BadInput(str(path), f"{what}; read are {READ}")
+            known = "CSV and other text, MATLAB, Parquet, MDF4, HDF5, ROS bags (SQLite, MCAP), XML of a Sinumerik"
+            raise BadInput(str(path), f"{what}; read are {known}")
     return kind or "text"
 
 

@@ -24,7 +24,6 @@ from service.store.files.columns import LARGEST_CSV, MOST_NUMBERS
 
 Array = NDArray[np.float64]
 
-ROOT = "traceSession"
 _UNITS = {"posn": "posn", "velo": "velo", "torque": "motor Nm", "force": "N", "current": "A", "percent": "%"}
 _BY_ROLE = {
     "effort": "motor Nm",
@@ -192,8 +191,8 @@ class _SessionBuilder:
         raise BadInput(self._place, "declares a DOCTYPE, which no file of the control does; entities are not expanded")
 
     def start(self, kind: str, given: dict[str, str]) -> None:
-        if self._depth == 0 and kind != ROOT:
-            raise BadInput(self._place, f"is a {kind}, not a {ROOT}")
+        if self._depth == 0 and kind != "traceSession":
+            raise BadInput(self._place, f"is a {kind}, not a traceSession")
         self._depth += 1
         match kind:
             case "signal":

@@ -19,7 +19,6 @@ from service.model.errors import BadInput
 Array = NDArray[np.float64]
 
 FITS = math.log(1.15)  # a ratio of speeds may be off by 15 %; units differ by more
-_DRIVES = 1.5  # a ratio of motor and axis above it (or below its inverse) is a gear
 _SHOWN = ("", "velo", "velo motor")  # no unit, or the one that a control shows
 
 
@@ -155,7 +154,7 @@ def _gear(train: KnownTrain, channels: Mapping[str, SourceChannel], time: Array)
     if not motor.unit and _named(ratio, "angular speed"):
         return None  # a unit of the axis itself
     gear = math.tau / 60 / ratio
-    if not train.prismatic and 1 / _DRIVES < abs(gear) < _DRIVES:
+    if not train.prismatic and 1 / 1.5 < abs(gear) < 1.5:  # no gear
         return 1.0 if control else None
     short = float(f"{gear:.3g}")
     found = short if abs(short / gear - 1) < 2e-3 else float(f"{gear:.5g}")

@@ -26,7 +26,6 @@ from service.store.files.columns import read_table, table_names
 Array = NDArray[np.float64]
 
 GROUPED = ("mdf4", "hdf5", "ros", "xml")
-_NEEDED = ("effort", "position")
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,8 +107,8 @@ def read_raw(mapping: Mapping, traces: Sequence[tuple[Path, TraceSweep]]) -> Ite
 def _sources(columns: Columns, entry: TraceSweep, file: _TraceFile) -> tuple[dict[str, SourceColumn], dict[str, str]]:
     """Columns that the mapping names with those that are found in the file, and the units of these by their role."""
     named = columns.sources
-    derived = isinstance(columns.velocity, FromPosition)
-    if all(name in named for name in _NEEDED) and (derived or "velocity" in named):
+    derived, needed = isinstance(columns.velocity, FromPosition), ("effort", "position")
+    if all(name in named for name in needed) and (derived or "velocity" in named):
         return named, {}
     listed = [one for one in file.listed if entry.group is None or one.group in (entry.group, None)]
     if entry.group is None and file.kind == "xml":
@@ -128,7 +127,7 @@ def _sources(columns: Columns, entry: TraceSweep, file: _TraceFile) -> tuple[dic
         if name in Columns.model_fields and name not in named and not (name == "velocity" and derived)
     }
     whole = {**named, **wanted}
-    missing = [name for name in _NEEDED if name not in whole]
+    missing = [name for name in needed if name not in whole]
     if missing:
         there = ", ".join(f"{one.name} [{one.unit}]" if one.unit else one.name for one in file.listed[:12])
         raise BadInput(

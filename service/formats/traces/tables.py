@@ -32,6 +32,24 @@ _STAMP = re.compile(
     r"(\d\d?):(\d\d):(\d\d)(?:[.,:](\d{1,9}))?\s*([AaPp][Mm])?\s*(Z|[+-]\d\d:?\d\d)?"
 )
 _UNITS = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
+_arrow, _csv = cast(Any, pa), cast(Any, pa_csv)  # without types
+_BOMS = (
+    (b"\xef\xbb\xbf", "utf-8-sig"),
+    (b"\xff\xfe\x00\x00", "utf-32"),
+    (b"\x00\x00\xfe\xff", "utf-32"),
+    (b"\xff\xfe", "utf-16"),
+    (b"\xfe\xff", "utf-16"),
+)
+_MISSING = frozenset(("", "-", "--", "nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "n/a", "#n/a", "null", "none"))
+_TYPE = re.compile(r"(?i)(l?real|u?[sdl]?int|bool|byte|d?word|double|single|float|string|dt_\w+)\d*|-")
+_INTERVAL = re.compile(
+    r"(?i)(?:sampl\w*[ _-]?(?:time|period|interval)|abtast(?:zeit|intervall|periode)|cycle[ _-]?time|zykluszeit"
+    r"|interval|dt)"
+    r"\W*?(?:[\[(]?(ms|us|µs|ns|s)[\])]?)?[\s:=;,\t]+([\d.,]+(?:e-?\d+)?)\s*(n?sec|ms|us|µs|ns|s)?\b"
+)
+_RATE = re.compile(
+    r"(?i)(?:sampl\w*[ _-]?(?:rate|freq\w*)|abtast(?:rate|frequenz))\W*?(?:\[?k?hz\]?)?[\s:=;,\t]+([\d.,]+)\s*(k?)hz?"
+)
 
 
 def timelike(cell: str) -> bool:
@@ -125,29 +143,6 @@ def filled(column: Array) -> Array:
     return np.interp(np.arange(len(column)), there, column[there])
 
 
-_arrow, _csv = cast(Any, pa), cast(Any, pa_csv)  # without types
-
-SAMPLE = 2**18  # characters in which the form is found
-_FIRM = 10  # lines after which another kind of line is a fault in the data, and not their end
-_BOMS = (
-    (b"\xef\xbb\xbf", "utf-8-sig"),
-    (b"\xff\xfe\x00\x00", "utf-32"),
-    (b"\x00\x00\xfe\xff", "utf-32"),
-    (b"\xff\xfe", "utf-16"),
-    (b"\xfe\xff", "utf-16"),
-)
-_MISSING = frozenset(("", "-", "--", "nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "n/a", "#n/a", "null", "none"))
-_TYPE = re.compile(r"(?i)(l?real|u?[sdl]?int|bool|byte|d?word|double|single|float|string|dt_\w+)\d*|-")
-_INTERVAL = re.compile(
-    r"(?i)(?:sampl\w*[ _-]?(?:time|period|interval)|abtast(?:zeit|intervall|periode)|cycle[ _-]?time|zykluszeit"
-    r"|interval|dt)"
-    r"\W*?(?:[\[(]?(ms|us|µs|ns|s)[\])]?)?[\s:=;,\t]+([\d.,]+(?:e-?\d+)?)\s*(n?sec|ms|us|µs|ns|s)?\b"
-)
-_RATE = re.compile(
-    r"(?i)(?:sampl\w*[ _-]?(?:rate|freq\w*)|abtast(?:rate|frequenz))\W*?(?:\[?k?hz\]?)?[\s:=;,\t]+([\d.,]+)\s*(k?)hz?"
-)
-
-
 @dataclass(frozen=True, slots=True)
 class _Head:
     names: tuple[str, ...]  # by column; "" for a channel's own time
@@ -163,8 +158,9 @@ class TextTable:
         self._place = str(path)
         text, encoding = decoded(path)
         self.notes = () if encoding in ("utf-8", "utf-8-sig") else (f"{path.name} is read as {encoding}",)
-        lines = text[:SAMPLE].split("\n")
-        if len(text) > SAMPLE:
+        sample = 2**18  # characters in which the form is found
+        lines = text[:sample].split("\n")
+        if len(text) > sample:
             lines.pop()
         self._odd: list[tuple[int, int, str]] = []  # lines of another number of cells
         self._delimiter, self._point, self._first = _form(lines, form, self._place)
@@ -397,19 +393,20 @@ def _form(lines: Sequence[str], form: Csv, place: str) -> tuple[str, str, int]:
 def _longest(lines: Sequence[str], skip: int, delimiter: str, is_number: Callable[[str], bool]) -> tuple[int, int]:
     """Numbers in the longest run of lines of data, and where it starts."""
     best, score, start, width, count = (0, 0), 0, 0, 0, 0
+    firm = 10  # lines after which another kind of line is a fault in the data, and not their end
     for k, line in enumerate(lines):
         cells = _cells(line, delimiter) if k >= skip and line.strip() else []
         numbers = sum(map(is_number, cells)) if len(cells) > 1 else 0
         stamps = sum(timelike(cell) for cell in cells) if 2 * numbers <= len(cells) else 0
         filled = sum(cell != "" for cell in cells)
         if numbers and 2 * (numbers + stamps) > filled and numbers + stamps > 1 and (2 * numbers > filled or stamps):
-            if len(cells) != width and count < _FIRM:
+            if len(cells) != width and count < firm:
                 score, start, width, count = 0, k, len(cells), 0
             if len(cells) == width:
                 score, count = score + numbers + stamps, count + 1
             if count > 1 and score > best[0]:
                 best = (score, start)
-        elif line.strip() and count < _FIRM:
+        elif line.strip() and count < firm:
             score, width, count = 0, 0, 0
     return best
 

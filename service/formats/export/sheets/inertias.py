@@ -40,6 +40,17 @@ Array = NDArray[np.float64]
 
 STILL = 2e-3  # rad (m): smaller differences count as no motion
 
+_PLACE = "--payload"
+UPRIGHT = -90.0  # deg: position of the second axis that defines the frame of its load
+# FLANGE of the load of A3: Beckhoff TF5120, function block KRC_LDDconfig (M_A3, X_A3 ...). ROBROOT of those of A1 and
+# A2, and moments about the centre of mass: KUKA's class CRobot, setLoadA1 to setLoadA3. No public source gives the axis
+# positions at which a frame is fixed to its link: the sheet says that they must be checked.
+_FRAMES: tuple[tuple[Literal["A1", "A2", "A3"], str], ...] = (
+    ("A1", "ROBROOT (base frame of the URDF) with A1 = 0 deg"),
+    ("A2", "ROBROOT (base frame of the URDF) with A1 = 0 deg and A2 = -90 deg"),
+    ("A3", "FLANGE (in the URDF: frame of {last}) with A4 = A5 = A6 = 0 deg"),
+)
+
 
 @dataclass(frozen=True)
 class Inertias:
@@ -125,9 +136,6 @@ def _inertias(
     return Inertias(robot, joints, values, covariance, opened, fixed, base, chain, place)
 
 
-_PLACE = "--payload"
-
-
 @dataclass(frozen=True)
 class LoadData:
     """A physical body, in the frame of a joint: kg, m, kg m^2; the columns of `axes` (3, 3) are principal axes."""
@@ -173,18 +181,6 @@ def zyx(rotation: Array) -> tuple[float, float, float]:
     a = math.atan2(rotation[1, 0], rotation[0, 0])
     c = math.atan2(rotation[2, 1], rotation[2, 2])
     return math.degrees(a), math.degrees(b), math.degrees(c)
-
-
-UPRIGHT = -90.0  # deg: position of the second axis that defines the frame of its load
-
-# FLANGE of the load of A3: Beckhoff TF5120, function block KRC_LDDconfig (M_A3, X_A3 ...). ROBROOT of those of A1 and
-# A2, and moments about the centre of mass: KUKA's class CRobot, setLoadA1 to setLoadA3. No public source gives the axis
-# positions at which a frame is fixed to its link: the sheet says that they must be checked.
-_FRAMES: tuple[tuple[Literal["A1", "A2", "A3"], str], ...] = (
-    ("A1", "ROBROOT (base frame of the URDF) with A1 = 0 deg"),
-    ("A2", "ROBROOT (base frame of the URDF) with A1 = 0 deg and A2 = -90 deg"),
-    ("A3", "FLANGE (in the URDF: frame of {last}) with A4 = A5 = A6 = 0 deg"),
-)
 
 
 def supplementary(

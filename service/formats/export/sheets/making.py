@@ -31,6 +31,8 @@ from service.model.results.identified.sheet import AxisSheet, Ranges, Sheet, She
 from service.model.results.identified.sheet_check import AxisCheck, SheetCheck, SheetVerdict
 from service.model.robot import INERTIAL_NAMES, Robot
 
+Array = NDArray[np.float64]
+
 
 def sheet(
     robot: Robot,
@@ -172,9 +174,6 @@ def _rounded(value: JsonValue) -> JsonValue:
     if isinstance(value, list):
         return [_rounded(each) for each in value]
     return value
-
-
-Array = NDArray[np.float64]
 
 
 def compare(sheet: Sheet, robot: Robot, estimate: Estimate, poses: Mapping[str, Array], place: str) -> SheetCheck:
