@@ -12,6 +12,7 @@ from service.identification.axis.known_effects import KnownEffects, known_effect
 from service.identification.axis.nominal_priors import TorqueGain
 from service.model.configuration import read_text, read_yaml
 from service.model.errors import BadInput
+from service.model.results.analysis import Figure
 from service.model.results.diagnosis import Diagnosis
 from service.model.results.estimate import Estimate
 from service.model.results.part import Document, Part
@@ -40,6 +41,29 @@ class AxisGain(Part):
 class TorqueGains(Part):
     model_config = ConfigDict(frozen=True, extra="forbid")
     axes: dict[str, AxisGain] = Field(min_length=1)
+
+
+class LagDocument(Part):
+    """Of a channel behind position, s; not `apart`: only the total is known."""
+
+    delay: Figure
+    smoothing: Figure
+    total: Figure
+    apart: bool
+
+
+class AxisChannels(Part):
+    """`free_resonance`, Hz, null where none was found."""
+
+    effort: LagDocument
+    velocity: LagDocument
+    free_resonance: float | None
+
+
+class Channels(Part):
+    """`sweepid estimate channels --json`, by joint."""
+
+    axes: dict[str, AxisChannels]
 
 
 def read_gains(path: Path) -> dict[str, TorqueGain]:

@@ -3,6 +3,8 @@
 import asyncio
 import gc
 import json
+import logging
+import logging.handlers
 import os
 import signal
 import sys
@@ -15,7 +17,6 @@ from fastapi import FastAPI
 from starlette.types import Receive, Scope, Send
 
 from drivers.errors import DriveError
-from service.cli.logs import HeldBack
 from service.machine.stop_process.handle import StopNotStarted, StopProcess
 from service.model.errors import SweepidError
 from service.process.logs.lines import configure_logs
@@ -24,11 +25,31 @@ from service.store.access.permissions import LOCAL
 from service.web.app import create_app, end_motion, end_streams, halt
 
 _log = structlog.get_logger(__name__)
-
 _ONLY_TLS = ("Strict-Transport-Security", "max-age=31536000")
 _GRACE = 3  # s for requests under way when the service is told to end
 # with the default of 5 ms a busy thread delays the thread of the set-points by more than a cycle
 _SWITCH_INTERVAL = 1e-3  # s
+
+
+class HeldBack(logging.handlers.MemoryHandler):
+    """Holds what is logged until `let_through`: of a start that fails for a known reason one line is enough."""
+
+    def __init__(self) -> None:
+        """To be made after `configure_logs`."""
+        root = logging.getLogger()
+        (written,) = root.handlers
+        super().__init__(capacity=10**6, flushLevel=logging.CRITICAL + 1, target=written)
+        root.handlers = [self]
+
+    def let_through(self) -> None:
+        """Write what was held, and from now on everything at once."""
+        self.flush()
+        self.flushLevel = logging.NOTSET
+
+    def drop(self) -> None:
+        """Forget what was held, and what else is said of this start: what is closed after it speaks of it as well."""
+        self.buffer.clear()
+        self.setTarget(logging.NullHandler())
 
 
 def run_service(settings: Settings) -> None:

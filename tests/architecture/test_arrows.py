@@ -15,7 +15,7 @@ PLANTED = (  # file, and what it must not import
     ("service/diagnosis/model/held_out.py", "simulator"),
     ("service/planning/campaigns/__init__.py", "drivers.registry"),
     ("service/identification/estimation.py", "sweepid"),
-    ("sweepid/files.py", "service.cli.tables"),
+    ("sweepid/files.py", "service.cli.terminal"),
     ("service/model/errors.py", "service.store"),
     ("service/identification/model/regressor.py", "time"),
     ("service/data_check/check.py", "time"),

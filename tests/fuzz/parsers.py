@@ -17,9 +17,9 @@ from drivers.errors import BadProfile
 from drivers.modbus.profile import parse_profile as modbus_profile
 from drivers.modbus.registers import load_registers
 from drivers.registry import load_profile
-from service.cli.campaign.measure import plan_number
+from service.cli.commands.campaigns import plan_number
 from service.cli.commands.export import export_path
-from service.cli.recordings.control_file import import_control_file
+from service.cli.commands.imports import import_control_file
 from service.formats.export import identified_model
 from service.formats.export.sheets.load import load_of
 from service.formats.export.sheets.making import check_sheet, sheet

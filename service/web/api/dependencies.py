@@ -5,16 +5,37 @@ from typing import Annotated, Generic, TypeVar
 
 from fastapi import Depends, Header, Path, Query, Request, Response
 from pydantic import BaseModel
+from starlette.datastructures import Headers
 from starlette.requests import HTTPConnection
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.machine.execution.epoch import Intention
 from service.model.errors import BadInput
 from service.store.documents import LARGEST_ID
-from service.web.api.machine.arrival import EPOCH, epoch_of
-from service.web.api.people.audit_trail import audit_trail_of
+from service.web.api.access import audit_trail_of
 from service.web.application import Application
 
-Item = TypeVar("Item", bound=BaseModel)
+EPOCH = "Sweepid-Epoch"
+_ARRIVED = "sweepid.epoch"  # in the scope
+
+
+class Arrival:
+    """ASGI middleware."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http":
+            application: Application | None = getattr(scope["app"].state, "application", None)
+            if application is not None and application.cell is not None:
+                scope[_ARRIVED] = application.machine.epochs.given(Headers(scope=scope).get(EPOCH))
+        await self._app(scope, receive, send)
+
+
+def epoch_of(scope: Scope) -> str:
+    """Of the arrival; empty without a machine, which nothing can move."""
+    return scope.get(_ARRIVED, "")
 
 
 async def _application(connection: HTTPConnection) -> Application:
@@ -23,17 +44,6 @@ async def _application(connection: HTTPConnection) -> Application:
     if not isinstance(application, Application):
         raise TypeError("the application runs outside its lifespan")
     return application
-
-
-def _if_match(
-    if_match: Annotated[str | None, Header(description='ETag of the version the client has read, or "*"')] = None,
-) -> int | None:
-    if if_match is None or if_match.strip() == "*":
-        return None
-    tag = if_match.strip()
-    if re.fullmatch(r'"[0-9]{1,10}"', tag) is None:
-        raise BadInput("header/If-Match", f'{tag!r} is not one strong ETag of this service, e.g. "3", or *')
-    return int(tag[1:-1])
 
 
 ApplicationOf = Annotated[Application, Depends(_application)]
@@ -60,10 +70,24 @@ async def _intention(
 
 
 IntentionOf = Annotated[Intention, Depends(_intention)]
+
+
+def _if_match(
+    if_match: Annotated[str | None, Header(description='ETag of the version the client has read, or "*"')] = None,
+) -> int | None:
+    if if_match is None or if_match.strip() == "*":
+        return None
+    tag = if_match.strip()
+    if re.fullmatch(r'"[0-9]{1,10}"', tag) is None:
+        raise BadInput("header/If-Match", f'{tag!r} is not one strong ETag of this service, e.g. "3", or *')
+    return int(tag[1:-1])
+
+
 IfMatch = Annotated[int | None, Depends(_if_match)]
 Id = Annotated[int, Path(ge=1, le=LARGEST_ID)]
 After = Annotated[int, Query(ge=0, le=LARGEST_ID, description="the `next` of the page before; 0 for the first page")]
 Limit = Annotated[int, Query(ge=1, le=200)]
+Item = TypeVar("Item", bound=BaseModel)
 
 
 class Page(BaseModel, Generic[Item]):

@@ -17,7 +17,7 @@ from structlog.typing import EventDict
 
 from service.jobs.open_jobs import OpenJobs
 from service.process.logs.about import MachineWork, in_executor
-from service.web.api.logged import Logged
+from service.web.api.gate import Logged
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import service.cli.settings_of
+import service.cli.database
 import service.store.backup.making
 import service.store.backup.restoring
 import service.store.snapshot  # noqa: F401  once, not once a run

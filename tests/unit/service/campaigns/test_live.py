@@ -15,8 +15,8 @@ from service.planning.campaigns.live import EventFeed, LiveBlock, LiveHub, thin
 from service.store.database import open_database
 from service.store.guards import StopLatch
 from service.store.store import Store
-from service.web.api.machine.live import message
-from service.web.api.machine.live import text as json_text
+from service.web.api.live import message
+from service.web.api.live import text as json_text
 from tests.unit.service.campaigns.conftest import until
 
 TIMEOUT = 60.0  # s

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from service.cli.commands.estimate import torque_gain
-from service.cli.recordings.channels import as_document, profile_lines
+from service.cli.commands.estimate import as_document, profile_lines, torque_gain
 from service.identification.axis.channel_timing import ChannelLags, Lag
 from service.identification.spectra.axis_inertia import DriveTrain
 from service.model.errors import BadInput

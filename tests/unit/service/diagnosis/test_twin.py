@@ -11,7 +11,7 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from service.cli.recordings.scenario_file import write_scenario
+from service.cli.commands.identify import write_scenario
 from service.diagnosis import model_document
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Model

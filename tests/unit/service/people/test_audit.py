@@ -10,8 +10,7 @@ from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError
 from structlog.testing import capture_logs
 
-from service.cli.commands.audit import export_audit
-from service.cli.commands.people import add_key, list_people
+from service.cli.commands.people import add_key, export_audit, list_people
 from service.model.errors import BadInput, Conflict
 from service.store.access.audit_chain import FIRST, AuditBroken, canonical, heads_in, read_head, sha256, verify
 from service.store.access.permissions import LOCAL

@@ -13,7 +13,7 @@ from service.store.access.permissions import Role
 from service.store.database import open_database
 from service.store.people.audit import AuditStore
 from service.store.people.keys import KeyStore
-from service.web.api.people.rate_limit import MOST, WINDOW, Guesses
+from service.web.api.access import MOST, WINDOW, Guesses
 from tests.unit.service.hosting import hosting
 from tests.unit.service.people.conftest import calling
 

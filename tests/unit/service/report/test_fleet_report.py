@@ -3,7 +3,7 @@
 import json
 from datetime import UTC, datetime, timedelta
 
-from service.cli.plant.lines import fleet_lines
+from service.cli.commands.plant import fleet_lines
 from service.identification.fleet.document import Fleet
 from service.identification.fleet.series import AxisMeasured, CampaignMeasured, in_pose, pose_key
 from service.identification.fleet.survey import RobotMeasured, Rules, survey

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.cli.commands.imports import import_trace
-from service.cli.recordings.control_file import import_control_file
+from service.cli.commands.imports import import_control_file, import_trace
 from service.formats.sinumerik.base85 import decode
 from service.formats.sinumerik.document import Given, measurement_document, response_table, tuning_document
 from service.formats.sinumerik.measurement import Measurement, read_measurement
