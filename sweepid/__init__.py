@@ -43,7 +43,7 @@ __all__ = [
 Item = TypeVar("Item")
 
 
-class Progress(Protocol):
+class ProgressBar(Protocol):
     """What shows how many of the items are done, as ``lambda items, what: tqdm(items, desc=what)``."""
 
     def __call__(self, items: Sequence[Item], of_what: str, /) -> Iterable[Item]: ...
@@ -199,7 +199,7 @@ def identify(
     *,
     torque_gain: Mapping[str, TorqueGain] | str | Path | None = None,
     effects: Diagnosis | str | Path | None = None,
-    progress: Progress = _silent,
+    progress: ProgressBar = _silent,
 ) -> Estimate:
     """Identify a robot: inertia about each axis in each pose, base parameters, and their standard deviations.
 
@@ -310,7 +310,7 @@ def diagnose(
     known: Sequence[str] = (),
     start: Estimate | str | Path | None = None,
     twin: bool = True,
-    progress: Progress = _silent,
+    progress: ProgressBar = _silent,
 ) -> Diagnosis:
     """Find where model and measurement disagree, and name the missing effect.
 

@@ -60,7 +60,7 @@ class AxisChannels(Part):
     free_resonance: float | None
 
 
-class Channels(Part):
+class ChannelTimings(Part):
     """`sweepid estimate channels --json`, by joint."""
 
     axes: dict[str, AxisChannels]

@@ -117,7 +117,7 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class DemoOutcome:
     """The results of the demo."""
 
     content: Content
@@ -182,7 +182,7 @@ def _detail(campaign: Json) -> str:
     return f"{left}{current['spec']['axis']} at ({pose})"
 
 
-def run_demo(out: Path, seed: int, poses: int, screen: Screen) -> Outcome:
+def run_demo(out: Path, seed: int, poses: int, screen: Screen) -> DemoOutcome:
     """Run the demo in the folder `out`. In any case, the machine is stopped and the processes are ended."""
     for path in (SCENARIO, HIDING, ROBOT, CELL, PROFILE):
         if not path.is_file():
@@ -233,7 +233,7 @@ def run_demo(out: Path, seed: int, poses: int, screen: Screen) -> Outcome:
     (out / "estimate.json").write_text(json.dumps(revisions[-1]["document"], indent=2) + "\n", encoding="utf-8")
     (out / "diagnosis.json").write_text(json.dumps(found.document, indent=2) + "\n", encoding="utf-8")
     (out / "benefit.json").write_text(worth.model_dump_json(indent=2) + "\n", encoding="utf-8")
-    return Outcome(content, found, worth, report, out / "bundle")
+    return DemoOutcome(content, found, worth, report, out / "bundle")
 
 
 def _clear(out: Path) -> None:
@@ -283,7 +283,7 @@ _REQUEST: Json = {
 }
 
 
-def _print_estimate(outcome: Outcome, console: Console) -> None:
+def _print_estimate(outcome: DemoOutcome, console: Console) -> None:
     print_result(outcome.content.estimate, console)
     table = Table(title="Errors against the truth in percent: median (95th percentile)")
     table.add_column("")
@@ -294,7 +294,7 @@ def _print_estimate(outcome: Outcome, console: Console) -> None:
     console.print(table)
 
 
-def _print_worth(outcome: Outcome, console: Console) -> None:
+def _print_worth(outcome: DemoOutcome, console: Console) -> None:
     console.print("\n[bold]What you gain[/bold]", highlight=False)
     if outcome.worth.axes:
         console.print(sentence(outcome.worth), highlight=False)

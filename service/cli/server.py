@@ -25,10 +25,6 @@ from service.store.access.permissions import LOCAL
 from service.web.app import create_app, end_motion, end_streams, halt
 
 _log = structlog.get_logger(__name__)
-_ONLY_TLS = ("Strict-Transport-Security", "max-age=31536000")
-_GRACE = 3  # s for requests under way when the service is told to end
-# with the default of 5 ms a busy thread delays the thread of the set-points by more than a cycle
-_SWITCH_INTERVAL = 1e-3  # s
 
 
 class HeldBack(logging.handlers.MemoryHandler):
@@ -62,7 +58,8 @@ def run_service(settings: Settings) -> None:
     settings.check_publishing()
     configure_logs(settings.log_level)
     logs = HeldBack()
-    sys.setswitchinterval(_SWITCH_INTERVAL)
+    # s; with the default of 5 ms a busy thread delays the thread of the set-points by more than a cycle
+    sys.setswitchinterval(1e-3)
     if not settings.answers_to:
         _log.warning("answers_to_any_host_name", host=settings.host, setting="allowed_hosts")
     if not settings.login:
@@ -99,13 +96,13 @@ def _serve(settings: Settings, stop_process: StopProcess | None, logs: HeldBack)
             lifespan="on",
             log_config=None,
             access_log=False,
-            timeout_graceful_shutdown=_GRACE,
+            timeout_graceful_shutdown=3,  # s for requests under way
             ws="websockets-sansio",
             proxy_headers=settings.behind_proxy,  # by default uvicorn believes whoever calls from this computer
             forwarded_allow_ips=[str(network) for network in settings.trusted_proxies],
             ssl_certfile=certificate,
             ssl_keyfile=key,
-            headers=[] if certificate is None else [_ONLY_TLS],
+            headers=[] if certificate is None else [("Strict-Transport-Security", "max-age=31536000")],
         ),
     )
     try:

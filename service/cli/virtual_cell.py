@@ -22,7 +22,7 @@ class ProcessFailed(SweepidError):
     """A process of the demo did not start; its log contains the reason."""
 
 
-class Ready(BaseModel):
+class ReadyLine(BaseModel):
     """The line of a process that is ready: `url` of the service, `hidden_in`: joint with a hidden effect."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
@@ -66,7 +66,7 @@ def answer_of_drive(*arguments: str) -> str:
 
 
 @contextmanager
-def running(arguments: Sequence[str], log: Path) -> Generator[Ready]:
+def running(arguments: Sequence[str], log: Path) -> Generator[ReadyLine]:
     """A process that prints one JSON line when it is ready; returns that line. Its stderr goes to `log`.
 
     Ctrl-C in the terminal does not reach it: it ends after its clients, in the order in which the blocks are left.
@@ -97,7 +97,7 @@ def drive_profile(template: Path, port: int, path: Path) -> Path:
     return path
 
 
-def _ready(process: "subprocess.Popen[str]", name: str, log: Path, within: float = 60.0) -> Ready:
+def _ready(process: "subprocess.Popen[str]", name: str, log: Path, within: float = 60.0) -> ReadyLine:
     """The first line of a process, which must come `within` s."""
     patience = threading.Timer(within, process.kill)
     patience.start()
@@ -107,7 +107,7 @@ def _ready(process: "subprocess.Popen[str]", name: str, log: Path, within: float
         patience.cancel()
         patience.join()
     try:
-        return Ready.model_validate_json(line)
+        return ReadyLine.model_validate_json(line)
     except ValueError:
         raise ProcessFailed(f"sweepid {name} did not start within {within:.0f} s; see {log}") from None
 
@@ -202,7 +202,7 @@ CELL = Path("config/cells/workshop.yaml")
 class VirtualCell:
     """`machine` is the line it printed when it was ready."""
 
-    machine: Ready
+    machine: ReadyLine
     client: ServiceClient
     robot_id: int
 

@@ -26,7 +26,7 @@ from service.web.api import (
     results,
     stop,
 )
-from service.web.api.access import Access, AuditMiddleware, Guesses, ReadOnly
+from service.web.api.access import Access, AuditMiddleware, Guesses, ReadOnlyService
 from service.web.api.dependencies import EPOCH, Arrival
 from service.web.api.gate import BUNDLE_LIMIT, ROBOT_LIMIT, Gate, Logged
 from service.web.api.login import PasswordCheck
@@ -37,7 +37,6 @@ from service.web.api.problem import Problem, install_problem_handlers
 from service.web.application import Application, open_application
 from service.web.hmi.pages import add_pages
 
-_ENDED = "the service ended"
 _ROUTERS = (
     plans.robot_routes,
     plans.plan_routes,
@@ -101,7 +100,7 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
     app.state.password_check = PasswordCheck(guesses, settings.wrong_keys)
     app.state.oidc = open_oidc(settings.oidc, guesses)
     if settings.no_machine:
-        app.add_middleware(ReadOnly)
+        app.add_middleware(ReadOnlyService)
     app.add_middleware(
         Access, login=settings.login, guesses=guesses, permissions=permissions
     )  # the last one handles a request first
@@ -134,7 +133,7 @@ async def end_motion(app: FastAPI) -> None:
     """Bring the machine to a final standstill, before the service waits for anything."""
     application: Application | None = getattr(app.state, "application", None)
     if application is not None and application.cell is not None:
-        application.machine.end(_ENDED)
+        application.machine.end("the service ended")
         await application.runner.close()
 
 
@@ -142,7 +141,7 @@ def halt(app: FastAPI, why: str) -> None:
     """Stop every axis; no motion is possible afterwards. `why`: reason for the end of the service."""
     application: Application | None = getattr(app.state, "application", None)
     if application is not None and application.cell is not None:
-        application.machine.end(f"{_ENDED} by {why}")
+        application.machine.end(f"the service ended by {why}")
 
 
 @asynccontextmanager

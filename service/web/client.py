@@ -8,6 +8,7 @@ import uuid
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, suppress
+from http import HTTPStatus
 from pathlib import Path
 from typing import Any, cast
 from urllib.parse import urlencode
@@ -20,17 +21,12 @@ Json = dict[str, Any]
 
 LONG_TIMEOUT = httpx.Timeout(600.0, connect=5.0)  # planning many poses, large bundles
 _TIMEOUT = httpx.Timeout(30.0, connect=5.0)
-_BAD_INPUT = 422  # HTTP status
-_SILENCE = 40.0  # s; an idle event stream carries a comment every 15 s
-
 
 __all__ = ["HOST_WATCH", "Json", "ServiceClient", "ServiceProblem", "ServiceUnreachable"]
 
 HOST_WATCH = "host watch"  # `by` of a stop that no person pressed
 
 _STOP_TIMEOUT = httpx.Timeout(2.0)  # a stop is answered within 1.2 s
-_OPEN = ("waiting", "running")
-_RECONNECT_FOR, _RECONNECT_PAUSE = 20.0, 0.5  # s
 
 
 class ServiceClient(AbstractContextManager["ServiceClient"]):
@@ -322,11 +318,12 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
     def _over(self, kind: str, number: int, read: Callable[[int], Json]) -> Json:
         """Wait until `read` returns a finished object, which events of this kind report, and return it."""
         found = read(number)
-        if found["state"] in _OPEN:
+        open_states = ("waiting", "running")
+        if found["state"] in open_states:
             for event in self.events(after=0):
                 if event["kind"] == kind and event["data"][kind] == number:
                     found = read(number)
-                    if found["state"] not in _OPEN:
+                    if found["state"] not in open_states:
                         break
         return found
 
@@ -377,14 +374,14 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
             except httpx.TransportError as error:
                 reason = str(error)
             lost = time.monotonic() if lost is None else lost
-            if time.monotonic() - lost > _RECONNECT_FOR:
+            if time.monotonic() - lost > 20.0:  # s
                 raise ServiceUnreachable(f"{self._url}: {reason}")
-            time.sleep(_RECONNECT_PAUSE)
+            time.sleep(0.5)  # s
 
     # -- requests
     @contextmanager
     def _stream(self, campaign_id: int | None, after: int) -> Generator[Iterator[str]]:
-        timeout = httpx.Timeout(_SILENCE, connect=5.0)
+        timeout = httpx.Timeout(40.0, connect=5.0)  # an idle event stream carries a comment every 15 s
         query = {"after": after} if campaign_id is None else {"campaign": campaign_id, "after": after}
         with self._http.stream("GET", "/events", params=query, timeout=timeout) as response:
             if response.is_error:
@@ -435,7 +432,7 @@ def check(response: httpx.Response) -> httpx.Response:
     if not response.headers.get("content-type", "").startswith("application/problem+json"):
         raise ServiceProblem(response.status_code, f"{response.url}: {response.status_code} {response.text[:200]}")
     problem = cast("Json", response.json())
-    if response.status_code == _BAD_INPUT:
+    if response.status_code == HTTPStatus.UNPROCESSABLE_ENTITY:
         first = next(iter(problem.get("errors", ())), {"pointer": response.url.path, "reason": problem["detail"]})
         raise BadInput(first["pointer"], first["reason"])
     raise ServiceProblem(response.status_code, problem["detail"])

@@ -305,7 +305,7 @@ def plan_number(plan: str, largest: int = 2**26) -> int:
 
     from pydantic import BaseModel
 
-    class PlanFile(BaseModel):
+    class NumberedPlan(BaseModel):
         """What `sweepid plan --out` writes; only the number matters here."""
 
         id: int
@@ -317,7 +317,7 @@ def plan_number(plan: str, largest: int = 2**26) -> int:
             content = file.read(largest + 1)
         if len(content) > largest:
             raise BadInput(plan, f"is larger than {largest} bytes")
-        return PlanFile.model_validate_json(content).id
+        return NumberedPlan.model_validate_json(content).id
     except OSError as error:
         raise BadInput(plan, f"neither the number of a plan nor a readable file: {error.strerror}") from None
     except ValueError:

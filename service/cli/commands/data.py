@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from service.process.settings import Settings
     from service.store.plant.retention import Doomed, RetentionStore
 
-_NICE = 10  # it gives way to the process that streams set-points
 _URL = "sqlite:///PATH or postgresql+psycopg://USER@HOST/NAME, without a password"
 Campaign = Annotated[int, typer.Argument(metavar="CAMPAIGN", help="Its number.", min=1, show_default=False)]
 
@@ -39,7 +38,7 @@ def backup(
 
     settings = settings_of(config, data_dir)
     if hasattr(os, "nice"):
-        os.nice(_NICE)
+        os.nice(10)  # it gives way to the process that streams set-points
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: nothing is left
     with waiting("the copy"):
         manifest = make_backup(sqlite_file(settings.url), settings.data_dir, target)

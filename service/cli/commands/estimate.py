@@ -32,11 +32,11 @@ def channels(
     """Measure how far effort and velocity lag behind position. Prints the lines for the drive profile."""
     from service.cli.terminal import put_json, waiting
     from service.store.files.bundle import read_bundle
-    from sweepid.files import Channels
+    from sweepid.files import ChannelTimings
 
     with waiting("measuring delays"):
         found = measure_channels(read_bundle(bundle), axis, str(bundle))
-    if put_json(Channels(axes={joint: as_document(lags) for joint, lags in found.items()}), json_to):
+    if put_json(ChannelTimings(axes={joint: as_document(lags) for joint, lags in found.items()}), json_to):
         return
     for joint, lags in found.items():
         typer.echo(profile_lines(joint, lags))

@@ -29,13 +29,11 @@ from service.store.people.writer import NotAudited
 from service.store.rows import NoMachine
 from service.web.api.gate import from_own_page
 from service.web.api.permissions import API, LOGINS, SIGN_OF_LIFE, SOCKET, STOP, Permissions, RouteKey
-from service.web.api.problem import AGAIN, Refused, problem_response
+from service.web.api.problem import AGAIN, RequestRefused, problem_response
 from service.web.application import Application
 
 _TRAIL = "sweepid.trail"  # in the scope
 _PATIENCE = 10.0  # s; afterwards an entry that is not on disk counts as not written
-_LONGEST = 500  # characters
-_READING = ("GET", "HEAD", "OPTIONS", SOCKET)
 
 
 @dataclass
@@ -64,7 +62,7 @@ class AuditTrail:
 
     @property
     def changes(self) -> bool:
-        return self.method not in _READING and self.route != SIGN_OF_LIFE
+        return self.method not in ("GET", "HEAD", "OPTIONS", SOCKET) and self.route != SIGN_OF_LIFE
 
     def entry(self, event: str, **facts: Fact) -> Entry:
         return {
@@ -74,12 +72,12 @@ class AuditTrail:
             "address": self.address,
             "method": self.method,
             "route": None if self.route is None else self.route[1],
-            "path": masked(self.path)[:_LONGEST],
+            "path": masked(self.path)[:500],
             **facts,
         }
 
     def outcome(self, status: int, why: str) -> Entry:
-        return self.entry("outcome", status=status, why=masked(why)[:_LONGEST], request=self.request, **self.facts)
+        return self.entry("outcome", status=status, why=masked(why)[:500], request=self.request, **self.facts)
 
 
 def begin_audit_trail(scope: Scope) -> AuditTrail:
@@ -114,7 +112,6 @@ async def written(future: "Future[int]") -> int:
 
 
 LIVE = "sweepid.live"
-_KEY = "sweepid.key."
 
 
 @dataclass(frozen=True)
@@ -141,13 +138,12 @@ def cookie_name(scope: Scope) -> str:
 
 def _of_subprotocol(scope: Scope) -> str:
     """The key from the subprotocols of a WebSocket, or empty."""
-    named = (name.removeprefix(_KEY) for name in scope.get("subprotocols", ()) if name.startswith(_KEY))
-    return next(named, "")
+    start = "sweepid.key."
+    return next((name.removeprefix(start) for name in scope.get("subprotocols", ()) if name.startswith(start)), "")
 
 
 WINDOW = 60.0  # s
 MOST = 1000  # addresses, and keys that were accepted
-_NETWORK = 64  # bits of an IPv6 address that its owner cannot choose
 
 
 @dataclass(slots=True)
@@ -211,26 +207,21 @@ def _place(address: str) -> str:
     except ValueError:  # of a socket without address
         return address
     if isinstance(found, IPv6Address):
-        return str(found.ipv4_mapped or int(found) >> _NETWORK)
+        return str(found.ipv4_mapped or int(found) >> 64)
     return str(found)
 
 
-_CHALLENGE = {"WWW-Authenticate": 'Bearer realm="sweepid"'}
+def unauthorized(detail: str) -> RequestRefused:
+    return RequestRefused(
+        HTTPStatus.UNAUTHORIZED, "unauthorized", detail, {"WWW-Authenticate": 'Bearer realm="sweepid"'}
+    )
 
 
-def unauthorized(detail: str) -> Refused:
-    return Refused(HTTPStatus.UNAUTHORIZED, "unauthorized", detail, _CHALLENGE)
-
-
-def too_many(what: str, wait: float) -> Refused:
+def too_many(what: str, wait: float) -> RequestRefused:
     """`wait`: s until the next attempt is checked."""
     seconds = math.ceil(wait)
     detail = f"too many {what} within {WINDOW:g} s: wait {seconds} s. STOP works without a login"
-    return Refused(HTTPStatus.TOO_MANY_REQUESTS, "too-many-wrong-keys", detail, {"Retry-After": str(seconds)})
-
-
-_ANYBODY = "anybody"
-_POLICY = 1008  # close code of WebSockets: policy violation
+    return RequestRefused(HTTPStatus.TOO_MANY_REQUESTS, "too-many-wrong-keys", detail, {"Retry-After": str(seconds)})
 
 
 class Access:
@@ -256,12 +247,12 @@ class Access:
             if not self._login:
                 trail.actor, trail.role = LOCAL, Role.ADMIN
             elif trail.route is not None and self._permissions.roles[trail.route] is None:
-                trail.actor = _ANYBODY
+                trail.actor = "anybody"
             else:
                 await self._identify(scope, trail)
             if trail.changes and trail.route not in (STOP, *LOGINS):  # a login has one entry, with its outcome
                 trail.request = await _begin(scope, trail)
-        except Refused as refused:
+        except RequestRefused as refused:
             await _answer(refused, scope, receive, send)
             return
         await self._app(scope, receive, send)
@@ -275,7 +266,7 @@ class Access:
                 "request with a session cookie that does not come from a page of this service: "
                 "programs send a key, as Authorization: Bearer KEY"
             )
-            raise Refused(HTTPStatus.FORBIDDEN, "foreign-request", detail)
+            raise RequestRefused(HTTPStatus.FORBIDDEN, "foreign-request", detail)
         application: Application = scope["app"].state.application
         found = await self._find(application, given, trail)
         trail.actor, trail.role, trail.scopes = found.name, found.role, found.scopes
@@ -287,7 +278,7 @@ class Access:
                 f"{trail.method} {scope['path']} requires {needed}; {found.name} has the role "
                 f"{found.role.word}{limited}"
             )
-            raise Refused(HTTPStatus.FORBIDDEN, "forbidden", detail)
+            raise RequestRefused(HTTPStatus.FORBIDDEN, "forbidden", detail)
 
     async def _find(self, application: Application, given: Presented, trail: AuditTrail) -> Caller:
         value, guesses = key_sha256(given.key), self._guesses
@@ -316,12 +307,12 @@ async def _begin(scope: Scope, trail: AuditTrail) -> int:
     except NotAudited as error:
         trail.unwritten = True
         detail = f"not executed: {error}"
-        raise Refused(HTTPStatus.SERVICE_UNAVAILABLE, "not-audited", detail, AGAIN) from None
+        raise RequestRefused(HTTPStatus.SERVICE_UNAVAILABLE, "not-audited", detail, AGAIN) from None
 
 
-async def _answer(refused: Refused, scope: Scope, receive: Receive, send: Send) -> None:
+async def _answer(refused: RequestRefused, scope: Scope, receive: Receive, send: Send) -> None:
     if scope["type"] == "websocket":
-        await send({"type": "websocket.close", "code": _POLICY, "reason": refused.detail[:120]})
+        await send({"type": "websocket.close", "code": 1008, "reason": refused.detail[:120]})
         return
     await refused.response(Request(scope))(scope, receive, send)
 
@@ -329,7 +320,7 @@ async def _answer(refused: Refused, scope: Scope, receive: Receive, send: Send) 
 _ALLOWED = (STOP, *LOGINS, ("POST", f"{API}/logout"))  # the route of the stop answers a stop itself: 503, no machine
 
 
-class ReadOnly:
+class ReadOnlyService:
     """ASGI middleware inside `Access`: callers without permission get that answer first. The audit has the refusal."""
 
     def __init__(self, app: ASGIApp) -> None:
@@ -343,9 +334,6 @@ class ReadOnly:
                 await refusal(scope, receive, send)
                 return
         await self._app(scope, receive, send)
-
-
-_REFUSED = (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN, HTTPStatus.TOO_MANY_REQUESTS)
 
 
 class AuditMiddleware:
@@ -380,7 +368,7 @@ class _Answer:
         kind = message["type"]
         if self._written or self._trail.hushed:
             await self._send(message)
-        elif kind == "http.response.start" and (self._trail.changes or message["status"] in _REFUSED):
+        elif kind == "http.response.start" and (self._trail.changes or message["status"] in (401, 403, 429)):
             self._start = message
         elif kind == "http.response.body" and self._start is not None:
             status: int = self._start["status"]

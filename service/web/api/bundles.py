@@ -16,11 +16,9 @@ from starlette.concurrency import run_in_threadpool
 from service.process.tasks.run_to_end import run_to_end
 from service.store.access.permissions import Role
 from service.web.api.campaigns import CampaignView, view
-from service.web.api.dependencies import ApplicationOf, Id, set_etag
+from service.web.api.dependencies import ApplicationOf, Id, media, set_etag
 from service.web.api.idempotent import Handler, IdempotentRoute, head_of
 from service.web.api.permissions import allow
-
-_PIECE = 2**20  # bytes per write
 
 
 class SpooledRoute(IdempotentRoute):
@@ -57,20 +55,16 @@ async def _spool(request: Request, path: Path) -> None:
 
         async for part in request.stream():
             piece += part
-            if len(piece) >= _PIECE:
+            if len(piece) >= 2**20:  # bytes per write
                 await run_in_threadpool(write)
         await run_in_threadpool(write)
 
 
 router = APIRouter(tags=["bundles"], route_class=SpooledRoute)
 BUNDLES = "/bundles"
-_ZIP = "application/zip"
-_BYTES = "application/octet-stream"  # a zip as well: what generated clients of Python know
 _BODY: dict[str, Any] = {
-    "requestBody": {
-        "required": True,
-        "content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in (_ZIP, _BYTES)},
-    }
+    # an octet stream is a zip as well: what generated clients of Python know
+    "requestBody": {"required": True, **media("application/zip", "application/octet-stream")[200]}
 }
 
 
@@ -87,7 +81,7 @@ async def import_bundle(request: Request, response: Response, application: Appli
 @router.get(
     "/campaigns/{campaign_id}/bundle",
     response_class=FileResponse,
-    responses={200: {"content": {_ZIP: {"schema": {"type": "string", "format": "binary"}}}}},
+    responses=media("application/zip"),
 )
 @allow(Role.VIEWER)
 async def export_bundle(campaign_id: Id, application: ApplicationOf) -> FileResponse:
@@ -101,7 +95,7 @@ async def export_bundle(campaign_id: Id, application: ApplicationOf) -> FileResp
         raise
     return FileResponse(
         packed,
-        media_type=_ZIP,
+        media_type="application/zip",
         filename=f"campaign-{campaign_id}.zip",
         background=BackgroundTask(shutil.rmtree, folder),
     )

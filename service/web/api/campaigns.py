@@ -34,7 +34,21 @@ from service.store.documents import (
     SweepStatus,
 )
 from service.web.api.access import Fact, audit_trail_of
-from service.web.api.dependencies import After, ApplicationOf, Id, IfMatch, IntentionOf, Limit, Page, page, set_etag
+from service.web.api.dependencies import (
+    After,
+    ApplicationOf,
+    FilesOf,
+    Id,
+    IfMatch,
+    IntentionOf,
+    Limit,
+    Page,
+    RunnerOf,
+    StoreOf,
+    media,
+    page,
+    set_etag,
+)
 from service.web.api.idempotent import IdempotentRoute
 from service.web.api.permissions import allow
 from service.web.application import Application
@@ -150,8 +164,8 @@ async def add_campaign(
 
 @campaign_routes.get("")
 @allow(Role.VIEWER)
-def list_campaigns(application: ApplicationOf, after: After = 0, limit: Limit = 50) -> Page[CampaignDocument]:
-    return page(application.store.campaigns(after, limit), limit)
+def list_campaigns(store: StoreOf, after: After = 0, limit: Limit = 50) -> Page[CampaignDocument]:
+    return page(store.campaigns(after, limit), limit)
 
 
 @campaign_routes.get("/{campaign_id}")
@@ -184,12 +198,12 @@ async def start_campaign(
 
 @campaign_routes.post("/{campaign_id}/sign_of_life")
 @allow(Role.OPERATOR)
-async def show_life(campaign_id: Id, application: ApplicationOf) -> AttendedView | None:
+async def show_life(campaign_id: Id, runner: RunnerOf) -> AttendedView | None:
     """A person monitors the machine; null if no sign of life is required. 409 if the campaign does not run.
 
     Needs no audit entry; the database is read only to check the key. Without signs of life the campaign is paused.
     """
-    return _attended(application.runner.sign_of_life(campaign_id))
+    return _attended(runner.sign_of_life(campaign_id))
 
 
 @campaign_routes.post("/{campaign_id}/pause")
@@ -287,43 +301,42 @@ async def _answer(application: Application, campaign: CampaignDocument, response
 
 
 SweepNumber = Annotated[int, Path(ge=1, le=LARGEST_ID, description="1, 2, ... in the order of the plan")]
-_PARQUET = "application/vnd.apache.parquet"
 
 
 @sweep_routes.get("")
 @allow(Role.VIEWER)
-def list_sweeps(campaign_id: Id, application: ApplicationOf) -> tuple[SweepDocument, ...]:
+def list_sweeps(campaign_id: Id, store: StoreOf) -> tuple[SweepDocument, ...]:
     """All sweeps, in the order of the plan."""
-    application.store.campaign(campaign_id)  # NotFound: an unknown campaign must not look like one without sweeps
-    return application.store.sweeps(campaign_id)
+    store.campaign(campaign_id)  # NotFound: an unknown campaign must not look like one without sweeps
+    return store.sweeps(campaign_id)
 
 
 @sweep_routes.get("/{number}")
 @allow(Role.VIEWER)
-def get_sweep(campaign_id: Id, number: SweepNumber, application: ApplicationOf) -> SweepDocument:
-    return application.store.sweep(campaign_id, number)
+def get_sweep(campaign_id: Id, number: SweepNumber, store: StoreOf) -> SweepDocument:
+    return store.sweep(campaign_id, number)
 
 
 @sweep_routes.get("/{number}/recording")
 @allow(Role.VIEWER)
-def get_recording(campaign_id: Id, number: SweepNumber, application: ApplicationOf) -> RecordingDocument:
+def get_recording(campaign_id: Id, number: SweepNumber, store: StoreOf) -> RecordingDocument:
     """The latest recording of a sweep: its extent and its SHA-256."""
-    return application.store.recording(campaign_id, number)
+    return store.recording(campaign_id, number)
 
 
 @sweep_routes.get(
     "/{number}/recording/file",
     response_class=FileResponse,
-    responses={200: {"content": {_PARQUET: {"schema": {"type": "string", "format": "binary"}}}}},
+    responses=media("application/vnd.apache.parquet"),
 )
 @allow(Role.VIEWER)
-def get_recording_file(campaign_id: Id, number: SweepNumber, application: ApplicationOf) -> FileResponse:
+def get_recording_file(campaign_id: Id, number: SweepNumber, store: StoreOf, files: FilesOf) -> FileResponse:
     """The samples as Parquet, with the columns of the bundle format; only a part of them for a partial recording."""
-    recording = application.store.recording(campaign_id, number)
+    recording = store.recording(campaign_id, number)
     name = re.sub(r"\W+", "-", f"campaign-{campaign_id}-sweep-{number:04d}-attempt-{recording.attempt}") + ".parquet"
     return FileResponse(
-        application.files.local(recording),
-        media_type=_PARQUET,
+        files.local(recording),
+        media_type="application/vnd.apache.parquet",
         filename=name,
         headers={"X-Content-SHA256": recording.sha256, "X-Recording-State": recording.state.value},
     )
@@ -332,9 +345,6 @@ def get_recording_file(campaign_id: Id, number: SweepNumber, application: Applic
 CHECK_MOVE = 2 * DURATION + 1.0  # s: motion in both directions, switching on and off
 _LEFT = (SweepState.PLANNED, SweepState.RUNNING)
 _RECORDED = (SweepState.RECORDED, SweepState.IDENTIFIED)
-_AGAIN = (SweepState.FAILED, SweepState.INTERRUPTED)
-_OPEN = (CampaignState.PLANNED, CampaignState.RUNNING, CampaignState.PAUSING, CampaignState.PAUSED)
-_PAUSE = 2.0  # ratio to the median pace: the campaign was paused between two sweeps with a larger ratio
 
 
 def expected_time(times: Sequence[PlannedTime]) -> float:
@@ -356,13 +366,16 @@ def progress(
     `times`: () for a campaign without plan. `now`: s, of the clock of `under_way`. `current`: the sweep that runs.
     """
     left = [sweep for sweep in sweeps if sweep.state in _LEFT]
-    predictable = state in _OPEN and len(times) == len(sweeps)
+    open_states = (CampaignState.PLANNED, CampaignState.RUNNING, CampaignState.PAUSING, CampaignState.PAUSED)
+    predictable = state in open_states and len(times) == len(sweeps)
     remaining = _time_left(state, sweeps, times, under_way, now) if predictable and left else None
     return Progress(
         done=sum(sweep.state in _RECORDED for sweep in sweeps),
         total=len(sweeps),
         remaining=remaining if left else 0.0,
-        repeat=_pace(sweeps, times) * _sum(sweeps, times, _AGAIN) if predictable else 0.0,
+        repeat=_pace(sweeps, times) * _sum(sweeps, times, (SweepState.FAILED, SweepState.INTERRUPTED))
+        if predictable
+        else 0.0,
         current=current,
     )
 
@@ -408,7 +421,7 @@ def _pace(sweeps: Sequence[SweepStatus], times: Sequence[PlannedTime]) -> float:
     if not ways:
         return 1.0
     usual = median(taken / gap for taken, gap in ways)
-    counted = [(taken, gap) for taken, gap in ways if taken / gap <= _PAUSE * usual]
+    counted = [(taken, gap) for taken, gap in ways if taken / gap <= 2 * usual]  # above: a pause
     return sum(taken for taken, _ in counted) / sum(gap for _, gap in counted)
 
 

@@ -1,7 +1,8 @@
-"""Shared parts of the routes: the application, the caller and the intention, a page of a list, the version read."""
+"""What routes ask for by `Depends`: parts of the application, caller, intention, a page of a list, the version read."""
 
 import re
-from typing import Annotated, Generic, TypeVar
+from collections.abc import Callable, Coroutine, Mapping
+from typing import Annotated, Any, Generic, TypeVar
 
 from fastapi import Depends, Header, Path, Query, Request, Response
 from pydantic import BaseModel
@@ -9,9 +10,25 @@ from starlette.datastructures import Headers
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from service.jobs.batches import Batches
+from service.jobs.diagnosis_loop.diagnosing import Diagnosing
+from service.jobs.diagnosis_loop.experiments import Experiments
+from service.jobs.worker import Worker
+from service.machine.execution.approvals import Approvals
 from service.machine.execution.epoch import Intention
+from service.machine.execution.machine import Machine
+from service.machine.execution.runner import Runner
 from service.model.errors import BadInput
+from service.planning.campaigns.fleet_history import FleetHistory
+from service.process.settings import Settings
+from service.store.diagnosis.diagnoses import DiagnosisStore
+from service.store.diagnosis.model_revisions import ModelStore
 from service.store.documents import LARGEST_ID
+from service.store.files.recordings import RecordingFiles
+from service.store.people.sessions import SessionStore
+from service.store.people.writer import AuditWriter
+from service.store.plant.batches import BatchStore
+from service.store.store import Store
 from service.web.api.access import audit_trail_of
 from service.web.application import Application
 
@@ -47,16 +64,47 @@ async def _application(connection: HTTPConnection) -> Application:
 
 
 ApplicationOf = Annotated[Application, Depends(_application)]
+Part = TypeVar("Part")
 
 
-def who_asks(request: Request, application: Application) -> str:
-    """The name of the authenticated caller; "" without login."""
+def _part(of: Callable[[Application], Part]) -> Callable[..., Coroutine[None, None, Part]]:
+    """One part of the application; NoMachine where it is of the machine and there is none."""
+
+    async def part(application: ApplicationOf) -> Part:
+        return of(application)
+
+    return part
+
+
+SettingsOf = Annotated[Settings, Depends(_part(lambda application: application.settings))]
+StoreOf = Annotated[Store, Depends(_part(lambda application: application.store))]
+FilesOf = Annotated[RecordingFiles, Depends(_part(lambda application: application.files))]
+DiagnosesOf = Annotated[DiagnosisStore, Depends(_part(lambda application: application.diagnoses))]
+ModelsOf = Annotated[ModelStore, Depends(_part(lambda application: application.models))]
+BatchesOf = Annotated[BatchStore, Depends(_part(lambda application: application.batches))]
+FleetOf = Annotated[FleetHistory, Depends(_part(lambda application: application.fleet_history))]
+SessionsOf = Annotated[SessionStore, Depends(_part(lambda application: application.sessions))]
+AuditOf = Annotated[AuditWriter, Depends(_part(lambda application: application.audit))]
+WorkerOf = Annotated[Worker, Depends(_part(lambda application: application.worker))]
+MachineOf = Annotated[Machine, Depends(_part(lambda application: application.machine))]
+RunnerOf = Annotated[Runner, Depends(_part(lambda application: application.runner))]
+DiagnosingOf = Annotated[Diagnosing, Depends(_part(lambda application: application.own.diagnosing))]
+ExperimentsOf = Annotated[Experiments, Depends(_part(lambda application: application.own.experiments))]
+ApprovalsOf = Annotated[Approvals, Depends(_part(lambda application: application.own.approvals))]
+ReidentifyingOf = Annotated[Batches, Depends(_part(lambda application: application.own.batches))]
+
+
+async def _caller(request: Request, application: ApplicationOf) -> str:
     return audit_trail_of(request.scope).actor if application.settings.login else ""
+
+
+CallerOf = Annotated[str, Depends(_caller)]
+"""The name of the authenticated caller; "" without login."""
 
 
 async def _intention(
     request: Request,
-    application: ApplicationOf,
+    by: CallerOf,
     _shown: Annotated[
         str | None,
         Header(
@@ -66,7 +114,7 @@ async def _intention(
         ),
     ] = None,
 ) -> Intention:
-    return Intention(epoch_of(request.scope), who_asks(request, application))
+    return Intention(epoch_of(request.scope), by)
 
 
 IntentionOf = Annotated[Intention, Depends(_intention)]
@@ -105,3 +153,14 @@ def page(items: tuple[Item, ...], limit: int, number: str = "id") -> Page[Item]:
 def set_etag(response: Response, version: int) -> None:
     """Set the strong ETag of a resource's version."""
     response.headers["ETag"] = f'"{version}"'
+
+
+def media(*kinds: str, schema: Mapping[str, str] | None = None) -> dict[int | str, dict[str, Any]]:
+    """The answer 200 of a route as the OpenAPI document declares it: of these media types; default: bytes."""
+    body = {"schema": schema or {"type": "string", "format": "binary"}}
+    return {200: {"content": dict.fromkeys(kinds, body)}}
+
+
+def download(content: str | bytes, media_type: str, name: str) -> Response:
+    """An answer that a browser stores as a file with this name."""
+    return Response(content, media_type=media_type, headers={"Content-Disposition": f'attachment; filename="{name}"'})

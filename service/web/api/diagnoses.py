@@ -11,6 +11,7 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 from starlette.concurrency import run_in_threadpool
 
+from service.jobs.diagnosis_loop import acceptance
 from service.jobs.diagnosis_loop.starting import Start
 from service.model.errors import Conflict
 from service.planning.ahead import Range
@@ -21,7 +22,25 @@ from service.store.access.permissions import Role
 from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, DiagnosisEntry, ModelDocument
 from service.store.documents import LARGEST_ID, PlanRecord
 from service.web.api.campaigns import CampaignView, view
-from service.web.api.dependencies import After, ApplicationOf, Id, IntentionOf, Limit, Page, page, set_etag, who_asks
+from service.web.api.dependencies import (
+    After,
+    ApplicationOf,
+    CallerOf,
+    DiagnosesOf,
+    DiagnosingOf,
+    ExperimentsOf,
+    Id,
+    IntentionOf,
+    Limit,
+    ModelsOf,
+    Page,
+    SettingsOf,
+    StoreOf,
+    download,
+    media,
+    page,
+    set_etag,
+)
 from service.web.api.idempotent import IdempotentRoute
 from service.web.api.permissions import allow
 from service.web.api.plans import PlanView, Typed
@@ -92,19 +111,23 @@ class Figures(BaseModel):
 @diagnosis_routes.post("", status_code=202)
 @allow(Role.ENGINEER)
 async def add_diagnosis(
-    wanted: WantedDiagnosis, request: Request, response: Response, application: ApplicationOf, intention: IntentionOf
+    wanted: WantedDiagnosis,
+    request: Request,
+    response: Response,
+    settings: SettingsOf,
+    diagnosing: DiagnosingOf,
+    experiments: ExperimentsOf,
+    intention: IntentionOf,
 ) -> DiagnosisDocument:
     """Start a diagnosis. It takes seconds per axis; an event reports its end."""
-    if wanted.unattended and not application.settings.virtual_machine:
+    if wanted.unattended and not settings.virtual_machine:
         raise Conflict(
             "unattended experiments are allowed only on virtual machines; the settings do not mark "
             "this machine as virtual"
         )
-    diagnosis = await application.diagnosing.request(
-        wanted.campaigns, wanted.axes, wanted.model, wanted.unattended, wanted.start
-    )
+    diagnosis = await diagnosing.request(wanted.campaigns, wanted.axes, wanted.model, wanted.unattended, wanted.start)
     if wanted.unattended:  # before its first event is heard: no await in between
-        application.experiments.permit(diagnosis.id, intention)
+        experiments.permit(diagnosis.id, intention)
     response.headers["Location"] = str(request.url_for("get_diagnosis", diagnosis_id=diagnosis.id))
     return diagnosis
 
@@ -112,26 +135,26 @@ async def add_diagnosis(
 @diagnosis_routes.get("")
 @allow(Role.VIEWER)
 def list_diagnoses(
-    application: ApplicationOf,
+    diagnoses: DiagnosesOf,
     machine: Annotated[str | None, Query(max_length=64, description="only those of this machine")] = None,
     after: After = 0,
     limit: Limit = 50,
 ) -> Page[DiagnosisEntry]:
     """Diagnoses of all machines of the plant, or of one machine; without their documents."""
-    return page(application.diagnoses.diagnoses(after, limit, machine), limit)
+    return page(diagnoses.diagnoses(after, limit, machine), limit)
 
 
 @diagnosis_routes.get("/{diagnosis_id}")
 @allow(Role.VIEWER)
-def get_diagnosis(diagnosis_id: Id, application: ApplicationOf) -> DiagnosisDocument:
-    return application.diagnoses.diagnosis(diagnosis_id)
+def get_diagnosis(diagnosis_id: Id, diagnoses: DiagnosesOf) -> DiagnosisDocument:
+    return diagnoses.diagnosis(diagnosis_id)
 
 
 @diagnosis_routes.get("/{diagnosis_id}/figures")
 @allow(Role.VIEWER)
-def get_diagnosis_figures(diagnosis_id: Id, application: ApplicationOf) -> Figures:
+def get_diagnosis_figures(diagnosis_id: Id, diagnoses: DiagnosesOf) -> Figures:
     """409 until the diagnosis is done."""
-    return Figures.model_validate({"axes": diagnosis_figures(application.diagnoses.diagnosis(diagnosis_id).found())})
+    return Figures.model_validate({"axes": diagnosis_figures(diagnoses.diagnosis(diagnosis_id).found())})
 
 
 @diagnosis_routes.post("/{diagnosis_id}/plan", status_code=201, response_model=PlanView)
@@ -141,13 +164,14 @@ def plan_experiment(
     wanted: PlanOfExperiment,
     request: Request,
     response: Response,
-    application: ApplicationOf,
+    store: StoreOf,
+    experiments: ExperimentsOf,
+    by: CallerOf,
     typed: Typed,
 ) -> PlanRecord:
     """Store the plan of an axis's next experiment, for review. Nothing moves. 409 `needs-confirmation` as a plan."""
-    by = who_asks(request, application)
-    plan = application.experiments.plan(diagnosis_id, wanted.axis, wanted.cell, typed, by)
-    record = application.store.add_plan(plan.request.robot_id, plan.model_dump(mode="json"))
+    plan = experiments.plan(diagnosis_id, wanted.axis, wanted.cell, typed, by)
+    record = store.add_plan(plan.request.robot_id, plan.model_dump(mode="json"))
     response.headers["Location"] = str(request.url_for("get_plan", plan_id=record.id))
     return record
 
@@ -160,11 +184,12 @@ async def approve_experiment(
     request: Request,
     response: Response,
     application: ApplicationOf,
+    experiments: ExperimentsOf,
     intention: IntentionOf,
     typed: Typed,
 ) -> CampaignView:
     """Plan the next experiment of an axis, start to move and measure. When it is completed, the diagnosis continues."""
-    campaign = await application.experiments.approve(
+    campaign = await experiments.approve(
         diagnosis_id,
         approval.axis,
         approval.approved_by,
@@ -182,10 +207,16 @@ async def approve_experiment(
 @diagnosis_routes.post("/{diagnosis_id}/model", status_code=201)
 @allow(Role.ENGINEER)
 def accept_model(
-    diagnosis_id: Id, acceptance: Acceptance, request: Request, response: Response, application: ApplicationOf
+    diagnosis_id: Id,
+    wanted: Acceptance,
+    request: Request,
+    response: Response,
+    store: StoreOf,
+    diagnoses: DiagnosesOf,
+    models: ModelsOf,
 ) -> ModelDocument:
     """Accept named effects into the robot's model. 409 for an axis without a named effect or with removed ones."""
-    model = application.accept_model(diagnosis_id, acceptance.axes, acceptance.accepted_by)
+    model = acceptance.accept_model(store, diagnoses, models, diagnosis_id, wanted.axes, wanted.accepted_by)
     response.headers["Location"] = str(request.url_for("get_model_revision", model_id=model.id))
     return model
 
@@ -193,33 +224,32 @@ def accept_model(
 @model_routes.get("")
 @allow(Role.VIEWER)
 def list_model_revisions(
-    application: ApplicationOf,
+    models: ModelsOf,
     robot: Annotated[int | None, Query(ge=1, le=LARGEST_ID, description="only models of this robot")] = None,
     after: After = 0,
     limit: Limit = 50,
 ) -> Page[ModelDocument]:
-    return page(application.models.models(robot, after, limit), limit)
+    return page(models.models(robot, after, limit), limit)
 
 
 @model_routes.get("/{model_id}")
 @allow(Role.VIEWER)
-def get_model_revision(model_id: Id, application: ApplicationOf) -> ModelDocument:
-    return application.models.model(model_id)
+def get_model_revision(model_id: Id, models: ModelsOf) -> ModelDocument:
+    return models.model(model_id)
 
 
 @model_routes.get(
     "/{model_id}/scenario.yaml",
     response_class=Response,
-    responses={200: {"content": {"application/yaml": {"schema": {"type": "object"}}}}},
+    responses=media("application/yaml", schema={"type": "object"}),
 )
 @allow(Role.VIEWER)
-def get_model_scenario(model_id: Id, application: ApplicationOf) -> Response:
+def get_model_scenario(model_id: Id, models: ModelsOf) -> Response:
     """The model as a scenario of a virtual machine; it needs the robot's description as `robot.yaml` in its folder.
 
     Comments at the head of the file list the parts that a scenario cannot contain.
     """
-    model = application.models.model(model_id).content
+    model = models.model(model_id).content
     notes = "".join(f"# {note}\n" for note in model.notes)
     text = notes + yaml.safe_dump(model.scenario, sort_keys=False)
-    disposition = {"Content-Disposition": f'attachment; filename="model-{model_id}-scenario.yaml"'}
-    return Response(text, media_type="application/yaml", headers=disposition)
+    return download(text, "application/yaml", f"model-{model_id}-scenario.yaml")

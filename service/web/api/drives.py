@@ -15,7 +15,7 @@ from service.model.errors import NotFound
 from service.store.access.permissions import Role
 from service.store.plant.machines import MachineDocument
 from service.store.rows import NoMachine
-from service.web.api.dependencies import ApplicationOf
+from service.web.api.dependencies import ApplicationOf, MachineOf
 from service.web.api.idempotent import IdempotentRoute
 from service.web.api.permissions import allow
 from service.web.api.problem import Problem
@@ -159,9 +159,8 @@ async def connect(application: ApplicationOf) -> DrivesView:
 
 @drive_routes.post("/{joint}/acknowledge", responses=_NO_ANSWER)
 @allow(Role.OPERATOR)
-async def acknowledge(joint: str, application: ApplicationOf) -> AxisView:
+async def acknowledge(joint: str, machine: MachineOf) -> AxisView:
     """Clear the fault of one axis after a person has checked it. The axis stays without energy."""
-    machine = application.machine
     _check_joint(machine, joint)
     await machine.acknowledge(joint)
     status = await machine.status()

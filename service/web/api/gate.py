@@ -111,9 +111,7 @@ def _limited(receive: Receive, limit: int) -> Receive:
 
 
 _PATH = re.compile(r"/campaigns/(?P<campaign>[0-9]{1,10})(?:/sweeps/(?P<sweep>[0-9]{1,10}))?(?:/|$)")
-_NUMBER = re.compile(r"/[0-9]+(?=/|$)")
 _CHANGES = ("POST", "PUT", "PATCH", "DELETE")  # no spans of reads: they are many, and no estimate results from them
-_LONGEST = 200  # maximum characters of a path in a trace
 
 
 class Logged:
@@ -133,9 +131,9 @@ class Logged:
 
     async def _traced(self, scope: Scope, receive: Receive, send: Send) -> None:
         """A client with its own trace (header `traceparent`) finds the request in that trace."""
-        path = str(scope["path"])[:_LONGEST]
+        path = str(scope["path"])[:200]
         parent = next((value.decode("latin-1") for name, value in scope["headers"] if name == b"traceparent"), "")
-        with TRACING.span(f"{scope['method']} {_NUMBER.sub('/{id}', path)}", parent) as span:
+        with TRACING.span(f"{scope['method']} {re.sub('/[0-9]+(?=/|$)', '/{id}', path)}", parent) as span:
             span.note("http.request.method", scope["method"])
             span.note("url.path", path)
 

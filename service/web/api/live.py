@@ -65,8 +65,6 @@ async def follow_events(
 
 # pyarrow has no type information
 _arrow = cast(Any, pa)
-_UNKNOWN_CAMPAIGN = 4404  # private close code: 4000 + the HTTP status
-_BLOCKS = 16  # last ones, each encoded once for all viewers: a sweep's set-points wait meanwhile
 
 
 @live_routes.websocket("")
@@ -79,7 +77,7 @@ async def send_samples(
     try:
         await run_in_threadpool(application.store.campaign, campaign_id)
     except NotFound as error:
-        await socket.close(_UNKNOWN_CAMPAIGN, str(error))
+        await socket.close(4404, str(error))  # private close code: 4000 + the HTTP status
         return
     sender = asyncio.create_task(
         _send(socket, campaign_id, application, form == "json"), name=f"live samples of campaign {campaign_id}"
@@ -107,7 +105,7 @@ async def _send(socket: WebSocket, campaign_id: int, application: ApplicationOf,
                 await socket.send_bytes(message(block))
 
 
-@lru_cache(_BLOCKS)
+@lru_cache(16)  # each block is encoded once for all viewers: a sweep's set-points wait meanwhile
 def text(block: LiveBlock) -> str:
     """One block as a JSON object; numbers have seven digits."""
     columns = {name: [float(f"{one:.7g}") for one in column] for name, column in _columns(block).items()}
@@ -118,7 +116,7 @@ def _columns(block: LiveBlock) -> dict[str, Array]:
     return {"time": block.time, "effort": block.effort, "velocity": block.velocity, "position": block.position}
 
 
-@lru_cache(_BLOCKS)
+@lru_cache(16)
 def message(block: LiveBlock) -> bytes:
     """One block as an Arrow stream."""
     columns = _columns(block)

@@ -18,14 +18,13 @@ from service.store.access.permissions import Role
 from service.store.people.audit import AuditDocument
 from service.store.people.users import UserDocument, UserStore
 from service.web.api.access import AuditTrail, Guesses, audit_trail_of, cookie_name, too_many, unauthorized
-from service.web.api.dependencies import After, ApplicationOf, Limit, Page
+from service.web.api.dependencies import After, ApplicationOf, AuditOf, Limit, Page, SessionsOf
 from service.web.api.permissions import Permissions, allow
 from service.web.application import Application
 
 login_routes = APIRouter(tags=["people"])
 me_routes = APIRouter(prefix="/me", tags=["people"])
 audit_routes = APIRouter(prefix="/audit", tags=["people"])
-_MOST_WAITING = 8
 
 
 class PasswordCheck:
@@ -43,9 +42,9 @@ class PasswordCheck:
         self._reckoning.shutdown()
 
     async def user(self, users: UserStore, name: str, password: str, trail: AuditTrail) -> UserDocument:
-        """The user with this name and password; his name is added to the trail. Refused: same text and same time for an
-        unknown name as for a wrong password."""
-        if self._waiting >= _MOST_WAITING:
+        """The user with this name and password; his name is added to the trail. RequestRefused: same text and same time
+        for an unknown name as for a wrong password."""
+        if self._waiting >= 8:  # attempts to log in
             trail.hushed = True
             raise too_many("attempts to log in", 1.0)
         self._waiting += 1
@@ -165,12 +164,12 @@ class LoggedOut(BaseModel):
 
 @login_routes.post("/logout")
 @allow(Role.VIEWER)
-async def log_out(request: Request, response: Response, application: ApplicationOf) -> LoggedOut:
+async def log_out(request: Request, response: Response, sessions: SessionsOf) -> LoggedOut:
     """Closes the session of the caller. 409 for a caller without session: an admin revokes keys."""
     trail = audit_trail_of(request.scope)
     if trail.session is None:
         raise Conflict(f"{trail.actor} uses a key, not a session; revoke the key with `sweepid people revoke-key`")
-    await run_in_threadpool(application.sessions.end, trail.session, trail.entry("session ended"))
+    await run_in_threadpool(sessions.end, trail.session, trail.entry("session ended"))
     response.delete_cookie(cookie_name(request.scope), httponly=True, samesite="strict")
     return LoggedOut(session=trail.session)
 
@@ -184,19 +183,14 @@ async def who_asks(request: Request, application: ApplicationOf) -> Me:
 
 @audit_routes.get("")
 @allow(Role.ADMIN)
-def list_audit(
-    application: ApplicationOf, after: After = 0, limit: Limit = 50, newest: bool = False
-) -> Page[AuditDocument]:
+def list_audit(audit: AuditOf, after: After = 0, limit: Limit = 50, newest: bool = False) -> Page[AuditDocument]:
     """Entries, oldest first; with `newest` the last entries instead of those `after` a number.
 
     A change has two entries: `request` before it is executed, `outcome` with its status afterwards.
 
     503 if the table cannot be read.
     """
-    application.audit.settle(_PATIENCE)
-    store = application.audit.store
+    audit.settle(5.0)  # s, longest wait for entries that are not yet written
+    store = audit.store
     found = store.newest(limit) if newest else store.documents(after, limit)
     return Page(items=found, next=found[-1].number if len(found) == limit and not newest else None)
-
-
-_PATIENCE = 5.0  # s, longest wait for entries that are not yet written

@@ -26,18 +26,17 @@ from service.process.settings.identity_provider import Address, IdentityProvider
 from service.store.access.names import is_name, unique_name
 from service.store.access.permissions import Role
 from service.web.api.access import AuditTrail, Guesses, audit_trail_of, cookie_name, too_many, unauthorized
-from service.web.api.dependencies import ApplicationOf
+from service.web.api.dependencies import ApplicationOf, SettingsOf
 from service.web.api.gate import from_own_page
 from service.web.api.login import Me, begin_session, secure
 from service.web.api.permissions import allow
-from service.web.api.problem import Refused
+from service.web.api.problem import RequestRefused
 
 if TYPE_CHECKING:  # optional: only an installation with an identity provider has it
     from joserfc.jwk import KeySetSerialization
 
 _LASTS = 600.0  # s to log in at the provider
 _PATIENCE = 8.0  # s for all requests of one step
-_MOST_WAITING = 8  # requests that wait for the provider
 
 
 @dataclass(frozen=True)
@@ -308,11 +307,11 @@ class OidcLogin:
     async def begin(self, own: str) -> tuple[str, str]:
         """The value of the cookie, and the address where the browser logs in. ProviderSilent; Conflict."""
         cookie, ticket = self._tickets.issue(self.page(own), time.monotonic())
-        async with _Place(self):
+        async with _WaitingPlace(self):
             return cookie, await self._exchange.address(ticket)
 
     async def named(self, cookie: str, state: str, code: str, trail: AuditTrail) -> Named:
-        """The person that the provider names. Refused: 401 for invalid input, 429 for too many. ProviderSilent."""
+        """The person of the provider. RequestRefused: 401 for invalid input, 429 for too many. ProviderSilent."""
         now = time.monotonic()
         if wait := self._guesses.wait(trail.address, None, now):
             trail.hushed = not self._guesses.first_refusal(trail.address)
@@ -321,7 +320,7 @@ class OidcLogin:
         if ticket is None:
             raise self._wrong("unknown or expired login state in this browser: start the login again", trail)
         try:
-            async with _Place(self):
+            async with _WaitingPlace(self):
                 return await self._exchange.named(code, ticket)
         except BadIdToken as error:
             raise self._wrong(str(error), trail) from None
@@ -333,20 +332,20 @@ class OidcLogin:
         )
 
     def enter(self) -> None:
-        """Refused if too many requests wait."""
-        if self._waiting >= _MOST_WAITING:
+        """RequestRefused if too many requests wait."""
+        if self._waiting >= 8:  # requests that wait for the provider
             raise too_many("logins at the identity provider", 1.0)
         self._waiting += 1
 
     def leave(self) -> None:
         self._waiting -= 1
 
-    def _wrong(self, detail: str, trail: AuditTrail) -> Refused:
+    def _wrong(self, detail: str, trail: AuditTrail) -> RequestRefused:
         self._guesses.wrong(trail.address, time.monotonic())
         return unauthorized(detail)
 
 
-class _Place:
+class _WaitingPlace:
     """One of the few places of requests that may wait for the provider at the same time."""
 
     def __init__(self, of: OidcLogin) -> None:
@@ -393,10 +392,10 @@ class Code(BaseModel):
 
 @router.get("")
 @allow(None)
-async def login_ways(request: Request, application: ApplicationOf) -> LoginWays:
+async def login_ways(request: Request, settings: SettingsOf) -> LoginWays:
     """The available ways to log in; needs no login."""
     oidc: OidcLogin | None = request.app.state.oidc
-    return LoginWays(login=application.settings.login, oidc=None if oidc is None else oidc.settings.label)
+    return LoginWays(login=settings.login, oidc=None if oidc is None else oidc.settings.label)
 
 
 @router.post("/oidc")
@@ -437,7 +436,7 @@ async def end_oidc(code: Code, request: Request, response: Response, application
         detail = (
             f"no group of {named.name} at {named.issuer} is assigned to a role: ask the administrator of this service"
         )
-        raise Refused(HTTPStatus.FORBIDDEN, "no-role", detail)
+        raise RequestRefused(HTTPStatus.FORBIDDEN, "no-role", detail)
     trail.actor, trail.role = user.name, user.role
     if user.trouble:
         raise unauthorized(user.trouble)
@@ -446,7 +445,7 @@ async def end_oidc(code: Code, request: Request, response: Response, application
 
 
 def _set(request: Request) -> OidcLogin:
-    """Conflict if no provider is set; Refused for a request that does not come from a page of this service."""
+    """Conflict if no provider is set; RequestRefused for a request that does not come from a page of this service."""
     oidc: OidcLogin | None = request.app.state.oidc
     if oidc is None:
         raise Conflict("no identity provider is configured: set `oidc`")
@@ -454,5 +453,5 @@ def _set(request: Request) -> OidcLogin:
         detail = (
             "request that does not come from a page of this service: programs send a key, as Authorization: Bearer KEY"
         )
-        raise Refused(HTTPStatus.FORBIDDEN, "foreign-request", detail)
+        raise RequestRefused(HTTPStatus.FORBIDDEN, "foreign-request", detail)
     return oidc

@@ -30,17 +30,6 @@ if __name__ == "__main__":
 
 
 _PROBLEM = {"$ref": f"#/components/schemas/{Problem.__name__}"}
-_KEY = {
-    "type": "http",
-    "scheme": "bearer",
-    "description": "an API key, where the service has the setting `login: true`",
-}
-_SESSION = {
-    "type": "apiKey",
-    "in": "cookie",
-    "name": "sweepid-8642",
-    "description": "a session, which POST /login opens; its cookie bears the number of the port",
-}
 
 
 class DeclaredApi(FastAPI):
@@ -49,7 +38,19 @@ class DeclaredApi(FastAPI):
     def openapi(self) -> dict[str, Any]:
         document = super().openapi()
         permissions: Permissions = self.state.permissions
-        document["components"].setdefault("securitySchemes", {}).update(key=_KEY, session=_SESSION)
+        document["components"].setdefault("securitySchemes", {}).update(
+            key={
+                "type": "http",
+                "scheme": "bearer",
+                "description": "an API key, where the service has the setting `login: true`",
+            },
+            session={
+                "type": "apiKey",
+                "in": "cookie",
+                "name": "sweepid-8642",
+                "description": "a session, which POST /login opens; its cookie bears the number of the port",
+            },
+        )
         for where, path in cast("dict[str, dict[str, Any]]", document["paths"]).items():
             for method, operation in path.items():
                 needed = permissions.roles[method.upper(), where]
@@ -76,7 +77,6 @@ def _refusals(needed: Role) -> dict[str, Any]:
 
 _EXAMPLES: Json = json.loads(files("service.web.api").joinpath("examples.json").read_text("utf-8"))
 _NO_DESCRIPTION = "Successful Response"  # FastAPI's text for an answer without description
-_MODELS = "#/components/schemas/"
 _TEXTS: dict[str, tuple[str, str]] = {
     "application/pdf": ("The file: pages of A4, or the tables.", "%PDF and pages"),
     "application/vnd.apache.parquet": ("The recording's file, with the columns of a bundle.", "PAR1 and columns"),
@@ -115,7 +115,7 @@ def complete(document: Json) -> None:
 def _described(document: Json, schema: Json, media: str) -> tuple[str, str]:
     """Description of the answer, and the name of its example."""
     some = schema.get("anyOf", [schema])[0]  # an alternative null needs no description of its own
-    of = some.get("items", some).get("$ref", "").removeprefix(_MODELS)
+    of = some.get("items", some).get("$ref", "").removeprefix("#/components/schemas/")
     if not of:
         return _TEXTS.get(media, ("", ""))[0] or _NO_DESCRIPTION, media.replace("/", ".")
     page, item = of.startswith("Page_"), of.removeprefix("Page_").removesuffix("_")

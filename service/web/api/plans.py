@@ -33,7 +33,18 @@ from service.store.documents import PlanRecord, RobotDocument
 from service.store.tables import now
 from service.web.api.access import audit_trail_of
 from service.web.api.campaigns import expected_time
-from service.web.api.dependencies import After, ApplicationOf, Id, IntentionOf, Limit, Page, page, who_asks
+from service.web.api.dependencies import (
+    After,
+    ApplicationOf,
+    ApprovalsOf,
+    CallerOf,
+    Id,
+    IntentionOf,
+    Limit,
+    Page,
+    StoreOf,
+    page,
+)
 from service.web.api.idempotent import IdempotentRoute
 from service.web.api.permissions import allow
 from service.web.api.problem import TAG
@@ -74,15 +85,15 @@ class RobotEntry(BaseModel):
 
 @robot_routes.post("", status_code=201)
 @allow(Role.ENGINEER)
-def add_robot(robot: NewRobot, application: ApplicationOf) -> RobotDocument:
+def add_robot(robot: NewRobot, store: StoreOf) -> RobotDocument:
     """Store a robot. The same description and URDF give the same robot."""
-    return application.store.add_robot(robot_from_outside(robot.description, robot.urdf_text))
+    return store.add_robot(robot_from_outside(robot.description, robot.urdf_text))
 
 
 @robot_routes.get("")
 @allow(Role.VIEWER)
-def list_robots(application: ApplicationOf, after: After = 0, limit: Limit = 50) -> Page[RobotEntry]:
-    robots = application.store.robots(after, limit)
+def list_robots(store: StoreOf, after: After = 0, limit: Limit = 50) -> Page[RobotEntry]:
+    robots = store.robots(after, limit)
     entries = tuple(
         RobotEntry(
             id=robot.id,
@@ -97,8 +108,8 @@ def list_robots(application: ApplicationOf, after: After = 0, limit: Limit = 50)
 
 @robot_routes.get("/{robot_id}")
 @allow(Role.VIEWER)
-def get_robot(robot_id: Id, application: ApplicationOf) -> RobotDocument:
-    return application.store.robot(robot_id)
+def get_robot(robot_id: Id, store: StoreOf) -> RobotDocument:
+    return store.robot(robot_id)
 
 
 def _kind(body: object) -> str:
@@ -134,6 +145,7 @@ def add_plan(
     request: Request,
     response: Response,
     application: ApplicationOf,
+    by: CallerOf,
     typed: Typed,
     elsewhere: bool = False,
 ) -> PlanRecord:
@@ -157,7 +169,7 @@ def add_plan(
     cell = read_cell(application.settings.cells_dir / f"{wanted.cell}.yaml")
     made_for = None
     if not elsewhere:
-        confirmed = setup.confirmed(origin, wanted.cell, typed, who_asks(request, application))
+        confirmed = setup.confirmed(origin, wanted.cell, typed, by)
         made_for = confirmed.model_copy(update={"narrowed": narrowed(robot, setup.axes)})
         robot = on_machine(robot, setup.axes)
     if isinstance(wanted, AnalysisRequest):
@@ -191,14 +203,14 @@ def _with_excitation(wanted: AnalysisRequest, application: Application) -> Analy
 
 @plan_routes.get("", response_model=Page[PlanView])
 @allow(Role.VIEWER)
-def list_plans(application: ApplicationOf, after: After = 0, limit: Limit = 50) -> Page[PlanRecord]:
-    return page(application.store.plans(after, limit), limit)
+def list_plans(store: StoreOf, after: After = 0, limit: Limit = 50) -> Page[PlanRecord]:
+    return page(store.plans(after, limit), limit)
 
 
 @plan_routes.get("/{plan_id}", response_model=PlanView)
 @allow(Role.VIEWER)
-def get_plan(plan_id: Id, application: ApplicationOf) -> PlanRecord:
-    return application.store.plan(plan_id)
+def get_plan(plan_id: Id, store: StoreOf) -> PlanRecord:
+    return store.plan(plan_id)
 
 
 class NewApproval(BaseModel):
@@ -230,14 +242,14 @@ class PlanApprovals(BaseModel):
 
 @approval_routes.get("")
 @allow(Role.VIEWER)
-def list_approvals(plan_id: Id, request: Request, application: ApplicationOf) -> PlanApprovals:
-    sha256, by = _sha256(application, plan_id), who_asks(request, application)
+def list_approvals(plan_id: Id, application: ApplicationOf, approvals: ApprovalsOf, by: CallerOf) -> PlanApprovals:
+    sha256 = _sha256(application, plan_id)
     return PlanApprovals(
-        needed=application.approvals.needed,
+        needed=approvals.needed,
         subject=application.subjects(plan_id),
         sha256=sha256,
-        missing=application.approvals.missing(plan_id, sha256, by),
-        items=tuple(_view(each, sha256) for each in application.approvals.of_plan(plan_id)),
+        missing=approvals.missing(plan_id, sha256, by),
+        items=tuple(_view(each, sha256) for each in approvals.of_plan(plan_id)),
     )
 
 
@@ -259,7 +271,7 @@ def approve_plan(
     }
     sha256 = _sha256(application, plan_id)
     wanted = partial(application.machine.epochs.check, intention)
-    return _view(application.approvals.add(plan_id, new.sha256, sha256, by, wanted), sha256)
+    return _view(application.own.approvals.add(plan_id, new.sha256, sha256, by, wanted), sha256)
 
 
 def _sha256(application: Application, plan_id: int) -> str:

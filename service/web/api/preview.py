@@ -24,7 +24,7 @@ from service.planning.plan import PlanDocument
 from service.planning.safety.envelope import Envelope
 from service.store.access.permissions import Role
 from service.store.documents import PlanRecord
-from service.web.api.dependencies import ApplicationOf, Id
+from service.web.api.dependencies import ApplicationOf, Id, SettingsOf, StoreOf
 from service.web.api.permissions import allow
 from service.web.application import Application
 
@@ -158,7 +158,6 @@ def _ahead(
     )
 
 
-LARGEST_SHOWN = 4000  # poses of a grid in one answer; of a larger grid every second, third ... pose is given
 Corners = tuple[tuple[float, float], ...]
 
 
@@ -213,21 +212,22 @@ class Cells(BaseModel):
 
 @picture_routes.get("/cells")
 @allow(Role.VIEWER)
-def list_cells(application: ApplicationOf) -> Cells:
-    return Cells(names=tuple(sorted(file.stem for file in application.settings.cells_dir.glob("*.yaml"))))
+def list_cells(settings: SettingsOf) -> Cells:
+    return Cells(names=tuple(sorted(file.stem for file in settings.cells_dir.glob("*.yaml"))))
 
 
 @picture_routes.get("/plans/{plan_id}/picture")
 @allow(Role.VIEWER)
 def get_picture(
     plan_id: Id,
-    application: ApplicationOf,
+    store: StoreOf,
+    settings: SettingsOf,
     sweep: Annotated[int, Query(ge=1, le=100_000, description="number of the sweep, from 1")] = 1,
     step: Annotated[int | None, Query(ge=0, le=10_000, description="legs done; default: all, the sweep's pose")] = None,
 ) -> Picture:
     """The picture is computed for each request. Nothing moves."""
-    record = application.store.plan(plan_id)
-    plan, robot = plan_of(record), application.store.robot(record.robot_id).build()
+    record = store.plan(plan_id)
+    plan, robot = plan_of(record), store.robot(record.robot_id).build()
     if sweep > len(plan.sweeps):
         raise NotFound(f"sweep {sweep} does not exist; plan {plan_id} has {len(plan.sweeps)} sweeps")
     wanted = plan.sweeps[sweep - 1]
@@ -235,7 +235,7 @@ def get_picture(
     done = steps if step is None else step
     if done > steps:
         raise NotFound(f"leg {done} does not exist; sweep {sweep} of plan {plan_id} is reached in {steps} legs")
-    cell = read_cell(application.settings.cells_dir / f"{plan.request.cell}.yaml")
+    cell = read_cell(settings.cells_dir / f"{plan.request.cell}.yaml")
     pose = list(cell.home_pose(robot.joints) if sweep == 1 else plan.sweeps[sweep - 2].spec.pose)
     for leg in wanted.legs[:done]:
         pose[robot.index(leg.joint)] = leg.target
@@ -257,18 +257,19 @@ def get_picture(
 
 @picture_routes.get("/plans/{plan_id}/grid")
 @allow(Role.VIEWER)
-def get_grid(plan_id: Id, application: ApplicationOf) -> PoseGrid:
+def get_grid(plan_id: Id, store: StoreOf, settings: SettingsOf) -> PoseGrid:
     """409 for a plan that was not chosen from a grid (experiments, trajectories)."""
-    record = application.store.plan(plan_id)
-    plan, robot = plan_of(record), application.store.robot(record.robot_id).build()
+    most = 4000  # poses in one answer; of a larger grid every second, third ... pose is given
+    record = store.plan(plan_id)
+    plan, robot = plan_of(record), store.robot(record.robot_id).build()
     if not isinstance(plan, PlanDocument):
         raise Conflict(f"plan {plan_id} was not chosen from a grid of poses")
-    cell = read_cell(application.settings.cells_dir / f"{plan.request.cell}.yaml")
+    cell = read_cell(settings.cells_dir / f"{plan.request.cell}.yaml")
     envelope = Envelope(robot, cell)
     poses = grid(robot, plan.request, envelope, np.array(cell.home_pose(robot.joints)))
     measured = np.array([one.spec.pose for one in plan.sweeps])
     chosen = (np.abs(poses[:, None, :] - measured[None, :, :]).max(axis=2) < 1e-6).any(axis=1)
-    shown = chosen | (np.arange(len(poses)) % -(-len(poses) // LARGEST_SHOWN) == 0)
+    shown = chosen | (np.arange(len(poses)) % -(-len(poses) // most) == 0)
     poses, chosen = poses[shown], chosen[shown]
     free = envelope.checker.collision_free(poses)
     room = np.zeros(len(poses), dtype=bool)

@@ -44,9 +44,6 @@ _NOT_CONFIRMED: dict[int | str, dict[str, Any]] = {
         "content": {"application/json": {"examples": {"answer": {"value": _UNCONFIRMED.model_dump(mode="json")}}}},
     }
 }
-_NOT_RELEASED: dict[int | str, dict[str, Any]] = {
-    503: {"model": Problem, "description": "not released: the database or the audit cannot be written"}
-}
 
 
 _NOTHING_STOPPED = (
@@ -152,7 +149,10 @@ async def stop(
     return Stopped(**view, sent=machine.joints, confirmed=machine.joints, unconfirmed={})
 
 
-@router.post("/reset", responses=_NOT_RELEASED)
+@router.post(
+    "/reset",
+    responses={503: {"model": Problem, "description": "not released: the database or the audit cannot be written"}},
+)
 @allow(Role.OPERATOR)
 async def reset_stop(request: Request, reset: Reset, application: ApplicationOf) -> StopView:
     """Release these stops and no others. A repeated request changes nothing. Motion is possible when no stop is left.
