@@ -1,5 +1,7 @@
 """Results as files, and as JSON on stdout."""
 
+from __future__ import annotations
+
 import csv
 import io
 import json
@@ -9,15 +11,22 @@ from collections.abc import Generator, Iterable, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import typer
-from rich.console import Console
-from rich.table import Table as RichTable
 
 from service.model.errors import writing
-from service.model.results.part import Part
-from service.model.results.table import Shown, Table
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    from service.model.results.check import DataCheck
+    from service.model.results.diagnosis import Diagnosis
+    from service.model.results.estimate import Estimate
+    from service.model.results.identified.payload import Payload
+    from service.model.results.part import Part
+    from service.model.results.table import Shown, Table
 
 
 def put_json(document: Part, json_to: str | None) -> bool:
@@ -27,6 +36,12 @@ def put_json(document: Part, json_to: str | None) -> bool:
     elif json_to is not None:
         write_file(Path(json_to), document.to_json())
     return json_to == "-"
+
+
+def show(found: DataCheck | Diagnosis | Estimate | Payload, json_to: str | None) -> None:
+    """Write a result as JSON where that is asked for, and print its tables unless stdout has the JSON."""
+    if not put_json(found, json_to):
+        print_result(found)
 
 
 def write_file(path: Path, content: str | bytes) -> None:
@@ -81,6 +96,10 @@ def counted(items: Sequence[Item], of_what: str) -> Iterable[Item]:
 
 def print_result(found: Shown, console: Console | None = None) -> None:
     """Its tables, fitted to the terminal, and its sentences. `console` None: stdout."""
+    from rich.console import Console
+
+    from service.model.results.table import Table
+
     console = console or Console()
     for part in found.shown():
         if isinstance(part, Table):
@@ -90,6 +109,8 @@ def print_result(found: Shown, console: Console | None = None) -> None:
 
 
 def _table(table: Table) -> RichTable:
+    from rich.table import Table as RichTable
+
     wide = any(len(text) > 60 for column in table.columns for text in column.texts)  # sentences, of several lines
     shown = RichTable(title=table.title, show_lines=wide)
     for column in table.columns:

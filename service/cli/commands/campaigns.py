@@ -80,7 +80,7 @@ def plan(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Plan a campaign. Nothing moves. Prints the number of the plan, and on stderr what the plan promises."""
-    from service.cli.terminal import waiting
+    from service.cli.terminal import waiting, write_file
     from service.web.client import ServiceClient
 
     numbers = {"--step": step, "--sample-rate": sample_rate, "--duration": duration, "--confidence": confidence}
@@ -121,7 +121,7 @@ def plan(
     tell_subject(planned)
     _tell_plan(planned["document"], planned["expected_time"])
     if out is not None:
-        _write_plan(out, planned)
+        write_file(out, json.dumps(planned, indent=2))
     sys.stdout.write(f"{planned['id']}\n")
 
 
@@ -207,13 +207,6 @@ def _frequencies(text: str) -> list[float]:
         return [float(name) for name in _names(text)]
     except ValueError:
         raise BadInput("--lines", f"{text} is not a list of numbers") from None
-
-
-def _write_plan(path: Path, document: Json) -> None:
-    try:
-        path.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise BadInput(str(path), f"cannot be written: {error.strerror}") from None
 
 
 def robot_number(client: ServiceClient, side_file: Path | None) -> int:

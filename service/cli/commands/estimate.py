@@ -90,14 +90,11 @@ def payload(
     json_to: JsonTo = None,
 ) -> None:
     """Identify a payload on the last link from the same motions with and without it."""
-    from service.cli.terminal import put_json, waiting
+    from service.cli.terminal import show, waiting
 
     with waiting("identifying the payload"):
         found = sweepid.payload(before, after, torque_gain=gains)
-    if not put_json(found, json_to):
-        from service.cli.terminal import print_result
-
-        print_result(found)
+    show(found, json_to)
 
 
 def benefit(

@@ -32,7 +32,7 @@ def identify(
     report: Annotated[Path | None, typer.Option(help="Write the result with figures to this HTML file.")] = None,
 ) -> None:
     """Identify a robot from the sweeps of a bundle."""
-    from service.cli.terminal import counted, put_json, waiting, write_file
+    from service.cli.terminal import counted, show, waiting, write_file
 
     with waiting("reading the bundle"):
         measured = sweepid.read_bundle(bundle)
@@ -42,10 +42,7 @@ def identify(
         from service.cli.report_pages import bundle_page
 
         write_file(report, bundle_page(measured, found, str(bundle)).html())
-    if not put_json(found, json_to):
-        from service.cli.terminal import print_result
-
-        print_result(found)
+    show(found, json_to)
 
 
 def diagnose(
@@ -70,7 +67,7 @@ def diagnose(
     report: Annotated[Path | None, typer.Option(help="Write a page with figures here.", metavar="FILE")] = None,
 ) -> None:
     """Find where simulation and measurement disagree, and name the missing effect."""
-    from service.cli.terminal import counted, put_json, waiting, write_file
+    from service.cli.terminal import counted, show, waiting, write_file
 
     with waiting("diagnosing"):
         measured = sweepid.read_bundle(bundle)
@@ -87,10 +84,7 @@ def diagnose(
         from service.report import diagnosis_page
 
         write_file(report, diagnosis_page(found, f"Diagnosis of the robot {found.model.robot}", str(bundle)).html())
-    if not put_json(found, json_to):
-        from service.cli.terminal import print_result
-
-        print_result(found)
+    show(found, json_to)
 
 
 def write_scenario(path: Path, robot: Robot, model: DiagnosedModel) -> None:
@@ -114,14 +108,11 @@ def check(
     json_to: JsonTo = None,
 ) -> None:
     """Tell what is wrong with recordings and robot file, before any physics."""
-    from service.cli.terminal import put_json, waiting
+    from service.cli.terminal import show, waiting
 
     with waiting("checking the data"):
         found = sweepid.check(bundle)
-    if not put_json(found, json_to):
-        from service.cli.terminal import print_result
-
-        print_result(found)
+    show(found, json_to)
 
 
 def check_sheet(

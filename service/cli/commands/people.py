@@ -34,8 +34,7 @@ def add_user(
 
     name, what = name_of(name), role_of(role)
     with opened(config, data_dir, make=True) as database:
-        added = UserStore(database).add(name, what, password_for(name), shell_entry())
-    sys.stdout.write(f"{added.name}\n")
+        typer.echo(UserStore(database).add(name, what, password_for(name), shell_entry()).name)
 
 
 def change_password(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
@@ -44,8 +43,7 @@ def change_password(name: Name, config: Config = None, data_dir: DataDir = None)
     from service.store.people.users import UserStore
 
     with opened(config, data_dir) as database:
-        changed = UserStore(database).change_password(name, password_for(name), shell_entry())
-    sys.stdout.write(f"{changed.name}\n")
+        typer.echo(UserStore(database).change_password(name, password_for(name), shell_entry()).name)
 
 
 def disable_user(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
@@ -54,8 +52,7 @@ def disable_user(name: Name, config: Config = None, data_dir: DataDir = None) ->
     from service.store.people.users import UserStore
 
     with opened(config, data_dir) as database:
-        disabled = UserStore(database).shut_out(name, shell_entry())
-    sys.stdout.write(f"{disabled.name}\n")
+        typer.echo(UserStore(database).shut_out(name, shell_entry()).name)
 
 
 def enable_user(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
@@ -64,8 +61,7 @@ def enable_user(name: Name, config: Config = None, data_dir: DataDir = None) -> 
     from service.store.people.users import UserStore
 
     with opened(config, data_dir) as database:
-        enabled = UserStore(database).let_in(name, shell_entry())
-    sys.stdout.write(f"{enabled.name}\n")
+        typer.echo(UserStore(database).let_in(name, shell_entry()).name)
 
 
 def sessions(config: Config = None, data_dir: DataDir = None) -> None:
@@ -87,8 +83,7 @@ def revoke_session(
     from service.cli.database import opened, session_store, shell_entry
 
     with opened(config, data_dir) as database:
-        ended = session_store(database, config).end(number, shell_entry())
-    sys.stdout.write(f"{ended.id}\n")
+        typer.echo(session_store(database, config).end(number, shell_entry()).id)
 
 
 def add_key(
@@ -117,8 +112,7 @@ def revoke_key(name: Name, config: Config = None, data_dir: DataDir = None) -> N
     from service.store.people.keys import KeyStore
 
     with opened(config, data_dir) as database:
-        revoked = KeyStore(database).revoke(name, shell_entry())
-    sys.stdout.write(f"{revoked.name}\n")
+        typer.echo(KeyStore(database).revoke(name, shell_entry()).name)
 
 
 def list_people(config: Config = None, data_dir: DataDir = None) -> None:

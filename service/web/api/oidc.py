@@ -9,6 +9,8 @@ import asyncio
 import secrets
 import time
 from collections import OrderedDict
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from http import HTTPStatus
 from importlib.util import find_spec
@@ -307,7 +309,7 @@ class OidcLogin:
     async def begin(self, own: str) -> tuple[str, str]:
         """The value of the cookie, and the address where the browser logs in. ProviderSilent; Conflict."""
         cookie, ticket = self._tickets.issue(self.page(own), time.monotonic())
-        async with _WaitingPlace(self):
+        with self._place():
             return cookie, await self._exchange.address(ticket)
 
     async def named(self, cookie: str, state: str, code: str, trail: AuditTrail) -> Named:
@@ -320,7 +322,7 @@ class OidcLogin:
         if ticket is None:
             raise self._wrong("unknown or expired login state in this browser: start the login again", trail)
         try:
-            async with _WaitingPlace(self):
+            with self._place():
                 return await self._exchange.named(code, ticket)
         except BadIdToken as error:
             raise self._wrong(str(error), trail) from None
@@ -331,31 +333,20 @@ class OidcLogin:
             (Role[self.settings.roles[one].upper()] for one in groups if one in self.settings.roles), default=None
         )
 
-    def enter(self) -> None:
-        """RequestRefused if too many requests wait."""
-        if self._waiting >= 8:  # requests that wait for the provider
+    @contextmanager
+    def _place(self) -> Generator[None]:
+        """One of the few places of requests that may wait for the provider at once. RequestRefused if there is none."""
+        if self._waiting >= 8:
             raise too_many("logins at the identity provider", 1.0)
         self._waiting += 1
-
-    def leave(self) -> None:
-        self._waiting -= 1
+        try:
+            yield
+        finally:
+            self._waiting -= 1
 
     def _wrong(self, detail: str, trail: AuditTrail) -> RequestRefused:
         self._guesses.wrong(trail.address, time.monotonic())
         return unauthorized(detail)
-
-
-class _WaitingPlace:
-    """One of the few places of requests that may wait for the provider at the same time."""
-
-    def __init__(self, of: OidcLogin) -> None:
-        self._of = of
-
-    async def __aenter__(self) -> None:
-        self._of.enter()
-
-    async def __aexit__(self, *_: object) -> None:
-        self._of.leave()
 
 
 def open_oidc(settings: IdentityProvider | None, guesses: Guesses) -> OidcLogin | None:
