@@ -1,8 +1,12 @@
-"""A loader of YAML files that anybody may have written."""
+"""Reads YAML files that anybody may have written, and those that describe a machine: profiles and maps."""
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Protocol, cast
 
 import yaml
+
+from drivers.errors import BadProfile
 
 # PyYAML raises these in addition to YAMLError for a value that does not fit its tag (`2001-13-45`, `!!bool x`)
 NO_VALUE = (ValueError, LookupError, AttributeError)
@@ -56,3 +60,23 @@ class BoundedLoader(yaml.SafeLoader):
 
 def _refusal(problem: str, event: yaml.Event) -> yaml.YAMLError:
     return yaml.MarkedYAMLError(None, None, problem, event.start_mark)
+
+
+LARGEST = 2**20  # bytes
+
+
+def read_mapping(path: Path, key: str) -> Mapping[str, object]:
+    """The content of the file, which must have the key `key`. BadProfile has the reason but not the file name."""
+    try:
+        with path.open("rb") as file:
+            text = file.read(LARGEST + 1)
+        if len(text) > LARGEST:
+            raise BadProfile(f"is larger than {LARGEST} bytes")
+        content: object = yaml.load(text.decode("utf-8"), Loader=BoundedLoader)
+    except OSError as error:
+        raise BadProfile(str(error.strerror)) from None
+    except (yaml.YAMLError, *NO_VALUE) as error:
+        raise BadProfile(f"not YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(content, Mapping):
+        raise BadProfile(f"must be a mapping with the key '{key}'")
+    return cast("Mapping[str, object]", content)

@@ -177,13 +177,10 @@ class SweepInterrupted(DriveError, code=CauseCode.SWEEP_INTERRUPTED):
     """A sweep, a move or enabling was stopped before its end. All samples up to then were delivered."""
 
 
-_EVERY_DIGIT = 17  # significant digits that tell any two floating-point numbers apart
-
-
 def distinct(value: float, *limits: float, digits: int = 5) -> tuple[str, ...]:
     """A value and its limits for a message: `digits` significant digits, and more where it takes them to tell `value`
     from a limit that it differs from.
     """
     shown = tuple(f"{each:.{digits}g}" for each in (value, *limits))
     same = any(text == shown[0] and limit != value for text, limit in zip(shown[1:], limits, strict=True))
-    return distinct(value, *limits, digits=digits + 1) if same and digits < _EVERY_DIGIT else shown
+    return distinct(value, *limits, digits=digits + 1) if same and digits < 17 else shown

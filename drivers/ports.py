@@ -98,9 +98,7 @@ class SetPointTiming:
 
 @dataclass(frozen=True, slots=True)
 class BusTraffic:
-    """Number of frames on an open bus so far. `bits`: all frames without stuff bits. `bitrate` in bit/s, None if
-    unknown.
-    """
+    """Frames on an open bus so far. `bits`: of all, without stuff bits. `bitrate` in bit/s, None if unknown."""
 
     received: int
     sent: int
@@ -286,9 +284,7 @@ class StopSender(Protocol):
         ...
 
     def insist(self) -> None:
-        """As `send`, and additionally make the drives ignore a host that continues to send; used if no service takes
-        over.
-        """
+        """As `send`, and make the drives ignore a host that continues to send; used if no service takes over."""
         ...
 
     def close(self) -> None:
@@ -343,9 +339,7 @@ class DrivePort(Protocol):
         ...
 
     async def move_to(self, joint: str, position: float, velocity: float) -> None:
-        """Move one enabled axis to `position`, rad (m), at most at `velocity`, rad/s (m/s); returns at standstill
-        there.
-        """
+        """Move one enabled axis to `position`, rad (m), at most at `velocity`, rad/s (m/s); returns at standstill."""
         ...
 
     def run_sweep(self, *commands: SweepCommand) -> AsyncGenerator[SampleBlock, None]:
@@ -390,9 +384,7 @@ class DrivePort(Protocol):
         ...
 
     def stop_sender(self) -> "StopSender":
-        """For a separate process. Raises NotReady with the reason if there cannot be one, e.g. a bus with a single
-        owner.
-        """
+        """For a separate process. Raises NotReady if there cannot be one, for example on a bus with a single owner."""
         ...
 
     async def faults(self) -> tuple[Fault, ...]:

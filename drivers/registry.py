@@ -5,11 +5,9 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import cast
 
+from drivers.bounded_yaml import read_mapping
 from drivers.errors import BadProfile
 from drivers.ports import DrivePort
-from drivers.yaml_file import read_mapping
-
-GROUP = "sweepid.drives"
 
 Factory = Callable[[Mapping[str, object], Path], DrivePort]
 
@@ -37,7 +35,7 @@ def open_drive(profile: Mapping[str, object], base: Path) -> DrivePort:
     Raises BadProfile if the key ``adapter`` does not name a registered adapter, or if the adapter refuses the
     profile.
     """
-    adapters = {entry.name: entry for entry in entry_points(group=GROUP)}
+    adapters = {entry.name: entry for entry in entry_points(group="sweepid.drives")}
     name = profile.get("adapter")
     if not isinstance(name, str) or name not in adapters:
         raise BadProfile(f"adapter: {name!r} is unknown; installed: {', '.join(sorted(adapters)) or 'none'}")

@@ -10,106 +10,51 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from simulator.effects.thermal_order import Turn, warmth
-    from simulator.moving_axis import MovingAxis
-    from simulator.replaying import Motion, replay
-    from simulator.rigid_body import Gravity
-    from simulator.scenario import (
-        Appendage,
-        DrivenAxis,
-        DriveTrain,
-        Friction,
-        GearError,
-        Hose,
-        LinkDeviation,
-        LuGre,
-        Measurement,
-        Patch,
-        PowerLaw,
-        Ripple,
-        Scenario,
-        ScenarioError,
-        SpeedControl,
-        Spring,
-        Stribeck,
-        Warming,
-        load_scenario,
-    )
-    from simulator.sweeps import NoiseRun, SweepRun, run_sweeps
-    from simulator.trajectories import run_trajectories
-    from simulator.truth import true_inertia
-    from simulator.waveform import Waveform
+    from simulator.effects import Turn as Turn
+    from simulator.effects import warmth as warmth
+    from simulator.replaying import Motion as Motion
+    from simulator.replaying import replay as replay
+    from simulator.rigid_body import Gravity as Gravity
+    from simulator.rigid_body import MovingAxis as MovingAxis
+    from simulator.rigid_body import true_inertia as true_inertia
+    from simulator.scenario import Appendage as Appendage
+    from simulator.scenario import DrivenAxis as DrivenAxis
+    from simulator.scenario import DriveTrain as DriveTrain
+    from simulator.scenario import Friction as Friction
+    from simulator.scenario import GearError as GearError
+    from simulator.scenario import Hose as Hose
+    from simulator.scenario import LinkDeviation as LinkDeviation
+    from simulator.scenario import LuGre as LuGre
+    from simulator.scenario import Measurement as Measurement
+    from simulator.scenario import Patch as Patch
+    from simulator.scenario import PowerLaw as PowerLaw
+    from simulator.scenario import Ripple as Ripple
+    from simulator.scenario import Scenario as Scenario
+    from simulator.scenario import ScenarioError as ScenarioError
+    from simulator.scenario import SpeedControl as SpeedControl
+    from simulator.scenario import Spring as Spring
+    from simulator.scenario import Stribeck as Stribeck
+    from simulator.scenario import Warming as Warming
+    from simulator.scenario import load_scenario as load_scenario
+    from simulator.sweeps import NoiseRun as NoiseRun
+    from simulator.sweeps import SweepRun as SweepRun
+    from simulator.sweeps import run_sweeps as run_sweeps
+    from simulator.sweeps import run_trajectories as run_trajectories
+    from simulator.waveform import Waveform as Waveform
 
-_MODULES = {
-    "Appendage": "scenario",
-    "DriveTrain": "scenario",
-    "DrivenAxis": "scenario",
-    "Friction": "scenario",
-    "GearError": "scenario",
-    "Gravity": "rigid_body",
-    "Hose": "scenario",
-    "LinkDeviation": "scenario",
-    "LuGre": "scenario",
-    "Measurement": "scenario",
-    "Motion": "replaying",
-    "MovingAxis": "moving_axis",
-    "NoiseRun": "sweeps",
-    "Patch": "scenario",
-    "PowerLaw": "scenario",
-    "Ripple": "scenario",
-    "Scenario": "scenario",
-    "ScenarioError": "scenario",
-    "SpeedControl": "scenario",
-    "Spring": "scenario",
-    "Stribeck": "scenario",
-    "SweepRun": "sweeps",
-    "Turn": "effects.thermal_order",
-    "Warming": "scenario",
-    "Waveform": "waveform",
-    "load_scenario": "scenario",
-    "replay": "replaying",
-    "run_sweeps": "sweeps",
-    "run_trajectories": "trajectories",
-    "true_inertia": "truth",
-    "warmth": "effects.thermal_order",
+_PAGES = {
+    "effects": "Turn warmth",
+    "replaying": "Motion replay",
+    "rigid_body": "Gravity MovingAxis true_inertia",
+    "scenario": "Appendage DriveTrain DrivenAxis Friction GearError Hose LinkDeviation LuGre Measurement Patch "
+    "PowerLaw Ripple Scenario ScenarioError SpeedControl Spring Stribeck Warming load_scenario",
+    "sweeps": "NoiseRun SweepRun run_sweeps run_trajectories",
+    "waveform": "Waveform",
 }
-
-__all__ = [
-    "Appendage",
-    "DriveTrain",
-    "DrivenAxis",
-    "Friction",
-    "GearError",
-    "Gravity",
-    "Hose",
-    "LinkDeviation",
-    "LuGre",
-    "Measurement",
-    "Motion",
-    "MovingAxis",
-    "NoiseRun",
-    "Patch",
-    "PowerLaw",
-    "Ripple",
-    "Scenario",
-    "ScenarioError",
-    "SpeedControl",
-    "Spring",
-    "Stribeck",
-    "SweepRun",
-    "Turn",
-    "Warming",
-    "Waveform",
-    "load_scenario",
-    "replay",
-    "run_sweeps",
-    "run_trajectories",
-    "true_inertia",
-    "warmth",
-]
 
 
 def __getattr__(name: str) -> object:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    for page, names in _PAGES.items():
+        if name in names.split():
+            return getattr(import_module(f"{__name__}.{page}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

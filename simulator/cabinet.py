@@ -6,25 +6,25 @@ is the clock, multiplied by `speed_factor` during motion. Without any torque the
 
 from collections.abc import Mapping
 from math import inf, nan, tau
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 from xml.etree import ElementTree
 
 import numpy as np
+import structlog
 
-from simulator.drive.axis import Axis, Mode
-from simulator.drive.dictionary import Dictionary, Key, Value
-from simulator.drive.measuring import Samples
-from simulator.drive.units import INCREMENTS, PER_MILLE, speed_unit
-from simulator.machine import AxisInfo, Machine
+from simulator.drive.dictionary import ObjectDictionary, Value
+from simulator.drive.foreign_axis import ForeignAxis
+from simulator.drive.limits import INCREMENTS, PER_MILLE, speed_unit
+from simulator.drive.makers import Key
+from simulator.drive.measuring import DriveSamples
+from simulator.drive.power_drive import Mode
+from simulator.drive.virtual_axis import VirtualAxis
+from simulator.machine import AxisInfo, LiveMachine
 
-_MOVING_CHUNK = (4, 16)  # cycles per call during motion
-_HOLDING_CHUNK = 20  # cycles per call at standstill
-_BACKLOG = 4  # chunks that may be caught up after the computer was busy
-_CONTROL = ((0x2140, 1), (0x2140, 2), (0x2140, 3), (0x2140, 4))
-_INSIDE = ((0x6072, 0), (0x6076, 0), (0x6080, 0), *_CONTROL)  # used even if the EDS has no such object
+_log = structlog.get_logger(__name__)
 
 
-class Node(Protocol):
+class FieldbusNode(Protocol):
     """An axis with its dictionary on the fieldbus."""
 
     @property
@@ -36,10 +36,10 @@ class Node(Protocol):
         """Change the id, as by its address switches: the node boots with it. The device itself stays the same."""
 
     @property
-    def axis(self) -> Axis: ...
+    def axis(self) -> VirtualAxis | ForeignAxis: ...
 
     @property
-    def dictionary(self) -> Dictionary: ...
+    def dictionary(self) -> ObjectDictionary: ...
 
     def boot(self) -> None:
         """Power-on or reset: torque off, dictionary as in EDS and nameplate."""
@@ -52,31 +52,33 @@ class Node(Protocol):
         ...
 
 
-AnyNode = TypeVar("AnyNode", bound=Node)
+class VirtualNodeLike(FieldbusNode, Protocol):
+    """A node of the virtual drive."""
+
+    @property
+    def axis(self) -> VirtualAxis: ...
 
 
-class Cabinet(Generic[AnyNode]):
-    """`nodes` by joint, in the order of the machine's joints. Raises ScenarioError for an EDS with unsupported
-    units.
-    """
+AnyNode = TypeVar("AnyNode", bound=FieldbusNode)
+AnyVirtualNode = TypeVar("AnyVirtualNode", bound=VirtualNodeLike)
 
-    def __init__(self, machine: Machine, nodes: Mapping[str, AnyNode], speed_factor: float) -> None:
+
+class DriveCabinet(Generic[AnyNode]):
+    """`nodes` by joint, in the order of the machine's joints."""
+
+    backlog = 4
+    """Chunks that may be caught up after the computer was busy."""
+
+    def __init__(self, machine: LiveMachine, nodes: Mapping[str, AnyNode], speed_factor: float) -> None:
         self._machine = machine
         self._speed_factor = speed_factor
         self._time: float | None = None  # real time up to which the machine has run
+        self._now = 0.0
+        self._slow = False  # it could not keep up
         self.cycles = 0
         self.nodes = dict(nodes)
-        limits = joint_limits(machine.scenario.robot.urdf)
-        for info in machine.axes:
-            dictionary = self.nodes[info.joint].dictionary
-            plate = _nameplate(info, limits[info.joint], speed_unit(dictionary))
-            dictionary.nameplate |= {k: value for k, value in plate.items() if k in _INSIDE or k in dictionary}
-        self._axes = [(info, self.nodes[info.joint].axis) for info in machine.axes]
+        self._axes: list[tuple[AxisInfo, Any]] = [(info, self.nodes[info.joint].axis) for info in machine.axes]
         self._effort_limits = {info.joint: inf for info in machine.axes}
-        self._controls = {
-            joint: (node.dictionary.nameplate[0x2140, 1], node.dictionary.nameplate[0x2140, 2])
-            for joint, node in self.nodes.items()
-        }
 
     def boot(self) -> None:
         """Power on."""
@@ -87,12 +89,13 @@ class Cabinet(Generic[AnyNode]):
 
     def run(self, now: float) -> None:
         """Advance machine and timers to `now`, at most by one chunk of cycles; call it again when `due`."""
+        self._now = now
         pace, chunk = self._pace()
         if pace == 0.0 or self._time is None:
             self._time = now
         else:
             cycle = self._machine.cycle / pace
-            self._time = max(self._time, now - _BACKLOG * chunk * cycle)
+            self._keep_up(now - self.backlog * chunk * cycle)
             cycles = min(int((now - self._time) / cycle + 1e-6), chunk)
             if cycles == chunk:
                 self._time += cycles * cycle
@@ -120,7 +123,7 @@ class Cabinet(Generic[AnyNode]):
         axes = {info.joint: self.axis_status(info, axis) for info, axis in self._axes}
         return {"axes": axes, "plant_time": self.cycles * self._machine.cycle}
 
-    def axis_status(self, info: AxisInfo, axis: Axis) -> dict[str, object]:
+    def axis_status(self, info: AxisInfo, axis: Any) -> dict[str, object]:
         """Status of one axis."""
         return {
             "position": axis.position * tau / info.gear_ratio,
@@ -128,30 +131,27 @@ class Cabinet(Generic[AnyNode]):
             "state": axis.state.name.lower(),
             "energised": self._machine.energised(info.joint),
             "mode": int(axis.mode),
-            "fault": self.nodes[info.joint].dictionary[0x603F, 0] or None,
-            "measuring": axis.measuring.run.name.lower(),
-            "samples": axis.measuring.count,
-            "softened": axis.speed_control.softened,
+            "fault": axis.errors.code or None,
         }
 
     def advance(self, cycles: int) -> None:
         """Run the machine for `cycles` of its cycles."""
         setpoints = np.zeros((cycles, len(self._axes)))
-        injected = np.zeros_like(setpoints) if any(axis.measuring.injecting for _, axis in self._axes) else None
+        injected = np.zeros_like(setpoints)
         for k, (info, axis) in enumerate(self._axes):
             if axis.energised:
-                self._limit_effort(info, axis)
-                self._tune(info, axis)
-                if injected is not None:
-                    injected[:, k] = axis.measuring.injection(cycles) * info.gear_ratio
+                self._prepare(info, axis)
+                torque = axis.injection(cycles)
+                if torque is not None:
+                    injected[:, k] = torque * info.gear_ratio
                 setpoints[:, k] = axis.setpoints(cycles) * tau / info.gear_ratio
-        samples = self._machine.advance(setpoints, injected)
+        samples = self._machine.advance(setpoints, injected if injected.any() else None)
         self.cycles += cycles
         for k, (info, axis) in enumerate(self._axes):
             if axis.energised:
                 turns = info.gear_ratio / tau
                 axis.observe(
-                    Samples(
+                    DriveSamples(
                         torque=samples.effort[:, k] / info.gear_ratio,
                         torque_limited=samples.torque_limited[:, k],
                         command=samples.velocity_setpoint[:, k] * turns,
@@ -171,28 +171,76 @@ class Cabinet(Generic[AnyNode]):
                 self._machine.energise(info.joint, axis.energised)
 
     def _pace(self) -> tuple[float, int]:
-        """(simulated seconds per real second, cycles per chunk)."""
-        axes = [axis for _, axis in self._axes if axis.energised]
-        if not axes or any(axis.interpolating for axis in axes):
-            return 0.0, 1
-        if not any(axis.moving or axis.settling for axis in axes):
-            return 1.0, _HOLDING_CHUNK
-        cyclic = any(axis.mode is Mode.CYCLIC_VELOCITY for axis in axes)
-        pace = 1.0 if cyclic else self._speed_factor
-        low, high = _MOVING_CHUNK
-        return pace, max(low, min(high, round(pace * 1e-3 / self._machine.cycle)))
+        """(simulated seconds per real second, 0: not by real time; cycles per chunk)."""
+        raise NotImplementedError
 
-    def _limit_effort(self, info: AxisInfo, axis: Axis) -> None:
-        limit = min(axis.torque_limit * info.rated_effort, info.effort_limit)
+    def _keep_up(self, latest: float) -> None:
+        """Drop what lies before `latest`, s: a computer that is too slow slows the clock of the machine, no motion."""
+        if self._time is not None and self._time < latest:
+            if not self._slow:
+                _log.warning("too slow: the machine's clock runs slower than asked", speed_factor=self._speed_factor)
+            self._slow, self._time = True, latest
+
+    def _torque_limit(self, info: AxisInfo, axis: Any) -> float:
+        """Maximum torque of the drive, N m on the joint side."""
+        raise NotImplementedError
+
+    def _paced(self, *, moves: bool, at_speed: bool) -> tuple[float, int]:
+        """While an axis moves, and may move faster than in real time."""
+        if not moves:
+            return 1.0, 20
+        pace = self._speed_factor if at_speed else 1.0
+        return pace, max(4, min(16, round(pace * 1e-3 / self._machine.cycle)))
+
+    def _prepare(self, info: AxisInfo, axis: Any) -> None:
+        """Limits and parameters of the drive that may have changed."""
+        limit = min(self._torque_limit(info, axis), info.effort_limit)
         if limit != self._effort_limits[info.joint]:
             self._effort_limits[info.joint] = limit
             self._machine.set_effort_limit(info.joint, limit)
 
-    def _tune(self, info: AxisInfo, axis: Axis) -> None:
+
+class VirtualDriveCabinet(DriveCabinet[AnyVirtualNode]):
+    """A cabinet of virtual drives. Raises ScenarioError for an EDS with unsupported units."""
+
+    def __init__(self, machine: LiveMachine, nodes: Mapping[str, AnyVirtualNode], speed_factor: float) -> None:
+        super().__init__(machine, nodes, speed_factor)
+        limits = joint_limits(machine.scenario.robot.urdf)
+        self._controls: dict[str, tuple[float, float]] = {}
+        for info in machine.axes:
+            d = self.nodes[info.joint].dictionary
+            plate = _nameplate(info, limits[info.joint], speed_unit(d))
+            d.nameplate |= {key: value for key, value in plate.items() if key in _INSIDE or key in d}
+            self._controls[info.joint] = info.gain / info.gear_ratio**2, info.reset_time
+
+    def axis_status(self, info: AxisInfo, axis: VirtualAxis) -> dict[str, object]:
+        """Also of the measuring function."""
+        return super().axis_status(info, axis) | {
+            "measuring": axis.measuring.run.name.lower(),
+            "samples": axis.measuring.count,
+            "softened": axis.speed_control.softened,
+        }
+
+    def _pace(self) -> tuple[float, int]:
+        axes = [axis for _, axis in self._axes if axis.energised]
+        if not axes or any(axis.interpolating for axis in axes):
+            return 0.0, 1
+        at_speed = not any(axis.mode is Mode.CYCLIC_VELOCITY for axis in axes)
+        return self._paced(moves=any(axis.moving or axis.settling for axis in axes), at_speed=at_speed)
+
+    def _torque_limit(self, info: AxisInfo, axis: VirtualAxis) -> float:
+        return axis.torque_limit * info.rated_effort
+
+    def _prepare(self, info: AxisInfo, axis: VirtualAxis) -> None:
+        super()._prepare(info, axis)
         control = axis.speed_control.active
         if control != self._controls[info.joint]:
             self._controls[info.joint] = control
             self._machine.tune(info.joint, control[0] * info.gear_ratio**2, control[1])
+
+
+_INSIDE = frozenset({(0x6072, 0), (0x6076, 0), (0x6080, 0), *((0x2140, sub) for sub in range(1, 5))})
+"""Used even if the EDS has no such object."""
 
 
 def _nameplate(info: AxisInfo, limits: Mapping[str, float], speed: float) -> dict[Key, Value]:
@@ -202,7 +250,7 @@ def _nameplate(info: AxisInfo, limits: Mapping[str, float], speed: float) -> dic
     fastest = round(limits["velocity"] * abs(turns) * speed)
     control = (info.gain / info.gear_ratio**2, info.reset_time)
     return {
-        **dict(zip(_CONTROL, control * 2, strict=True)),
+        **{(0x2140, sub): value for sub, value in enumerate(control * 2, 1)},
         (0x6072, 0): round(PER_MILLE * info.effort_limit / info.rated_effort),
         (0x6076, 0): round(PER_MILLE * info.rated_effort / abs(info.gear_ratio)),
         (0x607D, 1): round(ends[0]),

@@ -20,19 +20,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.drive_train import DriveTrains
-from simulator.moving_axis import MovingAxis, moving_axis
-from simulator.rigid_body import RigidBody
+from simulator.drive_train import DriveTrains, TrainAlone
+from simulator.rigid_body import MovingAxis, RigidBody, moving_axis
 from simulator.scenario import Scenario
-from simulator.train_step import TrainAlone
 
 Array = NDArray[np.float64]
 
 _mujoco = cast(Any, mujoco)  # a binary module without type stubs
-
-_ROUNDS = 4  # of the projected Jacobi iteration per step
-_RELAXATION = 0.7
-_KEPT = 4  # steps with a constant inertia matrix: one cycle of 1 ms, in which the pose hardly changes
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +60,11 @@ class Dynamics(RigidBody):
 
 class CoupledTrains(DriveTrains):
     """The driven axes of one robot, one row each. The other joints and those with a closed brake stand."""
+
+    rounds = 4
+    """Of the projected Jacobi iteration per step."""
+    kept = 4
+    """Steps with a constant inertia matrix: one cycle of 1 ms, in which the pose hardly changes."""
 
     def __init__(self, scenario: Scenario, step: float) -> None:
         self._body = Dynamics(scenario)
@@ -162,7 +161,7 @@ class CoupledTrains(DriveTrains):
         self._age += 1
         masses = self._answering
         changing = self._has_gap or self.gear_error is not None  # changes in every step
-        stale = changing or self._age >= _KEPT
+        stale = changing or self._age >= self.kept
         if masses is None or stale or (masses.free != self.free).any():
             mass, drag = self._mass.copy(), self._resistance
             mass[self._links, self._links] += inertia[np.ix_(self._driven, self._driven)]
@@ -171,7 +170,7 @@ class CoupledTrains(DriveTrains):
             moving = np.flatnonzero(np.tile(self.free, len(self.velocity)))
             mass, drag = mass[np.ix_(moving, moving)], drag[np.ix_(moving, moving)]
             gain: Array = np.asarray(np.linalg.inv(mass + drag), dtype=float)
-            relax = _RELAXATION / np.diag(gain)
+            relax = 0.7 / np.diag(gain)
             self._answering = masses = _Masses(self.free.copy(), moving, mass - drag, gain, relax)
             self._age = 0
         return masses
@@ -181,7 +180,7 @@ class CoupledTrains(DriveTrains):
         least, most = dry
         impulse = np.minimum(np.maximum(self._impulse[masses.moving], least), most)
         rubbed = velocity - masses.gain @ impulse
-        for _ in range(_ROUNDS):
+        for _ in range(self.rounds):
             before = impulse
             impulse = np.minimum(np.maximum(impulse + masses.relax * rubbed, least), most)
             if (impulse == before).all():  # every axis slips

@@ -43,8 +43,7 @@ def drive(
     start_pose: Annotated[str, typer.Option(help="Joint positions, rad, comma separated.")] = "",
 ) -> None:
     """Run a virtual machine: one CiA 402 drive per axis on CAN or Modbus. Ends on SIGTERM or Ctrl-C."""
-    from simulator.drive_process import run_drive
-    from simulator.virtual_drive import Fieldbus
+    from simulator.virtual_drive import Fieldbus, run_drive
 
     run_drive(
         scenario,

@@ -7,13 +7,15 @@ the drive holds the robot, so only the change since then is fed forward. The lin
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path as File
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from simulator.coupled import CoupledTrains
 from simulator.plant import Plant
-from simulator.scenario import STEP, Scenario, ScenarioError
+from simulator.scenario import STEP, Scenario, ScenarioError, load_scenario
 
 Array = NDArray[np.float64]
 
@@ -69,3 +71,50 @@ def read_rows(rows: Sequence[Sequence[float]], what: str) -> Array:
     if len({len(row) for row in rows}) > 1:
         raise ScenarioError(f"{what}: rows of different lengths")
     return np.array(rows, dtype=float)
+
+
+Rows = tuple[tuple[float, ...], ...]
+
+
+class PathFile(BaseModel):
+    """`gain` of the position controllers, 1/s; rows of all joints, one per ms, SI; feed-forwards by name, [] for
+    none.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    gain: float = Field(gt=0, le=100)
+    position: Rows
+    velocity: Rows
+    feed_forwards: dict[str, Rows]
+
+
+class Followed(BaseModel):
+    """Path error of a joint, rad."""
+
+    rms: float
+    peak: float
+
+
+def read_path(path: File) -> PathFile:
+    """ScenarioError for a file that is none."""
+    try:
+        return PathFile.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise ScenarioError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        raise ScenarioError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+
+
+def followed(scenario: File, file: PathFile) -> dict[str, dict[str, Followed]]:
+    """By feed-forward and joint."""
+    machine = load_scenario(scenario)
+    path = Path(read_rows(file.position, "position"), read_rows(file.velocity, "velocity"))
+    found: dict[str, dict[str, Followed]] = {}
+    for name, rows in file.feed_forwards.items():
+        errors = follow(machine, path, file.gain, read_rows(rows, name) if rows else None)
+        found[name] = {
+            joint: Followed(rms=float(np.sqrt(np.mean(error**2))), peak=float(np.abs(error).max()))
+            for joint, error in errors.items()
+        }
+    return found

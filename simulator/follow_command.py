@@ -13,7 +13,7 @@ def follow_path(
     """Drive a path on the plant under position control, and print {feed-forward: {joint: {rms, peak}}} in rad."""
     from pydantic import RootModel
 
-    from simulator.path_file import followed, read_path
+    from simulator.follow import followed, read_path
     from simulator.scenario import ScenarioError
 
     try:

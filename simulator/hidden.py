@@ -15,12 +15,8 @@ from numpy.typing import NDArray
 from simulator.rigid_body import RigidBody
 from simulator.scenario import Scenario, ScenarioError
 
-SIZE = (0.02, 0.05)  # largest torque of the effect relative to the rated effort
-CARRIES = 0.1  # gravity torque relative to the rated effort above which an axis carries weight
-SLOW = 0.0105  # rad/s: 0.1 rev/min
-STIFF = 350.0  # Hz, locked rotor of the other gears if one is elastic
-PROBE = 0.01  # m
-ELASTIC_BAND = 6.0  # Hz of the speed control of an elastic axis
+SLOW = 0.0105
+"""rad/s: 0.1 rev/min."""
 
 
 @dataclass(frozen=True)
@@ -57,14 +53,14 @@ class _Machine:
 def hide(scenario: Scenario, seed: int) -> tuple[Scenario, Hidden]:
     """The scenario with one additional effect, and the effect. Raises ScenarioError if no axis carries weight."""
     random = np.random.default_rng(seed)
-    joints = [
-        joint for joint in scenario.axes if _weight(scenario, joint) > CARRIES * scenario.nominal(joint).rated_effort
+    joints = [  # whose gravity torque is above a tenth of the rated effort
+        joint for joint in scenario.axes if _weight(scenario, joint) > 0.1 * scenario.nominal(joint).rated_effort
     ]
     if not joints:
         raise ScenarioError(f"scenario {scenario.name}: nothing can be hidden, as no axis carries weight")
     joint = joints[random.integers(len(joints))]
     effect = list(EFFECTS)[random.integers(len(EFFECTS))]
-    size = float(random.uniform(*SIZE)) * scenario.nominal(joint).rated_effort
+    size = float(random.uniform(0.02, 0.05)) * scenario.nominal(joint).rated_effort
     machine = _Machine(random, scenario, joint, size, scenario.model_dump())
     parameters = EFFECTS[effect](machine)
     return Scenario.model_validate(machine.data), Hidden(joint, effect, parameters)
@@ -97,9 +93,10 @@ def _gravity_error(machine: _Machine) -> dict[str, float]:
     """The centre of mass of the link after the axis is further out, or nearer, than in CAD."""
     link = f"link_{machine.scenario.joints.index(machine.joint) + 1}"
     entry = machine.data["links"].setdefault(link, {})
-    entry["shift"] = (PROBE, 0.0, 0.0)
+    probe = 0.01  # m
+    entry["shift"] = (probe, 0.0, 0.0)
     before, after = (_pull(one, machine.joint) for one in (machine.scenario, Scenario.model_validate(machine.data)))
-    shift = PROBE * machine.size / float(np.hypot(*(after - before))) * machine.random.choice([-1.0, 1.0])
+    shift = probe * machine.size / float(np.hypot(*(after - before))) * machine.random.choice([-1.0, 1.0])
     entry["shift"] = (float(shift), 0.0, 0.0)
     return {}
 
@@ -139,20 +136,20 @@ def _presliding_hysteresis(machine: _Machine) -> dict[str, float]:
 
 
 def _joint_elasticity(machine: _Machine) -> dict[str, float]:
-    """Locked rotor at 9 to 13 Hz; the other axes get springs that are not visible."""
+    """Locked rotor at 9 to 13 Hz, speed control of 6 Hz; the other axes get springs that are not visible: 350 Hz."""
     body, zero = RigidBody(machine.scenario), np.zeros(len(machine.scenario.joints))
     found = 0.0
     for joint, axis in machine.data["axes"].items():
         load = float(body.inertia(zero)[machine.scenario.joints.index(joint)])
         own = joint == machine.joint
-        stiffness = load * (2 * np.pi * (machine.random.uniform(9.0, 13.0) if own else STIFF)) ** 2
+        stiffness = load * (2 * np.pi * (machine.random.uniform(9.0, 13.0) if own else 350.0)) ** 2
         axis["train"]["spring"] = {
             "stiffness": stiffness,
             "damping": (0.08 if own else 0.3) * np.sqrt(stiffness * load),
         }
         if own:
             motor = axis["train"]["motor_inertia"] * machine.scenario.nominal(joint).gear_ratio ** 2
-            axis["control"]["gain"] = 2 * np.pi * ELASTIC_BAND * (load + motor)
+            axis["control"]["gain"] = 2 * np.pi * 6.0 * (load + motor)
             found = 1 / stiffness
     return {"compliance": found}
 

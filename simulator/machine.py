@@ -9,13 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.coupled import CoupledTrains
-from simulator.noise import measure
-from simulator.plant import Plant, Samples
+from simulator.plant import Plant, Samples, measure
 from simulator.scenario import CYCLE, STEP, Scenario, ScenarioError
 
 Array = NDArray[np.float64]
-
-_MOVED = 1e-3  # rad; after a larger motion, inertia and gravity are computed again
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +30,7 @@ class AxisInfo:
     locked: bool  # its brake cannot be opened
 
 
-class Machine:
+class LiveMachine:
     """Every joint of the robot, base to tip; initially all brakes are closed and all positions zero. Not
     thread-safe.
     """
@@ -110,7 +107,7 @@ class Machine:
         shift = np.abs(pose - self._loaded)
         if np.count_nonzero(free) == 1:  # the motion of an axis does not change its own inertia
             shift[self._driven[int(free.argmax())]] = 0.0
-        if shift.max() > _MOVED:
+        if shift.max() > 1e-3:  # rad
             self._load_pose(pose)
         torque = None if injected is None else injected[:, driven] * free
         clean = self._plant.advance(setpoints[:, driven] * free, torque)

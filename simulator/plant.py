@@ -6,24 +6,19 @@ is the mean over the same instants of the cycle, so any linear relation between 
 samples, unless the scenario has delay, smoothing or errors of effort or motor speed.
 """
 
+import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
-from typing import Any, Protocol
+from dataclasses import dataclass, fields, replace
+from typing import Any, Generic, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.channel import Channel
-from simulator.drive_train import DriveTrains
-from simulator.moving_axis import MovingAxis
+from simulator.drive_train import ARRAYS, FLOATS, Arithmetic, Array, DriveTrains, Masses, Value
+from simulator.rigid_body import MovingAxis
 from simulator.scenario import CYCLE, STEP, Measurement, SpeedControl
-from simulator.speed_loop import SpeedLoop
-from simulator.train_step import ARRAYS, Masses, Value
-
-Array = NDArray[np.float64]
 
 SUBSTEPS = round(CYCLE / STEP)
-_CHUNK = 256  # cycles whose steps are stored before they are averaged
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +33,99 @@ class Samples:
     velocity_setpoint: Array
     excitation_effort: Array  # the injected part of the torque
     torque_limited: NDArray[np.bool_]
+
+
+class Channel:
+    """A measured channel at the output of the drive: a `delay`, then first-order `smoothing` (T), both in s.
+
+    A delay between two steps is interpolated linearly: error at most 8e-4 of a line at 50 Hz. Smoothing obeys
+    ``T y' = u - y`` and is exact for a signal u that is linear between its steps h: with a = exp(-h/T) and
+    g = (1 - a) T/h, y[n] = a y[n-1] + (1 - g) u[n] + (g - a) u[n-1]. The response of the channel to a line well below
+    1/h is therefore exp(-iw delay) / (1 + iwT), without a discretisation delay.
+    """
+
+    def __init__(self, rows: int, step: float, delay: float, smoothing: float) -> None:
+        whole = math.floor(delay / step + 1e-9)
+        part = delay / step - whole
+        self._part = part if part > 1e-9 else 0.0  # fraction of a step, added to the whole ones
+        self._late = np.zeros((whole + bool(self._part), rows))
+        self._smoothing = smoothing
+        if smoothing:
+            self._keep = math.exp(-step / smoothing)
+            gain = (1 - self._keep) * smoothing / step
+            self._now, self._before = 1 - gain, gain - self._keep
+            self._state = np.zeros((1, rows))
+
+    def restart(self, row: int, value: float) -> None:
+        """The signal of the row was constant at `value`."""
+        self._late[:, row] = value
+        if self._smoothing:
+            self._state[:, row] = (1 - self._now) * value
+
+    def pass_on(self, signal: Array) -> Array:
+        """Output for the input `signal` (steps, rows); the same shape."""
+        if len(self._late):
+            delayed = np.concatenate([self._late, signal])
+            self._late = delayed[len(signal) :]
+            older = delayed[: len(signal)]
+            signal = older + (1 - self._part) * (delayed[1 : len(signal) + 1] - older) if self._part else older
+        if self._smoothing:
+            from scipy.signal import lfilter  # imported here, as it takes half a second and is rarely needed
+
+            signal, self._state = lfilter([self._now, self._before], [1.0, -self._keep], signal, axis=0, zi=self._state)
+        return signal
+
+
+@dataclass(slots=True)
+class SpeedLoop(Generic[Value]):
+    """The PI speed controller, for rows of arrays or for one row in floats; N m, rad/s of the joint."""
+
+    gain: Value  # N m s/rad
+    reset: Value  # N m s/rad per step
+    limit: Value
+    integral: Value
+    arithmetic: Arithmetic[Value]
+
+    def alone(self: "SpeedLoop[Array]", row: int) -> "SpeedLoop[float]":
+        """The controller of one row, in floats."""
+        gain, reset, limit, integral = (float(part[row]) for part in (self.gain, self.reset, self.limit, self.integral))
+        return SpeedLoop(gain, reset, limit, integral, FLOATS)
+
+    def effort(self, setpoint: Value, velocity: Value, injected: Value) -> Value:
+        """PI and injected torque within the limit; anti-windup by back-calculation at the limit."""
+        error = setpoint - velocity
+        integral = self.integral + self.reset * error
+        wanted = self.gain * error + integral + injected
+        effort = self.arithmetic.within(wanted, -self.limit, self.limit)
+        self.integral = integral + effort - wanted
+        return effort
+
+
+def measure(
+    samples: Samples, measurement: Measurement, rated_effort: Array, random: Sequence[np.random.Generator]
+) -> Samples:
+    """Samples as reported by the drive; `rated_effort` (rows,) N m, one random stream per row."""
+
+    def noisy(values: Array, rms: float | Array) -> Array:
+        if not np.any(rms):
+            return values
+        noise = np.empty_like(values)
+        for row, stream in enumerate(random):
+            noise[:, row] = stream.standard_normal(len(values))
+        return values + rms * noise
+
+    effort = noisy(samples.effort, measurement.effort_noise * rated_effort)
+    if measurement.effort_resolution:
+        step = measurement.effort_resolution * rated_effort
+        effort = np.round(effort / step) * step
+    return replace(
+        samples,
+        effort=effort,
+        velocity=noisy(samples.velocity, measurement.velocity_noise),
+        position=noisy(samples.position, measurement.position_noise),
+        load_position=noisy(samples.load_position, measurement.load_position_noise),
+        load_velocity=noisy(samples.load_velocity, measurement.load_velocity_noise),
+    )
 
 
 class Plant:
@@ -81,9 +169,10 @@ class Plant:
 
         The same applies to the `injected` torque, N m, which is added to that of the speed controller; default none.
         """
+        most = 256  # cycles whose steps are stored before they are averaged
         parts = [
-            self._chunk(setpoints[k : k + _CHUNK], None if injected is None else injected[k : k + _CHUNK])
-            for k in range(0, len(setpoints), _CHUNK)
+            self._chunk(setpoints[k : k + most], None if injected is None else injected[k : k + most])
+            for k in range(0, len(setpoints), most)
         ]
         if not parts:
             raise ValueError("nothing to advance: no set-points")

@@ -14,25 +14,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.channel import Channel
 from simulator.drive_train import DriveTrains
-from simulator.effects.friction import FrictionLaw
-from simulator.effects.lugre_friction import Bristles
-from simulator.effects.ripples import KnownRipples, Ripples, cogging
-from simulator.moving_axis import MovingAxis
+from simulator.effects import Bristles, FrictionLaw, KnownRipples, Ripples, cogging
+from simulator.plant import Channel
+from simulator.rigid_body import MovingAxis
 from simulator.scenario import CYCLE, STEP, Measurement
 
 if TYPE_CHECKING:  # otherwise a virtual machine would load SciPy without using it
     from scipy.interpolate import CubicSpline, PPoly
 
 Array = NDArray[np.float64]
-
-_IMMOVABLE = 1e18  # kg m^2
-_EXACT = Measurement()
-_AT_ONCE = 200_000  # values per block, so that arrays stay near the size of the cache
-_WARMING = 0.25  # s per block, so that few iterations make friction and temperature agree
-_SWING = 1.25  # rad, phase of a load oscillation per step with prescribed motor; the leapfrog is unstable from 2
-_SETTLED = 1e-7  # relative change of the friction at which the iteration ends
 
 
 @dataclass(frozen=True)
@@ -67,7 +58,7 @@ class Motion:
 def replay(
     axes: Sequence[MovingAxis],
     motions: Sequence[Motion],
-    measurement: Measurement | Sequence[Measurement] = _EXACT,
+    measurement: Measurement | Sequence[Measurement] | None = None,
 ) -> list[Array]:
     """Recorded torque (n,) N m at the samples of each motion, one axis each (all rigid or all elastic), in one pass.
 
@@ -75,7 +66,8 @@ def replay(
     applied; there is no noise. The initial temperature of a gear is in its `MovingAxis`. At standstill dry friction
     may have any value within its limits; here it counts as zero.
     """
-    measurements = [measurement] * len(axes) if isinstance(measurement, Measurement) else list(measurement)
+    exact = measurement or Measurement()
+    measurements = [exact] * len(axes) if isinstance(exact, Measurement) else list(exact)
     if not len(axes) == len(motions) == len(measurements):
         raise ValueError(f"{len(axes)} axes for {len(motions)} motions and {len(measurements)} measurements")
     if not axes:
@@ -99,7 +91,8 @@ def _step(axes: Sequence[MovingAxis]) -> float:
     if any(train.lugre or train.appendage for train in trains):
         return STEP
     swings = [np.sqrt(axis.train.spring.stiffness / axis.load_inertia) for axis in axes if axis.train.spring]
-    return next((CYCLE / n for n in (1, 2) if CYCLE / n * max(swings, default=0.0) < _SWING), STEP)
+    phase = 1.25  # rad of a load oscillation per step with prescribed motor; the leapfrog is unstable from 2
+    return next((CYCLE / n for n in (1, 2) if CYCLE / n * max(swings, default=0.0) < phase), STEP)
 
 
 def _on_grid(motions: Sequence[Motion], late: Sequence[float], step: float) -> Array:
@@ -137,7 +130,8 @@ def _rigid(axes: Sequence[MovingAxis], position: Array, velocity: Array, acceler
     law = FrictionLaw([axis.train for axis in axes], [axis.warmth for axis in axes], step)
     damping = np.array([axis.train.hose.damping if axis.train.hose else 0.0 for axis in axes])
     torque = np.array([axis.load_inertia for axis in axes]) * acceleration
-    for at in _pieces(position, round(_WARMING / step) if law.warms else None):
+    quarter = round(0.25 / step)  # s per block, so that few iterations make friction and temperature agree
+    for at in _pieces(position, quarter if law.warms else None):
         trains.position = position[None, at]
         torque[at] += trains.gravity()
         if trains.appendages is not None:
@@ -159,7 +153,7 @@ def _friction(law: FrictionLaw, velocity: Array, transmitted: Array, position: A
         path = _cooling(gained, 1 - law.cooling, start)
         law.warmth = np.concatenate([start[None], path[:-1]])[:, None]
         before, torque = torque, law.whole(*motion).sum(axis=1)
-        if np.abs(torque - before).max() < _SETTLED * np.abs(torque).max():
+        if np.abs(torque - before).max() < 1e-7 * np.abs(torque).max():
             law.warmth = path[-1]
             break
     return torque
@@ -207,7 +201,7 @@ def _known(ripples: Ripples | KnownRipples | None, position: Array) -> KnownRipp
 
 def _led(axes: Sequence[MovingAxis], position: Array, velocity: Array, step: float) -> DriveTrains:
     """The drive trains in balance at `position` and `velocity` (rows,), with prescribed motor motion."""
-    bare = {"motor_inertia": _IMMOVABLE, "cogging": (), "lugre": None}
+    bare = {"motor_inertia": 1e18, "cogging": (), "lugre": None}
     trains = DriveTrains([replace(axis, train=axis.train.model_copy(update=bare)) for axis in axes], step)
     trains.free[:] = 1.0
     trains.position[:] = position
@@ -227,5 +221,5 @@ def _recorded(axis: MovingAxis, effort: Array, measurement: Measurement, step: f
 def _pieces(signal: Array, longest: int | None = None) -> Iterator[slice]:
     """Slices of steps in order, limited by the number of values over all rows, or by `longest`."""
     steps, rows = signal.shape
-    count = longest or max(1, _AT_ONCE // rows)
+    count = longest or max(1, 200_000 // rows)  # values, so that arrays stay near the size of the cache
     return (slice(first, first + count) for first in range(0, steps, count))

@@ -7,14 +7,16 @@ constant.
 """
 
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, cast
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simulator.scenario import AddedBody, LinkDeviation, Scenario, ScenarioError
+from simulator.scenario import AddedBody, DriveTrain, LinkDeviation, Scenario, ScenarioError, load_scenario
 
 Array = NDArray[np.float64]
 
@@ -163,3 +165,50 @@ def _about(body: tuple[float, Array, Array], point: Array) -> Array:
     """Huygens-Steiner: inertia of (mass, centre, inertia about it) about another point."""
     arm = body[1] - point
     return body[2] + body[0] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+
+
+@dataclass(frozen=True, slots=True)
+class MovingAxis:
+    """A row of the plant. Load inertia in kg m^2 about the joint, without the motor."""
+
+    train: DriveTrain
+    gear_ratio: float  # motor revolutions per joint revolution
+    load_inertia: float
+    gravity: Gravity
+    warmth: float = 0.0  # temperature rise of the gear at the start, K
+
+    @property
+    def motor_inertia(self) -> float:
+        """Motor inertia on the joint side, kg m^2."""
+        return self.train.motor_inertia * self.gear_ratio**2
+
+
+def moving_axis(scenario: Scenario, body: RigidBody, joint: str, pose: Sequence[float]) -> MovingAxis:
+    """A joint with the robot in `pose` (n,) rad. Raises ScenarioError if it is locked or the pose does not fit."""
+    if len(pose) != len(scenario.joints):
+        raise ScenarioError(f"{joint}: pose has {len(pose)} positions, the robot {len(scenario.joints)} joints")
+    driven, number = scenario.driven(joint), scenario.joints.index(joint)
+    return MovingAxis(
+        train=driven.train,
+        gear_ratio=scenario.nominal(joint).gear_ratio,
+        load_inertia=float(body.inertia(pose)[number]),
+        gravity=body.gravity(number, pose),
+    )
+
+
+def true_inertia(scenario: Scenario, joint: str, poses: ArrayLike) -> Array:
+    """Total inertia about a joint, including the motor inertia on the joint side, in poses (m, n): (m,) kg m^2."""
+    poses = np.asarray(poses, dtype=float)
+    if poses.ndim != 2 or poses.shape[1] != len(scenario.joints):
+        raise ScenarioError(f"poses of shape {poses.shape} do not fit (m, {len(scenario.joints)})")
+    if not np.isfinite(poses).all():
+        raise ScenarioError("poses hold a number that is not finite")
+    body, number = RigidBody(scenario), scenario.joints.index(joint)
+    motor = scenario.driven(joint).train.motor_inertia * scenario.nominal(joint).gear_ratio ** 2
+    return np.array([body.inertia(pose)[number] for pose in poses]) + motor
+
+
+def truth(scenario_path: Path, poses: Sequence[Sequence[float]]) -> dict[str, list[float]]:
+    """Total inertia of every joint with a drive, in every pose: {joint: [kg m^2, ...]}."""
+    scenario = load_scenario(scenario_path)
+    return {joint: true_inertia(scenario, joint, poses).tolist() for joint in scenario.axes}

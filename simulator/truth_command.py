@@ -21,8 +21,8 @@ def truth(
     hides.
     """
     from simulator.hidden import hide as hidden_in
+    from simulator.rigid_body import truth as true_inertias
     from simulator.scenario import ScenarioError, load_scenario
-    from simulator.truth import truth as true_inertias
 
     try:
         if hide is not None and poses is None:

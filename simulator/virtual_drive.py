@@ -1,23 +1,38 @@
-"""The process around the cabinet: one thread that owns machine, nodes and sockets and handles events in order."""
+"""The process of a virtual machine tool: one thread owns machine, nodes and sockets and handles events in order."""
 
+import drivers.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
+
+# isort: split
+import gc
+import json
+import logging
+import math
 import selectors
+import signal
 import socket
+import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import can
+import structlog
+import typer
+
 from simulator.canopen.line import CanLine
 from simulator.control import ControlServer
-from simulator.machine import Machine
-from simulator.modbus.pty_pair import PTY
-from simulator.modbus.register_map import RegisterMap
+from simulator.hidden import hide as hidden_in
+from simulator.machine import LiveMachine
+from simulator.modbus.registers import RegisterMap, RegisterMapError, load_register_map
+from simulator.scenario import Scenario, ScenarioError, load_scenario
+
+# isort: split
+
 
 if TYPE_CHECKING:
     from simulator.modbus.line import ModbusLine
-
-_LONGEST_WAIT = 1.0  # s
 
 
 class Fieldbus(Enum):
@@ -39,14 +54,14 @@ class VirtualDrive:
 
     def __init__(
         self,
-        machine: Machine,
+        machine: LiveMachine,
         eds: Path | Mapping[str, Path],
         *,
         fieldbus: Fieldbus = Fieldbus.CANOPEN,
         bus: str = "socketcand",
         channel: str = "can0",
         registers: RegisterMap | None = None,
-        device: str = PTY,
+        device: str = "pty",
         host: str = "127.0.0.1",
         port: int = 0,
         control_port: int = 0,
@@ -89,7 +104,7 @@ class VirtualDrive:
         self.cabinet.boot()
         while not self._stopping:
             now = time.monotonic()
-            for key, mask in self._selector.select(min(self.cabinet.due(now), self._line.due(now), _LONGEST_WAIT)):
+            for key, mask in self._selector.select(min(self.cabinet.due(now), self._line.due(now), 1.0)):
                 key.data(mask)
             now = time.monotonic()
             self._line.run(now)
@@ -114,15 +129,120 @@ class VirtualDrive:
 
 def _modbus_line(
     selector: selectors.BaseSelector,
-    machine: Machine,
+    machine: LiveMachine,
     eds: Path,
     speed_factor: float,
     registers: RegisterMap,
     where: str | tuple[str, int],
 ) -> "ModbusLine":
     """On a serial device, or at a host and port. Imported here: pymodbus imports aiohttp, which CAN does not need."""
-    from simulator.modbus.line import ModbusLine
-    from simulator.modbus.server import SerialLine, TcpLine
+    from simulator.modbus.line import ModbusLine, SerialLine, TcpLine
 
     line = SerialLine(where) if isinstance(where, str) else TcpLine(*where)
     return ModbusLine(selector, machine, eds, speed_factor, registers=registers, line=line)
+
+
+# isort: split
+
+
+def run_drive(
+    scenario: Path,
+    eds: Path,
+    foreign: Sequence[str] | None,
+    fieldbus: Fieldbus,
+    *,
+    bus: str,
+    channel: str,
+    registers: Path,
+    device: str,
+    host: str,
+    port: int,
+    control_port: int,
+    speed_factor: float,
+    seed: int,
+    hide: int | None,
+    start_pose: str,
+) -> None:
+    """Run until SIGTERM or Ctrl-C; one JSON line on stdout when it is ready. typer.Exit(2) for bad input."""
+    structlog.configure(
+        wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
+        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
+    )
+    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # invalid frames of others are not logged
+    try:
+        really, hidden = load_scenario(scenario), None
+        if hide is not None:
+            really, hidden = hidden_in(really, hide)
+        machine = _machine(really, seed, start_pose)
+        virtual = VirtualDrive(
+            machine,
+            _foreign(machine.joints, foreign) if foreign else _readable("--eds", eds, ".eds"),
+            fieldbus=fieldbus,
+            bus=bus,
+            channel=channel,
+            registers=None if fieldbus is Fieldbus.CANOPEN else load_register_map(registers),
+            device=device,
+            host=host,
+            port=port,
+            control_port=control_port,
+            speed_factor=speed_factor,
+        )
+    except (ScenarioError, RegisterMapError, OSError, can.CanError) as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(2) from None
+
+    def stop(_number: int, _frame: object) -> None:
+        virtual.stop()
+
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    ready: dict[str, object] = {
+        "ready": True,
+        "fieldbus": fieldbus.value,
+        "port": virtual.port,
+        "control_port": virtual.control_port,
+    }
+    if virtual.device is not None:
+        ready["device"] = virtual.device
+    if hidden is not None:
+        ready["hidden_in"] = hidden.joint
+    gc.freeze()  # these objects live until the end; their collection would delay the drives
+    typer.echo(json.dumps(ready))
+    try:
+        virtual.run()
+    finally:
+        virtual.close()
+
+
+def _machine(scenario: Scenario, seed: int, start_pose: str) -> LiveMachine:
+    machine = LiveMachine(scenario, seed)
+    if start_pose:
+        try:
+            pose = [float(value) for value in start_pose.split(",")]
+        except ValueError:
+            raise ScenarioError(f"--start-pose: {start_pose!r} is not a list of numbers") from None
+        if not all(math.isfinite(position) for position in pose):
+            raise ScenarioError(f"--start-pose: {start_pose!r} holds what is not finite")
+        if len(pose) != len(machine.joints):
+            raise ScenarioError(f"--start-pose: {len(pose)} positions for {len(machine.joints)} joints")
+        for joint, position in zip(machine.joints, pose, strict=True):
+            machine.set_position(joint, position)
+    return machine
+
+
+def _foreign(joints: Sequence[str], options: Sequence[str]) -> dict[str, Path]:
+    """The file of each joint's drive: its own, otherwise the common one."""
+    files: dict[str, Path] = {}
+    for option in options:
+        joint, equals, name = option.rpartition("=")
+        if equals and joint not in joints:
+            raise ScenarioError(f"--foreign: {joint!r} is not one of {', '.join(joints)}")
+        files[joint] = _readable("--foreign", Path(name), ".eds", ".dcf")
+    return {joint: files[joint] if joint in files else files[""] for joint in joints if joint in files or "" in files}
+
+
+def _readable(option: str, path: Path, *suffixes: str) -> Path:
+    if path.suffix not in suffixes:
+        raise ScenarioError(f"{option}: {path} is not an {' or '.join(suffixes)} file")
+    path.open().close()
+    return path

@@ -15,12 +15,11 @@ if TYPE_CHECKING:
 
     from service.formats.export.model import IdentifiedModel
     from service.identification.axis.nominal_priors import TorqueGain
-    from service.model.geometry.cell import Cell
-    from service.model.results.check import DataCheck
+    from service.model.configuration import Cell
     from service.model.results.combination import Combination
-    from service.model.results.diagnosis import Diagnosis
+    from service.model.results.diagnosis import DataCheck, Diagnosis
     from service.model.results.estimate import Estimate
-    from service.model.results.identified.payload import Payload
+    from service.model.results.payload import Payload
     from service.model.robot import Robot
     from service.planning.documents import PlanDocument
     from service.store.files.bundle import Bundle
@@ -43,7 +42,7 @@ __all__ = [
 Item = TypeVar("Item")
 
 
-class Progress(Protocol):
+class ProgressBar(Protocol):
     """What shows how many of the items are done, as ``lambda items, what: tqdm(items, desc=what)``."""
 
     def __call__(self, items: Sequence[Item], of_what: str, /) -> Iterable[Item]: ...
@@ -149,8 +148,7 @@ def import_trace(
     BadInput
         File, column and reason.
     """
-    from service.formats.traces.drafts import mapping_of
-    from service.formats.traces.trace_import import read_traces
+    from service.formats.traces.trace_import import mapping_of, read_traces
     from service.model.errors import writing
     from service.store.files.bundle import Bundle, write_bundle
 
@@ -186,7 +184,7 @@ def check(bundle: Bundle | str | Path) -> DataCheck:
     """
     from service.data_check import check as check_data
     from service.data_check import findings_document
-    from service.model.results.check import DataCheck
+    from service.model.results.diagnosis import DataCheck
 
     measured = _read(bundle)
     findings = check_data(measured.robot, measured.sweeps)
@@ -199,7 +197,7 @@ def identify(
     *,
     torque_gain: Mapping[str, TorqueGain] | str | Path | None = None,
     effects: Diagnosis | str | Path | None = None,
-    progress: Progress = _silent,
+    progress: ProgressBar = _silent,
 ) -> Estimate:
     """Identify a robot: inertia about each axis in each pose, base parameters, and their standard deviations.
 
@@ -310,7 +308,7 @@ def diagnose(
     known: Sequence[str] = (),
     start: Estimate | str | Path | None = None,
     twin: bool = True,
-    progress: Progress = _silent,
+    progress: ProgressBar = _silent,
 ) -> Diagnosis:
     """Find where model and measurement disagree, and name the missing effect.
 
@@ -385,8 +383,8 @@ def payload(
     BadInput
         The bundles are of different robots or have no motion in common.
     """
-    from service.identification.payloads import payload as payloads
-    from service.identification.payloads.document import payload_document
+    from service.identification import payloads
+    from service.identification.payloads import payload_document
     from sweepid.files import gains_of
 
     first, second = _read(before), _read(after)
@@ -434,8 +432,7 @@ def plan(
     """
     from pydantic import ValidationError
 
-    from service.model.configuration import bad_field
-    from service.model.geometry.cell import Cell, read_cell
+    from service.model.configuration import Cell, bad_field, read_cell
     from service.planning.plan import PlanRequest, build_plan
 
     around = cell if isinstance(cell, Cell) else read_cell(Path(cell))

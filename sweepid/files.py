@@ -13,9 +13,9 @@ from service.identification.axis.nominal_priors import TorqueGain
 from service.model.configuration import read_text, read_yaml
 from service.model.errors import BadInput
 from service.model.results.diagnosis import Diagnosis
-from service.model.results.estimate import Estimate
+from service.model.results.effect import KnownModel, ModelFile
+from service.model.results.estimate import Estimate, Figure
 from service.model.results.part import Document, Part
-from service.model.results.revision import KnownModel, ModelFile
 from service.model.robot import Robot
 
 Kind = TypeVar("Kind", bound=Document)
@@ -40,6 +40,29 @@ class AxisGain(Part):
 class TorqueGains(Part):
     model_config = ConfigDict(frozen=True, extra="forbid")
     axes: dict[str, AxisGain] = Field(min_length=1)
+
+
+class LagDocument(Part):
+    """Of a channel behind position, s; not `apart`: only the total is known."""
+
+    delay: Figure
+    smoothing: Figure
+    total: Figure
+    apart: bool
+
+
+class AxisChannels(Part):
+    """`free_resonance`, Hz, null where none was found."""
+
+    effort: LagDocument
+    velocity: LagDocument
+    free_resonance: float | None
+
+
+class ChannelTimings(Part):
+    """`sweepid estimate channels --json`, by joint."""
+
+    axes: dict[str, AxisChannels]
 
 
 def read_gains(path: Path) -> dict[str, TorqueGain]:

@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.design.excitation import Excitation
-from service.identification.design.sweep_path import way
+from service.identification.design.excitation import Excitation, way
 from service.model.robot import Robot
-from service.planning.plan import PlannedSweep
+from service.planning.documents import PlannedSweep
 from simulator import Scenario, run_sweeps
 from tests.numeric.campaign import run_of
 

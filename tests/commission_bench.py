@@ -16,10 +16,10 @@ from typing import Any, cast
 import can
 
 from drivers.canopen.profile import parse_profile
-from drivers.commission.sheet import Sheet
+from drivers.commission.drive import CheckSheet
 from drivers.commission.survey import survey
 from drivers.registry import load_profile
-from simulator.machine import Machine
+from simulator.machine import LiveMachine
 from simulator.scenario import load_scenario
 from simulator.virtual_drive import VirtualDrive
 from tests.contract.makers import profile as makers_profile
@@ -47,7 +47,7 @@ class Cabinet:
     def node(self, joint: str = "joint_1") -> Any:
         return cast(Any, self.virtual.cabinet).nodes[joint]
 
-    def check(self, **changes: Any) -> Sheet:
+    def check(self, **changes: Any) -> CheckSheet:
         """A survey of these drives by their profile with other values."""
         return survey(parse_profile(self.profile | changes, DRIVES), "test.yaml")
 
@@ -115,7 +115,7 @@ class Desk:
 @contextmanager
 def cabinet(kind: str, joints: int = 2) -> Iterator[Cabinet]:
     """`virtual`, or a dictionary of `tests.foreign_bench`; the profile has the first `joints` axes."""
-    machine = Machine(load_scenario(SCENARIO), 0)
+    machine = LiveMachine(load_scenario(SCENARIO), 0)
     channel = f"commission-{os.getpid()}-{uuid.uuid4()}"
     eds: Any = (
         ROOT / "config" / "eds" / "virtual-axis.eds" if kind == OWN else dict.fromkeys(machine.joints, file_of(kind))

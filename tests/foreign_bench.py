@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from simulator.foreign.cabinet import ForeignCabinet
-from simulator.machine import Machine
+from simulator.canopen.cabinet import ForeignCabinet
+from simulator.machine import LiveMachine
 from simulator.scenario import load_scenario
 from simulator.virtual_drive import VirtualDrive
 from tests.conftest import shared_folder
@@ -71,7 +71,7 @@ def bench(
     """Drives of one family, or of one by joint: on python-can's `virtual` bus, on socketcand at loopback, or on vcan0
     (`socketcan`).
     """
-    machine = Machine(load_scenario(scenario), 0)
+    machine = LiveMachine(load_scenario(scenario), 0)
     names = {joint: dictionary if isinstance(dictionary, str) else dictionary[joint] for joint in machine.joints}
     files = {joint: file_of(name) for joint, name in names.items()}
     channels = {"socketcand": "can0", "socketcan": "vcan0"}

@@ -8,8 +8,8 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-from drivers.commission.dictionary import read_dictionary
 from drivers.commission.draft import map_text, profile_text, shortcomings
+from drivers.commission.drive import read_dictionary
 from drivers.errors import BadProfile
 from service.formats.maker_urdf import check_urdf, read_description, side_file_text
 from service.formats.maker_urdf.packages import Packages

@@ -22,7 +22,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 CAMPAIGNS, DRIVERS, MODEL = (
-    f"tests/unit/{name}" for name in ("service/planning/campaigns", "drivers", "service/identification")
+    f"tests/unit/{name}" for name in ("service/campaigns", "drivers", "service/identification")
 )
 ROOMS = {"service/machine/execution": CAMPAIGNS, "service/planning/safety": CAMPAIGNS, "service/planning": CAMPAIGNS}
 ROOMS |= {"drivers/cia402": DRIVERS, "drivers/canopen": DRIVERS}

@@ -8,18 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from service.jobs.batches import Batches
-from service.jobs.jobs import Jobs
+from service.jobs.jobs import Batches, Jobs
 from service.jobs.worker import Worker
 from service.model.recording import Sweep
 from service.store.database import Database, open_database
-from service.store.diagnosis.model_revisions import ModelStore
+from service.store.diagnoses import ModelStore
 from service.store.documents import BatchState, CampaignState
-from service.store.files.bundle import Bundle
-from service.store.files.exchange import import_campaign
-from service.store.files.intake import save_bundle
+from service.store.files.bundle import Bundle, save_bundle
+from service.store.files.data_folder import import_campaign
 from service.store.files.recordings import RecordingFiles
-from service.store.plant.batches import BatchStore
+from service.store.plant import BatchStore
 from service.store.store import Store
 from tests.numeric.campaign import max100, measure_at, scenario_named
 

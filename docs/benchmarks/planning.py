@@ -2,19 +2,19 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docs.benchmarks.measured import Measured, Timed, beside, timed
-from service.identification.design.pose_selection import RIDGE, TIE, Criterion, condition_numbers, select_poses
+from service.identification.design.pose_selection import RIDGE, TIE, Criterion, choices, condition_numbers
 from service.identification.model.base_parameters import base_parameters, joint_ranges
-from service.model.configuration import read_robot
-from service.model.geometry.cell import Cell, read_cell
+from service.model.configuration import Cell, read_cell, read_robot
 from service.model.robot import Robot
-from service.planning.candidates import has_room
-from service.planning.observability import observe
-from service.planning.plan import PlanRequest, build_plan
+from service.planning.documents import PlanRequest
+from service.planning.plan import build_plan
+from service.planning.pose_choice import has_room, observe
 from service.planning.safety.envelope import Envelope
 from tests.naive_selection import naive_condition
 from tests.numeric.campaign import CONFIG
@@ -127,7 +127,7 @@ def quick() -> Iterator[Measured]:
 
 
 def _ours(rows: Array, count: int) -> list[int]:
-    return list(select_poses(rows, count, Criterion.CONDITION).picks)
+    return [pick for pick, _ in islice(choices(rows, Criterion.CONDITION), count)]
 
 
 def _picks(found: Timed[list[int], list[int]]) -> str:

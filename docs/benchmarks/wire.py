@@ -1,8 +1,8 @@
 """From the wire to the disk: samples through the adapter and the recorder, against a bare python-can loop.
 
 The bus is a socketcand gateway in a process of its own, ``python -m docs.benchmarks.wire CYCLES``, that sends as fast
-as one reads: SYNC and two TPDOs of six nodes a cycle. Ours: the adapter's `Bus` with its thread, sorting, pairing by
-counter, envelope, blocks of 0.1 s in SI units, and a `Recorder` an axis whose every block the disk has. The peer
+as one reads: SYNC and two TPDOs of six nodes a cycle. Ours: the adapter's `CanopenBus` with its thread, sorting,
+pairing, envelope, blocks of 0.1 s in SI units, and a `Recorder` an axis whose every block the disk has. The peer
 receives frames, unpacks them and keeps the numbers. The host's own half of a cycle, sending, is in neither.
 """
 
@@ -23,16 +23,15 @@ import can
 
 from docs.benchmarks.measured import Measured
 from drivers.canopen import frames
-from drivers.canopen.bus import Bus
-from drivers.canopen.host_sweep import BLOCK_TIME
+from drivers.canopen.bus import CanopenBus, SocketcandBus
+from drivers.canopen.host_sweep import HostSweep
 from drivers.canopen.profile import BusProfile, CanopenAxis
-from drivers.canopen.socketcand import SocketcandBus
 from drivers.canopen.streamed_axis import StreamedAxis, StreamRequest
 from drivers.canopen.units import Codec
-from drivers.cia402.checks import Envelope
+from drivers.cia402.checks import DriveEnvelope
 from drivers.cia402.profile import IdentityProfile
 from drivers.ports import SweepCommand, SweepMode
-from service.machine.execution.recording.recorder import Recorder
+from service.machine.execution.recording import Recorder
 
 NODES = (1, 2, 3, 4, 5, 6)
 ENABLED = 0x0027
@@ -44,10 +43,10 @@ PATIENCE = 10.0  # s
 
 def cycle(number: int) -> bytes:
     """What is on the bus in one, with counters from 1."""
-    told = [(frames.SYNC, b"")]
+    told: list[tuple[int, bytes]] = [(frames.Cob.SYNC, b"")]
     for node in NODES:
-        told.append((frames.TPDO1 + node, struct.pack("<Hih", ENABLED, 500 + number % 7, number % 100)))
-        told.append((frames.TPDO2 + node, struct.pack("<iI", 1000 + number, number + 1)))
+        told.append((frames.Cob.TPDO1 + node, struct.pack("<Hih", ENABLED, 500 + number % 7, number % 100)))
+        told.append((frames.Cob.TPDO2 + node, struct.pack("<iI", 1000 + number, number + 1)))
     return b"".join(f"< frame {identifier:03X} 1.0 {data.hex().upper()} >".encode() for identifier, data in told)
 
 
@@ -110,15 +109,15 @@ def bare(port: int, cycles: int) -> Taken:
     places: list[tuple[int, ...]] = []
     with SocketcandBus("can0", "127.0.0.1", port, tcp_tune=True) as bus:
         watch = Watch()
-        bus.send(can.Message(arbitration_id=frames.SYNC, is_extended_id=False))
+        bus.send(can.Message(arbitration_id=frames.Cob.SYNC, is_extended_id=False))
         while len(places) < cycles * len(NODES):
             message = bus.recv(PATIENCE)
             if message is None:
                 raise TimeoutError(f"{len(places)} samples came")
             function = message.arbitration_id & ~0x7F
-            if function == frames.TPDO1:
+            if function == frames.Cob.TPDO1:
                 motions.append(struct.unpack("<Hih", message.data))
-            elif function == frames.TPDO2:
+            elif function == frames.Cob.TPDO2:
                 places.append(struct.unpack("<iI", message.data))
         return watch.taken(len(places))
 
@@ -128,9 +127,9 @@ def recorded(port: int, cycles: int, folder: Path) -> Taken:
     profile = BusProfile(interface="socketcand", channel="can0", host="127.0.0.1", port=port, drive_timeout=60.0)
     requests = {node: _request(node, cycles) for node in NODES}
     axes = {node: StreamedAxis(request, PERIOD) for node, request in requests.items()}
-    at_least = round(BLOCK_TIME / PERIOD)
+    at_least = round(HostSweep.block_time / PERIOD)
     wanted = (cycles - cycles % at_least) * len(NODES)
-    with closing(Bus(profile, NODES)) as bus, ExitStack() as stack:
+    with closing(CanopenBus(profile, NODES)) as bus, ExitStack() as stack:
         recorders = {
             node: stack.enter_context(closing(Recorder(folder / f"{time.monotonic_ns()}-{node}.arrow", each.command)))
             for node, each in requests.items()
@@ -139,7 +138,7 @@ def recorded(port: int, cycles: int, folder: Path) -> Taken:
         for axis in axes.values():
             axis.begin()
         watch = Watch()
-        bus.send(frames.SYNC, b"")
+        bus.send(frames.Cob.SYNC, b"")
         while done < wanted:
             event = events.get(timeout=PATIENCE)
             if isinstance(event, frames.Sync):
@@ -170,7 +169,7 @@ def _request(node: int, cycles: int) -> StreamRequest:
         periods=1, ramp=0.1, settle=0.1, sample_rate=1 / PERIOD, velocity_limit=5.0, effort_limit=1000.0,
         position_window=(-50.0, 50.0),
     )  # fmt: skip
-    envelope = Envelope(command.velocity_limit, command.effort_limit, command.position_window, "rad", "N m")
+    envelope = DriveEnvelope(command.velocity_limit, command.effort_limit, command.position_window, "rad", "N m")
     return StreamRequest(axis, Codec(axis.gear_ratio, 0.0, 100.0, 1e6, 1e-3), command, envelope, 0)
 
 

@@ -14,23 +14,24 @@ import socket
 import struct
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from enum import IntFlag
 
-from drivers.canopen.bus import Bus
+from drivers.canopen.bus import CanopenBus
 from drivers.errors import CauseCode, CommunicationLost
-
-TX_SETUP, TX_DELETE = 1, 2
-SETTIMER, STARTTIMER = 1, 2
-RING = 256  # frames of one job at most
-LONGEST_RING = 1.0  # s
-MOST_STEERING = 0.1  # share of the interval; a kernel that needs more is late, which is counted
 
 Cycle = Sequence[tuple[int, bytes]]
 
-_HEAD = struct.Struct("@3I4l2I0q")  # opcode, flags, count, ival1 s us, ival2 s us, can_id, nframes
-_FRAME = struct.Struct("=IB3x8s")
+
+class Bcm(IntFlag):
+    """Operations and flags of the broadcast manager."""
+
+    TX_SETUP = 1
+    TX_DELETE = 2
+    SETTIMER = 1
+    STARTTIMER = 2
 
 
-def set_point_source(bus: Bus, *, waits: bool = False) -> str:
+def set_point_source(bus: CanopenBus, *, waits: bool = False) -> str:
     """What times the set-points of streamed sweeps on this bus: "bcm" (the kernel) or "thread".
 
     `waits`: the host delays SYNC until all drives have answered. Only its own thread can do that.
@@ -62,17 +63,13 @@ class KernelRefused(CommunicationLost, code=CauseCode.COMMUNICATION_LOST):
 
 
 class KernelStream:
-    """The cycles of a sweep, sent by the kernel. Every method raises KernelRefused if the kernel does not accept
-    them.
-    """
+    """The cycles of a sweep, sent by the kernel. Every method raises KernelRefused if the kernel refuses them."""
 
     def __init__(self, interface: str, period: float, plan: Callable[[int], Cycle], rest: Cycle) -> None:
-        """`plan(k)` is cycle k of the sweep, set-points and SYNC; `rest` is sent if there is no refill. `period`
-        in s.
-        """
+        """`plan(k)`: set-points and SYNC of cycle k; `rest` is sent if there is no refill. `period` in s."""
         size = len(rest)
         self._plan, self._rest = plan, _pack(rest)
-        self._cycles = min(RING // size, round(LONGEST_RING / period))
+        self._cycles = min(256 // size, round(1.0 / period))  # frames of a job at most; 1 s
         self._spare = max(2, self._cycles // 4)  # cycles of `rest` after the planned ones
         self._step = max(1, self._cycles // 8)  # cycles between refills
         self._identifier = rest[0][0]
@@ -90,26 +87,24 @@ class KernelStream:
     def begin(self) -> None:
         """Send cycle 0 now."""
         self._fill(0)
-        self._set_up(SETTIMER | STARTTIMER)
+        self._set_up(Bcm.SETTIMER | Bcm.STARTTIMER)
 
     def note(self, late: float) -> None:
         """A cycle was sent `late` s after its deadline."""
         self._steering.note(late)
 
     def top_up(self, sent: int) -> None:
-        """Plans further cycles if it is time. `sent` cycles are known to be sent, and no event about further ones is
-        waiting.
-        """
+        """Plans further cycles if it is time. `sent` cycles were sent, and no event about further ones is waiting."""
         if sent >= self._next_top_up:
             self._next_top_up = sent + self._step
             self._fill(sent)
             self._steering.adjust()
-            self._set_up(SETTIMER)
+            self._set_up(Bcm.SETTIMER)
 
     def close(self) -> None:
         """Nothing is sent after this."""
         with suppress(OSError):  # the interface and its job may be gone
-            self._socket.send(_head(TX_DELETE, 0, 0, 0.0, self._identifier, 0))
+            self._socket.send(_head(Bcm.TX_DELETE, 0, 0, 0.0, self._identifier, 0))
         self._socket.close()
 
     def _fill(self, sent: int) -> None:
@@ -124,7 +119,7 @@ class KernelStream:
         # A cycle may be in progress or sent but not yet seen: the count ends half-way through the spare ones.
         count = (self._cycles - self._spare + self._spare // 2) * self._size
         interval = self._steering.interval
-        head = _head(TX_SETUP, flags, count, interval, self._identifier, self._cycles * self._size)
+        head = _head(Bcm.TX_SETUP, flags, count, interval, self._identifier, self._cycles * self._size)
         try:
             self._socket.send(head + b"".join(self._ring))
         except OSError as error:
@@ -152,15 +147,16 @@ class Steering:
         self._sum, self._count = 0.0, 0
         correction = 0.5 * late / self._frames
         self._delay += 0.2 * late / self._frames
-        most = MOST_STEERING * self._nominal
+        most = 0.1 * self._nominal  # a kernel that needs more is late, which is counted
         self._delay = max(-most, min(most, self._delay))
         self.interval = self._nominal - max(-most, min(most, self._delay + correction))
 
 
 def _head(opcode: int, flags: int, count: int, interval: float, identifier: int, size: int) -> bytes:
     microseconds = max(1, round(interval * 1e6))
-    return _HEAD.pack(opcode, flags, count, 0, microseconds, 0, 0, identifier, size)
+    # opcode, flags, count, ival1 s us, ival2 s us, can_id, nframes
+    return struct.pack("@3I4l2I0q", opcode, flags, count, 0, microseconds, 0, 0, identifier, size)
 
 
 def _pack(cycle: Cycle) -> bytes:
-    return b"".join(_FRAME.pack(identifier, len(data), data) for identifier, data in cycle)
+    return b"".join(struct.pack("=IB3x8s", identifier, len(data), data) for identifier, data in cycle)

@@ -8,19 +8,19 @@ import queue
 import socket
 import threading
 import time
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import can
 import canopen
 from can.interfaces.socketcan import SocketcanBus
+from can.interfaces.socketcand import SocketCanDaemonBus
 from canopen.sdo.client import SdoClient
 
 from drivers.canopen import frames
-from drivers.canopen.foreign_frames import ForeignFrames
 from drivers.canopen.profile import BusProfile
 from drivers.canopen.sdo import RemoteNode
-from drivers.canopen.socketcand import SocketcandBus
 from drivers.cia402.host_watch import HostWatch
 from drivers.eds import object_dictionary
 from drivers.errors import CommunicationLost, ConnectionFailed, Measured
@@ -28,13 +28,8 @@ from drivers.ports import BusTraffic
 
 logger = logging.getLogger(__name__)
 
-RECEIVE_TIMEOUT = 0.05  # s; how long closing waits for the receiving thread
-FRAME_BITS = 47  # data frame with 11-bit identifier and no data, including interframe space (ISO 11898-1)
-KERNEL_REST = 1.0  # s after the end in which frames sent by the kernel may still arrive
-RECEIVE_BUFFER = 1 << 20  # bytes requested, so that a busy moment loses no frame (the kernel may limit it)
 
-
-class Bus:
+class CanopenBus:
     """An open bus. `send` may be called from any thread."""
 
     def __init__(
@@ -73,14 +68,15 @@ class Bus:
 
     @property
     def traffic(self) -> BusTraffic:
-        """Frames received and sent by this host; SDO requests of its client are not counted as sent."""
+        """Frames received and sent by this host; SDO requests of its client are not counted as sent.
+
+        A data frame with 11-bit identifier has 47 bits beside its data, including interframe space (ISO 11898-1).
+        """
         frames_, data = self._received + self._sent, self._received_bytes + self._sent_bytes
-        return BusTraffic(self._received, self._sent, FRAME_BITS * frames_ + 8 * data, self._profile.bitrate)
+        return BusTraffic(self._received, self._sent, 47 * frames_ + 8 * data, self._profile.bitrate)
 
     def add_node(self, node: int, eds: str | None) -> SdoClient:
-        """The SDO client of a node with the dictionary of `eds`. Without a dictionary, values have the length
-        received.
-        """
+        """The SDO client of a node. Without the dictionary of `eds`, values have the length received."""
         objects = None if eds is None else object_dictionary(Path(eds), node)
         remote = RemoteNode(node, cast(Any, objects))
         self._network.add_node(remote)
@@ -103,9 +99,7 @@ class Bus:
             raise CommunicationLost(f"bus {self._profile.channel}: {reason}") from None
 
     def shout(self, identifier: int, data: bytes) -> None:
-        """As `send`, but also on a bus counted as lost because no node is heard: a node that does not answer may still
-        receive.
-        """
+        """As `send`, also on a bus that is lost because no node is heard: one that is silent may still receive."""
         try:
             self._network.send_message(identifier, data)
         except (can.CanError, OSError, RuntimeError) as error:  # RuntimeError: closed
@@ -116,9 +110,7 @@ class Bus:
         return self._lost is not None or self._silence(self._heard[node]) > self._profile.drive_timeout
 
     def host_heard(self) -> bool:
-        """Whether a heartbeat under our own node id came since the last call. It is from another host if we send
-        none.
-        """
+        """Whether a heartbeat under our node id came since the last call; another host's if we send none."""
         heard, self._host_heard = self._host_heard, False
         return heard
 
@@ -132,7 +124,7 @@ class Bus:
 
     def kernel_sends(self, *, sending: bool) -> None:
         """While the kernel sends for this host, its frames are received like those of another host."""
-        self._alone_from = float("inf") if sending else time.monotonic() + KERNEL_REST
+        self._alone_from = float("inf") if sending else time.monotonic() + 1.0  # s in which its last frames may arrive
 
     def check_alive(self) -> None:
         """Raises CommunicationLost if the bus is lost or no node was heard for longer than the time-out."""
@@ -205,7 +197,7 @@ class Bus:
     def _receive(self) -> None:
         try:
             while not self._closing.is_set():
-                message = self._interface.recv(RECEIVE_TIMEOUT)
+                message = self._interface.recv(0.05)  # s; how long closing waits for this thread
                 if message is not None and not message.is_remote_frame:
                     self._received += 1
                     self._received_bytes += len(message.data)
@@ -224,13 +216,13 @@ class Bus:
             word = self._strangers.word(identifier, data)
             if word:
                 self.watch.seen(word)
-        if not message.is_error_frame and identifier & ~0x7F == frames.SDO_RESPONSE:
+        if not message.is_error_frame and identifier & ~0x7F == frames.Cob.SDO_RESPONSE:
             node = identifier & 0x7F
             if node in self._heard and len(data) == 8:  # canopen's client fails on any other length
                 self._heard[node] = time.monotonic()
                 self._network.notify(identifier, bytearray(data), message.timestamp)
             return
-        if identifier == frames.SYNC and not message.is_error_frame:
+        if identifier == frames.Cob.SYNC and not message.is_error_frame:
             # The kernel's time stamps use the wall clock; only the age of the frame is computed from them.
             self._tell_all(frames.Sync(time.monotonic() - max(0.0, time.time() - message.timestamp)))
             return
@@ -253,7 +245,7 @@ class Bus:
                 self._emergencies[event.node] = event
             else:
                 self._emergencies.pop(event.node, None)
-        if isinstance(event, frames.Heartbeat) and event.state == frames.BOOT_UP:
+        if isinstance(event, frames.Heartbeat) and event.state == frames.NmtState.BOOT_UP:
             self._restarted.add(event.node)
             logger.warning("bus %s: node %d restarted", self._profile.channel, event.node)
         stream = self._streams.get(event.node)
@@ -281,7 +273,8 @@ def _open(profile: BusProfile) -> can.BusABC:
             return SocketcandBus(profile.channel, profile.host, profile.port, tcp_tune=True)
         interface = can.Bus(**options)  # pyright: ignore[reportArgumentType]
         if isinstance(interface, SocketcanBus):
-            interface.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+            # requested, so that a busy moment loses no frame (the kernel may limit it)
+            interface.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
         return interface
     except (can.CanError, OSError, ValueError) as error:
         where = f" at {profile.host}:{profile.port}" if profile.host else ""
@@ -291,3 +284,85 @@ def _open(profile: BusProfile) -> can.BusABC:
 def _in_a_line(error: Exception) -> str:
     """For an operator: python-can's socketcand client puts its whole traceback into the message."""
     return " ".join(str(error).partition("Traceback")[0].split())
+
+
+class ForeignFrames:
+    """Detects another host on the bus by frames that only a host sends to these drives and that are not ours. Pure.
+
+    Our own frames are not seen here: python-can and socketcand gateways do not return them. A stop is not reported,
+    whoever sends it, especially the stop process, which sends nothing else (`frames.stop`): quick stop by RPDO, the
+    SYNC after it, NMT stop, and SDO requests that read, by which it confirms the stop (`stop_sender`).
+    """
+
+    readings = 128  # SDO uploads after a stop that belong to it
+    _what: ClassVar[dict[int, str]] = {frames.Cob.SDO_REQUEST: "SDO request"} | {
+        frames.rpdo_id(number): f"RPDO{number}" for number in range(1, 5)
+    }
+
+    def __init__(self, nodes: Iterable[int], host_node: int, wires: frames.Wires = frames.VIRTUAL_WIRES) -> None:
+        """`nodes`: our drives; `host_node`: node id of this host; `wires`: the RPDO that stops the drives."""
+        self._nodes, self._host_node = frozenset(nodes), host_node
+        self._quick_stops = frozenset(wires.stop_frame(node) for node in self._nodes)
+        self._stopping = False  # a quick stop was received and its SYNC was not
+        self._readings = 0  # remaining ones of the last stop
+
+    def word(self, identifier: int, data: bytes) -> str:
+        """Description of a frame of another host; "" if it does not address our drives, or is a stop. To be called with
+        every data frame with an 11-bit identifier, in the order of the bus.
+        """
+        said = self._said(identifier, data)
+        return f"another host is on the bus: {said} (COB-ID {identifier:03X}h)" if said else ""
+
+    def _said(self, identifier: int, data: bytes) -> str:
+        if identifier == frames.Cob.SYNC:
+            stopping, self._stopping = self._stopping, False
+            return "" if stopping else "SYNC"
+        if identifier == frames.Cob.NMT:
+            if len(data) < 2 or data[0] == frames.NmtCommand.STOP or (data[1] and data[1] not in self._nodes):
+                return ""
+            return f"NMT command {data[0]:02X}h to {f'node {data[1]}' if data[1] else 'every node'}"
+        function, node = identifier & ~0x7F, identifier & 0x7F
+        if function == frames.Cob.HEARTBEAT and node == self._host_node:
+            return f"heartbeat with node number {node}, which this host uses"
+        what = self._what.get(function)
+        if node not in self._nodes or what is None:
+            return ""
+        if (identifier, bytes(data)) in self._quick_stops:
+            self._stopping, self._readings = True, self.readings
+            return ""
+        if function == frames.Cob.SDO_REQUEST and data[:1] == bytes([frames.UPLOAD]) and self._readings:
+            self._readings -= 1
+            return ""
+        return f"{what} to node {node}"
+
+
+class SocketcandBus(SocketCanDaemonBus):
+    """python-can's socketcand client, for a bus on which other nodes already send.
+
+    python-can 4.6 reads each answer of its handshake together with the bytes after it, and so refuses a gateway whose
+    first frames arrive in the same packet as the last "< ok >". Here exactly the answer is read. Raises CanError, and
+    leaves nothing open, if the gateway gives another answer or is too late.
+    """
+
+    answer_timeout = 10.0  # s, for each answer of the handshake
+
+    def _expect_msg(self, msg: str) -> None:
+        connection = cast(socket.socket, cast(Any, self)._SocketCanDaemonBus__socket)
+        connection.settimeout(self.answer_timeout)
+        try:
+            answer = _exactly(connection, len(msg)).decode("ascii", "replace")
+        except OSError as error:
+            connection.close()
+            raise can.CanError(f"the gateway did not send '{msg}': {error}") from None
+        if answer != msg:
+            connection.close()
+            raise can.CanError(f"Expected '{msg}' got: '{answer}'")
+        connection.settimeout(None)
+
+
+def _exactly(connection: socket.socket, length: int) -> bytes:
+    """Read `length` bytes, or fewer if the gateway closes."""
+    received = b""
+    while len(received) < length and (more := connection.recv(length - len(received))):
+        received += more
+    return received

@@ -1,31 +1,48 @@
 """A CiA 402 drive on CANopen: `drivers.cia402.device.Device` through SDO, NMT and EMCY."""
 
 import logging
-import math
-import time
 from dataclasses import dataclass
 
-from drivers.canopen import configuration, frames, measuring, objects, speed_control
-from drivers.canopen.bus import Bus
-from drivers.canopen.device_map import Way
-from drivers.canopen.objects import Entry
+from drivers.canopen import frames, measuring
+from drivers.canopen.bus import CanopenBus
+from drivers.canopen.device_map import Cia301, Entry, SetPointWay
+from drivers.canopen.measuring import MeasuringObject
 from drivers.canopen.profile import CanopenAxis, CanopenProfile
-from drivers.canopen.sdo import ObjectAbsent, Sdo
+from drivers.canopen.sdo import (
+    ObjectAbsent,
+    PdoMapping,
+    Sdo,
+    Setting,
+    configure_pdos,
+    limit_settings,
+    pdos_are_mapped,
+    session_settings,
+    streaming_pdos,
+)
 from drivers.canopen.units import codec
-from drivers.cia402.device import Abilities, Injector, MeasuringState, Mode, Motion
+from drivers.cia402.device import (
+    Abilities,
+    Feedback,
+    Injector,
+    MeasuringCommand,
+    MeasuringState,
+    OperationMode,
+    await_mode,
+    rejection_text,
+    require_identity,
+    require_rated_torque,
+    trace_cycle,
+)
 from drivers.errors import WrongConfiguration, WrongIdentity
 from drivers.ports import AxisIdentity, NoiseCommand, SampleBlock, SweepCommand
 
 logger = logging.getLogger(__name__)
 
-MODE_TIMEOUT = 2.0  # s
-POLL = 0.002  # s
 RESTARTED = 0  # used as error code: the node booted, for which there is no code
-FOLLOW = 0x10  # controlword bit 4 in interpolated position mode
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class StreamStart:
     """An axis that waits for set-points: see `streamed_axis.StreamRequest`."""
 
     counter: int | None
@@ -36,7 +53,7 @@ class Start:
 class CanopenDevice:
     """One node. See `Device`."""
 
-    def __init__(self, profile: CanopenAxis, machine: CanopenProfile, bus: Bus, dictionary_sha256: str) -> None:
+    def __init__(self, profile: CanopenAxis, machine: CanopenProfile, bus: CanopenBus, dictionary_sha256: str) -> None:
         self.profile = profile
         self.place = f"{profile.joint} (node {profile.node})"
         self.emergency_stop_codes = machine.emergency_stop_codes
@@ -54,29 +71,18 @@ class CanopenDevice:
     # -- at connect ----------------------------------------------------------------------------------------------
 
     def identify(self) -> AxisIdentity:
-        """Read the drive's units. Raises WrongIdentity if device type, 1018h or rated torque differ from the
-        profile.
-        """
+        """Raises WrongIdentity if device type, 1018h or rated torque differ from the profile."""
         self.forbid_motion()  # a node in NMT stopped does not answer
         read = self.sdo.integer
-        kind = read(objects.DEVICE_TYPE)
-        if kind & 0xFFFF != objects.SERVO_DRIVE:
+        kind = read(Cia301.DEVICE_TYPE)
+        if kind & 0xFFFF != Cia301.SERVO_DRIVE:
             raise WrongIdentity(self.place, f"device type {kind:08X}h is not a CiA 402 drive")
-        found = (read(objects.VENDOR), read(objects.PRODUCT), read(objects.REVISION), read(objects.SERIAL))
-        expected = self.profile.identity
-        wanted = (expected.vendor, expected.product, expected.revision, expected.serial)
-        for name, have, want in zip(("vendor", "product", "revision", "serial"), found, wanted, strict=True):
-            if want is not None and have != want:
-                raise WrongIdentity(self.place, f"{name} is {have:08X}h, the profile says {want:08X}h")
+        found = (read(Cia301.VENDOR), read(Cia301.PRODUCT), read(Cia301.REVISION), read(Cia301.SERIAL))
+        require_identity(self.place, found, self.profile.identity)
         self._rated_torque = self.profile.rated_torque
         if "rated_torque" not in self._map.missing:
             self._rated_torque = self._read("rated_torque") * self._map.units.rated_torque
-        if not math.isclose(self._rated_torque, self.profile.rated_torque, rel_tol=2e-3):
-            raise WrongIdentity(
-                self.place,
-                f"rated torque of the motor is {self._rated_torque:.4g} N m, "
-                f"the profile says {self.profile.rated_torque:.4g} N m",
-            )
+        require_rated_torque(self.place, self._rated_torque, self.profile.rated_torque)
         return AxisIdentity(self.profile.joint, f"node {self.profile.node}", *found, self._sha256)
 
     def configure(self) -> Abilities:
@@ -86,11 +92,11 @@ class CanopenDevice:
         way = self._choose_way()
         self.way = way or self.way
         self._streaming_mode = self.way.mode(self._supported_modes())
-        configuration.settle_sync(self.sdo)
-        self._pdos = configuration.pdos(self._map, self.way, self.profile.node)
-        self._pdos_mapped = configuration.configure_pdos(self.sdo, self._pdos, self._map, self.profile.node)
-        needed = (measuring.KIND, measuring.SEED, speed_control.COMMISSIONED_RESET_TIME)
-        measures = self._map.measuring is not None and self._has(measuring.STATE)
+        self.sdo.settle_sync()
+        self._pdos = streaming_pdos(self._map, self.way, self.profile.node)
+        self._pdos_mapped = configure_pdos(self.sdo, self._pdos, self._map, self.profile.node)
+        needed = (MeasuringObject.KIND, MeasuringObject.SEED, MeasuringObject.COMMISSIONED_RESET_TIME)
+        measures = self._map.measuring is not None and self._has(MeasuringObject.STATE)
         self.injector = self if measures and all(self._has(entry) for entry in needed) else None
         absent = self._settle_session() | self._settle(
             self.profile.velocity_limit, self.profile.effort_limit, self.profile.position_limits
@@ -105,7 +111,7 @@ class CanopenDevice:
             velocity_limit=at("max_speed") not in absent,
             effort_limit=at("max_torque") not in absent,
             position_limits=not absent & {at("position_min"), at("position_max")},
-            host_watchdog=not absent & {objects.HEARTBEAT_CONSUMER, at("connection_loss")},
+            host_watchdog=not absent & {Cia301.HEARTBEAT_CONSUMER, at("connection_loss")},
             set_point=f"{self.way.value} ({at(self.way.target).index:04X}h)" if streams else "none",
         )
 
@@ -114,10 +120,10 @@ class CanopenDevice:
     def allow_motion(self) -> None:
         """With the commissioned speed control."""
         self._harden()
-        self._nmt(frames.NMT_START)
+        self._nmt(frames.NmtCommand.START)
 
     def forbid_motion(self) -> None:
-        self._nmt(frames.NMT_PRE_OPERATIONAL)
+        self._nmt(frames.NmtCommand.PRE_OPERATIONAL)
 
     def statusword(self) -> int:
         return self.sdo.integer(self._map.entry("statusword"))
@@ -125,14 +131,10 @@ class CanopenDevice:
     def control(self, controlword: int) -> None:
         self.sdo.write(self._map.entry("controlword"), controlword)
 
-    def set_mode(self, mode: Mode) -> None:
+    def set_mode(self, mode: OperationMode) -> None:
         """Write 6060h and wait until 6061h shows the mode."""
         self.sdo.write(self._map.entry("mode"), mode)
-        deadline = time.monotonic() + MODE_TIMEOUT
-        while (shown := self.sdo.integer(self._map.entry("mode_display"))) != mode:
-            if time.monotonic() > deadline:
-                raise WrongConfiguration(self.place, f"mode {mode} was not accepted, the drive reports mode {shown}")
-            time.sleep(POLL)
+        await_mode(self.place, mode, lambda: self.sdo.integer(self._map.entry("mode_display")))
 
     def check_alive(self) -> None:
         self._bus.check(self.profile.node, self.profile.joint)
@@ -164,7 +166,7 @@ class CanopenDevice:
         return f"error {code:04X}h" + (f", history {history:08X}h" if history else "")
 
     def reopen(self) -> None:
-        self._nmt(frames.NMT_PRE_OPERATIONAL)
+        self._nmt(frames.NmtCommand.PRE_OPERATIONAL)
 
     @property
     def deaf(self) -> bool:
@@ -179,8 +181,8 @@ class CanopenDevice:
 
     # -- motion --------------------------------------------------------------------------------------------------
 
-    def motion(self) -> Motion:
-        return Motion(
+    def motion(self) -> Feedback:
+        return Feedback(
             float(self.codec.position(self._read("position"))),
             float(self.codec.velocity(self._read("velocity"))),
             float(self.codec.effort(self.sdo.read(self._map.effort))),
@@ -188,7 +190,7 @@ class CanopenDevice:
 
     def read_back(self) -> None:
         self._settle_session()
-        if self._pdos_mapped and not configuration.pdos_are_mapped(self.sdo, self._pdos):
+        if self._pdos_mapped and not pdos_are_mapped(self.sdo, self._pdos):
             raise WrongConfiguration(self.place, "PDO mapping was changed since connect")
 
     def settle_limits(self, velocity: float, effort: float, window: tuple[float, float]) -> None:
@@ -202,11 +204,11 @@ class CanopenDevice:
         self.sdo.settle(self._map.entry("target_position"), self.codec.raw_position(position))
 
     @property
-    def cyclic_pdos(self) -> tuple[configuration.Pdo, ...]:
+    def cyclic_pdos(self) -> tuple[PdoMapping, ...]:
         """PDOs sent in each cycle of a streamed sweep, without the RPDO of the stop."""
         return tuple(pdo for pdo in self._pdos if pdo.mapped != (self._map.entry("controlword"),))
 
-    def prepare_streaming(self) -> Start:
+    def prepare_streaming(self) -> StreamStart:
         """Switch to the mode that follows set-points, with set-point zero or the actual position."""
         position = int(self._read("position")) if self.way.positions else None
         self._settle_rest()
@@ -215,7 +217,8 @@ class CanopenDevice:
             raise WrongConfiguration(self.place, f"6502h has no mode for {self.way.value}")
         self.set_mode(self._streaming_mode)
         counter = self.sdo.integer(self._map.entry("sample_counter")) if self._map.samples == "counter" else None
-        return Start(counter, position, FOLLOW if self.way is Way.INTERPOLATED_POSITION else 0)
+        # bit 4 of the controlword makes the drive follow interpolated positions
+        return StreamStart(counter, position, 0x10 if self.way is SetPointWay.INTERPOLATED_POSITION else 0)
 
     # -- measuring function --------------------------------------------------------------------------------------
 
@@ -224,42 +227,41 @@ class CanopenDevice:
     def prepare_measuring(self, command: SweepCommand) -> None:
         settings = measuring.parameters(command, self.codec)
         if self.injector is not None:
-            settings.append((measuring.KIND, measuring.MULTI_SINE))
-        self._prepare(settings, measuring.trace_cycle(command), noise=False)
+            settings.append((MeasuringObject.KIND, 0))
+        self._prepare(settings, trace_cycle(command), noise=False)
 
     def prepare_noise(self, command: NoiseCommand) -> None:
-        self._prepare(measuring.noise_parameters(command, self.codec), measuring.trace_cycle(command), noise=True)
+        self._prepare(measuring.noise_parameters(command, self.codec), trace_cycle(command), noise=True)
 
     def soften(self, softening: float) -> None:
-        speed_control.soften(self.sdo, softening)
+        measuring.soften(self.sdo, softening)
 
     def restore_control(self) -> None:
-        speed_control.restore(self.sdo)
+        measuring.restore(self.sdo)
 
     def start_measuring(self) -> None:
-        self.sdo.write(measuring.COMMAND, measuring.START)
+        self.sdo.write(MeasuringObject.COMMAND, MeasuringCommand.START)
 
     def abort_measuring(self) -> None:
-        self.sdo.write(measuring.COMMAND, measuring.ABORT)
+        self.sdo.write(MeasuringObject.COMMAND, MeasuringCommand.ABORT)
 
     def measuring_state(self) -> MeasuringState:
         """Raises WrongConfiguration for a state that this adapter does not know."""
-        number = self.sdo.integer(measuring.STATE)
+        number = self.sdo.integer(MeasuringObject.STATE)
         try:
             return MeasuringState(number)
         except ValueError:
-            raise WrongConfiguration(self.place, f"{measuring.STATE} is {number}") from None
+            raise WrongConfiguration(self.place, f"{MeasuringObject.STATE} is {number}") from None
 
     def rejection(self) -> str:
-        reason = self.sdo.integer(measuring.REASON)
-        return measuring.REASONS.get(reason, f"reason {reason}")
+        return rejection_text(self.sdo.integer(MeasuringObject.REASON))
 
     def samples_recorded(self) -> int:
-        return self.sdo.integer(measuring.RECORDED)
+        return self.sdo.integer(MeasuringObject.RECORDED)
 
     def page(self, first: int, count: int) -> SampleBlock:
-        self.sdo.write(measuring.PAGE_FIRST, first)
-        self.sdo.write(measuring.PAGE_COUNT, count)
+        self.sdo.write(MeasuringObject.PAGE_FIRST, first)
+        self.sdo.write(MeasuringObject.PAGE_COUNT, count)
         raw = self._upload()
         return measuring.samples(
             raw, first, count, self.profile, self.codec, self._trace_cycle, self.place, noise=self._noise
@@ -269,13 +271,13 @@ class CanopenDevice:
 
     def _harden(self) -> None:
         """Restore a speed control that a noise run of another host, or an interrupted one, left softened."""
-        found = speed_control.restore(self.sdo) if self.injector is not None else None
+        found = measuring.restore(self.sdo) if self.injector is not None else None
         if found is not None:
             logger.warning("%s: speed control was left softened, now restored: %s", self.place, found)
 
-    def _prepare(self, settings: list[configuration.Setting], trace_cycle: int, *, noise: bool) -> None:
+    def _prepare(self, settings: list[Setting], trace_cycle: int, *, noise: bool) -> None:
         self._trace_cycle, self._noise = trace_cycle, noise
-        self.sdo.write(measuring.COMMAND, measuring.NONE)
+        self.sdo.write(MeasuringObject.COMMAND, MeasuringCommand.NONE)
         for entry, value in settings:
             self.sdo.settle(entry, value)
 
@@ -296,20 +298,20 @@ class CanopenDevice:
             self.sdo.settle(Entry(maker.index, maker.sub, maker.type, maker.name), maker.value)
         self._harden()
         bus, options = self._machine.bus, self._machine.stop_options
-        return self._settle_present(configuration.standing(self.profile, bus, options, self.codec, self._map))
+        return self._settle_present(session_settings(self.profile, bus, options, self.codec, self._map))
 
     def _settle_map(self) -> None:
         for setting in self._map.settings:
             self.sdo.settle(setting.entry, setting.value)
 
     def _settle(self, velocity: float, effort: float, window: tuple[float, float]) -> frozenset[Entry]:
-        return self._settle_present(configuration.limits(self.codec, velocity, effort, window, self._map))
+        return self._settle_present(limit_settings(self.codec, velocity, effort, window, self._map))
 
-    def _settle_present(self, settings: tuple[configuration.Setting, ...]) -> frozenset[Entry]:
-        """As `configuration.settle`, without the objects that the map lists as missing."""
+    def _settle_present(self, settings: tuple[Setting, ...]) -> frozenset[Entry]:
+        """As `Sdo.settle_all`, without the objects that the map lists as missing."""
         missing = {self._map.entry(name) for name in self._map.missing}
         present = tuple(setting for setting in settings if setting[0] not in missing)
-        return configuration.settle(self.sdo, present) | {entry for entry, _ in settings if entry in missing}
+        return self.sdo.settle_all(present) | {entry for entry, _ in settings if entry in missing}
 
     def _read(self, name: str) -> float:
         """An object of the map. A missing object counts as 1: a factor that is not changed."""
@@ -326,15 +328,15 @@ class CanopenDevice:
         """Set to zero what the drive would add to the set-points: it keeps the value last written by any host."""
         added = [name for name in ("velocity_offset", "target_velocity") if name not in self._map.missing]
         present = tuple((self._map.entry(name), 0) for name in added if name != self.way.target)
-        configuration.settle(self.sdo, present)
+        self.sdo.settle_all(present)
 
-    def _choose_way(self) -> Way | None:
+    def _choose_way(self) -> SetPointWay | None:
         """The first way of the map that the drive supports."""
         modes = self._supported_modes()
         able = (way for way in self._map.excitation if way.mode(modes) is not None)
-        return next((way for way in able if way is not Way.VELOCITY_OFFSET or self._has_target(way)), None)
+        return next((way for way in able if way is not SetPointWay.VELOCITY_OFFSET or self._has_target(way)), None)
 
-    def _has_target(self, way: Way) -> bool:
+    def _has_target(self, way: SetPointWay) -> bool:
         """Whether the drive has the target object; 6502h does not cover optional objects."""
         return self._has(self._map.entry(way.target))
 
@@ -349,9 +351,9 @@ class CanopenDevice:
 
     def _history(self) -> int:
         try:
-            return self.sdo.integer(objects.ERROR_HISTORY)
+            return self.sdo.integer(Cia301.ERROR_HISTORY)
         except WrongConfiguration:  # missing, or empty and refused
             return 0
 
     def _nmt(self, command: int) -> None:
-        self._bus.send(frames.NMT, bytes([command, self.profile.node]))
+        self._bus.send(frames.Cob.NMT, bytes([command, self.profile.node]))

@@ -6,62 +6,105 @@ An object that a map does not name is at its CiA 402 index (`STANDARD`).
 
 import struct
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, model_validator
 
-from drivers.canopen import objects
+from drivers.bounded_yaml import read_mapping
 from drivers.canopen.frames import Wires
-from drivers.canopen.objects import Entry
-from drivers.cia402.device import Mode
+from drivers.cia402.device import OperationMode
 from drivers.cia402.profile import Frozen, parse
 from drivers.errors import BadProfile
-from drivers.yaml_file import read_mapping
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One object with its wire type (struct code, little endian) and its name in messages, which may differ."""
+
+    index: int
+    sub: int
+    type: str
+    name: str = field(compare=False)
+
+    def __str__(self) -> str:
+        return f"{self.index:04X}h:{self.sub:02X} {self.name}"
+
+    @property
+    def type_name(self) -> str:
+        """The type as device maps name it, "i32"."""
+        return next(name for name, letter in TYPES.items() if letter == self.type)
+
+    def pack(self, value: float) -> bytes:
+        """The bytes of the value. Raises struct.error if it does not fit the type."""
+        return struct.pack("<" + self.type, value if self.type == "d" else int(value))
+
+    def unpack(self, data: bytes) -> float:
+        """The value of the bytes. Raises struct.error if their number is wrong."""
+        value: float = struct.unpack("<" + self.type, data)[0]
+        return value
+
+
+class Cia301:
+    """Objects of every CANopen node that the adapter uses; they are the same in every map."""
+
+    DEVICE_TYPE = Entry(0x1000, 0, "I", "device type")
+    ERROR_HISTORY = Entry(0x1003, 1, "I", "latest error")
+    HEARTBEAT_CONSUMER = Entry(0x1016, 1, "I", "heartbeat consumer")
+    HEARTBEAT_PRODUCER = Entry(0x1017, 0, "H", "heartbeat producer in ms")
+    SYNC_COUNTER = Entry(0x1019, 0, "B", "synchronous counter overflow")
+    VENDOR = Entry(0x1018, 1, "I", "vendor")
+    PRODUCT = Entry(0x1018, 2, "I", "product")
+    REVISION = Entry(0x1018, 3, "I", "revision")
+    SERIAL = Entry(0x1018, 4, "I", "serial number")
+    SERVO_DRIVE = 0x192
+    """Low word of `DEVICE_TYPE`: CiA 402."""
+
 
 TYPES = {"i8": "b", "u8": "B", "i16": "h", "u16": "H", "i32": "i", "u32": "I"}
 WireType = Literal["i8", "u8", "i16", "u16", "i32", "u32"]
 
-STANDARD: dict[str, Entry] = {
-    "sync_period": objects.SYNC_PERIOD,
-    "connection_loss": objects.CONNECTION_LOSS,
-    "error_code": objects.ERROR_CODE,
-    "controlword": objects.CONTROLWORD,
-    "statusword": objects.STATUSWORD,
-    "quick_stop_option": objects.QUICK_STOP_OPTION,
-    "shutdown_option": objects.SHUTDOWN_OPTION,
-    "disable_option": objects.DISABLE_OPTION,
-    "halt_option": objects.HALT_OPTION,
-    "fault_option": objects.FAULT_OPTION,
-    "mode": objects.MODE,
-    "mode_display": objects.MODE_DISPLAY,
-    "position": objects.POSITION,
-    "velocity": objects.VELOCITY,
-    "max_torque": objects.MAX_TORQUE,
-    "rated_current": objects.RATED_CURRENT,
-    "rated_torque": objects.RATED_TORQUE,
-    "torque": objects.TORQUE,
-    "current": objects.CURRENT,
-    "target_position": objects.TARGET_POSITION,
-    "position_min": objects.POSITION_MIN,
-    "position_max": objects.POSITION_MAX,
-    "max_profile_velocity": objects.MAX_PROFILE_VELOCITY,
-    "max_speed": objects.MAX_MOTOR_SPEED,
-    "profile_velocity": objects.PROFILE_VELOCITY,
-    "profile_acceleration": objects.PROFILE_ACCELERATION,
-    "profile_deceleration": objects.PROFILE_DECELERATION,
-    "quick_stop_deceleration": objects.QUICK_STOP_DECELERATION,
-    "increments": objects.INCREMENTS,
-    "motor_revolutions": objects.MOTOR_REVOLUTIONS,
-    "velocity_unit": objects.VELOCITY_UNIT,
-    "velocity_offset": objects.VELOCITY_OFFSET,
-    "interpolated_position": objects.INTERPOLATED_POSITION,
-    "cycle_value": objects.CYCLE_VALUE,
-    "cycle_exponent": objects.CYCLE_EXPONENT,
-    "target_velocity": objects.TARGET_VELOCITY,
-    "supported_modes": objects.SUPPORTED_MODES,
-    "sample_counter": objects.SAMPLE_COUNTER,
+STANDARD = {
+    "sync_period": Entry(0x1006, 0, "I", "communication cycle in us"),
+    "connection_loss": Entry(0x6007, 0, "h", "abort connection option"),
+    "error_code": Entry(0x603F, 0, "H", "error code"),
+    "controlword": Entry(0x6040, 0, "H", "controlword"),
+    "statusword": Entry(0x6041, 0, "H", "statusword"),
+    "quick_stop_option": Entry(0x605A, 0, "h", "quick stop option"),
+    "shutdown_option": Entry(0x605B, 0, "h", "shutdown option"),
+    "disable_option": Entry(0x605C, 0, "h", "disable operation option"),
+    "halt_option": Entry(0x605D, 0, "h", "halt option"),
+    "fault_option": Entry(0x605E, 0, "h", "fault reaction option"),
+    "mode": Entry(0x6060, 0, "b", "mode of operation"),
+    "mode_display": Entry(0x6061, 0, "b", "mode of operation display"),
+    "position": Entry(0x6064, 0, "i", "position"),
+    "velocity": Entry(0x606C, 0, "i", "velocity"),
+    "max_torque": Entry(0x6072, 0, "H", "max torque"),
+    "rated_current": Entry(0x6075, 0, "I", "rated current in mA"),
+    "rated_torque": Entry(0x6076, 0, "I", "rated torque in 10^-3 N m"),
+    "torque": Entry(0x6077, 0, "h", "torque"),
+    "current": Entry(0x6078, 0, "h", "current"),
+    "target_position": Entry(0x607A, 0, "i", "target position"),
+    "position_min": Entry(0x607D, 1, "i", "lower position limit"),
+    "position_max": Entry(0x607D, 2, "i", "upper position limit"),
+    "max_profile_velocity": Entry(0x607F, 0, "I", "max profile velocity"),
+    "max_speed": Entry(0x6080, 0, "I", "max motor speed"),
+    "profile_velocity": Entry(0x6081, 0, "I", "profile velocity"),
+    "profile_acceleration": Entry(0x6083, 0, "I", "profile acceleration"),
+    "profile_deceleration": Entry(0x6084, 0, "I", "profile deceleration"),
+    "quick_stop_deceleration": Entry(0x6085, 0, "I", "quick stop deceleration"),
+    "increments": Entry(0x608F, 1, "I", "encoder increments"),
+    "motor_revolutions": Entry(0x608F, 2, "I", "motor revolutions"),
+    "velocity_unit": Entry(0x60A9, 0, "I", "velocity unit"),
+    "velocity_offset": Entry(0x60B1, 0, "i", "velocity offset"),
+    "interpolated_position": Entry(0x60C1, 1, "i", "interpolated position"),
+    "cycle_value": Entry(0x60C2, 1, "B", "interpolation period"),
+    "cycle_exponent": Entry(0x60C2, 2, "b", "interpolation period's power of ten"),
+    "target_velocity": Entry(0x60FF, 0, "i", "target velocity"),
+    "supported_modes": Entry(0x6502, 0, "I", "supported drive modes"),
+    "sample_counter": Entry(0x2120, 1, "I", "sample counter"),
 }
 NEEDED = frozenset(  # required to move and to measure
     {"controlword", "statusword", "mode", "mode_display", "position", "velocity", "target_position", "profile_velocity"}
@@ -84,7 +127,7 @@ Speed = Literal["60A9h", "increments/s", "rev/min", "1e-3 rev/min", "1e-3 deg/s"
 OtherSpeed = Literal["velocity", "increments/s", "rev/min", "1e-3 rev/min", "1e-3 deg/s"]
 
 
-class Way(Enum):
+class SetPointWay(Enum):
     """How the set-points of a streamed sweep enter the drive: mode of operation, and object that receives them.
 
     `VELOCITY_OFFSET` is added to a profile of the drive that stands still (60FFh = 0). It bypasses the ramps of the
@@ -99,19 +142,21 @@ class Way(Enum):
     @property
     def positions(self) -> bool:
         """True if the host sends positions, False if it sends velocities."""
-        return self in (Way.CYCLIC_POSITION, Way.INTERPOLATED_POSITION)
+        return self in (SetPointWay.CYCLIC_POSITION, SetPointWay.INTERPOLATED_POSITION)
 
     @property
     def target(self) -> str:
         """Name of the target object in the map."""
-        return {Way.CYCLIC_VELOCITY: "target_velocity", Way.CYCLIC_POSITION: "target_position"}.get(self, self.value)
+        return {SetPointWay.CYCLIC_VELOCITY: "target_velocity", SetPointWay.CYCLIC_POSITION: "target_position"}.get(
+            self, self.value
+        )
 
-    def mode(self, supported: int | None) -> Mode | None:
-        """The mode to use among those `supported` (6502h; None: unknown). None if the drive has no mode for this
-        way.
-        """
+    def mode(self, supported: int | None) -> OperationMode | None:
+        """The mode to use among those `supported` (6502h; None: unknown); None if the drive has none."""
         for mode in (
-            (Mode.CYCLIC_VELOCITY, Mode.PROFILE_VELOCITY) if self is Way.VELOCITY_OFFSET else (Mode[self.name],)
+            (OperationMode.CYCLIC_VELOCITY, OperationMode.PROFILE_VELOCITY)
+            if self is SetPointWay.VELOCITY_OFFSET
+            else (OperationMode[self.name],)
         ):
             if supported is None or supported >> (mode - 1) & 1:
                 return mode
@@ -127,9 +172,7 @@ class ObjectPlace(Frozen):
 
 
 class MapSetting(Frozen):
-    """An object that must hold a value before the units are read, in drive units. A missing or different object is
-    refused.
-    """
+    """An object that must hold this value, in drive units, before the units are read; otherwise it is refused."""
 
     name: str
     index: int = Field(ge=0x1000, le=0x9FFF)
@@ -142,7 +185,7 @@ class MapSetting(Frozen):
         return Entry(self.index, self.sub, TYPES[self.type], self.name)
 
 
-class Units(Frozen):
+class DeviceUnits(Frozen):
     """Units of raw values. Revolutions are those of `side`."""
 
     side: Literal["motor", "joint"] = "motor"
@@ -177,10 +220,10 @@ class DeviceMap(Frozen):
     vendor: int | None = None
     product: int | None = None
     objects: Mapping[str, ObjectPlace] = {}
-    units: Units = Units()
+    units: DeviceUnits = DeviceUnits()
     pdos: Pdos = Pdos()
-    excitation: tuple[Way, ...] = Field(
-        default=(Way.CYCLIC_VELOCITY,), min_length=1
+    excitation: tuple[SetPointWay, ...] = Field(
+        default=(SetPointWay.CYCLIC_VELOCITY,), min_length=1
     )  # the first one that the drive supports (6502h) is used
     streaming_needs: tuple[str, ...] = ("cycle_value",)  # objects that tell the drive the cycle time
     samples: Literal["counter", "window"] = "window"

@@ -6,34 +6,54 @@ COB-IDs of CiA 301's predefined connection set; PDO contents as mapped in `confi
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, IntEnum, IntFlag
 
-from drivers.cia402.states import QUICK_STOP
+from drivers.cia402.states import Controlword
 
-SYNC = 0x080
-EMERGENCY = 0x080
-TPDO1 = 0x180
-RPDO1 = 0x200
-TPDO2 = 0x280
-RPDO2, RPDO3, RPDO4 = 0x300, 0x400, 0x500
-SDO_RESPONSE = 0x580
-SDO_REQUEST = 0x600
-HEARTBEAT = 0x700
 
-NMT = 0x000
-NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL = 0x01, 0x02, 0x80
-BOOT_UP, OPERATIONAL = 0x00, 0x05  # heartbeat's state byte
+class Cob(IntEnum):
+    """COB-IDs; those of a node are given without it."""
 
-# SocketCAN's error classes, in the identifier of an error frame, and the controller state in data byte 1
-ERROR_CONTROLLER, ERROR_BUS_OFF, ERROR_RESTARTED = 0x004, 0x040, 0x100
-CONTROLLER_WARNING, CONTROLLER_PASSIVE, CONTROLLER_ACTIVE = 0x04 | 0x08, 0x10 | 0x20, 0x40
+    NMT = 0x000
+    SYNC = 0x080
+    EMERGENCY = 0x080
+    TPDO1 = 0x180
+    RPDO1 = 0x200
+    TPDO2 = 0x280
+    RPDO2 = 0x300
+    RPDO3 = 0x400
+    RPDO4 = 0x500
+    SDO_RESPONSE = 0x580
+    SDO_REQUEST = 0x600
+    HEARTBEAT = 0x700
 
-_TPDO1 = struct.Struct("<Hih")
-_TPDO2 = struct.Struct("<iI")
-_TPDO2_WITHOUT_COUNTER = struct.Struct("<ii")
-_EMERGENCY = struct.Struct("<HB5s")
-_RPDO1 = struct.Struct("<Hi")
-_CONTROLWORD = struct.Struct("<H")
+
+class NmtCommand(IntEnum):
+    """Commands of network management."""
+
+    START = 0x01
+    STOP = 0x02
+    PRE_OPERATIONAL = 0x80
+
+
+class NmtState(IntEnum):
+    """State byte of a heartbeat."""
+
+    BOOT_UP = 0x00
+    OPERATIONAL = 0x05
+    PRE_OPERATIONAL = 0x7F
+
+
+class ErrorClass(IntFlag):
+    """SocketCAN's error classes, in the identifier of an error frame (linux/can/error.h)."""
+
+    CONTROLLER = 0x004
+    BUS_OFF = 0x040
+    RESTARTED = 0x100
+
+
+UPLOAD = 0x40
+"""Command specifier of an SDO upload request."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +72,8 @@ class Wires:
     def stop_frame(self, node: int) -> tuple[int, bytes]:
         """Quick stop for a node that needs no answer. It never contains a new target position."""
         if self.stop is None:
-            return self.set_point_id(node), rpdo1(QUICK_STOP, 0)
-        return rpdo_id(self.stop) + node, _CONTROLWORD.pack(QUICK_STOP)
+            return self.set_point_id(node), rpdo1(Controlword.QUICK_STOP, 0)
+        return rpdo_id(self.stop) + node, struct.pack("<H", Controlword.QUICK_STOP)
 
 
 def rpdo_id(number: int) -> int:
@@ -163,18 +183,18 @@ def decode(identifier: int, data: bytes, error: bool = False, wires: Wires = VIR
     function, node = identifier & ~0x7F, identifier & 0x7F
     if node == 0:
         return None
-    if function == tpdo_id(wires.state) and len(data) == _TPDO1.size:
-        return MotionPdo(node, *_TPDO1.unpack(data))
-    if function == tpdo_id(wires.place) and len(data) == _TPDO2.size:
+    if function == tpdo_id(wires.state) and len(data) == 8:
+        return MotionPdo(node, *struct.unpack("<Hih", data))
+    if function == tpdo_id(wires.place) and len(data) == 8:
         if wires.counted:
-            return PositionPdo(node, *_TPDO2.unpack(data))
-        position, velocity = _TPDO2_WITHOUT_COUNTER.unpack(data)
+            return PositionPdo(node, *struct.unpack("<iI", data))
+        position, velocity = struct.unpack("<ii", data)
         return PositionPdo(node, position, 0, velocity)
     if function in (rpdo_id(wires.set_point), rpdo_id(wires.stop or wires.set_point)):
         return SetPoint(node, data)
-    if function == EMERGENCY and len(data) == _EMERGENCY.size:
-        return Emergency(node, *_EMERGENCY.unpack(data))
-    if function == HEARTBEAT and len(data) == 1:
+    if function == Cob.EMERGENCY and len(data) == 8:
+        return Emergency(node, *struct.unpack("<HB5s", data))
+    if function == Cob.HEARTBEAT and len(data) == 1:
         return Heartbeat(node, data[0] & 0x7F)
     return None
 
@@ -182,15 +202,15 @@ def decode(identifier: int, data: bytes, error: bool = False, wires: Wires = VIR
 def _controller(classes: int, data: bytes) -> Controller | None:
     """linux/can/error.h: error classes in the identifier, details in eight data bytes."""
     detail, transmit, receive = (data[1], data[6], data[7]) if len(data) == 8 else (0, 0, 0)
-    if classes & ERROR_BUS_OFF:
+    if classes & ErrorClass.BUS_OFF:
         state = ControllerState.BUS_OFF
-    elif classes & ERROR_RESTARTED:
+    elif classes & ErrorClass.RESTARTED:
         state = ControllerState.RESTARTED
-    elif classes & ERROR_CONTROLLER and detail & CONTROLLER_PASSIVE:
+    elif classes & ErrorClass.CONTROLLER and detail & 0x30:
         state = ControllerState.PASSIVE
-    elif classes & ERROR_CONTROLLER and detail & CONTROLLER_WARNING:
+    elif classes & ErrorClass.CONTROLLER and detail & 0x0C:
         state = ControllerState.WARNING
-    elif classes & ERROR_CONTROLLER and detail & CONTROLLER_ACTIVE:
+    elif classes & ErrorClass.CONTROLLER and detail & 0x40:
         state = ControllerState.ACTIVE
     else:
         return None
@@ -206,9 +226,13 @@ def stop(
     pre-operational.
     """
     quick_stops = [wires.stop_frame(node) for node in nodes]
-    return [*quick_stops, *([(SYNC, b"")] if sync else []), *((NMT, bytes([NMT_STOP, node])) for node in deaf)]
+    return [
+        *quick_stops,
+        *([(Cob.SYNC, b"")] if sync else []),
+        *((Cob.NMT, bytes([NmtCommand.STOP, node])) for node in deaf),
+    ]
 
 
 def rpdo1(controlword: int, target: int) -> bytes:
     """6040h and the target: 60FFh or a position."""
-    return _RPDO1.pack(controlword, target)
+    return struct.pack("<Hi", controlword, target)

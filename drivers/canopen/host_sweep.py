@@ -11,25 +11,79 @@ import queue
 import sys
 import threading
 import time
+from array import array
 from collections.abc import AsyncGenerator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 
+import numpy as np
+
 from drivers.canopen import frames
 from drivers.canopen.bcm import Cycle, KernelRefused, KernelStream, set_point_source
-from drivers.canopen.bus import Bus
+from drivers.canopen.bus import CanopenBus
 from drivers.canopen.profile import BusProfile
-from drivers.canopen.punctuality import Punctuality
-from drivers.canopen.stop_sequence import StopStage
-from drivers.canopen.streamed_axis import STANDING_SAMPLES, Ending, StreamedAxis, StreamRequest, Trouble, unplanned
-from drivers.cia402.states import State
+from drivers.canopen.streamed_axis import (
+    Ending,
+    StopStage,
+    StreamedAxis,
+    StreamRequest,
+    Trouble,
+    unplanned,
+)
+from drivers.cia402.states import PowerState
 from drivers.errors import CommunicationLost, Measured
 from drivers.ports import SampleBlock, SetPointTiming
 
-OPENING_SYNCS = 3  # without set-points; after more of them a drive assumes that the host is lost
-BLOCK_TIME = 0.1  # s of samples per block
-STANDSTILL_TIMEOUT = 3.0  # s of cycles after the end of the waveform; s without the last samples
-HOLD_TIMEOUT = 5.0  # s, maximum wait at standstill until the mode is left
+
+class Punctuality:
+    """Missed deadlines are counted and left out, never compensated by a burst: only the wall clock shifts."""
+
+    def __init__(self, period: float, allowed: int, limit: float) -> None:
+        """`period` s; more than `allowed` missed deadlines, or one lateness above `limit` s, is an error."""
+        self._period, self._allowed, self._limit = period, allowed, limit
+        self._lateness = array("d")
+        self._missed = 0
+        self._worst = 0.0
+        self.due = 0.0
+        """The next deadline, s on the monotonic clock."""
+
+    def begin(self, at: float) -> None:
+        """Set the first deadline."""
+        self.due = at
+
+    def sent(self, at: float) -> float:
+        """A cycle is sent at this time. Returns the lateness after the last passed deadline, s; negative: early."""
+        late = at - self.due
+        passed = max(0, int(late / self._period))
+        self._lateness.append(late)
+        self._missed += passed
+        self._worst = max(self._worst, late)
+        self.due += (1 + passed) * self._period
+        return late - passed * self._period
+
+    @property
+    def patient(self) -> bool:
+        """Whether a further deadline may be missed."""
+        return self._missed < self._allowed
+
+    @property
+    def verdict(self) -> str | None:
+        """Why the host is too late; None if it is not."""
+        if self._worst > self._limit:
+            return f"a set-point was {self._worst:.3f} s late, {self._limit:g} s are the limit"
+        if self._missed > self._allowed:
+            return (
+                f"{self._missed} deadlines of {self._period * 1e3:g} ms were missed, {self._allowed} are allowed; "
+                f"the worst set-point was {self._worst * 1e3:.1f} ms late"
+            )
+        return None
+
+    def timing(self, source: str) -> SetPointTiming:
+        """Punctuality so far; from any thread."""
+        lateness = self._lateness.tolist()  # an atomic copy: the array may grow meanwhile
+        median = float(np.median(lateness)) if lateness else 0.0
+        return SetPointTiming(source, len(lateness), self._missed, median, self._worst)
+
 
 Events = queue.SimpleQueue[frames.Event]
 
@@ -37,8 +91,13 @@ Events = queue.SimpleQueue[frames.Event]
 class HostSweep:
     """One run. `stop` (a threading.Event) may be set from any thread and starts the stop sequence."""
 
+    opening_syncs = 3  # without set-points; after more of them a drive assumes that the host is lost
+    block_time = 0.1  # s of samples per block
+    standstill_timeout = 3.0  # s of cycles after the end of the waveform; s without the last samples
+    hold_timeout = 5.0  # s, maximum wait at standstill until the mode is left
+
     def __init__(
-        self, bus: Bus, settings: BusProfile, requests: Sequence[StreamRequest], stop: threading.Event
+        self, bus: CanopenBus, settings: BusProfile, requests: Sequence[StreamRequest], stop: threading.Event
     ) -> None:
         """Starts at once. The axes must stand, enabled, in cyclic synchronous velocity."""
         self.ending = Ending.COMPLETED
@@ -54,11 +113,11 @@ class HostSweep:
         wires = self._wires = requests[0].wires
         self._source = set_point_source(bus, waits=settings.waits(wires))
         # sent by the kernel if no further cycles are planned
-        self._rest: list[tuple[int, bytes]] = [*(wires.stop_frame(node) for node in self._axes), (frames.SYNC, b"")]
+        self._rest: list[tuple[int, bytes]] = [*(wires.stop_frame(node) for node in self._axes), (frames.Cob.SYNC, b"")]
         self._last = max(axis.last for axis in self._axes.values())
         self._number = 0  # cycles sent
         self._ended = False  # the stop sequence has begun
-        self._block_samples = max(1, round(BLOCK_TIME / period))
+        self._block_samples = max(1, round(self.block_time / period))
         self._silence = settings.silence
         self._silent_cycles = max(3, round(settings.silence / period))
         self._kernel: KernelStream | None = None
@@ -74,9 +133,7 @@ class HostSweep:
         self._executor.shutdown(wait=False)  # the thread ends with its only task
 
     async def blocks(self) -> AsyncGenerator[SampleBlock, None]:
-        """The samples as they arrive, in order for each axis. Ends when all stand: enabled if COMPLETED, else
-        disabled.
-        """
+        """The samples as they arrive, in order for each axis, until all stand: enabled if COMPLETED, else disabled."""
         while (block := await self._blocks.get()) is not None:
             yield block
         if not self._held:
@@ -133,11 +190,11 @@ class HostSweep:
     def _meet(self, events: Events) -> None:
         """SYNC without set-points until every drive has reported that it is enabled."""
         self._check()  # report a stop that came first as a stop, not as a silent drive
-        for _ in range(OPENING_SYNCS):
-            self._bus.send(frames.SYNC, b"")
+        for _ in range(self.opening_syncs):
+            self._bus.send(frames.Cob.SYNC, b"")
             self._count_sync()
             sent = time.monotonic()
-            answer_by = sent + max(self._period, self._silence / OPENING_SYNCS)
+            answer_by = sent + max(self._period, self._silence / self.opening_syncs)
             while self._unknown() and (event := _next(events, answer_by - time.monotonic())) is not None:
                 self._take(event)
             self._listen(events, sent + self._period)
@@ -153,7 +210,7 @@ class HostSweep:
                 axis.begin()
 
     def _unknown(self) -> list[StreamedAxis]:
-        return [axis for axis in self._axes.values() if axis.state is State.UNKNOWN]
+        return [axis for axis in self._axes.values() if axis.state is PowerState.UNKNOWN]
 
     def _by_kernel(self, events: Events) -> None:
         """The cycles of the sweep, planned in advance. Returns at its end, or once the stop sequence has begun."""
@@ -184,7 +241,9 @@ class HostSweep:
 
     def _by_thread(self, events: Events) -> None:
         counted_by = hold_until = float("inf")
-        standstill_by = self._last + round(STANDSTILL_TIMEOUT / self._period)  # a cycle: an axis is slow, not the host
+        standstill_by = self._last + round(
+            self.standstill_timeout / self._period
+        )  # a cycle: an axis is slow, not the host
         self._clock.begin(time.monotonic())
         while True:
             now = time.monotonic()
@@ -192,7 +251,7 @@ class HostSweep:
             self._check()
             if not self._send_set_points(now):
                 continue  # without SYNC the drives do not take over the set-points sent to some of them
-            self._bus.send(frames.SYNC, b"")
+            self._bus.send(frames.Cob.SYNC, b"")
             if all(axis.stop_sequence.stage is StopStage.DONE for axis in self._axes.values()):
                 return
             self._number += 1
@@ -202,7 +261,7 @@ class HostSweep:
             if self._number <= self._last or self._ended:
                 continue
             unfinished = self._unfinished()
-            if unfinished is not None and self._number > self._last + STANDING_SAMPLES:
+            if unfinished is not None and self._number > self._last + StreamedAxis.standing_samples:
                 self._wait_for_the_count(events)
                 unfinished = self._unfinished()
             now = time.monotonic()
@@ -213,11 +272,11 @@ class HostSweep:
                     self._stop_all(StopStage.QUICK_STOP)
             elif unfinished is not None:
                 behind = any(axis.behind for axis in self._axes.values())
-                counted_by = min(counted_by, now + STANDSTILL_TIMEOUT) if behind else float("inf")
+                counted_by = min(counted_by, now + self.standstill_timeout) if behind else float("inf")
                 if self._number > standstill_by or now > counted_by:
                     self._end(*unfinished)
-            elif self._number > self._last + STANDING_SAMPLES:
-                hold_until = now + HOLD_TIMEOUT
+            elif self._number > self._last + StreamedAxis.standing_samples:
+                hold_until = now + self.hold_timeout
                 self._hand_over(at_least=1)
                 self._held = True
                 self._post(None)
@@ -228,7 +287,7 @@ class HostSweep:
         """For the kernel: content of a future cycle if nothing happens before it."""
         wires = self._wires
         set_points = [(wires.set_point_id(node), axis.planned(number)) for node, axis in self._axes.items()]
-        return [*set_points, (frames.SYNC, b"")]
+        return [*set_points, (frames.Cob.SYNC, b"")]
 
     def _send_set_points(self, now: float) -> bool:
         """Send the set-point of every axis. False if the host was suspended meanwhile: then quick stops follow."""
@@ -263,10 +322,10 @@ class HostSweep:
         if self._ended:
             return
         axes = list(self._axes.values())
-        if self._number == self._last + STANDING_SAMPLES and not all(axis.counts for axis in axes):
+        if self._number == self._last + StreamedAxis.standing_samples and not all(axis.counts for axis in axes):
             self._listen(events, self._clock.due + self._period)
             self._clock.begin(self._clock.due + self._period)
-        until = sent + self._silence / OPENING_SYNCS
+        until = sent + self._silence / self.opening_syncs
         while self._clock.patient and not all(axis.answered for axis in axes) and not self._ended:
             left = until - time.monotonic()
             if left <= 0:
@@ -354,7 +413,7 @@ class HostSweep:
         for axis in self._axes.values():
             if not axis.standing:
                 return Trouble(
-                    Ending.NO_STANDSTILL, f"is not at standstill {STANDSTILL_TIMEOUT:g} s after its sweep"
+                    Ending.NO_STANDSTILL, f"is not at standstill {self.standstill_timeout:g} s after its sweep"
                 ), axis
             if not axis.complete:
                 return Trouble(Ending.MISCOUNTED, f"its sample counter is {axis.behind} behind SYNC"), axis

@@ -117,9 +117,7 @@ def parse_profile(profile: Mapping[str, object], base: Path) -> CanopenProfile:
 
 
 def _check_map(profile: _Content, device_map: DeviceMap) -> None:
-    """Raises BadProfile unless the map is for the devices of the profile, and these have the values that the map
-    requires.
-    """
+    """Raises BadProfile unless the map is for the devices of the profile, which have the values that it requires."""
     units = device_map.units
     for axis in profile.axes:
         found = (device_map.vendor, device_map.product)

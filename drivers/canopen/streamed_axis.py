@@ -1,28 +1,149 @@
-"""One axis of a streamed sweep: its set-points, samples, stop sequence and errors. No I/O."""
+"""One axis of a streamed sweep: its stop sequence, set-points, samples and errors. No I/O."""
 
 import sys
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, IntEnum
+from typing import Protocol
 
 import numpy as np
 
 from drivers.canopen import frames
 from drivers.canopen.frames import VIRTUAL_WIRES, Wires
 from drivers.canopen.profile import CanopenAxis
-from drivers.canopen.samples import Pairing, Sample
-from drivers.canopen.set_points import Positions, SetPoints, Velocities
-from drivers.canopen.stop_sequence import StopSequence, StopStage
+from drivers.canopen.samples import CounterPairing, SyncSample, Windows
 from drivers.canopen.units import Codec
-from drivers.canopen.windows import Windows
 from drivers.cia402 import states
-from drivers.cia402.checks import Envelope
-from drivers.cia402.states import State
-from drivers.cia402.waveform import set_point
+from drivers.cia402.checks import DriveEnvelope, set_point
+from drivers.cia402.states import Controlword, PowerState, Wish
 from drivers.errors import Measured
 from drivers.ports import SampleBlock, SweepCommand
 
-STANDING_SAMPLES = 5  # in a row below the standstill velocity
-MOST_AHEAD = 0.2  # s of SYNCs without a sample, before a host that may miss deadlines waits for a drive that counts
+
+class StopStage(IntEnum):
+    """Stage of the stop; it never decreases."""
+
+    RUN = 0
+    RAMP = 1
+    QUICK_STOP = 2
+    DISABLE = 3
+    DONE = 4
+
+
+@dataclass(slots=True)
+class StopSequence:
+    """Ramp to zero, quick stop, disable voltage, as a table of stages. `ramp_step`: raw velocity units per cycle.
+
+    A stage without success by its deadline, s, leads to the next.
+    """
+
+    ramp_step: int
+    ramp_time: float
+    quick_stop_time: float
+    disable_time: float
+    stage: StopStage = StopStage.RUN
+    _target: int = 0
+    _deadline: float = 0.0
+
+    def advance(self, stage: StopStage, now: float, target: int) -> None:
+        """Go to `stage` unless it is already reached; `target` is the present set-point."""
+        if stage <= self.stage:
+            return
+        self.stage = stage
+        self._target = target
+        self._deadline = now + (0.0, self.ramp_time, self.quick_stop_time, self.disable_time, 0.0)[stage]
+
+    def command(self, now: float, standing: bool, state: PowerState) -> tuple[int, int]:
+        """Controlword and target velocity of this cycle, after changing the stage if it is due.
+
+        If the drive has left the expected state, the quick stop begins.
+        """
+        if self.stage is StopStage.RUN:
+            self.advance(StopStage.QUICK_STOP, now, 0)
+        off = state not in states.ENERGISED | {PowerState.UNKNOWN}
+        if self.stage is StopStage.RAMP:
+            self._target -= max(-self.ramp_step, min(self.ramp_step, self._target))
+            if self._target == 0 and standing:
+                self.advance(StopStage.DISABLE, now, 0)
+            elif now > self._deadline or state is not PowerState.OPERATION_ENABLED:
+                self.advance(StopStage.QUICK_STOP, now, 0)
+            else:
+                return Controlword.ENABLE_OPERATION, self._target
+        if self.stage is StopStage.QUICK_STOP:
+            if standing or off or now > self._deadline:
+                self.advance(StopStage.DISABLE, now, 0)
+            else:
+                return states.step(state, Wish.QUICK_STOP), 0
+        if self.stage is StopStage.DISABLE and (off or now > self._deadline):
+            self.advance(StopStage.DONE, now, 0)
+        return states.step(state, Wish.DISABLED), 0
+
+
+class SetPoints(Protocol):
+    """Targets in drive units, one per cycle. The target sent before SYNC k is reached one period later."""
+
+    mode_bits: int
+    """Bits of the controlword while the axis follows the set-points."""
+
+    def planned(self, number: int) -> int:
+        """Target of this cycle of the sweep; the last target after its end."""
+        ...
+
+    def velocity(self, number: int) -> int:
+        """Velocity of this cycle in drive units, from which a ramp to standstill begins."""
+        ...
+
+    def ramped(self, number: int, velocity: int) -> int:
+        """Target that continues from cycle `number` at this velocity, in drive units; call once per cycle."""
+        ...
+
+
+class Velocities:
+    """Targets for 60FFh."""
+
+    mode_bits = 0
+
+    def __init__(self, codec: Codec, command: SweepCommand, last: int, period: float) -> None:
+        """`last` is the number of the last sample; `period` s."""
+        wave = set_point(command, np.arange(1, last + 1, dtype=float) * period)
+        self._targets = [codec.raw_velocity(velocity) for velocity in (*wave, 0.0)]
+
+    def planned(self, number: int) -> int:
+        return self._targets[min(number, len(self._targets) - 1)]
+
+    velocity = planned
+
+    def ramped(self, number: int, velocity: int) -> int:
+        return velocity
+
+
+class Positions:
+    """Targets for 607Ah or 60C1h: the velocities integrated from `start`, drive units."""
+
+    def __init__(
+        self, codec: Codec, command: SweepCommand, last: int, period: float, start: int, mode_bits: int
+    ) -> None:
+        self.mode_bits = mode_bits
+        self._velocities = Velocities(codec, command, last, period)
+        # 8 steps per cycle: exact to 10^-4 of an amplitude up to 5 Hz at 8 ms
+        fine = set_point(command, np.arange(last * 8 + 1, dtype=float) * (period / 8))
+        travelled = np.concatenate([[0.0], np.cumsum((fine[1:] + fine[:-1]) * (period / 8 / 2))])[::8]
+        begin = float(codec.position(start))
+        targets = [codec.raw_position(begin + float(each)) for each in travelled[1:]]
+        self._targets = [*targets, targets[-1]]
+        self._step = abs(codec.velocity_unit * codec.increments) * period  # position units per cycle and velocity unit
+        self._place: float | None = None  # position during the ramp
+
+    def planned(self, number: int) -> int:
+        return self._targets[min(number, len(self._targets) - 1)]
+
+    def velocity(self, number: int) -> int:
+        return self._velocities.planned(number)
+
+    def ramped(self, number: int, velocity: int) -> int:
+        if self._place is None:
+            self._place = float(self.planned(max(0, number - 1)))
+        self._place += velocity * self._step
+        return round(self._place)
 
 
 class Ending(Enum):
@@ -69,7 +190,7 @@ class StreamRequest:
     axis: CanopenAxis
     codec: Codec
     command: SweepCommand
-    envelope: Envelope
+    envelope: DriveEnvelope
     counter: int | None
     start: int | None = None
     mode_bits: int = 0
@@ -82,11 +203,14 @@ class StreamedAxis:
     The set-point sent before SYNC k is reached one period later, so that the axis should have w(k T) at SYNC k.
     """
 
+    standing_samples = 5  # in a row below the standstill velocity
+    most_ahead = 0.2  # s of SYNCs without a sample, before a host that may miss deadlines waits for a drive that counts
+
     def __init__(self, request: StreamRequest, period: float) -> None:
         axis, codec = request.axis, request.codec
         self.joint = axis.joint
         self.place = f"{axis.joint} (node {axis.node})"
-        self.state = State.UNKNOWN  # until a TPDO is received
+        self.state = PowerState.UNKNOWN  # until a TPDO is received
         self.velocity = 0  # of the last set-point, drive units
         self.silent = 0  # SYNCs since the last sample
         self.behind = 0  # SYNCs sent but not yet counted in the last sample
@@ -100,18 +224,18 @@ class StreamedAxis:
             quick_stop_time=axis.velocity_limit / axis.quick_stop_deceleration + 1.0,
             disable_time=1.0,
         )
-        self._pairing = Windows() if request.counter is None else Pairing(request.counter)
+        self._pairing = Windows() if request.counter is None else CounterPairing(request.counter)
         self._motion: frames.MotionPdo | None = None  # last received
         self._standing = 0
         self._syncs = 0  # sent since the counter was read
         self._first = sys.maxsize  # SYNCs before the first one of the sweep
         self._number = -1  # of the last sample
         self._over = False  # no further sample is needed
-        self._fresh: list[Sample] = []
+        self._fresh: list[SyncSample] = []
 
     @property
     def standing(self) -> bool:
-        return self._standing >= STANDING_SAMPLES
+        return self._standing >= self.standing_samples
 
     @property
     def complete(self) -> bool:
@@ -120,20 +244,20 @@ class StreamedAxis:
 
     @property
     def answered(self) -> bool:
-        """Both TPDOs came since the last SYNC; those of a drive that counts samples may be `MOST_AHEAD` late."""
+        """Both TPDOs came since the last SYNC; those of a drive that counts samples may be `most_ahead` late."""
         if isinstance(self._pairing, Windows):
             return self._pairing.answered
-        return (self.behind + self.silent) * self._period <= MOST_AHEAD
+        return (self.behind + self.silent) * self._period <= self.most_ahead
 
     @property
     def counts(self) -> bool:
         """Whether the drive counts its samples."""
-        return isinstance(self._pairing, Pairing)
+        return isinstance(self._pairing, CounterPairing)
 
     def planned(self, number: int) -> bytes:
         """RPDO of the set-point of this cycle; after the end of the sweep without the bits that start a mode."""
         bits = self._set_points.mode_bits if number <= self.last else 0
-        return frames.rpdo1(states.ENABLE_OPERATION | bits, self._set_points.planned(number))
+        return frames.rpdo1(Controlword.ENABLE_OPERATION | bits, self._set_points.planned(number))
 
     def was_sent(self, number: int) -> None:
         """This cycle was sent as planned."""
@@ -141,11 +265,11 @@ class StreamedAxis:
 
     def command(self, number: int, now: float) -> bytes:
         """RPDO of the set-point of this cycle: along the sweep, or along the stop sequence."""
-        if self.stop_sequence.stage is StopStage.RUN and self.state is State.OPERATION_ENABLED:
+        if self.stop_sequence.stage is StopStage.RUN and self.state is PowerState.OPERATION_ENABLED:
             self.was_sent(number)
             return self.planned(number)
         controlword, self.velocity = self.stop_sequence.command(now, self.standing, self.state)
-        if controlword == states.ENABLE_OPERATION:
+        if controlword == Controlword.ENABLE_OPERATION:
             controlword |= self._set_points.mode_bits
         return frames.rpdo1(controlword, self._set_points.ramped(number, self.velocity))
 
@@ -179,8 +303,8 @@ class StreamedAxis:
                 return self._take_position(event)
             case frames.Emergency() if event.code:
                 return Trouble(Ending.LEFT_STATE, f"error {event.code:04X}h")
-            case frames.Heartbeat() if event.state == frames.BOOT_UP:
-                self.state = State.UNKNOWN
+            case frames.Heartbeat() if event.state == frames.NmtState.BOOT_UP:
+                self.state = PowerState.UNKNOWN
                 return Trouble(Ending.LEFT_STATE, "node restarted")
             case _:
                 pass
@@ -218,7 +342,7 @@ class StreamedAxis:
         self._keep(sample)
         return self._watch(sample.statusword, sample.velocity, sample.torque, sample.position)
 
-    def _keep(self, sample: Sample) -> None:
+    def _keep(self, sample: SyncSample) -> None:
         self.silent = 0
         velocity = float(self._request.codec.velocity(sample.velocity))
         self._standing = self._standing + 1 if abs(velocity) <= self._request.axis.standstill_velocity else 0
@@ -233,7 +357,7 @@ class StreamedAxis:
         self.state = states.decode(statusword)
         if self.stop_sequence.stage is not StopStage.RUN:
             return None
-        if self.state is not State.OPERATION_ENABLED:
+        if self.state is not PowerState.OPERATION_ENABLED:
             return Trouble(Ending.LEFT_STATE, f"is '{self.state.value}'")
         violation = self._request.envelope.violation(
             float(codec.position(position)), float(codec.velocity(velocity)), float(codec.effort(torque))

@@ -1,8 +1,4 @@
-"""Drive units on the motor side <-> SI on the joint side, by the unit objects of the drive.
-
-With u the signed gear ratio, theta the motor angle [rad] and q0 the joint position at encoder zero:
-q = theta / u + q0,  qd = theta' / u,  effort = u * motor torque.
-"""
+"""Drive units on the motor side <-> SI on the joint side, by the unit objects of the drive."""
 
 import math
 from collections.abc import Callable
@@ -11,23 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.canopen.device_map import SPEEDS, Units
+from drivers.canopen.device_map import SPEEDS, DeviceUnits
 from drivers.canopen.profile import CanopenAxis
+from drivers.cia402.profile import Gear
 from drivers.errors import LimitExceeded, WrongConfiguration
 
 Array = NDArray[np.float64]
 
-REVOLUTIONS, INCREMENTS = 0xB4, 0xB5  # CiA 402 unit codes in 60A9h, numerator
-SECOND, MINUTE = 0x03, 0x47  # denominator
-
 
 @dataclass(frozen=True, slots=True)
-class Codec:
-    """One axis' conversions. Raw values are the integers on the wire; `motor_` values are rev/min, rev, N m."""
+class Codec(Gear):
+    """One axis' conversions. Raw values are the integers on the wire; `rated_torque` is that of 6076h."""
 
-    gear_ratio: float
-    position_offset: float  # rad (m)
-    rated_torque: float  # N m of the motor, 6076h
     increments: float  # per motor revolution, 608Fh; divided by the gear ratio if the drive counts on the joint side
     velocity_unit: float  # motor rev/s per raw unit, 60A9h
     acceleration_unit: float | None = None  # motor rev/s^2 per raw unit; None: velocity units per s
@@ -46,22 +37,6 @@ class Codec:
         """6077h, per mille of rated torque (6078h: of rated current) -> N m (N)."""
         rated = self.rated_torque if self.rated_effort is None else self.rated_effort
         return np.asarray(raw) * (1e-3 * rated * self.gear_ratio)
-
-    def motor_position(self, revolutions: Array | float) -> Array:
-        """Motor revolutions -> rad (m)."""
-        return np.asarray(revolutions) * (math.tau / self.gear_ratio) + self.position_offset
-
-    def motor_velocity(self, rev_per_min: Array | float) -> Array:
-        """Motor rev/min -> rad/s (m/s)."""
-        return np.asarray(rev_per_min) * (math.tau / 60 / self.gear_ratio)
-
-    def motor_effort(self, torque: Array | float) -> Array:
-        """Motor torque N m -> N m (N) on the joint side."""
-        return np.asarray(torque) * self.gear_ratio
-
-    def motor_torque(self, effort: float) -> float:
-        """Magnitude of an effort N m (N) on the joint side -> N m of the motor."""
-        return abs(effort / self.gear_ratio)
 
     def raw_position(self, position: float) -> int:
         """rad (m) -> increments; LimitExceeded beyond 32 bits."""
@@ -89,22 +64,16 @@ class Codec:
 
     def raw_effort_limit(self, effort: float) -> int:
         """N m (N) -> per mille of rated torque, rounded down, at most the 16-bit maximum."""
-        return min(math.floor(effort / (self.rated_torque * abs(self.gear_ratio)) * 1e3), 0xFFFF)
+        return min(math.floor(self.permille(effort)), 0xFFFF)
 
     def raw_window(self, window: tuple[float, float]) -> tuple[int, int]:
-        """Joint limits, rad (m) -> increments, low before high for either sign of the gear ratio; limited to 32
-        bits.
-        """
+        """Joint limits, rad (m) -> increments, low before high for either sign of the gear ratio, of 32 bits."""
         scale = self.gear_ratio / math.tau * self.increments
         low, high = sorted((limit - self.position_offset) * scale for limit in window)
         return max(math.floor(low), -(2**31)), min(math.ceil(high), 2**31 - 1)
 
-    def rev_per_min(self, velocity: float) -> float:
-        """rad/s (m/s) -> motor rev/min."""
-        return velocity * self.gear_ratio * 60 / math.tau
 
-
-def codec(axis: CanopenAxis, units: Units, rated_torque: float, read: Callable[[str], float]) -> Codec:
+def codec(axis: CanopenAxis, units: DeviceUnits, rated_torque: float, read: Callable[[str], float]) -> Codec:
     """Built from the unit objects of the drive, the map and the profile; `read` returns an object of the map.
     `rated_torque` N m.
 
@@ -143,13 +112,13 @@ def codec(axis: CanopenAxis, units: Units, rated_torque: float, read: Callable[[
 
 
 def velocity_unit(code: int, increments: float) -> float:
-    """Object 60A9h -> motor rev/s per raw unit. Raises WrongConfiguration for a unit other than rev or inc per min or
-    s.
+    """60A9h -> motor rev/s per raw unit. WrongConfiguration unless it is revolutions (B4h) or increments (B5h) per s
+    (03h) or min (47h).
     """
     prefix = (code >> 24) - 256 if code >> 31 else code >> 24
     numerator, denominator = (code >> 16) & 0xFF, (code >> 8) & 0xFF
-    revolutions = {REVOLUTIONS: 1.0, INCREMENTS: 1.0 / increments}.get(numerator)
-    seconds = {SECOND: 1.0, MINUTE: 60.0}.get(denominator)
+    revolutions = {0xB4: 1.0, 0xB5: 1.0 / increments}.get(numerator)
+    seconds = {0x03: 1.0, 0x47: 60.0}.get(denominator)
     if revolutions is None or seconds is None or not -9 <= prefix <= 9:
         raise WrongConfiguration(f"60A9h: velocity unit {code:08X}h is not 10^x rev or increments per s or min")
     return 10.0**prefix * revolutions / seconds

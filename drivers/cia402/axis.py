@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 from drivers.cia402 import states
-from drivers.cia402.device import Device, MeasuringState, Mode, Motion
+from drivers.cia402.device import Device, Feedback, MeasuringState, OperationMode
 from drivers.cia402.host_watch import HostWatch
-from drivers.cia402.states import State, Wish
+from drivers.cia402.states import Controlword, PowerState, Statusword, Wish
 from drivers.errors import (
     CauseCode,
     CommunicationLost,
@@ -23,11 +23,6 @@ from drivers.errors import (
 )
 from drivers.ports import AxisIdentity, AxisState, AxisStatus, Fault
 
-TRANSITION_TIMEOUT = 2.0  # s, for one step of the power state machine (brakes take about 100 ms)
-RESET_TIMEOUT = 0.5  # s
-POLL = 0.002  # s
-STOP_WORD = 0.1  # s by which the report of a stop of another process may arrive after its effect
-
 
 class Energy(Enum):
     """The power state that this host wants for an axis. During a change every state is accepted."""
@@ -38,18 +33,22 @@ class Energy(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Reading(Motion):
+class Reading(Feedback):
     """Statusword and motion at one instant, joint side."""
 
     statusword: int
 
     @property
-    def state(self) -> State:
+    def state(self) -> PowerState:
         return states.decode(self.statusword)
 
 
-class Axis:
+class Cia402Axis:
     """Stores the properties read at connect, the latched fault, and whether this host energised the axis."""
+
+    transition_timeout = 2.0  # s, for one step of the power state machine (brakes take about 100 ms)
+    reset_timeout = 0.5  # s
+    poll = 0.002  # s
 
     def __init__(self, device: Device, watch: HostWatch) -> None:
         """`watch` is checked before each command that enables or moves the axis."""
@@ -77,7 +76,7 @@ class Axis:
         motion = self.device.motion()
         return Reading(motion.position, motion.velocity, motion.effort, statusword)
 
-    def state(self) -> State:
+    def state(self) -> PowerState:
         return states.decode(self.device.statusword())
 
     def stands(self, reading: Reading) -> bool:
@@ -97,10 +96,10 @@ class Axis:
         energised = reading.state not in states.WITHOUT_ENERGY
         return AxisStatus(self.profile.joint, state, *moving, self.fault, self.stands(reading), energised)
 
-    def latch_fault(self, state: State) -> Fault | None:
+    def latch_fault(self, state: PowerState) -> Fault | None:
         """Store a fault that the drive reports until it is acknowledged here, even if the drive clears it."""
         announced = self.device.announced_error()
-        if self.fault is None and (announced is not None or state in (State.FAULT, State.FAULT_REACTION)):
+        if self.fault is None and (announced is not None or state in (PowerState.FAULT, PowerState.FAULT_REACTION)):
             code = self.device.error_code() or announced or 0  # 0: no error code, see `error_text`
             self.fault = Fault(
                 joint=self.profile.joint,
@@ -110,7 +109,7 @@ class Axis:
             )
         return self.fault
 
-    def check(self, state: State) -> None:
+    def check(self, state: PowerState) -> None:
         """Raises CommunicationLost, EmergencyStop or DriveFault if one of them happened to the axis.
 
         Raises MotionForbidden if the axis lost its energy for another reason and this host did not disable it.
@@ -126,9 +125,7 @@ class Axis:
             self.check(self.state())
 
     def check_unused(self) -> None:
-        """Between motions: checks whether another host enabled the axis, and reports it to the watch.
-        CommunicationLost.
-        """
+        """Between motions: reports to the watch if another host enabled the axis. CommunicationLost."""
         self.device.check_alive()
         self._notice_enabled(self.state())
 
@@ -155,17 +152,17 @@ class Axis:
         self.device.allow_motion()
         self.energy = Energy.CHANGING
         try:
-            self.device.set_mode(Mode.PROFILE_POSITION)
+            self.device.set_mode(OperationMode.PROFILE_POSITION)
             self.device.hold_target()
             state = self.state()
-            while state is not State.OPERATION_ENABLED:
+            while state is not PowerState.OPERATION_ENABLED:
                 self._check_wanted(stop)
                 self._command(states.step(state, Wish.ENABLED))
-                following = self._next_state(state, TRANSITION_TIMEOUT, stop)
+                following = self._next_state(state, self.transition_timeout, stop)
                 self._check_wanted(stop)
                 self.check(following)
                 if following is state:
-                    raise NotReady(self.place, f"stays in state '{state.value}' for {TRANSITION_TIMEOUT} s")
+                    raise NotReady(self.place, f"stays in state '{state.value}' for {self.transition_timeout} s")
                 state = following
             self.energy = Energy.ON
             self._check_wanted(stop)
@@ -176,26 +173,26 @@ class Axis:
     def disable(self) -> None:
         """Sends disable voltage in any state, without reading the state first, and waits until it takes effect."""
         self.expect_stop()
-        self.device.control(states.DISABLE_VOLTAGE)
-        deadline = time.monotonic() + TRANSITION_TIMEOUT
+        self.device.control(Controlword.DISABLE_VOLTAGE)
+        deadline = time.monotonic() + self.transition_timeout
         while (state := self.state()) in states.ENERGISED:
             if time.monotonic() > deadline:
                 raise WrongConfiguration(self.place, f"does not leave state '{state.value}' on 'disable voltage'")
-            time.sleep(POLL)
+            time.sleep(self.poll)
         self.energy = Energy.OFF
         self.device.forbid_motion()
 
     def quick_stop(self) -> None:
         self.expect_stop()
-        self.device.control(states.QUICK_STOP)
+        self.device.control(Controlword.QUICK_STOP)
 
     def halt(self) -> None:
         """First stage of the stop sequence for a move: decelerate by 605Dh, in closed loop if that is still allowed."""
         self.expect_stop()
         if self._watch.reason:
             self.quick_stop()
-        elif self.state() is State.OPERATION_ENABLED:
-            self.device.control(states.ENABLE_OPERATION | states.HALT)
+        elif self.state() is PowerState.OPERATION_ENABLED:
+            self.device.control(Controlword.ENABLE_OPERATION | Controlword.HALT)
 
     def slow_down(self) -> None:
         """First stage of the stop sequence: abort the measuring function if it runs, otherwise halt."""
@@ -207,12 +204,12 @@ class Axis:
     def acknowledge(self) -> None:
         """Fault reset by a rising edge of bit 7 only. Raises DriveFault if the fault remains."""
         state = self.state()
-        if state is State.FAULT:
-            self.device.control(states.DISABLE_VOLTAGE)
+        if state is PowerState.FAULT:
+            self.device.control(Controlword.DISABLE_VOLTAGE)
             self.device.control(states.step(state, Wish.FAULT_RESET))
-            self.device.control(states.DISABLE_VOLTAGE)
-            state = self._next_state(state, RESET_TIMEOUT, stop=threading.Event())
-        if state in (State.FAULT, State.FAULT_REACTION):
+            self.device.control(Controlword.DISABLE_VOLTAGE)
+            state = self._next_state(state, self.reset_timeout, stop=threading.Event())
+        if state in (PowerState.FAULT, PowerState.FAULT_REACTION):
             code = self.device.error_code()
             raise DriveFault(
                 self.place, f"fault {code:04X}h cannot be cleared while its cause persists: remove the cause first"
@@ -226,7 +223,7 @@ class Axis:
         """Raises NotReady unless the axis is enabled and stands."""
         reading = self.read()
         self.check(reading.state)
-        if reading.state is not State.OPERATION_ENABLED:
+        if reading.state is not PowerState.OPERATION_ENABLED:
             raise NotReady(self.place, f"is '{reading.state.value}', must be enabled first")
         if not self.stands(reading):
             raise NotReady(self.place, f"still moves at {reading.velocity:.4g} {self.profile.unit}/s")
@@ -238,18 +235,18 @@ class Axis:
         The axis may move before the drive acknowledges. `stop` interrupts waiting, so that the stop sequence gets
         the thread.
         """
-        self._command(states.ENABLE_OPERATION)
+        self._command(Controlword.ENABLE_OPERATION)
         self.device.set_target(position, velocity)
-        self._command(states.ENABLE_OPERATION | states.NEW_SET_POINT)
-        deadline = time.monotonic() + TRANSITION_TIMEOUT
-        while not self.device.statusword() & states.SET_POINT_ACKNOWLEDGED:
+        self._command(Controlword.ENABLE_OPERATION | Controlword.NEW_SET_POINT)
+        deadline = time.monotonic() + self.transition_timeout
+        while not self.device.statusword() & Statusword.SET_POINT_ACKNOWLEDGED:
             if stop.is_set():
                 return
             self.check(self.state())
             if time.monotonic() > deadline:
                 raise WrongConfiguration(self.place, "does not acknowledge the set-point (statusword bit 12)")
-            time.sleep(POLL)
-        self._command(states.ENABLE_OPERATION)
+            time.sleep(self.poll)
+        self._command(Controlword.ENABLE_OPERATION)
 
     def start_measuring(self) -> None:
         """Raises SweepRejected with the drive's reason; then nothing moved."""
@@ -265,18 +262,16 @@ class Axis:
         self._watch.check()
         self.device.control(controlword)
 
-    def _check_fault(self, state: State) -> None:
+    def _check_fault(self, state: PowerState) -> None:
         fault = self.latch_fault(state)
         if fault is not None:
             kind = EmergencyStop if fault.emergency_stop else DriveFault
             raise kind(self.place, fault.text, measured=Measured(fault.code, None, "hex"))
 
-    def _check_kept(self, state: State) -> None:
-        """MotionForbidden if an axis enabled here lost its energy. Waits so that an external stop can be reported
-        first.
-        """
-        deadline = time.monotonic() + STOP_WORD
-        while self.energy is Energy.ON and state is not State.OPERATION_ENABLED:
+    def _check_kept(self, state: PowerState) -> None:
+        """MotionForbidden if an axis enabled here lost its energy. An external stop may be reported first."""
+        deadline = time.monotonic() + 0.1  # s by which the report of a stop may arrive after its effect
+        while self.energy is Energy.ON and state is not PowerState.OPERATION_ENABLED:
             if time.monotonic() > deadline:
                 self.device.look_for_restart()
                 self._check_fault(state)
@@ -286,10 +281,10 @@ class Axis:
                     self.profile.joint,
                 )
                 self._watch.check()
-            time.sleep(POLL)
+            time.sleep(self.poll)
 
-    def _notice_enabled(self, state: State) -> None:
-        if self.energy is Energy.OFF and state in (State.SWITCHED_ON, State.OPERATION_ENABLED):
+    def _notice_enabled(self, state: PowerState) -> None:
+        if self.energy is Energy.OFF and state in (PowerState.SWITCHED_ON, PowerState.OPERATION_ENABLED):
             self._watch.seen(
                 f"{self.place} is '{state.value}', but this service did not enable it: find out what did",
                 CauseCode.ENERGY_CHANGED,
@@ -300,9 +295,9 @@ class Axis:
         if stop.is_set():
             raise SweepInterrupted(self.place, "was stopped while it was being enabled")
 
-    def _next_state(self, state: State, within: float, stop: threading.Event) -> State:
+    def _next_state(self, state: PowerState, within: float, stop: threading.Event) -> PowerState:
         """The state that follows `state`, or `state` if it does not change within `within` s or before `stop`."""
         deadline = time.monotonic() + within
         while (now := self.state()) is state and time.monotonic() < deadline and not stop.is_set():
-            time.sleep(POLL)
+            time.sleep(self.poll)
         return now

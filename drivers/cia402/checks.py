@@ -1,19 +1,18 @@
-"""Limits on the joint side: checks of a command before any motion, and of a moving axis."""
+"""Limits on the joint side: checks of a command and its set-point before any motion, and of a moving axis."""
 
 import math
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from drivers.cia402.profile import AxisProfile
-from drivers.cia402.waveform import travel
 from drivers.errors import LimitExceeded, Measured, distinct
 from drivers.ports import NoiseCommand, SweepCommand, SweepMode
 
-MAX_SINES = 16  # of the measuring function
-OVERSHOOT = 1.1  # of the speed during a positioning move, over the highest speed that may be commanded
-
 
 @dataclass(frozen=True, slots=True)
-class Envelope:
+class DriveEnvelope:
     """Limits of a moving axis; rad, rad/s, N m (m, m/s, N)."""
 
     velocity_limit: float
@@ -45,18 +44,18 @@ def _beyond(value: float, limit: float) -> tuple[str, str]:
     return f"-{size}" if value < 0 else size, most
 
 
-def move_envelope(axis: AxisProfile) -> Envelope:
-    """Envelope of positioning moves: the limits of the profile, with margin for the overshoot of the speed
-    controller.
-    """
-    return Envelope(
-        OVERSHOOT * axis.velocity_limit, axis.effort_limit, axis.position_limits, axis.unit, axis.effort_unit
+def move_envelope(axis: AxisProfile) -> DriveEnvelope:
+    """Envelope of positioning moves: the limits of the profile, with 10 % for the overshoot of the speed controller."""
+    return DriveEnvelope(
+        1.1 * axis.velocity_limit, axis.effort_limit, axis.position_limits, axis.unit, axis.effort_unit
     )
 
 
-def sweep_envelope(axis: AxisProfile, command: SweepCommand | NoiseCommand) -> Envelope:
+def sweep_envelope(axis: AxisProfile, command: SweepCommand | NoiseCommand) -> DriveEnvelope:
     """Envelope of a sweep or noise run: the limits of the command."""
-    return Envelope(command.velocity_limit, command.effort_limit, command.position_window, axis.unit, axis.effort_unit)
+    return DriveEnvelope(
+        command.velocity_limit, command.effort_limit, command.position_window, axis.unit, axis.effort_unit
+    )
 
 
 def check_move(axis: AxisProfile, position: float, velocity: float) -> None:
@@ -71,9 +70,7 @@ def check_move(axis: AxisProfile, position: float, velocity: float) -> None:
 
 
 def check_sweep(axis: AxisProfile, command: SweepCommand, start: float, sync_period: float) -> None:
-    """Raises LimitExceeded if a sweep from position `start`, rad (m), would exceed its own limits or those of the
-    profile.
-    """
+    """Raises LimitExceeded if a sweep from `start`, rad (m), would exceed its own limits or those of the profile."""
     _at_most(axis, "velocity limit", command.velocity_limit, axis.velocity_limit, f"{axis.unit}/s")
     _at_most(axis, "effort limit", command.effort_limit, axis.effort_limit, axis.effort_unit)
     for what, value in (("ramp", command.ramp), ("period", command.period), ("sample rate", command.sample_rate)):
@@ -89,8 +86,8 @@ def check_sweep(axis: AxisProfile, command: SweepCommand, start: float, sync_per
             axis.joint,
             f"peak velocity {peak:.4g} {axis.unit}/s is beyond the limit of {command.velocity_limit:.4g} {axis.unit}/s",
         )
-    if command.mode is SweepMode.DRIVE_SIDE and len(command.sines) > MAX_SINES:
-        raise LimitExceeded(axis.joint, f"{len(command.sines)} sines are more than the drive's {MAX_SINES}")
+    if command.mode is SweepMode.DRIVE_SIDE and len(command.sines) > 16:
+        raise LimitExceeded(axis.joint, f"{len(command.sines)} sines are more than the drive's 16")
     rate = 1 / sync_period if command.mode is SweepMode.HOST_STREAMED else command.sample_rate
     highest = max((sine.frequency for sine in command.sines), default=0.0)
     if not highest < rate / 2:
@@ -118,20 +115,8 @@ def check_noise(axis: AxisProfile, command: NoiseCommand, start: float) -> None:
 
     The additional motion caused by the noise depends on the plant; the envelope monitors it.
     """
-    turn = SweepCommand(
-        joint=command.joint,
-        mode=SweepMode.DRIVE_SIDE,
-        offset_velocity=command.offset_velocity,
-        sines=(),
-        period=command.period,
-        periods=command.periods,
-        ramp=command.ramp,
-        settle=command.settle,
-        sample_rate=command.sample_rate,
-        velocity_limit=command.velocity_limit,
-        effort_limit=command.effort_limit,
-        position_window=command.position_window,
-    )
+    common = {name: getattr(command, name) for name in SweepCommand.__dataclass_fields__ if hasattr(command, name)}
+    turn = SweepCommand(mode=SweepMode.DRIVE_SIDE, sines=(), **common)
     check_sweep(axis, turn, start, math.inf)
     _at_most(axis, "RMS of the injected effort", command.effort, command.effort_limit, axis.effort_unit)
     _at_most(axis, "softening", command.softening, 1.0, "of the speed control")
@@ -149,3 +134,29 @@ def _at_most(axis: AxisProfile, what: str, value: float, limit: float, unit: str
     if not 0 < value <= limit:
         shown, most = distinct(value, limit, digits=4)
         raise LimitExceeded(axis.joint, f"{what} {shown} {unit} must be above 0 and at most {most} {unit}")
+
+
+Array = NDArray[np.float64]
+
+
+def set_point(command: SweepCommand, time: Array) -> Array:
+    """``e(t) (offset + sum a sin(2 pi f (t - t0) + phi))`` in rad/s (m/s) at `time` (n,), s from the sweep's start."""
+    value = np.full_like(time, command.offset_velocity)
+    for sine in command.sines:
+        value += sine.amplitude * np.sin(2 * np.pi * sine.frequency * (time - command.measure_from) + sine.phase)
+    return envelope(command, time) * value
+
+
+def envelope(command: SweepCommand, time: Array) -> Array:
+    """e(t): raised cosine over `ramp`, one, raised cosine down; zero before and after. (n,)"""
+    since_end = np.minimum(time, command.duration - time)
+    return 0.5 - 0.5 * np.cos(np.pi * np.clip(since_end / command.ramp, 0.0, 1.0))
+
+
+def travel(command: SweepCommand, step: float = 1e-3) -> tuple[float, float]:
+    """Lowest and highest position of the set-point relative to the start, rad (m), by the trapezoidal rule."""
+    count = max(2, round(command.duration / step) + 1)
+    time = np.linspace(0.0, command.duration, count)
+    velocity = set_point(command, time)
+    path = np.concatenate([[0.0], np.cumsum((velocity[1:] + velocity[:-1]) / 2 * np.diff(time))])
+    return float(path.min()), float(path.max())

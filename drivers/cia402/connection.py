@@ -1,17 +1,81 @@
-"""Interface of a fieldbus for a whole machine: an open connection with its axes, and its streamed sweeps."""
+"""Interface of a fieldbus for a whole machine: an open connection with its axes and the single thread of its blocking
+exchanges, so that they never overlap on the bus, and its streamed sweeps.
+"""
 
+import asyncio
 import threading
-from collections.abc import AsyncGenerator, Iterable, Mapping, Sequence
-from typing import Protocol
+from collections import deque
+from collections.abc import AsyncGenerator, Callable, Coroutine, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from functools import partial
+from typing import ParamSpec, Protocol, TypeVar
 
-from drivers.cia402.axis import Axis
-from drivers.cia402.checks import Envelope
+from drivers.cia402.axis import Cia402Axis
+from drivers.cia402.checks import DriveEnvelope
 from drivers.cia402.host_watch import HostWatch
-from drivers.cia402.thread import DriveThread
+from drivers.errors import CauseCode, CommunicationLost, DriveError
 from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SetPointTiming, StopSender, SweepCommand, SweepMode
 
+P = ParamSpec("P")
 
-class Run(Protocol):
+
+T = TypeVar("T")
+
+
+class StopFirst(DriveError, code=CauseCode.SWEEP_INTERRUPTED):
+    """A stop waits while a call uses the bus. The call ends by this, and begins again once the stop was sent."""
+
+
+class DriveThread:
+    """First come, first served, except for `post`. A call, once started, runs to its end if its caller is cancelled."""
+
+    def __init__(self, name: str) -> None:
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix=name)
+        self._closed = False
+        self._posted: deque[Callable[[], object]] = deque()
+
+    async def run(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """The result of `function`, called on the thread. Raises CommunicationLost after `close`."""
+        if self._closed:
+            raise CommunicationLost("the connection was closed")
+        return await asyncio.wrap_future(self._executor.submit(self._call, partial(function, *args, **kwargs)))
+
+    def post(self, function: Callable[P, object], *args: P.args, **kwargs: P.kwargs) -> None:
+        """Call `function` on the thread, before everything that has not begun; do not wait. Nothing after `close`."""
+        self._posted.append(partial(function, *args, **kwargs))
+        with suppress(RuntimeError):  # closed this moment
+            self._executor.submit(self._call_posted)
+
+    async def close(self) -> None:
+        """Ends the thread after the calls that are queued; on a closed bus they fail at once."""
+        self._closed = True
+        await asyncio.to_thread(self._executor.shutdown)
+
+    def _call(self, function: Callable[[], T]) -> T:
+        """A call that a stop interrupted begins again. That moves nothing: whoever sends a stop marks the motion as
+        stopped first, and every call that energises or moves checks this mark before its first command.
+        """
+        while True:
+            self._call_posted()
+            with suppress(StopFirst):
+                return function()
+
+    def _call_posted(self) -> None:
+        while self._posted:
+            self._posted.popleft()()
+
+
+async def to_the_end(work: Coroutine[object, object, None]) -> None:
+    """Runs code that releases a bus to its end, even if the caller is cancelled twice."""
+    task = asyncio.create_task(work, name="release the bus")
+    while not task.done():
+        with suppress(asyncio.CancelledError):
+            await asyncio.wait([task])
+    task.result()
+
+
+class RunningSweep(Protocol):
     """A running sweep."""
 
     def blocks(self) -> AsyncGenerator[SampleBlock, None]:
@@ -40,14 +104,14 @@ class Run(Protocol):
         ...
 
 
-class Connection(Protocol):
+class DriveConnection(Protocol):
     """An open bus with every axis identified, configured and disabled."""
 
     @property
     def thread(self) -> DriveThread: ...
 
     @property
-    def axes(self) -> Mapping[str, Axis]: ...
+    def axes(self) -> Mapping[str, Cia402Axis]: ...
 
     @property
     def identities(self) -> tuple[AxisIdentity, ...]: ...
@@ -60,7 +124,7 @@ class Connection(Protocol):
         """Cycle time of host-streamed sweeps, s."""
         ...
 
-    async def stream(self, sweeps: Sequence[tuple[SweepCommand, Envelope]], stop: threading.Event) -> Run:
+    async def stream(self, sweeps: Sequence[tuple[SweepCommand, DriveEnvelope]], stop: threading.Event) -> RunningSweep:
         """Start the set-points on enabled axes whose limits are already written to the drives."""
         ...
 
@@ -84,7 +148,7 @@ class Fieldbus(Protocol):
         """One for all connections: a finding outlives the connection."""
         ...
 
-    async def open(self) -> Connection:
+    async def open(self) -> DriveConnection:
         """Open, identify and configure; if that fails, everything is closed again."""
         ...
 
@@ -94,7 +158,7 @@ class Fieldbus(Protocol):
 
 
 def capabilities(
-    axes: Iterable[Axis],
+    axes: Iterable[Cia402Axis],
     set_point_timing: str = "none",
     *,
     hears_other_hosts: bool = False,

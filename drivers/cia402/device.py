@@ -4,12 +4,18 @@ Quantities are SI on the joint side; bus units are used only inside the device. 
 CommunicationLost if the drive does not answer and WrongConfiguration if it refuses.
 """
 
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
 
-from drivers.cia402.profile import AxisProfile
-from drivers.ports import AxisIdentity, NoiseCommand, SampleBlock, SweepCommand
+import numpy as np
+
+from drivers.cia402.profile import AxisProfile, Gear, IdentityProfile
+from drivers.errors import CommunicationLost, WrongConfiguration, WrongIdentity
+from drivers.ports import Array, AxisIdentity, NoiseCommand, SampleBlock, SweepCommand
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +33,7 @@ class Abilities:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class Feedback:
     """Actual values at one instant: rad (m), rad/s (m/s), N m (N)."""
 
     position: float
@@ -45,7 +51,15 @@ class MeasuringState(IntEnum):
     REJECTED = 4
 
 
-class Mode(IntEnum):
+class MeasuringCommand(IntEnum):
+    """Commands to the measuring function (2100h:01)."""
+
+    NONE = 0
+    START = 1
+    ABORT = 2
+
+
+class OperationMode(IntEnum):
     """Modes of operation, 6060h."""
 
     PROFILE_POSITION = 1
@@ -63,9 +77,7 @@ class Injector(Protocol):
         ...
 
     def soften(self, softening: float) -> None:
-        """Set the gain to commissioned gain * `softening` and the reset time to commissioned time / `softening`, with
-        read-back.
-        """
+        """Multiply the commissioned gain by `softening` and divide the reset time by it, with read-back."""
         ...
 
     def restore_control(self) -> None:
@@ -108,7 +120,7 @@ class Device(Protocol):
 
     def control(self, controlword: int) -> None: ...
 
-    def set_mode(self, mode: Mode) -> None:
+    def set_mode(self, mode: OperationMode) -> None:
         """Returns when the drive reports the mode."""
         ...
 
@@ -117,9 +129,7 @@ class Device(Protocol):
         ...
 
     def look_for_restart(self) -> None:
-        """Check for a restart if the fieldbus does not report it; `announced_error` then reports it.
-        CommunicationLost.
-        """
+        """Check for a restart that the fieldbus does not report, for `announced_error`. CommunicationLost."""
         ...
 
     def announced_error(self) -> int | None:
@@ -151,7 +161,7 @@ class Device(Protocol):
 
     # -- motion
 
-    def motion(self) -> Motion: ...
+    def motion(self) -> Feedback: ...
 
     def read_back(self) -> None:
         """Raises WrongConfiguration if a session setting has changed, e.g. by another host."""
@@ -200,3 +210,78 @@ class Device(Protocol):
     def page_size(self) -> int:
         """Largest number of samples of a page that does not delay a stop too long."""
         ...
+
+
+# -- what every fieldbus does alike ------------------------------------------------------------------------------------
+
+
+def require_identity(place: str, found: Sequence[int], expected: IdentityProfile) -> None:
+    """Raises WrongIdentity unless vendor, product, revision and serial are those of the profile."""
+    wanted = (expected.vendor, expected.product, expected.revision, expected.serial)
+    for name, have, want in zip(("vendor", "product", "revision", "serial"), found, wanted, strict=True):
+        if want is not None and have != want:
+            raise WrongIdentity(place, f"{name} is {have:08X}h, the profile says {want:08X}h")
+
+
+def require_rated_torque(place: str, torque: float, wanted: float) -> None:
+    """Raises WrongIdentity unless the rated torque of the motor, N m, is that of the profile."""
+    if not math.isclose(torque, wanted, rel_tol=2e-3):
+        raise WrongIdentity(place, f"rated torque of the motor is {torque:.4g} N m, the profile says {wanted:.4g} N m")
+
+
+def await_mode(place: str, mode: OperationMode, shown: Callable[[], int], within: float = 2.0) -> None:
+    """Returns when the drive reports the mode; WrongConfiguration if it does not within `within` s."""
+    deadline = time.monotonic() + within
+    while (found := shown()) != mode:
+        if time.monotonic() > deadline:
+            raise WrongConfiguration(place, f"mode {mode} was not accepted, the drive reports mode {found}")
+        time.sleep(0.002)
+
+
+def rejection_text(reason: int) -> str:
+    """Why the measuring function rejected a start."""
+    known = {
+        1: "axis not enabled, or not at standstill",
+        2: "speed",
+        3: "position window",
+        4: "parameters",
+        5: "torque",
+    }
+    return known.get(reason, f"reason {reason}")
+
+
+def trace_cycle(command: SweepCommand | NoiseCommand) -> int:
+    """Trace cycle in ms, as close to the requested sample rate as the drive supports."""
+    return max(1, round(1e3 / command.sample_rate))
+
+
+def trace_block(
+    axis: AxisProfile, gear: Gear, place: str, first: int, columns: Mapping[str, Array], cycle_ms: int
+) -> SampleBlock:
+    """The samples of a trace page from its columns on the motor side, each (n,): cycle, torque, set_speed, speed,
+    position, and if there are any load_position (NaN: no encoder) and injected.
+
+    Raises CommunicationLost if they are not those from `first` on, or no numbers; WrongConfiguration if they lack the
+    direct encoder of the profile.
+    """
+    index = columns["cycle"].astype(np.int64)
+    if not np.array_equal(index, np.arange(first, first + len(index))):
+        raise CommunicationLost(place, f"trace page from {first} holds other samples")
+    if not all(np.isfinite(values).all() for name, values in columns.items() if name != "load_position"):
+        raise CommunicationLost(place, f"trace page from {first} holds no numbers")
+    load = columns.get("load_position")
+    if axis.load_encoder and (load is None or np.isnan(load).any()):
+        raise WrongConfiguration(place, "the profile says load_encoder, the trace holds none")
+    return SampleBlock(
+        joint=axis.joint,
+        index=index,
+        time=index.astype(float) * (cycle_ms * 1e-3),
+        effort=gear.motor_effort(columns["torque"]),
+        velocity=gear.motor_velocity(columns["speed"]),
+        position=gear.motor_position(columns["position"]),
+        velocity_setpoint=gear.motor_velocity(columns["set_speed"]),
+        load_position=load * (axis.load_encoder_direction * 2 * np.pi)
+        if axis.load_encoder and load is not None
+        else None,
+        excitation_effort=gear.motor_effort(columns["injected"]) if "injected" in columns else None,
+    )

@@ -17,8 +17,6 @@ from collections.abc import Callable
 
 from drivers.errors import Cause, CauseCode, MotionForbidden
 
-_BEATS = 10  # signs of life within the limit
-
 
 def _clock() -> float:
     """s, including the time in which the computer slept, if the platform counts it (Linux)."""
@@ -30,7 +28,7 @@ class HostWatch:
 
     def __init__(self, limit: float) -> None:
         """`limit`: time without a sign of life of the host after which the drives stop by themselves, s."""
-        self.beat = limit / _BEATS
+        self.beat = limit / 10
         """Time between two signs of life, s."""
         self._limit = limit
         self._tell: Callable[[Cause], None] | None = None
@@ -66,9 +64,7 @@ class HostWatch:
 
     @property
     def woke(self) -> float:
-        """End of the last gap, s on the monotonic clock. Nodes were not received before it because the host did not
-        run.
-        """
+        """End of the last gap, s on the monotonic clock. Before it the host did not run, and received no node."""
         self.look()
         return self._woke
 

@@ -1,26 +1,20 @@
-"""A `drivers.ports.DrivePort` over CiA 402 axes on any fieldbus: which motion is allowed, and how all axes are
-stopped.
-"""
+"""A `DrivePort` over CiA 402 axes on any fieldbus: which motion is allowed, and how all axes are stopped."""
 
 import asyncio
+import itertools
 import logging
 import threading
-from collections.abc import AsyncGenerator, Callable, Coroutine, Generator, Mapping, Sequence
+from collections.abc import AsyncGenerator, Callable, Collection, Coroutine, Generator, Mapping, Sequence
 from contextlib import aclosing, contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
-from drivers.cia402 import checks
-from drivers.cia402.axis import Axis, Energy
-from drivers.cia402.connection import Connection, Fieldbus, Run
-from drivers.cia402.drive_sweep import DriveSweep
-from drivers.cia402.enabling import enable_alone
-from drivers.cia402.idle_axes import Watched
-from drivers.cia402.monitoring import look
-from drivers.cia402.positioning import move
+from drivers.cia402 import checks, states
+from drivers.cia402.axis import Cia402Axis, Energy
+from drivers.cia402.connection import DriveConnection, DriveThread, Fieldbus, RunningSweep
+from drivers.cia402.motions import DriveSweep, bring_down, move
 from drivers.cia402.profile import AxisProfile
-from drivers.cia402.stopping import bring_down
-from drivers.errors import Cause, DriveError, LimitExceeded, NotReady, StopNotConfirmed
+from drivers.errors import Cause, DriveError, LimitExceeded, NotReady, StopNotConfirmed, SweepInterrupted
 from drivers.ports import (
     AxisIdentity,
     AxisStatus,
@@ -44,12 +38,12 @@ Result = TypeVar("Result")
 
 
 @dataclass(slots=True, eq=False)
-class Motion:
+class MotionUnderWay:
     """The motion in progress, and its run if it is a sweep."""
 
-    axes: tuple[Axis, ...]
+    axes: tuple[Cia402Axis, ...]
     stop: threading.Event = field(default_factory=threading.Event)
-    run: Run | None = None
+    run: RunningSweep | None = None
 
 
 class Cia402Machine:
@@ -58,13 +52,13 @@ class Cia402Machine:
     def __init__(self, profiles: Sequence[AxisProfile], fieldbus: Fieldbus) -> None:
         self._profiles = tuple(profiles)
         self._fieldbus = fieldbus
-        self._link: Connection | None = None
-        self._motion: Motion | None = None
-        self._enabling: list[Motion] = []  # of axes that still stand
+        self._link: DriveConnection | None = None
+        self._motion: MotionUnderWay | None = None
+        self._enabling: list[MotionUnderWay] = []  # of axes that still stand
         self._cleanups: set[asyncio.Task[Any]] = set()
         self._closing: asyncio.Task[None] | None = None
         self._reading = asyncio.Lock()  # one status at a time in the thread's queue: a stop must not wait for many
-        self._last_run: Run | None = None
+        self._last_run: RunningSweep | None = None
         self._watched = False  # by a caller, who is told
         self._looking: asyncio.Task[None] | None = None
 
@@ -105,7 +99,7 @@ class Cia402Machine:
             self._closing = asyncio.create_task(self._close(self._link), name="close the connection")
         await self._closed()
 
-    async def _close(self, link: Connection) -> None:
+    async def _close(self, link: DriveConnection) -> None:
         """Runs once and to its end, even if the caller is cancelled: on a half-closed bus our heartbeat would continue,
         and the drives would keep their energy.
         """
@@ -162,7 +156,7 @@ class Cia402Machine:
         await self._connected().thread.run(axis.acknowledge)
 
     async def enable(self, *joints: str) -> None:
-        enabling = Motion(tuple(self._axis(joint) for joint in joints))
+        enabling = MotionUnderWay(tuple(self._axis(joint) for joint in joints))
         link = self._connected()
         self._enabling.append(enabling)
         try:
@@ -203,7 +197,7 @@ class Cia402Machine:
     def stop_sender(self) -> StopSender:
         return self._fieldbus.stop_sender()
 
-    async def _stop(self, link: Connection) -> tuple[str, ...]:
+    async def _stop(self, link: DriveConnection) -> tuple[str, ...]:
         """Stop every axis, the moving ones first; `halt` was already sent to all."""
         axes = self._moving_first(link)
         await self._interrupt()
@@ -241,7 +235,9 @@ class Cia402Machine:
             async for block in blocks:
                 yield block
 
-    async def _run(self, axes: tuple[Axis, ...], commands: Sequence[Command]) -> AsyncGenerator[SampleBlock, None]:
+    async def _run(
+        self, axes: tuple[Cia402Axis, ...], commands: Sequence[Command]
+    ) -> AsyncGenerator[SampleBlock, None]:
         link = self._connected()
         with self._moving(axes) as motion:
             for axis, command in zip(axes, commands, strict=True):
@@ -261,7 +257,7 @@ class Cia402Machine:
                 if not completed:
                     await self._shield(self._abandon(motion))
 
-    async def _start(self, link: Connection, commands: Sequence[Command], motion: Motion) -> Run:
+    async def _start(self, link: DriveConnection, commands: Sequence[Command], motion: MotionUnderWay) -> RunningSweep:
         envelopes = [
             checks.sweep_envelope(axis.profile, command) for axis, command in zip(motion.axes, commands, strict=True)
         ]
@@ -285,17 +281,17 @@ class Cia402Machine:
         return motion.run
 
     @contextmanager
-    def _moving(self, axes: tuple[Axis, ...]) -> Generator[Motion]:
+    def _moving(self, axes: tuple[Cia402Axis, ...]) -> Generator[MotionUnderWay]:
         if self._motion is not None or self._cleanups:
             other = self._motion.axes[0].place if self._motion else "an axis"
             raise NotReady(axes[0].place, f"{other} is under way; one motion at a time")
-        self._motion = motion = Motion(axes)
+        self._motion = motion = MotionUnderWay(axes)
         try:
             yield motion
         finally:
             self._motion = None
 
-    def _moving_first(self, link: Connection) -> list[Axis]:
+    def _moving_first(self, link: DriveConnection) -> list[Cia402Axis]:
         """Then those with energy: each silent axis costs a time-out, which must not delay the others."""
         moving = () if self._motion is None else self._motion.axes
         return sorted(link.axes.values(), key=lambda axis: (axis not in moving, axis.energy is Energy.OFF))
@@ -311,7 +307,7 @@ class Cia402Machine:
         if motion.run is not None:
             await motion.run.interrupted()
 
-    async def _abandon(self, motion: Motion) -> None:
+    async def _abandon(self, motion: MotionUnderWay) -> None:
         """After any early end: finish the run, stop and de-energise its axes. Errors are logged and not raised, so that
         they do not hide what ended the motion.
         """
@@ -325,7 +321,7 @@ class Cia402Machine:
         except DriveError as error:
             logger.error("stop sequence: %s", error)
 
-    async def _bring_down(self, link: Connection, axes: Sequence[Axis]) -> None:
+    async def _bring_down(self, link: DriveConnection, axes: Sequence[Cia402Axis]) -> None:
         trouble: dict[str, str] = {}
         for axis in axes:
             try:
@@ -343,7 +339,7 @@ class Cia402Machine:
         task.add_done_callback(self._cleanups.discard)
         return await asyncio.shield(task)
 
-    def _connected(self) -> Connection:
+    def _connected(self) -> DriveConnection:
         if self._link is None:
             raise NotReady("not connected")
         return self._link
@@ -351,19 +347,19 @@ class Cia402Machine:
     def _idle(self) -> bool:
         return self._motion is None and not self._enabling and not self._cleanups
 
-    def _axis(self, joint: str) -> Axis:
+    def _axis(self, joint: str) -> Cia402Axis:
         axes = self._connected().axes
         if joint not in axes:
             raise NotReady(joint, f"unknown joint; the machine has {', '.join(axes)}")
         return axes[joint]
 
 
-def _others(link: Connection, motion: Motion) -> tuple[Axis, ...]:
+def _others(link: DriveConnection, motion: MotionUnderWay) -> tuple[Cia402Axis, ...]:
     """The axes that stand during the motion: an error of one of them also ends the motion."""
     return tuple(axis for axis in link.axes.values() if axis not in motion.axes)
 
 
-def _check_together(axes: tuple[Axis, ...], commands: Sequence[SweepCommand], can: Capabilities) -> None:
+def _check_together(axes: tuple[Cia402Axis, ...], commands: Sequence[SweepCommand], can: Capabilities) -> None:
     """Raises NotReady if this machine cannot run these sweeps, LimitExceeded if they cannot run together."""
     if not commands:
         raise LimitExceeded("a sweep needs at least one axis")
@@ -378,3 +374,83 @@ def _check_together(axes: tuple[Axis, ...], commands: Sequence[SweepCommand], ca
     times = {(c.mode, c.ramp, c.settle, c.period, c.periods) for c in commands}
     if len(times) > 1:
         raise LimitExceeded("sweeps of several axes at once must have the same mode, ramp, settle, period and periods")
+
+
+def enable_alone(axes: Collection[Cia402Axis], all_axes: Collection[Cia402Axis], stop: threading.Event) -> None:
+    """Enables `axes`; if one cannot be enabled, all of them are left disabled. Blocking.
+
+    The others are checked before and after: of two hosts that enable different axes at once, each energises its own
+    before it looks at the other's, so at least one sees the other's and takes its own back before it moves.
+    """
+    _require_alone(axes, all_axes)
+    try:
+        for axis in axes:
+            axis.enable(stop)
+        _require_alone(axes, all_axes)
+    except BaseException:
+        for axis in (each for each in axes if each.energy is not Energy.OFF):  # the others may be another host's
+            try:
+                axis.disable()
+            except DriveError as error:  # the others must be disabled all the same
+                logger.error("after enabling failed: %s", error)
+        raise
+
+
+def _require_alone(axes: Collection[Cia402Axis], all_axes: Collection[Cia402Axis]) -> None:
+    """Raises NotReady if another axis has energy."""
+    for other in all_axes:
+        state = other.state()
+        other.check(state)
+        if other not in axes and state in states.ENERGISED:
+            place = next(iter(axes)).place
+            raise NotReady(place, f"{other.place} is '{state.value}'; it must be disabled first")
+
+
+class Watched:
+    """Runs a sweep inside the block: an error of a standing axis sets `stop` and is raised instead of the interruption.
+
+    Not a generator: the end of an event loop closes generators in any order.
+    """
+
+    def __init__(self, thread: DriveThread, standing: Sequence[Cia402Axis], stop: threading.Event) -> None:
+        self._work = thread, standing, stop
+
+    async def __aenter__(self) -> None:
+        self._watch = asyncio.create_task(_watch(*self._work), name="standing axes")
+
+    async def __aexit__(self, _: object, error: BaseException | None, __: object) -> None:
+        over = self._watch.done() and not self._watch.cancelled()
+        found = self._watch.exception() if over else None
+        self._watch.cancel()
+        await asyncio.gather(self._watch, return_exceptions=True)
+        if found is not None and isinstance(error, SweepInterrupted):
+            raise found
+
+
+async def _watch(thread: DriveThread, standing: Sequence[Cia402Axis], stop: threading.Event) -> None:
+    """Runs until `stop` is set. During the stop sequence the standing axes receive commands too."""
+    try:
+        while not stop.is_set():
+            await thread.run(_check, standing)
+            await asyncio.sleep(0.02)
+    except Exception:  # nobody watches any more
+        stop.set()
+        raise
+
+
+def _check(standing: Sequence[Cia402Axis]) -> None:
+    for axis in standing:
+        axis.check_standing()
+
+
+async def look(link: DriveConnection, reading: asyncio.Lock, idle: Callable[[], bool]) -> None:
+    """Checks one axis after the other whether another host enabled it, until cancelled.
+
+    `reading`: lock held while the axes are polled; `idle`: True if no motion is in progress.
+    """
+    for axis in itertools.cycle(link.axes.values()):
+        await asyncio.sleep(0.3)
+        async with reading:
+            if idle():
+                with suppress(DriveError):  # the next caller gets the error
+                    await link.thread.run(axis.check_unused)

@@ -1,13 +1,17 @@
 """The part of a drive profile that is common to all fieldbuses: what must be known before the bus is opened."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeVar, cast
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from drivers.errors import BadProfile
-from drivers.ports import ChannelTiming
+from drivers.ports import Array, ChannelTiming
+
+Value = TypeVar("Value", float, Array)
 
 
 class Frozen(BaseModel):
@@ -35,9 +39,7 @@ class TravelLimits(Frozen):
 
 
 class IdentityProfile(Frozen):
-    """Identity that the device must report. `serial` distinguishes two drives of one type, e.g. after swapped
-    addresses.
-    """
+    """Identity that the device must report. `serial` tells two drives of one type apart, for example if swapped."""
 
     vendor: int
     product: int
@@ -58,6 +60,43 @@ class ChannelProfile(Frozen):
         return ChannelTiming(**self.model_dump())
 
 
+@dataclass(frozen=True, slots=True)
+class Gear:
+    """Motor side in rev, rev/min, N m <-> joint side in SI.
+
+    With u the signed gear ratio, theta the motor angle [rad] and q0 the joint position at encoder zero:
+    q = theta / u + q0,  qd = theta' / u,  effort = u * motor torque.
+    """
+
+    gear_ratio: float
+    position_offset: float  # rad (m)
+    rated_torque: float  # N m of the motor
+
+    def motor_position(self, revolutions: Value) -> Value:
+        """Motor rev -> rad (m)."""
+        return revolutions * (math.tau / self.gear_ratio) + self.position_offset
+
+    def motor_velocity(self, rev_per_min: Value) -> Value:
+        """Motor rev/min -> rad/s (m/s)."""
+        return rev_per_min * (math.tau / 60 / self.gear_ratio)
+
+    def motor_effort(self, torque: Value) -> Value:
+        """Motor N m -> N m (N)."""
+        return torque * self.gear_ratio
+
+    def revolutions(self, position: float) -> float:
+        """rad (m) -> motor rev."""
+        return (position - self.position_offset) * (self.gear_ratio / math.tau)
+
+    def rev_per_min(self, velocity: float) -> float:
+        """rad/s (m/s) -> motor rev/min, signed."""
+        return velocity * self.gear_ratio * 60 / math.tau
+
+    def permille(self, effort: float) -> float:
+        """Magnitude of an effort, N m (N) -> per mille of the rated torque."""
+        return effort / (self.rated_torque * abs(self.gear_ratio)) * 1e3
+
+
 class AxisProfile(Frozen):
     """One axis. Joint side in rad or m as `unit` says; `rated_torque` is the motor's, N m."""
 
@@ -76,6 +115,11 @@ class AxisProfile(Frozen):
     acceleration: float = Field(gt=0)  # 1/s^2, positioning moves and the stop sequence's first stage
     quick_stop_deceleration: float = Field(gt=0)  # 1/s^2
     standstill_velocity: float = Field(gt=0)  # 1/s, above the noise of the speed reading
+
+    @property
+    def gear(self) -> Gear:
+        """Between the motor and this axis."""
+        return Gear(self.gear_ratio, self.position_offset, self.rated_torque)
 
     @model_validator(mode="after")
     def _consistent(self) -> "AxisProfile":
@@ -99,7 +143,6 @@ class AxisProfile(Frozen):
 
 
 Parsed = TypeVar("Parsed", bound=BaseModel)
-LONGEST_SHOWN = 200  # characters of a value in an error
 
 
 FILL_IN = "FILL IN"
@@ -116,7 +159,7 @@ def parse(kind: type[Parsed], content: Mapping[str, object]) -> Parsed:
         place = "".join(f"{part}." for part in first["loc"]).removesuffix(".")
         reason = first["msg"].removeprefix("Value error, ")
         shown = repr(first["input"])
-        given = "" if isinstance(first["input"], Mapping) else f" (given: {shown[:LONGEST_SHOWN]})"
+        given = "" if isinstance(first["input"], Mapping) else f" (given: {shown[:200]})"
         raise BadProfile(f"{place}: {reason}{given}" if place else f"{reason}{given}") from None
 
 
@@ -147,9 +190,7 @@ def require_different(axes: Sequence[AxisProfile], what: str, addresses: Sequenc
 
 
 def require_near(axes: Sequence[AxisProfile], limits: TravelLimits, silence: float, key: str) -> None:
-    """Raises ValueError if an axis would travel too far after the loss of its host. `silence`: s, `key`: its key in the
-    file.
-    """
+    """Raises ValueError if an axis would travel too far after `silence` s (`key` in the file) without its host."""
     for number, axis in enumerate(axes):
         unit, travel = axis.unit, axis.travel_without_host(silence)
         limit = limits.rad if unit == "rad" else limits.m

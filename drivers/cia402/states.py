@@ -1,12 +1,12 @@
 """The CiA 402 power state machine as one pure table (IEC 61800-7-201, statusword 6041h, controlword 6040h)."""
 
-from enum import Enum
+from enum import Enum, IntFlag
 
 from drivers.errors import NotReady
 from drivers.ports import AxisState
 
 
-class State(Enum):
+class PowerState(Enum):
     """States of the drive, as reported by its statusword."""
 
     NOT_READY = "not ready to switch on"
@@ -29,68 +29,80 @@ class Wish(Enum):
     FAULT_RESET = "fault reset"
 
 
+class Controlword(IntFlag):
+    """Commands of 6040h, and the bits that are added to `ENABLE_OPERATION`."""
+
+    DISABLE_VOLTAGE = 0x00
+    QUICK_STOP = 0x02
+    SHUTDOWN = 0x06
+    SWITCH_ON = 0x07
+    ENABLE_OPERATION = 0x0F
+    FAULT_RESET = 0x80
+    NEW_SET_POINT = 0x10
+    """In profile position mode."""
+    HALT = 0x100
+
+
+class Statusword(IntFlag):
+    """Bits of 6041h beside the state."""
+
+    REMOTE = 0x200
+    """The drive obeys its controlword."""
+    TARGET_REACHED = 0x400
+    SET_POINT_ACKNOWLEDGED = 0x1000
+
+
 # (mask, value, state); the patterns exclude one another.
 PATTERNS = (
-    (0x4F, 0x00, State.NOT_READY),
-    (0x4F, 0x40, State.SWITCH_ON_DISABLED),
-    (0x6F, 0x21, State.READY),
-    (0x6F, 0x23, State.SWITCHED_ON),
-    (0x6F, 0x27, State.OPERATION_ENABLED),
-    (0x6F, 0x07, State.QUICK_STOP_ACTIVE),
-    (0x4F, 0x0F, State.FAULT_REACTION),
-    (0x4F, 0x08, State.FAULT),
+    (0x4F, 0x00, PowerState.NOT_READY),
+    (0x4F, 0x40, PowerState.SWITCH_ON_DISABLED),
+    (0x6F, 0x21, PowerState.READY),
+    (0x6F, 0x23, PowerState.SWITCHED_ON),
+    (0x6F, 0x27, PowerState.OPERATION_ENABLED),
+    (0x6F, 0x07, PowerState.QUICK_STOP_ACTIVE),
+    (0x4F, 0x0F, PowerState.FAULT_REACTION),
+    (0x4F, 0x08, PowerState.FAULT),
 )
-
-DISABLE_VOLTAGE = 0x00
-QUICK_STOP = 0x02
-SHUTDOWN = 0x06
-SWITCH_ON = 0x07
-ENABLE_OPERATION = 0x0F
-FAULT_RESET = 0x80
-NEW_SET_POINT = 0x10  # bit 4 in profile position mode
-HALT = 0x100  # bit 8
-
-SET_POINT_ACKNOWLEDGED = 0x1000  # statusword bit 12
-TARGET_REACHED = 0x400  # statusword bit 10
-REMOTE = 0x200  # statusword bit 9: the drive obeys its controlword
 
 # The next controlword from a state towards a target. A pair that is not in the table is refused. Only ENABLED and only
 # along its one path closes the loop; QUICK_STOP and DISABLED are allowed from everywhere, for they only take energy.
-STEPS: dict[tuple[State, Wish], int] = {
-    (State.SWITCH_ON_DISABLED, Wish.ENABLED): SHUTDOWN,
-    (State.READY, Wish.ENABLED): SWITCH_ON,
-    (State.SWITCHED_ON, Wish.ENABLED): ENABLE_OPERATION,
-    (State.OPERATION_ENABLED, Wish.ENABLED): ENABLE_OPERATION,
-    (State.FAULT, Wish.FAULT_RESET): FAULT_RESET,
-    **{(state, Wish.QUICK_STOP): QUICK_STOP for state in State},
-    **{(state, Wish.DISABLED): DISABLE_VOLTAGE for state in State},
+STEPS: dict[tuple[PowerState, Wish], Controlword] = {
+    (PowerState.SWITCH_ON_DISABLED, Wish.ENABLED): Controlword.SHUTDOWN,
+    (PowerState.READY, Wish.ENABLED): Controlword.SWITCH_ON,
+    (PowerState.SWITCHED_ON, Wish.ENABLED): Controlword.ENABLE_OPERATION,
+    (PowerState.OPERATION_ENABLED, Wish.ENABLED): Controlword.ENABLE_OPERATION,
+    (PowerState.FAULT, Wish.FAULT_RESET): Controlword.FAULT_RESET,
+    **{(state, Wish.QUICK_STOP): Controlword.QUICK_STOP for state in PowerState},
+    **{(state, Wish.DISABLED): Controlword.DISABLE_VOLTAGE for state in PowerState},
 }
 
-ENERGISED = frozenset({State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION})
-WITHOUT_ENERGY = frozenset(State) - ENERGISED - {State.UNKNOWN}
+ENERGISED = frozenset(
+    {PowerState.SWITCHED_ON, PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE, PowerState.FAULT_REACTION}
+)
+WITHOUT_ENERGY = frozenset(PowerState) - ENERGISED - {PowerState.UNKNOWN}
 
 _OPERATOR_VIEW = {
-    State.NOT_READY: AxisState.DISABLED,
-    State.SWITCH_ON_DISABLED: AxisState.DISABLED,
-    State.READY: AxisState.DISABLED,
-    State.SWITCHED_ON: AxisState.DISABLED,
-    State.OPERATION_ENABLED: AxisState.ENABLED,
-    State.QUICK_STOP_ACTIVE: AxisState.STOPPING,
-    State.FAULT_REACTION: AxisState.STOPPING,
-    State.FAULT: AxisState.FAULT,
-    State.UNKNOWN: AxisState.UNKNOWN,
+    PowerState.NOT_READY: AxisState.DISABLED,
+    PowerState.SWITCH_ON_DISABLED: AxisState.DISABLED,
+    PowerState.READY: AxisState.DISABLED,
+    PowerState.SWITCHED_ON: AxisState.DISABLED,
+    PowerState.OPERATION_ENABLED: AxisState.ENABLED,
+    PowerState.QUICK_STOP_ACTIVE: AxisState.STOPPING,
+    PowerState.FAULT_REACTION: AxisState.STOPPING,
+    PowerState.FAULT: AxisState.FAULT,
+    PowerState.UNKNOWN: AxisState.UNKNOWN,
 }
 
 
-def decode(statusword: int) -> State:
+def decode(statusword: int) -> PowerState:
     """The state in a statusword; UNKNOWN if no pattern matches."""
     for mask, value, state in PATTERNS:
         if statusword & mask == value:
             return state
-    return State.UNKNOWN
+    return PowerState.UNKNOWN
 
 
-def step(state: State, wish: Wish) -> int:
+def step(state: PowerState, wish: Wish) -> Controlword:
     """The controlword that leads from `state` towards `wish`. Raises NotReady if none may be sent."""
     controlword = STEPS.get((state, wish))
     if controlword is None:
@@ -98,6 +110,6 @@ def step(state: State, wish: Wish) -> int:
     return controlword
 
 
-def operator_view(state: State) -> AxisState:
+def operator_view(state: PowerState) -> AxisState:
     """The state as an operator needs it."""
     return _OPERATOR_VIEW[state]

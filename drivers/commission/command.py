@@ -12,7 +12,7 @@ from drivers.errors import BadProfile
 
 if TYPE_CHECKING:
     from drivers.canopen.profile import CanopenAxis
-    from drivers.commission.sheet import Row
+    from drivers.commission.drive import CheckRow
 
 commission = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="CANopen drives of other manufacturers.")
 
@@ -35,9 +35,8 @@ def draft(
     refused.
     """
     from drivers.cia402.profile import FILL_IN
-    from drivers.commission.dictionary import read_dictionary
-    from drivers.commission.draft import map_text, profile_text, shortcomings, unfilled
-    from drivers.commission.fitting import fitting
+    from drivers.commission.draft import fitting, map_text, profile_text, shortcomings, unfilled
+    from drivers.commission.drive import read_dictionary
 
     dictionary = read_dictionary(eds, 1)
     maps = fitting(dictionary, devices)
@@ -79,12 +78,12 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document instead of the table.")] = False,
 ) -> None:
     """Compare every drive with its profile, without energy except for --move. Exit code 1 if anything differs."""
-    from drivers.commission.by_hand import named, turned
     from drivers.commission.survey import digests, load, survey
+    from drivers.commission.units import named, turned
 
     machine = load(profile)
     ways = [_way(each) for each in turn or []]
-    rows: list[Row] = []
+    rows: list[CheckRow] = []
     for joint, way in ways:
         unit = next((axis.unit for axis in machine.axes if axis.joint == joint), "rad")
         instruction = f"Turn {joint} by hand by {way:+g} {'mm' if unit == 'm' else 'degrees'}, then press Enter"
@@ -114,7 +113,7 @@ def _confirmed(axis: "CanopenAxis") -> None:
         raise BadProfile(f"--move: {typed!r} was typed, not {axis.joint}; nothing moved")
 
 
-def _moved(profile: Path, axis: "CanopenAxis") -> list["Row"]:
+def _moved(profile: Path, axis: "CanopenAxis") -> list["CheckRow"]:
     """Every signal that ends a program ends the motion first."""
     import asyncio
 

@@ -1,15 +1,21 @@
 """Drafts a drive profile and a device map from a dictionary; the loader refuses values that are left open."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 
-from drivers.canopen.device_map import NEEDED, PDO_TYPES, STANDARD, TYPES, DeviceMap, Way
-from drivers.canopen.objects import Entry
+from drivers.canopen.device_map import (
+    NEEDED,
+    PDO_TYPES,
+    STANDARD,
+    DeviceMap,
+    Entry,
+    SetPointWay,
+    load_device_map,
+)
 from drivers.cia402.profile import FILL_IN
-from drivers.commission.dictionary import Dictionary
-from drivers.commission.fitting import ways
+from drivers.commission.drive import DriveDictionary
 
-_WIRE = {letter: name for name, letter in TYPES.items()}
 WITHOUT_EFFORT = "without 6077h or 6078h the drive cannot be used"
 _NEEDLESS = {  # object: (object that makes it unnecessary, reason)
     "torque": ("current", "6078h gives the current"),
@@ -17,11 +23,10 @@ _NEEDLESS = {  # object: (object that makes it unnecessary, reason)
     "rated_current": ("torque", "6077h gives the torque"),
     "sync_period": ("cycle_value", "not needed: 60C2h has the cycle"),
 }
-_COUNTER = "host: each sample belongs to the SYNC after which it came"
 
 
 def profile_text(
-    dictionary: Dictionary, joints: Sequence[str], eds: str, device: str, device_map: DeviceMap | None
+    dictionary: DriveDictionary, joints: Sequence[str], eds: str, device: str, device_map: DeviceMap | None
 ) -> str:
     """A drive profile. `eds` and `device`: file names in it; `device_map` is the shipped one, if one fits."""
     bitrate = _open("bit/s, as the drives are set")
@@ -43,7 +48,7 @@ def profile_text(
     return "\n".join([*lines, ""])
 
 
-def map_text(dictionary: Dictionary) -> str:
+def map_text(dictionary: DriveDictionary) -> str:
     """A device map."""
     able = ways(dictionary)
     excitation = (
@@ -64,7 +69,7 @@ def map_text(dictionary: Dictionary) -> str:
     return "\n".join([*lines, ""])
 
 
-def shortcomings(dictionary: Dictionary) -> list[str]:
+def shortcomings(dictionary: DriveDictionary) -> list[str]:
     """What the drive lacks for a measurement, and the excitation that remains; empty if it lacks nothing."""
     lost = [STANDARD[name] for name in STANDARD if name in NEEDED and not _has(dictionary, name)]
     able = ", ".join(f"{STANDARD[way.target].index:04X}h ({way.value})" for way in ways(dictionary))
@@ -95,11 +100,11 @@ def _open(what: str) -> str:
     return json.dumps(f"{FILL_IN} {what}")
 
 
-def _maker(dictionary: Dictionary) -> tuple[tuple[str, int | None], ...]:
+def _maker(dictionary: DriveDictionary) -> tuple[tuple[str, int | None], ...]:
     return ("vendor", dictionary.vendor), ("product", dictionary.product)
 
 
-def _axis(dictionary: Dictionary, device_map: DeviceMap | None) -> list[str]:
+def _axis(dictionary: DriveDictionary, device_map: DeviceMap | None) -> list[str]:
     stated = {"vendor": dictionary.vendor, "product": dictionary.product, "revision": dictionary.revision}
     identity = ", ".join(
         f"{key}: {_open(f'1018h of the drive, {key}') if value is None else f'0x{value:08X}'}"
@@ -128,16 +133,16 @@ def _axis(dictionary: Dictionary, device_map: DeviceMap | None) -> list[str]:
     ]
 
 
-def _has(dictionary: Dictionary, name: str) -> bool:
+def _has(dictionary: DriveDictionary, name: str) -> bool:
     entry = STANDARD[name]
     return (entry.index, entry.sub) in dictionary.objects
 
 
-def _efforts(dictionary: Dictionary) -> list[str]:
+def _efforts(dictionary: DriveDictionary) -> list[str]:
     return [name for name in ("torque", "current") if _has(dictionary, name)]
 
 
-def _units(dictionary: Dictionary) -> Iterator[str]:
+def _units(dictionary: DriveDictionary) -> Iterator[str]:
     yield f"side: {_open('motor, or joint where the drive counts behind the gear')}"
     counts = dictionary.value(0x608F, 1)
     if counts is not None and counts > 1:
@@ -153,7 +158,7 @@ def _units(dictionary: Dictionary) -> Iterator[str]:
     yield f"effort: {(_efforts(dictionary) or [_open('torque or current')])[0]}"
 
 
-def _pdos(dictionary: Dictionary, able: Sequence[Way]) -> str:
+def _pdos(dictionary: DriveDictionary, able: Sequence[SetPointWay]) -> str:
     receive = [n for n in range(1, 5) if (0x13FF + n, 1) in dictionary.objects]
     transmit = [n for n in range(1, 5) if (0x17FF + n, 1) in dictionary.objects]
     if not receive or len(transmit) < 2:
@@ -172,30 +177,30 @@ def _pdos(dictionary: Dictionary, able: Sequence[Way]) -> str:
     return f"{{{', '.join(parts)}}}"
 
 
-def _objects(dictionary: Dictionary) -> Iterator[str]:
+def _objects(dictionary: DriveDictionary) -> Iterator[str]:
     """Objects with another type than in CiA 402."""
     for name, entry in STANDARD.items():
         listed = dictionary.objects.get((entry.index, entry.sub))
-        if listed is None or listed.type == _WIRE[entry.type]:
+        if listed is None or listed.type == entry.type_name:
             continue
         if name in PDO_TYPES or not listed.type:
-            what = f"{listed.type or 'no number'} in the file, and only {_WIRE[entry.type]} can be used"
+            what = f"{listed.type or 'no number'} in the file, and only {entry.type_name} can be used"
             yield f"  {name}: {_open(what)}"
         else:
             yield f"  {name}: {{index: 0x{entry.index:04X}, sub: {entry.sub}, type: {listed.type}}}"
 
 
-def _missing(dictionary: Dictionary) -> Iterator[str]:
+def _missing(dictionary: DriveDictionary) -> Iterator[str]:
     able = {way.target for way in ways(dictionary)}
-    targets = {way.target for way in Way}
+    targets = {way.target for way in SetPointWay}
     for name, entry in STANDARD.items():
         if name == "sample_counter":
-            yield f"  {name}: {json.dumps(_COUNTER)}"
+            yield f"  {name}: {json.dumps('host: each sample belongs to the SYNC after which it came')}"
         elif not _has(dictionary, name):
             yield f"  {name}: {_instead(dictionary, name, entry, able, targets)}"
 
 
-def _instead(dictionary: Dictionary, name: str, entry: Entry, able: set[str], targets: set[str]) -> str:
+def _instead(dictionary: DriveDictionary, name: str, entry: Entry, able: set[str], targets: set[str]) -> str:
     if name in NEEDED:
         return _open(f"{entry} is not in the file: without it the drive cannot be used")
     if name in targets and able:
@@ -206,3 +211,44 @@ def _instead(dictionary: Dictionary, name: str, entry: Entry, able: set[str], ta
     return (
         json.dumps(why) if other and _has(dictionary, other) else _open(f"what replaces it: {entry} is not in the file")
     )
+
+
+def fitting(dictionary: DriveDictionary, devices: Path) -> Mapping[Path, DeviceMap]:
+    """The maps in a folder that are for this drive, by file. Raises BadProfile for a map that cannot be read."""
+    maps = {path: load_device_map(path) for path in sorted(devices.glob("*.yaml"))}
+    return {path: device_map for path, device_map in maps.items() if _fits(dictionary, device_map)}
+
+
+def ways(dictionary: DriveDictionary) -> tuple[SetPointWay, ...]:
+    """Ways of excitation for which the dictionary has the objects and whose mode 6502h does not exclude."""
+    plain = DeviceMap()
+    modes = dictionary.value(STANDARD["supported_modes"].index)
+    return tuple(
+        way for way in SetPointWay if _has_object(dictionary, plain, way.target) and way.mode(modes or None) is not None
+    )
+
+
+def _fits(dictionary: DriveDictionary, device_map: DeviceMap) -> bool:
+    """By manufacturer, objects that the map requires, its first way, and which PDO settings may be changed."""
+    if device_map.vendor is None:
+        maker = device_map.description.split()[:1]
+        if not maker or maker[0].lower() not in dictionary.name.lower():
+            return False
+    elif device_map.vendor != dictionary.vendor:
+        return False
+    if device_map.product not in (None, dictionary.product):
+        return False
+    first = device_map.excitation[0]
+    needed = NEEDED | device_map.used() - {way.target for way in device_map.excitation} | {first.target}
+    identifier = dictionary.objects.get((0x1400, 1))
+    fixed = identifier is not None and not identifier.writable
+    return (
+        first in ways(dictionary)
+        and all(_has_object(dictionary, device_map, name) for name in needed)
+        and fixed == (device_map.pdos.cob_id == "fixed")
+    )
+
+
+def _has_object(dictionary: DriveDictionary, device_map: DeviceMap, name: str) -> bool:
+    entry = device_map.entry(name)
+    return (entry.index, entry.sub) in dictionary.objects

@@ -8,13 +8,18 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from drivers.canopen import frames
-from drivers.canopen.bus import Bus
+from drivers.canopen.bus import CanopenBus
 from drivers.canopen.fieldbus import check_alone
 from drivers.canopen.profile import CanopenAxis, CanopenProfile, parse_profile
-from drivers.commission import identity, objects, settings, units
-from drivers.commission.dictionary import read_dictionary
-from drivers.commission.read_only_drive import Node, ReadOnlySdo
-from drivers.commission.sheet import Row, Sheet, Verdict
+from drivers.commission import checks, units
+from drivers.commission.drive import (
+    CheckedNode,
+    CheckRow,
+    CheckSheet,
+    CheckVerdict,
+    ReadOnlySdo,
+    read_dictionary,
+)
 from drivers.errors import BadProfile, CommunicationLost, ConnectionFailed
 from drivers.registry import load_profile
 
@@ -30,28 +35,28 @@ def load(path: Path) -> CanopenProfile:
     return parse_profile(content, path.parent)
 
 
-def survey(profile: CanopenProfile, name: str, files: dict[str, str] | None = None) -> Sheet:
+def survey(profile: CanopenProfile, name: str, files: dict[str, str] | None = None) -> CheckSheet:
     """The sheet of a machine. Raises ConnectionFailed if the bus cannot be opened. Blocking; no event loop may run."""
     ways: dict[str, str] = {}
-    rows: list[Row] = []
+    rows: list[CheckRow] = []
     nodes = {axis.node: axis.joint for axis in profile.axes}
-    bus = Bus(profile.bus, tuple(nodes), profile.device_map.wires)
+    bus = CanopenBus(profile.bus, tuple(nodes), profile.device_map.wires)
     events = bus.open_stream(*nodes)
     try:
         try:
             asyncio.run(check_alone(bus, profile))
         except ConnectionFailed as error:
-            rows.append(Row("", "other-host", Verdict.MISMATCH, str(error)))
+            rows.append(CheckRow("", "other-host", CheckVerdict.MISMATCH, str(error)))
         else:
             for axis in profile.axes:
                 rows += _axis(bus, axis, profile, ways)
         rows += _announced(events, nodes)
         if bus.watch.reason:
-            rows.append(Row("", "other-host", Verdict.MISMATCH, bus.watch.reason))
+            rows.append(CheckRow("", "other-host", CheckVerdict.MISMATCH, bus.watch.reason))
     finally:
         bus.close()
     made = datetime.now(UTC).isoformat(timespec="seconds")
-    return Sheet(name, made, files or {}, ways, tuple(rows))
+    return CheckSheet(name, made, files or {}, ways, tuple(rows))
 
 
 def digests(path: Path) -> dict[str, str]:
@@ -61,19 +66,19 @@ def digests(path: Path) -> dict[str, str]:
     return {each.name: hashlib.sha256(each.read_bytes()).hexdigest() for each in named}
 
 
-def _axis(bus: Bus, axis: CanopenAxis, profile: CanopenProfile, ways: dict[str, str]) -> Iterator[Row]:
+def _axis(bus: CanopenBus, axis: CanopenAxis, profile: CanopenProfile, ways: dict[str, str]) -> Iterator[CheckRow]:
     place = f"{axis.joint} (node {axis.node})"
     sdo = ReadOnlySdo(bus.add_node(axis.node, None), place, bus.check_alive)
-    node = Node(axis, profile, read_dictionary(profile.eds, axis.node), sdo)
+    node = CheckedNode(axis, profile, read_dictionary(profile.eds, axis.node), sdo)
     bus.expect_nodes()  # the time of an earlier silent node does not count
     try:
-        other = [*identity.who(node)]
+        other = [*checks.who(node)]
         yield from other
         if _wrong(other):
             yield node.note("not-asked", "units, limits, settings, mapping: it is not the drive of the profile")
-            yield from objects.present(node)
+            yield from checks.present(node)
             return
-        yield from identity.state(node)
+        yield from checks.state(node)
         yield from _looked_at(node)
         yield from _compared(node, ways)
     except CommunicationLost as error:
@@ -81,26 +86,26 @@ def _axis(bus: Bus, axis: CanopenAxis, profile: CanopenProfile, ways: dict[str, 
         yield node.row("no-answer", False, f"{error}: {causes}")
 
 
-def _wrong(rows: list[Row]) -> set[str]:
-    return {row.check for row in rows if row.verdict is Verdict.MISMATCH}
+def _wrong(rows: list[CheckRow]) -> set[str]:
+    return {row.check for row in rows if row.verdict is CheckVerdict.MISMATCH}
 
 
-def _announced(events: "queue.SimpleQueue[frames.Event]", joints: Mapping[int, str]) -> Iterator[Row]:
+def _announced(events: "queue.SimpleQueue[frames.Event]", joints: Mapping[int, str]) -> Iterator[CheckRow]:
     """Errors that a drive announced during the check, also if it cleared them."""
     while not events.empty():
         event = events.get()
         if isinstance(event, frames.Emergency) and event.code:
-            yield Row(
+            yield CheckRow(
                 joints[event.node],
                 "emcy",
-                Verdict.MISMATCH,
+                CheckVerdict.MISMATCH,
                 f"EMCY {event.code:04X}h during the check, {event.register:02X}h in 1001h, data {event.maker.hex()}",
             )
 
 
-def _looked_at(node: Node) -> Iterator[Row]:
+def _looked_at(node: CheckedNode) -> Iterator[CheckRow]:
     """Checks that only read."""
-    yield from objects.present(node)
+    yield from checks.present(node)
     yield from units.scale(node)
     codec, rows = units.conversions(node)
     yield from rows
@@ -109,19 +114,19 @@ def _looked_at(node: Node) -> Iterator[Row]:
         yield from units.at_rest(node, codec)
 
 
-def _compared(node: Node, ways: dict[str, str]) -> Iterator[Row]:
+def _compared(node: CheckedNode, ways: dict[str, str]) -> Iterator[CheckRow]:
     """What a connection writes; after the settings on which its units depend, `node` is the configured drive."""
-    yield from settings.of_map(node)
+    yield from checks.of_map(node)
     node = node.configured()
     codec, rows = units.conversions(node)
     yield from rows
     if codec is None:
         return
     yield from units.resolution(node, codec)
-    way, rows = settings.way_of(node)
+    way, rows = checks.way_of(node)
     yield from rows
     if way is not None:
         ways[node.axis.joint] = f"{way.value} ({node.map.entry(way.target).index:04X}h)"
-        yield from settings.mapping(node, way)
-    yield from settings.standing(node, codec)
-    yield from settings.limits(node, codec)
+        yield from checks.mapping(node, way)
+    yield from checks.standing(node, codec)
+    yield from checks.limits(node, codec)

@@ -1,33 +1,32 @@
-"""Checks that units, sign, gear and limits of the profile agree with the commissioned values of the drive.
+"""Checks that units, sign, gear and limits of the profile agree with the commissioned values of the drive, or with a
+turn of the joint by hand (`turned`).
 
 The limits in a drive are evidence only until `sweepid` has written its own: `configured_before`.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
-from drivers.canopen.device_map import SPEEDS
-from drivers.canopen.objects import HEARTBEAT_CONSUMER, INCREMENTS, MOTOR_REVOLUTIONS, VELOCITY_UNIT, Entry
+from drivers.canopen.bus import CanopenBus
+from drivers.canopen.device_map import (
+    SPEEDS,
+    STANDARD,
+    Cia301,
+    Entry,
+)
+from drivers.canopen.profile import CanopenAxis, CanopenProfile
 from drivers.canopen.sdo import ObjectAbsent, OtherType
 from drivers.canopen.units import Codec, codec, velocity_unit
-from drivers.commission.identity import rated_torque
-from drivers.commission.read_only_drive import Node
-from drivers.commission.sheet import Row
-from drivers.errors import LimitExceeded, WrongConfiguration
+from drivers.commission.checks import rated_torque
+from drivers.commission.drive import CheckedNode, CheckRow, CheckVerdict, ReadOnlySdo, read_dictionary
+from drivers.errors import BadProfile, CommunicationLost, LimitExceeded, WrongConfiguration
 
-POLARITY = Entry(0x607E, 0, "B", "polarity")
-GEAR_MOTOR = Entry(0x6091, 1, "I", "gear ratio, motor revolutions")
-GEAR_SHAFT = Entry(0x6091, 2, "I", "gear ratio, shaft revolutions")
-_READINGS = 10  # number of readings of the speed at rest
 _ROUNDING = 1e-3  # tolerance relative to a limit
-STEPS = 20  # velocity units per line of a sweep, as the adapter requires
-MOST_EFFORT = 32.767  # times the rated torque: 16 bits of per mille
-COARSE = 0.1  # of the velocity limit: a line above it cannot be used
 
 
-def scale(node: Node) -> Iterator[Row]:
+def scale(node: CheckedNode) -> Iterator[CheckRow]:
     """Units, gear and polarity as reported by the drive."""
-    polarity = node.listed(POLARITY)
+    polarity = node.listed(Entry(0x607E, 0, "B", "polarity"))
     if polarity is not None:
         word = (
             f"607Eh is {polarity:02X}h: the drive inverts the signs of position and speed, not of torque; it must be 0"
@@ -38,10 +37,8 @@ def scale(node: Node) -> Iterator[Row]:
     yield from _fixed_velocity(node)
 
 
-def conversions(node: Node) -> tuple[Codec | None, list[Row]]:
-    """Units of the axis as the drive holds them now. If they are not understood: no codec, and the row that
-    states it.
-    """
+def conversions(node: CheckedNode) -> tuple[Codec | None, list[CheckRow]]:
+    """Units of the axis as the drive holds them now; no codec if they are not understood, and a row that says so."""
     try:
         found = codec(node.axis, node.map.units, rated_torque(node) or node.axis.rated_torque, node.read)
     except (ObjectAbsent, OtherType):
@@ -55,7 +52,7 @@ def conversions(node: Node) -> tuple[Codec | None, list[Row]]:
     return found, []
 
 
-def at_rest(node: Node, units: Codec) -> Iterator[Row]:
+def at_rest(node: CheckedNode, units: Codec) -> Iterator[CheckRow]:
     """Position of the axis, and noise of its speed."""
     axis = node.axis
     low, high = axis.position_limits
@@ -71,7 +68,7 @@ def at_rest(node: Node, units: Codec) -> Iterator[Row]:
         yield node.row("position", low <= place <= high, what + hint)
     entry = node.map.entry("velocity")
     try:
-        speeds = [abs(float(units.velocity(node.sdo.read(entry)))) for _ in range(_READINGS)]
+        speeds = [abs(float(units.velocity(node.sdo.read(entry)))) for _ in range(10)]
     except WrongConfiguration:
         return  # reported by `objects`
     yield node.row(
@@ -82,7 +79,7 @@ def at_rest(node: Node, units: Codec) -> Iterator[Row]:
     )
 
 
-def limits(node: Node, units: Codec) -> Iterator[Row]:
+def limits(node: CheckedNode, units: Codec) -> Iterator[CheckRow]:
     """The profile's limits must be inside the commissioned limits of the drive."""
     if configured_before(node):
         yield node.row(
@@ -98,7 +95,7 @@ def limits(node: Node, units: Codec) -> Iterator[Row]:
     except LimitExceeded as error:
         yield node.row("limits", False, f"in drive units: {error}: check gear_ratio and units")
         return
-    most = MOST_EFFORT * units.rated_torque * abs(axis.gear_ratio)
+    most = 32.767 * units.rated_torque * abs(axis.gear_ratio)  # 16 bits of per mille
     if axis.effort_limit > most:
         what = f"effort_limit {axis.effort_limit:g} {axis.effort_unit} is above {most:.4g}, the largest value of 6077h"
         yield node.row("effort-limit", False, f"{what}: check effort_limit and gear_ratio")
@@ -115,21 +112,23 @@ def limits(node: Node, units: Codec) -> Iterator[Row]:
         yield _inside(node, window, (low, high))
 
 
-def resolution(node: Node, units: Codec) -> Iterator[Row]:
-    """Whether the velocity unit, which stays the same in the session, is fine enough for a small sine."""
-    least, limit = STEPS * abs(float(units.velocity(1.0))), node.axis.velocity_limit
+def resolution(node: CheckedNode, units: Codec) -> Iterator[CheckRow]:
+    """Whether the velocity unit, which stays the same in the session, is fine enough for a small sine: a line needs 20
+    units, and one above a tenth of the limit cannot be used.
+    """
+    least, limit = 20 * abs(float(units.velocity(1.0))), node.axis.velocity_limit
     unit = f"{node.axis.unit}/s"
-    what = f"lines from {least:.3g} {unit} on have {STEPS} steps of the drive's velocity unit"
-    yield node.row("velocity-unit", least <= COARSE * limit, f"{what}; velocity_limit is {limit:g} {unit}")
+    what = f"lines from {least:.3g} {unit} on have 20 steps of the drive's velocity unit"
+    yield node.row("velocity-unit", least <= 0.1 * limit, f"{what}; velocity_limit is {limit:g} {unit}")
 
 
-def configured_before(node: Node) -> bool:
+def configured_before(node: CheckedNode) -> bool:
     """Whether `sweepid` has configured the drive since power-on: then it monitors the heartbeat of this host."""
-    return (node.value(HEARTBEAT_CONSUMER) or 0) >> 16 & 0x7F == node.machine.bus.host_node
+    return (node.value(Cia301.HEARTBEAT_CONSUMER) or 0) >> 16 & 0x7F == node.machine.bus.host_node
 
 
-def _gear(node: Node) -> Iterator[Row]:
-    motor, shaft = node.listed(GEAR_MOTOR), node.listed(GEAR_SHAFT)
+def _gear(node: CheckedNode) -> Iterator[CheckRow]:
+    motor, shaft = (node.listed(Entry(0x6091, sub, "I", "gear ratio")) for sub in (1, 2))
     if not motor or not shaft:
         return
     held, ratio = motor / shaft, abs(node.axis.gear_ratio)
@@ -139,21 +138,21 @@ def _gear(node: Node) -> Iterator[Row]:
     yield node.row("gear", fits, f"6091h has {held:g} motor revolutions a shaft revolution; it must be {wanted}")
 
 
-def _fixed_increments(node: Node) -> Iterator[Row]:
+def _fixed_increments(node: CheckedNode) -> Iterator[CheckRow]:
     """A number in map or profile, in addition to an object of the drive that reports it."""
     units = node.map.units
     given = node.axis.increments if units.increments == "profile" else units.increments
     if isinstance(given, str) or given is None or "increments" in node.missing:
         return
-    held, turns = node.listed(INCREMENTS), node.listed(MOTOR_REVOLUTIONS)
+    held, turns = node.listed(STANDARD["increments"]), node.listed(STANDARD["motor_revolutions"])
     if held:
         found = held / max(1, turns or 1)
         yield node.row("increments", found == given, f"608Fh has {found:g} a revolution, map or profile {given:g}")
 
 
-def _fixed_velocity(node: Node) -> Iterator[Row]:
+def _fixed_velocity(node: CheckedNode) -> Iterator[CheckRow]:
     unit = SPEEDS.get(node.map.units.velocity)
-    code = node.listed(VELOCITY_UNIT)
+    code = node.listed(STANDARD["velocity_unit"])
     if unit is None or not code:
         return
     try:
@@ -169,7 +168,7 @@ def _fixed_velocity(node: Node) -> Iterator[Row]:
     )
 
 
-def _beyond(node: Node, check: str, entry: Entry, wanted: int, held: int) -> Row:
+def _beyond(node: CheckedNode, check: str, entry: Entry, wanted: int, held: int) -> CheckRow:
     what = f"{entry}: the drive holds {held}, the profile's limit is {wanted} of its units"
     fits = wanted <= held * (1 + _ROUNDING) + 1
     return node.row(
@@ -179,7 +178,7 @@ def _beyond(node: Node, check: str, entry: Entry, wanted: int, held: int) -> Row
     )
 
 
-def _inside(node: Node, wanted: tuple[int, int], held: tuple[int, int]) -> Row:
+def _inside(node: CheckedNode, wanted: tuple[int, int], held: tuple[int, int]) -> CheckRow:
     what = f"607Dh: the drive holds {held[0]} to {held[1]}, position_limits are {wanted[0]} to {wanted[1]} of its units"
     room = _ROUNDING * (held[1] - held[0]) + 1
 
@@ -193,3 +192,59 @@ def _inside(node: Node, wanted: tuple[int, int], held: tuple[int, int]) -> Row:
     return node.row(
         "position-limits", False, f"{what}: check position_limits, gear_ratio, increments and position_offset"
     )
+
+
+def turned(profile: CanopenProfile, joint: str, way: float, wait: Callable[[], None]) -> list[CheckRow]:
+    """The rows `turned`, `sign` and `gear`. `way` in rad (m), signed; `wait` returns after the joint was turned.
+
+    Raises BadProfile for a joint that the profile does not have.
+    """
+    axis = named(profile, joint)
+    bus = CanopenBus(profile.bus, tuple(each.node for each in profile.axes), profile.device_map.wires)
+    try:
+        sdo = ReadOnlySdo(bus.add_node(axis.node, None), f"{joint} (node {axis.node})", bus.check_alive)
+        node = CheckedNode(axis, profile, read_dictionary(profile.eds, axis.node), sdo)
+        codec, rows = conversions(node)
+        if codec is None:
+            return rows
+        entry = node.map.entry("position")
+        before = float(codec.position(sdo.read(entry)))
+        wait()
+        bus.expect_nodes()  # the bus was not used while the person turned the joint
+        return _judged(node, way, float(codec.position(sdo.read(entry))) - before)
+    except CommunicationLost as error:
+        return [CheckRow(joint, "no-answer", CheckVerdict.MISMATCH, str(error))]
+    finally:
+        bus.close()
+
+
+def named(profile: CanopenProfile, joint: str) -> CanopenAxis:
+    """Raises BadProfile for a joint that the profile does not have."""
+    axis = next((each for each in profile.axes if each.joint == joint), None)
+    if axis is None:
+        raise BadProfile(f"axes: no joint {joint!r}; there are {', '.join(each.joint for each in profile.axes)}")
+    return axis
+
+
+def _judged(node: CheckedNode, way: float, found: float) -> list[CheckRow]:
+    unit = node.axis.unit
+    what = f"turned by {way:+.4g} {unit}, the drive reports {found:+.4g} {unit}"
+    if abs(found) < 0.05 * abs(way):
+        return [node.row("turned", False, f"{what}: another joint's encoder, or none")]
+    share = abs(found / way)
+    right = node.axis.gear_ratio * share
+    fits = abs(share - 1) <= 0.15  # accuracy of turning by hand to a mark on the joint
+    return [
+        node.row("turned", True, what),
+        node.row("sign", found * way > 0, what if found * way > 0 else f"{what}: change the sign of gear_ratio"),
+        node.row(
+            "gear",
+            fits,
+            f"{what}, {share:.3g} times the turn; gear_ratio is {node.axis.gear_ratio:g}"
+            + (
+                ""
+                if fits
+                else f", this turn gives {abs(right):.4g}: check gear_ratio, increments and the unit of the joint"
+            ),
+        ),
+    ]

@@ -1,13 +1,15 @@
-"""Properties of a machine under test, and the motions that the suite uses."""
+"""Properties of a machine under test, what a test needs of it, the motions and fixtures of the suite."""
 
 import asyncio
+import threading
 import time
-from collections.abc import AsyncGenerator, Callable, Mapping
+from collections.abc import AsyncGenerator, Callable, Iterable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from drivers.ports import DrivePort, NoiseCommand, SampleBlock, Sine, SweepCommand, SweepMode
@@ -89,7 +91,7 @@ class Bench:
         return replace(command, **changes)
 
 
-class Machine(Protocol):
+class MachineUnderTest(Protocol):
     """A running machine, seen independently of its port: its true state, and faults that can be injected."""
 
     @property
@@ -150,3 +152,108 @@ async def eventually(condition: Callable[[], bool], within: float = 20.0) -> Non
 def column(blocks: list[SampleBlock], name: str) -> NDArray[np.float64]:
     """One column of all blocks."""
     return np.concatenate([getattr(block, name) for block in blocks])
+
+
+Test = TypeVar("Test", bound=Callable[..., object])
+
+_NAME = "contract_needs"
+
+
+@dataclass(frozen=True, slots=True)
+class Needs:
+    """See `needs`."""
+
+    modes: frozenset[SweepMode] = frozenset()
+    orders: frozenset[str] = frozenset()
+    injects: bool | None = None
+    exclusive: bool | None = None
+    load_encoder: bool = False
+    other: bool = False
+    missing: bool = False
+
+
+def needs(
+    *,
+    modes: Iterable[SweepMode] = (),
+    orders: Iterable[str] = (),
+    injects: bool | None = None,
+    exclusive: bool | None = None,
+    load_encoder: bool = False,
+    other: bool = False,
+    missing: bool = False,
+) -> Callable[[Test], Test]:
+    """Marks a test that needs these sweep modes and orders, a drive with or without torque noise, a bus for one host or
+    for several, a load encoder, a second axis.
+
+    `missing`: a test over the fixture `mode` covers a mode that the bench does not have.
+    """
+    wanted = Needs(frozenset(modes), frozenset(orders), injects, exclusive, load_encoder, other, missing)
+
+    def mark(test: Test) -> Test:
+        setattr(test, _NAME, wanted)
+        return test
+
+    return mark
+
+
+def lacking(test: object, bench: Bench, mode: SweepMode | None) -> str:
+    """What the bench lacks for a test, including `mode` if it is given; "" if nothing."""
+    wanted: Needs = getattr(test, _NAME, Needs())
+    if mode is not None and (mode in bench.modes) is wanted.missing:
+        return f"it has {'' if wanted.missing else 'no '}sweep mode {mode.value}"
+    if absent := sorted(each.value for each in wanted.modes - bench.modes):
+        return f"it has no sweep mode {', '.join(absent)}"
+    if absent := sorted(wanted.orders - bench.orders):
+        return f"it takes no order {', '.join(absent)}"
+    if wanted.injects not in (None, bench.injects):
+        return f"it makes {'' if bench.injects else 'no '}torque noise"
+    if wanted.exclusive not in (None, bench.exclusive):
+        return f"it takes {'one host' if bench.exclusive else 'several hosts'} at a time"
+    if wanted.load_encoder and not bench.load_encoder:
+        return "it has no load encoder"
+    return "it has no second axis" if wanted.other and bench.other is None else ""
+
+
+class Suite:
+    """A test with the fixture `mode` runs once for every sweep mode."""
+
+    @pytest.fixture(params=list(SweepMode), ids=lambda mode: mode.value)
+    def mode(self, request: pytest.FixtureRequest) -> SweepMode:
+        return request.param
+
+    @pytest.fixture(autouse=True)
+    def fitting(self, request: pytest.FixtureRequest, virtual: MachineUnderTest) -> None:
+        """Skips tests of functions that the bench lacks."""
+        mode = request.getfixturevalue("mode") if "mode" in request.fixturenames else None
+        if reason := lacking(request.function, virtual.bench, mode):
+            pytest.skip(reason)
+
+    @pytest.fixture
+    def axis(self, virtual: MachineUnderTest) -> str:
+        return virtual.bench.axis
+
+    @pytest.fixture
+    def other(self, virtual: MachineUnderTest, fitting: None) -> str:
+        assert virtual.bench.other is not None
+        return virtual.bench.other
+
+    @pytest.fixture
+    async def port(self, virtual: MachineUnderTest, fitting: None) -> AsyncGenerator[DrivePort]:
+        """Connected, with every fault acknowledged. Afterwards closed, and the disturbances are removed."""
+        async for connected in connected_port(virtual):
+            yield connected
+
+
+async def connected_port(virtual: MachineUnderTest) -> AsyncGenerator[DrivePort]:
+    """Implementation of the fixture `port`."""
+    connected = virtual.open()
+    await connected.connect()
+    for joint in connected.joints:
+        await connected.acknowledge(joint)
+    yield connected
+    virtual.recover()
+    await connected.close()
+    assert virtual.energised() == []
+    left = {thread.name for thread in threading.enumerate() if thread.name.startswith("can-")}
+    assert not left
+    assert len(asyncio.all_tasks()) == 1

@@ -7,16 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.contract.bench import Machine, column, consume, eventually
-from drivers.contract.requirements import needs
-from drivers.contract.suite import Suite
-from drivers.errors import (
-    CommunicationLost,
-    DriveError,
-    DriveFault,
-    EmergencyStop,
-    EnvelopeLeft,
-)
+from drivers.contract.bench import MachineUnderTest, Suite, column, consume, eventually, needs
+from drivers.errors import CommunicationLost, DriveError, DriveFault, EmergencyStop, EnvelopeLeft
 from drivers.ports import AxisState, DrivePort, SampleBlock, SweepMode
 
 # interrupted in motion: 100 s of slow motion, 5 s of a machine at 20 times real time
@@ -28,7 +20,7 @@ class FaultSuite(Suite):
 
     @needs(orders={"fault"})
     async def test_fault_in_a_sweep_delivers_what_there_is_and_waits_for_a_person(
-        self, port: DrivePort, virtual: Machine, mode: SweepMode, axis: str
+        self, port: DrivePort, virtual: MachineUnderTest, mode: SweepMode, axis: str
     ) -> None:
         await port.enable(axis)
         blocks: list[SampleBlock] = []
@@ -63,7 +55,7 @@ class FaultSuite(Suite):
         await port.enable(axis)
 
     @needs(orders={"fault"})
-    async def test_fault_at_rest_is_seen_and_kept(self, port: DrivePort, virtual: Machine, axis: str) -> None:
+    async def test_fault_at_rest_is_seen_and_kept(self, port: DrivePort, virtual: MachineUnderTest, axis: str) -> None:
         other = virtual.bench.both[-1]
         virtual.order("fault", joint=other, code=0x4310)
         await eventually(lambda: virtual.truth(other)["fault"] == 0x4310)
@@ -75,7 +67,7 @@ class FaultSuite(Suite):
 
     @needs(orders={"emergency_stop"})
     async def test_emergency_stop_in_a_sweep(
-        self, port: DrivePort, virtual: Machine, mode: SweepMode, axis: str
+        self, port: DrivePort, virtual: MachineUnderTest, mode: SweepMode, axis: str
     ) -> None:
         await port.enable(axis)
         with pytest.raises(EmergencyStop):
@@ -95,7 +87,7 @@ class FaultSuite(Suite):
         await port.enable(axis)
 
     async def test_envelope_left_while_moving_stops_the_axis(
-        self, port: DrivePort, virtual: Machine, mode: SweepMode, axis: str
+        self, port: DrivePort, virtual: MachineUnderTest, mode: SweepMode, axis: str
     ) -> None:
         await port.enable(axis)
         # by the host or by the drive's own limit, whichever comes first
@@ -105,7 +97,7 @@ class FaultSuite(Suite):
 
     @needs(orders={"silence"})
     async def test_a_node_that_falls_silent_is_lost_communication(
-        self, port: DrivePort, virtual: Machine, mode: SweepMode, axis: str
+        self, port: DrivePort, virtual: MachineUnderTest, mode: SweepMode, axis: str
     ) -> None:
         await port.enable(axis)
         with pytest.raises(CommunicationLost):
@@ -127,7 +119,7 @@ class FaultSuite(Suite):
 
     @needs(modes={SweepMode.HOST_STREAMED}, orders={"drop_tpdos"})
     async def test_a_lost_sample_shows_as_a_jump_of_the_index(
-        self, port: DrivePort, virtual: Machine, axis: str
+        self, port: DrivePort, virtual: MachineUnderTest, axis: str
     ) -> None:
         await port.enable(axis)
         blocks: list[SampleBlock] = []
@@ -142,7 +134,7 @@ class FaultSuite(Suite):
 
     @needs(modes={SweepMode.HOST_STREAMED}, orders={"freeze_counter"})
     async def test_a_sample_counter_that_stands_still_ends_the_sweep(
-        self, port: DrivePort, virtual: Machine, axis: str
+        self, port: DrivePort, virtual: MachineUnderTest, axis: str
     ) -> None:
         await port.enable(axis)
         with pytest.raises(CommunicationLost, match="no sample"):
@@ -154,6 +146,6 @@ class FaultSuite(Suite):
         assert virtual.energised() == []
 
 
-def _counter(virtual: Machine) -> int:
+def _counter(virtual: MachineUnderTest) -> int:
     counter: int = virtual.order("status")["sync_counter"]
     return counter

@@ -8,16 +8,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from drivers.contract.bench import Bench, Machine, closing, column, consume, eventually
-from drivers.contract.requirements import needs
-from drivers.contract.suite import Suite
-from drivers.errors import (
-    ConnectionFailed,
-    LimitExceeded,
-    NotReady,
-    SweepInterrupted,
-    WrongIdentity,
-)
+from drivers.contract.bench import Bench, MachineUnderTest, Suite, closing, column, consume, eventually, needs
+from drivers.errors import ConnectionFailed, LimitExceeded, NotReady, SweepInterrupted, WrongIdentity
 from drivers.ports import AxisState, DrivePort, SampleBlock, Sine, SweepCommand, SweepMode
 
 # interrupted at its beginning: 100 s of slow motion, 5 s of a machine at 20 times real time
@@ -38,7 +30,7 @@ async def consume_rest(running: AsyncGenerator[SampleBlock, None]) -> None:
 class DrivePortSuite(Suite):
     """Connecting, moving, sweeps, and every way to end them."""
 
-    async def test_connect_leaves_every_axis_disabled(self, port: DrivePort, virtual: Machine) -> None:
+    async def test_connect_leaves_every_axis_disabled(self, port: DrivePort, virtual: MachineUnderTest) -> None:
         status = await port.status()
         assert tuple(status) == port.joints
         assert {axis.state for axis in status.values()} == {AxisState.DISABLED}
@@ -48,7 +40,7 @@ class DrivePortSuite(Suite):
 
     @needs(exclusive=False)
     async def test_connect_disables_what_a_dead_host_left_enabled(
-        self, port: DrivePort, virtual: Machine, axis: str
+        self, port: DrivePort, virtual: MachineUnderTest, axis: str
     ) -> None:
         await port.enable(axis)
         async with closing(virtual.open()) as second:
@@ -57,7 +49,7 @@ class DrivePortSuite(Suite):
 
     @needs(exclusive=True)
     async def test_a_second_host_is_refused_where_there_may_be_one(
-        self, port: DrivePort, virtual: Machine, axis: str
+        self, port: DrivePort, virtual: MachineUnderTest, axis: str
     ) -> None:
         await port.enable(axis)
         async with closing(virtual.open()) as second:
@@ -75,7 +67,7 @@ class DrivePortSuite(Suite):
         await port.close()
 
     @needs(orders={"identity"})
-    async def test_identity_is_checked(self, port: DrivePort, virtual: Machine) -> None:
+    async def test_identity_is_checked(self, port: DrivePort, virtual: MachineUnderTest) -> None:
         await port.close()
         addresses = {identity.joint: identity.address for identity in await port.connect()}
         await port.close()
@@ -90,7 +82,7 @@ class DrivePortSuite(Suite):
         finally:
             virtual.order("identity", joint=other, product=product)
 
-    async def test_commands_before_connect_are_refused(self, virtual: Machine, axis: str) -> None:
+    async def test_commands_before_connect_are_refused(self, virtual: MachineUnderTest, axis: str) -> None:
         port = virtual.open()
         with pytest.raises(NotReady):
             await port.enable(axis)
@@ -99,7 +91,7 @@ class DrivePortSuite(Suite):
 
     @needs(other=True)
     async def test_only_one_axis_is_enabled_at_a_time(
-        self, port: DrivePort, virtual: Machine, axis: str, other: str
+        self, port: DrivePort, virtual: MachineUnderTest, axis: str, other: str
     ) -> None:
         await port.enable(axis)
         assert (await port.status())[axis].state is AxisState.ENABLED
@@ -110,7 +102,7 @@ class DrivePortSuite(Suite):
         await port.enable(other)
         assert virtual.energised() == [other]
 
-    async def test_move_arrives_at_standstill(self, port: DrivePort, virtual: Machine, axis: str) -> None:
+    async def test_move_arrives_at_standstill(self, port: DrivePort, virtual: MachineUnderTest, axis: str) -> None:
         await port.enable(axis)
         for target in (0.4, -0.2):
             await port.move_to(axis, target, 0.5)
@@ -121,7 +113,7 @@ class DrivePortSuite(Suite):
             assert status.state is AxisState.ENABLED
 
     async def test_moves_outside_the_limits_are_refused_before_moving(
-        self, port: DrivePort, virtual: Machine, axis: str
+        self, port: DrivePort, virtual: MachineUnderTest, axis: str
     ) -> None:
         (low, high), fastest = virtual.bench.position_limits, virtual.bench.velocity_limit
         target = high + 0.54
@@ -139,7 +131,7 @@ class DrivePortSuite(Suite):
         assert (await port.status())[axis].position == pytest.approx(before, abs=1e-4)
 
     async def test_motion_of_a_disabled_axis_is_refused(
-        self, port: DrivePort, mode: SweepMode, virtual: Machine, axis: str
+        self, port: DrivePort, mode: SweepMode, virtual: MachineUnderTest, axis: str
     ) -> None:
         with pytest.raises(NotReady):
             await port.move_to(axis, 0.1, 0.1)
@@ -148,7 +140,7 @@ class DrivePortSuite(Suite):
 
     @needs(missing=True)
     async def test_a_sweep_mode_that_the_drive_lacks_is_refused_before_moving(
-        self, port: DrivePort, virtual: Machine, mode: SweepMode, axis: str
+        self, port: DrivePort, virtual: MachineUnderTest, mode: SweepMode, axis: str
     ) -> None:
         await port.enable(axis)
         before = virtual.truth(axis)["position"]
@@ -158,7 +150,7 @@ class DrivePortSuite(Suite):
         assert (await port.status())[axis].state is AxisState.ENABLED
 
     async def test_sweep_delivers_consecutive_samples_of_what_was_commanded(
-        self, port: DrivePort, mode: SweepMode, virtual: Machine, axis: str
+        self, port: DrivePort, mode: SweepMode, virtual: MachineUnderTest, axis: str
     ) -> None:
         await port.enable(axis)
         command = await virtual.bench.sweep(port, mode)
@@ -195,7 +187,13 @@ class DrivePortSuite(Suite):
         ids=["reversal", "hold", "wide"],
     )
     async def test_the_sweeps_of_a_diagnosis_run_as_commanded(
-        self, port: DrivePort, mode: SweepMode, offset: float, lines: tuple[int, ...], virtual: Machine, axis: str
+        self,
+        port: DrivePort,
+        mode: SweepMode,
+        offset: float,
+        lines: tuple[int, ...],
+        virtual: MachineUnderTest,
+        axis: str,
     ) -> None:
         """About standstill, holding still, and backwards with many lines; larger ones where the drive needs them."""
         amplitudes = [max(0.001, 2 * np.pi * line * virtual.bench.least_sine) for line in lines]
@@ -216,14 +214,18 @@ class DrivePortSuite(Suite):
         assert (await port.status())[axis].state is AxisState.ENABLED
 
     @needs(modes={SweepMode.DRIVE_SIDE}, load_encoder=True)
-    async def test_drive_side_sweep_brings_the_load_encoder(self, port: DrivePort, virtual: Machine, axis: str) -> None:
+    async def test_drive_side_sweep_brings_the_load_encoder(
+        self, port: DrivePort, virtual: MachineUnderTest, axis: str
+    ) -> None:
         await port.enable(axis)
         blocks = [block async for block in port.run_sweep(await virtual.bench.sweep(port, SweepMode.DRIVE_SIDE))]
         load = np.concatenate([block.load_position for block in blocks if block.load_position is not None])
         assert port.capabilities.load_encoder
         assert np.abs(load - column(blocks, "position")).max() < 2e-3
 
-    async def test_all_modes_one_after_the_other_and_back(self, port: DrivePort, virtual: Machine, axis: str) -> None:
+    async def test_all_modes_one_after_the_other_and_back(
+        self, port: DrivePort, virtual: MachineUnderTest, axis: str
+    ) -> None:
         await port.enable(axis)
         modes = sorted(virtual.bench.modes, key=lambda mode: mode.value)
         for mode in (*modes, *modes):
@@ -232,7 +234,7 @@ class DrivePortSuite(Suite):
         await port.move_to(axis, 0.0, 0.5)
 
     async def test_sweeps_outside_the_limits_are_refused_before_moving(
-        self, port: DrivePort, mode: SweepMode, virtual: Machine, axis: str
+        self, port: DrivePort, mode: SweepMode, virtual: MachineUnderTest, axis: str
     ) -> None:
         await port.enable(axis)
         here = (await port.status())[axis].position
@@ -256,7 +258,7 @@ class DrivePortSuite(Suite):
         assert status.state is AxisState.ENABLED
 
     async def test_closing_a_sweep_early_leaves_the_axis_standing_and_disabled(
-        self, port: DrivePort, virtual: Machine, mode: SweepMode, axis: str
+        self, port: DrivePort, virtual: MachineUnderTest, mode: SweepMode, axis: str
     ) -> None:
         await port.enable(axis)
         running = port.run_sweep(await virtual.bench.sweep(port, mode, **LONG))
@@ -268,7 +270,7 @@ class DrivePortSuite(Suite):
         assert (await port.status())[axis].state is AxisState.DISABLED
 
     async def test_cancelling_a_sweep_leaves_the_axis_standing_and_disabled(
-        self, port: DrivePort, virtual: Machine, mode: SweepMode, axis: str
+        self, port: DrivePort, virtual: MachineUnderTest, mode: SweepMode, axis: str
     ) -> None:
         await port.enable(axis)
         command = await virtual.bench.sweep(port, mode, **LONG)
@@ -283,7 +285,7 @@ class DrivePortSuite(Suite):
         assert virtual.truth(axis)["velocity"] == pytest.approx(0.0, abs=1e-3)
 
     async def test_stop_from_another_task_and_twice(
-        self, port: DrivePort, virtual: Machine, mode: SweepMode, axis: str
+        self, port: DrivePort, virtual: MachineUnderTest, mode: SweepMode, axis: str
     ) -> None:
         await port.enable(axis)
         blocks: list[SampleBlock] = []
@@ -306,7 +308,7 @@ class DrivePortSuite(Suite):
         await port.enable(axis)  # a stop is no fault
 
     async def test_stop_reaches_a_sweep_whose_consumer_hangs(
-        self, port: DrivePort, virtual: Machine, mode: SweepMode, axis: str
+        self, port: DrivePort, virtual: MachineUnderTest, mode: SweepMode, axis: str
     ) -> None:
         await port.enable(axis)
         running = port.run_sweep(await virtual.bench.sweep(port, mode, **LONG))
@@ -316,7 +318,9 @@ class DrivePortSuite(Suite):
         await running.aclose()
         await port.enable(axis)
 
-    async def test_cancelling_connect_or_enable_leaves_nothing_behind(self, virtual: Machine, axis: str) -> None:
+    async def test_cancelling_connect_or_enable_leaves_nothing_behind(
+        self, virtual: MachineUnderTest, axis: str
+    ) -> None:
         for steps in range(1, 30, 4):  # cancelled at different places
             async with closing(virtual.open()) as port:
                 task = asyncio.create_task(port.connect())
@@ -336,7 +340,7 @@ class DrivePortSuite(Suite):
                 await task
             assert virtual.energised() == []
 
-    async def test_stop_during_a_move(self, port: DrivePort, virtual: Machine, axis: str) -> None:
+    async def test_stop_during_a_move(self, port: DrivePort, virtual: MachineUnderTest, axis: str) -> None:
         await port.enable(axis)
         await port.move_to(axis, 0.0, 1.0)
         task = asyncio.create_task(port.move_to(axis, 2.0, 0.01))  # 10 s at 20 times real time
@@ -349,7 +353,7 @@ class DrivePortSuite(Suite):
         assert (await port.status())[axis].velocity == pytest.approx(0.0, abs=1e-3)
 
     async def test_a_second_motion_is_refused_while_one_runs(
-        self, port: DrivePort, mode: SweepMode, virtual: Machine, axis: str
+        self, port: DrivePort, mode: SweepMode, virtual: MachineUnderTest, axis: str
     ) -> None:
         await port.enable(axis)
         running = port.run_sweep(await virtual.bench.sweep(port, mode, **LONG))
@@ -361,7 +365,7 @@ class DrivePortSuite(Suite):
                 await port.enable(other)
         await running.aclose()
 
-    async def test_close_in_the_middle_of_a_sweep(self, virtual: Machine, mode: SweepMode, axis: str) -> None:
+    async def test_close_in_the_middle_of_a_sweep(self, virtual: MachineUnderTest, mode: SweepMode, axis: str) -> None:
         async with closing(virtual.open()) as port:
             await port.connect()
             for joint in port.joints:
@@ -374,3 +378,19 @@ class DrivePortSuite(Suite):
             await consume_rest(running)
         with pytest.raises(NotReady, match="not connected"):
             await port.status()
+
+
+class NoiseSuite(Suite):
+    async def test_the_capability_is_reported(self, port: DrivePort, virtual: MachineUnderTest) -> None:
+        assert port.capabilities.torque_injection is virtual.bench.injects
+
+    @needs(injects=False)
+    async def test_noise_is_refused_before_moving_where_there_is_none(
+        self, port: DrivePort, virtual: MachineUnderTest, axis: str
+    ) -> None:
+        await port.enable(axis)
+        before = virtual.truth(axis)["position"]
+        with pytest.raises(NotReady, match="torque noise is not supported by this drive"):
+            await consume(port, await virtual.bench.noise(port))
+        assert virtual.truth(axis)["position"] == pytest.approx(before, abs=1e-4)
+        assert (await port.status())[axis].state is AxisState.ENABLED

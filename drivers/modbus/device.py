@@ -6,30 +6,30 @@ import time
 from contextlib import suppress
 
 from drivers.cia402 import states
-from drivers.cia402.device import Abilities, MeasuringState, Mode, Motion
-from drivers.cia402.states import State
+from drivers.cia402.device import (
+    Abilities,
+    Feedback,
+    MeasuringCommand,
+    MeasuringState,
+    OperationMode,
+    await_mode,
+    rejection_text,
+    require_identity,
+    require_rated_torque,
+    trace_cycle,
+)
+from drivers.cia402.states import Controlword, PowerState
 from drivers.errors import CommunicationLost, DriveFault, WrongConfiguration, WrongIdentity
 from drivers.modbus import measuring
-from drivers.modbus.codec import Format, Rounding
-from drivers.modbus.control import Control
-from drivers.modbus.line import Line
+from drivers.modbus.line import MasterLine
 from drivers.modbus.profile import ModbusAxis, ModbusProfile
-from drivers.modbus.registers import RegisterMap, Trace
-from drivers.modbus.unit import Setting, Unit
-from drivers.modbus.units import Gear
+from drivers.modbus.registers import Format, RegisterMap, Rounding, TraceLayout
+from drivers.modbus.unit import ControlToken, RegisterSetting, RegisterUnit
 from drivers.ports import AxisIdentity, SampleBlock, SweepCommand
 
 logger = logging.getLogger(__name__)
 
-MODE_TIMEOUT = 2.0  # s
-POLL = 0.002  # s
 RESTARTED = 0  # used as error code of a restart
-PAGE_TIME = 0.1  # s that a page may occupy the line, because a stop must wait for it
-
-
-def place_of(axis: ModbusAxis) -> str:
-    """As in "joint_1 (unit 1)"."""
-    return f"{axis.joint} (unit {axis.unit_id})"
 
 
 class ModbusDevice:
@@ -43,19 +43,19 @@ class ModbusDevice:
         machine: ModbusProfile,
         registers: RegisterMap,
         sha256: str,
-        line: Line,
-        control: Control,
+        line: MasterLine,
+        control: ControlToken,
     ) -> None:
         self.profile = profile
-        self.place = place_of(profile)
+        self.place = profile.place
         self.emergency_stop_codes = machine.emergency_stop_codes
         self._machine = machine
         self._map = registers
         self._sha256 = sha256
         self._line = line
         self._control = control
-        self._unit = Unit(line, profile.unit_id, registers, self.place)
-        self._gear = Gear(profile.gear_ratio, profile.position_offset, profile.rated_torque)
+        self._unit = RegisterUnit(line, profile.unit_id, registers, self.place)
+        self._gear = profile.gear
         self._trace_cycle = 1  # ms
         self._restarted = False
         self._faulty = False
@@ -64,19 +64,11 @@ class ModbusDevice:
     # -- at connect ----------------------------------------------------------------------------------------------
 
     def identify(self) -> AxisIdentity:
-        """Raises WrongIdentity if the constant, vendor, product, revision, serial or rated torque differs from the
-        profile.
-        """
+        """Raises WrongIdentity if constant, vendor, product, revision, serial or rated torque are others."""
         self.forbid_motion()
         self._check_constant()
         found = self._check_identity()
-        rated_torque = self._unit.value("rated_torque")
-        if not math.isclose(rated_torque, self.profile.rated_torque, rel_tol=2e-3):
-            raise WrongIdentity(
-                self.place,
-                f"rated torque of the motor is {rated_torque:.4g} N m, "
-                f"the profile says {self.profile.rated_torque:.4g} N m",
-            )
+        require_rated_torque(self.place, self._unit.value("rated_torque"), self.profile.rated_torque)
         self._serial = found[3]
         return AxisIdentity(self.profile.joint, f"unit {self.profile.unit_id}", *found, self._sha256)
 
@@ -114,13 +106,9 @@ class ModbusDevice:
     def control(self, controlword: int) -> None:
         self._unit.write({"controlword": controlword})
 
-    def set_mode(self, mode: Mode) -> None:
+    def set_mode(self, mode: OperationMode) -> None:
         self._unit.write({"mode": mode})
-        deadline = time.monotonic() + MODE_TIMEOUT
-        while (shown := self._unit.integer("mode_display")) != mode:
-            if time.monotonic() > deadline:
-                raise WrongConfiguration(self.place, f"mode {mode} was not accepted, the drive reports mode {shown}")
-            time.sleep(POLL)
+        await_mode(self.place, mode, lambda: self._unit.integer("mode_display"))
 
     def check_alive(self) -> None:
         self._line.check(self.profile.unit_id, self.place)
@@ -152,16 +140,16 @@ class ModbusDevice:
 
     def halt(self) -> None:
         """Quick stop without waiting for the answer."""
-        self._unit.tell("controlword", states.QUICK_STOP)
+        self._unit.tell("controlword", Controlword.QUICK_STOP)
 
     def reopen(self) -> None:
         """Nothing to do: a Modbus drive always receives."""
 
     def stop_unheard(self) -> None:
         """Quick stop, and disable voltage after the time of its ramp."""
-        self._unit.tell("controlword", states.QUICK_STOP)
+        self._unit.tell("controlword", Controlword.QUICK_STOP)
         time.sleep(self.profile.velocity_limit / self.profile.quick_stop_deceleration)
-        self._unit.tell("controlword", states.DISABLE_VOLTAGE)
+        self._unit.tell("controlword", Controlword.DISABLE_VOLTAGE)
 
     def beat(self) -> None:
         """A request to the drive that proves both are alive, if there was no other request recently."""
@@ -171,13 +159,13 @@ class ModbusDevice:
 
     # -- motion --------------------------------------------------------------------------------------------------
 
-    def motion(self) -> Motion:
+    def motion(self) -> Feedback:
         """Values of one instant, if the three registers are adjacent in the map."""
         values = self._unit.read("position", "velocity", "torque")
-        return Motion(
-            self._gear.position(values["position"]),
-            self._gear.velocity(values["velocity"]),
-            self._gear.effort_of_permille(values["torque"]),
+        return Feedback(
+            self._gear.motor_position(values["position"]),
+            self._gear.motor_velocity(values["velocity"]),
+            self._gear.motor_effort(values["torque"] * 1e-3 * self._gear.rated_torque),
         )
 
     def read_back(self) -> None:
@@ -195,17 +183,17 @@ class ModbusDevice:
 
     def settle_limits(self, velocity: float, effort: float, window: tuple[float, float]) -> None:
         """Writes those of the four limits that the map has, limited to the range of their registers."""
-        low, high = self._gear.window(window)
+        low, high = sorted(self._gear.revolutions(limit) for limit in window)
         limits: dict[str, tuple[float, Rounding]] = {
             "max_torque": (self._gear.permille(effort), math.floor),
-            "max_speed": (self._gear.speed(velocity), round),
+            "max_speed": (self._speed(velocity), round),
             "position_min": (low, math.floor),
             "position_max": (high, math.ceil),
         }
         signals = self._map.signals
         self._unit.settle(
             *(
-                Setting(signals[name], signals[name].format.clip(value), rounding=rounding)
+                RegisterSetting(signals[name], signals[name].format.clip(value), rounding=rounding)
                 for name, (value, rounding) in limits.items()
                 if name in signals
             )
@@ -217,30 +205,30 @@ class ModbusDevice:
     def set_target(self, position: float, velocity: float) -> None:
         signals = self._map.signals
         self._unit.settle(
-            Setting(signals["profile_velocity"], self._gear.speed(velocity)),
-            Setting(signals["target_position"], self._gear.revolutions(position)),
+            RegisterSetting(signals["profile_velocity"], self._speed(velocity)),
+            RegisterSetting(signals["target_position"], self._gear.revolutions(position)),
         )
 
     # -- measuring function --------------------------------------------------------------------------------------
 
     @property
     def page_size(self) -> int:
-        """At most one page of the map, and at most what the line carries in `PAGE_TIME`."""
+        """At most one page of the map, and what the line carries in 0.1 s, because a stop must wait for it."""
         trace, piece = self._trace(), self._piece
-        requests = max(1, math.floor(PAGE_TIME / self._machine.line.read_time(piece)))
+        requests = max(1, math.floor(0.1 / self._machine.line.read_time(piece)))
         return min(trace.registers, requests * piece) // trace.width
 
     def prepare_measuring(self, command: SweepCommand) -> None:
         """Raises LimitExceeded if the register of a parameter is too coarse for its value."""
-        self._trace_cycle = measuring.trace_cycle(command)
-        self._unit.write({"measuring_command": measuring.NONE})
+        self._trace_cycle = trace_cycle(command)
+        self._unit.write({"measuring_command": MeasuringCommand.NONE})
         self._unit.settle(*measuring.parameters(command, self._map.signals, self._gear))
 
     def start_measuring(self) -> None:
-        self._unit.write({"measuring_command": measuring.START})
+        self._unit.write({"measuring_command": MeasuringCommand.START})
 
     def abort_measuring(self) -> None:
-        self._unit.write({"measuring_command": measuring.ABORT})
+        self._unit.write({"measuring_command": MeasuringCommand.ABORT})
 
     def measuring_state(self) -> MeasuringState:
         """Raises WrongConfiguration for a state that this adapter does not know."""
@@ -253,8 +241,7 @@ class ModbusDevice:
             raise WrongConfiguration(self.place, f"measuring_state is {number}") from None
 
     def rejection(self) -> str:
-        reason = self._unit.integer("measuring_reason")
-        return measuring.REASONS.get(reason, f"reason {reason}")
+        return rejection_text(self._unit.integer("measuring_reason"))
 
     def samples_recorded(self) -> int:
         return self._unit.integer("samples_recorded")
@@ -270,6 +257,10 @@ class ModbusDevice:
         return measuring.samples(registers, first, count, trace, self.profile, self._gear, self._trace_cycle)
 
     # -- inside --------------------------------------------------------------------------------------------------
+
+    def _speed(self, speed: float) -> float:
+        """Magnitude of a speed, rad/s (m/s) -> rev/min; also rad/s^2 (m/s^2) -> rev/min/s."""
+        return abs(self._gear.rev_per_min(speed))
 
     def _check_constant(self) -> None:
         signal = self._map.signals["constant"]
@@ -287,18 +278,14 @@ class ModbusDevice:
     def _check_identity(self) -> tuple[int, int, int, int]:
         read = self._unit.read("vendor", "product", "revision", "serial")
         found = (int(read["vendor"]), int(read["product"]), int(read["revision"]), int(read["serial"]))
-        expected = self.profile.identity
-        wanted = (expected.vendor, expected.product, expected.revision, expected.serial)
-        for name, have, want in zip(("vendor", "product", "revision", "serial"), found, wanted, strict=True):
-            if want is not None and have != want:
-                raise WrongIdentity(self.place, f"{name} is {have:08X}h, the profile says {want:08X}h")
+        require_identity(self.place, found, self.profile.identity)
         return found
 
     def _look(self) -> None:
         """One short exchange: checks for a fault, and every second time for a restart."""
         self._looks += 1
         if self._looks % 2:
-            self._faulty = states.decode(self.statusword()) in (State.FAULT, State.FAULT_REACTION)
+            self._faulty = states.decode(self.statusword()) in (PowerState.FAULT, PowerState.FAULT_REACTION)
         else:
             self.look_for_restart()
 
@@ -318,7 +305,7 @@ class ModbusDevice:
     def _settle_session(self) -> None:
         """Settings for the whole session, as far as the map has them."""
         options = self._machine.stop_options
-        acceleration = self._gear.speed(self.profile.acceleration)
+        acceleration = self._speed(self.profile.acceleration)
         settings = {
             "watchdog": self._machine.line.watchdog * 1e3,
             "connection_loss_option": options.connection_loss,
@@ -329,10 +316,12 @@ class ModbusDevice:
             "fault_option": options.fault_reaction,
             "profile_acceleration": acceleration,
             "profile_deceleration": acceleration,
-            "quick_stop_deceleration": self._gear.speed(self.profile.quick_stop_deceleration),
+            "quick_stop_deceleration": self._speed(self.profile.quick_stop_deceleration),
         }
         signals = self._map.signals
-        self._unit.settle(*(Setting(signals[name], value) for name, value in settings.items() if name in signals))
+        self._unit.settle(
+            *(RegisterSetting(signals[name], value) for name, value in settings.items() if name in signals)
+        )
 
     @property
     def _piece(self) -> int:
@@ -340,7 +329,7 @@ class ModbusDevice:
         width = self._trace().width
         return self._map.max_read // width * width
 
-    def _trace(self) -> Trace:
+    def _trace(self) -> TraceLayout:
         if self._map.trace is None:
             raise WrongConfiguration(self.place, "the register map has no measuring function")
         return self._map.trace

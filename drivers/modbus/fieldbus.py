@@ -8,19 +8,17 @@ import threading
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from drivers.cia402.axis import Axis
-from drivers.cia402.checks import Envelope
-from drivers.cia402.connection import Run, capabilities
+from drivers.cia402.axis import Cia402Axis
+from drivers.cia402.checks import DriveEnvelope
+from drivers.cia402.connection import DriveThread, RunningSweep, capabilities, to_the_end
 from drivers.cia402.host_watch import HostWatch
-from drivers.cia402.thread import DriveThread, to_the_end
 from drivers.errors import DriveError, NotReady
-from drivers.modbus.control import Control
-from drivers.modbus.device import ModbusDevice, place_of
-from drivers.modbus.line import Line
+from drivers.modbus.device import ModbusDevice
+from drivers.modbus.line import MasterLine
 from drivers.modbus.profile import ModbusProfile
 from drivers.modbus.registers import load_registers
 from drivers.modbus.stop_sender import ModbusStopSender
-from drivers.modbus.unit import Unit
+from drivers.modbus.unit import ControlToken, RegisterUnit
 from drivers.ports import AxisIdentity, Capabilities, SweepCommand
 
 logger = logging.getLogger(__name__)
@@ -35,12 +33,12 @@ class ModbusFieldbus:
         self.watch = HostWatch(profile.line.watchdog)
 
     async def open(self) -> "ModbusConnection":
-        profile, thread, line = self._profile, DriveThread("modbus"), Line(self._profile.line)
+        profile, thread, line = self._profile, DriveThread("modbus"), MasterLine(self._profile.line)
         digest = hashlib.sha256(profile.registers.read_bytes()).hexdigest()
-        units = [Unit(line, each.unit_id, self._map, place_of(each)) for each in profile.axes]
-        control = Control(units, self._map, self.watch)
+        units = [RegisterUnit(line, each.unit_id, self._map, each.place) for each in profile.axes]
+        control = ControlToken(units, self._map, self.watch)
         devices = [ModbusDevice(each, profile, self._map, digest, line, control) for each in profile.axes]
-        axes = {device.profile.joint: Axis(device, self.watch) for device in devices}
+        axes = {device.profile.joint: Cia402Axis(device, self.watch) for device in devices}
         try:
             await thread.run(line.open)
             identities = await thread.run(_introduce, axes.values())
@@ -57,19 +55,19 @@ class ModbusFieldbus:
 
 @dataclass(frozen=True, slots=True)
 class ModbusConnection:
-    """See `drivers.cia402.connection.Connection`."""
+    """See `drivers.cia402.connection.DriveConnection`."""
 
     thread: DriveThread
-    line: Line
+    line: MasterLine
     heart: asyncio.Task[None]
     devices: Sequence[ModbusDevice]
-    axes: Mapping[str, Axis]
+    axes: Mapping[str, Cia402Axis]
     identities: tuple[AxisIdentity, ...]
     capabilities: Capabilities
-    control: Control
+    control: ControlToken
     sync_period: float = math.inf  # there is no cycle
 
-    async def stream(self, sweeps: Sequence[tuple[SweepCommand, Envelope]], stop: threading.Event) -> Run:
+    async def stream(self, sweeps: Sequence[tuple[SweepCommand, DriveEnvelope]], stop: threading.Event) -> RunningSweep:
         """Raises NotReady: polling is too slow and too irregular for set-points."""
         raise NotReady("host-streamed sweeps are not possible through Modbus")
 
@@ -84,7 +82,7 @@ class ModbusConnection:
         await _release(self.thread, self.line, self.heart, self.control)
 
 
-async def _beat(thread: DriveThread, devices: Sequence[ModbusDevice], control: Control, period: float) -> None:
+async def _beat(thread: DriveThread, devices: Sequence[ModbusDevice], control: ControlToken, period: float) -> None:
     """A request to every unit. It runs on the event loop on purpose: if the host hangs, it stops, and the drives stop
     the axes.
 
@@ -100,7 +98,7 @@ async def _beat(thread: DriveThread, devices: Sequence[ModbusDevice], control: C
         await asyncio.sleep(period)
 
 
-def _halt(line: Line, devices: Sequence[ModbusDevice]) -> None:
+def _halt(line: MasterLine, devices: Sequence[ModbusDevice]) -> None:
     """Those that may move first: on a slow line the last of many is told much later."""
     try:
         for device in sorted(devices, key=lambda device: not device.may_move):
@@ -112,11 +110,13 @@ def _halt(line: Line, devices: Sequence[ModbusDevice]) -> None:
         line.stopped()
 
 
-def _introduce(axes: Iterable[Axis]) -> tuple[AxisIdentity, ...]:
+def _introduce(axes: Iterable[Cia402Axis]) -> tuple[AxisIdentity, ...]:
     return tuple(axis.introduce() for axis in axes)
 
 
-async def _release(thread: DriveThread, line: Line, heart: asyncio.Task[None] | None, control: Control) -> None:
+async def _release(
+    thread: DriveThread, line: MasterLine, heart: asyncio.Task[None] | None, control: ControlToken
+) -> None:
     """Ends heartbeat, control, line and thread, after the request in progress."""
     if heart is not None:
         heart.cancel()

@@ -1,54 +1,204 @@
 """One Modbus line, TCP or RTU: one request at a time, and the last reception of every unit. Blocking.
 
 A write is never repeated: it is unknown whether the drive executed it, and a motion command must not be sent twice.
-A read that the drive answers by "busy" is repeated after `BUSY_PAUSES`. An RTU read is repeated once if the answer was
-damaged, because then no answer is pending. After a time-out nothing
-is repeated: an RTU answer does not show to which request it belongs. A unit that did not answer is lost. It is only
-stopped, and not asked, until `due` lets the heartbeat look for it again; its late answers have then been discarded
-with the buffer of the line. On TCP the transaction id identifies an answer, and the connection is opened again.
+A read that the drive answers by "busy" is repeated up to five times. An RTU read is repeated once if the answer was
+damaged, because then no answer is pending. After a time-out nothing is repeated: an RTU answer does not show to which
+request it belongs. A unit that did not answer is lost. It is only stopped, and not asked, until `due` lets the
+heartbeat look for it again; its late answers have then been discarded with the buffer of the line. On TCP the
+transaction id identifies an answer, and the connection is opened again.
 
-A stop goes before everything (`hurry`): the answer to a running request is awaited for `STOP_WAIT` at most, and no
-request is made until the stops are written. For `STOP_TIME` after that a silent unit costs at most `STOP_TIMEOUT`.
+A stop goes before everything (`hurry`): the answer to a running request is awaited for `stop_wait` at most, and no
+request is made until the stops are written. For `stop_time` after that a silent unit costs at most `stop_timeout`.
 """
 
 import logging
+import select
+import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Sequence
-from typing import NoReturn, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from typing import Any, NoReturn, Protocol, cast
 
-from pymodbus.exceptions import ModbusException
+import serial
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.pdu import ModbusPDU
 
-from drivers.cia402.thread import StopFirst
+from drivers.cia402.connection import StopFirst
 from drivers.errors import CommunicationLost, ConnectionFailed, Measured, WrongConfiguration
-from drivers.modbus.client import Client, make_client, refusal
-from drivers.modbus.profile import RtuLine, TcpLine
+from drivers.modbus.profile import DIRECT, RtuProfile, TcpProfile
 
 logger = logging.getLogger(__name__)
 
-BEATS = 4  # requests to each unit within the watchdog time
-LOOK_AGAIN = 2.0  # s between attempts to reach a lost unit
-STOP_WAIT = 0.1  # s that a stop waits for the answer to a request before it; drives answer within 0.02 s
-STOP_TIMEOUT = 0.5  # s for an answer while the machine is being stopped
-STOP_TIME = 3.0  # s after a stop during which the machine is being stopped
-
-BUSY_PAUSES = (0.01, 0.02, 0.04, 0.08, 0.16)  # s before a read is asked again; in all less than `STOP_TIMEOUT`
-
 READ, WRITE = 3, 16  # function codes
-BUSY = frozenset({5, 6})  # exceptions: the request is in process, or has to be asked again (Modbus V1.1b3, 7)
-GATEWAY = frozenset({0x0A, 0x0B})  # exceptions of a gateway that cannot reach the unit
-EXCEPTIONS = {
-    1: "the drive does not know this function",
-    2: "no such register",
-    3: "the drive refuses the value",
-    4: "the drive refuses in its present state",
-    5: "the drive is still processing the request",
-    6: "the drive is busy",
-}
 # pymodbus does not convert all errors of its decoders.
 BROKEN = (ModbusException, OSError, struct.error, IndexError, ValueError)
+
+
+class Client(Protocol):
+    """A Modbus client with pymodbus' names, and its errors. It awaits an answer as long as `left` is above 0."""
+
+    garbled: bool
+    """Bytes of an answer have come since this was set to False."""
+
+    def connect(self) -> bool: ...
+
+    def close(self) -> None: ...
+
+    def wake(self) -> None:
+        """The answer is awaited for a shorter time. From any thread."""
+        ...
+
+    def read_holding_registers(self, address: int, *, count: int, device_id: int) -> ModbusPDU: ...
+
+    def write_registers(
+        self, address: int, values: list[int], *, device_id: int, no_response_expected: bool = False
+    ) -> ModbusPDU: ...
+
+
+def refusal(profile: TcpProfile | RtuProfile) -> str:
+    """Why there is no connection: pymodbus only logs it. Tried afterwards: a drive may accept a single client."""
+    try:
+        if isinstance(profile, TcpProfile):
+            socket.create_connection((profile.host, profile.port), profile.timeout).close()
+        else:
+            serial.Serial(profile.device).close()
+    except OSError as error:
+        return error.strerror or str(error)
+    return "the log has the reason"
+
+
+def make_client(profile: TcpProfile | RtuProfile, left: Callable[[], float]) -> Client:
+    """`left`: for how long the answer to the running request is awaited, s."""
+    if isinstance(profile, TcpProfile):
+        return TcpClient(left, profile.host, port=profile.port, timeout=profile.timeout, retries=0)
+    return SerialClient(
+        left,
+        profile.device,
+        baudrate=profile.baudrate,
+        parity=profile.parity,
+        stopbits=profile.stopbits,
+        timeout=profile.timeout,
+        retries=0,
+    )
+
+
+class _AnswerWait:
+    """Waits for bytes as long as an answer is awaited. pymodbus waits by the wall clock, and nothing shortens it."""
+
+    def __init__(self, left: Callable[[], float]) -> None:
+        self._left = left
+        self._pair: tuple[socket.socket, socket.socket] | None = None
+
+    def open(self) -> None:
+        if self._pair is None:
+            self._pair = socket.socketpair()
+            self._pair[1].setblocking(False)
+
+    def close(self) -> None:
+        pair, self._pair = self._pair, None
+        for end in pair or ():
+            end.close()
+
+    def wake(self) -> None:
+        """See `Client.wake`."""
+        pair = self._pair
+        if pair is not None:
+            with suppress(OSError):  # full: it wakes anyway; closed this moment: nobody waits
+                pair[1].send(b"\0")
+
+    def wait(self, port: Any) -> bool:
+        """Whether there are bytes in time."""
+        while self._pair is not None and (left := self._left()) > 0:
+            ready = select.select([port, self._pair[0]], [], [], left)[0]
+            if self._pair[0] in ready:
+                self._pair[0].recv(4096)
+            if port in ready:
+                return True
+        return False
+
+
+class TcpClient(ModbusTcpClient):
+    """pymodbus' client with the waiting of this module. `garbled`: bytes of an answer have come.
+
+    A device that is addressed directly may answer with unit 0 or 255, whatever was asked (`DIRECT`); pymodbus would
+    not take this for an answer. The transaction identifies it.
+    """
+
+    def __init__(self, left: Callable[[], float], host: str, **others: Any) -> None:
+        super().__init__(host, trace_packet=self._as_asked, **others)
+        self.garbled = False
+        self._unit = 0
+        self._waiting = _AnswerWait(left)
+        self.wake = self._waiting.wake
+
+    def _as_asked(self, sending: bool, data: bytes) -> bytes:
+        """Frames of the line, in which answers of unit 0 and 255 have the unit that was asked."""
+        if sending:
+            self._unit = data[6]
+            return data
+        frames, at = bytearray(data), 6
+        while at < len(frames):
+            if frames[at] in DIRECT:
+                frames[at] = self._unit
+            at += 6 + int.from_bytes(frames[at - 2 : at], "big")
+        return bytes(frames)
+
+    def connect(self) -> bool:
+        self._waiting.open()
+        return bool(super().connect())
+
+    def close(self) -> None:
+        self._waiting.close()
+        super().close()
+
+    def recv(self, size: int | None) -> bytes:
+        """The received bytes; empty if none came in time. Raises ConnectionException."""
+        if self.socket is None:
+            raise ConnectionException(str(self))
+        if not self._waiting.wait(self.socket):
+            return b""
+        self.garbled = True
+        data = self.socket.recv(size or 4096)
+        if not data:
+            self.close()
+            raise ConnectionException(f"{self}: closed by the drives")
+        return data
+
+
+class SerialClient(ModbusSerialClient):
+    """As `TcpClient`."""
+
+    def __init__(self, left: Callable[[], float], port: str, **others: Any) -> None:
+        super().__init__(port, **others)
+        self.garbled = False
+        self._waiting = _AnswerWait(left)
+        self.wake = self._waiting.wake
+
+    def connect(self) -> bool:
+        self._waiting.open()
+        return super().connect()
+
+    def close(self) -> None:
+        self._waiting.close()
+        super().close()
+
+    def recv(self, size: int | None) -> bytes:
+        """As `TcpClient.recv`."""
+        port = cast(Any, self.socket)
+        if port is None:
+            raise ConnectionException(str(self))
+        try:
+            if not self._waiting.wait(port):
+                return b""
+            self.garbled = True
+            return bytes(port.read(size or max(1, port.in_waiting)))
+        except OSError as error:
+            with suppress(OSError):
+                self.close()
+            raise ConnectionException(f"{self}: {error}") from None
 
 
 class Clock(Protocol):
@@ -59,14 +209,28 @@ class Clock(Protocol):
     def sleep(self, seconds: float, /) -> None: ...
 
 
-class Line:
+class MasterLine:
     """An open line. For one thread, except `hurry`."""
+
+    look_again = 2.0  # s between attempts to reach a lost unit
+    stop_wait = 0.1  # s that a stop waits for the answer to a request before it; drives answer within 0.02 s
+    stop_timeout = 0.5  # s for an answer while the machine is being stopped
+    stop_time = 3.0  # s after a stop during which the machine is being stopped
+    busy_pauses = (0.01, 0.02, 0.04, 0.08, 0.16)  # s before a read is asked again; in all less than `stop_timeout`
+    refusals: Mapping[int, str] = {
+        1: "the drive does not know this function",
+        2: "no such register",
+        3: "the drive refuses the value",
+        4: "the drive refuses in its present state",
+        5: "the drive is still processing the request",
+        6: "the drive is busy",
+    }
 
     def __init__(
         self,
-        profile: TcpLine | RtuLine,
+        profile: TcpProfile | RtuProfile,
         clock: Clock = time,
-        make: Callable[[TcpLine | RtuLine, Callable[[], float]], Client] = make_client,
+        make: Callable[[TcpProfile | RtuProfile, Callable[[], float]], Client] = make_client,
     ) -> None:
         """`make` returns the client; it gets for how long it awaits the answer to the running request, s."""
         self._profile = profile
@@ -85,8 +249,8 @@ class Line:
 
     @property
     def beat(self) -> float:
-        """Period of the heartbeat, s."""
-        return self._profile.watchdog / BEATS
+        """Period of the heartbeat, s: four requests to each unit within the watchdog time."""
+        return self._profile.watchdog / 4
 
     def open(self) -> None:
         """Raises ConnectionFailed if the line cannot be opened."""
@@ -121,10 +285,10 @@ class Line:
     @property
     def left(self) -> float:
         """For how long the answer to the running request is awaited, s. A stop shortens it."""
-        hurried = self._sent < self._stopped + STOP_TIME
-        until = self._sent + (min(self._profile.timeout, STOP_TIMEOUT) if hurried else self._profile.timeout)
+        hurried = self._sent < self._stopped + self.stop_time
+        until = self._sent + (min(self._profile.timeout, self.stop_timeout) if hurried else self._profile.timeout)
         if self._stops:
-            until = min(until, self._stopped + STOP_WAIT)
+            until = min(until, self._stopped + self.stop_wait)
         return until - self._clock.monotonic()
 
     # -- requests ------------------------------------------------------------------------------------------------
@@ -195,7 +359,7 @@ class Line:
         now = self._clock.monotonic()
         if unit not in self._lost:
             return now - self._asked.get(unit, 0.0) > self.beat / 2
-        if now - self._lost[unit][0] < LOOK_AGAIN or self._in_use - self._lost.keys():
+        if now - self._lost[unit][0] < self.look_again or self._in_use - self._lost.keys():
             return False
         del self._lost[unit]
         return True
@@ -204,13 +368,13 @@ class Line:
 
     def _ask(self, unit: int, what: str, function: int, request: Callable[[], ModbusPDU]) -> ModbusPDU:
         response = self._answered(unit, what, function, request)
-        for pause in BUSY_PAUSES:
-            if function != READ or not response.isError() or response.exception_code not in BUSY:
+        for pause in self.busy_pauses:
+            if function != READ or not response.isError() or response.exception_code not in (5, 6):
                 break
             self._clock.sleep(pause)
             response = self._answered(unit, what, function, request)
         if response.isError():
-            meaning = EXCEPTIONS.get(response.exception_code, "refused")
+            meaning = self.refusals.get(response.exception_code, "refused")
             raise WrongConfiguration(f"{what}: Modbus exception {response.exception_code}: {meaning}")
         return response
 
@@ -231,7 +395,7 @@ class Line:
                 response = self._exchange(unit, request)
             except BROKEN as again:
                 self._lose(unit, f"{what}: {again}")
-        if response.function_code & 0x7F != function or response.exception_code in GATEWAY:
+        if response.function_code & 0x7F != function or response.exception_code in (0x0A, 0x0B):  # gateway
             self._lose(unit, f"{what}: answered by {response}")
         if response.isError():
             self._heard[unit] = self._clock.monotonic()
@@ -257,7 +421,7 @@ class Line:
 
     def _leave(self, unit: int, what: str) -> NoReturn:
         """A stop cannot wait for this answer any longer. On a serial line a late one could be taken for the next."""
-        reason = f"{what}: no answer within {STOP_WAIT} s of a stop"
+        reason = f"{what}: no answer within {self.stop_wait} s of a stop"
         if self._profile.transport == "rtu":
             self._lost[unit] = (self._clock.monotonic(), reason)
         elif self._client.garbled:  # the rest must not be read by the next request

@@ -4,29 +4,21 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from drivers.errors import CommunicationLost, LimitExceeded, WrongConfiguration
-from drivers.modbus.codec import Array
+from drivers.cia402.device import trace_block, trace_cycle
+from drivers.cia402.profile import Gear
+from drivers.errors import LimitExceeded
 from drivers.modbus.profile import ModbusAxis
-from drivers.modbus.registers import Signal, Trace
-from drivers.modbus.unit import Setting
-from drivers.modbus.units import Gear
+from drivers.modbus.registers import Array, RegisterSignal, TraceLayout
+from drivers.modbus.unit import RegisterSetting
 from drivers.ports import SampleBlock, SweepCommand
 
-NONE, START, ABORT = 0, 1, 2  # measuring_command
 
-REASONS = {1: "axis not enabled, or not at standstill", 2: "speed", 3: "position window", 4: "parameters"}
+def parameters(command: SweepCommand, signals: Mapping[str, RegisterSignal], gear: Gear) -> list[RegisterSetting]:
+    """All parameters of a sweep in the units of their signals. Raises LimitExceeded for more sines than the map has.
 
-NEAR = 1e-4  # relative error of a parameter allowed by the resolution of its register; phases: rad
-DRIFT = 1e-3  # periods, drift of a sine over the sweep allowed by the resolution of its frequency
-
-
-def trace_cycle(command: SweepCommand) -> int:
-    """Trace cycle in ms, as close to the requested sample rate as the drive supports."""
-    return max(1, round(1e3 / command.sample_rate))
-
-
-def parameters(command: SweepCommand, signals: Mapping[str, Signal], gear: Gear) -> list[Setting]:
-    """All parameters of a sweep in the units of their signals. Raises LimitExceeded for more sines than the map has."""
+    A register may change a parameter by 1e-4 of it, a phase by 1e-4 rad, and let a sine drift by 1e-3 of a period.
+    """
+    near = 1e-4
     single = {
         "offset_speed": gear.rev_per_min(command.offset_velocity),
         "ramp": command.ramp,
@@ -36,7 +28,7 @@ def parameters(command: SweepCommand, signals: Mapping[str, Signal], gear: Gear)
         "sines": float(len(command.sines)),
         "trace_cycle": float(trace_cycle(command)),
     }
-    settings = [Setting(signals[name], value, NEAR * abs(value)) for name, value in single.items()]
+    settings = [RegisterSetting(signals[name], value, near * abs(value)) for name, value in single.items()]
     frequencies, amplitudes, phases = (signals[name].elements() for name in ("frequency", "amplitude", "phase"))
     room = min(len(frequencies), len(amplitudes), len(phases))
     if len(command.sines) > room:
@@ -45,46 +37,24 @@ def parameters(command: SweepCommand, signals: Mapping[str, Signal], gear: Gear)
         # A negative gear ratio makes the amplitude negative and does not change the phase.
         speed = gear.rev_per_min(sine.amplitude)
         settings += [
-            Setting(frequency, sine.frequency, DRIFT / command.duration),
-            Setting(amplitude, speed, NEAR * abs(speed)),
-            Setting(phase, sine.phase, NEAR),
+            RegisterSetting(frequency, sine.frequency, 1e-3 / command.duration),
+            RegisterSetting(amplitude, speed, near * abs(speed)),
+            RegisterSetting(phase, sine.phase, near),
         ]
     return settings
 
 
 def samples(
-    registers: Sequence[int], first: int, count: int, trace: Trace, axis: ModbusAxis, gear: Gear, cycle_ms: int
+    registers: Sequence[int], first: int, count: int, trace: TraceLayout, axis: ModbusAxis, gear: Gear, cycle_ms: int
 ) -> SampleBlock:
     """The samples `first` to `first + count` from the registers of a page. Raises CommunicationLost if it has others.
 
     Raises WrongConfiguration if they lack the direct encoder of the profile.
     """
-    place = f"{axis.joint} (unit {axis.unit_id})"
-    columns = _columns(registers, count, trace)
-    index = columns["cycle"].astype(np.int64)
-    if not np.array_equal(index, np.arange(first, first + count)):
-        raise CommunicationLost(place, f"trace page from {first} holds other samples")
-    load = columns.pop("load_position", None)
-    if not all(np.isfinite(column).all() for column in columns.values()):
-        raise CommunicationLost(place, f"trace page from {first} holds no numbers")
-    load_position = None
-    if axis.load_encoder:
-        if load is None or np.isnan(load).any():
-            raise WrongConfiguration(place, "the profile says load_encoder, the trace holds none")
-        load_position = load * (axis.load_encoder_direction * 2 * np.pi)
-    return SampleBlock(
-        joint=axis.joint,
-        index=index,
-        time=index.astype(float) * (cycle_ms * 1e-3),
-        effort=gear.effort(columns["torque"]),
-        velocity=gear.velocity(columns["speed"]),
-        position=gear.position(columns["position"]),
-        velocity_setpoint=gear.velocity(columns["set_speed"]),
-        load_position=load_position,
-    )
+    return trace_block(axis, gear, axis.place, first, _columns(registers, count, trace), cycle_ms)
 
 
-def _columns(registers: Sequence[int], count: int, trace: Trace) -> dict[str, Array]:
+def _columns(registers: Sequence[int], count: int, trace: TraceLayout) -> dict[str, Array]:
     """(count,) of each signal. The lowest value of an integer register means that there is no load encoder: NaN."""
     table = np.asarray(registers, np.uint16).reshape(count, trace.width)
     columns: dict[str, Array] = {}

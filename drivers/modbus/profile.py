@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -17,13 +17,13 @@ from drivers.cia402.profile import (
     require_near,
 )
 
-TURNAROUND = 0.02  # s, maximum time until a drive begins its answer
 DIRECT = (0, 255)  # units of a TCP device that is no gateway (Modbus Messaging on TCP/IP V1.0b, 4.4.2.2)
-ROUND_TRIP = 4e-3  # s, of a Modbus TCP request: most drives answer in a cycle of a few ms
 
 
 class _Clocks(Frozen):
     """Times in s."""
+
+    turnaround: ClassVar = 0.02  # maximum time until a drive begins its answer
 
     timeout: float = Field(default=0.5, gt=0, le=10)  # for an answer
     silence_between_frames: float = Field(default=0.0, ge=0, le=0.1)  # if the drive needs more than the standard
@@ -36,7 +36,7 @@ class _Clocks(Frozen):
         return self
 
 
-class TcpLine(_Clocks):
+class TcpProfile(_Clocks):
     """A drive or a gateway with Modbus TCP."""
 
     transport: Literal["tcp"]
@@ -55,14 +55,14 @@ class TcpLine(_Clocks):
     @property
     def answer_time(self) -> float:
         """Time until an answer that is not awaited has ended, s: many servers drop a request that arrives before."""
-        return TURNAROUND
+        return self.turnaround
 
     def read_time(self, registers: int) -> float:
-        """Approximate time to read `registers` registers, s; on TCP mainly the round trip."""
-        return ROUND_TRIP
+        """Approximate time to read `registers` registers, s: most drives answer in a cycle of a few ms."""
+        return 4e-3
 
 
-class RtuLine(_Clocks):
+class RtuProfile(_Clocks):
     """A serial line."""
 
     transport: Literal["rtu"]
@@ -83,12 +83,10 @@ class RtuLine(_Clocks):
     @property
     def answer_time(self) -> float:
         """Time until the answer to a write that is not awaited has ended, s."""
-        return TURNAROUND + 8 * self._character
+        return self.turnaround + 8 * self._character
 
     def read_time(self, registers: int) -> float:
-        """Approximate time to read `registers` registers, s: request of 8 bytes, answer of 5 bytes and the
-        registers.
-        """
+        """Approximate time to read `registers` registers, s: request of 8 bytes, answer of 5 and the registers."""
         return self.silence + (13 + 2 * registers) * self._character
 
     @property
@@ -97,13 +95,18 @@ class RtuLine(_Clocks):
         return (9 + (self.parity != "N") + self.stopbits) / self.baudrate
 
 
-Line = Annotated[TcpLine | RtuLine, Field(discriminator="transport")]
+Line = Annotated[TcpProfile | RtuProfile, Field(discriminator="transport")]
 
 
 class ModbusAxis(AxisProfile):
     """One axis and its unit on the line. 255 and, for one drive alone, 0: a TCP drive that is addressed directly."""
 
     unit_id: int = Field(ge=0, le=255)
+
+    @property
+    def place(self) -> str:
+        """As in "joint_1 (unit 1)"."""
+        return f"{self.joint} (unit {self.unit_id})"
 
 
 class ModbusProfile(Frozen):

@@ -1,17 +1,99 @@
-"""The register map of a type of drive (docs/how-to/connect-a-modbus-drive.md): address and format of each signal."""
+"""The register map of a type of drive (docs/how-to/connect-a-modbus-drive.md): address and format of each signal.
 
-from collections.abc import Iterable, Mapping
+Within a register the high byte is always first. The word order applies to values of more than one register.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from itertools import pairwise
 from pathlib import Path
 from typing import Literal, cast
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from drivers.bounded_yaml import read_mapping
 from drivers.cia402.profile import Frozen, parse
-from drivers.errors import BadProfile
-from drivers.modbus.codec import Format, WireType, WordOrder
-from drivers.yaml_file import read_mapping
+from drivers.errors import BadProfile, LimitExceeded
+
+Array = NDArray[np.float64]
+Rounding = Callable[[float], int]
+WireType = Literal["u16", "i16", "u32", "i32", "f32"]
+
+_TYPES = {kind: np.dtype(f">{kind[0]}{int(kind[1:]) // 8}") for kind in ("u16", "i16", "u32", "i32", "f32")}
+_ENDS: dict[str, tuple[float, float]] = {
+    kind: (float(ends.min), float(ends.max))
+    for kind, each in _TYPES.items()
+    for ends in [np.finfo(each) if each.kind == "f" else np.iinfo(each)]
+}
+
+
+class WordOrder(Enum):
+    """Which register of a value is first."""
+
+    HIGH_FIRST = "high_first"
+    LOW_FIRST = "low_first"
+
+    @property
+    def other(self) -> "WordOrder":
+        return WordOrder.LOW_FIRST if self is WordOrder.HIGH_FIRST else WordOrder.HIGH_FIRST
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """Format of one value in registers: physical = raw * scale."""
+
+    type: WireType
+    order: WordOrder
+    scale: float = 1.0
+
+    @property
+    def width(self) -> int:
+        """Number of registers of one value."""
+        return _TYPES[self.type].itemsize // 2
+
+    @property
+    def whole(self) -> bool:
+        """Whether the value is an integer on the wire."""
+        return self.type != "f32"
+
+    @property
+    def least(self) -> float:
+        """Lowest physical value of the type."""
+        return _ENDS[self.type][0] * self.scale
+
+    @property
+    def most(self) -> float:
+        """Highest physical value of the type."""
+        return _ENDS[self.type][1] * self.scale
+
+    def clip(self, value: float) -> float:
+        """The nearest value that the type can hold."""
+        return max(self.least, min(self.most, value))
+
+    def encode(self, value: float, rounding: Rounding = round) -> list[int]:
+        """Registers of a physical value, rounded by `rounding` if whole. LimitExceeded if it does not fit the type."""
+        words = np.array([self._raw(value, rounding)], _TYPES[self.type]).view(">u2").reshape(-1, self.width)
+        return [int(word) for word in self._ordered(words).ravel()]
+
+    def decode(self, registers: Sequence[int] | NDArray[np.uint16]) -> Array:
+        """(n,) physical values of n * `width` registers."""
+        words = np.ascontiguousarray(self._ordered(np.asarray(registers, ">u2").reshape(-1, self.width)))
+        return words.view(_TYPES[self.type]).ravel().astype(np.float64) * self.scale
+
+    def _ordered(self, words: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        return words if self.order is WordOrder.HIGH_FIRST else words[:, ::-1]
+
+    def _raw(self, value: float, rounding: Rounding) -> float:
+        raw = value / self.scale
+        if not (math.isfinite(raw) and self.least <= value <= self.most):
+            raise LimitExceeded(f"{value:.6g} does not fit {self.type} in steps of {self.scale:g}")
+        low, high = _ENDS[self.type]
+        return max(low, min(high, rounding(raw) if self.whole else raw))
+
 
 MAX_WRITE = 123  # registers per request, Modbus application protocol V1.1b3, 6.12
 
@@ -91,7 +173,7 @@ class _Wire(Frozen):
     unit: str | None = None
 
 
-class _Place(_Wire):
+class _SignalPlace(_Wire):
     address: int = Field(ge=0, le=0xFFFF)
     access: Literal["ro", "rw"]
     count: int = Field(default=1, ge=1, le=16)
@@ -124,7 +206,7 @@ class _Trace(Frozen):
 class _Map(Frozen):
     word_order: WordOrder
     max_read: int = Field(default=125, ge=2, le=125)  # registers per request
-    signals: dict[str, _Place]
+    signals: dict[str, _SignalPlace]
     trace: _Trace | None = None
 
     @model_validator(mode="after")
@@ -142,7 +224,7 @@ class _Map(Frozen):
         self._check_places()
         return self
 
-    def _check(self, name: str, place: _Place) -> None:
+    def _check(self, name: str, place: _SignalPlace) -> None:
         _check_unit(f"signals.{name}", place, _SIGNALS[name])
         if (place.access == "ro") is not (name in READ_ONLY):
             raise ValueError(f"signals.{name}: access must be {'ro' if name in READ_ONLY else 'rw'}")
@@ -169,7 +251,7 @@ class _Map(Frozen):
 
 
 @dataclass(frozen=True, slots=True)
-class Signal:
+class RegisterSignal:
     """One signal of the map."""
 
     name: str
@@ -185,17 +267,17 @@ class Signal:
         """The first register after it."""
         return self.address + self.count * self.format.width
 
-    def elements(self) -> list["Signal"]:
+    def elements(self) -> list["RegisterSignal"]:
         """Each value as a signal of its own."""
         width = self.format.width
         return [
-            Signal(f"{self.name} {number + 1}", self.address + number * width, self.format)
+            RegisterSignal(f"{self.name} {number + 1}", self.address + number * width, self.format)
             for number in range(self.count)
         ]
 
 
 @dataclass(frozen=True, slots=True)
-class Trace:
+class TraceLayout:
     """The page buffer and the layout of one sample."""
 
     address: int
@@ -213,14 +295,14 @@ class RegisterMap:
     """A checked map."""
 
     max_read: int
-    signals: Mapping[str, Signal]
+    signals: Mapping[str, RegisterSignal]
     constant: int
-    trace: Trace | None
+    trace: TraceLayout | None
 
 
-def spans(signals: Iterable[Signal], most: int) -> list[list[Signal]]:
+def spans(signals: Iterable[RegisterSignal], most: int) -> list[list[RegisterSignal]]:
     """The signals by address, grouped if they are adjacent and fit one request of `most` registers."""
-    joined: list[list[Signal]] = []
+    joined: list[list[RegisterSignal]] = []
     for signal in sorted(signals, key=lambda signal: signal.address):
         last = joined[-1] if joined else None
         if last and signal.address == last[-1].end and signal.end - last[0].address <= most:
@@ -248,11 +330,11 @@ def parse_registers(content: object) -> RegisterMap:
     if parsed.trace is not None:
         page, sample = parsed.trace.page, parsed.trace.sample
         layout = tuple((field.signal, Format(field.type, order, field.scale)) for field in sample)
-        trace = Trace(page.address, page.registers, layout)
+        trace = TraceLayout(page.address, page.registers, layout)
     return RegisterMap(
         max_read=parsed.max_read,
         signals={
-            name: Signal(name, place.address, Format(place.type, order, place.scale), place.count)
+            name: RegisterSignal(name, place.address, Format(place.type, order, place.scale), place.count)
             for name, place in parsed.signals.items()
         },
         constant=parsed.signals["constant"].value or 0,
@@ -267,7 +349,7 @@ def _check_unit(what: str, wire: _Wire, unit: str | None) -> None:
         raise ValueError(f"{what}: must be a whole number without scale")
 
 
-def _tells_the_word_order(place: _Place, order: WordOrder) -> bool:
+def _tells_the_word_order(place: _SignalPlace, order: WordOrder) -> bool:
     if place.type not in ("u32", "i32") or place.value is None:
         return False
     here = Format(place.type, order)

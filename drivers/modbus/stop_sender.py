@@ -1,6 +1,4 @@
-"""The stop of Modbus TCP drives from a separate process. It connects only for the stop: a drive may accept one client
-only.
-"""
+"""The stop of Modbus TCP drives from another process, connected only for it: a drive may accept one client only."""
 
 import itertools
 import select
@@ -10,19 +8,13 @@ import time
 from collections.abc import Collection, Mapping
 
 from drivers.cia402 import states
+from drivers.cia402.states import Controlword
 from drivers.errors import ConnectionFailed, NotReady
 from drivers.modbus.line import READ, WRITE
-from drivers.modbus.profile import DIRECT, ModbusAxis, ModbusProfile, TcpLine
+from drivers.modbus.profile import DIRECT, ModbusAxis, ModbusProfile, TcpProfile
 from drivers.modbus.registers import RegisterMap
-from drivers.modbus.units import Gear
 
-CONNECT_TIMEOUT = 0.3  # s
-ANSWER_TIMEOUT = 0.03  # s for a unit, before the stop is sent to the next
-LATE_ANSWER = 0.1  # s for a unit that did not answer then; the stop is sent again after all others
-SENDING = (
-    0.5  # s from the connection on in which the stop is sent again: some of the answer's 1.2 s are left to confirm
-)
-POLL = 0.01  # s
+LATE_ANSWER = 0.1  # s for a unit that did not answer in time; the stop is sent again after all others
 _SILENT = "did not answer"
 _HEAD = struct.Struct(">HHHB")  # transaction, protocol 0, length of the rest, unit: Modbus messaging on TCP/IP V1.0b
 
@@ -30,16 +22,19 @@ _HEAD = struct.Struct(">HHHB")  # transaction, protocol 0, length of the rest, u
 class ModbusStopSender:
     """See `drivers.ports.StopSender`. The transaction id is the unit id, so that an answer identifies its unit."""
 
+    connect_timeout = 0.3  # s
+    sending = 0.5  # s in which the stop is sent again, so that some of the answer's 1.2 s are left to confirm
+
     def __init__(self, profile: ModbusProfile, registers: RegisterMap) -> None:
         """Raises NotReady on a serial line."""
-        if not isinstance(profile.line, TcpLine):
+        if not isinstance(profile.line, TcpProfile):
             raise NotReady(
                 f"Modbus {profile.line.place}: only one process can open a serial line, and the service has it"
             )
         self._line = profile.line
         self._axes, self._map = profile.axes, registers
         signal = registers.signals["controlword"]
-        words = signal.format.encode(states.QUICK_STOP, round)
+        words = signal.format.encode(Controlword.QUICK_STOP, round)
         body = struct.pack(f">BHHB{len(words)}H", WRITE, signal.address, len(words), 2 * len(words), *words)
         self._joints = {axis.unit_id: axis.joint for axis in profile.axes}
         self._requests = {unit: _HEAD.pack(unit, 0, len(body) + 1, unit) + body for unit in self._joints}
@@ -57,13 +52,13 @@ class ModbusStopSender:
         answered.
         """
         try:
-            with socket.create_connection((self._line.host, self._line.port), CONNECT_TIMEOUT) as line:
+            with socket.create_connection((self._line.host, self._line.port), self.connect_timeout) as line:
                 line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 answers = _Answers(line)
-                until = time.monotonic() + SENDING
+                until = time.monotonic() + self.sending
                 for unit, request in self._requests.items():
                     line.sendall(request)
-                    answers.wait_for([unit], ANSWER_TIMEOUT)
+                    answers.wait_for([unit], 0.03)  # s before the next is told
                 answers.wait_for(self._requests, LATE_ANSWER)
                 missing = itertools.cycle(self._requests)
                 while not answers.complete(self._requests) and time.monotonic() < until:
@@ -81,14 +76,16 @@ class ModbusStopSender:
         deadline = time.monotonic() + within
         doubts = dict.fromkeys(self._joints.values(), _SILENT)
         try:
-            with socket.create_connection((self._line.host, self._line.port), min(CONNECT_TIMEOUT, within)) as line:
+            with socket.create_connection(
+                (self._line.host, self._line.port), min(self.connect_timeout, within)
+            ) as line:
                 line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 readings = _Readings(line, self._map, deadline)
                 while any(doubts.values()) and time.monotonic() < deadline:
                     open_ones = [axis for axis in self._axes if doubts[axis.joint]]
                     for axis in sorted(open_ones, key=lambda axis: doubts[axis.joint] == _SILENT):
                         doubts[axis.joint] = _doubt(readings, axis)
-                    time.sleep(max(0.0, min(POLL, deadline - time.monotonic())))
+                    time.sleep(max(0.0, min(0.01, deadline - time.monotonic())))
         except OSError as error:
             why = f"Modbus {self._line.place}: {error}"
             return {joint: doubt and why for joint, doubt in doubts.items()}
@@ -107,12 +104,12 @@ def _doubt(readings: "_Readings", axis: ModbusAxis) -> str:
     if word is None:
         return _SILENT
     state = states.decode(int(word))
-    if state in states.ENERGISED or state is states.State.UNKNOWN:
+    if state in states.ENERGISED or state is states.PowerState.UNKNOWN:
         return f"reports '{state.value}'"
     speed = readings.value(axis.unit_id, "velocity")
     if speed is None:
         return _SILENT
-    velocity = Gear(axis.gear_ratio, axis.position_offset, axis.rated_torque).velocity(speed)
+    velocity = axis.gear.motor_velocity(speed)
     return "" if abs(velocity) <= axis.standstill_velocity else f"reports {velocity:.3g} {axis.unit}/s"
 
 
@@ -165,9 +162,7 @@ class _Answers:
         return self.words.keys() >= set(units)
 
     def wait_for(self, units: Collection[int], seconds: float) -> None:
-        """Read until all of these units have answered or the time is over. Raises OSError if the drives close
-        the line.
-        """
+        """Read until all of these units have answered or the time is over. OSError if the drives close the line."""
         deadline = time.monotonic() + seconds
         while not self.complete(units):
             left = deadline - time.monotonic()

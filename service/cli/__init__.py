@@ -16,20 +16,18 @@ from service.cli.lazy import Commands
 from service.model.errors import BadInput, SweepidError
 
 GROUP = "sweepid.commands"
-_VERSION = "--version"
-_COMPLETIONS = "--completions"
 _OWN = {
-    "demo": "demo:demo",
+    "demo": "serve:demo",
     "serve": "serve:serve",
-    "plan": "plan:plan",
-    "plan trajectories": "plan:plan_trajectories",
-    "measure": "measure:measure",
+    "plan": "campaigns:plan",
+    "plan trajectories": "campaigns:plan_trajectories",
+    "measure": "campaigns:measure",
     "import": "imports:import_bundle",
     "import trace": "imports:import_trace",
-    "check": "check:check",
-    "check sheet": "check:check_sheet",
+    "check": "identify:check",
+    "check sheet": "identify:check_sheet",
     "identify": "identify:identify",
-    "diagnose": "diagnose:diagnose",
+    "diagnose": "identify:diagnose",
     "estimate benefit": "estimate:benefit",
     "estimate payload": "estimate:payload",
     "estimate torque-gain": "estimate:torque_gain",
@@ -64,8 +62,8 @@ _OWN = {
     "people revoke-key": "people:revoke_key",
     "people sessions": "people:sessions",
     "people revoke-session": "people:revoke_session",
-    "audit verify": "audit:verify_audit",
-    "audit export": "audit:export_audit",
+    "audit verify": "people:verify_audit",
+    "audit export": "people:export_audit",
 }
 """By name: module below `service.cli.commands`, and function. A command may be the first word of others."""
 _GROUPS = {
@@ -76,22 +74,6 @@ _GROUPS = {
     "plant": "Compare many robots; identify stored campaigns again.",
     "robot": "Robots as their manufacturers describe them.",
 }
-_FORMER = {
-    **{f"export-{name}": f"export {name}" for name in ("model", "path", "recording", "sheet")},
-    **{name: f"estimate {name}" for name in ("benefit", "channels", "payload", "torque-gain")},
-    **{name: f"data {name}" for name in ("backup", "doctor", "restore")},
-    **{name: f"drive {name}" for name in ("follow", "truth")},
-    "check-sheet": "check sheet",
-    "db": "data",
-    "fleet": "plant fleet",
-    "import-trace": "import trace",
-    "jobs": "plant jobs",
-    "jobs cancel": "plant cancel",
-    "jobs reidentify": "plant reidentify",
-    "jobs show": "plant job",
-    "plan-trajectories": "plan trajectories",
-}
-"""Names of earlier versions. Nothing runs under them: scripts are to be changed once."""
 
 
 def main() -> None:
@@ -103,9 +85,9 @@ def main() -> None:
             stream.reconfigure(errors="backslashreplace")
     try:
         if any(name.endswith("_COMPLETE") for name in os.environ):
-            from service.cli.shell.completions import prepare
+            from typer.completion import completion_init  # pyright: ignore[reportPrivateImportUsage]
 
-            prepare()
+            completion_init()
         build()()
     except (BadInput, BadProfile) as error:
         _leave(2, error)
@@ -126,7 +108,6 @@ def build() -> Commands:
     return Commands(
         places=places,
         groups=_GROUPS,
-        former=_FORMER,
         help=options.help,
         params=options.params,
         callback=options.callback,
@@ -141,22 +122,23 @@ def _tell_version(wanted: bool) -> None:
 
 def _tell_completions(shell: str | None) -> None:
     if shell in ("bash", "zsh", "fish"):
-        from service.cli.shell.completions import script
+        # Typer has no other place from which a program may take it
+        from typer.completion import get_completion_script  # pyright: ignore[reportPrivateImportUsage]
 
-        typer.echo(script(shell))
+        typer.echo(get_completion_script(prog_name="sweepid", complete_var="_SWEEPID_COMPLETE", shell=shell))
         raise typer.Exit
     if shell is not None:
-        raise BadInput(_COMPLETIONS, f"unknown shell {shell}: use bash, zsh or fish")
+        raise BadInput("--completions", f"unknown shell {shell}: use bash, zsh or fish")
 
 
 def _overview(
     version: Annotated[
-        bool, typer.Option(_VERSION, help="Print the version.", callback=_tell_version, is_eager=True)
+        bool, typer.Option("--version", help="Print the version.", callback=_tell_version, is_eager=True)
     ] = False,
     completions: Annotated[
         str | None,
         typer.Option(
-            _COMPLETIONS,
+            "--completions",
             help="Print the completions of a shell: bash, zsh or fish.",
             metavar="SHELL",
             callback=_tell_completions,

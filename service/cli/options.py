@@ -9,7 +9,7 @@ DEFAULT_URL = "http://127.0.0.1:8642"
 Url = Annotated[str, typer.Option(envvar="SWEEPID_URL", help="Address of the service.")]
 JsonTo = Annotated[str | None, typer.Option("--json", help="Write JSON here; - is stdout.", metavar="FILE")]
 Gains = Annotated[Path | None, typer.Option("--torque-gain", help="JSON file of `sweepid estimate torque-gain`.")]
-Bundle = Annotated[Path, typer.Argument(help="Directory of the bundle.", show_default=False)]
+BundleArg = Annotated[Path, typer.Argument(help="Directory of the bundle.", show_default=False)]
 
 # what an export is made of
 Source = Annotated[

@@ -3,6 +3,8 @@
 import asyncio
 import gc
 import json
+import logging
+import logging.handlers
 import os
 import signal
 import sys
@@ -15,33 +17,44 @@ from fastapi import FastAPI
 from starlette.types import Receive, Scope, Send
 
 from drivers.errors import DriveError
-from service.cli.logs import HeldBack
 from service.machine.stop_process.handle import StopNotStarted, StopProcess
 from service.model.errors import SweepidError
-from service.process.logs.lines import configure_logs
+from service.process.logs import configure_logs
 from service.process.settings import Settings
 from service.store.access.permissions import LOCAL
 from service.web.app import create_app, end_motion, end_streams, halt
 
 _log = structlog.get_logger(__name__)
 
-_ONLY_TLS = ("Strict-Transport-Security", "max-age=31536000")
-_GRACE = 3  # s for requests under way when the service is told to end
-# with the default of 5 ms a busy thread delays the thread of the set-points by more than a cycle
-_SWITCH_INTERVAL = 1e-3  # s
+
+class HeldBack(logging.handlers.MemoryHandler):
+    """Holds what is logged until `let_through`: of a start that fails for a known reason one line is enough."""
+
+    def __init__(self) -> None:
+        """To be made after `configure_logs`."""
+        root = logging.getLogger()
+        (written,) = root.handlers
+        super().__init__(capacity=10**6, flushLevel=logging.CRITICAL + 1, target=written)
+        root.handlers = [self]
+
+    def let_through(self) -> None:
+        """Write what was held, and from now on everything at once."""
+        self.flush()
+        self.flushLevel = logging.NOTSET
+
+    def drop(self) -> None:
+        """Forget what was held, and what else is said of this start: what is closed after it speaks of it as well."""
+        self.buffer.clear()
+        self.setTarget(logging.NullHandler())
 
 
 def run_service(settings: Settings) -> None:
     """Serve until a signal ends it; one JSON line with the address on stdout once it is ready."""
-    settings.check_tls()
-    settings.check_reach()
-    settings.check_oidc()
-    settings.check_recordings()
-    settings.check_cluster()
-    settings.check_publishing()
+    settings.check()
     configure_logs(settings.log_level)
     logs = HeldBack()
-    sys.setswitchinterval(_SWITCH_INTERVAL)
+    # s; with the default of 5 ms a busy thread delays the thread of the set-points by more than a cycle
+    sys.setswitchinterval(1e-3)
     if not settings.answers_to:
         _log.warning("answers_to_any_host_name", host=settings.host, setting="allowed_hosts")
     if not settings.login:
@@ -78,13 +91,13 @@ def _serve(settings: Settings, stop_process: StopProcess | None, logs: HeldBack)
             lifespan="on",
             log_config=None,
             access_log=False,
-            timeout_graceful_shutdown=_GRACE,
+            timeout_graceful_shutdown=3,  # s for requests under way
             ws="websockets-sansio",
             proxy_headers=settings.behind_proxy,  # by default uvicorn believes whoever calls from this computer
             forwarded_allow_ips=[str(network) for network in settings.trusted_proxies],
             ssl_certfile=certificate,
             ssl_keyfile=key,
-            headers=[] if certificate is None else [_ONLY_TLS],
+            headers=[] if certificate is None else [("Strict-Transport-Security", "max-age=31536000")],
         ),
     )
     try:

@@ -9,7 +9,7 @@ from service.diagnosis.fit.calibration import WeighedGain
 from service.diagnosis.fit.ended import Ended
 from service.diagnosis.fit.select import Selection
 from service.diagnosis.summary import in_words
-from service.identification.model.convergence import unsettled
+from service.identification.model.least_squares import unsettled
 
 READ = "Its parameters may be further off than their standard deviations: compare the gap after with the noise floor."
 MORE_SWEEPS = "Repeat the sweeps with the test mass, or take a heavier one."

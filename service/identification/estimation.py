@@ -2,24 +2,22 @@
 
 from collections.abc import Mapping, Sequence
 
-from service.identification.axis.ideal_frequency import AxisAnalysis
+from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.axis.known_effects import KnownEffects
 from service.identification.axis.nominal_priors import TorqueGain
-from service.identification.estimates.analysis_document import analyses_document
-from service.identification.estimates.combination import combine, inertias_of
-from service.identification.estimates.combination_document import combination_document
+from service.identification.estimates.combination import combination_document, combine, inertias_of
 from service.identification.estimates.document import as_document, nothing_known
-from service.identification.estimates.estimate import Estimate, identify
-from service.identification.estimates.initial_analysis import analyse
+from service.identification.estimates.estimate import RobotEstimate, identify
+from service.identification.estimates.initial_analysis import analyse, analyses_document
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.trajectory_record import AxisTrack, axis_track, runs_at_once, trajectories
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.identification.spectra.noise_response import NoiseSpectrum, has_reference, noise_spectrum
-from service.model.geometry.collision import reachable
+from service.model.collision import reachable
 from service.model.recording import Sweep
 from service.model.results import estimate as results
 from service.model.results.combination import Combination
-from service.model.results.identified.spectrum import AnySpectrum
+from service.model.results.spectrum import AnySpectrum
 from service.model.robot import Robot
 
 SweepSpectrum = Spectrum | NoiseSpectrum | AxisTrack
@@ -44,7 +42,7 @@ def spectrum_from(document: AnySpectrum) -> SweepSpectrum:
 def estimate_document(
     robot: Robot,
     spectra: Sequence[SweepSpectrum],
-    analyses: Mapping[str, AxisAnalysis] | None = None,
+    analyses: Mapping[str, InitialAnalysis] | None = None,
     gains: Mapping[str, TorqueGain] | None = None,
     known: KnownEffects | None = None,
     motions: Sequence[FreeMotion] = (),
@@ -70,12 +68,15 @@ def estimate_document(
     also: dict[str, object] = {"analysis": analyses_document(own), "combination": combination}
     if estimate is None and combination is not None:
         also |= {"standard_parameters": combination.standard_parameters, "physical": combination.physical}
-    return _document(robot, estimate).model_copy(update=also)
+    if estimate is None:
+        return nothing_known().model_copy(update=also)
+    workspace = reachable(robot, estimate.poses, estimate.workspace)
+    return as_document(estimate, workspace).model_copy(update=also)
 
 
 def _combination(
     robot: Robot,
-    estimate: Estimate | None,
+    estimate: RobotEstimate | None,
     tracks: Sequence[AxisTrack],
     motions: Sequence[FreeMotion],
     gains: Mapping[str, TorqueGain],
@@ -84,10 +85,3 @@ def _combination(
     if not records and not motions:
         return None
     return combination_document(combine(robot, inertias_of(estimate) if estimate else (), records, motions, gains))
-
-
-def _document(robot: Robot, estimate: Estimate | None) -> results.Estimate:
-    """The document of an estimate from sweeps alone."""
-    if estimate is None:
-        return nothing_known()
-    return as_document(estimate, reachable(robot, estimate.poses, estimate.workspace))

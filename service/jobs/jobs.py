@@ -1,38 +1,125 @@
-"""Open identification jobs: from the recorded sweep's row to the estimate revision.
+"""Open jobs of the store: identification of recorded sweeps, data check of a campaign, re-identification in batches.
 
-The store is the outbox: a job is open while its sweep is `recorded`; open jobs are found again after a restart.
-The jobs of a campaign run in the order of recording, one after the other, so that every revision contains the one
-before it. The identification of a sweep uses the effects of the robot's newest accepted model.
-
-Each sweep of a campaign that was measured here has its own revision. In a large imported campaign several sweeps
-share a revision (`open_groups`): the estimate after the first 17 of 900 sweeps is of no use. Which sweeps have one
-depends only on the number of sweeps, so it is the same after a restart. One job computes the spectra of a group and one
-estimate, and one transaction stores all of it. If that job fails, its sweeps are identified one after the other, so
-that only the sweeps with a fault fail.
+The store is the outbox: a job is open while its row has no result; open jobs are found again after a restart. Each runs
+in a task of its own, is repeated if the store or the disk fails, and must be repeatable, as after a restart.
 """
 
 import asyncio
 import hashlib
+import json
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from functools import partial
 
 import structlog
+from sqlalchemy.exc import OperationalError
 from structlog.contextvars import bound_contextvars
 
 from drivers.errors import Cause, CauseCode
-from service.jobs.open_jobs import OpenJobs
-from service.jobs.worker import Job, JobFailed, RecordedSweep, Result, Worker
-from service.model.errors import BadInput
-from service.planning.campaigns.linked import analysis_behind, campaign_beside
+from service.jobs.work import CheckJob, Job, JobFailed, RecordedSweep, ReidentifyJob, Result, Worker, WorkerLost
+from service.model.errors import BadInput, NotFound, NotNow
+from service.planning.campaigns.live import EventFeed
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
-from service.process.telemetry.spans import TRACING
-from service.store.diagnosis.model_revisions import ModelStore
-from service.store.documents import CampaignState, RecordingDocument, SpectrumRecord, SweepDocument, SweepState
+from service.planning.campaigns.stored_results import analysis_behind, campaign_beside
+from service.process.telemetry import TRACING
+from service.store.database import refusal
+from service.store.diagnoses import ModelStore
+from service.store.documents import (
+    BatchState,
+    CampaignState,
+    EventKind,
+    RecordingDocument,
+    SpectrumRecord,
+    SweepDocument,
+    SweepState,
+)
 from service.store.files.recordings import RecordingFiles
-from service.store.store import Store
+from service.store.plant import BatchDocument, BatchStore
+from service.store.store import COMPLETE, OVER, CheckStore, Store
 
 _log = structlog.get_logger(__name__)
+
+
+class OpenJobs:
+    """The open jobs of one kind; each kind derives from it."""
+
+    def __init__(self) -> None:
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._sizes: dict[str, int] = {}
+        self._troubles: dict[str, str] = {}
+
+    @property
+    def open(self) -> int:
+        """How many items wait or run: the sum of the sizes of the open jobs."""
+        return sum(self._sizes.values())
+
+    @property
+    def troubles(self) -> tuple[str, ...]:
+        """Why a job waits although a worker is available, or was aborted until a restart; one line per job."""
+        return tuple(f"{name}: {why}" for name, why in self._troubles.items())
+
+    def begin(
+        self,
+        name: str,
+        do: Callable[[], Awaitable[None]],
+        turn: asyncio.Lock | None = None,
+        size: int = 1,
+        **about: int,
+    ) -> None:
+        """Run `do` in a task of its own; no effect if a task with this name is open.
+
+        Tasks with the same `turn` run one after the other, in the order of the calls. `size`: number of its items.
+        `about`: fields of its log lines, such as its campaign.
+        """
+        if name not in self._tasks:
+            self._troubles.pop(name, None)
+            self._sizes[name] = size
+            task = asyncio.create_task(self._keep(name, do, turn, about), name=name)
+            self._tasks[name] = task
+            task.add_done_callback(partial(self._done, about))
+
+    def end(self, name: str) -> None:
+        """Cancel the task with this name, if it is open; data that it has stored are kept."""
+        task = self._tasks.get(name)
+        if task is not None:
+            task.cancel()
+
+    async def close(self) -> None:
+        """Cancel all tasks; the next process continues the open jobs."""
+        tasks = list(self._tasks.values())
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _keep(
+        self, name: str, do: Callable[[], Awaitable[None]], turn: asyncio.Lock | None, about: Mapping[str, int]
+    ) -> None:
+        with bound_contextvars(**about):
+            async with turn or nullcontext():
+                await self._patiently(name, do)
+
+    async def _patiently(self, name: str, do: Callable[[], Awaitable[None]]) -> None:
+        while True:
+            try:
+                await do()
+            except (OperationalError, OSError, NotNow) as error:  # locked, full, read-only, unreachable: temporary
+                reason = refusal(error) if isinstance(error, OperationalError) else str(error).partition("\n")[0]
+                _log.warning("job_waits", job=name, reason=reason)
+                self._troubles[name] = reason
+                await asyncio.sleep(2.0)
+            else:
+                self._troubles.pop(name, None)
+                return
+
+    def _done(self, about: Mapping[str, int], task: asyncio.Task[None]) -> None:
+        name = task.get_name()
+        del self._tasks[name], self._sizes[name]
+        if not task.cancelled() and (error := task.exception()) is not None:
+            # nothing was written: the next start repeats it
+            self._troubles[name] = f"failed; it is repeated at the next start of the service: {error!r}"
+            _log.error("job_broke_off", job=name, exc_info=error, **about)
+
 
 MOST_REVISIONS = 60  # points of a convergence chart; with 900 sweeps their estimates take 13 s of processor time
 
@@ -179,3 +266,138 @@ def open_groups(sweeps: Sequence[SweepDocument]) -> list[tuple[SweepDocument, ..
         if sweep.state is SweepState.RECORDED:
             groups.setdefault((sweep.number - 1) // size, []).append(sweep)
     return [tuple(group) for _, group in sorted(groups.items())]
+
+
+class Checking(OpenJobs):
+    """Submits campaigns to the worker and writes the findings."""
+
+    def __init__(self, store: Store, checks: CheckStore, files: RecordingFiles, worker: Worker) -> None:
+        super().__init__()
+        self._store, self._checks, self._files, self._worker = store, checks, files, worker
+
+    async def recover(self) -> None:
+        """Submit the checks that the last process left open."""
+        for campaign_id in await asyncio.to_thread(self._checks.wanting):
+            self._submit(campaign_id)
+
+    async def follow(self, feed: EventFeed, after: int) -> None:
+        """Check each campaign that ends after event `after`, until the feed is closed."""
+        ends = {state.value for state in OVER}
+        async for event in feed.follow(after):
+            if event.kind is EventKind.CAMPAIGN and event.campaign_id is not None and event.data["state"] in ends:
+                self._submit(event.campaign_id)
+
+    def _submit(self, campaign_id: int) -> None:
+        self.begin(f"check of the data of campaign {campaign_id}", partial(self._do, campaign_id), campaign=campaign_id)
+
+    async def _do(self, campaign_id: int) -> None:
+        if campaign_id not in await asyncio.to_thread(self._checks.wanting, campaign_id):
+            return
+        try:
+            job = await asyncio.to_thread(self._job, campaign_id)
+            document = await self._worker.run_patiently(job)
+        except (JobFailed, BadInput) as error:  # e.g. a file was changed; the identification reports it too
+            _log.error("check_failed", campaign=campaign_id, cause=str(error))
+            return
+        await asyncio.to_thread(self._checks.add, campaign_id, document)
+
+    def _job(self, campaign_id: int) -> CheckJob:
+        robot = self._store.robot(self._store.campaign(campaign_id).robot_id)
+        sweeps: list[RecordedSweep] = []
+        hashes: list[str] = []
+        for sweep in self._store.sweeps(campaign_id):
+            if sweep.state in COMPLETE:
+                recording = self._store.recording(campaign_id, sweep.number)
+                sweeps.append(RecordedSweep(sweep.spec, self._files.named(recording)))
+                hashes.append(recording.sha256)
+        digest = hashlib.sha256(json.dumps([campaign_id, hashes]).encode()).hexdigest()
+        return CheckJob(f"check-{digest}", robot.description, robot.urdf_text, tuple(sweeps))
+
+
+class Batches(OpenJobs):
+    """Submits campaigns to the workers and writes the results."""
+
+    def __init__(
+        self, store: Store, batches: BatchStore, models: ModelStore, files: RecordingFiles, worker: Worker
+    ) -> None:
+        super().__init__()
+        self._store, self._batches, self._models, self._files, self._worker = store, batches, models, files, worker
+
+    async def recover(self) -> None:
+        """Continue the batches that the last process left open."""
+        for number in await asyncio.to_thread(self._batches.open):
+            self._submit(number)
+
+    async def request(self, campaigns: Sequence[int] | None, asked_by: str) -> BatchDocument:
+        """Identify these campaigns again, or (None) all campaigns of this machine; returns immediately. BadInput."""
+        batch = await asyncio.to_thread(self._batches.add, campaigns, asked_by)
+        self._submit(batch.id)
+        return batch
+
+    async def cancel(self, batch_id: int) -> BatchDocument:
+        """Cancel the rest of the batch; computed results are kept. No effect on a batch that is over."""
+        batch = await asyncio.to_thread(self._batches.end, batch_id, BatchState.CANCELLED)
+        self.end(f"re-identification {batch_id}")
+        return batch
+
+    def _submit(self, batch_id: int) -> None:
+        self.begin(f"re-identification {batch_id}", partial(self._do, batch_id))
+
+    async def _do(self, batch_id: int) -> None:
+        campaigns = iter(await asyncio.to_thread(self._batches.begin, batch_id))
+        try:
+            workers = len(await self._worker.processes())
+        except WorkerLost:
+            workers = 1
+        lanes = [
+            asyncio.create_task(self._lane(batch_id, campaigns), name="lane of a re-identification")
+            for _ in range(2 * max(workers, 1))  # no worker waits for the next job
+        ]
+        try:
+            await asyncio.gather(*lanes)
+        finally:  # one lane failed, or the batch is cancelled
+            for lane in lanes:
+                lane.cancel()
+            await asyncio.gather(*lanes, return_exceptions=True)
+        await asyncio.to_thread(self._batches.end, batch_id, BatchState.DONE)
+        _log.info("batch_done", batch=batch_id)
+
+    async def _lane(self, batch_id: int, campaigns: Iterator[int]) -> None:
+        """Process campaigns one after the other from the iterator that all lanes share."""
+        for campaign_id in campaigns:
+            try:
+                job = await asyncio.to_thread(self._job, campaign_id)
+                found = await self._worker.run_patiently(job)
+            except (JobFailed, BadInput, NotFound) as error:
+                _log.warning("not_identified_again", batch=batch_id, campaign=campaign_id, cause=str(error))
+                write = partial(self._batches.add_result, batch_id, campaign_id, 0, None, cause=str(error))
+            else:
+                result = found.sweeps, found.estimate, found.change_percent
+                write = partial(self._batches.add_result, batch_id, campaign_id, *result)
+            await asyncio.to_thread(write)
+
+    def _job(self, campaign_id: int) -> ReidentifyJob:
+        """The job, with the input of the stored estimate and the present model of the robot."""
+        campaign = self._store.campaign(campaign_id)
+        robot = self._store.robot(campaign.robot_id)
+        beside = campaign_beside(self._store, campaign)
+        sweeps: list[RecordedSweep] = []
+        hashes: list[str] = []
+        for number in (campaign_id,) if beside is None else (beside.id, campaign_id):
+            recordings = self._store.recordings(number)
+            for sweep in self._store.sweeps(number):
+                if sweep.state is SweepState.IDENTIFIED:
+                    recording = recordings[sweep.number]
+                    sweeps.append(RecordedSweep(sweep.spec, self._files.reference(recording)))
+                    hashes.append(recording.sha256)
+        model = self._models.newest(campaign.robot_id)
+        digest = hashlib.sha256(json.dumps([campaign_id, model.id if model else 0, hashes]).encode()).hexdigest()
+        return ReidentifyJob(
+            key=f"reidentify-{digest}",
+            robot=robot.description,
+            urdf_text=robot.urdf_text,
+            sweeps=tuple(sweeps),
+            analyses=analysis_behind(self._store, beside or campaign),
+            model=model,
+            before=self._store.estimate(campaign_id).document,
+        )

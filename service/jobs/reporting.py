@@ -12,21 +12,26 @@ from pydantic import BaseModel, ConfigDict
 from drivers.ports import AxisIdentity
 from service.identification.fleet.document import Fleet
 from service.identification.motion.trajectory_record import runs_at_once
-from service.jobs.worker import DiagnosisReportJob, FleetReportJob, RecordedSweep, ReportJob
+from service.jobs.work import DiagnosisReportJob, FleetReportJob, RecordedSweep, ReportJob
 from service.model.causes import in_words
 from service.model.errors import Conflict, NotFound
-from service.model.results.check import DataCheck
+from service.model.results.diagnosis import DataCheck
+from service.model.results.effect import ModelFile
 from service.model.results.estimate import Estimate
-from service.model.results.revision import ModelFile
-from service.planning.campaigns.linked import campaign_beside
-from service.planning.campaigns.plan_subject import plan_subject
+from service.planning.campaigns.stored_plan import plan_subject
+from service.planning.campaigns.stored_results import campaign_beside
 from service.report import CampaignReport, Drive, Form, example_of, used_sweeps
-from service.store.checks import CheckStore
-from service.store.diagnosis.diagnoses import DiagnosisStore
-from service.store.diagnosis_documents import DiagnosisDocument
-from service.store.documents import CampaignDocument, EstimateDocument, RecordingDocument, SweepDocument, SweepState
+from service.store.diagnoses import DiagnosisStore
+from service.store.documents import (
+    CampaignDocument,
+    DiagnosisDocument,
+    EstimateDocument,
+    RecordingDocument,
+    SweepDocument,
+    SweepState,
+)
 from service.store.files.recordings import RecordingFiles
-from service.store.store import Store
+from service.store.store import CheckStore, Store
 
 CONVERGENCE = 100  # maximum number of revisions whose parameters are drawn
 

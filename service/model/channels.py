@@ -17,13 +17,11 @@ missing neighbours are removed from all columns.
 from dataclasses import fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.ports import ChannelTiming
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.model.recording import Recording
-
-Array = NDArray[np.float64]
 
 HALF = 6  # samples on either side
 

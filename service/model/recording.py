@@ -5,13 +5,10 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Annotated, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
+from service.model.arrays import Array
 from service.model.physical_bounds import MOST_FREQUENCY, MOST_TIME, MOST_VELOCITY, Position, Velocity
-
-Array = NDArray[np.float64]
 
 _PRINTABLE = r"^[^\x00-\x1f\x7f-\x9f]*$"
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=_PRINTABLE)]

@@ -14,15 +14,13 @@ from functools import cached_property
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator
 
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.model.physical_bounds import MOST_EFFORT, MOST_GRAVITY, MOST_INERTIA, MOST_RATIO, MOST_VISCOUS, check_urdf
 from service.model.recording import Name
 from service.model.urdf import Chain, read_chain
-
-Array = NDArray[np.float64]
 
 INERTIAL_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 _LEAST_RATIO, _LARGEST_RATIO = 1e-6, MOST_RATIO

@@ -1,26 +1,29 @@
-"""Reads a URDF into a serial chain: joint frames, limits and the links' ten inertial parameters.
+r"""Reads a URDF into a serial chain: joint frames, limits and the links' ten inertial parameters.
 
 Shapes, transmissions and visuals are ignored. Source: the URDF XML specification (ROS wiki, "urdf/XML");
 rpy are fixed-axis angles, R = Rz(yaw) Ry(pitch) Rx(roll).
+
+Convex hulls inside a URDF: `<mesh filename="..."><hull vertices="x y z ..."/></mesh>`.
+
+A URDF contains names of mesh files, not the meshes. `sweepid robot check`, run where the files are, writes the hulls of
+the collision meshes into it. Then only the text is needed: in the store, in a bundle, in another process.
+Vertices are in m in the frame of the shape's `<origin>`, with the mesh's scale applied. Other URDF readers ignore it.
 """
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
 from xml.parsers import expat
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.model.arrays import Array
 from service.model.errors import BadInput
-
-Array = NDArray[np.float64]
 
 MOST_LINKS = 200  # a serial robot has about ten; the chain is read recursively
 MOST_ELEMENTS = 20_000
 DEEPEST = 50  # levels of nested elements; URDF has about six
-LONGEST_NAME = 200
 LARGEST = 1e15  # of a number, SI; its square does not overflow
 _CHOOSE = "only a serial chain can be measured, `sweepid robot check URDF --tip LINK` makes one of it"
 
@@ -107,6 +110,7 @@ def read_chain(text: str, place: str = "urdf") -> Chain:
 
 def look_over(text: str, place: str) -> None:
     """Check before parsing: BadInput for a text that is no XML, has a DOCTYPE, or is larger than any robot."""
+    longest_name = 200
     depth, count = 0, 0
 
     def begin(kind: str, attributes: Mapping[str, str]) -> None:
@@ -115,8 +119,8 @@ def look_over(text: str, place: str) -> None:
         if depth > DEEPEST or count > MOST_ELEMENTS:
             raise BadInput(place, f"has more than {MOST_ELEMENTS} elements, or is nested deeper than {DEEPEST}")
         name = attributes.get("name", "")
-        if kind in ("link", "joint") and (len(name) > LONGEST_NAME or not name.isprintable()):
-            raise BadInput(place, f"name {name[:20]!r} of a {kind} is longer than {LONGEST_NAME} or not printable")
+        if kind in ("link", "joint") and (len(name) > longest_name or not name.isprintable()):
+            raise BadInput(place, f"name {name[:20]!r} of a {kind} is longer than {longest_name} or not printable")
 
     def end(_: str) -> None:
         nonlocal depth
@@ -299,3 +303,41 @@ def _vector(element: ET.Element, name: str, here: str) -> Array:
     if values.shape != (3,) or not (np.abs(values) <= LARGEST).all():
         raise BadInput(here, f"{element.tag} {name}={text!r} is not three finite numbers up to {LARGEST:g}")
     return values
+
+
+def collision_meshes(root: ET.Element) -> Iterator[tuple[str, ET.Element]]:
+    """Every `<mesh>` of a collision shape, with the name of its link."""
+    for link in root.findall("link"):
+        for mesh in link.iterfind("collision/geometry/mesh"):
+            yield link.get("name", ""), mesh
+
+
+def write_hull(mesh: ET.Element, vertices: Array) -> None:
+    """Give a mesh its hull (k, 3)."""
+    ET.SubElement(mesh, "hull", vertices=" ".join(f"{number:.6g}" for number in vertices.ravel()))
+
+
+def read_hull(mesh: ET.Element, here: str) -> Array:
+    """The hull (k, 3) of a mesh; BadInput if the mesh has none or it is not a valid body."""
+    farthest = 1e4  # m, of a coordinate
+    most_numbers = 30_000  # of one hull
+    name, element = mesh.get("filename", ""), mesh.find("hull")
+    if element is None:
+        raise BadInput(
+            here, f"mesh {name}: its shape is not in the URDF; `sweepid robot check URDF --packages DIR` puts it in"
+        )
+    words = element.get("vertices", "").split(maxsplit=most_numbers)
+    if len(words) > most_numbers:
+        raise BadInput(here, f"mesh {name}: its hull has more than {most_numbers} numbers")
+    try:
+        numbers = np.array([float(word) for word in words])
+    except ValueError as error:
+        raise BadInput(here, f"mesh {name}: hull: {error}") from None
+    if len(numbers) % 3 or not np.isfinite(numbers).all():
+        raise BadInput(here, f"mesh {name}: its hull is not finite numbers in threes")
+    if np.abs(numbers).max(initial=0.0) > farthest:
+        raise BadInput(here, f"mesh {name}: its hull reaches {np.abs(numbers).max():.3g} m, limit {farthest:g} m")
+    vertices = numbers.reshape(-1, 3)
+    if len(vertices) < 4 or np.linalg.matrix_rank(vertices - vertices[:1], tol=1e-9) < 3:
+        raise BadInput(here, f"mesh {name}: its hull is not a body: {len(vertices)} points, or all in one plane")
+    return vertices

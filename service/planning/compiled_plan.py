@@ -1,32 +1,31 @@
 """The compiled plan of a campaign for this machine: commands, and the envelope that limits them."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 
+from drivers.errors import CommunicationLost
+from drivers.ports import AxisState, AxisStatus
+from service.model.configuration import Cell, read_cell
 from service.model.errors import Conflict
-from service.model.geometry.cell import read_cell
 from service.model.robot import Robot
-from service.planning.analysis.documents import AnalysisPlan
-from service.planning.diagnosis.documents import DiagnosisPlan, ExperimentPlan
-from service.planning.machine_setup import MachineSetup
-from service.planning.motion_hash import motion_sha256
-from service.planning.plan import PlanDocument
-from service.planning.safety.envelope import Envelope
-from service.planning.safety.noise_motion import Command
-from service.planning.safety.robot_and_machine import DriveAxis, differences, on_machine
-from service.planning.trajectories.documents import TrajectoryPlan
+from service.planning.documents import (
+    AnalysisPlan,
+    DiagnosisPlan,
+    ExperimentPlan,
+    PlanDocument,
+    PlannedNoise,
+    PlannedSweep,
+    TrajectoryPlan,
+)
+from service.planning.machine_setup import DriveAxis, MachineSetup, differences, on_machine, sha256_of
+from service.planning.safety.envelope import Command, Envelope
+from service.planning.safety.travel import Leg
 from service.process.settings import Settings
-from service.store.documents import CampaignDocument, NewSweep, PlanRecord, SweepDocument, SweepState
+from service.store.documents import CampaignDocument, NewSweep, PlanRecord, RobotDocument, SweepDocument, SweepState
 from service.store.store import Store
 
 Plan = PlanDocument | AnalysisPlan | TrajectoryPlan | DiagnosisPlan | ExperimentPlan
-
-KINDS: Mapping[str, type[Plan]] = {
-    "analysis": AnalysisPlan,
-    "trajectory": TrajectoryPlan,
-    "diagnosis": DiagnosisPlan,
-    "experiment": ExperimentPlan,
-}
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ class CompiledPlan:
     trajectories: tuple[tuple[int, ...], ...] = ()  # numbers of the sweeps that run at the same time
     confidence: float | None = None  # percent, at which the campaign may end (`enough`); None: all sweeps are needed
     base_parameters: int = 0  # number that the plan measures
-    sha256: str = ""  # of all data that determine motion (`motion_hash`); "": unknown, cannot be approved
+    sha256: str = ""  # of all data that determine motion (`motion_sha256`); "": unknown, cannot be approved
 
     def due(self, sweeps: Sequence[SweepDocument], repeat: bool = False) -> list[SweepDocument]:
         """The next planned sweep with the others of its trajectory; empty if none is left.
@@ -64,9 +63,15 @@ def is_due(state: SweepState, repeat: bool) -> bool:
 
 def plan_of(record: PlanRecord) -> Plan:
     """A stored plan of any kind."""
+    kinds: Mapping[str, type[Plan]] = {
+        "analysis": AnalysisPlan,
+        "trajectory": TrajectoryPlan,
+        "diagnosis": DiagnosisPlan,
+        "experiment": ExperimentPlan,
+    }
     request = record.document.get("request")
     kind = request.get("kind") if isinstance(request, dict) else None
-    return KINDS.get(str(kind), PlanDocument).model_validate(record.document)
+    return kinds.get(str(kind), PlanDocument).model_validate(record.document)
 
 
 def planned_sweeps(plan: PlanRecord) -> tuple[NewSweep, ...]:
@@ -83,8 +88,24 @@ def other_machine(
     return differences(robot, place, axes, f"drive profile {settings.drive}", moved)
 
 
+def motion_sha256(plan: PlanRecord, robot: RobotDocument, cell: Cell, settings: Settings, machine: str) -> str:
+    """SHA-256 of plan, robot, cell, tolerance, program, name of the machine and `machine` (see `machine_sha256`),
+    hexadecimal: all that determines the motion of a plan. An approval is valid only for this hash.
+    """
+    content = {
+        "plan": plan.document,
+        "robot": robot.sha256,
+        "cell": cell.model_dump(mode="json"),
+        "pose_tolerance": settings.pose_tolerance,
+        "machine": machine,
+        "machine_name": settings.machine_name,
+        "program": version("sweepid"),
+    }
+    return sha256_of(content)
+
+
 def present_motion_sha256(store: Store, settings: Settings, machine: MachineSetup, plan_id: int) -> str:
-    """Hash of all data that determine the motion of a plan now (see `motion_hash`); blocks."""
+    """Hash of all data that determine the motion of a plan now (see `motion_sha256`); blocks."""
     plan = store.plan(plan_id)
     cell = read_cell(settings.cells_dir / f"{plan_of(plan).request.cell}.yaml")
     return motion_sha256(plan, store.robot(plan.robot_id), cell, settings, machine.sha256)
@@ -135,3 +156,77 @@ def compile_record(
         base_parameters=len(plan.base_parameters) if isinstance(plan, PlanDocument) else 0,
         sha256=motion_sha256(record, origin, cell, settings, machine.sha256),
     )
+
+
+Range = tuple[float, float]
+
+
+def positions_of(status: Mapping[str, AxisStatus]) -> dict[str, float]:
+    """Positions of the axes, rad (m). CommunicationLost if a drive does not answer: its position is not known."""
+    for joint, axis in status.items():
+        if axis.state is AxisState.UNKNOWN:
+            raise CommunicationLost(f"{joint}: its drive does not answer")
+    return {joint: axis.position for joint, axis in status.items()}
+
+
+def approach(compiled: CompiledPlan, pose: Sequence[float], positions: Mapping[str, float]) -> tuple[Leg, ...]:
+    """The legs to the first pose, as the start will choose them. EnvelopeViolation if there is no free path."""
+    here = [positions.get(joint, planned) for joint, planned in zip(compiled.joints, pose, strict=True)]
+    return compiled.envelope.order_of_legs(here, pose)
+
+
+def ranges(sweeps: Iterable[PlannedSweep | PlannedNoise]) -> dict[str, Range]:
+    """Lowest and highest position of each moved axis: legs between poses, and windows at which a sweep is stopped."""
+    found: dict[str, Range] = {}
+    for sweep in sweeps:
+        for position in sweep.position_window:
+            _reach(found, sweep.spec.axis, position)
+        for leg in sweep.legs:
+            _reach(found, leg.joint, leg.target)
+    return found
+
+
+def with_approach(
+    planned: Mapping[str, Range], joints: Sequence[str], positions: Mapping[str, float], legs: Sequence[Leg]
+) -> dict[str, Range]:
+    """The ranges with the present positions of all axes and the targets of the approach."""
+    found = dict(planned)
+    for joint, position in positions.items():
+        _reach(found, joint, position)
+    for index, target in legs:
+        _reach(found, joints[index], target)
+    return found
+
+
+def check_seen(
+    seen: Mapping[str, Range], compiled: CompiledPlan, pose: Sequence[float], positions: Mapping[str, float]
+) -> None:
+    """Whether the axes stand in the ranges that a person saw, and the approach stays in them. Conflict, otherwise.
+
+    The tolerance is that of a pose.
+    """
+    units = compiled.envelope.units()
+    for joint, position in positions.items():
+        if joint in seen:
+            _inside(joint, "stands at", position, seen[joint], compiled.pose_tolerance, units[joint])
+    for index, target in approach(compiled, pose, positions):
+        joint = compiled.joints[index]
+        if joint not in seen:
+            raise Conflict(
+                f"{joint} would move from {positions[joint]:.4f} to {target:.4f} {units[joint]}, which was not shown "
+                "before the start: look at the motion again, then start"
+            )
+        _inside(joint, "would move to", target, seen[joint], compiled.pose_tolerance, units[joint])
+
+
+def _reach(found: dict[str, Range], joint: str, position: float) -> None:
+    low, high = found.get(joint, (position, position))
+    found[joint] = (min(low, position), max(high, position))
+
+
+def _inside(joint: str, does: str, position: float, seen: Range, tolerance: float, unit: str) -> None:
+    if not seen[0] - tolerance <= position <= seen[1] + tolerance:
+        raise Conflict(
+            f"{joint} {does} {position:.4f} {unit}, outside of {seen[0]:.4f} to {seen[1]:.4f} {unit} that was shown "
+            "before the start: look at the motion again, then start"
+        )

@@ -2,23 +2,59 @@
 
 The files of robot and cell are those that the settings name; without such a setting, the only ones that fit the joints
 of the drive profile. If several fit or none does, the machine has no robot or cell: each is then "another" one.
+
+Values that are in the files of the robot and in the drive profile must be equal, and limits of the profile at most
+those of the robot; the narrower one is the limit (`on_machine`).
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import hashlib
+import json
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import cast
 
 import structlog
+from pydantic import BaseModel, ConfigDict, OnErrorOmit, field_validator
 
+from service.model.configuration import read_cell
 from service.model.errors import BadInput, Conflict
-from service.model.geometry.cell import read_cell
-from service.planning.campaigns.plan_subject import MadeFor
-from service.planning.motion_hash import machine_sha256
-from service.planning.safety.robot_and_machine import DriveAxis, DriveProfile
+from service.model.robot import Robot
+from service.planning.campaigns.stored_plan import MadeFor
 from service.process.settings import Settings
 from service.store.documents import RobotDocument
 
-_log = structlog.get_logger(__name__)
+
+class DriveAxis(BaseModel):
+    """Values of an axis in a drive profile; None if the profile of the adapter does not have them."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+    joint: str
+    unit: str | None = None  # rad or m
+    gear_ratio: float | None = None  # as in the robot's side file
+    rated_torque: float | None = None  # N m, of the motor
+    position_limits: tuple[float, float] | None = None  # rad (m)
+    velocity_limit: float | None = None  # rad/s (m/s)
+    effort_limit: float | None = None  # N m (N)
+
+
+class DriveProfile(BaseModel):
+    """Axes in a drive profile; entries of an adapter with other keys are ignored."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+    axes: tuple[OnErrorOmit[DriveAxis], ...] = ()
+
+    @field_validator("axes", mode="before")
+    @classmethod
+    def _entries(cls, given: object) -> object:
+        return cast("object", given) if isinstance(given, list) else ()
+
+    def of(self, joints: Sequence[str]) -> tuple[DriveAxis, ...]:
+        """In the order of a machine's `joints`; a joint without entry has only its name."""
+        entries = {axis.joint: axis for axis in self.axes}
+        return tuple(entries.get(joint, DriveAxis(joint=joint)) for joint in joints)
 
 
 class NeedsConfirmation(Conflict):
@@ -150,3 +186,137 @@ def _has_room_for(path: Path, robot: RobotDocument | None) -> bool:
 def _choose(what: str, folder: Path, fitting: Sequence[str]) -> str:
     found = f"{', '.join(fitting)} fit" if fitting else "none fits"
     return f"set `{what}` (SWEEPID_{what.upper()}) to the name of a file of {folder}: of these, {found} the machine"
+
+
+def machine_sha256(profile: object, base: Path) -> str:
+    """SHA-256 of a drive profile and of each file that it names (EDS, device map, registers), below `base`."""
+    named = [text for text in _texts(profile) if _file(base, text)]
+    return sha256_of(profile, [hashlib.sha256((base / text).read_bytes()).hexdigest() for text in named])
+
+
+def _texts(value: object) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping | list | tuple):
+        parts = cast("Iterable[object]", value.values() if isinstance(value, Mapping) else value)
+        for part in parts:
+            yield from _texts(part)
+
+
+def _file(base: Path, text: str) -> bool:
+    try:
+        return (base / text).is_file()
+    except (OSError, ValueError):  # the text is too long for a name, or contains a zero byte
+        return False
+
+
+def sha256_of(*content: object) -> str:
+    """SHA-256 in the order of the content: keys of a profile may be of several types, which cannot be sorted."""
+    return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()
+
+
+_log = structlog.get_logger(__name__)
+
+
+def differences(
+    robot: Robot, robot_place: str, axes: Sequence[DriveAxis], drive_place: str, moved: Collection[str] = ()
+) -> str:
+    """Differences of robot and machine, with both places and both values, in one sentence; "" if they agree.
+
+    The machine's joints are the robot's, in the same order; joints that are not in `moved` may have no drive.
+    """
+    joints = [axis.joint for axis in axes]
+    alike = joints == [joint for joint in robot.joints if joint in joints]
+    if not alike or any(joint in robot.joints and joint not in joints for joint in moved):
+        return f"joints: {robot_place} has {', '.join(robot.joints)}; {drive_place} has {', '.join(joints)}"
+    found: list[str] = []
+    for axis in axes:
+        unit = _unit(robot, axis.joint)
+        if axis.unit not in (None, unit):
+            found.append(f"{axis.joint} unit: {robot_place} has {unit}, {drive_place} has {axis.unit}")
+            continue
+        for pair in _compared(robot, axis):
+            if not pair.agree:
+                one, other = (f"{value:.6g} {pair.unit}".rstrip() for value in (pair.robot, pair.drive))
+                found.append(f"{axis.joint} {pair.what}: {robot_place} has {one}, {drive_place} has {other}")
+    listed = 8
+    more = [f"and {len(found) - listed} more"] if len(found) > listed else []
+    return "; ".join([*found[:listed], *more])
+
+
+def narrowed(robot: Robot, axes: Sequence[DriveAxis]) -> str:
+    """Limits that a drive profile narrows, in one sentence; "" if none."""
+    return "; ".join(
+        f"{axis.joint} {pair.what} {pair.drive:.6g} instead of {pair.robot:.6g} {pair.unit}"
+        for axis in axes
+        if axis.joint in robot.joints
+        for pair in _compared(robot, axis)
+        if pair.is_limit and not math.isclose(pair.robot, pair.drive, rel_tol=1e-3)
+    )
+
+
+def on_machine(robot: Robot, axes: Sequence[DriveAxis]) -> Robot:
+    """The robot with those limits of the drives that are narrower than its own.
+
+    A drive refuses a sweep with wider limits.
+    """
+    root, drives = ET.fromstring(robot.urdf_text), {axis.joint: axis for axis in axes if axis.joint in robot.joints}
+    for joint in root.iter("joint"):
+        limit, drive = joint.find("limit"), drives.get(joint.get("name", ""))
+        if limit is None or drive is None:
+            continue
+        own, (low, high) = robot.chain.joints[robot.index(drive.joint)], drive.position_limits or (None, None)
+        if low is not None and low > own.lower:
+            limit.set("lower", repr(low))
+        for name, value, ours in (
+            ("upper", high, own.upper),
+            ("velocity", drive.velocity_limit, own.velocity),
+            ("effort", drive.effort_limit, own.effort),
+        ):
+            if value is not None and value < ours:
+                limit.set(name, repr(value))
+    return replace(robot, urdf_text=ET.tostring(root, encoding="unicode"))
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """One value of an axis in the files of the robot and in the drive profile. `is_limit`: the drive may narrow it."""
+
+    what: str
+    unit: str
+    robot: float
+    drive: float
+    agree: bool
+    is_limit: bool = False
+
+
+def _compared(robot: Robot, drive: DriveAxis) -> Iterator[_Pair]:
+    """The values that both have. A wrong gear ratio makes every inertia wrong by its square without any error.
+
+    Gear ratios are quotients of numbers of teeth: a rounded one is within 0.1 %. Rated torques are rounded more. The
+    drive may have narrower limits than the robot: plans for it keep them, see `on_machine`.
+    """
+    index = robot.index(drive.joint)
+    axis, joint, unit = robot.axes[index], robot.chain.joints[index], _unit(robot, drive.joint)
+    effort = "N" if unit == "m" else "N m"
+    if drive.gear_ratio is not None:
+        agree = math.isclose(axis.gear_ratio, drive.gear_ratio, rel_tol=1e-3)
+        yield _Pair("gear ratio", "", axis.gear_ratio, drive.gear_ratio, agree)
+    if drive.rated_torque is not None and drive.gear_ratio is not None:
+        rated = drive.rated_torque * abs(drive.gear_ratio)
+        yield _Pair(
+            "rated effort", effort, axis.rated_effort, rated, math.isclose(axis.rated_effort, rated, rel_tol=1e-2)
+        )
+    if drive.position_limits is not None:
+        low, high = drive.position_limits
+        yield _Pair("lower limit", unit, joint.lower, low, low >= joint.lower - 1e-3, is_limit=True)
+        yield _Pair("upper limit", unit, joint.upper, high, high <= joint.upper + 1e-3, is_limit=True)
+    if (fastest := drive.velocity_limit) is not None:
+        agree = fastest <= joint.velocity * (1 + 1e-3)
+        yield _Pair("velocity limit", f"{unit}/s", joint.velocity, fastest, agree, is_limit=True)
+    if (most := drive.effort_limit) is not None:
+        yield _Pair("effort limit", effort, joint.effort, most, most <= joint.effort * (1 + 1e-2), is_limit=True)
+
+
+def _unit(robot: Robot, joint: str) -> str:
+    return "m" if robot.chain.joints[robot.index(joint)].kind == "prismatic" else "rad"

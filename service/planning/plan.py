@@ -16,37 +16,38 @@ reason. With a confidence, other poses are chosen in its place.
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.axis.ideal_frequency import AxisAnalysis
-from service.identification.design.predicted_confidence import without_gain
-from service.model.errors import BadInput
-from service.model.geometry.cell import Cell
+from drivers.ports import SweepMode
+from service.identification.axis.ideal_frequency import InitialAnalysis
+from service.identification.design.excitation import Excitation, realisations
+from service.identification.design.pose_selection import without_gain
+from service.model.configuration import Cell
+from service.model.errors import BadInput, EnvelopeViolation
+from service.model.recording import SweepPurpose, SweepSpec
 from service.model.robot import Robot
-from service.planning.candidates import grid, has_room, workspace_grid
-from service.planning.documents import (
-    DroppedPose,
-    PlanDocument,
-    PlannedLeg,
-    PlannedSweep,
-    PlanRequest,
-    SparePose,
+from service.planning.documents import DroppedPose, PlanDocument, PlannedSweep, PlanRequest, SparePose
+from service.planning.path import SweepPath
+from service.planning.pose_choice import (
+    ChosenPose,
+    PoseChooser,
+    SweepDesign,
+    grid,
+    has_room,
+    least_duration,
+    observe,
 )
-from service.planning.observability import observe
-from service.planning.pose_choice import PoseChooser
 from service.planning.safety.envelope import Envelope
-from service.planning.sweep_design import SweepDesign
-from service.planning.sweep_sequence import ChosenPose, SweepSequence
-
-__all__ = ["PlanDocument", "PlanRequest", "PlannedLeg", "PlannedSweep", "build_plan", "workspace_grid"]
+from service.planning.safety.travel import order_poses
 
 Array = NDArray[np.float64]
 
 
 def build_plan(
-    robot: Robot, request: PlanRequest, cell: Cell, analyses: Mapping[str, AxisAnalysis] | None = None
+    robot: Robot, request: PlanRequest, cell: Cell, analyses: Mapping[str, InitialAnalysis] | None = None
 ) -> PlanDocument:
     """The plan of a request; BadInput names the field that is impossible.
 
@@ -67,7 +68,7 @@ def build_plan(
     observed = observe(robot, request, home)
     design = SweepDesign(robot, request, envelope, candidates, analyses or {})
     chooser = PoseChooser(request, envelope, design, observed, candidates)
-    itinerary = SweepSequence(robot, request, envelope)
+    itinerary = _Sequence(robot, request, envelope)
     dropped: tuple[DroppedPose, ...] = ()
     while True:
         choice = chooser.choose(dropped)
@@ -101,7 +102,7 @@ def build_plan(
 
 
 def _within_duration(
-    itinerary: SweepSequence, request: PlanRequest, chosen: Sequence[ChosenPose], home: Array
+    itinerary: "_Sequence", request: PlanRequest, chosen: Sequence[ChosenPose], home: Array
 ) -> tuple[tuple[PlannedSweep, ...], tuple[DroppedPose, ...]]:
     """The sweeps of as many of the first poses as fit into the request's duration, or of all; and the dropped poses."""
     count = len(chosen)
@@ -120,3 +121,102 @@ def _within_duration(
 
 def _finite(values: Sequence[float]) -> tuple[float | None, ...]:
     return tuple(value if math.isfinite(value) else None for value in values)
+
+
+@dataclass(frozen=True)
+class _Run:
+    """One sweep of a pose."""
+
+    joint: str
+    excitation: Excitation
+    purpose: SweepPurpose = SweepPurpose.INERTIA
+    repeat: int = 0
+
+
+class _Sequence:
+    """The sweeps of the request in chosen poses."""
+
+    def __init__(self, robot: Robot, request: PlanRequest, envelope: Envelope) -> None:
+        self._robot, self._request, self._envelope = robot, request, envelope
+
+    def through(
+        self, chosen: Sequence[ChosenPose], home: Array
+    ) -> tuple[tuple[PlannedSweep, ...], tuple[DroppedPose, ...]]:
+        """Sweeps of all axes in each of the poses on a short path from home; and the omitted poses.
+
+        The first pose begins with the warm-up: rounds of its sweeps that are recorded but not used for the inertias.
+        """
+        path = SweepPath[PlannedSweep](self._robot, self._envelope, home, self._request.move_velocity)
+        streamed: set[str] = set()  # axes that already have their host-streamed sweep
+        dropped: list[DroppedPose] = []
+        for one in _in_order(chosen, home):
+            goal, count = tuple(float(position) for position in one.pose), len(path.sweeps)
+            warm_up = () if path.sweeps else self._warm_up(one.sweeps)
+            try:
+                with path.all_or_none():
+                    for run in (*warm_up, *self._measuring(one.pose, one.sweeps)):
+                        spec, travel = self._spec(goal, run), run.excitation.travel
+                        path.add(path.of_sines(spec, self._mode(run, streamed), run.excitation, travel), travel)
+            except (EnvelopeViolation, BadInput) as error:
+                dropped.append(DroppedPose(pose=goal, reason=str(error)))
+            streamed |= {each.spec.axis for each in path.sweeps[count:] if each.mode is SweepMode.HOST_STREAMED}
+        return tuple(path.sweeps), tuple(dropped)
+
+    def _runs(self, excitations: Sequence[Excitation]) -> list[_Run]:
+        """One sweep of each axis."""
+        return [_Run(joint, sweep) for joint, sweep in zip(self._request.axes, excitations, strict=True)]
+
+    def _measuring(self, pose: Array, excitations: Sequence[Excitation]) -> list[_Run]:
+        """The sweeps in all their realisations; each pose and axis has its own phases."""
+        place = [round(1e4 * float(position)) % 2**32 for position in pose]
+        return [
+            replace(run, excitation=one)
+            for run in self._runs(excitations)
+            for one in realisations(run.excitation, self._request.realisations, [self._robot.index(run.joint), *place])
+        ]
+
+    def _warm_up(self, excitations: Sequence[Excitation]) -> list[_Run]:
+        """Complete rounds of all axes for the requested time."""
+        rounds = math.ceil(self._request.warm_up / least_duration(excitations))
+        return [
+            replace(run, purpose=SweepPurpose.WARM_UP, repeat=n)
+            for n in range(rounds)
+            for run in self._runs(excitations)
+        ]
+
+    def _mode(self, run: _Run, streamed: set[str]) -> SweepMode:
+        modes = self._request.modes
+        first = run.purpose is SweepPurpose.INERTIA and run.joint not in streamed
+        if modes == "host_streamed" or (modes == "one_host_streamed" and first):
+            return SweepMode.HOST_STREAMED
+        return SweepMode.DRIVE_SIDE
+
+    def _spec(self, pose: tuple[float, ...], run: _Run) -> SweepSpec:
+        excitation = run.excitation
+        towards = "forward" if excitation.offset_velocity > 0 else "backward"
+        return SweepSpec(
+            id="0000",  # the path numbers it
+            axis=run.joint,
+            pose=pose,
+            offset_velocity=excitation.offset_velocity,
+            sines=excitation.sines,
+            period=excitation.period,
+            periods=excitation.periods,
+            measure_from=excitation.measure_from,
+            sample_rate=self._request.sample_rate,
+            repeat=run.repeat,
+            block=run.purpose.value if run.purpose is SweepPurpose.WARM_UP else towards,
+        )
+
+
+def _in_order(chosen: Sequence[ChosenPose], home: Array) -> list[ChosenPose]:
+    """A short path through the poses that make the matrix regular, then one through the others."""
+    singular = sum(not math.isfinite(one.condition) for one in chosen)
+    here = home
+    ordered: list[ChosenPose] = []
+    for part in (chosen[: singular + 1], chosen[singular + 1 :]):
+        if part:
+            poses = np.array([one.pose for one in part])
+            ordered += [part[k] for k in order_poses(poses, here)]
+            here = ordered[-1].pose
+    return ordered

@@ -1,23 +1,242 @@
-"""The choice of the poses of a plan until its budget is used, and what the estimate will know after each of them."""
+"""The choice of the poses of a plan: from the grid of a request to the poses that use its budget.
+
+First the measurable poses of the grid, then what the sweeps in a pose will be and show, and what the estimate will know
+after each chosen pose.
+"""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.design.excitation import Excitation
-from service.identification.design.pose_selection import choices, conditions
-from service.identification.design.predicted_confidence import PredictedConfidence, needed
+from service.identification.axis.ideal_frequency import InitialAnalysis
+from service.identification.axis.nominal_priors import model_spread, pose_prior
+from service.identification.design.excitation import Excitation, design_sweep
+from service.identification.design.pose_selection import (
+    PredictedConfidence,
+    choices,
+    conditions,
+    needed,
+    sweep_information,
+)
+from service.identification.estimates.estimate import WORKSPACE
+from service.identification.model.base_parameters import base_parameters, joint_ranges, spread_evenly
+from service.identification.model.regressor import axis_rows, gravity_terms, inertia_rows, lock
+from service.model.collision import reachable
+from service.model.configuration import Cell
 from service.model.errors import BadInput, EnvelopeViolation
+from service.model.robot import Robot
 from service.planning.documents import LARGEST_CHOICE, USUAL_CHOICE, DroppedPose, PlanRequest
-from service.planning.observability import Observation
 from service.planning.safety.envelope import Envelope
-from service.planning.sweep_design import SweepDesign
-from service.planning.sweep_sequence import ChosenPose, least_duration
 
 Array = NDArray[np.float64]
+
+
+def workspace_grid(robot: Robot, request: PlanRequest, cell: Cell) -> Array:
+    """All collision-free poses (m, n) of the request's grid."""
+    request.check(robot)
+    envelope = Envelope(robot, cell)
+    poses = grid(robot, request, envelope, np.array(cell.home_pose(robot.joints)))
+    return poses[envelope.checker.collision_free(poses)]
+
+
+def grid(robot: Robot, request: PlanRequest, envelope: Envelope, home: Array) -> Array:
+    """Poses (m, n): the varied joints on multiples of the step within their limits, at most one turn; others home."""
+    positions: list[Array] = []
+    for joint in request.varied:
+        index = robot.index(joint)
+        prismatic = robot.chain.joints[index].kind == "prismatic"
+        step = request.step / 100 if prismatic else math.radians(request.step)
+        low, high = envelope.joint_range(index)
+        if not prismatic and high - low > 2 * math.pi:  # beyond one turn, the poses repeat
+            low = min(max(low, -math.pi), high - 2 * math.pi)
+            high = low + 2 * math.pi - step / 1000
+        numbers = np.arange(math.ceil(low / step), math.floor(high / step) + 1, dtype=np.float64)
+        positions.append(numbers * step)
+    count = math.prod(len(one) for one in positions)
+    if count > (limit := 100_000):
+        raise BadInput("step", f"{request.step} gives a grid of {count} poses, limit {limit}")
+    poses = np.tile(home, (count, 1))
+    poses[:, [robot.index(joint) for joint in request.varied]] = list(product(*positions))
+    return poses
+
+
+def has_room(envelope: Envelope, poses: Array, axes: Sequence[int]) -> NDArray[np.bool_]:
+    """Poses (m, n) from which each axis can sweep forward or backward."""
+    enough = np.ones(len(poses), dtype=bool)
+    for axis in axes:
+        left = np.flatnonzero(enough)
+        forward = room(envelope, poses[left], axis, 1)
+        enough[left[~forward]] = room(envelope, poses[left[~forward]], axis, -1)
+    return enough
+
+
+def room(envelope: Envelope, poses: Array, axis: int, direction: int) -> NDArray[np.bool_]:
+    """Poses in which joint `axis` can move by the whole travel and its margins in one direction."""
+    limits = envelope.limits
+    start = poses.copy()
+    start[:, axis] -= direction * limits.window_margin
+    way = direction * (limits.travel + 2 * limits.window_margin)
+    low, high = envelope.joint_range(axis)
+    ends = np.stack([start[:, axis], start[:, axis] + way])
+    inside = (ends.min(0) >= low) & (ends.max(0) <= high)
+    inside[inside] = envelope.checker.travel_free(start[inside], axis, way)
+    return inside
+
+
+@dataclass(frozen=True)
+class Observability:
+    """The chain as used in the identification: joints that neither move nor vary are locked."""
+
+    robot: Robot
+    axes: tuple[int, ...]  # measured joints
+    free: tuple[int, ...]  # joints that are not locked
+    home: Array
+    names: tuple[str, ...]  # base parameters
+    columns: tuple[int, ...]
+    combination: Array  # (p, 11 n) of the parameters of the free joints in the base parameters
+
+    def rows(self, poses: Array) -> Array:
+        """Rows (m, axes, base parameters) at poses (m, n)."""
+        chain = lock(self.robot.chain, _locked(self.home, self.free))
+        own = [self.free.index(axis) for axis in self.axes]
+        return np.stack([axis_rows(chain, k, poses[:, self.free])[:, self.columns] for k in own], axis=1)
+
+    def inertia(self, poses: Array) -> Array:
+        """Inertia (m, axes) of the CAD model about the axes, kg m^2 (kg)."""
+        chain, parameters = self.robot.chain, self.robot.chain.inertial.ravel()
+        motors = [self.robot.axes[axis].reflected_motor_inertia or 0.0 for axis in self.axes]
+        return np.stack([inertia_rows(chain, axis, poses) @ parameters for axis in self.axes], axis=1) + motors
+
+    def spread(self, largest: float) -> Array:
+        """Standard deviations (p,) of the base parameters in the CAD model, as in the estimate (`base_spread`) if the
+        measurement agrees with it; `largest`: inertia for a motor without data sheet, kg m^2 (kg).
+        """
+        chain = lock(self.robot.chain, _locked(self.home, self.free))
+        return model_spread(self.robot, chain, self.free, self.combination, largest)
+
+    def workspace(self, stood: Array) -> Array:
+        """Poses (w, n) that represent the workspace, as in the estimate (`Estimate.workspace`)."""
+        lower, upper = joint_ranges(lock(self.robot.chain, _locked(self.home, self.free)))
+        poses = np.tile(self.home, (WORKSPACE, 1))
+        poses[:, self.free] = spread_evenly(WORKSPACE, lower, upper)
+        return reachable(self.robot, stood, poses)
+
+
+def observe(robot: Robot, request: PlanRequest, home: Array) -> Observability:
+    """Observability with the sweeps of the request; joints neither measured nor varied are locked at `home` (n,)."""
+    axes = tuple(robot.index(joint) for joint in request.axes)
+    free = tuple(sorted(robot.index(joint) for joint in {*request.axes, *request.varied}))
+    chain = lock(robot.chain, _locked(home, free))
+    base = base_parameters(chain, tuple(sorted(free.index(axis) for axis in axes)))
+    return Observability(robot, axes, free, home, base.names, base.columns, base.combination)
+
+
+def _locked(home: Array, free: tuple[int, ...]) -> dict[int, float]:
+    return {k: float(position) for k, position in enumerate(home) if k not in free}
+
+
+TRAVEL_SHARE = 0.95  # of the travel, for the offset motion; the sines oscillate around it
+
+
+class SweepDesign:
+    """The sweeps of a request in its candidates (m, n); `analyses`: initial analyses, by joint, as far as known."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        request: PlanRequest,
+        envelope: Envelope,
+        candidates: Array,
+        analyses: Mapping[str, InitialAnalysis],
+    ) -> None:
+        self._robot, self._request, self._envelope, self._candidates = robot, request, envelope, candidates
+        self._analyses = analyses
+        chain, parameters = robot.chain, robot.chain.inertial.ravel()
+        index = {joint: robot.index(joint) for joint in request.axes}
+        self._load = {joint: inertia_rows(chain, k, candidates) @ parameters for joint, k in index.items()}
+        self._gravity = {
+            joint: gravity_terms(chain, parameters, robot.gravity, k, candidates) for joint, k in index.items()
+        }
+
+    def excitation(self, joint: str, candidate: int) -> Excitation:
+        """The sweep of one axis in a candidate pose, forward if there is room, else backward.
+
+        BadInput if no sweep fits.
+        """
+        envelope, index, pose = self._envelope, self._robot.index(joint), self._candidates[candidate]
+        direction = 1 if room(envelope, pose[None], index, 1)[0] else -1
+        load = float(self._load[joint][candidate])
+        axis = self._robot.axis(joint)
+        velocity = envelope.velocity_limit(index)
+        # the sines may use the effort that friction and gravity leave, with the CAD inertia wrong by its prior
+        prior = self._robot.prior
+        reach = (pose[index] - envelope.limits.travel, pose[index] + envelope.limits.travel)
+        gravity = (1 + prior.gravity) * envelope.gravity_effort(index, tuple(pose), reach)
+        friction = (1 + prior.viscous_friction) * (axis.viscous_friction or 0.0) * velocity
+        spare = envelope.effort_limit(index) - gravity - friction - envelope.limits.breakaway * axis.rated_effort
+        if not spare > 0:
+            raise BadInput(joint, f"gravity of {gravity:.4g} leaves no effort for a sweep in this pose")
+        return design_sweep(
+            self._robot,
+            joint,
+            pose,
+            load_inertia=load,
+            lines=self._lines(joint, load),
+            locked_rotor_frequency=self._locked_rotor(joint, candidate),
+            direction=direction,
+            travel=TRAVEL_SHARE * envelope.limits.travel,
+            velocity_limit=velocity,
+            effort_limit=spare / (1 + 2 * prior.inertia) / 2,
+        )
+
+    def information(self, joint: str, candidate: int, excitation: Excitation) -> Array:
+        """Predicted information of a sweep in a candidate on inertia and compliance: `sweep_information` (2, 2)."""
+        axis, load = self._robot.axis(joint), float(self._load[joint][candidate])
+        total = load + (axis.reflected_motor_inertia or 0.0)
+        prior = pose_prior(self._robot, self._robot.index(joint), total, self._gravity[joint][candidate])
+        return sweep_information(
+            excitation.sines,
+            excitation.periods * excitation.period,
+            axis.rated_effort,
+            load,
+            float(prior.sigma[1]),
+            self._locked_rotor(joint, candidate),
+        )
+
+    def _locked_rotor(self, joint: str, candidate: int) -> float | None:
+        """With constant stiffness it is proportional to 1 / sqrt(inertia): lowest where the inertia is largest."""
+        if joint in self._analyses:
+            found = self._analyses[joint].locked_rotor(float(self._load[joint][candidate]))
+            return found if math.isfinite(found) else None
+        lowest, load = self._request.locked_rotor.get(joint), self._load[joint]
+        return None if lowest is None else lowest * math.sqrt(float(load.max() / load[candidate]))
+
+    def _lines(self, joint: str, load: float) -> list[float]:
+        """Those of the request, else those of the initial analysis, else [] for those of the method."""
+        if self._request.lines or joint not in self._analyses:
+            return sorted(self._request.lines)
+        return list(self._analyses[joint].lines(load))
+
+
+LEG_OVERHEAD = 1.0  # s to switch an axis on, settle and switch it off
+
+
+@dataclass(frozen=True)
+class ChosenPose:
+    """`pose` (n,), the condition number with it (inf while singular), and the sweeps of the request's axes."""
+
+    pose: Array
+    condition: float
+    sweeps: tuple[Excitation, ...]
+
+
+def least_duration(sweeps: Sequence[Excitation]) -> float:
+    """The time for a pose without the path to it, s: its sweeps, each with its way back and switching on and off."""
+    return sum(sweep.duration + 2 * LEG_OVERHEAD for sweep in sweeps)
 
 
 @dataclass(frozen=True)
@@ -68,7 +287,7 @@ class PoseChooser:
     """Chooses among the `candidates` (m, n) of a request."""
 
     def __init__(
-        self, request: PlanRequest, envelope: Envelope, design: SweepDesign, observed: Observation, candidates: Array
+        self, request: PlanRequest, envelope: Envelope, design: SweepDesign, observed: Observability, candidates: Array
     ) -> None:
         self._request, self._envelope, self._design = request, envelope, design
         self._observed, self._candidates = observed, candidates

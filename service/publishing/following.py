@@ -11,29 +11,23 @@ from sqlalchemy.exc import SQLAlchemyError
 from service.machine.execution.machine import Machine
 from service.machine.execution.runner import Runner
 from service.model.errors import BadInput, NotFound
-from service.planning.campaigns.estimate_quality import quality_of
 from service.planning.campaigns.live import EventFeed
+from service.planning.campaigns.stored_results import quality_of
 from service.publishing.publisher import Publisher
 from service.publishing.state import (
-    AxisQuality,
-    Body,
     CampaignProgress,
     Held,
     LatestEstimate,
+    LinkParameters,
     MachineState,
     Notice,
-    State,
+    PublishedState,
 )
 from service.store.database import refusal
 from service.store.documents import CampaignDocument, CampaignState, EventDocument, EventKind, StopDocument, SweepState
 from service.store.store import Store
 
 _log = structlog.get_logger(__name__)
-
-LOOK = 0.5  # s between checks of the machine
-_DONE = (SweepState.RECORDED, SweepState.IDENTIFIED)
-_OPEN = (CampaignState.RUNNING, CampaignState.PAUSING, CampaignState.PAUSED)
-_OF_CAMPAIGNS = (EventKind.CAMPAIGN, EventKind.SWEEP, EventKind.CHECK_MOVE, EventKind.ESTIMATE, EventKind.DATA_CHECK)
 
 
 class Following:
@@ -45,22 +39,22 @@ class Following:
         self._campaign: CampaignDocument | None = None
         self._estimate: LatestEstimate | None = None
         self._stops: tuple[StopDocument, ...] = ()
-        self._published: State | None = None
+        self._published: PublishedState | None = None
 
     async def look(self) -> None:
         """Publish changes, until cancelled."""
         while True:
             await self._machine.ask()
             self._tell()
-            await asyncio.sleep(LOOK)
+            await asyncio.sleep(0.5)
 
     async def follow(self, feed: EventFeed, after: int) -> None:
         """Publish events after `after`, and the changes by them, until the feed is closed."""
         await asyncio.to_thread(self._recover)
         self._tell()
         async for event in feed.follow(after):
-            if event.kind not in _OF_CAMPAIGNS or event.campaign_id is None:
-                continue  # `look` publishes stops: other machines may share the database
+            if event.campaign_id is None:  # `look` publishes stops: other machines may share the database
+                continue
             try:
                 ours = await asyncio.to_thread(self._take, event, event.campaign_id)
             except (SQLAlchemyError, BadInput, NotFound) as error:
@@ -81,8 +75,9 @@ class Following:
 
     def _recover(self) -> None:
         """Read the state before the start of the service. Blocks."""
+        open_ = (CampaignState.RUNNING, CampaignState.PAUSING, CampaignState.PAUSED)
         try:
-            ours = [campaign for campaign in self._store.campaigns_in(*_OPEN) if campaign.here]
+            ours = [campaign for campaign in self._store.campaigns_in(*open_) if campaign.here]
             self._campaign = ours[-1] if ours else None
             latest = sorted(self._store.latest_estimates().values(), key=lambda one: one.campaign_id)
             for newest in reversed(latest):
@@ -115,11 +110,8 @@ class Following:
             revision=revision,
             made=document.created_at,
             condition=quality.condition,
-            axes={
-                joint: AxisQuality(sweeps=axis.sweeps, gap=axis.gap, left=axis.left, std=axis.std)
-                for joint, axis in quality.axes.items()
-            },
-            links={link: Body(parameters=parameters) for link, parameters in links.items()},
+            axes=quality.axes,
+            links={link: LinkParameters(parameters=parameters) for link, parameters in links.items()},
         )
 
     def _tell(self) -> None:
@@ -127,7 +119,7 @@ class Following:
         if {stop.id for stop in stops} != {stop.id for stop in self._stops}:
             self._publisher.notice(_of_stops(stops))
         self._stops = stops
-        state = State(machine=self._machine_state(stops), campaign=self._progress(), estimate=self._estimate)
+        state = PublishedState(machine=self._machine_state(stops), campaign=self._progress(), estimate=self._estimate)
         if state != self._published:
             self._published = state
             self._publisher.state(state)
@@ -153,7 +145,7 @@ class Following:
             id=campaign.id,
             state=campaign.state,
             cause=campaign.cause,
-            done=sum(campaign.sweeps.get(state, 0) for state in _DONE),
+            done=sum(campaign.sweeps.get(state, 0) for state in (SweepState.RECORDED, SweepState.IDENTIFIED)),
             total=sum(campaign.sweeps.values()),
             sweeps=() if now is None else now.numbers,
             axes=() if now is None else now.joints,

@@ -14,14 +14,10 @@ from contextlib import suppress
 from aiomqtt import Client, MqttError, Will
 from pydantic import BaseModel
 
-from service.process.settings.publishing import Mqtt
-from service.publishing.state import FromPublisher, Notice, State
+from service.process.settings import Mqtt
+from service.publishing.state import FromPublisher, Notice, PublishedState
 
 WAITING = 1000  # notices
-_FIRST, _LONGEST = 1.0, 30.0  # s between attempts to reach the broker
-_ANSWER = 10.0  # s for one message
-_QOS = 1
-ONLINE, OFFLINE = "online", "offline"
 
 
 class Broker:
@@ -31,12 +27,12 @@ class Broker:
         self._settings, self._report = settings, report
         self._stem = f"{settings.topic}/{topic_word(machine)}"
         self._machine = machine
-        self._state: State | None = None
+        self._state: PublishedState | None = None
         self._notices: deque[Notice] = deque()
         self._news = asyncio.Event()
         self._dropped = self._published = 0
 
-    def state(self, state: State) -> None:
+    def state(self, state: PublishedState) -> None:
         """Set the state; it replaces one that is not published yet."""
         self._state = state
         self._news.set()
@@ -53,27 +49,27 @@ class Broker:
 
     async def run(self) -> None:
         """Run until cancelled; then the broker gets the status offline."""
-        pause = _FIRST
+        pause = shortest = 1.0  # s until the next attempt to reach the broker
         while True:
             try:
                 async with self._client() as client:
-                    pause = _FIRST
+                    pause = shortest
                     try:
                         await self._publish(client)
                     finally:
                         # a clean disconnection sends no last will
                         with suppress(MqttError, asyncio.CancelledError):
-                            await self._send(client, "status", OFFLINE, retain=True)
+                            await self._send(client, "status", "offline", retain=True)
             except (MqttError, OSError) as error:
                 if (own := asyncio.current_task()) is not None and own.cancelling():
                     # aiomqtt failed to disconnect from a broker that is gone: its error replaced the cancellation
                     raise asyncio.CancelledError from error
                 self._tell(f"{self._settings.host}:{self._settings.connects_at}: {error}")
             await asyncio.sleep(pause)
-            pause = min(2 * pause, _LONGEST)
+            pause = min(2 * pause, 30.0)
 
     async def _publish(self, client: Client) -> None:
-        await self._send(client, "status", ONLINE, retain=True)
+        await self._send(client, "status", "online", retain=True)
         self._tell("")
         published: dict[str, BaseModel | None] = {}
         while True:
@@ -108,7 +104,7 @@ class Broker:
             await asyncio.gather(lost, news, return_exceptions=True)
 
     async def _send(self, client: Client, topic: str, content: str, *, retain: bool = False) -> None:
-        await client.publish(f"{self._stem}/{topic}", content, qos=_QOS, retain=retain, timeout=_ANSWER)
+        await client.publish(f"{self._stem}/{topic}", content, qos=1, retain=retain, timeout=10.0)
 
     def _client(self) -> Client:
         settings = self._settings
@@ -119,10 +115,10 @@ class Broker:
             username=settings.user,
             password=password,
             identifier=f"sweepid-{topic_word(self._machine)}",
-            will=Will(f"{self._stem}/status", OFFLINE, qos=_QOS, retain=True),
+            will=Will(f"{self._stem}/status", "offline", qos=1, retain=True),
             keepalive=settings.keepalive,
             tls_context=self._tls(),
-            timeout=_ANSWER,
+            timeout=10.0,  # s for one message
         )
 
     def _tls(self) -> ssl.SSLContext | None:

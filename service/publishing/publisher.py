@@ -1,20 +1,32 @@
-"""The publisher process from the service's side: data are kept, replaced or dropped; the service never waits."""
+"""The publisher process, from both sides of its pipes.
+
+Of the service (`Publisher`): data are kept, replaced or dropped; the service never waits. The process itself (`main`)
+reads lines from stdin, writes reports to stdout, and runs at lower priority. It ends at the end of stdin: it closes the
+OPC UA server and sends the status offline to the MQTT broker.
+"""
 
 import asyncio
+import signal
 import sys
 from asyncio.subprocess import PIPE, Process
 from collections import deque
-from contextlib import suppress
+from contextlib import AsyncExitStack, suppress
+from typing import TYPE_CHECKING
 
 import structlog
 
-from service.publishing.state import Configuration, FromPublisher, Notice, State, ToPublisher
+from service.process.logs import configure_logs
+from service.process.tasks import Background, give_way
+from service.publishing.state import Configuration, FromPublisher, Notice, PublishedState, ToPublisher
+
+if TYPE_CHECKING:
+    from service.publishing.mqtt import Broker
+    from service.publishing.opcua.server import OpcUaServer
+
 
 _log = structlog.get_logger(__name__)
 
 NOTICES = 256  # waiting for the publisher; the oldest are dropped
-_AGAIN = 2.0  # s until the publisher is restarted after its end
-_END = 5.0  # s for a regular end
 
 
 class Publisher:
@@ -22,8 +34,8 @@ class Publisher:
 
     def __init__(self, configuration: Configuration) -> None:
         self._configuration = configuration
-        self._state: State | None = None
-        self._sent: State | None = None
+        self._state: PublishedState | None = None
+        self._sent: PublishedState | None = None
         self._notices: deque[Notice] = deque(maxlen=NOTICES)
         self._news = asyncio.Event()
         self._dropped = 0
@@ -49,7 +61,7 @@ class Publisher:
         wanted = {"opcua": self._configuration.opcua, "mqtt": self._configuration.mqtt}
         return tuple(part for part, settings in wanted.items() if settings is not None)
 
-    def state(self, state: State) -> None:
+    def state(self, state: PublishedState) -> None:
         """Set the state; it replaces one that was not sent yet. Returns at once."""
         self._state = state
         self._news.set()
@@ -70,11 +82,11 @@ class Publisher:
                 reason = str(error) or type(error).__name__
                 _log.warning("publisher_ended", reason=reason)
                 self._troubles = dict.fromkeys(self.parts, "the publisher is started anew")
-            await asyncio.sleep(_AGAIN)
+            await asyncio.sleep(2.0)
 
     async def _serve(self) -> None:
         """Run the process once; OSError when it ends."""
-        command = [sys.executable, "-P", "-m", "service.publishing.process"]
+        command = [sys.executable, "-P", "-m", "service.publishing.publisher"]
         process = await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE, start_new_session=True)
         hearing = asyncio.create_task(self._hear(process), name="publisher reports")
         writing = asyncio.create_task(self._write(process), name="to the publisher")
@@ -139,8 +151,63 @@ async def _end(process: Process) -> None:
     if process.stdin is not None:
         process.stdin.close()
     with suppress(TimeoutError):
-        await asyncio.wait_for(process.wait(), _END)
+        await asyncio.wait_for(process.wait(), 5.0)
     if process.returncode is None:
         with suppress(ProcessLookupError):
             process.kill()
         await process.wait()
+
+
+def main() -> None:
+    """Run until stdin ends."""
+    give_way()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # SIGINT from the terminal is handled by the service
+    asyncio.run(_publish())
+
+
+def _report(line: FromPublisher) -> None:
+    """Report to the service, which reads it at once or has ended."""
+    sys.stdout.write(line.model_dump_json() + "\n")
+    sys.stdout.flush()
+
+
+async def _publish() -> None:
+    lines = asyncio.StreamReader(limit=16 * 2**20)
+    await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(lines), sys.stdin)
+    first = ToPublisher.model_validate_json(await lines.readline()).configuration
+    if first is None:
+        raise ValueError("the first line has no configuration")
+    configure_logs(first.log_level)
+    async with AsyncExitStack() as stack:
+        background = Background()
+        stack.push_async_callback(background.close)
+        opcua, mqtt = _opened(first, background)
+        while line := await lines.readline():
+            said = ToPublisher.model_validate_json(line)
+            if said.state is not None:
+                if opcua is not None:
+                    opcua.state(said.state)
+                if mqtt is not None:
+                    mqtt.state(said.state)
+            if said.notice is not None and mqtt is not None:
+                mqtt.notice(said.notice)
+
+
+def _opened(configuration: Configuration, background: Background) -> "tuple[OpcUaServer | None, Broker | None]":
+    """Each library is only imported if used: both belong to extras."""
+    opcua = mqtt = None
+    if configuration.opcua is not None:
+        from service.publishing.opcua.server import OpcUaServer
+
+        opcua = OpcUaServer(configuration.opcua, configuration.machine, _report)
+        background.begin("opcua", opcua.run())
+    if configuration.mqtt is not None:
+        from service.publishing.mqtt import Broker
+
+        mqtt = Broker(configuration.mqtt, configuration.machine, _report)
+        background.begin("mqtt", mqtt.run())
+    return opcua, mqtt
+
+
+if __name__ == "__main__":
+    main()

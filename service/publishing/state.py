@@ -5,16 +5,16 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, JsonValue
 
-from service.process.settings import Settings
-from service.process.settings.publishing import Mqtt, OpcUa
+from service.planning.campaigns.stored_results import AxisEstimateQuality
+from service.process.settings import Mqtt, OpcUa, Settings
 from service.store.documents import CampaignState
 
 
-class _Part(BaseModel):
+class _Published(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class Held(_Part):
+class Held(_Published):
     """A stop that was not released yet; negative `id`: it is not in the database yet."""
 
     id: int
@@ -23,7 +23,7 @@ class Held(_Part):
     at: datetime
 
 
-class MachineState(_Part):
+class MachineState(_Published):
     """`state`: `moves`, `unknown`, `energised` or `stands` (`service.machine.execution.statement`).
 
     `reason`: why it may not move, or does not answer; else empty.
@@ -38,7 +38,7 @@ class MachineState(_Part):
     reason: str
 
 
-class CampaignProgress(_Part):
+class CampaignProgress(_Published):
     """The campaign last started, changed or measured on this machine. `sweeps`, `axes`: running now."""
 
     id: int
@@ -50,22 +50,13 @@ class CampaignProgress(_Part):
     axes: tuple[str, ...]
 
 
-class AxisQuality(_Part):
-    """Relative RMS differences of inertia: measured and robot file, measured and estimate; `std`: 1 s, relative."""
-
-    sweeps: int
-    gap: float
-    left: float
-    std: float | None
-
-
-class Body(_Part):
+class LinkParameters(_Published):
     """The ten parameters of a link at the origin of its frame: kg, kg m, kg m^2, by name (`m`, `mx` ... `Izz`)."""
 
     parameters: dict[str, float]
 
 
-class LatestEstimate(_Part):
+class LatestEstimate(_Published):
     """The latest estimate of a campaign of this machine; `links` with its bodies."""
 
     robot: str
@@ -73,11 +64,11 @@ class LatestEstimate(_Part):
     revision: int
     made: datetime
     condition: float | None
-    axes: dict[str, AxisQuality]
-    links: dict[str, Body]
+    axes: dict[str, AxisEstimateQuality]
+    links: dict[str, LinkParameters]
 
 
-class State(_Part):
+class PublishedState(_Published):
     """The complete state; null for missing parts."""
 
     machine: MachineState
@@ -85,7 +76,7 @@ class State(_Part):
     estimate: LatestEstimate | None
 
 
-class Notice(_Part):
+class Notice(_Published):
     """An event. `number`: of the event in the database, null for a stop or a release."""
 
     number: int | None
@@ -95,7 +86,7 @@ class Notice(_Part):
     data: JsonValue
 
 
-class Configuration(_Part):
+class Configuration(_Published):
     """The configuration of the publisher."""
 
     machine: str
@@ -117,15 +108,15 @@ class Configuration(_Part):
         )
 
 
-class ToPublisher(_Part):
+class ToPublisher(_Published):
     """One line to the publisher: the configuration first, then states and notices."""
 
     configuration: Configuration | None = None
-    state: State | None = None
+    state: PublishedState | None = None
     notice: Notice | None = None
 
 
-class FromPublisher(_Part):
+class FromPublisher(_Published):
     """One line from the publisher: `part` works (at `port`) or has trouble. Since the start of the process:
     numbers of published and of dropped notices.
     """

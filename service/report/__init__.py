@@ -7,44 +7,43 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from service.report.assembly import content_of, example_of, used_sweeps
     from service.report.campaign import campaign_page
-    from service.report.content import Axis, CampaignReport, Content, Drive, Revision, Row, axes_of
+    from service.report.content import (
+        CampaignReport,
+        Content,
+        Drive,
+        ReportedAxis,
+        TruthRow,
+        axes_of,
+        content_of,
+        example_of,
+        used_sweeps,
+    )
     from service.report.diagnosis import diagnosis_figures, diagnosis_page
-    from service.report.html import Form, Page
+    from service.report.fleet import fleet_page
+    from service.report.html import Form, ReportPage
     from service.report.page import analysis_page, estimate_page
-    from service.report.plant.fleet import fleet_page
 
-_MODULES = {
-    "Axis": "content",
-    "CampaignReport": "content",
-    "Content": "content",
-    "Drive": "content",
-    "Form": "html",
-    "Page": "html",
-    "Revision": "content",
-    "Row": "content",
-    "analysis_page": "page",
-    "axes_of": "content",
-    "campaign_page": "campaign",
-    "content_of": "assembly",
-    "diagnosis_figures": "diagnosis",
-    "diagnosis_page": "diagnosis",
-    "estimate_page": "page",
-    "example_of": "assembly",
-    "fleet_page": "plant.fleet",
-    "used_sweeps": "assembly",
+_HOMES = {
+    "campaign": ("campaign_page",),
+    "content": (
+        *("ReportedAxis", "CampaignReport", "Content", "Drive", "TruthRow"),
+        *("axes_of", "content_of", "example_of", "used_sweeps"),
+    ),
+    "diagnosis": ("diagnosis_figures", "diagnosis_page"),
+    "fleet": ("fleet_page",),
+    "html": ("Form", "ReportPage"),
+    "page": ("analysis_page", "estimate_page"),
 }
 
 __all__ = [
-    "Axis",
     "CampaignReport",
     "Content",
     "Drive",
     "Form",
-    "Page",
-    "Revision",
-    "Row",
+    "ReportPage",
+    "ReportedAxis",
+    "TruthRow",
     "analysis_page",
     "axes_of",
     "campaign_page",
@@ -59,6 +58,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    for module, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{module}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -2,23 +2,137 @@
 of a diagnosis."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from html import escape
 
-from service.model.results.check import DataCheck
 from service.model.results.combination import Combination
-from service.model.results.estimate import Estimate, Suspect
+from service.model.results.diagnosis import DataCheck, Diagnosis, standing_of
+from service.model.results.digits import with_std
+from service.model.results.estimate import UNSURE, Estimate, Suspect, share_of_value
 from service.report.content import CampaignReport, Content
 from service.report.diagnosis import diagnosis_section, findings, not_looked_at
-from service.report.html import Page
+from service.report.gap_figures import plain
+from service.report.html import ReportPage
 from service.report.page import analysis_section, estimate_sections, parameters_section
-from service.report.verdict import CONFIRMED, CONTRADICTED, OPEN, verdict
+
+CONFIRMED, OPEN, CONTRADICTED = "Confirmed", "Not confirmed", "Contradicted"
 
 _LOOK = {CONFIRMED: "settled", OPEN: "open", CONTRADICTED: "unexplained"}  # CSS class of the card; the word is on it
 
 
-def campaign_page(report: CampaignReport, joints: Sequence[str], estimate: Estimate, content: Content | None) -> Page:
+@dataclass(frozen=True, slots=True)
+class EstimateVerdict:
+    """The verdict on the estimate (one of the three words above) and the reasons; one sentence each."""
+
+    standing: str
+    sentence: str
+
+
+def verdict(
+    estimate: Estimate,
+    check: DataCheck | None,
+    diagnosis: tuple[int, Diagnosis] | None,
+    test_mass: float | None = None,
+) -> EstimateVerdict:
+    """The verdict from an estimate, the findings of the data check, and number and document of the newest diagnosis."""
+    parts = (_of_estimate(estimate), _of_mass(test_mass), _of_check(check), _of_diagnosis(estimate, diagnosis))
+    standings = {standing for standing, _ in parts}
+    standing = next(one for one in (CONTRADICTED, OPEN, CONFIRMED) if one in standings)
+    return EstimateVerdict(standing, f"{'; '.join(sentences for _, sentences in parts if sentences)}.")
+
+
+def _of_estimate(estimate: Estimate) -> tuple[str, str]:
+    shares = {joint: share_of_value(axis) for joint, axis in estimate.axes.items()}
+    if not shares:
+        return OPEN, "No inertia of a single axis was identified, only the results below"
+    unsure = [joint for joint, share in shares.items() if not share <= UNSURE]
+    sure = [joint for joint in shares if joint not in unsure]
+    sentences: list[str] = []
+    if sure:
+        worst = max(sure, key=lambda joint: shares[joint])
+        sentences.append(
+            f"{_inertias(sure)} known to {100 * shares[worst]:.2g} % or better"
+            " (one standard deviation, with that of the torque constants"
+            f"{f'; {worst} is the least accurate' if len(sure) > 1 else ''})"
+        )
+    if unsure:
+        sentences.append(f"{_inertias(unsure)} too uncertain to use")
+    suspects = estimate.suspect
+    if suspects:
+        sentences.append(f"{_count(len(suspects), 'sweep does', 'sweeps do')} not fit the others")
+    text = ", but ".join(sentences)
+    open_ = sum(entry.std is None for entry in estimate.base_parameters)
+    if open_:
+        text += f"; the sweeps do not identify {open_} of {len(estimate.base_parameters)} base parameters"
+    return (OPEN if unsure or suspects else CONFIRMED), text[:1].upper() + text[1:]
+
+
+def _of_mass(test_mass: float | None) -> tuple[str, str]:
+    if test_mass is None:
+        return CONFIRMED, ""
+    return OPEN, f"a test mass of {test_mass:g} kg was mounted, so this is not the bare robot"
+
+
+def _of_check(check: DataCheck | None) -> tuple[str, str]:
+    if check is None:
+        return OPEN, "the data were not checked yet"
+    wrong = [one for one in check.findings if one.severity == "wrong"]
+    if wrong:
+        codes = sorted({f"{one.code.replace('_', ' ')} of {one.axis or 'the robot'}" for one in wrong})
+        return CONTRADICTED, f"but the data check says that the data cannot be trusted ({', '.join(codes)})"
+    warnings = len(check.findings)
+    return (
+        CONFIRMED,
+        f"the data check found {_count(warnings, 'warning', 'warnings') if warnings else 'nothing'}",
+    )
+
+
+def _of_diagnosis(estimate: Estimate, diagnosis: tuple[int, Diagnosis] | None) -> tuple[str, str]:
+    """An effect that is included in the estimate is not missing from it."""
+    if diagnosis is None:
+        return OPEN, "no diagnosis was made"
+    number, document = diagnosis
+    taken = {(one.axis, one.effect) for one in estimate.effects if one.used}
+    against: list[str] = []
+    untold: list[str] = []
+    for joint, axis in document.axes.items():
+        if joint not in estimate.axes:
+            continue
+        effects = [one.effect for one in axis.effects if (joint, one.effect) not in taken]
+        if axis.verdict == "named" and effects:
+            against.append(f"the model of {joint} lacks {_list([plain(effect) for effect in effects])}")
+        elif axis.verdict == "ambiguous":
+            against.append(f"the model of {joint} lacks an effect that is not named yet")
+        elif axis.verdict == "unknown":
+            against.append(f"{joint} has a gap that no known effect explains")
+        elif standing_of(axis) == "open":
+            untold.append(joint)
+    if against:
+        return CONTRADICTED, f"but diagnosis {number} contradicts it: {', '.join(against)}"
+    asked = [joint for joint in estimate.axes if joint in document.axes and joint not in untold]
+    if len(asked) < len(estimate.axes):
+        left = [joint for joint in estimate.axes if joint not in asked]
+        return OPEN, f"diagnosis {number} does not decide whether an effect is missing in {_list(left)}"
+    return CONFIRMED, f"diagnosis {number} finds no effect missing"
+
+
+def _inertias(joints: Sequence[str]) -> str:
+    return f"the inertia of {_list(joints)} is" if len(joints) == 1 else f"the inertias of {_list(joints)} are"
+
+
+def _list(names: Sequence[str]) -> str:
+    return " and ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)
+
+
+def _count(number: int, one: str, many: str) -> str:
+    return f"{number} {one if number == 1 else many}"
+
+
+def campaign_page(
+    report: CampaignReport, joints: Sequence[str], estimate: Estimate, content: Content | None
+) -> ReportPage:
     """`content`: None if the estimate has no inertia of a single axis, or its sweeps are not available."""
-    page = Page(report.title, report.subtitle)
+    page = ReportPage(report.title, report.subtitle)
     found = verdict(estimate, report.check, report.diagnosis, report.test_mass)
     page.add(
         f'<div class="card {_LOOK[found.standing]}"><p class="verdict"><b>{found.standing}.</b> '
@@ -51,7 +165,7 @@ def _not_looked_at(report: CampaignReport, estimate: Estimate) -> list[str]:
     return [*lines[:-1], f"<li>{joints}: no diagnosis, so no effect was looked for</li>", lines[-1]]
 
 
-def _origin(page: Page, report: CampaignReport) -> None:
+def _origin(page: ReportPage, report: CampaignReport) -> None:
     page.origin(report.origin)
     page.add("<h3>Drives</h3>")
     if not report.drives:
@@ -72,7 +186,7 @@ def _origin(page: Page, report: CampaignReport) -> None:
     )
 
 
-def _tables(page: Page, estimate: Estimate) -> None:
+def _tables(page: ReportPage, estimate: Estimate) -> None:
     """The values of an estimate for axes without a figure; nothing if there are none."""
     if not estimate.axes:
         return
@@ -80,13 +194,15 @@ def _tables(page: Page, estimate: Estimate) -> None:
         "<h2>Inertia of the axes, sweep by sweep</h2>", "<p>kg m², of a linear axis kg; reference: the CAD model.</p>"
     )
     rows = [
-        [joint, one.sweep, f"{one.value:.5g}", f"{one.std:.2g}", f"{one.identified:.5g}", f"{one.reference:.5g}"]
+        [joint, one.sweep, *with_std(one.value, one.std), *(with_std(model, one.std)[0] for model in models)]
         for joint, axis in estimate.axes.items()
         for one in axis.inertia
+        for models in [(one.identified, one.reference)]
     ]
     page.table(["axis", "sweep", "measured", "± std", "identified", "reference"], rows)
     page.add(
-        "<h2>How well the models fit</h2>", "<p>Root-mean-square error in percent, as in Table 1 of the paper.</p>"
+        "<h2>How well the models fit</h2>",
+        "<p>Root-mean-square error in percent of the second, as in Table 1 of the paper.</p>",
     )
     fits = [
         [
@@ -100,7 +216,7 @@ def _tables(page: Page, estimate: Estimate) -> None:
     parameters_section(page, estimate)
 
 
-def _combination(page: Page, combination: Combination) -> None:
+def _combination(page: ReportPage, combination: Combination) -> None:
     page.add(
         "<h2>Sweeps and trajectories together</h2>",
         "<p>The base parameters of the whole dynamics, SI, and what determines them.</p>",
@@ -110,8 +226,7 @@ def _combination(page: Page, combination: Combination) -> None:
         [
             [
                 one.name,
-                f"{one.value:.5g}",
-                "–" if one.std is None else f"{one.std:.2g}",
+                *with_std(one.value, one.std),
                 one.reason or one.source,
                 "" if one.identified else "not identified",
             ]
@@ -121,7 +236,7 @@ def _combination(page: Page, combination: Combination) -> None:
     )
 
 
-def _suspects(page: Page, suspects: Sequence[Suspect]) -> None:
+def _suspects(page: ReportPage, suspects: Sequence[Suspect]) -> None:
     if not suspects:
         return
     page.add(
@@ -132,7 +247,7 @@ def _suspects(page: Page, suspects: Sequence[Suspect]) -> None:
     page.table(["sweep", "axis", "why", "weight"], rows)
 
 
-def _check(page: Page, check: DataCheck | None) -> None:
+def _check(page: ReportPage, check: DataCheck | None) -> None:
     page.add("<h2>Check of the data</h2>")
     if check is None:
         page.add(

@@ -4,17 +4,19 @@ The identified model consists of the estimate's `standard_parameters`, which rep
 the estimate document of `sweepid identify --json` contains all that is needed.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.ports import AxisIdentity
 from service.identification.model.regressor import axis_rows, lock
+from service.model.collision import reachable
 from service.model.recording import Sweep, SweepSpec
-from service.model.results.check import DataCheck
-from service.model.results.diagnosis import Diagnosis
+from service.model.results.diagnosis import DataCheck, Diagnosis
 from service.model.results.estimate import BaseParameter, Estimate
 from service.model.robot import INERTIAL_NAMES, Robot
 from service.report.drawing import slides
@@ -34,7 +36,7 @@ class Revision:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class TruthRow:
     """One row of a table of values known only to the caller, for example errors with respect to a virtual robot."""
 
     label: str
@@ -54,7 +56,7 @@ class Content:
     revisions: tuple[Revision, ...] = ()
     example: Sweep | None = None  # shown in time and frequency
     truth_columns: tuple[str, ...] = ()
-    truth: tuple[Row, ...] = ()
+    truth: tuple[TruthRow, ...] = ()
     diagnosis: Diagnosis | None = None
 
 
@@ -82,7 +84,7 @@ class CampaignReport:
 
 
 @dataclass(frozen=True)
-class Axis:
+class ReportedAxis:
     """One axis: its sweeps in order of measurement, and both models. Inertias in kg m^2 (kg)."""
 
     joint: str
@@ -101,12 +103,12 @@ class Axis:
     rmse: tuple[float, float, float]  # reference-measured, identified-measured, reference-identified; percent, Table 1
 
 
-def axes_of(content: Content) -> tuple[Axis, ...]:
+def axes_of(content: Content) -> tuple[ReportedAxis, ...]:
     """The measured axes in the order of the estimate."""
     model = _Models(content)
     order = {spec.id: number for number, spec in enumerate(content.specs, start=1)}
     poses = {spec.id: spec.pose for spec in content.specs}
-    axes: list[Axis] = []
+    axes: list[ReportedAxis] = []
     for joint, found in content.estimate.axes.items():
         sweeps = sorted(found.inertia, key=lambda sweep: order[sweep.sweep])
         own = np.array([poses[sweep.sweep] for sweep in sweeps])
@@ -114,7 +116,7 @@ def axes_of(content: Content) -> tuple[Axis, ...]:
         identified, reference = model.inertia(index, own)
         identified_workspace, reference_workspace = model.inertia(index, content.workspace)
         axes.append(
-            Axis(
+            ReportedAxis(
                 joint=joint,
                 unit="kg" if slides(content.robot, index) else "kg m²",
                 poses=own,
@@ -173,3 +175,61 @@ class _Models:
 
 def _number(value: float | None) -> float:
     return float("nan") if value is None else float(value)
+
+
+def content_of(
+    robot: Robot,
+    estimate: Estimate,
+    specs: Iterable[SweepSpec],
+    read: Callable[[SweepSpec], Sweep],
+    subtitle: str,
+    *,
+    workspace: Array | None = None,
+    revisions: Iterable[tuple[int, Sequence[BaseParameter]]] = (),
+) -> Content:
+    """The content of a report of an estimate that has the inertia of an axis.
+
+    `specs`: at least of the sweeps that the estimate used. `read` returns the samples of one of them, for the example.
+    `workspace` (m, n): collision-free poses, if known; else a grid over the range of the sweeps. `revisions`: number of
+    sweeps and base parameters of the earlier estimates.
+    """
+    used = used_sweeps(estimate, specs)
+    names = [entry.name for entry in estimate.base_parameters]
+    return Content(
+        title=f"Inertias of the robot {robot.name}",
+        subtitle=subtitle,
+        robot=robot,
+        estimate=estimate,
+        specs=used,
+        workspace=covered(robot, used) if workspace is None else workspace,
+        revisions=tuple(revision(parameters, names, number) for number, parameters in revisions),
+        example=read(example_of(used)),
+    )
+
+
+def used_sweeps(estimate: Estimate, specs: Iterable[SweepSpec]) -> tuple[SweepSpec, ...]:
+    """The sweeps whose inertia is in the estimate, in their order."""
+    used = {one.sweep for axis in estimate.axes.values() for one in axis.inertia}
+    return tuple(spec for spec in specs if spec.id in used)
+
+
+def example_of(used: Sequence[SweepSpec]) -> SweepSpec:
+    """The sweep with the most lines, of the first measured axis."""
+    return max((spec for spec in used if spec.axis == used[0].axis), key=lambda spec: len(spec.sines))
+
+
+def covered(robot: Robot, used: Sequence[SweepSpec]) -> Array:
+    """Poses (m, n) without self-collision, on a grid over the range of the joints that varied.
+
+    Nothing is drawn outside the measured range. If no joint varied: the poses of the sweeps.
+    """
+    stood = np.unique([spec.pose for spec in used], axis=0)
+    varied = np.flatnonzero(np.ptp(stood, axis=0) > SAME_POSITION)
+    if not varied.size:
+        return stood
+    # largest number of positions of one joint
+    count = max(2, min(25, math.floor(2000 ** (1 / varied.size))))  # poses for the drawing of models, at most
+    ranges = [np.linspace(float(stood[:, k].min()), float(stood[:, k].max()), count).tolist() for k in varied]
+    poses = np.tile(stood.mean(axis=0), (count**varied.size, 1))
+    poses[:, varied] = list(product(*ranges))
+    return reachable(robot, stood, poses)

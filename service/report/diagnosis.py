@@ -1,15 +1,15 @@
 """The result of a diagnosis, as a page or as a section of the report; only from its document."""
 
-import math
 from collections.abc import Mapping, Sequence
 from html import escape
 
-from service.model.results.check import Finding
-from service.model.results.diagnosis import AxisDiagnosis, Diagnosis, Gap, RigidParameter, standing_of
-from service.model.results.effect import AxisFit, Effect, PoseInertia, Value
+from service.model.results.diagnosis import AxisDiagnosis, Diagnosis, Finding, Gap, RigidParameter, standing_of
+from service.model.results.digits import with_std
+from service.model.results.effect import AxisFit, Effect, Value
 from service.report import gap_figures as drawn
-from service.report.drawing import Figure
-from service.report.html import Page
+from service.report.drawing import DrawnFigure
+from service.report.gap_figures import plain
+from service.report.html import ReportPage
 
 _BUILDERS = {
     "map": drawn.gap_map,
@@ -20,34 +20,23 @@ _BUILDERS = {
 }
 """Figures by name, in the order of a page; a builder returns None if there is nothing to draw."""
 
-NOTHING = 1e-6  # of a standard deviation: rounding error
 
-_HELD_OUT = (
-    "Before and after are those of one pose that was not used for naming or fit. In the figure pose "
-    "by pose below, each pose is evaluated with parameters from the other poses."
-)
-_CROSS_VALIDATED = (
-    "Cross-validated: each pose is evaluated with parameters from the other poses; where only one "
-    "pose shows an effect, or there is only one pose, each sweep is evaluated with parameters from "
-    "its repeats."
-)
-_NOT_HELD_OUT = "One pose without repeats: nothing could be held out, so the fit is evaluated on its own sweeps."
-
-
-def diagnosis_figures(document: Diagnosis) -> dict[str, dict[str, Figure]]:
+def diagnosis_figures(document: Diagnosis) -> dict[str, dict[str, DrawnFigure]]:
     """All figures by joint and name (`map`, `gap_by_pose`, `example`, `evidence`, `parameters`)."""
     return {joint: figures_of(axis) for joint, axis in document.axes.items()}
 
 
-def figures_of(axis: AxisDiagnosis) -> dict[str, Figure]:
+def figures_of(axis: AxisDiagnosis) -> dict[str, DrawnFigure]:
     """The figures of one axis."""
     made = {name: build(axis) for name, build in _BUILDERS.items()}
     return {name: figure for name, figure in made.items() if figure is not None}
 
 
-def diagnosis_page(document: Diagnosis, title: str, subtitle: str = "", origin: Sequence[tuple[str, str]] = ()) -> Page:
+def diagnosis_page(
+    document: Diagnosis, title: str, subtitle: str = "", origin: Sequence[tuple[str, str]] = ()
+) -> ReportPage:
     """A report of a diagnosis alone. `origin`: names and values, in order."""
-    page = Page(title, subtitle)
+    page = ReportPage(title, subtitle)
     if origin:
         page.add(*(f"<p><b>{escape(axis.summary)}</b></p>" for axis in document.axes.values()))
         page.add(*not_looked_at(document.axes))
@@ -69,7 +58,7 @@ def not_looked_at(axes: Mapping[str, AxisDiagnosis]) -> list[str]:
     return ["<h3>What was not looked at</h3>", "<ul>", *lines, "</ul>"] if lines else []
 
 
-def diagnosis_section(page: Page, document: Diagnosis) -> None:
+def diagnosis_section(page: ReportPage, document: Diagnosis) -> None:
     """The diagnosis as a section at the end of another report."""
     page.add(
         "<h2>Where model and measurement disagree</h2>",
@@ -82,7 +71,7 @@ def diagnosis_section(page: Page, document: Diagnosis) -> None:
         _axis(page, joint, axis)
 
 
-def _axis(page: Page, joint: str, axis: AxisDiagnosis) -> None:
+def _axis(page: ReportPage, joint: str, axis: AxisDiagnosis) -> None:
     figures = figures_of(axis)
     page.add(f'<div class="card {standing_of(axis)}"><p class="verdict">{escape(axis.summary)}</p></div>')
     reported = {finding.sentence for finding in axis.data}
@@ -119,7 +108,7 @@ def _axis(page: Page, joint: str, axis: AxisDiagnosis) -> None:
     _open_questions(page, joint, axis)
 
 
-def _gap(page: Page, axis: AxisDiagnosis) -> None:
+def _gap(page: ReportPage, axis: AxisDiagnosis) -> None:
     gap, unit = axis.gap, axis.unit
     facts = [(f"{gap.before_rms:.3g} {unit}", f"gap before, {gap.before_percent:.3g} % of the effort")]
     if axis.explained:
@@ -142,11 +131,22 @@ def _gap(page: Page, axis: AxisDiagnosis) -> None:
 
 def _how_judged(gap: Gap) -> str:
     if gap.held_out_sweeps:
-        return _HELD_OUT
-    return _CROSS_VALIDATED if gap.cross_validated else _NOT_HELD_OUT
+        return (
+            "Before and after are those of one pose that was not used for naming or fit. In the figure pose "
+            "by pose below, each pose is evaluated with parameters from the other poses."
+        )
+    return (
+        (
+            "Cross-validated: each pose is evaluated with parameters from the other poses; where only one "
+            "pose shows an effect, or there is only one pose, each sweep is evaluated with parameters from "
+            "its repeats."
+        )
+        if gap.cross_validated
+        else "One pose without repeats: nothing could be held out, so the fit is evaluated on its own sweeps."
+    )
 
 
-def _known(page: Page, axis: AxisDiagnosis) -> None:
+def _known(page: ReportPage, axis: AxisDiagnosis) -> None:
     """Known effects: parameters from these sweeps, next to those in the model."""
     changed = {(change.effect, change.parameter): change.model for change in axis.changes}
     rows = [
@@ -164,10 +164,10 @@ def _known(page: Page, axis: AxisDiagnosis) -> None:
 
 
 def _model(value: Value | None) -> str:
-    return "the same" if value is None else f"{value.value:.5g} ± {drawn.number(value.std):.2g}"
+    return "the same" if value is None else " ± ".join(with_std(value.value, value.std))
 
 
-def _effects(page: Page, axis: AxisDiagnosis, figures: Mapping[str, Figure]) -> None:
+def _effects(page: ReportPage, axis: AxisDiagnosis, figures: Mapping[str, DrawnFigure]) -> None:
     decided = axis.verdict == "named"
     page.add(f"<h3>{'What explains it' if decided else 'The simplest explanation so far, not decided'}</h3>")
     for effect in axis.effects:
@@ -197,7 +197,7 @@ def _parameter_rows(effects: Sequence[Effect]) -> list[list[str]]:
     ]
 
 
-def findings(page: Page, found: Sequence[Finding]) -> None:
+def findings(page: ReportPage, found: Sequence[Finding]) -> None:
     """Findings of the data check. If one is wrong, no physics was named."""
     ordered = sorted(found, key=lambda one: one.severity != "wrong")
     page.add(
@@ -205,7 +205,7 @@ def findings(page: Page, found: Sequence[Finding]) -> None:
     )
 
 
-def _rigid_model(page: Page, parameters: Sequence[RigidParameter], started_from: str) -> None:
+def _rigid_model(page: ReportPage, parameters: Sequence[RigidParameter], started_from: str) -> None:
     """The rigid model of CAD and data sheet, or of an estimate, next to that of these sweeps."""
     by_cad = started_from == "cad"
     page.add(
@@ -217,22 +217,28 @@ def _rigid_model(page: Page, parameters: Sequence[RigidParameter], started_from:
         "" if by_cad else f"<p>Started from an estimate: {escape(started_from)}.</p>",
     )
     rows = [
-        [one.name, "–" if one.nominal is None else _number(one.nominal, one.std), *_number_and_std(one)]
+        [one.name, "–" if one.nominal is None else with_std(one.nominal, one.std)[0], *with_std(one.value, one.std)]
         for one in parameters
     ]
     page.table(["parameter", "CAD" if by_cad else "estimate", "found", "± std"], rows)
 
 
-def _fit(page: Page, fit: AxisFit) -> None:
+def _fit(page: ReportPage, fit: AxisFit) -> None:
     labels = drawn.pose_labels([entry.pose for entry in fit.inertia])
     page.add(
         "<p>The axis again, with the effects in its model; kg m² and N m s/rad, of a linear axis kg and N s/m.</p>"
     )
-    rows = [[f"inertia at {label}", *_number_and_std(entry)] for label, entry in zip(labels, fit.inertia, strict=True)]
-    page.table(["", "value", "± std"], [*rows, ["viscous friction", *_number_and_std(fit.viscous_friction)]])
+    rows = [
+        [f"inertia at {label}", *with_std(entry.value, entry.std)]
+        for label, entry in zip(labels, fit.inertia, strict=True)
+    ]
+    page.table(
+        ["", "value", "± std"],
+        [*rows, ["viscous friction", *with_std(fit.viscous_friction.value, fit.viscous_friction.std)]],
+    )
 
 
-def _open_questions(page: Page, joint: str, axis: AxisDiagnosis) -> None:
+def _open_questions(page: ReportPage, joint: str, axis: AxisDiagnosis) -> None:
     experiment = axis.next_experiment
     if experiment is not None:
         sweeps = experiment.sweeps
@@ -255,24 +261,9 @@ def _open_questions(page: Page, joint: str, axis: AxisDiagnosis) -> None:
 
 
 def _value(value: Value) -> list[str]:
-    return [*_number_and_std(value), drawn.unit_words(value.unit)]
-
-
-def _number_and_std(of: Value | PoseInertia | RigidParameter) -> list[str]:
-    known = of.std is not None and math.isfinite(of.std)
-    return [_number(of.value, of.std), f"{of.std:.2g}" if known else "–"]
-
-
-def _number(value: float, std: float | None) -> str:
-    """Five digits; 0 if the value is only rounding error, far below its standard deviation."""
-    return f"{0.0 if abs(value) < NOTHING * (std or 0.0) else value:.5g}"
+    return [*with_std(value.value, value.std), drawn.unit_words(value.unit)]
 
 
 def _duration(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes} min {rest} s" if minutes else f"{rest} s"
-
-
-def plain(name: str) -> str:
-    """The name of an effect, a block or a parameter in words."""
-    return name.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")

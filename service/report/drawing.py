@@ -1,8 +1,9 @@
 """Elements of the figures: colours, lines, points, scales, in the format of plotly.js."""
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import TypedDict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import cycle
+from typing import TypedDict, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,22 +11,22 @@ from numpy.typing import NDArray
 from service.model.robot import Robot
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 Drawn = str | float | None | Sequence["Drawn"] | Mapping[str, "Drawn"]  # accepted by plotly.js
 Part = Mapping[str, Drawn]  # a trace, a scale, an annotation
 
+MEASURED, IDENTIFIED, REFERENCE, PAPER = "#c2410c", "#1d4ed8", "#94a3b8", "#7c3aed"
+_COLOURS = ("#1d4ed8", "#0f766e", "#b45309", "#7c3aed", "#be123c", "#475569")
+_SYMBOLS = ("circle", "square", "triangle-up", "diamond", "star", "hexagon2")
+GRID = "#e2e8f0"
+DECADES = {"type": "log", "dtick": 1, "exponentformat": "power"}
 
-class Figure(TypedDict):
+
+class DrawnFigure(TypedDict):
     """A figure for plotly.js; the layout has a "height", px."""
 
     data: Sequence[Part]
     layout: Part
-
-
-MEASURED, IDENTIFIED, REFERENCE, PAPER = "#c2410c", "#1d4ed8", "#94a3b8", "#7c3aed"
-AXIS_COLOURS = ("#1d4ed8", "#0f766e", "#b45309", "#7c3aed", "#be123c", "#475569")
-AXIS_SYMBOLS = ("circle", "square", "triangle-up", "diamond", "star", "hexagon2")
-GRID = "#e2e8f0"
-DECADES = {"type": "log", "dtick": 1, "exponentformat": "power"}
 
 
 def line(name: str, x: Drawn, y: Array, colour: str, dash: str = "solid", width: float = 1.8) -> Part:
@@ -54,7 +55,7 @@ def points(
     return trace
 
 
-def figure(traces: Sequence[Part], layout: Part) -> Figure:
+def figure(traces: Sequence[Part], layout: Part) -> DrawnFigure:
     """Traces and layout in the report's look."""
     base: Part = {
         "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#334155"},
@@ -82,14 +83,42 @@ def scale(title: str, zeroline: bool = False) -> Part:
     }
 
 
-def symbols(count: int) -> list[str]:
-    """A marker for each axis of the robot: colours cannot be distinguished in grey print or by colour-blind readers."""
-    return [AXIS_SYMBOLS[k % len(AXIS_SYMBOLS)] for k in range(count)]
+def looks(things: Iterable[T]) -> Iterator[tuple[T, str, str]]:
+    """Each axis or robot with its colour and marker: colours alone cannot be distinguished in grey print or by
+    colour-blind readers.
+    """
+    return zip(things, cycle(_COLOURS), cycle(_SYMBOLS), strict=False)
 
 
-def colours(count: int) -> list[str]:
-    """A colour for each axis of the robot."""
-    return [AXIS_COLOURS[k % len(AXIS_COLOURS)] for k in range(count)]
+def note(text: str, left: float, top: float, **more: Drawn) -> Part:
+    """Words at a place of the figure, 0 ... 1 from its lower left corner; they stand on it, to its right."""
+    words: Part = {
+        "text": text,
+        "x": left,
+        "y": top,
+        "xref": "paper",
+        "yref": "paper",
+        "xanchor": "left",
+        "yanchor": "bottom",
+        "yshift": 0,
+        "showarrow": False,
+        "font": {"size": 12},
+    }
+    return {**words, **more}
+
+
+def upright(panel: str, place: float, colour: str, width: float = 1.5, dash: str = "dash") -> Part:
+    """A line across a panel; `panel`: the number behind the names of its axes, "" for the first."""
+    return {
+        "type": "line",
+        "xref": f"x{panel}",
+        "yref": f"y{panel} domain",
+        "x0": place,
+        "x1": place,
+        "y0": 0,
+        "y1": 1,
+        "line": {"color": colour, "width": width, "dash": dash},
+    }
 
 
 def degrees(angles: Array) -> list[float]:

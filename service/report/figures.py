@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from service.model.recording import Sweep
 from service.model.robot import Robot
-from service.report.content import Axis, Revision
+from service.report.content import ReportedAxis, Revision
 from service.report.drawing import (
     DECADES,
     IDENTIFIED,
@@ -15,23 +15,23 @@ from service.report.drawing import (
     PAPER,
     REFERENCE,
     Drawn,
-    Figure,
+    DrawnFigure,
     Part,
-    colours,
     figure,
     line,
+    looks,
+    note,
     points,
     position_title,
     positions,
     rounded,
     scale,
-    symbols,
 )
 
 Array = NDArray[np.float64]
 
 
-def inertia_map(robot: Robot, axis: Axis) -> Figure:
+def inertia_map(robot: Robot, axis: ReportedAxis) -> DrawnFigure:
     """Inertia of the identified model over the two joints that vary most, and of each measured pose (Fig. 2)."""
     first, second = axis.varied[:2]
     values = np.concatenate((axis.identified_workspace, axis.measured))
@@ -59,10 +59,10 @@ def inertia_map(robot: Robot, axis: Axis) -> Figure:
     )
 
 
-def deviation_map(robot: Robot, axis: Axis) -> Figure:
-    """Difference between identified model and reference over the workspace, and the measured poses."""
+def deviation_map(robot: Robot, axis: ReportedAxis) -> DrawnFigure:
+    """Difference between identified model and reference over the workspace, of the identified, and measured poses."""
     first, second = axis.varied[:2]
-    deviation = 100 * (axis.identified_workspace / axis.reference_workspace - 1)
+    deviation = 100 * (1 - axis.reference_workspace / axis.identified_workspace)
     low, high = float(deviation.min()), float(deviation.max())
     if low * high < 0:
         high = max(high, -low)
@@ -88,7 +88,7 @@ def deviation_map(robot: Robot, axis: Axis) -> Figure:
     )
 
 
-def _map(robot: Robot, axis: Axis, values: Array, look: Part, poses: Part) -> Figure:
+def _map(robot: Robot, axis: ReportedAxis, values: Array, look: Part, poses: Part) -> DrawnFigure:
     """Values of the free poses of the workspace as a field with contour lines, and the measured poses."""
     first, second = axis.varied[:2]
     x, y, z = _mesh(axis.workspace, first, second, values)
@@ -108,7 +108,7 @@ def _map(robot: Robot, axis: Axis, values: Array, look: Part, poses: Part) -> Fi
     )
 
 
-def curve(robot: Robot, axis: Axis) -> Figure:
+def curve(robot: Robot, axis: ReportedAxis) -> DrawnFigure:
     """Inertia over the one joint after the axis that varies, or over the sweeps if none does."""
     if axis.varied:
         joint = axis.varied[0]
@@ -130,10 +130,10 @@ def curve(robot: Robot, axis: Axis) -> Figure:
     )
 
 
-def residuals(axes: Sequence[Axis]) -> Figure:
+def residuals(axes: Sequence[ReportedAxis]) -> DrawnFigure:
     """Measured against identified model, percent, sweep by sweep with two standard deviations."""
     traces: list[Part] = []
-    for axis, colour, symbol in zip(axes, colours(len(axes)), symbols(len(axes)), strict=True):
+    for axis, colour, symbol in looks(axes):
         percent = 100 / axis.identified
         traces.append(
             points(
@@ -155,7 +155,7 @@ def residuals(axes: Sequence[Axis]) -> Figure:
     )
 
 
-def paper_residuals(axes: Sequence[Axis]) -> Figure:
+def paper_residuals(axes: Sequence[ReportedAxis]) -> DrawnFigure:
     """The paper's formula against the identified model, percent, over the inertia."""
     traces = [
         points(
@@ -165,7 +165,7 @@ def paper_residuals(axes: Sequence[Axis]) -> Figure:
             colour,
             symbol=f"{symbol}-open",
         )
-        for axis, colour, symbol in zip(axes, colours(len(axes)), symbols(len(axes)), strict=True)
+        for axis, colour, symbol in looks(axes)
     ]
     units = " or ".join(dict.fromkeys(axis.unit for axis in axes))
     return figure(
@@ -178,7 +178,7 @@ def paper_residuals(axes: Sequence[Axis]) -> Figure:
     )
 
 
-def convergence(revisions: Sequence[Revision], names: Sequence[str]) -> Figure:
+def convergence(revisions: Sequence[Revision], names: Sequence[str]) -> DrawnFigure:
     """Each base parameter over the number of sweeps, with a band of two standard deviations: small multiples."""
     columns = 3
     rows = -(-len(names) // columns)
@@ -229,24 +229,12 @@ def convergence(revisions: Sequence[Revision], names: Sequence[str]) -> Figure:
             "anchor": f"x{number}",
             "nticks": 4,
         }
-        annotations.append(
-            {
-                "text": f"{_short(name)} in {parameter_unit(name)}" if x else f"{_short(name)}: not identified",
-                "hovertext": name,
-                "x": left + 0.13 * width,
-                "y": top - 0.13 * height,
-                "xref": "paper",
-                "yref": "paper",
-                "xanchor": "left",
-                "yanchor": "bottom",
-                "showarrow": False,
-                "font": {"size": 12, "color": "#0f172a"},
-            }
-        )
+        told = f"{_short(name)} in {parameter_unit(name)}" if x else f"{_short(name)}: not identified"
+        annotations.append(note(told, left + 0.13 * width, top - 0.13 * height))
     return figure(traces, layout)
 
 
-def in_time(sweep: Sweep, *, linear: bool = False) -> Figure:
+def in_time(sweep: Sweep, *, linear: bool = False) -> DrawnFigure:
     """One sweep: velocity and effort over time, the measured window shaded. `linear`: of a prismatic axis."""
     recording, spec = sweep.recording, sweep.spec
     step = max(1, len(recording.time) // 4000)
@@ -282,7 +270,7 @@ def in_time(sweep: Sweep, *, linear: bool = False) -> Figure:
     )
 
 
-def in_frequency(sweep: Sweep, *, linear: bool = False) -> Figure:
+def in_frequency(sweep: Sweep, *, linear: bool = False) -> DrawnFigure:
     """Amplitudes of velocity and effort over the measured complete periods; the excited lines are highlighted."""
     spec, recording = sweep.spec, sweep.recording
     end = spec.measure_from + (spec.period or 0.0) * (spec.periods or 0)

@@ -5,20 +5,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.model.results.cell import Bin, Cell
-from service.model.results.diagnosis import AxisDiagnosis, Rival
-from service.report.drawing import IDENTIFIED, Drawn, Figure, Part, figure, line, rounded, scale
+from service.model.results.diagnosis import AxisDiagnosis, Bin, Cell, Rival
+from service.report.drawing import (
+    IDENTIFIED,
+    Drawn,
+    DrawnFigure,
+    Part,
+    figure,
+    line,
+    note,
+    rounded,
+    scale,
+    upright,
+)
 
 BEFORE, AFTER, FLOOR, QUIET = "#c2410c", IDENTIFIED, "#15803d", "#e0b8a2"
-RECORDED = "#64748b"
-TIE = "#b45309"
-
-COLUMNS = 3
-SIGNIFICANT = 5.0  # standard deviations from zero gap
-DECISIVE = 10.0  # of Schwarz's criterion: a rival with a larger difference is excluded
 
 
-def gap_map(axis: AxisDiagnosis) -> Figure | None:
+def gap_map(axis: AxisDiagnosis) -> DrawnFigure | None:
     """The gap for each property of sweeps and samples, before and after, with the noise floor in each panel."""
     dimensions: dict[str, list[Cell]] = {}
     for cell in axis.where:
@@ -27,7 +31,8 @@ def gap_map(axis: AxisDiagnosis) -> Figure | None:
         return None
     panels = [_panel(name, cells, axis.explained) for name, cells in dimensions.items()]
     panels.sort(key=lambda panel: -len(panel.labels))  # panels of one height in one row
-    lines = [panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)]
+    columns = 3
+    lines = [panels[k : k + columns] for k in range(0, len(panels), columns)]
     heights = [20 * max(len(panel.labels) for panel in line) + 62 for line in lines]
     floor = axis.gap.noise_floor_rms
     largest = max(max(cell.rms for cell in axis.where), floor or 0.0)
@@ -48,12 +53,12 @@ def gap_map(axis: AxisDiagnosis) -> Figure | None:
         for column, panel in enumerate(row):
             number += 1
             tail = "" if number == 1 else str(number)
-            left = column / COLUMNS
+            left = column / columns
             here = {"xaxis": f"x{tail}", "yaxis": f"y{tail}", "type": "bar", "orientation": "h", "showlegend": False}
             traces += [{**here, **trace} for trace in panel.traces]
             layout[f"xaxis{tail}"] = {
                 **scale(""),
-                "domain": [left + 0.12, left + 0.985 / COLUMNS],
+                "domain": [left + 0.12, left + 0.985 / columns],
                 "anchor": f"y{tail}",
                 "range": [0, 1.06 * largest],
                 "nticks": 5,
@@ -69,11 +74,13 @@ def gap_map(axis: AxisDiagnosis) -> Figure | None:
                 "tickfont": {"size": 11},
                 "showgrid": False,
             }
-            annotations.append(_title(panel.title, left, top - share * 23 / height))
+            annotations.append(note(panel.title, left, top - share * 23 / height))
             if panel.with_floor and floor is not None:
-                shapes.append(_upright(tail, floor))
+                shapes.append(upright(tail, floor, FLOOR))
         top -= share
-    annotations.append(_title(f"bars: RMS of the repeatable gap in {axis.unit}", 1.0, 0.0, right=True))
+    annotations.append(
+        note(f"bars: RMS of the repeatable gap in {axis.unit}", 1.0, 0.0, xanchor="right", yanchor="top", yshift=-14)
+    )
     return figure(traces, layout)
 
 
@@ -84,9 +91,10 @@ class _Panel:
         self.title, self.labels, self.with_floor = title, labels, with_floor
         significance = [cell.significance for cell in cells]
         shown = {"y": labels, "customdata": [round(value, 1) for value in significance]}
+        # standard deviations from zero gap
         before = {
             "x": rounded(np.array([cell.rms for cell in cells])),
-            "marker": {"color": [BEFORE if value > SIGNIFICANT else QUIET for value in significance]},
+            "marker": {"color": [BEFORE if value > 5.0 else QUIET for value in significance]},
             "hovertemplate": "%{y}: %{x:.3g} before, significance %{customdata}<extra></extra>",
             "width": 0.72,
         }
@@ -132,7 +140,7 @@ def _keys(axis: AxisDiagnosis) -> list[Part]:
     return [*keys, floor]
 
 
-def gap_by_pose(axis: AxisDiagnosis) -> Figure:
+def gap_by_pose(axis: AxisDiagnosis) -> DrawnFigure:
     """Cross-validated gap before and after in each pose, with the noise floor."""
     poses = axis.gap.by_pose
     labels = pose_labels([pose.pose for pose in poses])
@@ -172,13 +180,13 @@ def gap_by_pose(axis: AxisDiagnosis) -> Figure:
     )
 
 
-def example(axis: AxisDiagnosis) -> Figure:
+def example(axis: AxisDiagnosis) -> DrawnFigure:
     """The sweep with the largest gap: measured effort, effort of both models, and the residual."""
     sweep = axis.example
     time = rounded(np.array(sweep.time), 4)
     measured, before, after = (np.array(effort, dtype=float) for effort in (sweep.measured, sweep.before, sweep.after))
     traces = [
-        line("measured", time, measured, RECORDED, width=3),
+        line("measured", time, measured, "#64748b", width=3),
         line("model before", time, before, BEFORE, width=1.4),
         {**line("left before", time, measured - before, BEFORE, width=1.2), "yaxis": "y2", "showlegend": False},
     ]
@@ -198,7 +206,7 @@ def example(axis: AxisDiagnosis) -> Figure:
     )
 
 
-def evidence(axis: AxisDiagnosis) -> Figure | None:
+def evidence(axis: AxisDiagnosis) -> DrawnFigure | None:
     """Difference of each other candidate from the chosen explanation, on a logarithmic scale."""
     rivals = axis.rivals
     if not rivals or not axis.effects:
@@ -212,6 +220,7 @@ def evidence(axis: AxisDiagnosis) -> Figure | None:
     places = [_signed_power(value) for value in behind]
     ticks = [-1e4, -1e3, -100.0, -10.0, 0.0, 10.0, 100.0, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8]
     ticks = [tick for tick in ticks if min(places) - 1 <= _signed_power(tick) <= max(places) + 1]
+    # of Schwarz's criterion: a rival with a larger difference is excluded
     return figure(
         [
             {
@@ -235,12 +244,12 @@ def evidence(axis: AxisDiagnosis) -> Figure | None:
                 "ticktext": [f"{tick:,.0f}" for tick in ticks],
             },
             "yaxis": {**scale(""), "autorange": "reversed", "type": "category", "showgrid": False},
-            "shapes": [_upright("", _signed_power(DECISIVE), "#64748b")],
+            "shapes": [upright("", _signed_power(10.0), "#64748b")],
         },
     )
 
 
-def parameters(axis: AxisDiagnosis) -> Figure | None:
+def parameters(axis: AxisDiagnosis) -> DrawnFigure | None:
     """Each parameter of the named effects with two standard deviations, in percent of its value."""
     rows = [
         (f"{effect_words(effect.effect)}: {name.replace('_', ' ')}", value)
@@ -252,7 +261,7 @@ def parameters(axis: AxisDiagnosis) -> Figure | None:
         return None
     interval = [200 * abs(number(value.std) / value.value) for _, value in rows]
     reach = min(1.15 * max((one for one in interval if math.isfinite(one)), default=10.0) + 1, 250)
-    nothing = [_upright("", -100.0, "#64748b")] if reach > 100 else []
+    nothing = [upright("", -100.0, "#64748b")] if reach > 100 else []
     return figure(
         [
             {
@@ -279,9 +288,14 @@ def parameters(axis: AxisDiagnosis) -> Figure | None:
     )
 
 
+def plain(name: str) -> str:
+    """The name of an effect, a block or a parameter in words."""
+    return name.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
+
+
 def effect_words(effect: str) -> str:
-    """An effect's name in words."""
-    words = effect.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
+    """An effect's name in words, as a sentence begins."""
+    words = plain(effect)
     return words[:1].upper() + words[1:]
 
 
@@ -301,7 +315,7 @@ def pose_labels(poses: Sequence[Sequence[float]]) -> list[str]:
 
 
 def _colour(axis: AxisDiagnosis, rival: Rival) -> str:
-    return TIE if rival.effect in axis.candidates else "#94a3b8"
+    return "#b45309" if rival.effect in axis.candidates else "#94a3b8"
 
 
 def _behind(axis: AxisDiagnosis, rival: Rival) -> str:
@@ -322,34 +336,6 @@ def _short(value: float, size: float) -> str:
     """Three digits; from 1000 on without an exponent, which would overlap the next panel."""
     shown = 0.0 if abs(value) < 1e-3 * size else value
     return f"{shown:.0f}" if 1e3 <= abs(shown) < 1e6 else f"{shown:.3g}"
-
-
-def _title(text: str, left: float, top: float, right: bool = False) -> Part:
-    return {
-        "text": text,
-        "x": left,
-        "y": top,
-        "xref": "paper",
-        "yref": "paper",
-        "xanchor": "right" if right else "left",
-        "yanchor": "top" if right else "bottom",
-        "yshift": -14 if right else 0,
-        "showarrow": False,
-        "font": {"size": 12},
-    }
-
-
-def _upright(tail: str, place: float, colour: str = FLOOR) -> Part:
-    return {
-        "type": "line",
-        "xref": f"x{tail}",
-        "yref": f"y{tail} domain",
-        "x0": place,
-        "x1": place,
-        "y0": 0,
-        "y1": 1,
-        "line": {"color": colour, "width": 1.5, "dash": "dash"},
-    }
 
 
 def number(value: float | None) -> float:

@@ -1,73 +1,28 @@
-"""A report, written as one HTML file, as PDF (both with figures as SVG), or as its tables alone."""
+"""A report, written as one HTML file, as PDF (both with figures as SVG), or as its tables alone.
+
+On paper it has a first page, contents with page numbers, and numbered figures. WeasyPrint sets it, an optional
+dependency that needs the system library Pango.
+"""
 
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from html import escape, unescape
-from typing import Literal, TypedDict
+from importlib import import_module
+from itertools import zip_longest
+from pathlib import Path
+from typing import Literal, Protocol, TypedDict
 
-from service.report.drawing import Figure
+from service.model.errors import NoPdf
+from service.report.drawing import DrawnFigure
 
 Form = Literal["html", "pdf", "json"]
 
-_STYLE = """
-:root { color-scheme: light; }
-body { font: 16px/1.55 system-ui, sans-serif; color: #0f172a; background: #f8fafc; margin: 0; }
-main { max-width: 1060px; margin: 0 auto; padding: 40px 28px 80px; }
-h1 { font-size: 30px; line-height: 1.2; margin: 0 0 6px; letter-spacing: -0.01em; }
-h2 { font-size: 21px; margin: 48px 0 6px; letter-spacing: -0.005em; }
-h3 { font-size: 16px; margin: 22px 0 4px; }
-p { margin: 6px 0 12px; color: #334155; max-width: 78ch; }
-p.lead { color: #475569; margin-bottom: 24px; }
-p.verdict { font-size: 17px; color: #0f172a; margin: 0; }
-.card { background: white; border: 1px solid #e2e8f0; border-radius: 10px; padding: 14px 18px; margin: 14px 0; }
-.card.settled { border-left: 6px solid #15803d; }
-.card.open { border-left: 6px solid #b45309; }
-.card.unexplained { border-left: 6px solid #be123c; }
-.facts { display: grid; grid-template-columns: repeat(auto-fit, minmax(170px, 1fr)); gap: 12px; margin: 20px 0; }
-.facts div { background: white; border: 1px solid #e2e8f0; border-radius: 10px; padding: 12px 16px; }
-.facts b { display: block; font-size: 24px; font-weight: 600; line-height: 1.3; }
-.facts span { color: #64748b; font-size: 13.5px; }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
-th, td { padding: 7px 12px; text-align: right; border-bottom: 1px solid #e2e8f0; white-space: nowrap; }
-th:first-child, td:first-child { text-align: left; white-space: normal; }
-thead th { color: #475569; font-weight: 600; border-bottom: 2px solid #cbd5e1; }
-tbody tr:last-child :is(td, th) { border-bottom: 0; }
-table.properties th { color: #475569; font-weight: 600; width: 11em; vertical-align: top; }
-table.properties td { text-align: left; white-space: normal; overflow-wrap: anywhere; }
-td.name { font-size: 14px; max-width: 560px; overflow-wrap: anywhere; }
-.note { color: #64748b; font-size: 14px; }
-figure { background: white; border: 1px solid #e2e8f0; border-radius: 10px; padding: 14px 18px; margin: 14px 0; }
-figure svg { display: block; width: 100%; height: auto; }
-figcaption { color: #64748b; font-size: 13.5px; margin-top: 6px; }
-@page {
-  size: A4;
-  margin: 15mm 15mm 18mm;
-  @bottom-right { content: counter(page) " / " counter(pages); font: 9pt sans-serif; }
-}
-@media print {
-  body { background: white; font-size: 10pt; }
-  main { max-width: none; padding: 0; }
-  h1 { font-size: 18pt; }
-  h2 { font-size: 13pt; margin-top: 20px; }
-  h3 { font-size: 11pt; }
-  h2, h3, p:has(+ .card) { break-after: avoid; }
-  p { max-width: none; orphans: 3; widows: 3; }
-  .card, .facts div { break-inside: avoid; border-color: #94a3b8; }
-  .card { padding: 8px 10px; margin: 8px 0; }
-  figure { padding: 0; border: 0; break-inside: avoid; }
-  .facts { grid-template-columns: repeat(5, 1fr); gap: 6px; margin: 10px 0; }
-  .facts div { padding: 6px 8px; }
-  .facts b { font-size: 14pt; }
-  .facts span, .note, td.name, table.properties { font-size: 9pt; }
-  .scroll { overflow: visible; }
-  .scroll:has(tr:nth-child(12)) { break-inside: auto; }
-  thead { display: table-header-group; }
-  tr { break-inside: avoid; }
-  th, td { padding: 3px 6px; white-space: normal; overflow-wrap: break-word; }
-}
-"""
+
+class _Set(Protocol):
+    """A page that WeasyPrint has set."""
+
+    def write_pdf(self) -> bytes: ...
 
 
 class _Table(TypedDict):
@@ -76,12 +31,12 @@ class _Table(TypedDict):
     rows: list[list[str]]
 
 
-class Page:
+class ReportPage:
     """Collects title, body, figures and tables."""
 
     def __init__(self, title: str, lead: str = "") -> None:
         self._title = title
-        self._parts: list[str | Figure] = [f"<h1>{escape(title)}</h1>"]
+        self._parts: list[str | DrawnFigure] = [f"<h1>{escape(title)}</h1>"]
         if lead:
             self._parts.append(f'<p class="lead">{escape(lead)}</p>')
         self._tables: list[_Table] = []
@@ -108,7 +63,7 @@ class Page:
         self._first = len(self._parts)
         self._section = ["", ""]
 
-    def figure(self, figure: Figure) -> None:
+    def figure(self, figure: DrawnFigure) -> None:
         """Add a figure with the height of its layout."""
         self._parts.append(figure)
 
@@ -152,25 +107,44 @@ class Page:
 
     def html(self) -> str:
         """The file; nothing in it is loaded or run."""
-        from service.report.paper import Setting  # draws figures
-        from service.report.plotting import WIDTH
-
         return "\n".join(
             (
                 "<!doctype html>",
                 '<html lang="en"><head><meta charset="utf-8">',
                 '<meta name="viewport" content="width=device-width, initial-scale=1">',
-                f"<title>{escape(self._title)}</title><style>{_STYLE}</style></head><body><main>",
-                *Setting(WIDTH).pieces(self._parts),
+                f"<title>{escape(self._title)}</title><style>{_style('screen')}</style></head><body><main>",
+                *_Typesetting(paper=False).pieces(self._parts),
                 "</main></body></html>",
             )
         )
 
-    def pdf(self) -> bytes:
-        """A4, with table of contents and numbered figures; NoPdf if PDF is not available."""
-        from service.report.paper import paper_html, pdf_of
+    def paper_html(self) -> str:
+        """As `html`, for paper; the table of contents is after the first page."""
+        setting = _Typesetting(paper=True)
+        first = list(setting.pieces(self._parts[: self._first]))
+        rest = list(setting.pieces(self._parts[self._first :]))
+        return "\n".join(
+            (
+                '<!doctype html><html lang="en"><head><meta charset="utf-8">',
+                f"<title>{escape(self._title)}</title><style>{_style('paper')}</style></head><body>",
+                *first,
+                setting.contents(),
+                *rest,
+                "</body></html>",
+            )
+        )
 
-        return pdf_of(paper_html(self._title, self._parts[: self._first], self._parts[self._first :]))
+    def pdf(self) -> bytes:
+        """A4, with table of contents and numbered figures; NoPdf says what must be installed."""
+        html = self.paper_html()
+        try:
+            setter: Callable[..., _Set] = import_module("weasyprint").HTML
+        except (ImportError, OSError) as error:  # OSError: no Pango
+            raise NoPdf(
+                f"no PDF can be made here ({error}): install sweepid[pdf] and the system's Pango (Debian: "
+                "libpango-1.0-0 libpangoft2-1.0-0 libharfbuzz-subset0 fonts-dejavu-core), or print the HTML"
+            ) from None
+        return setter(string=html).write_pdf()
 
     def _tell_table(self, head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
         section = ": ".join(part for part in self._section if part) or self._title
@@ -179,3 +153,53 @@ class Page:
 
 def _plain(markup: str) -> str:
     return unescape(re.sub(r"<[^>]*>", "", markup))
+
+
+def _style(sheet: str) -> str:
+    return "\n" + (Path(__file__).parent / f"{sheet}.css").read_text("utf-8")
+
+
+class _Typesetting:
+    """Numbers figures and headings in order; figures are as wide as a page, or as A4 between its margins."""
+
+    def __init__(self, *, paper: bool) -> None:
+        self._paper = paper
+        self._headings: list[tuple[str, str]] = []
+        self._figures = 0
+        self._section = self._part = ""
+
+    def pieces(self, parts: Sequence[str | DrawnFigure]) -> Iterator[str]:
+        for part, after in zip_longest(parts, parts[1:]):
+            if not isinstance(part, str):
+                yield self._figure(part)
+            elif part.startswith("<p") and isinstance(after, dict):
+                yield f'<div class="before">{part}</div>'  # keep with its figure
+            else:
+                yield self._markup(part)
+
+    def contents(self) -> str:
+        lines = (
+            f'<p class="{level}"><a href="#section-{k}">{words}</a></p>'
+            for k, (level, words) in enumerate(self._headings, start=1)
+        )
+        return f"<nav><h2>Contents</h2><div>{''.join(lines)}</div></nav>"
+
+    def _markup(self, part: str) -> str:
+        found = re.fullmatch(r"<(h[23])>(.*)</\1>", part, re.DOTALL)
+        if found is None:
+            return part
+        level, words = found.groups()
+        self._headings.append((level, words))
+        if level == "h2":
+            self._section, self._part = words, ""
+        else:
+            self._part = f": {words}"
+        return f'<{level} id="section-{len(self._headings)}">{words}</{level}>'
+
+    def _figure(self, figure: DrawnFigure) -> str:
+        from service.report.plotting import PAPER, WIDTH, svg  # matplotlib
+
+        self._figures += 1
+        caption = f"Figure {self._figures}. {self._section}{self._part}"
+        drawn = svg(figure, unescape(caption), PAPER if self._paper else WIDTH)
+        return f"<figure>{drawn}<figcaption>{caption}</figcaption></figure>"

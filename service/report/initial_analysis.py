@@ -6,30 +6,31 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.axis.ideal_frequency import AxisAnalysis, PoseAnalysis
-from service.identification.spectra.axis_inertia import impedance
+from service.identification.axis.drive_train import impedance
+from service.identification.axis.ideal_frequency import InitialAnalysis, PoseAnalysis
+from service.model.results.digits import with_std
 from service.report.drawing import (
     DECADES,
     IDENTIFIED,
     MEASURED,
     REFERENCE,
     Drawn,
-    Figure,
+    DrawnFigure,
     Part,
     figure,
     line,
+    note,
     points,
     rounded,
     scale,
+    upright,
 )
 
 Array = NDArray[np.float64]
-
-COLUMNS = 3
-_LIGHT, _HEAVY = np.array([14, 165, 233]), np.array([124, 45, 18])  # colours of the lightest and the heaviest pose
+_LOG = {"type": "log", "tickvals": [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40]}
 
 
-def amplitude_responses(analysis: AxisAnalysis, *, linear: bool = False) -> Figure:
+def amplitude_responses(analysis: InitialAnalysis, *, linear: bool = False) -> DrawnFigure:
     """Fig. 1a: velocity over effort in every pose, measured (dots) and fitted (lines), from light to heavy.
 
     `linear`: of a prismatic axis.
@@ -38,7 +39,12 @@ def amplitude_responses(analysis: AxisAnalysis, *, linear: bool = False) -> Figu
     poses = sorted(analysis.poses, key=lambda pose: pose.fit.inertia.value)
     for number, pose in enumerate(poses):
         share = number / max(len(poses) - 1, 1)
-        colour = "#" + "".join(f"{int(value):02x}" for value in (1 - share) * _LIGHT + share * _HEAVY)
+        # colours of the lightest and the heaviest pose
+        # colours of the lightest and the heaviest pose
+        colour = "#" + "".join(
+            f"{int(value):02x}"
+            for value in (1 - share) * (np.array([14, 165, 233])) + share * (np.array([124, 45, 18]))
+        )
         frequency = pose.response.frequency
         name = f"J = {pose.fit.inertia.value:.0f} {_unit(linear)}"
         measured = points(name, rounded(frequency), 1 / np.abs(pose.response.impedance), colour, size=4)
@@ -55,10 +61,11 @@ def amplitude_responses(analysis: AxisAnalysis, *, linear: bool = False) -> Figu
     )
 
 
-def ideal_frequencies(analysis: AxisAnalysis, *, linear: bool = False) -> Figure:
+def ideal_frequencies(analysis: InitialAnalysis, *, linear: bool = False) -> DrawnFigure:
     """Fig. 1b in every pose: apparent inertia |Z|/ω, its asymptotes, and the ideal frequency between their ends."""
     poses = sorted(analysis.poses, key=lambda pose: pose.fit.inertia.value)
-    rows = -(-len(poses) // COLUMNS)
+    columns = 3
+    rows = -(-len(poses) // columns)
     traces: list[Part] = []
     annotations: list[Drawn] = []
     shapes: list[Drawn] = []
@@ -70,8 +77,8 @@ def ideal_frequencies(analysis: AxisAnalysis, *, linear: bool = False) -> Figure
     }
     for k, pose in enumerate(poses):
         number = "" if k == 0 else str(k + 1)
-        row, column = divmod(k, COLUMNS)
-        left, top, width, height = column / COLUMNS, 1 - row / rows, 1 / COLUMNS, 1 / rows
+        row, column = divmod(k, columns)
+        left, top, width, height = column / columns, 1 - row / rows, 1 / columns, 1 / rows
         here: Part = {"xaxis": f"x{number}", "yaxis": f"y{number}"}
         ends = _ends(pose)
         traces += [{**trace, **here} for trace in _one_pose(analysis, pose, ends)]
@@ -89,22 +96,13 @@ def ideal_frequencies(analysis: AxisAnalysis, *, linear: bool = False) -> Figure
             "domain": [top - 0.8 * height, top - 0.12 * height],
             "anchor": f"x{number}",
         }
-        annotations.append(
-            {
-                "text": f"J = {pose.fit.inertia.value:.0f} {_unit(linear)}, ideal {_ideal(pose, '.2g')} Hz → "
-                f"{pose.fit.sweep_frequency:.0f} Hz",
-                "x": left + 0.13 * width,
-                "y": top - 0.1 * height,
-                "xref": "paper",
-                "yref": "paper",
-                "xanchor": "left",
-                "yanchor": "bottom",
-                "showarrow": False,
-                "font": {"size": 12, "color": "#0f172a"},
-            }
+        told = (
+            f"J = {pose.fit.inertia.value:.0f} {_unit(linear)}, ideal {_ideal(pose, '.2g')} Hz → "
+            f"{pose.fit.sweep_frequency:.0f} Hz"
         )
+        annotations.append(note(told, left + 0.13 * width, top - 0.1 * height))
         shapes += [
-            _upright(number, frequency, colour)
+            upright(number, frequency, colour, 1.2, "dot")
             for frequency, colour in (
                 (pose.fit.corner.value, REFERENCE),
                 (pose.fit.frequency.value, IDENTIFIED),
@@ -116,7 +114,7 @@ def ideal_frequencies(analysis: AxisAnalysis, *, linear: bool = False) -> Figure
 
 
 def table(
-    analyses: Mapping[str, AxisAnalysis], joints: Sequence[str], linear: Collection[str] = ()
+    analyses: Mapping[str, InitialAnalysis], joints: Sequence[str], linear: Collection[str] = ()
 ) -> tuple[list[str], list[list[str]]]:
     """Head and rows, by pose: from the fit, in brackets from asymptotes.
 
@@ -136,9 +134,9 @@ def table(
                         f"{1e3 * place if number in slides else math.degrees(place):.0f}"
                         for number, place in enumerate(pose.pose)
                     ),
-                    f"{fit.inertia.value:.1f} ± {fit.inertia.std:.1f}",
+                    " ± ".join(with_std(fit.inertia.value, fit.inertia.std)),
                     _locked_rotor(pose),
-                    f"{fit.corner.value:.3f} ± {fit.corner.std:.3f} ({read.corner.value:.2f})",
+                    f"{' ± '.join(with_std(fit.corner.value, fit.corner.std))} ({read.corner.value:.2f})",
                     f"{_ideal(pose, '.2f')} → {fit.sweep_frequency:.0f}",
                 ]
             )
@@ -153,7 +151,7 @@ def _locked_rotor(pose: PoseAnalysis) -> str:
     if pose.at_least is not None:  # the asymptotes then end at a resonance that does not exist
         return f"above {pose.at_least[0]:.0f}"
     found = pose.fit.locked_rotor
-    return f"{found.value:.2f} ± {found.std:.2f} ({pose.asymptotes.locked_rotor.value:.1f})"
+    return f"{' ± '.join(with_std(found.value, found.std))} ({pose.asymptotes.locked_rotor.value:.1f})"
 
 
 def _ideal(pose: PoseAnalysis, digits: str) -> str:
@@ -161,10 +159,7 @@ def _ideal(pose: PoseAnalysis, digits: str) -> str:
     return f"{found:{digits}}" if pose.at_least is None else f"above {pose.at_least[1]:{digits}}"
 
 
-_LOG = {"type": "log", "tickvals": [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40]}
-
-
-def _one_pose(analysis: AxisAnalysis, pose: PoseAnalysis, ends: tuple[float, float]) -> list[Part]:
+def _one_pose(analysis: InitialAnalysis, pose: PoseAnalysis, ends: tuple[float, float]) -> list[Part]:
     frequency, read = pose.response.frequency, pose.asymptotes
     omega = 2 * np.pi * frequency
     fine = np.geomspace(ends[0], ends[1], 400)
@@ -186,7 +181,7 @@ def _one_pose(analysis: AxisAnalysis, pose: PoseAnalysis, ends: tuple[float, flo
     ]
 
 
-def _fitted(analysis: AxisAnalysis, pose: PoseAnalysis, frequency: Array) -> NDArray[np.complex128]:
+def _fitted(analysis: InitialAnalysis, pose: PoseAnalysis, frequency: Array) -> NDArray[np.complex128]:
     return impedance(frequency, analysis.train, pose.load_inertia, 0.0).total
 
 
@@ -197,16 +192,3 @@ def _ends(pose: PoseAnalysis) -> tuple[float, float]:
 
 def _fine(frequency: Array) -> Array:
     return np.geomspace(float(frequency[0]), float(frequency[-1]), 300)
-
-
-def _upright(number: str, frequency: float, colour: str) -> Part:
-    return {
-        "type": "line",
-        "xref": f"x{number}",
-        "yref": f"y{number} domain",
-        "x0": frequency,
-        "x1": frequency,
-        "y0": 0,
-        "y1": 1,
-        "line": {"color": colour, "width": 1.2, "dash": "dot"},
-    }

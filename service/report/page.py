@@ -4,28 +4,27 @@ import math
 from collections.abc import Collection, Sequence
 from html import escape
 
-from service.identification.estimates.analysis_document import analyses_from
-from service.identification.model.certainty import UNSURE, not_for_use
-from service.model.results.analysis import Analyses
-from service.model.results.estimate import Estimate
+from service.identification.estimates.initial_analysis import analyses_from
+from service.model.results.digits import with_std
+from service.model.results.estimate import UNSURE, Analyses, Estimate, not_for_use
 from service.model.robot import Robot
 from service.report import figures, initial_analysis
-from service.report.content import Axis, Content, axes_of
+from service.report.content import Content, ReportedAxis, axes_of
 from service.report.diagnosis import diagnosis_section
 from service.report.drawing import slides
-from service.report.html import Page
+from service.report.html import ReportPage
 
 
-def estimate_page(content: Content) -> Page:
+def estimate_page(content: Content) -> ReportPage:
     """The complete report; deterministic for equal content."""
-    page = Page(content.title, content.subtitle)
+    page = ReportPage(content.title, content.subtitle)
     estimate_sections(page, content)
     if content.diagnosis is not None:
         diagnosis_section(page, content.diagnosis)
     return page
 
 
-def estimate_sections(page: Page, content: Content) -> None:
+def estimate_sections(page: ReportPage, content: Content) -> None:
     """All sections of an estimate, from the main values to the base parameters."""
     axes = axes_of(content)
     _facts(page, content, axes)
@@ -37,9 +36,9 @@ def estimate_sections(page: Page, content: Content) -> None:
     parameters_section(page, content.estimate)
 
 
-def analysis_page(robot: Robot, analysis: Analyses) -> Page:
+def analysis_page(robot: Robot, analysis: Analyses) -> ReportPage:
     """A report of an initial analysis alone."""
-    page = Page(f"Initial analysis of the robot {robot.name}")
+    page = ReportPage(f"Initial analysis of the robot {robot.name}")
     analysis_section(page, robot.joints, analysis, _linear(robot))
     return page
 
@@ -49,7 +48,7 @@ def _linear(robot: Robot) -> frozenset[str]:
 
 
 def analysis_section(
-    page: Page, joints: Sequence[str], analysis: Analyses, linear: Collection[str] = frozenset()
+    page: ReportPage, joints: Sequence[str], analysis: Analyses, linear: Collection[str] = frozenset()
 ) -> None:
     """The initial analysis of an estimate, in the order of `joints`; nothing if it is empty.
 
@@ -77,7 +76,7 @@ def analysis_section(
     page.table(*initial_analysis.table(analyses, joints, linear))
 
 
-def _facts(page: Page, content: Content, axes: Sequence[Axis]) -> None:
+def _facts(page: ReportPage, content: Content, axes: Sequence[ReportedAxis]) -> None:
     condition = content.estimate.condition_number
     poses = len({spec.pose for spec in content.specs})
     facts = [
@@ -90,7 +89,7 @@ def _facts(page: Page, content: Content, axes: Sequence[Axis]) -> None:
     page.facts(facts)
 
 
-def _inertias(page: Page, content: Content, axes: Sequence[Axis]) -> None:
+def _inertias(page: ReportPage, content: Content, axes: Sequence[ReportedAxis]) -> None:
     page.add("<h2>Inertia of the axes over the poses</h2>")
     for axis in axes:
         beyond = " and ".join(content.robot.joints[k] for k in axis.varied[:2])
@@ -103,11 +102,14 @@ def _inertias(page: Page, content: Content, axes: Sequence[Axis]) -> None:
             "colours. White: not free.</p>"
         )
         page.figure(figures.inertia_map(content.robot, axis))
-        page.add("<p>Where the robot differs from its CAD model: identified against reference. White: not free.</p>")
+        page.add(
+            "<p>Where the robot differs from its CAD model: identified − reference, in % of the identified. White: not "
+            "free.</p>"
+        )
         page.figure(figures.deviation_map(content.robot, axis))
 
 
-def _accuracy(page: Page, content: Content, axes: Sequence[Axis]) -> None:
+def _accuracy(page: ReportPage, content: Content, axes: Sequence[ReportedAxis]) -> None:
     page.add("<h2>How well the models fit</h2>")
     labels = (
         "reference model − measurement",
@@ -115,7 +117,7 @@ def _accuracy(page: Page, content: Content, axes: Sequence[Axis]) -> None:
         "reference − identified model, whole workspace",
     )
     rows = [[label, *(f"{axis.rmse[k]:.2f}" for axis in axes)] for k, label in enumerate(labels)]
-    page.add("<p>Root-mean-square error in percent, as in Table 1 of the paper.</p>")
+    page.add("<p>Root-mean-square error in percent of the second, as in Table 1 of the paper.</p>")
     page.table(["RMSE in %", *(axis.joint for axis in axes)], rows)
     if content.truth:
         page.add(
@@ -138,7 +140,7 @@ def _accuracy(page: Page, content: Content, axes: Sequence[Axis]) -> None:
         page.figure(figures.paper_residuals(axes))
 
 
-def _convergence(page: Page, content: Content) -> None:
+def _convergence(page: ReportPage, content: Content) -> None:
     if len(content.revisions) < 2:
         return
     names = [entry.name for entry in content.estimate.base_parameters]
@@ -150,7 +152,7 @@ def _convergence(page: Page, content: Content) -> None:
     page.figure(figures.convergence(content.revisions, names))
 
 
-def _example(page: Page, content: Content) -> None:
+def _example(page: ReportPage, content: Content) -> None:
     if content.example is None:
         return
     spec = content.example.spec
@@ -172,7 +174,7 @@ def _place(position: float, linear: bool) -> str:
     return f"{1e3 * position:.0f} mm" if linear else f"{math.degrees(position):.0f}°"
 
 
-def parameters_section(page: Page, estimate: Estimate) -> None:
+def parameters_section(page: ReportPage, estimate: Estimate) -> None:
     """The base parameters, and which of them must not be used."""
     page.add(
         "<h2>Base parameters</h2>",
@@ -181,8 +183,7 @@ def parameters_section(page: Page, estimate: Estimate) -> None:
     rows = [
         [
             entry.name if entry.symbolic is None else entry.symbolic,
-            f"{entry.value:.5g}",
-            "–" if entry.std is None else f"{entry.std:.2g}",
+            *with_std(entry.value, entry.std),
             figures.parameter_unit(entry.name),
             not_for_use(entry),
         ]

@@ -24,7 +24,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from service.report.drawing import GRID, Figure
+from service.report.drawing import GRID, DrawnFigure
 
 WIDTH, PAPER = 960.0, 680.0  # px: of a page, and of A4 between its margins
 _EDGE = 6.0  # px around everything
@@ -67,7 +67,7 @@ _PATTERNS = ("-", (0, (7, 3)), (0, (2, 2.5)), (0, (9, 3, 2, 3)), (0, (4, 2)), (0
 Words = Mapping[str, Any]
 
 
-def svg(figure: Figure, title: str, width: float = WIDTH) -> str:
+def svg(figure: DrawnFigure, title: str, width: float = WIDTH) -> str:
     """The element `svg` of a figure, at least `width` px wide; `title`: for readers who do not see it."""
     buffer = StringIO()
     with rc_context(_LOOK):
@@ -80,7 +80,7 @@ def svg(figure: Figure, title: str, width: float = WIDTH) -> str:
     return start + re.sub(r' (?:width|height)="[\d.]+pt"', "", text.removeprefix("<svg "), count=2)
 
 
-def drawn(figure: Figure, width: float = WIDTH) -> Canvas:
+def drawn(figure: DrawnFigure, width: float = WIDTH) -> Canvas:
     """The figure, 72 dots per inch; `width` px, or more if it needs them."""
     layout: Words = figure["layout"]
     wide = max(width, layout.get("meta", {}).get("width", 0.0))

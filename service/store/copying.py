@@ -14,17 +14,13 @@ from sqlalchemy.orm import Session
 
 from service.model.errors import BadInput, SweepidError
 from service.store import tables as t
-from service.store.database import Database, OwnMachine, refusal
+from service.store.database import Database, refusal
 from service.store.guards import MachineLease
-
-_AT_ONCE = 500  # rows
-_NOT_COPIED = (t.LeaseRow.__tablename__,)  # belongs to a running service, and none runs
-_MADE = (t.IdentityRow.__tablename__, t.MachineRow.__tablename__)  # present in every new database
 
 Key = tuple[object, ...]
 
 
-class NotCopied(SweepidError):
+class RowsNotCopied(SweepidError):
     """A database refused, or the copied rows differ from the source; nothing is left in the target."""
 
 
@@ -33,7 +29,7 @@ def copy_rows(source: Database, target: Database, lease_time: float, tell: Calla
 
     `source` is locked meanwhile, by the leases of its machines and its lock: no service can be started on it. `tell`
     is called with each table and its number of rows after they are copied and compared. Raises MachineTaken if a
-    service runs on `source`, BadInput if `target` has rows, NotCopied.
+    service runs on `source`, BadInput if `target` has rows, RowsNotCopied.
     """
     _check_two(source, target)
     with _leases(source, lease_time):
@@ -46,7 +42,8 @@ def _copy_rows(source: Database, target: Database, tell: Callable[[str, int], No
             _check_empty(target, written)
             written.execute(delete(t.IdentityRow))  # the data folder has the identity of the source
             written.execute(delete(t.MachineRow))
-            tables = [table for table in t.Base.metadata.sorted_tables if table.name not in _NOT_COPIED]
+            # a lease belongs to a running service, and none runs
+            tables = [table for table in t.StoredRow.metadata.sorted_tables if table.name != t.LeaseRow.__tablename__]
             read_rows = {table.name: _copy(table, read, written) for table in tables}
             for table in tables:
                 _add_later_columns(table, read, written)
@@ -55,7 +52,7 @@ def _copy_rows(source: Database, target: Database, tell: Callable[[str, int], No
                 _compare(table, read_rows[table.name], written)
                 tell(table.name, len(read_rows[table.name]))
     except SQLAlchemyError as error:
-        raise NotCopied(f"nothing was copied: {refusal(error)}") from error
+        raise RowsNotCopied(f"nothing was copied: {refusal(error)}") from error
     return sum(len(each) for each in read_rows.values())
 
 
@@ -63,7 +60,7 @@ def _copy_rows(source: Database, target: Database, tell: Callable[[str, int], No
 def _leases(source: Database, lease_time: float) -> Generator[None]:
     """Leases of all machines, so that none of their services can run. Raises MachineTaken."""
     with source.read() as session:
-        machines = [OwnMachine(row.id, row.name) for row in session.scalars(select(t.MachineRow))]
+        machines = [t.OwnMachine(row.id, row.name) for row in session.scalars(select(t.MachineRow))]
     with ExitStack() as stack:
         for machine in machines:
             lease = MachineLease(source, lease_time, machine)
@@ -82,8 +79,10 @@ def _check_two(source: Database, target: Database) -> None:
 
 
 def _check_empty(target: Database, session: Session) -> None:
-    for table in t.Base.metadata.sorted_tables:
-        if table.name not in _MADE and session.execute(select(table).limit(1)).first() is not None:
+    for table in t.StoredRow.metadata.sorted_tables:
+        if table.name in (t.IdentityRow.__tablename__, t.MachineRow.__tablename__):
+            continue  # every new database has a row of these
+        if session.execute(select(table).limit(1)).first() is not None:
             reason = f"{target.address} is not empty: there are rows in its table {table.name}; make a new database"
             raise BadInput("--to", reason)
 
@@ -112,15 +111,15 @@ def _add_later_columns(table: Table, read: Session, written: Session) -> None:
 def _compare(table: Table, expected: Mapping[Key, bytes], written: Session) -> None:
     found = {_key(table, row): _digest(row) for rows in _pieces(table, written) for row in rows}
     if len(found) != len(expected):
-        raise NotCopied(f"table {table.name} has {len(found)} rows instead of {len(expected)}; nothing was copied")
+        raise RowsNotCopied(f"table {table.name} has {len(found)} rows instead of {len(expected)}; nothing was copied")
     different = [key for key, digest in expected.items() if found.get(key) != digest]
     if different:
-        raise NotCopied(f"table {table.name}: row {different[0]} differs from the source; nothing was copied")
+        raise RowsNotCopied(f"table {table.name}: row {different[0]} differs from the source; nothing was copied")
 
 
 def _pieces(table: Table, session: Session) -> Iterator[list[dict[str, object]]]:
     """All rows, in batches."""
-    query = select(table).order_by(*table.primary_key.columns).execution_options(yield_per=_AT_ONCE)
+    query = select(table).order_by(*table.primary_key.columns).execution_options(yield_per=500)  # rows
     for rows in session.execute(query).mappings().partitions():
         yield [{column.name: row[column] for column in table.columns} for row in rows]
 

@@ -1,12 +1,10 @@
-"""Opens the database: migrations, transactions. SQLite by default, PostgreSQL by URL (`engines` has the
-differences).
-"""
+"""Opens the database: migrations, transactions. SQLite by default, PostgreSQL by URL (`engines`)."""
 
+import threading
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from alembic import command
@@ -19,15 +17,10 @@ from sqlalchemy.orm import Session
 
 from service.model.errors import BadInput
 from service.store import tables as t
-from service.store.access.steady_clock import SteadyClock
-from service.store.engines.address import kind_of
-from service.store.engines.kind import BUSY_TIMEOUT, PATIENCE, WRITE, Kind
+from service.store.engines import BUSY_TIMEOUT, PATIENCE, WRITE, DatabaseKind, kind_of
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 MACHINE = "machine"  # default name of a machine
-OWN = "machine"  # in the `info` of a session: the machine of its service
-_READING = 10.0  # s that a reader waits for an unavailable server
-_AGAIN = 0.2  # s between attempts
 
 
 def refusal(error: SQLAlchemyError) -> str:
@@ -37,12 +30,30 @@ def refusal(error: SQLAlchemyError) -> str:
     return f"the database refused: {reason or type(own).__name__}"
 
 
-@dataclass(frozen=True, slots=True)
-class OwnMachine:
-    """The machine of a service, as in its row."""
+def _wall() -> datetime:
+    return datetime.now(UTC)
 
-    id: int
-    name: str
+
+class SteadyClock:
+    """Time for sessions and keys: it never runs backward. Of one process; usable from any thread.
+
+    It is the wall clock while that runs forward. When the clock is set back, it runs on from where it was, by the
+    monotonic clock; over a restart, from the time that the database keeps. So nothing that has expired is valid again,
+    and what was issued while the clock was ahead keeps its limit from then on.
+    """
+
+    def __init__(self, wall: Callable[[], datetime] = _wall, monotonic: Callable[[], float] = time.monotonic) -> None:
+        self.wall, self._monotonic = wall, monotonic
+        self._lock = threading.Lock()
+        self._at, self._since = wall(), monotonic()
+
+    def now(self, kept: datetime | None = None) -> datetime:
+        """`kept`: the time that the database keeps; this one is never before it."""
+        with self._lock:
+            since = self._monotonic()
+            elapsed = self._at + timedelta(seconds=since - self._since)
+            self._at, self._since = max(self.wall(), elapsed, kept or elapsed), since
+            return self._at
 
 
 class Database:
@@ -51,7 +62,7 @@ class Database:
     `machine`: written rows belong to it; None if the service owns none: then nothing of a machine can be written.
     """
 
-    def __init__(self, engine: Engine, kind: Kind, machine: OwnMachine | None, clock: SteadyClock) -> None:
+    def __init__(self, engine: Engine, kind: DatabaseKind, machine: t.OwnMachine | None, clock: SteadyClock) -> None:
         self._reading, self._kind, self.machine, self.clock = engine, kind, machine, clock
         self._writing = engine.execution_options(**{WRITE: True})
         self._listeners: list[Callable[[], None]] = []
@@ -61,10 +72,19 @@ class Database:
         """The time of sessions and keys: not before that in the database."""
         return self.clock.now(session.scalar(select(t.SteadyTimeRow.at)))
 
+    def keep_time(self, session: Session) -> None:
+        """Store this time, so that a restart does not begin before it."""
+        at = self.now(session)
+        row = session.get(t.SteadyTimeRow, 1)
+        if row is None:
+            session.add(t.SteadyTimeRow(id=1, at=at))
+        else:
+            row.at = at
+
     @contextmanager
     def read(self) -> Generator[Session]:
         """A session that sees one consistent state."""
-        with self._begun(self._reading, _READING) as session:
+        with self._begun(self._reading, patience=10.0) as session:
             yield session
             session.commit()
 
@@ -103,7 +123,7 @@ class Database:
         """A session in its transaction; repeated for `patience` s while the server is unavailable."""
         deadline = time.monotonic() + patience
         while True:
-            session = Session(engine, info={OWN: self.machine})
+            session = Session(engine, info={t.OWN: self.machine})
             try:
                 session.connection()
             except OperationalError as error:
@@ -115,7 +135,7 @@ class Database:
                 raise
             else:
                 return session
-            time.sleep(_AGAIN)
+            time.sleep(0.2)
 
     def _was_committed(self, token: str, patience: float) -> bool:
         """Whether a transaction was committed whose COMMIT the server received but did not answer."""
@@ -127,15 +147,8 @@ class Database:
                 committed = None
             if committed is not None:
                 return committed
-            time.sleep(_AGAIN)
+            time.sleep(0.2)
         return False
-
-
-class Transactions:
-    """Reads and writes one database: every method is one transaction and blocks."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
 
 @contextmanager
@@ -165,7 +178,7 @@ def open_database(
         engine.dispose()
 
 
-def _named(engine: Engine, name: str) -> OwnMachine:
+def _named(engine: Engine, name: str) -> t.OwnMachine:
     """The row of the machine with this name, added if it is new."""
     with Session(engine.execution_options(**{WRITE: True})) as session:
         row = session.scalar(select(t.MachineRow).where(t.MachineRow.name == name))
@@ -173,7 +186,7 @@ def _named(engine: Engine, name: str) -> OwnMachine:
             row = t.MachineRow(name=name)
             session.add(row)
         session.commit()
-        return OwnMachine(row.id, row.name)
+        return t.OwnMachine(row.id, row.name)
 
 
 def _check_schema(engine: Engine, migrated: bool) -> None:

@@ -1,22 +1,26 @@
-"""Which service may move a machine: one at a time (lease), and none after a stop until a person resets it (latch)."""
+"""What must hold before a machine moves or a request is executed.
+
+One service at a time may move a machine (lease), none after a stop until a person resets it (latch), a plan only with
+an approval where it is needed; a request that is sent twice has one effect (idempotency key).
+"""
 
 import os
 import socket
 import time
 import uuid
 from collections.abc import Callable, Sequence
-from datetime import datetime
+from datetime import datetime, timedelta
 
 from pydantic import JsonValue
-from sqlalchemy import Select, delete, select, update
+from sqlalchemy import Select, delete, func, select, update
 from sqlalchemy.orm import Session
 
 from drivers.errors import Cause
 from service.model.errors import Conflict, NotFound
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Database, OwnMachine, Transactions
-from service.store.documents import EventKind, StopDocument
+from service.store.database import Database
+from service.store.documents import EventKind, StopDocument, StoredAnswer, StoredDocument
 
 
 class MachineTaken(Conflict):
@@ -35,7 +39,7 @@ class MachineLease:
     clocks are compared, so a clock that is set neither frees nor blocks the machine.
     """
 
-    def __init__(self, database: Database, lease_time: float, machine: OwnMachine | None = None) -> None:
+    def __init__(self, database: Database, lease_time: float, machine: t.OwnMachine | None = None) -> None:
         """`lease_time`: s without renewal until the lease may be taken. `machine`: None uses that of the database.
 
         Raises NoMachine if there is none.
@@ -103,7 +107,7 @@ class MachineLease:
 PATIENCE = 5.0  # s
 
 
-class StopLatch(Transactions):
+class StopLatch(rows.Transactions):
     """The stop of a machine, kept over a restart.
 
     No write waits longer than `PATIENCE` for another writer: then OperationalError.
@@ -118,17 +122,16 @@ class StopLatch(Transactions):
         """`at`: time of the stop, None: now."""
         with self._database.write(patience=PATIENCE) as session:
             row = t.StopRow(
-                machine_id=rows.own(session), by=by, why=why, at=at or t.now(), cause=rows.cause_json(cause)
+                machine_id=rows.own_id(session), by=by, why=why, at=at or t.now(), cause=rows.cause_json(cause)
             )
-            session.add(row)
-            session.flush()
+            rows.added(session, row)
             _emit(session, [row.id], True, by, why)
             return rows.document(StopDocument, row)
 
     def reset(self, by: str, stops: Sequence[int]) -> tuple[StopDocument, ...]:
         """Release these stops and no other. A released one stays so. Raises NotFound if one does not exist."""
         with self._database.write(patience=PATIENCE) as session:
-            mine = t.StopRow.machine_id == rows.own(session)
+            mine = t.StopRow.machine_id == rows.own_id(session)
             found = {row.id: row for row in session.scalars(select(t.StopRow).where(t.StopRow.id.in_(stops), mine))}
             for number in stops:
                 if number not in found:
@@ -143,7 +146,7 @@ class StopLatch(Transactions):
 
 
 def _open_stops(session: Session) -> Select[t.StopRow]:
-    mine = t.StopRow.machine_id == rows.own(session)
+    mine = t.StopRow.machine_id == rows.own_id(session)
     return select(t.StopRow).where(t.StopRow.reset_at.is_(None), mine).order_by(t.StopRow.id)
 
 
@@ -151,3 +154,114 @@ def _emit(session: Session, stops: Sequence[int], latched: bool, by: str, why: s
     """`latched`: whether any stop holds the machine now."""
     data: dict[str, JsonValue] = {"latched": latched, "by": by, "why": why, "stops": list(stops)}
     rows.emit(session, None, EventKind.STOP, data)
+
+
+class ApprovalDocument(StoredDocument):
+    """One approval; `sha256` is the hash of the approved motion. `ended_by`: id of a later stop of its machine."""
+
+    id: int
+    plan_id: int
+    sha256: str
+    approved_by: str
+    at: datetime
+    expires_at: datetime
+    ended_by: int | None
+
+    def trouble(self, sha256: str, at: datetime) -> str:
+        """Why it is not valid for this motion at this time; empty if it is."""
+        who = f"the approval by {self.approved_by} of {self.at:%Y-%m-%d %H:%M} UTC"
+        if self.sha256 != sha256:
+            return f"{who} is no longer valid: robot, cell, drives, settings or program have changed since"
+        if self.ended_by is not None:
+            return f"{who} was ended by stop {self.ended_by} of the machine, which came after it: approve it again"
+        if not self.at <= at:
+            return f"{who} is in the future: the clock of the computer was set back"
+        return f"{who} expired at {self.expires_at:%Y-%m-%d %H:%M} UTC" if at >= self.expires_at else ""
+
+
+class ApprovalStore(rows.Transactions):
+    """Every method is one transaction and blocks, as in `service.store.store`."""
+
+    def add(
+        self, plan_id: int, sha256: str, approved_by: str, valid: timedelta, wanted: Callable[[], None]
+    ) -> ApprovalDocument:
+        """Raises NotFound if the plan does not exist, and what `wanted` raises."""
+        with self._database.write(quiet=True) as session:
+            machine = rows.own_id(session)
+            last_stop = _last_stop(session, machine)  # read before `wanted`: a stop between the two ends the approval
+            wanted()
+            rows.get(session, t.PlanRow, plan_id, "plan")
+            at = t.now()
+            row = t.ApprovalRow(
+                machine_id=machine,
+                plan_id=plan_id,
+                sha256=sha256,
+                approved_by=approved_by,
+                at=at,
+                expires_at=at + valid,
+                last_stop=last_stop,
+            )
+            return _document(rows.added(session, row), last_stop)
+
+    def of_plan(self, plan_id: int) -> tuple[ApprovalDocument, ...]:
+        """Approvals for this service's machine, the newest first, at most a hundred."""
+        query = select(t.ApprovalRow).where(t.ApprovalRow.plan_id == plan_id).order_by(t.ApprovalRow.id.desc())
+        with self._database.read() as session:
+            machine = rows.owned(session)
+            if machine is not None:
+                query = query.where(t.ApprovalRow.machine_id == machine.id)
+            return tuple(
+                _document(row, _last_stop(session, row.machine_id)) for row in session.scalars(query.limit(100)).all()
+            )
+
+
+def _last_stop(session: Session, machine: int) -> int:
+    """The id of the newest stop of a machine, 0: none. Ids have an order also when the clock was set."""
+    return session.scalar(select(func.max(t.StopRow.id)).where(t.StopRow.machine_id == machine)) or 0
+
+
+def _document(row: t.ApprovalRow, last_stop: int) -> ApprovalDocument:
+    return rows.document(ApprovalDocument, row, ended_by=last_stop if last_stop > row.last_stop else None)
+
+
+class KeyReused(Conflict):
+    """The key was used before with another request: an error of the client program (API: 422)."""
+
+
+class IdempotencyKeys(rows.Transactions):
+    """Claim a key, do the work, store the answer; release the key if the work failed."""
+
+    def claim(self, key: str, fingerprint: str) -> StoredAnswer | None:
+        """None: continue, the key is claimed. `fingerprint`: hash of method, path and body, at most 64 characters.
+
+        Raises Conflict while the first request with this key is in progress; KeyReused if it was another request.
+        """
+        with self._database.write(quiet=True) as session:
+            machine = rows.own_id(session)
+            row = session.get(t.IdempotencyRow, (machine, key))
+            if row is None:
+                session.add(t.IdempotencyRow(machine_id=machine, key=key, fingerprint=fingerprint))
+                return None
+            if row.fingerprint != fingerprint:
+                raise KeyReused(f"Idempotency-Key {key!r} was used for another request")
+            if row.status is None:
+                raise Conflict(f"the request with Idempotency-Key {key!r} is still being processed")
+            return StoredAnswer(status=row.status, body=row.body)
+
+    def answer(self, key: str, status: int, body: str) -> None:
+        """Store the answer for repeated requests with this key."""
+        with self._database.write(quiet=True) as session:
+            row = session.get_one(t.IdempotencyRow, (rows.own_id(session), key))
+            row.status, row.body = status, body
+
+    def release(self, key: str) -> None:
+        """The work failed without effect: the key may be used again."""
+        with self._database.write(quiet=True) as session:
+            mine = t.IdempotencyRow.machine_id == rows.own_id(session)
+            session.execute(delete(t.IdempotencyRow).where(t.IdempotencyRow.key == key, mine))
+
+    def release_unanswered(self) -> None:
+        """At start: requests that the last process did not finish may be sent again."""
+        with self._database.write(quiet=True) as session:
+            mine = t.IdempotencyRow.machine_id == rows.own_id(session)
+            session.execute(delete(t.IdempotencyRow).where(t.IdempotencyRow.status.is_(None), mine))

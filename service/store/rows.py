@@ -1,30 +1,29 @@
-"""Conversion between rows and documents, inside a session of the caller."""
+"""Rows to documents; rows of this service's machine; events. Inside a session of the caller."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, JsonValue, TypeAdapter
-from sqlalchemy import ColumnElement, Select, func, select
-from sqlalchemy.orm import Session
+from sqlalchemy import ColumnElement, Select, select
+from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from drivers.errors import Cause
 from service.model.errors import Conflict, NotFound
 from service.store import tables as t
-from service.store.database import OWN, OwnMachine
+from service.store.database import Database
 from service.store.documents import (
-    CampaignDocument,
     EventKind,
     NewSweep,
     SweepDocument,
     SweepState,
 )
 
-Row = TypeVar("Row", bound=t.Base)
+Row = TypeVar("Row", bound=t.StoredRow)
 Kind = TypeVar("Kind", bound=BaseModel)
 _CAUSE = TypeAdapter(Cause)
 
 
-def document(kind: type[Kind], row: t.Base, **more: object) -> Kind:
+def document(kind: type[Kind], row: t.StoredRow, **more: object) -> Kind:
     """The row as a document of this kind: each field from `more`, or from the attribute with its name."""
     return kind.model_validate({name: more[name] if name in more else getattr(row, name) for name in kind.model_fields})
 
@@ -32,6 +31,37 @@ def document(kind: type[Kind], row: t.Base, **more: object) -> Kind:
 def documents(kind: type[Kind], session: Session, query: Select[Any]) -> tuple[Kind, ...]:
     """As `document`, of each row that the query selects."""
     return tuple(document(kind, row) for row in session.scalars(query))
+
+
+class Transactions:
+    """Reads and writes one database: every method is one transaction and blocks."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def _one(self, kind: type[Kind], table: type[t.StoredRow], key: int, name: str) -> Kind:
+        """The row by its key, as a document. NotFound names it."""
+        with self._database.read() as session:
+            return document(kind, get(session, table, key, name))
+
+    def _all(
+        self, kind: type[Kind], query: Select[Any], own: InstrumentedAttribute[int] | None = None
+    ) -> tuple[Kind, ...]:
+        """The rows of a query, as documents. `own`: only those with the id of this service's machine. NoMachine."""
+        with self._database.read() as session:
+            return documents(kind, session, query if own is None else query.where(own == own_id(session)))
+
+
+def page(table: type[Row], after: int, limit: int) -> Select[Row]:
+    """Rows with an id above `after`, in their order."""
+    return select(table).where(table.__table__.c.id > after).order_by(table.__table__.c.id).limit(limit)
+
+
+def added(session: Session, row: Row) -> Row:
+    """The row with its id."""
+    session.add(row)
+    session.flush()
+    return row
 
 
 class NoMachine(Conflict):
@@ -55,7 +85,7 @@ def get(session: Session, kind: type[Row], key: int, name: str) -> Row:
     return row
 
 
-def own(session: Session) -> int:
+def own_id(session: Session) -> int:
     """The id of this service's machine. Raises NoMachine."""
     machine = owned(session)
     if machine is None:
@@ -63,23 +93,14 @@ def own(session: Session) -> int:
     return machine.id
 
 
-def owned(session: Session) -> OwnMachine | None:
+def owned(session: Session) -> t.OwnMachine | None:
     """This service's machine."""
-    return session.info[OWN]
-
-
-def machine_of(session: Session, machine_id: int) -> dict[str, object]:
-    """The fields `machine` and `here` of a document."""
-    own = owned(session)
-    name = session.get_one(t.MachineRow, machine_id).name
-    return {"machine": name, "here": own is not None and own.id == machine_id}
+    return session.info[t.OWN]
 
 
 def check_own(session: Session, machine_id: int, what: str) -> None:
-    """Raises OtherMachine, or NoMachine, unless the machine is this service's. `what`: the object that belongs
-    to it.
-    """
-    if own(session) != machine_id:
+    """Raises OtherMachine, or NoMachine, unless the machine is this service's. `what` belongs to it."""
+    if own_id(session) != machine_id:
         name = get(session, t.MachineRow, machine_id, "machine").name
         raise OtherMachine(f"{what} belongs to machine {name!r}: send it to the service of that machine")
 
@@ -99,7 +120,7 @@ def own_sweep(session: Session, campaign_id: int, number: int) -> t.SweepRow:
 
 def of_own(session: Session) -> ColumnElement[bool]:
     """Condition: campaigns of this service's machine. Raises NoMachine."""
-    return t.CampaignRow.machine_id == own(session)
+    return t.CampaignRow.machine_id == own_id(session)
 
 
 def stops_of_machine_of(campaign_id: int) -> ColumnElement[bool]:
@@ -110,7 +131,7 @@ def stops_of_machine_of(campaign_id: int) -> ColumnElement[bool]:
 
 def emit(session: Session, campaign_id: int | None, kind: EventKind, data: dict[str, JsonValue]) -> None:
     """Add an event of this service's machine to the outbox. Raises NoMachine."""
-    session.add(t.EventRow(machine_id=own(session), campaign_id=campaign_id, kind=kind, data=data))
+    session.add(t.EventRow(machine_id=own_id(session), campaign_id=campaign_id, kind=kind, data=data))
 
 
 def get_sweep(session: Session, campaign_id: int, number: int) -> t.SweepRow:
@@ -125,7 +146,7 @@ def add_sweeps(
     session: Session, campaign: t.CampaignRow, sweeps: Sequence[NewSweep], state: SweepState
 ) -> list[t.SweepRow]:
     """Insert a campaign of this service's machine with its sweeps, numbered from 1."""
-    campaign.machine_id = own(session)
+    campaign.machine_id = own_id(session)
     session.add(campaign)
     session.flush()
     new = [
@@ -176,18 +197,3 @@ def emit_campaign(session: Session, row: t.CampaignRow) -> None:
     data: dict[str, JsonValue] = {"state": row.state.value, "cause": row.cause, "version": row.version}
     emit(session, row.id, EventKind.CAMPAIGN, data)
     session.flush()
-
-
-def campaign_document(session: Session, row: t.CampaignRow) -> CampaignDocument:
-    counts = select(t.SweepRow.state, func.count()).where(t.SweepRow.campaign_id == row.id).group_by(t.SweepRow.state)
-    sweeps = dict(session.execute(counts).all())
-    return document(CampaignDocument, row, sweeps=sweeps, **machine_of(session, row.machine_id))
-
-
-def estimates_of(campaign_id: int) -> Select[t.EstimateRow, int]:
-    """Estimates with the numbers of their sweeps."""
-    return (
-        select(t.EstimateRow, t.SweepRow.number)
-        .join(t.SweepRow, t.SweepRow.id == t.EstimateRow.sweep_id)
-        .where(t.EstimateRow.campaign_id == campaign_id)
-    )

@@ -17,12 +17,11 @@ from service.model.recording import SweepSpec
 from service.model.robot import Robot
 from service.store import rows
 from service.store import tables as t
-from service.store.database import Transactions
-from service.store.diagnosis_documents import EstimateOf
 from service.store.documents import (
     CampaignDocument,
     CampaignState,
     EstimateDocument,
+    EstimateOf,
     EventDocument,
     EventKind,
     NewRecording,
@@ -47,7 +46,7 @@ class StaleVersion(Conflict):
     """The campaign has changed since the client read it (API: 412)."""
 
 
-class Store(Transactions):
+class Store(rows.Transactions):
     """The service's memory."""
 
     # robots and plans: written once, never changed
@@ -66,58 +65,43 @@ class Store(Transactions):
                     description=robot.description.model_dump(mode="json"),
                     urdf_text=robot.urdf_text,
                 )
-                session.add(row)
-                session.flush()
+                rows.added(session, row)
             return rows.document(RobotDocument, row)
 
     def robot(self, robot_id: int) -> RobotDocument:
-        with self._database.read() as session:
-            return rows.document(RobotDocument, rows.get(session, t.RobotRow, robot_id, "robot"))
+        return self._one(RobotDocument, t.RobotRow, robot_id, "robot")
 
     def robots(self, after: int = 0, limit: int = 100) -> tuple[RobotDocument, ...]:
-        query = select(t.RobotRow).where(t.RobotRow.id > after).order_by(t.RobotRow.id).limit(limit)
-        with self._database.read() as session:
-            return rows.documents(RobotDocument, session, query)
+        return self._all(RobotDocument, rows.page(t.RobotRow, after, limit))
 
     def add_plan(self, robot_id: int, document: dict[str, JsonValue]) -> PlanRecord:
         with self._database.write() as session:
             rows.get(session, t.RobotRow, robot_id, "robot")
-            row = t.PlanRow(robot_id=robot_id, document=document)
-            session.add(row)
-            session.flush()
-            return rows.document(PlanRecord, row)
+            return rows.document(PlanRecord, rows.added(session, t.PlanRow(robot_id=robot_id, document=document)))
 
     def plan(self, plan_id: int) -> PlanRecord:
-        with self._database.read() as session:
-            return rows.document(PlanRecord, rows.get(session, t.PlanRow, plan_id, "plan"))
+        return self._one(PlanRecord, t.PlanRow, plan_id, "plan")
 
     def plans(self, after: int = 0, limit: int = 100) -> tuple[PlanRecord, ...]:
-        query = select(t.PlanRow).where(t.PlanRow.id > after).order_by(t.PlanRow.id).limit(limit)
-        with self._database.read() as session:
-            return rows.documents(PlanRecord, session, query)
+        return self._all(PlanRecord, rows.page(t.PlanRow, after, limit))
 
     # campaigns and sweeps: read
 
     def campaign(self, campaign_id: int) -> CampaignDocument:
-        with self._database.read() as session:
-            return rows.campaign_document(session, rows.get(session, t.CampaignRow, campaign_id, "campaign"))
+        return self._one(CampaignDocument, t.CampaignRow, campaign_id, "campaign")
 
     def own_campaign(self, campaign_id: int) -> CampaignDocument:
         """As `campaign`, for one of this service's machine. Raises OtherMachine, NoMachine."""
         with self._database.read() as session:
-            return rows.campaign_document(session, rows.own_campaign(session, campaign_id))
+            return rows.document(CampaignDocument, rows.own_campaign(session, campaign_id))
 
     def campaigns(self, after: int = 0, limit: int = 100) -> tuple[CampaignDocument, ...]:
-        query = select(t.CampaignRow).where(t.CampaignRow.id > after).order_by(t.CampaignRow.id).limit(limit)
-        with self._database.read() as session:
-            return tuple(rows.campaign_document(session, row) for row in session.scalars(query))
+        return self._all(CampaignDocument, rows.page(t.CampaignRow, after, limit))
 
     def campaigns_in(self, *states: CampaignState) -> tuple[CampaignDocument, ...]:
         """Of this service's machine."""
         query = select(t.CampaignRow).where(t.CampaignRow.state.in_(states)).order_by(t.CampaignRow.id)
-        with self._database.read() as session:
-            query = query.where(rows.of_own(session))
-            return tuple(rows.campaign_document(session, row) for row in session.scalars(query))
+        return self._all(CampaignDocument, query, own=t.CampaignRow.machine_id)
 
     def sweep(self, campaign_id: int, number: int) -> SweepDocument:
         with self._database.read() as session:
@@ -141,38 +125,27 @@ class Store(Transactions):
     def sweeps_in(self, state: SweepState) -> tuple[SweepDocument, ...]:
         """Of all campaigns of this service's machine; RECORDED gives its open identification jobs."""
         query = select(t.SweepRow).join(t.CampaignRow, t.CampaignRow.id == t.SweepRow.campaign_id)
-        with self._database.read() as session:
-            query = query.where(t.SweepRow.state == state, rows.of_own(session)).order_by(t.SweepRow.id)
-            return rows.documents(SweepDocument, session, query)
+        query = query.where(t.SweepRow.state == state).order_by(t.SweepRow.id)
+        return self._all(SweepDocument, query, own=t.CampaignRow.machine_id)
 
     def recording(self, campaign_id: int, number: int) -> RecordingDocument:
         """Of the latest attempt that has one."""
         with self._database.read() as session:
-            sweep = rows.get_sweep(session, campaign_id, number)
-            row = session.scalar(
-                select(t.RecordingRow)
-                .where(t.RecordingRow.sweep_id == sweep.id)
-                .order_by(t.RecordingRow.attempt.desc())
-                .limit(1)
-            )
+            of_it = t.RecordingRow.sweep_id == rows.get_sweep(session, campaign_id, number).id
+            row = session.scalar(select(t.RecordingRow).where(of_it).order_by(t.RecordingRow.attempt.desc()).limit(1))
             if row is None:
                 raise NotFound(f"campaign {campaign_id} sweep {number} has no recording")
-            return rows.document(RecordingDocument, row, campaign_id=campaign_id, number=number)
+            return rows.document(RecordingDocument, row)
 
     def recordings(self, campaign_id: int) -> dict[int, RecordingDocument]:
         """Of every sweep that has one, by number: that of its latest attempt."""
         query = (
-            select(t.RecordingRow, t.SweepRow.number)
+            select(t.RecordingRow)
             .join(t.SweepRow, t.SweepRow.id == t.RecordingRow.sweep_id)
             .where(t.SweepRow.campaign_id == campaign_id)
             .order_by(t.SweepRow.number, t.RecordingRow.attempt)
         )
-        with self._database.read() as session:
-            found = session.execute(query).all()
-            return {
-                number: rows.document(RecordingDocument, row, campaign_id=campaign_id, number=number)
-                for row, number in found
-            }
+        return {recording.number: recording for recording in self._all(RecordingDocument, query)}
 
     def spectra(self, campaign_id: int) -> tuple[SpectrumRecord, ...]:
         """Of the identified sweeps, by number."""
@@ -187,16 +160,16 @@ class Store(Transactions):
 
     def estimate(self, campaign_id: int, revision: int | None = None) -> EstimateDocument:
         """A revision, or the latest."""
-        query = rows.estimates_of(campaign_id).order_by(t.EstimateRow.revision.desc()).limit(1)
+        query = select(t.EstimateRow).where(t.EstimateRow.campaign_id == campaign_id)
+        query = query.order_by(t.EstimateRow.revision.desc()).limit(1)
         if revision is not None:
             query = query.where(t.EstimateRow.revision == revision)
         with self._database.read() as session:
-            found = session.execute(query).first()
-            if found is None:
+            row = session.scalar(query)
+            if row is None:
                 which = "estimate" if revision is None else f"estimate revision {revision}"
                 raise NotFound(f"campaign {campaign_id} has no {which}")
-            row, number = found
-            return rows.document(EstimateDocument, row, number=number)
+            return rows.document(EstimateDocument, row)
 
     def estimated(self, robot_id: int) -> tuple[EstimateOf, ...]:
         """The latest revision of each campaign of a robot that has an estimate, the newest first."""
@@ -230,12 +203,9 @@ class Store(Transactions):
             return {name: EstimateOf(campaign_id=number, revision=revision) for name, number, revision in found}
 
     def estimates(self, campaign_id: int, after: int = 0, limit: int = 100) -> tuple[EstimateDocument, ...]:
-        query = rows.estimates_of(campaign_id).where(t.EstimateRow.revision > after).order_by(t.EstimateRow.revision)
-        with self._database.read() as session:
-            return tuple(
-                rows.document(EstimateDocument, row, number=number)
-                for row, number in session.execute(query.limit(limit))
-            )
+        row = t.EstimateRow
+        query = select(row).where(row.campaign_id == campaign_id, row.revision > after).order_by(row.revision)
+        return self._all(EstimateDocument, query.limit(limit))
 
     def base_parameters(self, campaign_id: int, revisions: Sequence[int]) -> dict[int, JsonValue]:
         """ "base_parameters" of these revisions; the rest of their documents, which is large, is not read."""
@@ -265,7 +235,7 @@ class Store(Transactions):
             campaign = t.CampaignRow(robot_id=plan.robot_id, plan_id=plan_id, state=CampaignState.PLANNED)
             rows.add_sweeps(session, campaign, sweeps, SweepState.PLANNED)
             rows.emit_campaign(session, campaign)
-            return rows.campaign_document(session, campaign)
+            return rows.document(CampaignDocument, campaign)
 
     def add_measured(
         self, robot_id: int, sweeps: Sequence[NewSweep], recordings: Sequence[NewRecording]
@@ -278,7 +248,7 @@ class Store(Transactions):
             for row, recording in zip(new, recordings, strict=True):
                 session.add(t.RecordingRow(sweep_id=row.id, attempt=row.attempt, **recording.model_dump()))
             rows.emit_campaign(session, campaign)
-            return rows.campaign_document(session, campaign)
+            return rows.document(CampaignDocument, campaign)
 
     def move_campaign(
         self,
@@ -305,7 +275,7 @@ class Store(Transactions):
             for sweep in session.scalars(query.order_by(t.SweepRow.number)).all():
                 rows.move_sweep(session, sweep, sweeps[sweep.state], cause)
             rows.emit_campaign(session, row)
-            return rows.campaign_document(session, row)
+            return rows.document(CampaignDocument, row)
 
     def begin_sweep(self, campaign_id: int, number: int, move: SweepMove, last_attempt: int = 0) -> SweepDocument:
         """As `move_sweep`, and count the attempt, on from `last_attempt` on disk. Committed before anything moves."""
@@ -373,7 +343,7 @@ class Store(Transactions):
                 session.add(t.SpectrumRow(sweep_id=row.id, **spectrum.model_dump()))
                 rows.move_sweep(session, row, move, None)
             session.flush()
-            return rows.document(EstimateDocument, estimate, number=last.number)
+            return rows.document(EstimateDocument, estimate)
 
     # outbox
 
@@ -389,8 +359,7 @@ class Store(Transactions):
         query = select(t.EventRow).where(t.EventRow.id > after).order_by(t.EventRow.id).limit(limit)
         if campaign_id is not None:
             query = query.where((t.EventRow.campaign_id == campaign_id) | rows.stops_of_machine_of(campaign_id))
-        with self._database.read() as session:
-            return rows.documents(EventDocument, session, query)
+        return self._all(EventDocument, query)
 
     def recorded(self) -> dict[RecordingState, Recorded]:
         """How many recordings there are of each state, with their samples."""
@@ -403,3 +372,43 @@ class Store(Transactions):
         """0 if there was none yet."""
         with self._database.read() as session:
             return session.scalar(select(func.max(t.EventRow.id))) or 0
+
+
+Document = dict[str, JsonValue]
+
+OVER = (CampaignState.MEASURED, CampaignState.COMPLETED, CampaignState.ABORTED)
+COMPLETE = (SweepState.RECORDED, SweepState.IDENTIFIED)
+
+
+class CheckStore(rows.Transactions):
+    """Every method is one transaction and blocks, as in `service.store.store`."""
+
+    def document(self, campaign_id: int) -> Document | None:
+        """Findings as in `sweepid check --json`; None if there are none yet."""
+        query = select(t.DataCheckRow.document).where(t.DataCheckRow.campaign_id == campaign_id)
+        with self._database.read() as session:
+            return session.scalar(query)
+
+    def add(self, campaign_id: int, document: Document) -> None:
+        """Store the result of a job, with its event; a second result of the same campaign is ignored."""
+        with self._database.write() as session:
+            rows.own_campaign(session, campaign_id)
+            if session.scalar(select(t.DataCheckRow.id).where(t.DataCheckRow.campaign_id == campaign_id)) is not None:
+                return
+            session.add(t.DataCheckRow(campaign_id=campaign_id, document=document))
+            rows.emit(session, campaign_id, EventKind.DATA_CHECK, {})
+
+    def wanting(self, campaign_id: int | None = None) -> tuple[int, ...]:
+        """Finished campaigns of this machine (or this one) with complete sweeps that were not checked."""
+        query = (
+            select(t.CampaignRow.id)
+            .join(t.SweepRow, t.SweepRow.campaign_id == t.CampaignRow.id)
+            .outerjoin(t.DataCheckRow, t.DataCheckRow.campaign_id == t.CampaignRow.id)
+            .where(t.CampaignRow.state.in_(OVER), t.SweepRow.state.in_(COMPLETE), t.DataCheckRow.id.is_(None))
+            .distinct()
+            .order_by(t.CampaignRow.id)
+        )
+        if campaign_id is not None:
+            query = query.where(t.CampaignRow.id == campaign_id)
+        with self._database.read() as session:
+            return tuple(session.scalars(query.where(rows.of_own(session))))

@@ -1,18 +1,18 @@
 """The tables. Rows stay inside `service.store`; what leaves it are documents. Changes need a migration."""
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from enum import Enum
-from typing import ClassVar
+from typing import ClassVar, NamedTuple, cast
 
 from pydantic import JsonValue
-from sqlalchemy import JSON, DateTime, Dialect, ForeignKey, Index, String, TypeDecorator, UniqueConstraint
+from sqlalchemy import JSON, DateTime, Dialect, ForeignKey, Index, String, TypeDecorator, UniqueConstraint, func, select
 from sqlalchemy import Enum as SqlEnum
-from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+from sqlalchemy.orm import DeclarativeBase, Mapped, Session, column_property, mapped_column, object_session
 
 from drivers.ports import SweepMode
 from service.store.access.permissions import Role
-from service.store.diagnosis_documents import DiagnosisState
-from service.store.documents import BatchState, CampaignState, EventKind, RecordingState, SweepState
+from service.store.documents import BatchState, CampaignState, DiagnosisState, EventKind, RecordingState, SweepState
 
 
 class Utc(TypeDecorator[datetime]):
@@ -42,7 +42,7 @@ def _values(kind: type[Enum]) -> list[str]:
     return [member.word if isinstance(member, Role) else str(member.value) for member in kind]
 
 
-class Base(DeclarativeBase):
+class StoredRow(DeclarativeBase):
     """Registry of the tables."""
 
     type_annotation_map: ClassVar = {
@@ -61,7 +61,39 @@ class Base(DeclarativeBase):
     }
 
 
-class MachineRow(Base):
+OWN = "machine"  # in the `info` of a session: the machine of its service
+
+
+class OwnMachine(NamedTuple):
+    """The machine of a service, as in its row."""
+
+    id: int
+    name: str
+
+
+class OfMachine:
+    """A row of one machine, with the fields of its document that are not in the row."""
+
+    machine_id: Mapped[int]
+
+    @property
+    def machine(self) -> str:
+        """The machine's name."""
+        return session_of(self).get_one(MachineRow, self.machine_id).name
+
+    @property
+    def here(self) -> bool:
+        """Whether it is the machine of this service."""
+        own: OwnMachine | None = session_of(self).info[OWN]
+        return own is not None and own.id == self.machine_id
+
+
+def session_of(row: object) -> Session:
+    """The session in which a row was read or added."""
+    return cast(Session, object_session(row))
+
+
+class MachineRow(StoredRow):
     """One row a cell's machine; `machine_id` elsewhere is its id."""
 
     __tablename__ = "machine"
@@ -72,7 +104,7 @@ class MachineRow(Base):
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
-class RobotRow(Base):
+class RobotRow(StoredRow):
     """`serial` and `revision` as the description has them: which robot of several of one name it is."""
 
     __tablename__ = "robot"
@@ -87,7 +119,7 @@ class RobotRow(Base):
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
-class PlanRow(Base):
+class PlanRow(StoredRow):
     __tablename__ = "plan"
     id: Mapped[int] = mapped_column(primary_key=True)
     robot_id: Mapped[int] = mapped_column(ForeignKey("robot.id"))
@@ -95,7 +127,7 @@ class PlanRow(Base):
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
-class ApprovalRow(Base):
+class ApprovalRow(StoredRow):
     """Append-only. It holds for one machine."""
 
     __tablename__ = "approval"
@@ -109,7 +141,7 @@ class ApprovalRow(Base):
     last_stop: Mapped[int]  # id of the machine's last stop before it, 0: none
 
 
-class CampaignRow(Base):
+class CampaignRow(OfMachine, StoredRow):
     __tablename__ = "campaign"
     id: Mapped[int] = mapped_column(primary_key=True)
     machine_id: Mapped[int] = mapped_column(index=True)  # runs it, and has its files
@@ -122,8 +154,14 @@ class CampaignRow(Base):
     created_at: Mapped[datetime] = mapped_column(default=now)
     started_at: Mapped[datetime | None]
 
+    @property
+    def sweeps(self) -> dict[SweepState, int]:
+        """Number of sweeps by state."""
+        counts = select(SweepRow.state, func.count()).where(SweepRow.campaign_id == self.id).group_by(SweepRow.state)
+        return dict(session_of(self).execute(counts).all())
 
-class SweepRow(Base):
+
+class SweepRow(StoredRow):
     __tablename__ = "sweep"
     __table_args__ = (UniqueConstraint("campaign_id", "number"), Index("ix_sweep_state", "state"))
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -137,7 +175,7 @@ class SweepRow(Base):
     attempt: Mapped[int] = mapped_column(default=0)
 
 
-class RecordingRow(Base):
+class RecordingRow(StoredRow):
     __tablename__ = "recording"
     __table_args__ = (UniqueConstraint("sweep_id", "attempt"),)
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -150,9 +188,15 @@ class RecordingRow(Base):
     created_at: Mapped[datetime] = mapped_column(default=now)
     moved_at: Mapped[datetime | None] = mapped_column(index=True)  # read back from the object store as it was written
     pruned_at: Mapped[datetime | None]  # its samples were removed by the retention rule
+    campaign_id: Mapped[int] = column_property(
+        select(SweepRow.campaign_id).where(SweepRow.id == sweep_id).correlate_except(SweepRow).scalar_subquery()
+    )
+    number: Mapped[int] = column_property(
+        select(SweepRow.number).where(SweepRow.id == sweep_id).correlate_except(SweepRow).scalar_subquery()
+    )
 
 
-class SpectrumRow(Base):
+class SpectrumRow(StoredRow):
     """Where the spectrum of an identified sweep lies."""
 
     __tablename__ = "spectrum_file"
@@ -162,14 +206,14 @@ class SpectrumRow(Base):
     sha256: Mapped[str] = mapped_column(String(64))
 
 
-class IdentityRow(Base):
+class IdentityRow(StoredRow):
     """One row: the name of this database, which its data folder bears as well."""
 
     __tablename__ = "identity"
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
 
 
-class EstimateRow(Base):
+class EstimateRow(StoredRow):
     """Append-only. The unique sweep makes a result that comes twice count once."""
 
     __tablename__ = "estimate"
@@ -180,14 +224,16 @@ class EstimateRow(Base):
     sweep_id: Mapped[int] = mapped_column(ForeignKey("sweep.id"), unique=True)
     document: Mapped[dict[str, JsonValue]]
     created_at: Mapped[datetime] = mapped_column(default=now)
+    number: Mapped[int] = column_property(
+        select(SweepRow.number).where(SweepRow.id == sweep_id).correlate_except(SweepRow).scalar_subquery()
+    )
 
 
-class DiagnosisRow(Base):
+class DiagnosisRow(OfMachine, StoredRow):
     """The unique parent makes a diagnosis go on once only, the unique campaign an experiment belong to one."""
 
     __tablename__ = "diagnosis"
     id: Mapped[int] = mapped_column(primary_key=True)
-    machine_id: Mapped[int]
     robot_id: Mapped[int] = mapped_column(ForeignKey("robot.id"))
     parent: Mapped[int | None] = mapped_column("parent_id", ForeignKey("diagnosis.id"), unique=True)
     # diagnosis and model refer to each other: this one is added when both tables are there
@@ -207,8 +253,19 @@ class DiagnosisRow(Base):
     created_at: Mapped[datetime] = mapped_column(default=now)
     finished_at: Mapped[datetime | None]
 
+    @property
+    def results(self) -> "Sequence[AxisDiagnosisRow]":
+        """Of the finished axes."""
+        query = select(AxisDiagnosisRow).where(AxisDiagnosisRow.diagnosis_id == self.id).order_by(AxisDiagnosisRow.id)
+        return session_of(self).scalars(query).all()
 
-class AxisDiagnosisRow(Base):
+    @property
+    def verdicts(self) -> dict[str, str]:
+        """By joint."""
+        return {result.joint: result.verdict for result in self.results}
+
+
+class AxisDiagnosisRow(StoredRow):
     """Result of one axis's job. The unique pair makes a result that comes twice count once."""
 
     __tablename__ = "axis_diagnosis"
@@ -220,7 +277,7 @@ class AxisDiagnosisRow(Base):
     document: Mapped[dict[str, JsonValue]] = mapped_column(deferred=True)
 
 
-class ModelRow(Base):
+class ModelRow(StoredRow):
     """Append-only; a diagnosis becomes one model at most."""
 
     __tablename__ = "model"
@@ -235,7 +292,7 @@ class ModelRow(Base):
     document: Mapped[dict[str, JsonValue]]
 
 
-class DataCheckRow(Base):
+class DataCheckRow(StoredRow):
     """What the check of the data found. The unique campaign makes a result that comes twice count once."""
 
     __tablename__ = "data_check"
@@ -245,7 +302,7 @@ class DataCheckRow(Base):
     at: Mapped[datetime] = mapped_column(default=now)
 
 
-class HoldRow(Base):
+class HoldRow(StoredRow):
     """A campaign of which the retention rule removes nothing."""
 
     __tablename__ = "hold"
@@ -255,12 +312,11 @@ class HoldRow(Base):
     at: Mapped[datetime] = mapped_column(default=now)
 
 
-class BatchRow(Base):
+class BatchRow(OfMachine, StoredRow):
     """A computation over stored campaigns; what of `campaigns` has no result yet is still to do."""
 
     __tablename__ = "batch"
     id: Mapped[int] = mapped_column(primary_key=True)
-    machine_id: Mapped[int]
     kind: Mapped[str] = mapped_column(String(16))
     campaigns: Mapped[list[int]]
     asked_by: Mapped[str]
@@ -270,7 +326,7 @@ class BatchRow(Base):
     finished_at: Mapped[datetime | None]
 
 
-class BatchResultRow(Base):
+class BatchResultRow(StoredRow):
     """Of one campaign. The unique pair makes a result that comes twice count once. `document`: None for a `cause`."""
 
     __tablename__ = "batch_result"
@@ -285,7 +341,7 @@ class BatchResultRow(Base):
     at: Mapped[datetime] = mapped_column(default=now)
 
 
-class EventRow(Base):
+class EventRow(StoredRow):
     """The outbox. AUTOINCREMENT: an id is never given twice, even after the newest row went."""
 
     __tablename__ = "event"
@@ -298,7 +354,7 @@ class EventRow(Base):
     at: Mapped[datetime] = mapped_column(default=now)
 
 
-class IdempotencyRow(Base):
+class IdempotencyRow(StoredRow):
     __tablename__ = "idempotency_key"
     machine_id: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
     key: Mapped[str] = mapped_column(String(255), primary_key=True)
@@ -308,7 +364,7 @@ class IdempotencyRow(Base):
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
-class LeaseRow(Base):
+class LeaseRow(StoredRow):
     """One row a resource. Who waits for it watches `renewals` on its own monotonic clock; no wall clock is compared."""
 
     __tablename__ = "lease"
@@ -317,7 +373,7 @@ class LeaseRow(Base):
     renewals: Mapped[int]
 
 
-class StopRow(Base):
+class StopRow(StoredRow):
     """Every stop there was; its machine is latched while one has no `reset_at`."""
 
     __tablename__ = "stop"
@@ -331,7 +387,7 @@ class StopRow(Base):
     reset_at: Mapped[datetime | None]
 
 
-class ApiKeyRow(Base):
+class ApiKeyRow(StoredRow):
     """A name is given once, so that the audit tells who it was."""
 
     __tablename__ = "api_key"
@@ -345,7 +401,7 @@ class ApiKeyRow(Base):
     revoked_at: Mapped[datetime | None]
 
 
-class UserRow(Base):
+class UserRow(StoredRow):
     """A person. `password`: argon2's hash; None where a provider says who it is, by `issuer` and `subject`."""
 
     __tablename__ = "user_account"
@@ -360,7 +416,7 @@ class UserRow(Base):
     disabled_at: Mapped[datetime | None]
 
 
-class SessionRow(Base):
+class SessionRow(StoredRow):
     """A browser in which a person is logged in. `sha256`: of what its cookie has."""
 
     __tablename__ = "user_session"
@@ -373,15 +429,15 @@ class SessionRow(Base):
     ended_at: Mapped[datetime | None]
 
 
-class SteadyTimeRow(Base):
-    """One row: the latest time of sessions and keys, see `service.store.access.steady_clock`."""
+class SteadyTimeRow(StoredRow):
+    """One row: the latest time of sessions and keys, see `service.store.database`."""
 
     __tablename__ = "steady_time"
     id: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
     at: Mapped[datetime]
 
 
-class AuditRow(Base):
+class AuditRow(StoredRow):
     """Append-only, by a trigger. `entry` is canonical JSON; `sha256`: see `service.store.access.audit_chain`."""
 
     __tablename__ = "audit"

@@ -3,6 +3,7 @@
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import asynccontextmanager
 from importlib.metadata import version
+from typing import cast
 
 from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
@@ -10,54 +11,58 @@ from starlette.middleware.cors import CORSMiddleware
 
 from service.machine.stop_process.handle import StopProcess
 from service.process.settings import Settings
-from service.web.api import events, health, robots
-from service.web.api.campaign import ahead, approvals, bundles, campaigns, pictures, plans, sweeps
-from service.web.api.declared.application import DeclaredApi
-from service.web.api.gate import BUNDLE_LIMIT, ROBOT_LIMIT, Gate
-from service.web.api.logged import Logged
-from service.web.api.machine import drives, live, machines, stop
-from service.web.api.machine.arrival import EPOCH, Arrival
-from service.web.api.metrics import route as metrics
-from service.web.api.people import audit, login, me, oidc
-from service.web.api.people.access import Access
-from service.web.api.people.audit_middleware import AuditMiddleware
-from service.web.api.people.oidc_login import open_oidc
-from service.web.api.people.password_check import PasswordCheck
-from service.web.api.people.rate_limit import Guesses
+from service.web.api import (
+    bundles,
+    campaigns,
+    diagnoses,
+    drives,
+    health,
+    live,
+    login,
+    metrics,
+    oidc,
+    plans,
+    preview,
+    results,
+    stop,
+)
+from service.web.api.access import Access, AuditMiddleware, Guesses, ReadOnlyService
+from service.web.api.dependencies import EPOCH, Arrival
+from service.web.api.gate import BUNDLE_LIMIT, ROBOT_LIMIT, Gate, Logged
+from service.web.api.login import PasswordCheck
+from service.web.api.oidc import open_oidc
+from service.web.api.openapi import DeclaredApi
+from service.web.api.permissions import API, Permissions, allow
 from service.web.api.problem import Problem, install_problem_handlers
-from service.web.api.read_only import ReadOnly
-from service.web.api.results import diagnoses, estimates, fleet, jobs, model_revisions, models, reports
 from service.web.application import Application, open_application
 from service.web.hmi.pages import add_pages
 
-PREFIX = "/api/v1"
-_ENDED = "the service ended"
 _ROUTERS = (
-    robots.router,
-    plans.router,
-    pictures.router,
-    approvals.router,
-    campaigns.router,
-    ahead.router,
-    sweeps.router,
-    estimates.router,
-    reports.router,
-    models.router,
-    diagnoses.router,
-    fleet.router,
-    jobs.router,
-    model_revisions.router,
+    plans.robot_routes,
+    plans.plan_routes,
+    preview.picture_routes,
+    plans.approval_routes,
+    campaigns.campaign_routes,
+    preview.ahead_routes,
+    campaigns.sweep_routes,
+    results.estimate_routes,
+    results.report_routes,
+    results.model_file_routes,
+    diagnoses.diagnosis_routes,
+    results.fleet_routes,
+    results.job_routes,
+    diagnoses.model_routes,
     bundles.router,
-    events.router,
-    live.router,
-    drives.router,
-    machines.router,
+    live.event_routes,
+    live.live_routes,
+    drives.drive_routes,
+    drives.machine_routes,
     stop.router,
-    audit.router,
-    me.router,
-    login.router,
+    login.audit_routes,
+    login.me_routes,
+    login.login_routes,
     oidc.router,
-    health.router,
+    health.health_routes,
 )
 
 
@@ -71,7 +76,7 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
         version=version("sweepid"),
         summary="Measures the inertia of a robot's axes through its own drives",
         lifespan=_lifespan,
-        openapi_url=f"{PREFIX}/openapi.json",
+        openapi_url=f"{API}/openapi.json",
         docs_url=None,  # those pages load scripts from the internet
         redoc_url=None,
         generate_unique_id_function=_operation_id,
@@ -79,24 +84,30 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
     )
     app.state.settings = settings
     app.state.stop_process = stop_process
-    api = APIRouter(prefix=PREFIX)
+    api = APIRouter(prefix=API)
     for router in _ROUTERS:
         api.include_router(router)
     app.include_router(api)
-    app.include_router(metrics.router)
+    app.include_router(metrics.metric_routes)
+    of_api = len(app.routes)
     add_pages(app, None if stop_process is None else stop_process.port, settings.behind_proxy)
+    for page in app.routes[of_api:]:  # public files without data
+        allow(None)(cast("APIRoute", page).endpoint)
+    app.state.permissions = permissions = Permissions(app.routes)
     install_problem_handlers(app)
-    limits = {f"{PREFIX}{bundles.BUNDLES}": BUNDLE_LIMIT, f"{PREFIX}{robots.router.prefix}": ROBOT_LIMIT}
+    limits = {f"{API}{bundles.BUNDLES}": BUNDLE_LIMIT, f"{API}{plans.robot_routes.prefix}": ROBOT_LIMIT}
     guesses = Guesses(settings.wrong_keys)
     app.state.password_check = PasswordCheck(guesses, settings.wrong_keys)
     app.state.oidc = open_oidc(settings.oidc, guesses)
     if settings.no_machine:
-        app.add_middleware(ReadOnly)
-    app.add_middleware(Access, login=settings.login, guesses=guesses)  # the last one handles a request first
+        app.add_middleware(ReadOnlyService)
     app.add_middleware(
-        Gate, hosts=hosts, stop_path=f"{PREFIX}{stop.router.prefix}", limits=limits, origins=settings.cors_origins
+        Access, login=settings.login, guesses=guesses, permissions=permissions
+    )  # the last one handles a request first
+    app.add_middleware(
+        Gate, hosts=hosts, stop_path=f"{API}{stop.router.prefix}", limits=limits, origins=settings.cors_origins
     )
-    app.add_middleware(AuditMiddleware)
+    app.add_middleware(AuditMiddleware, permissions=permissions)
     app.add_middleware(Logged)
     if settings.cors_origins:  # without cookies: other pages send keys
         app.add_middleware(
@@ -122,7 +133,7 @@ async def end_motion(app: FastAPI) -> None:
     """Bring the machine to a final standstill, before the service waits for anything."""
     application: Application | None = getattr(app.state, "application", None)
     if application is not None and application.cell is not None:
-        application.machine.end(_ENDED)
+        application.machine.end("the service ended")
         await application.runner.close()
 
 
@@ -130,7 +141,7 @@ def halt(app: FastAPI, why: str) -> None:
     """Stop every axis; no motion is possible afterwards. `why`: reason for the end of the service."""
     application: Application | None = getattr(app.state, "application", None)
     if application is not None and application.cell is not None:
-        application.machine.end(f"{_ENDED} by {why}")
+        application.machine.end(f"the service ended by {why}")
 
 
 @asynccontextmanager

@@ -1,10 +1,10 @@
 """The composition root: builds store, machine, runner, worker and hub from the settings, and owns their lifetimes."""
 
 import asyncio
-from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,78 +15,100 @@ import structlog
 from drivers.errors import Cause, CauseCode, DriveError
 from drivers.registry import open_profile
 from service.diagnosis.effects import CATALOGUE
-from service.identification.fleet.document import Fleet
-from service.identification.fleet.survey import Rules
-from service.jobs.batches import Batches
-from service.jobs.checking import Checking
-from service.jobs.diagnosis_loop.acceptance import accept_model
-from service.jobs.diagnosis_loop.diagnosing import Diagnosing
-from service.jobs.diagnosis_loop.experiments import Experiments
-from service.jobs.jobs import Jobs
-from service.jobs.recording_uploads import RecordingUploads
-from service.jobs.reporting import Reporting, of_fleet
-from service.jobs.worker import Worker, Written, open_worker
-from service.jobs.worker.transfers import Transfers
-from service.machine.execution.approvals import Approvals
-from service.machine.execution.external_stops import listening, watching
-from service.machine.execution.machine import Machine
-from service.machine.execution.recording.recovery import recover
+from service.jobs.diagnosing import Diagnosing
+from service.jobs.experiments import Experiments
+from service.jobs.jobs import Batches, Checking, Jobs
+from service.jobs.recording_uploads import RecordingUploads, Transfers
+from service.jobs.worker import Worker, open_worker
+from service.machine.execution.machine import Machine, listening, watching
+from service.machine.execution.permission import Approvals
+from service.machine.execution.recording import recover
 from service.machine.execution.runner import Runner
+from service.machine.execution.statement import Condition
 from service.machine.execution.sweep_executor import SweepExecutor
 from service.machine.stop_process.handle import StopProcess
 from service.model.configuration import read_robot
-from service.model.errors import BadInput, Conflict, NoPdf
-from service.planning.campaigns.estimate_quality import Quality, quality_of
-from service.planning.campaigns.fleet_history import FleetHistory
+from service.model.errors import BadInput, Conflict
 from service.planning.campaigns.live import EventFeed, LiveHub
-from service.planning.campaigns.plan_subject import PlanSubject, plan_subject
-from service.planning.campaigns.planned_time import PlannedTime, planned_times
+from service.planning.campaigns.stored_plan import PlannedTime, PlanSubject, plan_subject, planned_times
+from service.planning.campaigns.stored_results import FleetHistory, Quality, quality_of
 from service.planning.compiled_plan import compile_plan, planned_sweeps
 from service.planning.machine_setup import MachineSetup, machine_setup
 from service.process.settings import Settings
-from service.process.tasks.background import Background
+from service.process.tasks import Background
 from service.process.telemetry import traced
 from service.publishing.following import Following
 from service.publishing.publisher import Publisher
 from service.publishing.state import Configuration
-from service.report import Form
 from service.store.access.audit_chain import Entry
-from service.store.access.keys import masked
-from service.store.approvals import ApprovalStore
-from service.store.checks import CheckStore
+from service.store.access.credentials import masked
 from service.store.database import Database, open_database
-from service.store.diagnosis.diagnoses import DiagnosisStore
-from service.store.diagnosis.model_revisions import ModelStore
-from service.store.diagnosis_documents import ModelDocument
+from service.store.diagnoses import DiagnosisStore, ModelStore
 from service.store.documents import CampaignDocument, RobotDocument
-from service.store.files.bundle import write_bundle
-from service.store.files.data_folder import claim_folder
-from service.store.files.exchange import campaign_bundle, import_campaign
-from service.store.files.intake import SavedBundle, take_in
+from service.store.files.bundle import SavedBundle, take_in, write_bundle
+from service.store.files.data_folder import campaign_bundle, claim_folder, import_campaign
 from service.store.files.isolated_reader import LIMITS, Limits, read_isolated
 from service.store.files.recordings import RecordingFiles
-from service.store.guards import MachineLease, StopLatch
-from service.store.objects.moves import MoveStore
-from service.store.objects.object_store import check_usable
-from service.store.people.audit import AuditStore
-from service.store.people.audit_heads import keeping_time_and_head
-from service.store.people.keys import KeyStore
-from service.store.people.sessions import SessionStore
-from service.store.people.time import begin_time
-from service.store.people.users import ExternalUsers, UserStore
-from service.store.people.writer import AuditWriter
-from service.store.plant.batches import BatchStore
-from service.store.plant.fleet import FleetStore
-from service.store.plant.machines import PlantStore
-from service.store.requests import IdempotencyKeys
-from service.store.store import Store
-from service.web.cell import Cell, WithCell
+from service.store.guards import ApprovalStore, IdempotencyKeys, MachineLease, StopLatch
+from service.store.objects import check_usable
+from service.store.people.audit import AuditStore, AuditWriter
+from service.store.people.sessions import SessionStore, begin_time, keeping_time_and_head
+from service.store.people.users import ExternalUsers, KeyStore, UserStore
+from service.store.plant import BatchStore, FleetStore, PlantStore
+from service.store.retention import MoveStore
+from service.store.rows import NoMachine
+from service.store.store import CheckStore, Store
+
+
+@dataclass(frozen=True)
+class MachineCell:
+    """The machine of a service, and the parts that move it or compute from its recordings."""
+
+    setup: MachineSetup
+    lost: str
+    """Reason why nothing may be stored: the database does not belong to the data folder; empty if it does."""
+    machine: Machine
+    jobs: Jobs
+    executor: SweepExecutor
+    runner: Runner
+    approvals: Approvals
+    diagnosing: Diagnosing
+    experiments: Experiments
+    checking: Checking
+    batches: Batches
+    moving: RecordingUploads | None  # None: recordings stay in the data folder
+    publisher: Publisher | None  # None: neither OPC UA nor MQTT
+    stop_process: StopProcess | None
+
+    def _unknown(self) -> str:
+        statement = self.machine.statement
+        unknown = self.machine.connected and statement.state is Condition.UNKNOWN
+        return f"the state of the machine is unknown: {statement.reason}" if unknown else ""
+
+    async def troubles(self, files: RecordingFiles, least_free_disk: int) -> tuple[str, ...]:
+        """Reasons why no measurement or identification is possible now; "" for each part that works."""
+        process = self.stop_process
+        await self.machine.ask()
+        return (
+            self.lost,
+            "" if self.machine.connected else f"machine not connected: {self.machine.trouble or 'not tried yet'}",
+            self._unknown(),
+            self.machine.forbidden,
+            "" if process is None else process.failed,
+            await asyncio.to_thread(files.disk_trouble, least_free_disk),
+            self.runner.unstored,
+            *self.jobs.troubles,
+            *self.checking.troubles,
+            *self.diagnosing.troubles,
+            *self.batches.troubles,
+        )
+
 
 _log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True)
-class Application(WithCell):
+class Application:
     """All parts of `sweepid serve`. `cell`: None for a service that only reads the data of the plant."""
 
     settings: Settings
@@ -107,7 +129,22 @@ class Application(WithCell):
     fleet_history: FleetHistory
     plant: PlantStore
     batches: BatchStore
-    cell: Cell | None
+    cell: MachineCell | None
+
+    @property
+    def own(self) -> MachineCell:
+        """The cell; NoMachine if there is none."""
+        if self.cell is None:
+            raise NoMachine
+        return self.cell
+
+    @property
+    def machine(self) -> Machine:
+        return self.own.machine
+
+    @property
+    def runner(self) -> Runner:
+        return self.own.runner
 
     @cached_property
     def planned_times(self) -> Callable[[int], tuple[PlannedTime, ...]]:
@@ -176,7 +213,7 @@ class Application(WithCell):
             work = Path(name)
             saved = SavedBundle.model_validate(await read_isolated(take_in, (source, work), "bundle", limits))
             campaign = await asyncio.to_thread(self._add_imported, work, saved)
-        await self.jobs.submit_imported(campaign.id)
+        await self.own.jobs.submit_imported(campaign.id)
         return campaign
 
     async def export_bundle(self, campaign_id: int, folder: Path) -> None:
@@ -188,43 +225,13 @@ class Application(WithCell):
         self.files.take_over(work, saved.folder)
         return import_campaign(self.store, self.files, saved)
 
-    async def campaign_report(self, campaign_id: int, form: Form) -> str | bytes:
-        """Drawn by the worker; Conflict if there is no result yet, NoPdf if PDF is not available."""
-        reporting = Reporting(self.store, self.diagnoses, self.checks, self.files)
-        return _made(await self.worker.run(await asyncio.to_thread(reporting.job, campaign_id, form)))
-
-    async def diagnosis_report(self, diagnosis_id: int, form: Form) -> str | bytes:
-        """The report of a diagnosis; Conflict until it is finished."""
-        reporting = Reporting(self.store, self.diagnoses, self.checks, self.files)
-        return _made(await self.worker.run(await asyncio.to_thread(reporting.of_diagnosis, diagnosis_id, form)))
-
-    def fleet(self, name: str | None) -> Fleet:
-        """The present state of the robots of one type, or of all; blocks. NotFound."""
-        settings = self.settings
-        rules = Rules(settings.fleet_false_alarms, settings.fleet_campaigns, settings.remeasure_days)
-        return self.fleet_history.fleet(rules, datetime.now(UTC), name)
-
-    async def fleet_report(self, name: str | None, form: Form) -> str | bytes:
-        """The same as a report, drawn by the worker. NotFound; NoPdf if PDF is not available."""
-        return _made(await self.worker.run(of_fleet(await asyncio.to_thread(self.fleet, name), form)))
-
     def _check_database(self) -> None:
         if self.own.lost:
             raise Conflict(self.own.lost)
 
-    def accept_model(self, diagnosis_id: int, axes: Sequence[str] | None, accepted_by: str) -> ModelDocument:
-        """Make a diagnosis the next revision of its robot's model (see `acceptance`); blocks."""
-        return accept_model(self.store, self.diagnoses, self.models, diagnosis_id, axes, accepted_by)
-
 
 def _add_robots(store: Store, folder: Path) -> dict[str, RobotDocument]:
     return {path.stem: store.add_robot(read_robot(path)) for path in sorted(folder.glob("*.yaml"))}
-
-
-def _made(written: Written) -> str | bytes:
-    if isinstance(written, NoPdf):
-        raise written
-    return written
 
 
 @asynccontextmanager
@@ -341,7 +348,7 @@ async def _open_cell(
     setup: MachineSetup,
     transfers: Transfers | None,
     stop_process: StopProcess | None,
-) -> Cell:
+) -> MachineCell:
     """The parts that move the machine and compute; open jobs continue, and the machine is connected if it answers."""
     settings, store, files, worker, machine = app.settings, app.store, app.files, app.worker, owned.machine
     jobs = Jobs(store, files, worker, app.models)
@@ -388,7 +395,7 @@ async def _open_cell(
         await machine.connect()
     except DriveError as error:
         _log.warning("machine_not_connected", reason=str(error))
-    return Cell(
+    return MachineCell(
         *(setup, owned.lost, machine, jobs, executor, runner, approvals),
         *(diagnosing, experiments, checking, batches, moving, publisher, stop_process),
     )

@@ -1,27 +1,18 @@
-"""One CANopen node: NMT, heartbeat, SDO, PDO and EMCY of an `Axis` (CiA 301). Frames are received and sent by
-`send`.
-"""
+"""One CANopen node: NMT, heartbeats, SDO, SYNC, PDO and EMCY of an axis (CiA 301). Frames and times in, frames out."""
 
 from collections.abc import Callable
 from enum import IntEnum
+from math import inf
 from pathlib import Path
-from typing import NamedTuple
+from typing import Generic, TypeVar
 
-from simulator.canopen.pdo import process_data
+from simulator.canopen.pdo import Frame, PdoChannel, Transmission, check_identifier, process_data
 from simulator.canopen.sdo import SdoServer
-from simulator.drive.axis import Axis
-from simulator.drive.dictionary import Abort, AbortCode, Dictionary
-from simulator.drive.host_loss import lose_host
-
-
-class Frame(NamedTuple):
-    """A data frame with an 11-bit identifier."""
-
-    id: int
-    data: bytes
-
-
-SYNC_ID = 0x80
+from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
+from simulator.drive.foreign_axis import ForeignAxis
+from simulator.drive.foreign_units import MotorPlate, nameplate
+from simulator.drive.power_drive import FaultCode, PowerDrive
+from simulator.drive.virtual_axis import VirtualAxis
 
 
 class Nmt(IntEnum):
@@ -32,39 +23,85 @@ class Nmt(IntEnum):
     PRE_OPERATIONAL = 127
 
 
-_NMT_COMMANDS = {1: Nmt.OPERATIONAL, 2: Nmt.STOPPED, 128: Nmt.PRE_OPERATIONAL}
-_NMT_RESETS = (129, 130)
-_CLOCKED_BY_SYNC = 240
+class Heartbeats:
+    """Producer and consumers of one node. Other nodes are monitored from their first heartbeat on."""
+
+    def __init__(self, dictionary: ObjectDictionary) -> None:
+        self._dictionary = dictionary
+        self._subs = [sub for _, sub in dictionary.keys(0x1016) if sub]
+        for sub in self._subs:
+            dictionary.on_download((0x1016, sub), lambda value, sub=sub: self._watch(value, sub))
+        self.reset()
+
+    def reset(self) -> None:
+        """As at power-on."""
+        self._next: float | None = None
+        self._heard: dict[int, float] = {}
+
+    def hear(self, number: int, now: float) -> None:
+        """A heartbeat or boot-up message of node `number`."""
+        if any(node == number for node, _ in self._watched()):
+            self._heard[number] = now
+
+    def beat(self, now: float) -> bool:
+        """Whether the heartbeat of the node is due; it then counts as sent."""
+        period = self._dictionary.get(0x1017) * 1e-3
+        if period == 0:
+            self._next = None
+            return False
+        if self._next is not None and now < self._next:
+            return False
+        self._next = max((self._next or now) + period, now)
+        return True
+
+    def missed(self, now: float) -> bool:
+        """Whether a heartbeat is missing now; reported once, until it is received again."""
+        late = [n for n, time in self._watched() if n in self._heard and now - self._heard[n] > time]
+        for number in late:
+            del self._heard[number]
+        return bool(late)
+
+    def due(self, now: float) -> float:
+        """Time of the next call, s; infinity if never."""
+        times = [self._heard[number] + time for number, time in self._watched() if number in self._heard]
+        if self._dictionary.get(0x1017):
+            times.append(now if self._next is None else self._next)
+        return min(times, default=inf)
+
+    def _watched(self) -> list[tuple[int, float]]:
+        """(node, time in s) of every consumer in use."""
+        values = [self._dictionary[0x1016, sub] for sub in self._subs]
+        return [(v >> 16 & 0x7F, (v & 0xFFFF) * 1e-3) for v in values if v >> 16 & 0x7F and v & 0xFFFF]
+
+    def _watch(self, value: int, sub: int) -> None:
+        number = value >> 16 & 0xFF
+        others = [self._dictionary[0x1016, other] for other in self._subs if other != sub]
+        if number and value & 0xFFFF and any(o & 0xFFFF and o >> 16 & 0x7F == number for o in others):
+            raise SdoAbort(AbortCode.INCOMPATIBLE)
+        self._heard.pop(number, None)
 
 
-class Node:
-    """A node with the id `number`."""
+AnyAxis = TypeVar("AnyAxis", bound=PowerDrive)
+
+
+class CanopenNode(Generic[AnyAxis]):
+    """The node `number` of `axis`."""
 
     def __init__(
-        self,
-        number: int,
-        eds: Path,
-        cycle: float,
-        send: Callable[[Frame], None],
-        *,
-        can_move: bool,
+        self, number: int, dictionary: ObjectDictionary, axis: AnyAxis, cycle: float, send: Callable[[Frame], None]
     ) -> None:
         self.number = number
-        self.dictionary = Dictionary(eds, number)
-        self.axis = Axis(self.dictionary, cycle, can_move=can_move)
-        self._server = SdoServer(self.dictionary)
-        self._receive, self._transmit = process_data(self.dictionary)
+        self.dictionary = dictionary
+        self.axis = axis
+        self.disturbance = axis.disturbance
+        self.nmt = Nmt.PRE_OPERATIONAL
         self._cycle = cycle
         self._raw_send = send
-        self.disturbance = self.axis.disturbance
-        self.dictionary.on_download((0x1006, 0), self._check_cycle)
-        self.dictionary.on_download((0x1016, 1), self._forget_host)
-        self.nmt = Nmt.PRE_OPERATIONAL
-        self._pending: dict[int, bytes] = {}
-        self._late: list[tuple[int, Frame]] = []  # TPDOs to be sent with a later SYNC
-        self._syncs = 0
-        self._next_heartbeat: float | None = None
-        self._host_seen: float | None = None
+        self._server = SdoServer(dictionary)
+        self._receive, transmit = process_data(dictionary)
+        self._transmission = Transmission(transmit, self.disturbance, self._send)
+        self._heartbeats = Heartbeats(dictionary)
+        self._pending: dict[int, bytes] = {}  # data of RPDOs that wait for SYNC
 
     def renumber(self, number: int) -> None:
         """Change the id, as by its address switches: the node boots with it. The device itself stays the same."""
@@ -73,16 +110,16 @@ class Node:
         self.boot()
 
     def boot(self) -> None:
-        """Power-on or reset: torque off, dictionary as in the EDS, boot-up message."""
+        """Power-on or reset: torque off, dictionary as at power-on, boot-up message."""
         self.dictionary.restore()
         self.axis.reset()
         self._server.reset()
-        for pdo in (*self._receive, *self._transmit):
+        for pdo in (*self._receive, *self._transmission.pdos):
             pdo.reset()
+        self._transmission.reset()
+        self._heartbeats.reset()
         self._pending.clear()
-        self._late.clear()
-        self.nmt = Nmt.PRE_OPERATIONAL
-        self._next_heartbeat = self._host_seen = None
+        self._enter(Nmt.PRE_OPERATIONAL)
         self._send(Frame(0x700 + self.number, b"\0"))
 
     def receive(self, frame: Frame, now: float) -> None:
@@ -93,119 +130,239 @@ class Node:
             if self.nmt is not Nmt.STOPPED:
                 for response in self._server.handle(frame.data):
                     self._send(Frame(0x580 + self.number, response))
-        elif self._host and frame.id == 0x700 + self._host:
-            self._host_seen = now
+                self._served()
+        elif 0x700 < frame.id < 0x780:
+            self._heartbeats.hear(frame.id - 0x700, now)
         elif self.nmt is Nmt.OPERATIONAL:
             for k, pdo in enumerate(self._receive):
-                if pdo.valid and frame.id == pdo.cob_id:
-                    if pdo.transmission_type > _CLOCKED_BY_SYNC:
-                        self._apply(k, frame.data)
-                    else:
+                if pdo.valid and frame.id == pdo.cob_id and self._fits(pdo, frame.data):
+                    if pdo.synchronous:
                         self._pending[k] = frame.data
-        self._send_emergencies()
-
-    def sync(self, now: float) -> None:
-        """Send the present state, then apply the values received before this SYNC."""
-        self._syncs += 1
-        if not self.disturbance.counter_frozen:
-            self.dictionary[0x2120, 1] = (self.dictionary[0x2120, 1] + 1) & 0xFFFFFFFF
-        if self.nmt is Nmt.OPERATIONAL:
-            self._send_tpdos()
-            for k, data in self._pending.items():
-                self._apply(k, data)
-        self._pending.clear()
-        if self.nmt is not Nmt.STOPPED:
-            self.axis.sync(now)
-        code = self.disturbance.take_fault(counter=self.dictionary[0x2120, 1])
-        if code is not None:
-            self.axis.fail(code)
+                    else:
+                        self._apply(pdo.unpack(frame.data))
         self._send_emergencies()
 
     def run(self, now: float) -> None:
-        """Process everything that is due at `now`, s: heartbeats, time-outs, emergency messages."""
-        period = self.dictionary[0x1017, 0] * 1e-3
-        if period == 0:
-            self._next_heartbeat = None
-        elif self._next_heartbeat is None or now >= self._next_heartbeat:
+        """Process everything that is due at `now`, s: heartbeats, time-outs, PDOs, emergency messages."""
+        if self._heartbeats.beat(now):
             self._send(Frame(0x700 + self.number, bytes([self.nmt])))
-            self._next_heartbeat = max((self._next_heartbeat or now) + period, now)
-        timeout = self._host_timeout
-        if self._host_seen is not None and 0 < timeout < now - self._host_seen:
-            self._host_seen = None
-            lose_host(self.axis, self.dictionary)
-        self.axis.watch(now)
+        if self._heartbeats.missed(now):
+            self._lose_host()
+        self._run(now)
         self._send_emergencies()
 
     def due(self, now: float) -> float:
         """Latest time at which `run` must be called, s; infinity if nothing is pending."""
-        times = [now if self.dictionary[0x1017, 0] and self._next_heartbeat is None else self._next_heartbeat]
-        if self._host_seen is not None and self._host_timeout > 0:
-            times.append(self._host_seen + self._host_timeout)
-        times.append(self.axis.watch_until)
-        return min((time for time in times if time is not None), default=float("inf"))
-
-    @property
-    def _host(self) -> int:
-        return self.dictionary[0x1016, 1] >> 16 & 0x7F
-
-    @property
-    def _host_timeout(self) -> float:
-        return (self.dictionary[0x1016, 1] & 0xFFFF) * 1e-3
+        return self._heartbeats.due(now)
 
     def _command(self, data: bytes) -> None:
         if len(data) < 2 or data[1] not in (0, self.number):
             return
-        if data[0] in _NMT_RESETS:
+        if data[0] in (129, 130):
             self.boot()
             return
-        state = _NMT_COMMANDS.get(data[0], self.nmt)
-        if self.nmt is Nmt.OPERATIONAL and state is not Nmt.OPERATIONAL:
-            self._pending.clear()
-            self.axis.quick_stop()
-        self.nmt = state
+        states = {1: Nmt.OPERATIONAL, 2: Nmt.STOPPED, 128: Nmt.PRE_OPERATIONAL}
+        state = states.get(data[0], self.nmt)
+        if state is not self.nmt:
+            self._leave(state)
+        self._enter(state)
 
-    def _apply(self, k: int, data: bytes) -> None:
-        for (index, subindex), value in self._receive[k].unpack(data):
+    def _enter(self, state: Nmt) -> None:
+        if state is not self.nmt:
+            self._pending.clear()
+            self._transmission.reset()
+        self.nmt = state
+        free = state is Nmt.PRE_OPERATIONAL or self.dictionary.maker.remaps_operational
+        for pdo in (*self._receive, *self._transmission.pdos):
+            pdo.configurable = free
+
+    def _take_pending(self) -> list[tuple[tuple[int, int], bytes]]:
+        items = [item for k, data in self._pending.items() for item in self._receive[k].unpack(data)]
+        self._pending.clear()
+        return items
+
+    def _apply(self, items: list[tuple[tuple[int, int], bytes]]) -> None:
+        for (index, subindex), value in items:
             try:
                 self.dictionary.download(index, subindex, value)
-            except Abort:
+            except SdoAbort:
                 continue  # a drive ignores invalid values; monitoring ends the motion if necessary
 
-    def _check_cycle(self, value: int) -> None:
-        if value % round(self._cycle * 1e6):
-            raise Abort(AbortCode.VALUE)
-
-    def _forget_host(self, _: int) -> None:
-        self._host_seen = None
-
-    def _send_tpdos(self) -> None:
-        """Send the TPDOs of this SYNC after delayed ones. Each can be ordered to be lost, duplicated or late."""
-        order = self.disturbance
-        frames = [
-            Frame(pdo.cob_id, pdo.pack())
-            for pdo in self._transmit
-            if pdo.valid and self._syncs % pdo.transmission_type == 0
-        ]
-        late = [frame for due, frame in self._late if due <= self._syncs]
-        self._late = [(due, frame) for due, frame in self._late if due > self._syncs]
-        if frames and order.delay_tpdos > 0:
-            order.delay_tpdos -= 1
-            self._late += [(self._syncs + order.delay_cycles, frame) for frame in frames]
-            frames = []
-        if frames and order.duplicate_tpdos > 0:
-            order.duplicate_tpdos -= 1
-            frames *= 2
-        for frame in late + frames:
-            if order.drop_tpdos > 0:
-                order.drop_tpdos -= 1
-            else:
-                self._send(frame)
-
     def _send_emergencies(self) -> None:
-        for message in self.axis.errors.take_messages():
-            if self.nmt is not Nmt.STOPPED:
-                self._send(Frame(0x80 + self.number, message))
+        messages = self.axis.errors.take_messages()
+        cob_id = self.dictionary.get(0x1014, 0, 0x80 + self.number) if messages else 0
+        for message in messages:
+            if self.nmt is not Nmt.STOPPED and not cob_id >> 31:
+                self._send(Frame(cob_id & 0x7FF, message))
 
     def _send(self, frame: Frame) -> None:
         if not self.disturbance.mute:
             self._raw_send(frame)
+
+    # What a maker's node does otherwise
+
+    def _fits(self, pdo: PdoChannel, data: bytes) -> bool:
+        """Whether an RPDO of this length is taken."""
+        return len(data) >= pdo.size
+
+    def _served(self) -> None:
+        """An SDO request was answered."""
+
+    def _leave(self, state: Nmt) -> None:
+        """A command leads from the present NMT state to another one."""
+
+    def _lose_host(self) -> None:
+        self.axis.lose_host()
+
+    def _run(self, now: float) -> None:
+        """Timers of this node alone."""
+
+
+class VirtualNode(CanopenNode[VirtualAxis]):
+    """A node of the virtual drive."""
+
+    def __init__(self, number: int, eds: Path, cycle: float, send: Callable[[Frame], None], *, can_move: bool) -> None:
+        dictionary = ObjectDictionary(eds, number)
+        super().__init__(number, dictionary, VirtualAxis(dictionary, cycle, can_move=can_move), cycle, send)
+        dictionary.on_download((0x1006, 0), self._check_cycle)
+
+    def sync(self, now: float) -> None:
+        """Send the present state, then apply the values received before this SYNC."""
+        d = self.dictionary
+        if not self.disturbance.counter_frozen:
+            d[0x2120, 1] = (d[0x2120, 1] + 1) & 0xFFFFFFFF
+        if self.nmt is Nmt.OPERATIONAL:
+            self._transmission.sync()
+            self._apply(self._take_pending())
+        if self.nmt is not Nmt.STOPPED:
+            self.axis.sync(now)
+        code = self.disturbance.take_fault(counter=d[0x2120, 1])
+        if code is not None:
+            self.axis.fail(code)
+        self._send_emergencies()
+
+    def due(self, now: float) -> float:
+        watched = self.axis.watch_until
+        return min(super().due(now), inf if watched is None else watched)
+
+    def _run(self, now: float) -> None:
+        self.axis.watch(now)
+
+    def _leave(self, state: Nmt) -> None:
+        if self.nmt is Nmt.OPERATIONAL:
+            self.axis.quick_stop()
+
+    def _check_cycle(self, value: int) -> None:
+        if value % round(self._cycle * 1e6):
+            raise SdoAbort(AbortCode.VALUE)
+
+
+class ForeignNode(CanopenNode[ForeignAxis]):
+    """A node with the objects of `file` and the motor of `plate`."""
+
+    def __init__(
+        self, number: int, file: Path, plate: MotorPlate, cycle: float, send: Callable[[Frame], None], *, can_move: bool
+    ) -> None:
+        d = ObjectDictionary(file, number, None)
+        axis = ForeignAxis(d, plate, cycle, can_move=can_move)
+        self._check_options(d)
+        d.nameplate |= nameplate(axis.units, d)
+        d.restore()
+        self._synced: float | None = None  # time of the last SYNC, s
+        self._period = 0.0  # s between the last two
+        self._syncs = 0  # number of SYNCs since power-on
+        super().__init__(number, d, axis, cycle, send)
+
+    def boot(self) -> None:
+        self._synced, self._syncs = None, 0
+        super().boot()
+
+    @property
+    def sync_id(self) -> int:
+        """Identifier of SYNC, 1005h."""
+        return self.dictionary[0x1005, 0] & 0x7FF
+
+    @property
+    def led_by_sync(self) -> bool:
+        """Whether the set-points of the axis come with SYNC, which is then the clock of the machine."""
+        set_points = ((0x607A, 0), (0x60B0, 0), (0x60B1, 0), (0x60B2, 0), (0x60C1, 1), (0x60FF, 0))
+        return (
+            self.axis.following
+            and self.nmt is Nmt.OPERATIONAL
+            and self._synced is not None
+            and any(p.valid and p.synchronous and not p.entries.isdisjoint(set_points) for p in self._receive)
+        )
+
+    @property
+    def synced_at(self) -> float:
+        """Time of the last SYNC, s of the clock of `sync`; 0 if there was none."""
+        return self._synced or 0.0
+
+    @property
+    def sync_cycles(self) -> int:
+        """Length of a SYNC period in cycles of the machine: from 1006h, else 60C2h, else measured."""
+        d = self.dictionary
+        period = d.get(0x1006) * 1e-6 or d.get(0x60C2, 1) * 10.0 ** d.get(0x60C2, 2, -3) or self._period
+        return max(round(period / self._cycle), 1)
+
+    def sync(self, data: bytes, now: float) -> None:
+        """Send the present state, then apply the values received before this SYNC."""
+        if data:  # none of these drives supports a SYNC counter (1019h)
+            self.axis.errors.announce(FaultCode.SYNC_LENGTH)
+        elif self.nmt is Nmt.OPERATIONAL:
+            self._period = 0.0 if self._synced is None else now - self._synced
+            self._synced = now
+            self._transmission.sync()
+            self._apply(self._take_pending())
+        self._syncs += 1
+        code = self.disturbance.take_fault(counter=self._syncs)
+        if code is not None:
+            self.axis.fail(code)
+        self._send_emergencies()
+
+    def due(self, now: float) -> float:
+        return min(super().due(now), self._transmission.due(now) if self.nmt is Nmt.OPERATIONAL else inf)
+
+    def _run(self, now: float) -> None:
+        if self.nmt is Nmt.OPERATIONAL:
+            self._transmission.run(now)
+
+    def _served(self) -> None:
+        self.axis.publish()  # units may have changed
+
+    def _fits(self, pdo: PdoChannel, data: bytes) -> bool:
+        if len(data) != pdo.size:
+            short = len(data) < pdo.size
+            self.axis.errors.announce(FaultCode.PDO_TOO_SHORT if short else FaultCode.PDO_TOO_LONG)
+        return super()._fits(pdo, data)
+
+    def _apply(self, items: list[tuple[tuple[int, int], bytes]]) -> None:
+        """The controlword last, because it refers to the other values received together."""
+        super()._apply(sorted(items, key=lambda item: item[0] == (0x6040, 0)))
+
+    def _leave(self, state: Nmt) -> None:
+        if state is Nmt.STOPPED and self.axis.energised:
+            self.axis.lose_host()  # one of the events of 6007h (CiA 402-2)
+
+    def _lose_host(self) -> None:
+        """A heartbeat is missing: an error, the NMT state by 1029h, the motion by 6007h."""
+        if self.dictionary[0x6007, 0] != 1 or not self.axis.energised:
+            self.axis.errors.announce(FaultCode.HEARTBEAT)
+        self.axis.lose_host()
+        if self.nmt is Nmt.OPERATIONAL:
+            after = {0: Nmt.PRE_OPERATIONAL, 2: Nmt.STOPPED}  # 1: no change
+            self._enter(after.get(self.dictionary[0x1029, 1], self.nmt))
+
+    @staticmethod
+    def _check_options(dictionary: ObjectDictionary) -> None:
+        """Refuse option codes that no drive supports, and identifiers of SYNC and EMCY that are reserved."""
+        known = {0x605A: (0, 1, 2, 3, 5, 6, 7), 0x605B: (0, 1), 0x605C: (0, 1), 0x605D: (1, 2), 0x605E: (0, 1, 2, 3)}
+
+        def check(value: int, options: tuple[int, ...]) -> None:
+            if value not in options:
+                raise SdoAbort(AbortCode.VALUE)
+
+        for index, options in known.items():
+            dictionary.on_download((index, 0), lambda value, options=options: check(value, options))
+        dictionary.on_download((0x1005, 0), check_identifier)
+        dictionary.on_download((0x1014, 0), lambda value: check_identifier(value & ~(1 << 31)))

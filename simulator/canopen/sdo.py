@@ -3,25 +3,10 @@
 import binascii
 import struct
 from dataclasses import dataclass
-from typing import Protocol
 
-from simulator.drive.dictionary import Abort, AbortCode, Traits
+from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
 
 _HEAD = struct.Struct("<BHB")
-
-
-class Objects(Protocol):
-    """The dictionary of any node."""
-
-    @property
-    def traits(self) -> Traits: ...
-
-    def upload(self, index: int, subindex: int) -> bytes:
-        """Value for the bus. Raises `Abort`."""
-        ...
-
-    def download(self, index: int, subindex: int, data: bytes) -> None:
-        """Store a value from the bus. Raises `Abort`; then nothing is changed."""
 
 
 @dataclass(slots=True)
@@ -41,7 +26,7 @@ class _Transfer:
 class SdoServer:
     """One server channel. `handle` does not raise for any request of a client."""
 
-    def __init__(self, dictionary: Objects) -> None:
+    def __init__(self, dictionary: ObjectDictionary) -> None:
         self._dictionary = dictionary
         self._transfer: _Transfer | None = None
         self._multiplexer = (0, 0)
@@ -56,7 +41,7 @@ class SdoServer:
             return []
         try:
             return self._dispatch(request)
-        except Abort as abort:
+        except SdoAbort as abort:
             self._transfer = None
             return [struct.pack("<BHBI", 0x80, *self._multiplexer, abort.code)]
 
@@ -77,7 +62,7 @@ class SdoServer:
             case 5:
                 return self._block_upload(request)
             case _:
-                raise Abort(AbortCode.COMMAND)
+                raise SdoAbort(AbortCode.COMMAND)
 
     def _initiate(self, request: bytes) -> tuple[int, int]:
         _, index, subindex = _HEAD.unpack_from(request)
@@ -99,7 +84,7 @@ class SdoServer:
         transfer = self._toggled(request[0], download=True)
         transfer.data += request[1 : 8 - ((request[0] >> 1) & 7)]
         if len(transfer.data) > 4096:
-            raise Abort(AbortCode.TOO_LONG)
+            raise SdoAbort(AbortCode.TOO_LONG)
         if request[0] & 0x01:
             self._transfer = None
             self._dictionary.download(transfer.index, transfer.subindex, bytes(transfer.data))
@@ -109,7 +94,7 @@ class SdoServer:
         index, subindex = self._initiate(request)
         data = self._dictionary.upload(index, subindex)
         if not data:
-            raise Abort(AbortCode.NO_DATA)
+            raise SdoAbort(AbortCode.NO_DATA)
         if len(data) <= 4:
             return _HEAD.pack(0x43 | (4 - len(data)) << 2, index, subindex) + data.ljust(4, b"\0")
         self._transfer = _Transfer(index, subindex, bytearray(data), download=False)
@@ -128,9 +113,9 @@ class SdoServer:
     def _toggled(self, command: int, *, download: bool) -> _Transfer:
         transfer = self._transfer
         if transfer is None or transfer.block_size or transfer.download is not download:
-            raise Abort(AbortCode.COMMAND)
+            raise SdoAbort(AbortCode.COMMAND)
         if command & 0x10 != transfer.toggle:
-            raise Abort(AbortCode.TOGGLE)
+            raise SdoAbort(AbortCode.TOGGLE)
         transfer.toggle ^= 0x10
         return transfer
 
@@ -138,17 +123,17 @@ class SdoServer:
         subcommand = request[0] & 0x03
         if subcommand == 0:
             index, subindex = self._initiate(request)
-            if not self._dictionary.traits.block_upload:
-                raise Abort(AbortCode.COMMAND)
+            if not self._dictionary.block_upload:
+                raise SdoAbort(AbortCode.COMMAND)
             data = self._dictionary.upload(index, subindex)
             if not data:
-                raise Abort(AbortCode.NO_DATA)
+                raise SdoAbort(AbortCode.NO_DATA)
             size = _block_size(request[4])
             self._transfer = _Transfer(index, subindex, bytearray(data), download=False, block_size=size)
             return [struct.pack("<BHBI", 0xC6, index, subindex, len(data))]
         transfer = self._transfer
         if transfer is None or not transfer.block_size:
-            raise Abort(AbortCode.COMMAND)
+            raise SdoAbort(AbortCode.COMMAND)
         if subcommand == 3:
             return self._block(transfer)
         if subcommand == 2:
@@ -161,7 +146,7 @@ class SdoServer:
             return [struct.pack("<BH", 0xC1 | unused << 2, binascii.crc_hqx(transfer.data, 0)) + bytes(5)]
         self._transfer = None  # end of the transfer, acknowledged by the client
         if not transfer.ended:
-            raise Abort(AbortCode.COMMAND)
+            raise SdoAbort(AbortCode.COMMAND)
         return []
 
     @staticmethod
@@ -180,5 +165,5 @@ class SdoServer:
 
 def _block_size(wanted: int) -> int:
     if not 1 <= wanted <= 127:
-        raise Abort(AbortCode.BLOCK_SIZE)
+        raise SdoAbort(AbortCode.BLOCK_SIZE)
     return wanted

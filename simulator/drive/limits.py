@@ -1,15 +1,35 @@
-"""Present limits and ramps in the dictionary, in rev and rev/s of the motor."""
+"""Units of the virtual drive (docs/reference/virtual-drive.md, "Units"), and its limits in rev and rev/s of a motor."""
 
-from simulator.drive.dictionary import Dictionary
-from simulator.drive.units import INCREMENTS, PER_MILLE, speed_unit
+from simulator.drive.dictionary import ObjectDictionary, power_of_ten
+from simulator.scenario import ScenarioError
+
+INCREMENTS = 1 << 20
+"""Position: increments per motor revolution, 608Fh."""
+
+PER_MILLE = 1000
+"""Torque relative to the rated torque 6076h, which is in 10^-3 N m."""
 
 
-class Limits:
-    """A view of one dictionary; only the unit of speed, a constant, is stored. Raises ScenarioError for an unsupported
+def speed_unit(dictionary: ObjectDictionary) -> float:
+    """Units of speed (and, per second, of acceleration) in 1 rev/s by 60A9h. Raises ScenarioError for an unsupported
     unit.
+
+    The code has one byte each for prefix (power of ten), numerator, denominator, 0 (CiA 303-2, CiA 402-2).
+    """
+    code, prefix = dictionary[0x60A9, 0], power_of_ten(dictionary[0x60A9, 0])
+    numerator = {0xB4: 1.0, 0xB5: float(INCREMENTS)}.get(code >> 16 & 0xFF)  # revolutions, increments
+    denominator = {0x03: 1.0, 0x47: 60.0}.get(code >> 8 & 0xFF)  # second, minute
+    if numerator is None or denominator is None or abs(prefix) > 9:
+        raise ScenarioError(f"60A9h: velocity unit {code:08X}h is not 10^x revolutions or increments per s or min")
+    return numerator * denominator * 10.0**-prefix
+
+
+class DriveLimits:
+    """Present limits and ramps of one dictionary; only the unit of speed, a constant, is stored. Raises ScenarioError
+    for an unsupported unit.
     """
 
-    def __init__(self, dictionary: Dictionary) -> None:
+    def __init__(self, dictionary: ObjectDictionary) -> None:
         self._dictionary = dictionary
         self.speed_unit = speed_unit(dictionary)
 
@@ -30,20 +50,9 @@ class Limits:
         d = self._dictionary
         return min(d[0x6081, 0], d[0x607F, 0], d[0x6080, 0]) / self.speed_unit
 
-    @property
-    def acceleration(self) -> float:
-        """6083h."""
-        return self._ramp(0x6083)
-
-    @property
-    def deceleration(self) -> float:
-        """6084h."""
-        return self._ramp(0x6084)
-
-    @property
-    def quick_deceleration(self) -> float:
-        """6085h."""
-        return self._ramp(0x6085)
+    def ramp(self, index: int) -> float:
+        """6083h, 6084h or 6085h."""
+        return max(self._dictionary[index, 0], 1) / self.speed_unit
 
     @property
     def window(self) -> tuple[float, float]:
@@ -64,6 +73,3 @@ class Limits:
     def following_time(self) -> float:
         """6066h, s."""
         return self._dictionary[0x6066, 0] * 1e-3
-
-    def _ramp(self, index: int) -> float:
-        return max(self._dictionary[index, 0], 1) / self.speed_unit

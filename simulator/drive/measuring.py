@@ -1,36 +1,31 @@
 """The measuring function: from its parameters to speed set-points and torque noise, with a trace of every sample.
 
-Motion and injected torque are those of `excitation`. Motor side: parameters and trace in rev, rev/min and N m as in
-the dictionary; speeds to and from the axis in rev/s.
+The motion is that of `waveform`; injected torque ``e(t) n(t)``, where n has the given period from t = 0 on. Motor side:
+parameters and trace in rev, rev/min and N m as in the dictionary; speeds to and from the axis in rev/s.
 """
 
+import math
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.drive.dictionary import Abort, AbortCode, Dictionary
-from simulator.drive.excitation import Noise, Sweep
-from simulator.drive.limits import Limits
-from simulator.drive.units import PER_MILLE
+from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
+from simulator.drive.limits import PER_MILLE, DriveLimits
+from simulator.waveform import Waveform, torque_noise
 
 Array = NDArray[np.float64]
 
-_RECORD = np.dtype(
-    [("cycle", "<u4"), ("torque", "<f4"), ("command", "<f4"), ("speed", "<f4"), ("position", "<f8"), ("load", "<f8")]
-)
-_NOISE_RECORD = np.dtype([*_RECORD.descr, ("injected", "<f4")])
 
-
-class Kind(IntEnum):
-    """Kind of excitation, 2100h:0C."""
+class Excitation(IntEnum):
+    """Excitation of excitation, 2100h:0C."""
 
     MULTI_SINE = 0
     TORQUE_NOISE = 1
 
 
-class Run(IntEnum):
+class MeasuringState(IntEnum):
     """State of the function, 2100h:02."""
 
     IDLE = 0
@@ -52,8 +47,8 @@ class Rejection(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Samples:
-    """Samples of one axis in m drive cycles, motor side; each (m,)."""
+class DriveSamples:
+    """DriveSamples of one axis in m drive cycles, motor side; each (m,)."""
 
     torque: Array  # N m
     torque_limited: NDArray[np.bool_]
@@ -64,19 +59,20 @@ class Samples:
     injected: Array  # N m, part of `torque`
 
 
-class Trace:
+class DriveTrace:
     """Block means over `stride` drive cycles, at most `capacity` samples; for torque noise with the injected torque."""
 
-    def __init__(self, stride: int, capacity: int, cycle: float, kind: Kind = Kind.MULTI_SINE) -> None:
+    def __init__(self, stride: int, capacity: int, cycle: float, kind: Excitation = Excitation.MULTI_SINE) -> None:
         self.period = stride * cycle  # sample interval, s
         self._stride = stride
-        self._fields = ("torque", "command", "speed", "position", "load")
-        self._fields += ("injected",) if kind is Kind.TORQUE_NOISE else ()
-        self._records = np.zeros(capacity, _NOISE_RECORD if kind is Kind.TORQUE_NOISE else _RECORD)
+        kinds = {"torque": "<f4", "command": "<f4", "speed": "<f4", "position": "<f8", "load": "<f8"}
+        kinds |= {"injected": "<f4"} if kind is Excitation.TORQUE_NOISE else {}
+        self._fields = tuple(kinds)
+        self._records = np.zeros(capacity, np.dtype([("cycle", "<u4"), *kinds.items()]))
         self._rest = np.empty((len(self._fields), 0))
         self.count = 0
 
-    def extend(self, samples: Samples) -> None:
+    def extend(self, samples: DriveSamples) -> None:
         """Add the samples of some drive cycles."""
         columns = (
             samples.torque,
@@ -113,7 +109,12 @@ class MeasuringFunction:
     `stop`.
     """
 
-    def __init__(self, dictionary: Dictionary, limits: Limits, cycle: float) -> None:
+    longest = 600.0
+    """s; of a sweep."""
+    highest = 500.0
+    """Hz; of a line."""
+
+    def __init__(self, dictionary: ObjectDictionary, limits: DriveLimits, cycle: float) -> None:
         self._dictionary = dictionary
         self._limits = limits
         self._cycle = cycle
@@ -121,9 +122,9 @@ class MeasuringFunction:
         dictionary.on_upload((0x2110, 3), self._page)
 
     @property
-    def run(self) -> Run:
+    def run(self) -> MeasuringState:
         """State, 2100h:02."""
-        return Run(self._dictionary[0x2100, 2])
+        return MeasuringState(self._dictionary[0x2100, 2])
 
     @property
     def driving(self) -> bool:
@@ -137,7 +138,7 @@ class MeasuringFunction:
 
     @property
     def count(self) -> int:
-        """Samples recorded so far."""
+        """DriveSamples recorded so far."""
         return self._trace.count
 
     def reset(self) -> None:
@@ -145,14 +146,14 @@ class MeasuringFunction:
         self._setpoints: Array = np.empty(0)
         self._injected: Array = np.empty(0)
         self._next = 0
-        self._trace = Trace(1, 0, self._cycle)
+        self._trace = DriveTrace(1, 0, self._cycle)
 
     def start(self, position: float, *, ready: bool) -> None:
         """Check the parameters and start from `position`, rev; otherwise set the reason of the rejection."""
         sweep, reason = self._sweep(), Rejection.NOT_ENABLED
         if ready:
-            reason = self._begin(sweep, position) if sweep.valid() else Rejection.PARAMETERS
-        self._dictionary[0x2100, 2] = Run.RUNNING if reason is Rejection.NONE else Run.REJECTED
+            reason = Rejection.PARAMETERS if sweep is None else self._begin(sweep, position)
+        self._dictionary[0x2100, 2] = MeasuringState.RUNNING if reason is Rejection.NONE else MeasuringState.REJECTED
         self._dictionary[0x2100, 3] = reason
 
     def injection(self, cycles: int) -> Array:
@@ -165,14 +166,14 @@ class MeasuringFunction:
         self._next += cycles
         return _padded(part, cycles)
 
-    def record(self, samples: Samples) -> None:
+    def record(self, samples: DriveSamples) -> None:
         """Store samples; the state is DONE after the last set-point."""
-        if not self._dictionary.traits.load_encoder:
+        if not self._dictionary.load_encoder:
             samples = replace(samples, load=np.full_like(samples.load, np.nan))
         self._trace.extend(samples)
         self._dictionary[0x2100, 0x0B] = self._trace.count
         if not self.driving:
-            self._dictionary[0x2100, 2] = Run.DONE
+            self._dictionary[0x2100, 2] = MeasuringState.DONE
 
     def falsify(self, sample: int, revolutions: float) -> None:
         """Shift the motor encoder of a sample that is already recorded."""
@@ -184,21 +185,24 @@ class MeasuringFunction:
 
     def aborted(self) -> None:
         """The axis stands after a stop."""
-        if self.run is Run.RUNNING:
-            self._dictionary[0x2100, 2] = Run.ABORTED
+        if self.run is MeasuringState.RUNNING:
+            self._dictionary[0x2100, 2] = MeasuringState.ABORTED
 
-    def _begin(self, sweep: Sweep, position: float) -> Rejection:
+    def _begin(self, sweep: Waveform, position: float) -> Rejection:
         d, limits = self._dictionary, self._limits
-        kind = Kind(d[0x2100, 0x0C])
-        setpoints = sweep.setpoints(self._cycle)
-        injected = np.empty(0)
-        if kind is Kind.TORQUE_NOISE:
-            noise = Noise(d[0x2104, 1], d[0x2104, 2], d[0x2104, 3], d[0x2104, 4])
+        kind = Excitation(d[0x2100, 0x0C])
+        end_of_cycle = np.arange(1, round(sweep.duration / self._cycle) + 1, dtype=np.float64) * self._cycle
+        setpoints, injected = sweep.velocity(end_of_cycle), np.empty(0)
+        if kind is Excitation.TORQUE_NOISE:
+            rms, lowest, highest, seed = d[0x2104, 1], d[0x2104, 2], d[0x2104, 3], d[0x2104, 4]
+            if not (math.isfinite(rms) and rms >= 0 and 0 <= lowest <= highest <= self.highest):
+                return Rejection.PARAMETERS
             try:
-                injected = noise.torques(sweep, self._cycle)
+                noise = torque_noise(rms, lowest, highest, sweep.period, seed, self._cycle)
             except ValueError:
                 return Rejection.PARAMETERS
-        if sweep.peak > 60 * limits.speed:
+            injected = sweep.envelope(end_of_cycle) * np.resize(noise, len(end_of_cycle))
+        if abs(d[0x2100, 4]) + sum(abs(amplitude) for _, amplitude, _ in self._sines) > 60 * limits.speed:
             return Rejection.SPEED
         path = position + np.cumsum(setpoints) * self._cycle
         low, high = limits.window
@@ -208,21 +212,33 @@ class MeasuringFunction:
             return Rejection.TORQUE
         stride = round(d[0x2100, 0x0A] * 1e-3 / self._cycle)
         self._setpoints, self._injected, self._next = setpoints, injected, 0
-        self._trace = Trace(stride, len(setpoints) // stride, self._cycle, kind)
+        self._trace = DriveTrace(stride, len(setpoints) // stride, self._cycle, kind)
         d[0x2100, 0x0B] = 0
         return Rejection.NONE
 
-    def _sweep(self) -> Sweep:
-        """With noise, the set-point has only the offset."""
+    @property
+    def _sines(self) -> list[tuple[float, float, float]]:
+        """(Hz, rev/min, rad); with noise, the set-point has only the offset."""
         d = self._dictionary
-        number = d[0x2100, 9] if d[0x2100, 0x0C] == Kind.MULTI_SINE else 0
-        sines = tuple((d[0x2101, k], d[0x2102, k], d[0x2103, k]) for k in range(1, number + 1))
-        return Sweep(d[0x2100, 4], d[0x2100, 5], d[0x2100, 6], d[0x2100, 7], d[0x2100, 8], sines)
+        number = d[0x2100, 9] if d[0x2100, 0x0C] == Excitation.MULTI_SINE else 0
+        return [(d[0x2101, k], d[0x2102, k], d[0x2103, k]) for k in range(1, number + 1)]
+
+    def _sweep(self) -> Waveform | None:
+        """In rev/s; None unless numbers are finite, times positive, duration and frequencies within their limits."""
+        d, sines = self._dictionary, self._sines
+        offset, ramp, settle, period, periods = (d[0x2100, sub] for sub in range(4, 9))
+        numbers = [offset, ramp, settle, period, *(number for sine in sines for number in sine)]
+        if not all(math.isfinite(number) for number in numbers):
+            return None
+        waves = tuple((frequency, amplitude / 60, phase) for frequency, amplitude, phase in sines)
+        sweep = Waveform(offset / 60, waves, period, periods, ramp, settle)
+        within = ramp > 0 and settle >= 0 and period > 0 and sweep.duration <= self.longest
+        return sweep if within and all(0 < frequency <= self.highest for frequency, _, _ in sines) else None
 
     def _page(self) -> bytes:
         page = self._trace.page(self._dictionary[0x2110, 1], self._dictionary[0x2110, 2])
         if not page:
-            raise Abort(AbortCode.NO_DATA)
+            raise SdoAbort(AbortCode.NO_DATA)
         return page
 
 

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class RampProfile:
     """Speeds `velocities` (k + 1,) at the ends of k phases of `durations` (k,), linear between them; the last one is
     kept.
     """
@@ -39,25 +39,21 @@ class Motion:
         ways = np.concatenate(([0.0], np.cumsum(np.diff(corners) * (speeds[:-1] + speeds[1:]) / 2)))
         phase = np.clip(np.searchsorted(corners, time, side="right") - 1, 0, len(speeds) - 1)
         since = time - corners[phase]
-        return ways[phase] + since * (speeds[phase] + self._velocity(time, corners, speeds)) / 2
+        return ways[phase] + since * (speeds[phase] + self.velocity(time)) / 2
 
     def velocity(self, time: Array) -> Array:
         """The speed at each time >= 0; shapes (m,) -> (m,)."""
-        return self._velocity(time, np.concatenate(([0.0], np.cumsum(self.durations))), np.array(self.velocities))
-
-    @staticmethod
-    def _velocity(time: Array, corners: Array, speeds: Array) -> Array:
-        return np.interp(time, corners, speeds)
+        return np.interp(time, np.concatenate(([0.0], np.cumsum(self.durations))), np.array(self.velocities))
 
 
-def brake(velocity: float, deceleration: float) -> Motion:
+def brake(velocity: float, deceleration: float) -> RampProfile:
     """From `velocity` to standstill at `deceleration` > 0."""
     if velocity == 0.0:
-        return Motion((), (0.0,))
-    return Motion((abs(velocity) / deceleration,), (velocity, 0.0))
+        return RampProfile((), (0.0,))
+    return RampProfile((abs(velocity) / deceleration,), (velocity, 0.0))
 
 
-def travel(distance: float, start: float, limit: float, acceleration: float, deceleration: float) -> Motion:
+def travel(distance: float, start: float, limit: float, acceleration: float, deceleration: float) -> RampProfile:
     """From speed `start` over `distance` (both signed) to standstill, at most at `limit` > 0.
 
     If the present speed leads away from the target or past it, the axis first brakes to standstill and returns.
@@ -69,16 +65,16 @@ def travel(distance: float, start: float, limit: float, acceleration: float, dec
         first = brake(start, deceleration)
         return _joined(first, travel(distance - first.distance, 0.0, limit, acceleration, deceleration))
     if speed > limit:
-        slow = Motion(((speed - limit) / deceleration,), (start, limit * direction))
+        slow = RampProfile(((speed - limit) / deceleration,), (start, limit * direction))
         return _joined(slow, travel(distance - slow.distance, limit * direction, limit, acceleration, deceleration))
     peak = math.sqrt((2 * acceleration * deceleration * way + deceleration * speed**2) / (acceleration + deceleration))
     peak = max(min(peak, limit), speed)
     if peak == 0.0:  # zero distance, or so small that its square is zero
-        return Motion((), (0.0,))
+        return RampProfile((), (0.0,))
     cruise = way - (peak**2 - speed**2) / (2 * acceleration) - peak**2 / (2 * deceleration)
     durations = ((peak - speed) / acceleration, max(cruise, 0.0) / peak, peak / deceleration)
-    return Motion(durations, (start, peak * direction, peak * direction, 0.0))
+    return RampProfile(durations, (start, peak * direction, peak * direction, 0.0))
 
 
-def _joined(first: Motion, second: Motion) -> Motion:
-    return Motion(first.durations + second.durations, first.velocities + second.velocities[1:])
+def _joined(first: RampProfile, second: RampProfile) -> RampProfile:
+    return RampProfile(first.durations + second.durations, first.velocities + second.velocities[1:])

@@ -14,9 +14,11 @@ APART = (
     "publishing",
     "machine/paths",
     "identification/fleet",
-    "store/backup",
-    "store/objects",
-    "store/plant",
+    "store/backup.py",
+    "store/examination.py",
+    "store/objects.py",
+    "store/plant.py",
+    "store/retention.py",
 )
 """Folders of the service outside of the core: formats, plant, publishing."""
 

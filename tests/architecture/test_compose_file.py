@@ -11,9 +11,8 @@ from typing import Any
 import pytest
 import yaml
 
-from service.process.settings import Settings
-from service.process.settings.workers import cluster_at
-from service.store.objects.object_store import check_usable
+from service.process.settings import Settings, cluster_at
+from service.store.objects import check_usable
 from tests.programs import needs, require
 
 pytestmark = pytest.mark.slow

@@ -140,7 +140,7 @@ def test_the_service_loads_nothing_that_only_its_worker_needs(root: Path) -> Non
     """Every start of the service would pay for it, and a service that starts late is a machine that stands."""
     found = modules(root, LOADED, "serve", "--config", "none")
     worker = {"service.data_check", "service.diagnosis.diagnose", "service.report.campaign", "simulator"}
-    assert found & (worker | {"service.report.paper", "scipy.stats", "weasyprint", "dask", "s3fs"}) == set()
+    assert found & (worker | {"service.report.plotting", "scipy.stats", "weasyprint", "dask", "s3fs"}) == set()
 
 
 def test_a_virtual_can_machine_loads_no_modbus(root: Path) -> None:
@@ -151,7 +151,7 @@ def test_a_virtual_can_machine_loads_no_modbus(root: Path) -> None:
 
 def test_a_worker_that_has_no_job_yet_loads_nothing_heavy(root: Path) -> None:
     """Nor does who only hands jobs over: the mathematics comes with the first job that reckons with it."""
-    found = modules(root, f"import service.jobs.worker.process, json, sys\n{TELL}")
+    found = modules(root, f"import service.jobs.worker, json, sys\n{TELL}")
     assert {name.partition(".")[0] for name in found} & (MATHEMATICS | SERVER | PHYSICS) == set()
     late = {"service.data_check", "service.diagnosis", "service.identification.estimates", "service.report"}
     assert found & late == set()
@@ -162,7 +162,7 @@ def test_a_worker_that_has_no_job_yet_loads_nothing_heavy(root: Path) -> None:
     [
         "service.identification.estimation",
         "service.planning.plan",
-        "service.planning.trajectories.plan",
+        "service.planning.trajectories",
         "service.diagnosis.diagnose",
         "service.data_check",
     ],

@@ -21,7 +21,7 @@ GUARDED = {
     HOLDER: {"check_may_move", "used_by", "motion"},
     "machine/execution/sweep_executor.py": {"run"},
     "machine/execution/runner.py": {"start", "resume", "check_free"},
-    "jobs/diagnosis_loop/experiments.py": {"approve", "permit"},
+    "jobs/experiments.py": {"approve", "permit"},
 }
 ENTRIES = {  # routes of the API that lead to motion; a new one is added here on purpose
     "start_campaign",
@@ -41,9 +41,9 @@ def violations(path: str, source: str) -> Iterator[str]:
             yield f"{path}:{node.lineno}: the port of the machine"
         if isinstance(node, ast.alias) and node.name == "DrivePort" and path not in (GATE, HOLDER):
             yield f"{path}: imports DrivePort"
-        taken = isinstance(node, ast.alias) and node.name == "Motion" and f"{MOTION} import" in source
+        taken = isinstance(node, ast.alias) and node.name == "MotionAccess" and f"{MOTION} import" in source
         if taken and path not in (HOLDER, "machine/execution/sweep_executor.py"):
-            yield f"{path}: imports Motion"
+            yield f"{path}: imports MotionAccess"
 
 
 def made_elsewhere(path: str, source: str) -> Iterator[str]:
@@ -127,7 +127,7 @@ def test_an_intention_is_made_only_where_a_request_arrives(root: Path) -> None:
         "self._machine._port.enable('joint_1')",
         "port.move_to('joint_1', 0.0, 1.0)",
         "from drivers.ports import DrivePort",
-        "from service.machine.execution.motion import Motion",
+        "from service.machine.execution.motion import MotionAccess",
         "anything.run_sweep(command)",
         "runner.start(1, Intention(epochs.now))",
         "runner.start(1, epoch.Intention(epochs.now))",
@@ -136,12 +136,12 @@ def test_an_intention_is_made_only_where_a_request_arrives(root: Path) -> None:
         "async def start(self, intention: Intention | None) -> None: ...",
         "async def start(self, intention: Intention = NOBODYS) -> None: ...",
         "async def start(self, *, intention: 'Intention' = NOBODYS) -> None: ...",
-        "from service.machine.execution.epoch import Intention as Wanted",
+        "from service.machine.execution.permission import Intention as Wanted",
         "class Always(Intention): ...",
     ],
 )
 def test_a_planted_violation_is_found(source: str) -> None:
-    path = "jobs/diagnosis_loop/experiments.py"
+    path = "jobs/experiments.py"
     assert [*violations(path, source), *made_elsewhere(path, source)]
 
 
@@ -149,8 +149,8 @@ PLANTED = """
 from fastapi import APIRouter
 
 from service.web.api.dependencies import ApplicationOf, IntentionOf
-from service.jobs.diagnosis_loop.experiments import Experiments
-from service.machine.execution.epoch import Epochs
+from service.jobs.experiments import Experiments
+from service.machine.execution.permission import Epochs
 from service.machine.execution.machine import Machine
 from service.machine.execution.motion import Bounds
 from service.machine.execution.runner import Runner

@@ -164,7 +164,7 @@ class Scripted:
             await self._ending.wait()
         if self.known is not None and path != "stop" and key_of(request) not in self.known:
             return problem(401, "unauthorized", "not authenticated: send a key")
-        if path.endswith("estimates/latest"):
+        if path.endswith("estimates/latest") and path not in self.answers:
             return problem(404, "not-found", "no estimate")
         return JSONResponse(self.answers.get(path, EMPTY))
 

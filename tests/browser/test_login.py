@@ -11,8 +11,7 @@ from playwright.sync_api import Page, Response, expect
 
 from service.store.access.permissions import Role
 from service.store.database import open_database
-from service.store.people.keys import KeyStore
-from service.store.people.users import UserStore
+from service.store.people.users import KeyStore, UserStore
 from service.web.client import ServiceClient
 from tests.browser.browsing import browsing
 from tests.browser.looking import faint, small

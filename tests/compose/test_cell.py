@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from service.cli.demo.operator import Operator
+from service.cli.virtual_cell import Operator
 from service.web.client import ServiceClient
 from tests.compose.bench import Cell, positions, stands
 from tests.system.rest_bench import add_plan, until

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from service.cli.demo.operator import Operator
+from service.cli.virtual_cell import Operator
 from service.web.client import ServiceClient, ServiceProblem
 from tests.compose.bench import COMMAND, ROOT, inspected, stands
 from tests.compose.plant_bench import CELLS, MACHINES, Plant, build_images

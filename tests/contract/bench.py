@@ -22,7 +22,7 @@ import pytest
 from drivers import contract
 from drivers.ports import DrivePort, NoiseCommand, SweepCommand, SweepMode
 from drivers.registry import load_profile, open_drive
-from simulator.machine import Machine
+from simulator.machine import LiveMachine
 from simulator.scenario import load_scenario
 from simulator.virtual_drive import VirtualDrive
 from tests.contract import makers
@@ -163,7 +163,7 @@ def in_one_process(bench: Bench, eds: Path = EDS) -> Iterator[Virtual]:
     """On python-can's virtual bus, drives with the dictionary `eds`."""
     channel = f"contract-{os.getpid()}-{uuid.uuid4()}"
     virtual = VirtualDrive(
-        Machine(load_scenario(SCENARIO), 0), eds, bus="virtual", channel=channel, speed_factor=SPEED_FACTOR
+        LiveMachine(load_scenario(SCENARIO), 0), eds, bus="virtual", channel=channel, speed_factor=SPEED_FACTOR
     )
     thread = threading.Thread(target=virtual.run, name="virtual-drive")
     thread.start()

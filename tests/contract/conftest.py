@@ -1,13 +1,13 @@
 """The fixtures of the contract suite: every adapter on every bus. What a bench lacks is no test of it, and no skip.
 
-There is one mark, ``adapter(name)``: a test of this adapter alone. The rest is in `drivers.contract.requirements`.
+There is one mark, ``adapter(name)``: a test of this adapter alone. The rest is in `drivers.contract.bench`.
 """
 
 from collections.abc import AsyncIterator, Iterator
 
 import pytest
 
-from drivers.contract.suite import connected_port
+from drivers.contract.bench import connected_port
 from drivers.ports import DrivePort, SweepMode
 from tests.contract.bench import BENCHES, Virtual, leave_out
 

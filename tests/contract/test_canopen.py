@@ -14,13 +14,13 @@ import pytest
 from canopen.sdo.client import SdoClient
 
 from drivers.canopen import frames
+from drivers.canopen.device_map import Entry
 from drivers.canopen.fieldbus import CanopenConnection
-from drivers.canopen.measuring import ABORT, COMMAND
-from drivers.canopen.objects import Entry
-from drivers.canopen.speed_control import GAIN
+from drivers.canopen.measuring import MeasuringObject
 from drivers.canopen.streamed_axis import StreamedAxis
+from drivers.cia402.connection import DriveThread
+from drivers.cia402.device import MeasuringCommand
 from drivers.cia402.machine import Cia402Machine
-from drivers.cia402.thread import DriveThread
 from drivers.contract.bench import closing, consume, eventually
 from drivers.errors import MotionForbidden, WrongConfiguration, WrongIdentity
 from drivers.ports import AxisState, DrivePort, SweepMode
@@ -129,7 +129,7 @@ async def test_a_drive_that_refuses_a_rung_of_the_ladder_loses_its_energy_all_th
     write = sdo.write
 
     def refuse_abort(entry: Entry, value: float) -> None:
-        if (entry, value) == (COMMAND, ABORT):
+        if (entry, value) == (MeasuringObject.COMMAND, MeasuringCommand.ABORT):
             raise WrongConfiguration("abort 0800 0022h")  # e.g. the function ended by itself in this moment
         write(entry, value)
 
@@ -151,9 +151,9 @@ async def test_a_speed_control_that_cannot_be_restored_costs_the_axis_its_energy
 
     def stay_soft(entry: Entry, value: float) -> None:
         nonlocal softened
-        if entry == GAIN and softened:
+        if entry == MeasuringObject.GAIN and softened:
             raise WrongConfiguration("abort 0800 0022h")
-        softened = softened or entry == GAIN
+        softened = softened or entry == MeasuringObject.GAIN
         write(entry, value)
 
     sdo.write = stay_soft

@@ -13,8 +13,7 @@ from typing import cast
 
 import pytest
 
-from drivers.contract.bench import closing, consume
-from drivers.contract.requirements import needs
+from drivers.contract.bench import closing, consume, needs
 from drivers.errors import CommunicationLost
 from drivers.ports import AxisState, SweepMode
 from drivers.registry import open_drive

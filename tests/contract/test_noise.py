@@ -7,8 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from drivers.contract.bench import closing, column, consume, eventually
-from drivers.contract.requirements import needs
+from drivers.contract.bench import closing, column, consume, eventually, needs
 from drivers.errors import DriveFault, EnvelopeLeft, LimitExceeded, SweepInterrupted, SweepRejected
 from drivers.ports import AxisState, DrivePort, SampleBlock, SweepMode
 from tests.contract.bench import AXIS, Virtual, noise, sweep

@@ -16,8 +16,8 @@ from typing import Any
 import structlog
 from durand import set_scheduler
 
-from simulator.canopen.node import Frame
-from simulator.socketcand import SocketcandServer
+from simulator.canopen.line import SocketcandServer
+from simulator.canopen.pdo import Frame
 from tests.durand_nodes.drive import ENERGISED, Drive
 from tests.durand_nodes.network import KernelBus, Network, Timers
 from tests.durand_nodes.objects import GEAR, PRODUCT, RATED, REVISION, VENDOR

@@ -13,7 +13,7 @@ from typing import Any
 from durand.network import NetworkABC
 from durand.scheduler import AbstractScheduler
 
-from simulator.canopen.node import Frame
+from simulator.canopen.pdo import Frame
 
 Take = Callable[[int, bytes], None]
 _TPDOS = (0x180, 0x280, 0x380, 0x480)

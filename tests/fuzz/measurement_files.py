@@ -14,8 +14,7 @@ import numpy as np
 from scipy.io import savemat
 
 from service.formats.export.recordings import write_recordings
-from service.formats.traces.containers.reading import read_here
-from service.formats.traces.containers.request import Channel
+from service.formats.traces.containers import ChannelName, read_here
 from service.model.configuration import read_robot
 from service.store.files.bundle import Bundle
 from tests.forked import forked
@@ -31,7 +30,7 @@ def read(path: Path) -> None:
     What C code of others does to its process is no finding: the product lets it happen to one of its own.
     """
     group = {".mat": None, ".mf4": 0, ".h5": "sweeps/0001"}[path.suffix]
-    asked = [[Channel(source=name, group=group) for name in ASKED]]
+    asked = [[ChannelName(source=name, group=group) for name in ASKED]]
     forked(lambda: deque(read_here(path, asked), maxlen=0))
 
 

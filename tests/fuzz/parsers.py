@@ -11,45 +11,39 @@ import yaml
 from drivers.canopen.device_map import load_device_map
 from drivers.canopen.profile import parse_profile as canopen_profile
 from drivers.cia402.profile import refuse_unfilled
-from drivers.commission.dictionary import read_dictionary
 from drivers.commission.draft import map_text, profile_text
+from drivers.commission.drive import read_dictionary
 from drivers.errors import BadProfile
 from drivers.modbus.profile import parse_profile as modbus_profile
 from drivers.modbus.registers import load_registers
 from drivers.registry import load_profile
-from service.cli.campaign.measure import plan_number
+from service.cli.commands.campaigns import plan_number
 from service.cli.commands.export import export_path
-from service.cli.recordings.control_file import import_control_file
+from service.cli.commands.imports import import_control_file
 from service.formats.export import identified_model
-from service.formats.export.sheets.load import load_of
+from service.formats.export.sheets.inertias import load_of
 from service.formats.export.sheets.making import check_sheet, sheet
 from service.formats.export.sheets.text import as_markdown
 from service.formats.export.started_robot import started_from
-from service.formats.maker_urdf.check import check_urdf
-from service.formats.maker_urdf.draft import side_file_text
+from service.formats.maker_urdf.check import check_urdf, side_file_text
 from service.formats.maker_urdf.packages import Packages
 from service.formats.sinumerik.document import Given
-from service.formats.traces.drafts import mapping_of
-from service.formats.traces.trace_import import import_trace, read_traces
-from service.machine.execution.recording.recorder import read_stream
-from service.machine.paths.control import read_control
-from service.model.configuration import read_robot, read_text
+from service.formats.traces.trace_import import import_trace, mapping_of, read_traces
+from service.machine.execution.recording import read_stream
+from service.machine.paths.sweep_paths import read_control
+from service.model.collision import CollisionChecker
+from service.model.configuration import read_cell, read_robot, read_text
 from service.model.errors import BadInput
-from service.model.geometry.cell import read_cell
-from service.model.geometry.collision import CollisionChecker
 from service.model.results.estimate import Estimate
-from service.model.results.identified.payload import Payload
+from service.model.results.payload import Payload
 from service.model.robot import Robot
 from service.model.urdf import read_chain
 from service.process.settings import load_settings
-from service.store.backup.manifest import read_manifest
-from service.store.files.bundle import write_bundle
-from service.store.files.columns import read_columns
-from service.store.files.intake import read_from
-from service.store.files.stream import UnreadableStream
-from simulator.drive.dictionary import Dictionary
-from simulator.foreign.dictionary import ForeignDictionary
-from simulator.modbus.register_map import RegisterMapError, load_register_map
+from service.store.backup import read_manifest
+from service.store.files.bundle import read_from, write_bundle
+from service.store.files.columns import UnreadableStream, read_columns
+from simulator.drive.dictionary import ObjectDictionary
+from simulator.modbus.registers import RegisterMapError, load_register_map
 from simulator.scenario import ScenarioError, load_scenario
 from sweepid.files import read_document, read_effects, read_gains
 from tests.fuzz import measurement_files, seeds
@@ -198,8 +192,8 @@ PARSERS: Mapping[str, Parser] = {
     "simulator's registers": Parser(
         _named("registers/*.yaml"), lambda path, _: load_register_map(path), (RegisterMapError,)
     ),
-    "simulator's eds": Parser(_named("eds/*.eds"), lambda path, _: Dictionary(path, 3), (ScenarioError,)),
-    "foreign eds": Parser(_dictionaries, lambda path, _: ForeignDictionary(path, 3), (ScenarioError,)),
+    "simulator's eds": Parser(_named("eds/*.eds"), lambda path, _: ObjectDictionary(path, 3), (ScenarioError,)),
+    "foreign eds": Parser(_dictionaries, lambda path, _: ObjectDictionary(path, 3, None), (ScenarioError,)),
     "scenario": Parser(_scenarios, lambda path, _: load_scenario(path), (ScenarioError,)),
     "trace": Parser(lambda: list(seeds.traces()), _trace),
     "trace alone": Parser(lambda: list(seeds.traces_alone()), _trace_alone),

@@ -19,13 +19,11 @@ import numpy as np
 import pyarrow as pa
 
 import sweepid
-from service.identification.design.excitation import Excitation
-from service.identification.design.sweep_path import way
-from service.model.configuration import read_robot
-from service.model.geometry.cell import read_cell
+from service.identification.design.excitation import Excitation, way
+from service.model.configuration import read_cell, read_robot
 from service.model.recording import Sine, Sweep
 from service.planning.plan import PlanRequest, build_plan
-from service.store.backup.manifest import Manifest, StoredFile
+from service.store.backup import Manifest, StoredFile
 from service.store.files.bundle import write_bundle
 from tests.control_file import Loop, tuning_xml
 from tests.rigid_sweep import rigid_sweep

@@ -11,7 +11,27 @@ import numpy as np
 from service.model.recording import Array, Sweep, SweepSpec
 from service.model.robot import Axis, build_robot
 from service.store.files.bundle import Bundle
-from tests.numeric.check_bundles import Sound
+from tests.numeric.second_plant.cases import Kind, case, make
+from tests.numeric.second_plant.effects import CATALOGUE
+
+HIDDEN = (None, *CATALOGUE)
+
+
+@dataclass(frozen=True)
+class Sound:
+    """A sound bundle of one axis that was swept."""
+
+    bundle: Bundle
+    joint: str
+
+
+def sound(number: int) -> Sound:
+    """Nothing is hidden in the first, then each effect of the catalogue in turn."""
+    name = HIDDEN[number % len(HIDDEN)]
+    one = case(60, number, Kind.SINGLE, (name,)) if name else case(60, number, Kind.NONE, size="none")
+    robot, joint, sweeps, _ = make(one, small=True)
+    return Sound(Bundle(robot, sweeps), joint)
+
 
 Random = np.random.Generator
 Break = Callable[[Random, Sound], Bundle]

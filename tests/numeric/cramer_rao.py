@@ -23,8 +23,8 @@ from scipy.stats import t as student
 from service.identification.axis.axis_estimate import identify_axis
 from service.identification.axis.known_effects import KnownAxis
 from service.identification.axis.nominal_priors import pose_prior, shared_prior, uncalibrated
-from service.identification.estimates.estimate import moving_chain, nominal_parameters
-from service.identification.model.regressor import axis_rows, gravity_terms
+from service.identification.estimates.estimate import moving_chain
+from service.identification.model.regressor import axis_rows, gravity_terms, inertial_parameters
 from service.identification.spectra.frequency_response import Spectrum, window
 from service.model.recording import Sweep
 from service.model.robot import Robot
@@ -85,7 +85,7 @@ def _in_band(derivatives: np.ndarray, spectrum: Spectrum) -> np.ndarray:
 def _nominal(robot: Robot, number: int, sweeps: list[Sweep]) -> tuple[np.ndarray, np.ndarray]:
     """The nominal model's inertias (n,) and gravity terms (n, 2) in the poses of an axis' sweeps."""
     poses = np.array([sweep.spec.pose for sweep in sweeps])
-    parameters = nominal_parameters(robot, robot.chain, range(len(robot.axes)))
+    parameters = inertial_parameters(robot)
     reference = axis_rows(robot.chain, number, poses) @ parameters
     return reference, gravity_terms(robot.chain, parameters, robot.gravity, number, poses)
 
@@ -170,7 +170,7 @@ def simulate(joint: str, poses: np.ndarray, runs: int, seed: int) -> dict[str, f
     robot, rng = campaign.robot, np.random.default_rng(seed)
     number = robot.index(joint)
     chain, unlocked = moving_chain(robot, [0, 1, 2], poses)
-    nominal = nominal_parameters(robot, chain, unlocked)
+    nominal = inertial_parameters(robot, chain, unlocked)
     spectra = [replace(one, load_velocity=None) for one in campaign.spectra]  # the fit sees the motor encoder alone
     acceleration = [_acceleration(*pair) for pair in zip(campaign.sweeps, spectra, strict=True)]
     noise = NOISE * robot.axes[number].rated_effort

@@ -4,8 +4,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from service.identification.axis.ideal_frequency import AxisAnalysis
-from service.identification.design.noise_excitation import design_noise
+from service.identification.axis.ideal_frequency import InitialAnalysis
+from service.identification.design.excitation import design_noise
 from service.identification.estimates.initial_analysis import analyse
 from service.identification.model.regressor import inertia_rows
 from service.identification.spectra.noise_response import NoiseSpectrum, noise_spectrum
@@ -31,7 +31,7 @@ class SimulatedAnalysis:
         return [noise_spectrum(self.robot, sweep) for sweep in self.sweeps]
 
     @property
-    def analysis(self) -> AxisAnalysis:
+    def analysis(self) -> InitialAnalysis:
         return analyse(self.robot, self.spectra)[self.joint]
 
     @property
@@ -40,7 +40,7 @@ class SimulatedAnalysis:
 
     @property
     def true_train(self) -> np.ndarray:
-        """In the order of `service.identification.spectra.axis_inertia.DriveTrain`."""
+        """In the order of `service.identification.axis.drive_train.DriveTrain`."""
         train, gear = self.train, self.robot.axis(self.joint).gear_ratio
         motor, load, spring = train.motor_friction.viscous, train.load_friction.viscous, train.spring
         assert spring is not None

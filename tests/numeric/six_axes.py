@@ -6,15 +6,20 @@ import numpy as np
 
 from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.identification.design.excitation import design_sweep
-from service.identification.design.exciting_trajectory import Shape, Trajectory, TrajectoryLimits, design_trajectory
-from service.identification.estimates.combination import Combination
+from service.identification.design.exciting_trajectory import (
+    Trajectory,
+    TrajectoryLimits,
+    TrajectoryShape,
+    design_trajectory,
+)
+from service.identification.estimates.combination import JointEstimate
 from service.identification.model.base_parameters import joint_ranges
+from service.identification.model.inverse_dynamics import dynamic_base
 from service.identification.model.regressor import inertia_rows
-from service.identification.model.whole_base import dynamic_base
 from service.identification.motion.trajectory_record import TrajectoryRecord, axis_track, trajectory
 from service.identification.spectra.frequency_response import Spectrum, spectrum, window
-from service.model.geometry.cell import read_cell
-from service.model.geometry.collision import CollisionChecker
+from service.model.collision import CollisionChecker
+from service.model.configuration import read_cell
 from service.model.recording import Recording, Sweep
 from service.model.robot import Robot
 from service.model.urdf import read_chain
@@ -40,7 +45,7 @@ def limits(robot: Robot, margin: float = 0.1) -> TrajectoryLimits:
     )
 
 
-def design(robot: Robot, shape: Shape, seed: int, restarts: int = 30, steps: int = 150) -> Trajectory:
+def design(robot: Robot, shape: TrajectoryShape, seed: int, restarts: int = 30, steps: int = 150) -> Trajectory:
     collisions = checker(robot)
     columns = dynamic_base(robot).columns
     return design_trajectory(
@@ -101,7 +106,7 @@ def free_poses(robot: Robot, rng: np.random.Generator, count: int) -> np.ndarray
     return poses[checker(robot).collision_free(poses)][:count]
 
 
-def deviation(both: Combination, scenario: Scenario) -> np.ndarray:
+def deviation(both: JointEstimate, scenario: Scenario) -> np.ndarray:
     """Identified less true value of every base parameter, in its standard deviations."""
     links = read_chain(real_urdf(scenario)).inertial.ravel()
     trains = [scenario.driven(joint).train for joint in both.robot.joints]
@@ -112,7 +117,7 @@ def deviation(both: Combination, scenario: Scenario) -> np.ndarray:
     return (both.solution.values - truth) / both.solution.std
 
 
-def prediction(both: Combination, record: TrajectoryRecord, sweeps: Sequence[Sweep]) -> dict[str, list[float]]:
+def prediction(both: JointEstimate, record: TrajectoryRecord, sweeps: Sequence[Sweep]) -> dict[str, list[float]]:
     """By axis, RMS in percent of the rated effort: of every sample, and below 10 Hz."""
     robot = both.robot
     first, count = window(sweeps[0].spec, sweeps[0].recording.time)

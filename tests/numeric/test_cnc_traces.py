@@ -9,14 +9,14 @@ import pytest
 from service.formats.traces.trace_import import import_trace
 from service.identification.estimates.estimate import identify
 from service.identification.spectra.frequency_response import spectrum
-from service.machine.paths.control import read_control
 from service.machine.paths.export import export_paths
-from service.model.configuration import read_robot
+from service.machine.paths.sweep_paths import read_control
+from service.model.configuration import read_cell, read_robot
 from service.model.errors import BadInput
-from service.model.geometry.cell import read_cell
 from service.model.recording import Recording, Sweep
 from service.model.robot import Robot
-from service.planning.plan import PlanDocument, PlannedSweep, PlanRequest, build_plan
+from service.planning.documents import PlanDocument, PlannedSweep, PlanRequest
+from service.planning.plan import build_plan
 from service.store.files.bundle import write_bundle
 from simulator import load_scenario
 from tests.cnc_trace import Array, cnc_columns, simulate, write_trace

@@ -10,8 +10,7 @@ import pytest
 from service.data_check import check, untrustworthy
 from service.formats.traces.trace_import import import_trace
 from service.store.files.bundle import read_bundle
-from tests.numeric.check_bundles import Sound, sound
-from tests.numeric.check_faults import FAULTS
+from tests.numeric.check_faults import FAULTS, Sound, sound
 from tests.numeric.second_plant.cases import Case, Kind, make
 from tests.numeric.second_plant.faults import FAULTS as OF_THE_PLANT
 from tests.numeric.second_plant.scoring import told

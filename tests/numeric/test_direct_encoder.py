@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from service.identification.estimates.document import as_document
-from service.identification.estimates.estimate import Estimate, identify
+from service.identification.estimates.estimate import RobotEstimate, identify
 from tests.numeric.campaign import AXES, SimulatedCampaign, measure
 
 
-def _standardised(estimate: Estimate, campaign: SimulatedCampaign, joint: str) -> np.ndarray:
+def _standardised(estimate: RobotEstimate, campaign: SimulatedCampaign, joint: str) -> np.ndarray:
     axis = next(axis for axis in estimate.axes if axis.joint == joint)
     return (axis.values - campaign.truth(joint)) / np.sqrt(np.diag(axis.covariance))
 

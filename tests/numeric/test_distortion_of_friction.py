@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.identification.axis.distortion import Distortion
+from service.identification.axis.axis_estimate import AxisDistortion
 from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.identification.design.excitation import design_sweep, realisations
 from service.identification.estimates.estimate import identify
@@ -15,7 +15,7 @@ from tests.numeric.campaign import max100, run_plan, scenario_named, spec_of
 JOINT, POSES, COUNT = "joint_2", 6, 4
 
 
-def distortion(machine: Scenario) -> Distortion:
+def distortion(machine: Scenario) -> AxisDistortion:
     """Of one axis in a few poses."""
     robot, rng = max100(), np.random.default_rng(8)
     designed: list[DesignedSweep] = []

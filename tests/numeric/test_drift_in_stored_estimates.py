@@ -13,14 +13,14 @@ import pytest
 
 from service.identification.estimation import estimate_document, sweep_spectrum
 from service.identification.fleet.document import FleetType
-from service.identification.fleet.survey import Rules
+from service.identification.fleet.survey import FleetRules
 from service.model.recording import Sweep
 from service.model.robot import Robot, build_robot
-from service.planning.campaigns.fleet_history import FleetHistory
+from service.planning.campaigns.stored_results import FleetHistory
 from service.store import tables as t
 from service.store.database import Database, open_database
 from service.store.documents import NewRecording, NewSweep, RecordingState, SpectrumRecord, SweepState
-from service.store.plant.fleet import FleetStore
+from service.store.plant import FleetStore
 from service.store.store import Store
 from simulator import Scenario
 from tests.numeric.campaign import max100, measure_at, scenario_named
@@ -31,7 +31,7 @@ ROBOTS, MONTHS, POSES = 8, 12, 6
 AXES = ("joint_2", "joint_3")
 DRIFTING, AXIS, DRIFT = 4, "joint_2", 0.01  # of J, from the sixth month on
 BEFORE = 5  # months
-RULES = Rules(probability=0.01, campaigns=MONTHS, remeasure_days=31)
+RULES = FleetRules(probability=0.01, campaigns=MONTHS, remeasure_days=31)
 START = datetime(2026, 1, 5, tzinfo=UTC)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import sweepid
-from service.identification.estimates.combination import AxisInertias, Combination, Source, combine
-from service.identification.model.inverse_dynamics import Motion
+from service.identification.estimates.combination import AxisInertias, JointEstimate, Source, combine
+from service.identification.model.inverse_dynamics import JointMotion
 from service.identification.motion.free_motion import free_motions
 from service.model.errors import BadInput
 from service.model.recording import Sweep
@@ -30,23 +30,23 @@ def logs(truth: Truth, seed: int, compliance: np.ndarray | None = None) -> list[
     ]
 
 
-def identified(truth: Truth, sweeps: list[Sweep]) -> Combination:
+def identified(truth: Truth, sweeps: list[Sweep]) -> JointEstimate:
     return combine(truth.robot, (), (), free_motions(truth.robot, sweeps))
 
 
-def z(found: Combination, truth: Truth) -> np.ndarray:
+def z(found: JointEstimate, truth: Truth) -> np.ndarray:
     """Identified less true value of what counts as identified, in standard deviations."""
     keep = [parameter.identified for parameter in found.parameters]
     return ((found.solution.values - found.base.combination @ truth.parameters) / found.solution.std)[keep]
 
 
-def prediction(found: Combination, truth: Truth, seed: int) -> np.ndarray:
+def prediction(found: JointEstimate, truth: Truth, seed: int) -> np.ndarray:
     """RMS error of every axis along a motion that was never measured, percent of the rated effort."""
     joints = len(truth.robot.axes)
     q, v, a = wander(np.random.default_rng(seed + 9000), joints)(np.arange(0, 30, 0.02))
     true = truth.rigid(q, v, a) + truth.viscous * v + truth.coulomb * np.sign(v) + truth.offset
     rated = np.array([axis.rated_effort for axis in truth.robot.axes])
-    return 100 * np.sqrt(np.mean((found.effort(Motion(q, v, a)) - true) ** 2, axis=0)) / rated
+    return 100 * np.sqrt(np.mean((found.effort(JointMotion(q, v, a)) - true) ** 2, axis=0)) / rated
 
 
 def test_standard_deviations_keep_what_they_promise() -> None:

@@ -10,7 +10,7 @@ from pydantic import JsonValue
 
 from service.formats.export import IdentifiedModel, identified_model, model_files
 from service.identification.estimates.document import as_document
-from service.identification.estimates.estimate import Estimate, identify
+from service.identification.estimates.estimate import RobotEstimate, identify
 from service.identification.model.physical_consistency import is_physical
 from service.identification.model.regressor import gravity_rows
 from simulator.rigid_body import RigidBody
@@ -21,23 +21,23 @@ POSES = 40
 
 
 @pytest.fixture(scope="module")
-def estimate() -> Estimate:
+def estimate() -> RobotEstimate:
     """Axes 1 to 3 measured in 16 poses, the wrist locked."""
     campaign = measure("max100-full", 5, poses=16)
     return identify(campaign.robot, campaign.spectra)
 
 
 @pytest.fixture(scope="module")
-def document(estimate: Estimate) -> dict[str, JsonValue]:
+def document(estimate: RobotEstimate) -> dict[str, JsonValue]:
     return as_document(estimate, estimate.workspace[:50]).as_json()
 
 
 @pytest.fixture(scope="module")
-def model(estimate: Estimate, document: dict[str, object]) -> IdentifiedModel:
+def model(estimate: RobotEstimate, document: dict[str, object]) -> IdentifiedModel:
     return identified_model(estimate.robot, document)
 
 
-def test_all_links_and_motors_are_physical(model: IdentifiedModel, estimate: Estimate) -> None:
+def test_all_links_and_motors_are_physical(model: IdentifiedModel, estimate: RobotEstimate) -> None:
     assert [body.link for body in model.bodies] == [f"link_{k}" for k in range(1, 7)]  # those of the locked wrist too
     assert is_physical(np.array([body.parameters for body in model.bodies])).all()
     assert (model.motor_inertias > 0).all()
@@ -47,7 +47,7 @@ def test_all_links_and_motors_are_physical(model: IdentifiedModel, estimate: Est
     print(f"deviation of the nearest physical robot: {model.deviation_in_std} standard deviations")
 
 
-def test_other_tools_have_the_identified_inertias(model: IdentifiedModel, estimate: Estimate) -> None:
+def test_other_tools_have_the_identified_inertias(model: IdentifiedModel, estimate: RobotEstimate) -> None:
     files = model_files(model)
     mjcf, urdf = mujoco.MjModel.from_xml_string(files["model.xml"]), pin.buildModelFromXML(files["model.urdf"])
     state, data = mujoco.MjData(mjcf), urdf.createData()
@@ -68,7 +68,7 @@ def test_other_tools_have_the_identified_inertias(model: IdentifiedModel, estima
         assert one < worth.inertia.error
 
 
-def test_the_exported_gravity_is_better_than_cads(model: IdentifiedModel, estimate: Estimate) -> None:
+def test_the_exported_gravity_is_better_than_cads(model: IdentifiedModel, estimate: RobotEstimate) -> None:
     """The links with exactly these base parameters would have 440 kg for 178 kg, and twice CAD's error of gravity."""
     true, robot = RigidBody(scenario_named("max100-full")), estimate.robot
     poses = estimate.workspace[:POSES]

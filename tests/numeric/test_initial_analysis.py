@@ -5,14 +5,10 @@
 deviation is to hold within a factor of 3.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 
 from service.identification.axis.ideal_frequency import nearest_line
-from service.identification.spectra.axis_inertia import DriveTrain, impedance
-from service.model.recording import Sweep
 from tests.numeric.noise_campaign import SimulatedAnalysis, measure_noise
 
 NAMES = ("motor inertia", "motor friction", "load friction", "compliance", "damping time")
@@ -48,26 +44,3 @@ def test_drive_train_and_frequencies(simulated: SimulatedAnalysis) -> None:
         assert abs(pose.fit.corner.value - corner) < 3 * pose.fit.corner.std
         assert np.median(pose.response.coherence) > 0.98
         assert pose.fit.sweep_frequency == nearest_line(np.sqrt(resonance * corner))
-
-
-def test_quotient_without_reference_is_biased(simulated: SimulatedAnalysis) -> None:
-    """The same runs by the H1 estimate of effort over velocity: the loop pulls it away from the impedance."""
-    truth, ours, naive = simulated.true_train, [], []
-    for k, (pose, inertia) in enumerate(zip(simulated.analysis.poses, simulated.true_inertia, strict=True)):
-        z = impedance(pose.response.frequency, DriveTrain(*truth), inertia - truth[0], 0.0).total
-        ours.append(pose.response.impedance / z - 1)
-        naive.append(_naive(simulated.sweeps[4 * k : 4 * k + 4], pose.response.frequency) / z - 1)
-    ours_off, naive_off = (float(np.median(np.abs(np.mean(each, axis=0)))) for each in (ours, naive))
-    print(f"{simulated.joint}: median error {100 * ours_off:.2f} %, without reference {100 * naive_off:.2f} %")
-    assert naive_off > 2 * ours_off
-
-
-def _naive(sweeps: Sequence[Sweep], frequency: np.ndarray) -> np.ndarray:
-    """H1 of effort over velocity from the single periods of some runs."""
-    spectra = []
-    for sweep in sweeps:
-        period, first = round(1000 * (sweep.spec.period or 0.0)), round(1000 * sweep.spec.measure_from)
-        columns = np.stack([sweep.recording.effort, sweep.recording.velocity])[:, first : first + 3 * period]
-        spectra.append(np.fft.rfft(columns.reshape(2, 3, period)))
-    effort, velocity = np.concatenate(spectra, axis=1)[..., np.round(frequency * sweeps[0].spec.period).astype(int)]
-    return (effort * velocity.conj()).sum(axis=0) / (np.abs(velocity) ** 2).sum(axis=0)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from service.identification.axis.known_effects import KnownEffects
-from service.identification.estimates.estimate import Estimate, identify
+from service.identification.estimates.estimate import RobotEstimate, identify
 from simulator import Scenario
 from simulator.scenario import DriveTrain, Friction, Hose, PowerLaw, Stribeck
 from tests.numeric.campaign import AXES, SimulatedCampaign, measure_at, scenario_named
@@ -49,7 +49,7 @@ def near(value: float, part: float) -> tuple[float, float]:
     return value * (1 + part), abs(value) * part
 
 
-def bias(estimate: Estimate, campaign: SimulatedCampaign) -> dict[str, tuple[float, float, float]]:
+def bias(estimate: RobotEstimate, campaign: SimulatedCampaign) -> dict[str, tuple[float, float, float]]:
     """By joint the mean error of J, its typical standard deviation, and RMS error over standard deviation."""
     found = {}
     for axis in estimate.axes:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import sweepid
-from service.identification.estimates.combination import Combination, combine
+from service.identification.estimates.combination import JointEstimate, combine
 from service.identification.estimation import estimate_document
 from service.identification.model.regressor import axis_rows
-from service.identification.motion.along_motion import whole_parameters
+from service.identification.motion.equations import whole_parameters
 from service.identification.motion.free_motion import free_motions
 from service.model.recording import Sweep
 from service.model.results.combination import Combination as Document
@@ -32,7 +32,7 @@ class Measured:
     """
 
     log: Log
-    found: Combination
+    found: JointEstimate
     ours: np.ndarray
     best: np.ndarray
     inertia: np.ndarray

@@ -16,22 +16,20 @@ from drivers.canopen.profile import parse_profile
 from drivers.registry import load_profile
 from service.formats.export import model_of
 from service.formats.maker_urdf import side_file_text
-from service.formats.maker_urdf.meshes import mesh_points
-from service.formats.maker_urdf.packages import Packages
+from service.formats.maker_urdf.packages import Packages, mesh_points
 from service.formats.maker_urdf.virtual import DraftedRobot, virtual_machine
 from service.identification.estimates.document import as_document
-from service.identification.estimates.estimate import Estimate, identify
-from service.identification.estimates.worth import TOLERANCE
+from service.identification.estimates.estimate import RobotEstimate, identify
+from service.identification.estimates.standard_parameters import TOLERANCE
 from service.identification.model.regressor import gravity_rows, inertia_rows
 from service.identification.spectra.frequency_response import spectrum
-from service.model.configuration import read_robot
-from service.model.geometry.cell import Cell, read_cell
-from service.model.geometry.hull import collision_meshes
+from service.model.configuration import Cell, read_cell, read_robot
 from service.model.recording import Sweep
 from service.model.robot import Robot
-from service.model.urdf import transform_inertial
-from service.planning.plan import PlanDocument, PlanRequest, build_plan
-from service.planning.safety.robot_and_machine import DriveProfile, differences
+from service.model.urdf import collision_meshes, transform_inertial
+from service.planning.documents import PlanDocument, PlanRequest
+from service.planning.machine_setup import DriveProfile, differences
+from service.planning.plan import build_plan
 from simulator import (
     DrivenAxis,
     DriveTrain,
@@ -136,7 +134,7 @@ def test_the_virtual_machine_that_is_drafted_of_it_is_measured(maker: Maker, tmp
         assert np.abs(error).max() < max(0.03, 4 * float(std.max()))
 
 
-def check_worth(robot: Robot, machine: Scenario, estimate: Estimate) -> None:
+def check_worth(robot: Robot, machine: Scenario, estimate: RobotEstimate) -> None:
     """An exported model states how wrong inertia and gravity torque may be over the workspace."""
     low, high = np.array([(joint.lower, joint.upper) for joint in robot.chain.joints]).T
     poses = np.random.default_rng(9).uniform(low, high, (100, len(robot.joints)))
@@ -203,7 +201,9 @@ def machine_of(maker: Maker, robot: Robot) -> Scenario:
     )
 
 
-def errors(estimate: Estimate, machine: Scenario, sweeps: list[Sweep], joint: str) -> tuple[np.ndarray, np.ndarray]:
+def errors(
+    estimate: RobotEstimate, machine: Scenario, sweeps: list[Sweep], joint: str
+) -> tuple[np.ndarray, np.ndarray]:
     """Relative error and standard deviation of J, sweep by sweep."""
     axis = next(axis for axis in estimate.axes if axis.joint == joint)
     poses = np.array([sweep.spec.pose for sweep in sweeps if sweep.spec.axis == joint])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.identification.estimates.document import as_document
-from service.identification.estimates.estimate import Estimate, identify
+from service.identification.estimates.estimate import RobotEstimate, identify
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.model.recording import Sweep
 from simulator import true_inertia
@@ -19,12 +19,12 @@ def campaign() -> SimulatedCampaign:
     return measure("max100-full", seed=17, poses=16)
 
 
-def _identify(campaign: SimulatedCampaign, sweeps: list[Sweep]) -> Estimate:
+def _identify(campaign: SimulatedCampaign, sweeps: list[Sweep]) -> RobotEstimate:
     spectra: list[Spectrum] = [spectrum(campaign.robot, sweep) for sweep in sweeps]
     return identify(campaign.robot, spectra)
 
 
-def _worst(estimate: Estimate, campaign: SimulatedCampaign) -> float:
+def _worst(estimate: RobotEstimate, campaign: SimulatedCampaign) -> float:
     """Largest error of the identified inertias over poses, in standard deviations of the campaign without a fault."""
     poses = np.array([sweep.spec.pose for sweep in campaign.sweeps if sweep.spec.axis == "joint_1"])
     error = [estimate.identified(joint, poses) / true_inertia(campaign.scenario, joint, poses) - 1 for joint in AXES]

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from service.identification.estimates.torque_gain import KnownMass
-from service.identification.payloads.document import sentences
-from service.identification.payloads.payload import Payload, body_of, payload
+from service.identification.payloads import PayloadFit, body_of, payload, sentences
 from service.model.errors import BadInput
 from service.model.recording import Sweep
 from service.store.files.bundle import write_bundle
@@ -34,7 +33,7 @@ def before_and_after(truth: Truth, seed: int, body: np.ndarray = PAYLOAD) -> tup
     return log(truth, path, seed), log(warmer(truth.with_payload(body)), path, seed + 1, started_at=900.0)
 
 
-def off(found: Payload, body: np.ndarray = PAYLOAD) -> np.ndarray:
+def off(found: PayloadFit, body: np.ndarray = PAYLOAD) -> np.ndarray:
     """In standard deviations, of [m, c, I about c]; NaN where it was not excited."""
     return np.where(found.excited, (found.body - body_of(body)) / found.body_std, np.nan)
 

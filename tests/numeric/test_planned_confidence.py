@@ -11,9 +11,11 @@ from service.identification.design.pose_selection import Criterion
 from service.identification.estimates.estimate import identify
 from service.identification.estimation import estimate_document
 from service.identification.spectra.frequency_response import Spectrum, spectrum
-from service.model.geometry.cell import read_cell
+from service.model.configuration import read_cell
 from service.model.robot import Robot, build_robot
-from service.planning.plan import PlanDocument, PlanRequest, build_plan, workspace_grid
+from service.planning.documents import PlanDocument, PlanRequest
+from service.planning.plan import build_plan
+from service.planning.pose_choice import workspace_grid
 from simulator import true_inertia
 from tests.numeric.campaign import AXES, CONFIG, max100, measure_at, run_plan, scenario_named
 

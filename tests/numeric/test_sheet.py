@@ -11,15 +11,14 @@ import pytest
 
 from service.formats.export import model_of
 from service.formats.export.sheets.inertias import of_estimate
-from service.formats.export.sheets.making import fingerprint, sheet
-from service.formats.export.sheets.same_robot import compare
+from service.formats.export.sheets.making import compare, fingerprint, sheet
 from service.formats.export.sheets.text import as_markdown
 from service.identification.estimates.document import as_document
-from service.identification.estimates.estimate import Estimate, identify
+from service.identification.estimates.estimate import RobotEstimate, identify
 from service.identification.model.regressor import axis_rows, fold
 from service.model.errors import BadInput
 from service.model.results import estimate as results
-from service.model.results.identified.sheet import Sheet
+from service.model.results.sheet import Sheet
 from service.model.robot import INERTIAL_NAMES, Robot, link_frames
 from service.model.urdf import inertia_vector, transform_inertial
 from tests.numeric.campaign import AXES, SimulatedCampaign, measure
@@ -37,7 +36,7 @@ def campaign() -> SimulatedCampaign:
     return measure("max100-full", 5, poses=16)
 
 
-def made(robot: Robot, campaign: SimulatedCampaign) -> tuple[Estimate, Sheet]:
+def made(robot: Robot, campaign: SimulatedCampaign) -> tuple[RobotEstimate, Sheet]:
     found = identify(robot, campaign.spectra)
     document = as_document(found, found.workspace[:50])
     poses = {sweep.spec.id: sweep.spec.pose for sweep in campaign.sweeps}
@@ -45,7 +44,7 @@ def made(robot: Robot, campaign: SimulatedCampaign) -> tuple[Estimate, Sheet]:
 
 
 @pytest.fixture(scope="module")
-def differing(campaign: SimulatedCampaign) -> tuple[Robot, Estimate, Sheet]:
+def differing(campaign: SimulatedCampaign) -> tuple[Robot, RobotEstimate, Sheet]:
     return campaign.robot, *made(campaign.robot, campaign)
 
 
@@ -59,7 +58,7 @@ def read_loads(text: str) -> dict[str, tuple[float, np.ndarray, np.ndarray, np.n
     return loads
 
 
-def test_the_loads_explain_what_cad_lacks(differing: tuple[Robot, Estimate, Sheet]) -> None:
+def test_the_loads_explain_what_cad_lacks(differing: tuple[Robot, RobotEstimate, Sheet]) -> None:
     found = differing[2].supplementary
     assert found is not None
     assert found.loads, found.left_out
@@ -68,7 +67,7 @@ def test_the_loads_explain_what_cad_lacks(differing: tuple[Robot, Estimate, Shee
     assert all(one.mass > 0 and one.link == f"link_{one.axis[1]}" for one in found.loads)
 
 
-def test_loads_read_back_give_the_identified_inertias(differing: tuple[Robot, Estimate, Sheet]) -> None:
+def test_loads_read_back_give_the_identified_inertias(differing: tuple[Robot, RobotEstimate, Sheet]) -> None:
     """From the page, through the frames of the control, onto CAD's links."""
     robot, estimate, sheet_ = differing
     inertial = robot.chain.inertial.copy()
@@ -112,7 +111,7 @@ def inertia_about(robot: Robot, joint: str, poses: np.ndarray) -> np.ndarray:
     return np.array([pin.crba(model, data, pose)[robot.index(joint), robot.index(joint)] for pose in poses])
 
 
-def test_every_body_of_the_page_can_exist(differing: tuple[Robot, Estimate, Sheet]) -> None:
+def test_every_body_of_the_page_can_exist(differing: tuple[Robot, RobotEstimate, Sheet]) -> None:
     """MuJoCo refuses moments that break the triangle inequality; Pinocchio's pseudo-inertia must be definite."""
     text = as_markdown(differing[2])
     bodies = [(mass, centre, rotation @ np.diag(moments) @ rotation.T) for mass, centre, rotation, moments in
@@ -136,7 +135,7 @@ def test_every_body_of_the_page_can_exist(differing: tuple[Robot, Estimate, Shee
         assert np.linalg.eigvalsh(pseudo).min() > 0
 
 
-def test_mujoco_reads_the_sheet(differing: tuple[Robot, Estimate, Sheet]) -> None:
+def test_mujoco_reads_the_sheet(differing: tuple[Robot, RobotEstimate, Sheet]) -> None:
     """The joints' armatures of the page, and the bodies, are those of the exported model."""
     robot, estimate, sheet_ = differing
     joints = re.findall(r'<joint name="(.*?)" armature="(.*?)" damping="(.*?)"/>', as_markdown(sheet_))
@@ -174,7 +173,7 @@ def _at_origin(body: Any) -> np.ndarray:
     ],
 )
 def test_without_more_than_cad_there_is_no_load(
-    differing: tuple[Robot, Estimate, Sheet], factor: float | np.ndarray, why: str
+    differing: tuple[Robot, RobotEstimate, Sheet], factor: float | np.ndarray, why: str
 ) -> None:
     robot, estimate, _ = differing
     document = as_document(estimate, estimate.workspace[:20])
@@ -192,7 +191,7 @@ def test_without_more_than_cad_there_is_no_load(
 
 
 @pytest.mark.parametrize("poses", [6, 16])  # too few to identify every base parameter, and enough
-def test_the_same_robot_and_a_heavier_one(differing: tuple[Robot, Estimate, Sheet], poses: int) -> None:
+def test_the_same_robot_and_a_heavier_one(differing: tuple[Robot, RobotEstimate, Sheet], poses: int) -> None:
     robot, _, first = differing
     later = measure("max100-full", 17, poses=poses)
     found = identify(robot, later.spectra)
@@ -224,7 +223,7 @@ def scaled(document: results.Estimate, factor: float) -> results.Estimate:
     return document.model_copy(update={"axes": axes, "base_parameters": base})
 
 
-def test_what_cannot_be_compared_is_refused(differing: tuple[Robot, Estimate, Sheet]) -> None:
+def test_what_cannot_be_compared_is_refused(differing: tuple[Robot, RobotEstimate, Sheet]) -> None:
     robot, estimate, first = differing
     document = as_document(estimate, estimate.workspace[:20])
     poses: dict[str, np.ndarray] = dict.fromkeys(AXES, estimate.workspace[:3])
@@ -246,14 +245,14 @@ def resealed(changed: Sheet) -> Sheet:
     return changed.model_copy(update={"fingerprint": fingerprint(changed)})
 
 
-def test_the_sheet_says_which_frames_the_loads_are_given_in(differing: tuple[Robot, Estimate, Sheet]) -> None:
+def test_the_sheet_says_which_frames_the_loads_are_given_in(differing: tuple[Robot, RobotEstimate, Sheet]) -> None:
     """Public documents give the frames, not the axis positions at which they are defined: a person must check."""
     page = as_markdown(differing[2])
     assert "FLANGE (in the URDF: frame of joint_6) with A4 = A5 = A6 = 0 deg" in page
     assert "check in the manual of your control" in page
 
 
-def test_the_sheet_has_no_number_that_a_person_cannot_type(differing: tuple[Robot, Estimate, Sheet]) -> None:
+def test_the_sheet_has_no_number_that_a_person_cannot_type(differing: tuple[Robot, RobotEstimate, Sheet]) -> None:
     """No exponents in the lines for KUKA, and the unit of every joint, also of those that were not measured."""
     page = as_markdown(differing[2])
     assert KRL.search(page)

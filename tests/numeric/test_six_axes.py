@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import sweepid
-from service.identification.design.exciting_trajectory import Shape
-from service.identification.estimates.combination import Combination, combine, inertias_of
+from service.identification.design.exciting_trajectory import TrajectoryShape
+from service.identification.estimates.combination import JointEstimate, combine, inertias_of
 from service.identification.estimates.estimate import identify
 from service.model.recording import Sweep
 from service.model.robot import Robot
@@ -29,7 +29,7 @@ from tests.numeric.six_axes import (
     records,
 )
 
-SHAPE = Shape(period=3.0, harmonics=5, periods=2, ramp=0.5, settle=0.5)
+SHAPE = TrajectoryShape(period=3.0, harmonics=5, periods=2, ramp=0.5, settle=0.5)
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Measured:
     scenario: Scenario
     sweeps: list[Sweep]
     trajectories: list[list[Sweep]]
-    both: Combination
+    both: JointEstimate
 
 
 @pytest.fixture(scope="module")

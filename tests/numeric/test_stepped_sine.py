@@ -5,9 +5,9 @@ import pytest
 
 from service.identification.estimates.initial_analysis import analyse
 from service.identification.spectra.frequency_response import spectrum
-from service.model.geometry.cell import read_cell
-from service.planning.analysis.documents import AnalysisPlan, AnalysisRequest
-from service.planning.analysis.plan import build_analysis_plan
+from service.model.configuration import read_cell
+from service.planning.analysis import build_analysis_plan
+from service.planning.documents import AnalysisPlan, AnalysisRequest
 from simulator import true_inertia
 from tests.numeric.campaign import CONFIG, max100, run_plan, scenario_named
 

@@ -9,11 +9,11 @@ import can
 import yaml
 
 from drivers.canopen import frames
-from drivers.canopen.socketcand import SocketcandBus
-from drivers.cia402 import states
+from drivers.canopen.bus import SocketcandBus
+from drivers.cia402.states import Controlword
 from tests.system.rest_bench import VirtualMachine
 
-QUICK_STOP = frames.rpdo1(states.QUICK_STOP, 0)
+QUICK_STOP = frames.rpdo1(Controlword.QUICK_STOP, 0)
 SDO_REQUEST = 0x600
 
 
@@ -38,11 +38,11 @@ class Ear:
 
     def quick_stops(self) -> set[int]:
         """The nodes that were told to stop."""
-        return {identifier - frames.RPDO1 for identifier, data in tuple(self.heard) if data == QUICK_STOP}
+        return {identifier - frames.Cob.RPDO1 for identifier, data in tuple(self.heard) if data == QUICK_STOP}
 
     def nmt_stops(self) -> set[int]:
-        words = [data for identifier, data in tuple(self.heard) if identifier == frames.NMT]
-        return {data[1] for data in words if data[0] == frames.NMT_STOP}
+        words = [data for identifier, data in tuple(self.heard) if identifier == frames.Cob.NMT]
+        return {data[1] for data in words if data[0] == frames.NmtCommand.STOP}
 
     def words_of_motion(self) -> list[str]:
         """What closes a loop or moves an axis, by RPDO1 or SDO: enable operation, start of a measuring function."""
@@ -70,7 +70,7 @@ def listening(machine: VirtualMachine) -> Generator[Ear]:
 
 def _moves(identifier: int, data: bytes) -> bool:
     function = identifier & ~0x7F
-    if function == frames.RPDO1:
+    if function == frames.Cob.RPDO1:
         return _enables(struct.unpack_from("<H", data)[0])
     if function == SDO_REQUEST and data[0] & 0xE0 == 0x20:  # expedited download
         entry = struct.unpack_from("<HB", data, 1)
@@ -80,4 +80,4 @@ def _moves(identifier: int, data: bytes) -> bool:
 
 
 def _enables(controlword: int) -> bool:
-    return controlword & 0x0F == states.ENABLE_OPERATION
+    return controlword & 0x0F == Controlword.ENABLE_OPERATION

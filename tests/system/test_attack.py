@@ -17,11 +17,11 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from service.store.access.audit_chain import verify
-from service.store.access.keys import new_key
+from service.store.access.credentials import new_key
 from service.store.access.permissions import Role
 from service.store.database import open_database
 from service.store.people.audit import AuditStore
-from service.store.people.keys import KeyStore
+from service.store.people.users import KeyStore
 from service.web.client import ServiceClient
 from tests.system.rest_bench import Service, add_plan, serving, until, virtual_machine
 from tests.system.test_stop import stop_url

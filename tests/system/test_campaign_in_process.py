@@ -12,11 +12,11 @@ import sweepid
 from drivers.ports import AxisState
 from service.identification.estimation import estimate_document
 from service.identification.spectra.frequency_response import spectrum
-from service.machine.execution.epoch import Intention
-from service.model.geometry.cell import read_cell
-from service.planning.plan import PlanRequest, build_plan
-from service.planning.trajectories.documents import TrajectoryRequest
-from service.planning.trajectories.plan import build_trajectory_plan
+from service.machine.execution.permission import Intention
+from service.model.configuration import read_cell
+from service.planning.documents import PlanRequest, TrajectoryRequest
+from service.planning.plan import build_plan
+from service.planning.trajectories import build_trajectory_plan
 from service.process.settings import Settings
 from service.store.documents import CampaignDocument, CampaignState, SweepState
 from service.store.files.bundle import read_bundle

@@ -18,9 +18,10 @@ import pytest
 import yaml
 
 from drivers.registry import load_profile
-from service.machine.execution.epoch import Intention
-from service.model.geometry.cell import read_cell
-from service.planning.plan import PlanRequest, build_plan
+from service.machine.execution.permission import Intention
+from service.model.configuration import read_cell
+from service.planning.documents import PlanRequest
+from service.planning.plan import build_plan
 from service.process.settings import Settings
 from service.store.documents import CampaignState
 from service.web.application import open_application

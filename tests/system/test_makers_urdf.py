@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from service.cli.demo.processes import running
+from service.cli.virtual_cell import running
 from tests.ports import free_port
 
 ROOT = Path(__file__).parents[2]

@@ -11,7 +11,7 @@ import httpx
 import pytest
 import yaml
 
-from service.web.api.metrics.page import GROUPS
+from service.web.api.metrics import GROUPS
 from tests.ports import free_port
 from tests.programs import needs
 from tests.system.rest_bench import PATIENT_LEASE, serving, until, virtual_machine

@@ -23,7 +23,7 @@ STEM = "plant/cell_7"
 
 def publisher(service: Service) -> list[psutil.Process]:
     children = psutil.Process(service.running().pid).children()
-    return [child for child in children if "service.publishing.process" in child.cmdline()]
+    return [child for child in children if "service.publishing.publisher" in child.cmdline()]
 
 
 def test_a_campaign_is_followed_from_outside(tmp_path: Path) -> None:

@@ -300,7 +300,7 @@ def test_after_a_gap_nothing_moves_until_a_person_resumes(
 def test_a_word_of_another_host_stops_what_moves(machine: VirtualMachine, client: ServiceClient, ear: Ear) -> None:
     """Which words: `tests/unit/drivers/test_foreign_frames.py`."""
     campaign = moving(client, machine, "host_streamed")
-    ear.say(frames.SYNC)
+    ear.say(frames.Cob.SYNC)
     until(lambda: [stop["id"] > 0 for stop in client.stops()] == [True], "latched")
     (stop,) = client.stops()
     assert stop["by"] == "host watch"

@@ -29,7 +29,7 @@ def listener() -> Iterator[can.BusABC]:
 
 
 def plan(number: int) -> list[tuple[int, bytes]]:
-    return [(RPDO, number.to_bytes(4, "little")), (frames.SYNC, b"")]
+    return [(RPDO, number.to_bytes(4, "little")), (frames.Cob.SYNC, b"")]
 
 
 def until_silent(listener: can.BusABC) -> list[can.Message]:
@@ -45,12 +45,12 @@ def planned(heard: list[can.Message]) -> list[int]:
 
 def test_a_stream_that_nobody_tops_up_comes_to_rest_and_ends(listener: can.BusABC) -> None:
     started = time.monotonic()
-    stream = KernelStream(INTERFACE, 0.01, lambda k: plan(k + 1), [(RPDO, REST), (frames.SYNC, b"")])
+    stream = KernelStream(INTERFACE, 0.01, lambda k: plan(k + 1), [(RPDO, REST), (frames.Cob.SYNC, b"")])
     stream.begin()
     heard = until_silent(listener)
     stream.close()
     assert time.monotonic() - started < 5.0
-    assert [each.arbitration_id for each in heard] == [RPDO, frames.SYNC] * (len(heard) // 2) + [RPDO] * (
+    assert [each.arbitration_id for each in heard] == [RPDO, frames.Cob.SYNC] * (len(heard) // 2) + [RPDO] * (
         len(heard) % 2
     )
     assert planned(heard) == list(range(1, 76))  # three quarters of a ring of 100 cycles
@@ -60,10 +60,10 @@ def test_a_stream_that_nobody_tops_up_comes_to_rest_and_ends(listener: can.BusAB
 
 
 def test_topping_up_neither_breaks_the_order_nor_sends_the_first_frames_again(listener: can.BusABC) -> None:
-    stream = KernelStream(INTERFACE, 0.004, lambda k: plan(k + 1), [(RPDO, REST), (frames.SYNC, b"")])
+    stream = KernelStream(INTERFACE, 0.004, lambda k: plan(k + 1), [(RPDO, REST), (frames.Cob.SYNC, b"")])
     stream.begin()
     heard: list[can.Message] = []
-    while (sent := sum(each.arbitration_id == frames.SYNC for each in heard)) < 500:
+    while (sent := sum(each.arbitration_id == frames.Cob.SYNC for each in heard)) < 500:
         message = listener.recv(1.0)
         assert message is not None
         heard.append(message)
@@ -124,13 +124,13 @@ async def test_a_stop_deletes_the_kernels_job_and_the_ladder_takes_over() -> Non
             assert drive.obeyed[-1] == (0x00, 0)
             assert max(abs(b - a) for a, b in pairwise(obeyed(drive))) <= 1000 * 20.0 * 0.01 + 1
         with can.Bus(interface="socketcan", channel=INTERFACE) as ear:
-            assert not {each.arbitration_id for each in until_silent(ear)} & {frames.SYNC, RPDO, RPDO + 1}
+            assert not {each.arbitration_id for each in until_silent(ear)} & {frames.Cob.SYNC, RPDO, RPDO + 1}
 
 
 async def test_a_second_source_of_sync_ends_the_sweep() -> None:
     async with bench(Drive(1), interface="socketcan", channel=INTERFACE, sync_period=0.01) as on:
         run = on.start(on.request(1, periods=300))
-        await run_to_end(run, lambda _: on.cabinet.say(frames.SYNC))
+        await run_to_end(run, lambda _: on.cabinet.say(frames.Cob.SYNC))
         assert run.ending in (Ending.NOT_SENT, Ending.MISCOUNTED)
         assert run.joint == "joint_1"
 
@@ -153,7 +153,7 @@ async def test_an_interface_that_goes_down_is_lost_communication_and_nothing_is_
         finally:
             link("up")
         with pytest.raises(CommunicationLost):
-            on.bus.send(frames.SYNC, b"")
+            on.bus.send(frames.Cob.SYNC, b"")
         with can.Bus(interface="socketcan", channel=INTERFACE) as ear:
             assert ear.recv(0.5) is None
 

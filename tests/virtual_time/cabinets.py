@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
-from simulator.cabinet import Cabinet
+from simulator.cabinet import VirtualDriveCabinet
 from tests.virtual_time import primitives
 
 _LEAST_STEP = 20e-6  # s between two times at which the cabinet looks at its timers
@@ -12,7 +12,7 @@ CAREFUL = 10
 _STALE = 8  # cycles by which the plant may lag behind a look at it; in real time it lags by 4 to 16
 
 
-class EventDriven(Cabinet[Any]):
+class EventDriven(VirtualDriveCabinet[Any]):
     """Mixed into a cabinet: its plant runs to the next event in one call, which is a frame, a timer or an order.
 
     On real time the plant runs in chunks of a few cycles, because somebody may look at it at any time. Here every look

@@ -16,9 +16,9 @@ import can
 import can.interface
 
 import drivers.canopen.stop_sender
-from simulator.canopen.cabinet import Cabinet
-from simulator.canopen.node import Frame
-from simulator.machine import Machine
+from simulator.canopen.cabinet import CanopenCabinet
+from simulator.canopen.pdo import Frame
+from simulator.machine import LiveMachine
 from tests.virtual_time import primitives
 from tests.virtual_time.cabinets import EventDriven, Powered
 from tests.virtual_time.primitives import SimpleQueue
@@ -33,14 +33,14 @@ _CAN = {"AF_CAN": 29, "CAN_RAW": 1, "SOL_CAN_RAW": 101, "CAN_RAW_FILTER": 1}  # 
 _CAN_FRAME = struct.Struct("=IB3x8s")  # linux/can.h
 
 
-class EventDrivenCabinet(EventDriven, Cabinet):
+class EventDrivenCabinet(EventDriven, CanopenCabinet):
     """See `EventDriven`."""
 
 
 class Wire(Powered[EventDrivenCabinet]):
     """The bus, the cabinet on it, and its hosts. Frames from one sender reach each receiver in their order."""
 
-    def __init__(self, channel: str, machine: Machine, eds: Path, speed_factor: float) -> None:
+    def __init__(self, channel: str, machine: LiveMachine, eds: Path, speed_factor: float) -> None:
         self.channel = channel
         self.gone = False
         """The gateway to the bus, or the interface, is not there: what is open fails, nothing can be opened."""

@@ -8,9 +8,9 @@ import yaml
 
 from drivers.ports import DrivePort
 from drivers.registry import open_profile
-from simulator.fault_orders import Plant, carry_out
-from simulator.machine import Machine
-from simulator.modbus.register_map import load_register_map
+from simulator.control import OrderTarget, carry_out
+from simulator.machine import LiveMachine
+from simulator.modbus.registers import load_register_map
 from simulator.scenario import load_scenario
 from tests.virtual_time import canbus, modbus
 from tests.virtual_time.canbus import Wire
@@ -60,7 +60,7 @@ class VirtualMachine:
         self.profile.write_text(yaml.safe_dump(content), "utf-8")
 
     def power_on(self) -> None:
-        machine = Machine(load_scenario(self._scenario), 1)
+        machine = LiveMachine(load_scenario(self._scenario), 1)
         self.wire: Wire | Gateway
         if self.fieldbus == "canopen":
             self.wire = canbus.WIRES[CHANNEL] = Wire(CHANNEL, machine, EDS, self._speed_factor)
@@ -80,7 +80,7 @@ class VirtualMachine:
         """A fault to order, as at the control port of `sweepid drive`."""
         self.wire.look()
         line = json.dumps({"order": order, **details}).encode()
-        reply: dict[str, Any] = carry_out(Plant(self.wire.cabinet, self.wire), line)
+        reply: dict[str, Any] = carry_out(OrderTarget(self.wire.cabinet, self.wire), line)
         self.wire.acted()
         assert reply["ok"], reply
         return reply

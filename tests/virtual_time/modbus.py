@@ -1,6 +1,6 @@
 """A Modbus TCP gateway in memory, and the virtual cabinet behind it. An answer takes what the seed draws.
 
-The client of the service (`drivers.modbus.client`, pymodbus) and the stop sender open a connection to it: their modules
+The client of the service (`drivers.modbus.line`, pymodbus) and the stop sender open a connection to it: their modules
 `socket` and `select` are those of this one, see `install`.
 """
 
@@ -14,11 +14,11 @@ import pymodbus.client.tcp
 from pymodbus.framer import FramerSocket
 from pymodbus.pdu import DecodePDU
 
-import drivers.modbus.client
+import drivers.modbus.line
 import drivers.modbus.stop_sender
-from simulator.machine import Machine
+from simulator.machine import LiveMachine
 from simulator.modbus.cabinet import ModbusCabinet
-from simulator.modbus.register_map import RegisterMap
+from simulator.modbus.registers import RegisterMap
 from tests.virtual_time import primitives
 from tests.virtual_time.cabinets import EventDriven, Powered
 from tests.virtual_time.scheduler import SimThread
@@ -37,7 +37,7 @@ class EventDrivenModbusCabinet(EventDriven, ModbusCabinet):
 class Gateway(Powered[EventDrivenModbusCabinet]):
     """Accepts any number of clients; answers a request after the other of each."""
 
-    def __init__(self, address: Address, machine: Machine, eds: Path, registers: RegisterMap, speed: float) -> None:
+    def __init__(self, address: Address, machine: LiveMachine, eds: Path, registers: RegisterMap, speed: float) -> None:
         self.gone = ""
         """"refused": what is open fails, nothing can be opened; "silent": nothing is answered, nothing fails."""
         self.lost: Callable[[bytes, bool], bool] = lambda _adu, _command: False
@@ -229,6 +229,6 @@ def install() -> None:
     names = {name: getattr(real_socket, name) for name in dir(real_socket) if name.isupper()}
     network = SimpleNamespace(**names, create_connection=_create_connection, socketpair=_pair, socket=End)
     waiting = SimpleNamespace(select=_select)
-    modules: tuple[Any, ...] = (drivers.modbus.client, drivers.modbus.stop_sender, pymodbus.client.tcp)
+    modules: tuple[Any, ...] = (drivers.modbus.line, drivers.modbus.stop_sender, pymodbus.client.tcp)
     for module in modules:
         module.socket, module.select = network, waiting

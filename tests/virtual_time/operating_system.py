@@ -15,9 +15,8 @@ from types import SimpleNamespace
 from typing import Any
 
 from service.machine.stop_process import __main__ as stop_process
-from service.machine.stop_process import handle, telling
-from service.machine.stop_process.answers import Answer, Request
-from service.machine.stop_process.listener import BEAT, Answered
+from service.machine.stop_process import handle
+from service.machine.stop_process.listener import BEAT, Answer, Answered, Request
 from tests.virtual_time import primitives
 from tests.virtual_time.primitives import SimpleQueue
 from tests.virtual_time.scheduler import Process
@@ -170,10 +169,8 @@ def install() -> None:
         read=lambda _number, _most: _mine().stdin.read(),
         getpid=lambda: id(_mine()),
         _exit=_exit,
+        write=lambda _number, data: _mine().stdout.write(data),
+        set_blocking=lambda _number, _blocking: None,
     )
     own_side.sys = _Sys()
-    output: Any = telling
-    output.os = SimpleNamespace(
-        write=lambda _number, data: _mine().stdout.write(data), set_blocking=lambda _number, _blocking: None
-    )
     own_side.Listener = Listener

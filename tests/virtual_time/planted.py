@@ -6,9 +6,9 @@ well, later. Not in the list, because nothing that anybody could observe changes
 - one of the checks of the epoch removed while another follows before the energy (before the drives are connected; in
   the transaction of a start; before or after enabling): a later one refuses. All of one kind together are in the list.
 - `HostWatch.check` alone: `halt` and the beat of the event loop find the same gap.
-- `Axis._check_wanted` alone: the stop sequence, which follows on the same thread, takes the energy away within 0.5 s.
+- `Cia402Axis._check_wanted` alone: the stop sequence, next on the same thread, takes the energy away within 0.5 s.
 - the latch in the database alone, without a restart: the one in memory holds.
-- `Bus.stop` alone: the confirmation sends the stop again.
+- `StopBus.stop` alone: the confirmation sends the stop again.
 - the stop of the service alone while the stop process sends it, and the reverse while the service runs: each hides the
   other; "no stop is sent" takes both away.
 """
@@ -16,25 +16,21 @@ well, later. Not in the list, because nothing that anybody could observe changes
 import asyncio
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 from drivers.canopen.stop_sender import CanopenStopSender
-from drivers.cia402.axis import Axis
+from drivers.cia402.axis import Cia402Axis
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
-from service.machine.execution import statement
-from service.machine.execution.approvals import Approvals
-from service.machine.execution.epoch import Epochs, Intention
+from service.machine.execution import statement, stops
 from service.machine.execution.machine import Machine
-from service.machine.execution.motion import Motion
+from service.machine.execution.motion import MotionAccess
+from service.machine.execution.permission import Approvals, Epochs, Intention
 from service.machine.execution.runner import Runner
-from service.machine.execution.state import lease_renewal
-from service.machine.execution.state.latched_stops import LatchedStops
-from service.machine.execution.state.stop_sequences import StopSequences
 from service.machine.execution.statement import Reports
-from service.machine.stop_process.bus import Bus, Outcome
-from service.store import approvals
+from service.machine.execution.stops import LatchedStops, StopSequences
+from service.machine.stop_process.bus import StopBus, StopOutcome
+from service.store import guards
 from service.store.guards import MachineLease
 from service.store.store import Store
 from tests.virtual_time import sequences as s
@@ -97,7 +93,7 @@ DRIVES: dict[str, Plant] = {
     "the stop does nothing": _set(Cia402Machine, "stop", _nothing_async),
     "the stop sequence leaves out the first axis": _set(Cia402Machine, "_bring_down", _only_first),
     "the stop sequence disables nothing": _set(Cia402Machine, "_bring_down", _nothing_async),
-    "an axis is not disabled": _set(Axis, "disable", _nothing),
+    "an axis is not disabled": _set(Cia402Axis, "disable", _nothing),
 }
 """Found by a stop at any moment, each within 30 s of processor time."""
 
@@ -119,7 +115,7 @@ def _lost(self: Any, campaign: int, number: int, move: Any, *more: Any, **named:
     return _REAL_END_SWEEP(self, campaign, number, move, *more, **named | {"recording": None})
 
 
-_HOLD = LatchedStops.take
+_HOLD = LatchedStops.latch
 
 
 def _not_latched(self: Any, *given: Any) -> Any:
@@ -128,8 +124,8 @@ def _not_latched(self: Any, *given: Any) -> Any:
     return hold
 
 
-def _silent(self: Any) -> Outcome:
-    return Outcome(dict.fromkeys(self._joints, ""))
+def _silent(self: Any) -> StopOutcome:
+    return StopOutcome(dict.fromkeys(self._joints, ""))
 
 
 async def _confirms_at_once(self: Any) -> tuple[str, ...]:
@@ -160,7 +156,7 @@ PENDING = (s.change_of_mind,)
 
 SERVICE: dict[str, Fault] = {
     "the gate forgets lease, latch and epoch": Fault(
-        _set(Motion, "_may_move", _nothing), (s.start, s.stop_by_port, s.abort), 20.0
+        _set(MotionAccess, "_may_move", _nothing), (s.start, s.stop_by_port, s.abort), 20.0
     ),
     "the machine never refuses": Fault(_set(Machine, "check_may_move", _nothing), (s.start, s.stop_by_port), 20.0),
     "no epoch is ever checked": Fault(_set(Epochs, "check", _nothing), PENDING, 10.0),
@@ -168,11 +164,11 @@ SERVICE: dict[str, Fault] = {
         _set(Runner, "_check_machine", _takes_the_present_epoch), PENDING, 10.0
     ),
     "a stop begins no epoch": Fault(_set(Epochs, "begin", _nothing), PENDING, 10.0),
-    "stops are not latched": Fault(_set(LatchedStops, "take", _not_latched), (s.start, s.stop_by_port), 10.0),
+    "stops are not latched": Fault(_set(LatchedStops, "latch", _not_latched), (s.start, s.stop_by_port), 10.0),
     "a gap of the host is not noticed": Fault(
         _all(_set(HostWatch, "look", _nothing), _set(HostWatch, "reason", "")), (s.start, s.connect, s.host_gap), 20.0
     ),
-    "the end of motion is empty": Fault(_set(Motion, "end", _nothing_async), (s.broken_off,), 20.0, ONCE),
+    "the end of motion is empty": Fault(_set(MotionAccess, "end", _nothing_async), (s.broken_off,), 20.0, ONCE),
     "an abort does not end what runs": Fault(
         _set(Runner, "_end_task", _does_not_end), (s.start, s.abort, s.acknowledge), 30.0
     ),
@@ -190,11 +186,9 @@ SERVICE: dict[str, Fault] = {
     "what gets energy is stated to stand": Fault(_set(Reports, "gets_energy", _nothing), RUNS, 10.0),
     "plans need no approval": Fault(_set(Approvals, "check", _nothing), (s.start,), 10.0),
     "an approval outlives a stop": Fault(
-        _set(approvals, "_last_stop", lambda *_: 0), (s.start, s.stop_by_port, s.release), 20.0
+        _set(guards, "_last_stop", lambda *_: 0), (s.start, s.stop_by_port, s.release), 20.0
     ),
-    "the lease is never missed": Fault(
-        _set(lease_renewal, "time", SimpleNamespace(monotonic=lambda: 0.0)), (s.start, s.second_service), 20.0
-    ),
+    "the lease is never missed": Fault(_set(stops, "_passed", lambda _: 0.0), (s.start, s.second_service), 20.0),
     "the stop process sends nothing": Fault(_set(CanopenStopSender, "_send", _nothing), (s.stop_in_a_gap,), 20.0, ONCE),
     "a stop is not stored": Fault(_set(LatchedStops, "note", _nothing), (s.stop_outlives_a_kill,), 20.0, ONCE),
     "a release releases what nobody saw": Fault(
@@ -211,7 +205,7 @@ SERVICE: dict[str, Fault] = {
         _all(
             _set(Cia402Machine, "halt", _nothing),
             _set(Cia402Machine, "stop", _nothing_async),
-            _set(Bus, "stop", _silent),
+            _set(StopBus, "stop", _silent),
         ),
         (s.start, s.stop_by_api, s.stop_by_port),
         10.0,

@@ -21,15 +21,14 @@ from fastapi import FastAPI
 from sqlalchemy import Connection, Engine, create_engine
 from sqlalchemy.exc import OperationalError
 
-import service.store.engines.sqlite
+import service.store.engines
 import service.web.application
-from service.jobs.worker import Worker
-from service.jobs.worker.jobs import Answer, Work
+from service.jobs.work import Answer, Work, Worker
 from service.machine.execution.machine import Machine
-from service.machine.stop_process.answers import LONGEST_WAIT, Request
 from service.machine.stop_process.handle import StopProcess
+from service.machine.stop_process.listener import LONGEST_WAIT, Request
 from service.process.settings import Settings
-from service.store.engines.kind import BUSY_TIMEOUT, PATIENCE, WRITE
+from service.store.engines import BUSY_TIMEOUT, PATIENCE, WRITE
 from service.web.app import create_app, end_motion, end_streams
 from service.web.client import ServiceClient
 from tests.virtual_time import operating_system, primitives
@@ -300,7 +299,7 @@ class WorkerInProcess(Worker):
 
 
 def _begin(connection: Connection) -> None:
-    """As `sqlite._begin`; but SQLite would wait for another writer in C, where no other thread of this process runs."""
+    """As `_begin_sqlite`; but SQLite would wait for another writer in C, where no other thread of this process runs."""
     options = connection.get_execution_options()
     connection.exec_driver_sql("PRAGMA busy_timeout = 0")
     deadline = primitives.monotonic() + options.get(PATIENCE, BUSY_TIMEOUT)
@@ -325,15 +324,15 @@ def _install(service_of_tests: VirtualService) -> None:
 
     application: Any = service.web.application
     application.open_worker = open_worker
-    sqlite: Any = service.store.engines.sqlite
-    sqlite._begin = _begin
-    configure = sqlite._configure
+    sqlite: Any = service.store.engines
+    sqlite._begin_sqlite = _begin
+    configure = sqlite._configure_sqlite
 
     def configured(connection: sqlite3.Connection, record: object) -> None:
         configure(connection, record)
         connection.execute("PRAGMA synchronous = OFF")  # a killed process keeps its files; only a power cut does not
 
-    sqlite._configure = configured
+    sqlite._configure_sqlite = configured
 
     def remembered(*args: Any, **more: Any) -> Engine:
         _ENGINES.append(create_engine(*args, **more))

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from drivers.contract import DrivePortSuite, FaultSuite, NoiseSuite
-from drivers.contract.suite import connected_port
+from drivers.contract.bench import connected_port
 from drivers.ports import DrivePort
 from tests.contract.bench import BENCHES, Virtual
 from tests.virtual_time.clock import Clock

@@ -15,10 +15,8 @@ from runbook import Exit, Runbook, parser_of, run
 
 from service.model.errors import BadInput
 from service.process.settings import load_settings
-from service.store.backup.examination import examine
-from service.store.backup.making import DATABASE, make_backup
-from service.store.backup.restoring import restore
-from service.store.snapshot import sqlite_file
+from service.store.backup import DATABASE, make_backup, restore, sqlite_file
+from service.store.examination import examine
 
 
 def main() -> int:

@@ -8,7 +8,7 @@ import numpy as np
 
 from service.formats.export.sheets.inertias import STILL
 from service.model.robot import Robot, RobotDescription, build_robot
-from service.report.benefit.lever_arm import ON_THE_AXIS, lever_arm
+from service.report.benefit.benefit import ON_THE_AXIS, lever_arm
 
 Json = Mapping[str, Any]
 

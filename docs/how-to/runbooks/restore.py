@@ -13,10 +13,8 @@ from pathlib import Path
 from runbook import Exit, Runbook, parser_of, run
 
 from service.model.errors import BadInput
-from service.store.backup.examination import examine
-from service.store.backup.making import DATABASE
-from service.store.backup.restoring import check_backup, restore
-from service.store.snapshot import look
+from service.store.backup import DATABASE, check_backup, look, restore
+from service.store.examination import examine
 from service.web.client import ServiceUnreachable
 
 NEXT = "sweepid serve --data-dir {}; then after_a_stop.py"

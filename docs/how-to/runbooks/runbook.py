@@ -19,10 +19,10 @@ from typing import Any
 
 from moves import Move, moves, robot_of
 
-from service.cli.termination_signals import TerminationSignals
+from service.cli.commands.campaigns import TerminationSignals
 from service.model.errors import BadInput, SweepidError
 from service.model.robot import Robot
-from service.planning.campaigns.plan_subject import PlanSubject
+from service.planning.campaigns.stored_plan import PlanSubject
 from service.web.client import HOST_WATCH, Json, ServiceClient
 
 OVER = ("completed", "paused", "aborted")

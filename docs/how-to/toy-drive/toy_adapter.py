@@ -15,15 +15,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from drivers.cia402 import states
-from drivers.cia402.axis import Axis
-from drivers.cia402.checks import Envelope
-from drivers.cia402.connection import Run, capabilities
-from drivers.cia402.device import Abilities, MeasuringState, Mode, Motion
+from drivers.cia402.axis import Cia402Axis
+from drivers.cia402.checks import DriveEnvelope
+from drivers.cia402.connection import DriveThread, RunningSweep, capabilities, to_the_end
+from drivers.cia402.device import Abilities, Feedback, MeasuringState, OperationMode
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
 from drivers.cia402.profile import AxisProfile, Frozen, parse
-from drivers.cia402.thread import DriveThread, to_the_end
+from drivers.cia402.states import Controlword
 from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady, WrongConfiguration, WrongIdentity
 from drivers.ports import AxisIdentity, Capabilities, SampleBlock, StopSender, SweepCommand
 
@@ -125,9 +124,9 @@ class ToyDevice:
     def control(self, controlword: int) -> None:
         self.line.ask("control", controlword)
 
-    def set_mode(self, mode: Mode) -> None:
+    def set_mode(self, mode: OperationMode) -> None:
         """The drive has profile position mode only."""
-        if mode is not Mode.PROFILE_POSITION:
+        if mode is not OperationMode.PROFILE_POSITION:
             raise WrongConfiguration(f"{self.place}: has no mode {mode.name}")
 
     def allow_motion(self) -> None:
@@ -161,11 +160,11 @@ class ToyDevice:
     def stop_unheard(self) -> None:
         """Without a connection the drive stops by its watchdog."""
         with suppress(DriveError):
-            self.control(states.QUICK_STOP)
+            self.control(Controlword.QUICK_STOP)
 
-    def motion(self) -> Motion:
+    def motion(self) -> Feedback:
         position, velocity, torque = self.line.ask("motion")
-        return Motion(position / self._gear, velocity / self._gear, torque * self._gear)
+        return Feedback(position / self._gear, velocity / self._gear, torque * self._gear)
 
     def hold_target(self) -> None:
         """A new target is valid from the new set-point bit."""
@@ -220,17 +219,17 @@ class ToyDevice:
 
 @dataclass(frozen=True, slots=True)
 class ToyConnection:
-    """See `drivers.cia402.connection.Connection`."""
+    """See `drivers.cia402.connection.DriveConnection`."""
 
     thread: DriveThread
     heart: asyncio.Task[None]
     devices: Sequence[ToyDevice]
-    axes: Mapping[str, Axis]
+    axes: Mapping[str, Cia402Axis]
     identities: tuple[AxisIdentity, ...]
     capabilities: Capabilities
     sync_period: float = math.inf
 
-    async def stream(self, sweeps: Sequence[tuple[SweepCommand, Envelope]], stop: threading.Event) -> Run:
+    async def stream(self, sweeps: Sequence[tuple[SweepCommand, DriveEnvelope]], stop: threading.Event) -> RunningSweep:
         raise NotReady("toy drives take no streamed set-points")
 
     def halt(self, *, streaming: bool) -> None:
@@ -253,7 +252,7 @@ class ToyFieldbus:
     async def open(self) -> ToyConnection:
         profile, thread = self._profile, DriveThread("toy")
         devices = [ToyDevice(axis, profile) for axis in profile.axes]
-        axes = {device.profile.joint: Axis(device, self.watch) for device in devices}
+        axes = {device.profile.joint: Cia402Axis(device, self.watch) for device in devices}
         try:
             await thread.run(_each, [device.line.open for device in devices])
             identities = await thread.run(lambda: tuple(axis.introduce() for axis in axes.values()))

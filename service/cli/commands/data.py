@@ -1,18 +1,26 @@
 """The data of the service: backup, restoration, examination, and the database as a whole."""
 
+from __future__ import annotations
+
 import getpass
 import json
 import os
 import signal
+from collections.abc import Generator
+from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from service.cli.options import Config, DataDir
 from service.model.errors import BadInput
 
-_NICE = 10  # it gives way to the process that streams set-points
+if TYPE_CHECKING:
+    from service.process.settings import Settings
+    from service.store.retention import Doomed, RetentionStore
+
 _URL = "sqlite:///PATH or postgresql+psycopg://USER@HOST/NAME, without a password"
 Campaign = Annotated[int, typer.Argument(metavar="CAMPAIGN", help="Its number.", min=1, show_default=False)]
 
@@ -23,14 +31,13 @@ def backup(
     data_dir: DataDir = None,
 ) -> None:
     """Copy database and recordings, each with its SHA-256, into a folder; the service may run and measure."""
-    from service.cli.progress_indicator import waiting
-    from service.cli.settings_of import settings_of
-    from service.store.backup.making import make_backup
-    from service.store.snapshot import sqlite_file
+    from service.cli.database import settings_of
+    from service.cli.terminal import waiting
+    from service.store.backup import make_backup, sqlite_file
 
     settings = settings_of(config, data_dir)
     if hasattr(os, "nice"):
-        os.nice(_NICE)
+        os.nice(10)  # it gives way to the process that streams set-points
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: nothing is left
     with waiting("the copy"):
         manifest = make_backup(sqlite_file(settings.url), settings.data_dir, target)
@@ -46,8 +53,8 @@ def restore(
     data_dir: Annotated[Path, typer.Option(help="Folder to make; must be empty or not exist.", show_default=False)],
 ) -> None:
     """Check all of a backup, then make a data folder of it, on which the service can be started. Prints the folder."""
-    from service.cli.progress_indicator import waiting
-    from service.store.backup.restoring import restore as restore_backup
+    from service.cli.terminal import waiting
+    from service.store.backup import restore as restore_backup
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: nothing is left
     with waiting("the check and the copy"):
@@ -64,10 +71,9 @@ def doctor(config: Config = None, data_dir: DataDir = None) -> None:
 
     Recordings that are in an object store are read there. Nothing is changed; the service may run.
     """
-    from service.cli.progress_indicator import waiting
-    from service.cli.settings_of import settings_of
-    from service.store.backup.examination import examine
-    from service.store.backup.examined import examined
+    from service.cli.database import settings_of
+    from service.cli.terminal import waiting
+    from service.store.examination import examine, examined
 
     settings = settings_of(config, data_dir)
     database = examined(settings.url, settings.database_password_file)
@@ -88,11 +94,11 @@ def copy(
 
     stdout: how many rows.
     """
-    from service.cli.progress_indicator import waiting
+    from service.cli.terminal import waiting
     from service.process.settings import Settings
     from service.store.copying import copy_rows
     from service.store.database import open_database
-    from service.store.engines.address import parsed_url
+    from service.store.engines import parsed_url
 
     file = parsed_url(source)
     if file.get_backend_name() == "sqlite" and not Path(file.database or "").is_file():
@@ -119,9 +125,32 @@ def prune(
 
     Settings: keep_samples_days, keep_spectra_days, keep_estimates_days. The service may run. stdout: a line a campaign.
     """
-    from service.cli.database.retention import prune_data
+    from service.cli.database import shell_entry
+    from service.store.objects import ObjectStore
+    from service.store.retention import RetentionRules
+    from service.store.retention import prune as prune_store
 
-    prune_data(config, data_dir, dry_run)
+    with _retention(config, data_dir) as (store, settings):
+        rules = RetentionRules(settings.keep_samples_days, settings.keep_spectra_days, settings.keep_estimates_days)
+        if rules == RetentionRules(None, None, None):
+            raise BadInput(
+                "settings", "keep everything: set `keep_samples_days`, `keep_spectra_days` or `keep_estimates_days`"
+            )
+        address = settings.recordings_store
+        objects = None if address is None else ObjectStore(address)
+        entry = None if dry_run else shell_entry()
+        found = prune_store(store, settings.data_dir, objects, rules, datetime.now(UTC), entry, _tell_doomed)
+    for campaign, why in sorted(found.stay.items()):
+        typer.echo(f"campaign {campaign} is kept: {why}", err=True)
+    typer.echo(
+        f"{'would be removed' if dry_run else 'removed'}: {found.recordings} recordings, {found.spectra} spectra, "
+        f"{found.estimates} estimates of {found.campaigns} campaigns, {found.bytes} bytes"
+    )
+
+
+def _tell_doomed(one: Doomed) -> None:
+    parts = f"{len(one.samples)} recordings, {len(one.spectra)} spectra, {len(one.estimates)} estimates"
+    typer.echo(f"campaign {one.campaign_id}: {parts}")
 
 
 def hold(
@@ -131,28 +160,40 @@ def hold(
     data_dir: DataDir = None,
 ) -> None:
     """Never remove anything of a campaign, because a signed report or a decision rests on it."""
-    from service.cli.database.retention import retention
-    from service.cli.people.open_database import shell_entry
+    from service.cli.database import shell_entry
 
-    with retention(config, data_dir) as (store, _):
+    with _retention(config, data_dir) as (store, _):
         held = store.hold(campaign, getpass.getuser(), why, shell_entry())
     typer.echo(f"campaign {held.campaign_id} is held by {held.by}: {held.why}")
 
 
 def release(campaign: Campaign, config: Config = None, data_dir: DataDir = None) -> None:
     """Let the retention rule apply to a held campaign again."""
-    from service.cli.database.retention import retention
-    from service.cli.people.open_database import shell_entry
+    from service.cli.database import shell_entry
 
-    with retention(config, data_dir) as (store, _):
+    with _retention(config, data_dir) as (store, _):
         store.release(campaign, shell_entry())
     typer.echo(f"campaign {campaign} is released: the retention rule applies to it")
 
 
 def holds(config: Config = None, data_dir: DataDir = None) -> None:
     """Print one JSON line for each held campaign."""
-    from service.cli.database.retention import retention
 
-    with retention(config, data_dir) as (store, _):
+    with _retention(config, data_dir) as (store, _):
         for one in store.holds():
             typer.echo(json.dumps(one.model_dump(mode="json")))
+
+
+@contextmanager
+def _retention(config: Path | None, data_dir: Path | None) -> Generator[tuple[RetentionStore, Settings]]:
+    """Of the machine that the data folder belongs to. BadInput where it is nobody's."""
+    from service.cli.database import opened, settings_of
+    from service.store.files.data_folder import read_owner
+    from service.store.retention import RetentionStore
+
+    settings = settings_of(config, data_dir)
+    owner = read_owner(settings.data_dir)
+    if owner is None:
+        raise BadInput(str(settings.data_dir), "belongs to no machine: start a service with this data folder first")
+    with opened(config, data_dir) as database:
+        yield RetentionStore(database, owner.machine), settings

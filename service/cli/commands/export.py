@@ -1,17 +1,25 @@
 """`sweepid export`: recordings and results for other programs and controls."""
 
+from __future__ import annotations
+
 import sys
 import tempfile
 import zipfile
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 import sweepid
-from service.cli.options import DEFAULT_URL, Bundle, JsonTo, SideFile, Source, Url
+from service.cli.options import DEFAULT_URL, BundleArg, JsonTo, SideFile, Source, Url
 from service.model.errors import BadInput
+
+if TYPE_CHECKING:
+    from service.model.results.estimate import Estimate
+    from service.model.robot import Robot
+    from service.planning.documents import PlanDocument
+    from service.store.files.bundle import Bundle
 
 
 def campaign_number(text: str) -> int:
@@ -30,7 +38,7 @@ def export_bundle(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Write the recorded sweeps of a campaign as a bundle. Prints the folder."""
-    from service.cli.progress_indicator import waiting
+    from service.cli.terminal import waiting
     from service.web.client import ServiceClient
 
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -50,7 +58,6 @@ def export_model(
     robot: SideFile = None,
 ) -> None:
     """Write the identified robot as model.urdf, model.xml (MJCF), model.yaml and robot.yaml (side file)."""
-    from service.cli.exports.estimates import read_estimate
 
     known, estimate, _ = read_estimate(source, robot)
     model = sweepid.export(known, estimate, folder, place=str(source))
@@ -82,13 +89,11 @@ def export_sheet(
     json_to: JsonTo = None,
 ) -> None:
     """Tell the identified inertias as the values that controls take, with uncertainty and the place to type them."""
-    from service.cli.documents import put_json
-    from service.cli.exports.estimates import read_estimate
-    from service.formats.export.sheets.load import load_of
+    from service.cli.terminal import put_json
+    from service.formats.export.sheets.inertias import UPRIGHT, load_of
     from service.formats.export.sheets.making import sheet
-    from service.formats.export.sheets.supplementary import UPRIGHT
     from service.formats.export.sheets.text import as_markdown
-    from service.model.results.identified.payload import Payload
+    from service.model.results.payload import Payload
     from sweepid.files import read_document
 
     known, estimate, bundle = read_estimate(source, robot)
@@ -108,11 +113,9 @@ def export_path(
     out: Annotated[Path, typer.Option(help="Folder to write; must be empty or not exist.", show_default=False)],
 ) -> None:
     """Write every sweep of a plan as table (.csv) and Sinumerik part program (.MPF), and the mapping for the traces."""
-    from service.cli.exports.plan_file import read_plan
-    from service.machine.paths.control import read_control
     from service.machine.paths.export import export_paths
-    from service.model.configuration import read_robot
-    from service.model.geometry.cell import read_cell
+    from service.machine.paths.sweep_paths import read_control
+    from service.model.configuration import read_cell, read_robot
 
     document = read_plan(plan)
     known = read_robot(robot)
@@ -121,7 +124,7 @@ def export_path(
 
 
 def export_recording(
-    bundle: Bundle,
+    bundle: BundleArg,
     out: Annotated[
         Path,
         typer.Argument(
@@ -137,7 +140,7 @@ def export_recording(
     ] = None,
 ) -> None:
     """Write recordings of a bundle as MDF4, HDF5, MCAP or CSV."""
-    from service.cli.progress_indicator import waiting
+    from service.cli.terminal import waiting
     from service.formats.export.recordings import write_recordings
     from service.store.files.bundle import read_bundle
 
@@ -157,3 +160,35 @@ def _moment(text: str) -> datetime:
     if moment.tzinfo is None or moment < datetime.fromtimestamp(0, UTC):
         raise BadInput("--began", f"{text!r} has no zone (as +01:00, or Z), or lies before 1970")
     return moment
+
+
+def read_estimate(source: Path, side_file: Path | None) -> tuple[Robot, Estimate, Bundle | None]:
+    """Robot, estimate, and the bundle that it was made of here; None: it was read from a file."""
+    from service.model.configuration import read_text
+    from service.model.results.estimate import Estimate
+    from sweepid.files import LARGEST, read_document
+
+    if source.is_dir():
+        bundle = sweepid.read_bundle(source)
+        return bundle.robot, sweepid.identify(bundle), bundle
+    if side_file is None:
+        if not source.exists():  # a misspelt name may be that of a bundle
+            read_text(source, LARGEST)
+        raise BadInput(
+            "--robot", "is required with an estimate, which contains neither geometry nor gear ratios of the robot"
+        )
+    return sweepid.read_robot(side_file), read_document(source, Estimate), None
+
+
+def read_plan(path: Path) -> PlanDocument:
+    """BadInput for a file that `sweepid plan --out` did not write."""
+    from pydantic import ValidationError
+
+    from service.model.configuration import bad_field, read_text
+    from service.planning.documents import PlanFile
+
+    text = read_text(path)
+    try:
+        return PlanFile.model_validate_json(text).document
+    except ValidationError as error:
+        raise bad_field(str(path), error) from None

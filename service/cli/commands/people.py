@@ -1,13 +1,21 @@
 """`sweepid people`: users, sessions and keys for the setting `login: true`."""
 
+from __future__ import annotations
+
+import getpass
 import json
 import sys
 from datetime import timedelta
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from service.cli.options import Config, DataDir
+from service.model.errors import BadInput
+
+if TYPE_CHECKING:
+    from service.store.access.permissions import Role
 
 Name = Annotated[str, typer.Argument(metavar="NAME", help="A person or a program.")]
 _ROLES = "viewer, operator, engineer, admin"
@@ -21,50 +29,44 @@ def add_user(
     data_dir: DataDir = None,
 ) -> None:
     """Add a person, with a password: asked for at the terminal, or the first line of stdin."""
-    from service.cli.people.arguments import name_of, password_for, role_of
-    from service.cli.people.open_database import opened, shell_entry
+    from service.cli.database import opened, shell_entry
     from service.store.people.users import UserStore
 
     name, what = name_of(name), role_of(role)
     with opened(config, data_dir, make=True) as database:
-        added = UserStore(database).add(name, what, password_for(name), shell_entry())
-    sys.stdout.write(f"{added.name}\n")
+        typer.echo(UserStore(database).add(name, what, password_for(name), shell_entry()).name)
 
 
 def change_password(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
     """Set another password, and end the person's sessions."""
-    from service.cli.people.arguments import password_for
-    from service.cli.people.open_database import opened, shell_entry
+    from service.cli.database import opened, shell_entry
     from service.store.people.users import UserStore
 
     with opened(config, data_dir) as database:
-        changed = UserStore(database).change_password(name, password_for(name), shell_entry())
-    sys.stdout.write(f"{changed.name}\n")
+        typer.echo(UserStore(database).change_password(name, password_for(name), shell_entry()).name)
 
 
 def disable_user(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
     """From now on nobody logs in by this name, and its sessions are over."""
-    from service.cli.people.open_database import opened, shell_entry
+    from service.cli.database import opened, shell_entry
     from service.store.people.users import UserStore
 
     with opened(config, data_dir) as database:
-        disabled = UserStore(database).shut_out(name, shell_entry())
-    sys.stdout.write(f"{disabled.name}\n")
+        typer.echo(UserStore(database).shut_out(name, shell_entry()).name)
 
 
 def enable_user(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
     """Let one who was disabled log in again, with the same password and role."""
-    from service.cli.people.open_database import opened, shell_entry
+    from service.cli.database import opened, shell_entry
     from service.store.people.users import UserStore
 
     with opened(config, data_dir) as database:
-        enabled = UserStore(database).let_in(name, shell_entry())
-    sys.stdout.write(f"{enabled.name}\n")
+        typer.echo(UserStore(database).let_in(name, shell_entry()).name)
 
 
 def sessions(config: Config = None, data_dir: DataDir = None) -> None:
     """One JSON line a session in which somebody is logged in; `expires_at` moves on with each request."""
-    from service.cli.people.open_database import opened, session_store
+    from service.cli.database import opened, session_store
 
     with opened(config, data_dir) as database:
         for session in session_store(database, config).all():
@@ -78,11 +80,10 @@ def revoke_session(
     data_dir: DataDir = None,
 ) -> None:
     """From now on that browser has to log in again."""
-    from service.cli.people.open_database import opened, session_store, shell_entry
+    from service.cli.database import opened, session_store, shell_entry
 
     with opened(config, data_dir) as database:
-        ended = session_store(database, config).end(number, shell_entry())
-    sys.stdout.write(f"{ended.id}\n")
+        typer.echo(session_store(database, config).end(number, shell_entry()).id)
 
 
 def add_key(
@@ -96,9 +97,8 @@ def add_key(
     data_dir: DataDir = None,
 ) -> None:
     """Make a key and print it, once: only its hash is stored. To be sent as `Authorization: Bearer KEY`."""
-    from service.cli.people.arguments import name_of, role_of, scopes_of
-    from service.cli.people.open_database import opened, shell_entry
-    from service.store.people.keys import KeyStore
+    from service.cli.database import opened, shell_entry
+    from service.store.people.users import KeyStore
 
     name, what, scopes = name_of(name), role_of(role), scopes_of(scope or [])
     with opened(config, data_dir, make=True) as database:
@@ -108,19 +108,17 @@ def add_key(
 
 def revoke_key(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
     """From now on the key opens nothing; a service that runs knows at once."""
-    from service.cli.people.open_database import opened, shell_entry
-    from service.store.people.keys import KeyStore
+    from service.cli.database import opened, shell_entry
+    from service.store.people.users import KeyStore
 
     with opened(config, data_dir) as database:
-        revoked = KeyStore(database).revoke(name, shell_entry())
-    sys.stdout.write(f"{revoked.name}\n")
+        typer.echo(KeyStore(database).revoke(name, shell_entry()).name)
 
 
 def list_people(config: Config = None, data_dir: DataDir = None) -> None:
     """One JSON line a user and a key; `trouble` says why it opens nothing."""
-    from service.cli.people.open_database import opened, print_credential
-    from service.store.people.keys import KeyStore
-    from service.store.people.users import UserStore
+    from service.cli.database import opened, print_credential
+    from service.store.people.users import KeyStore, UserStore
 
     with opened(config, data_dir) as database:
         for user in UserStore(database).all():
@@ -128,3 +126,94 @@ def list_people(config: Config = None, data_dir: DataDir = None) -> None:
         keys = KeyStore(database)
         for key in keys.all():
             print_credential("key", key, key.role, key.trouble(keys.now()))
+
+
+def name_of(given: str) -> str:
+    """A name that may be given. BadInput."""
+    from service.store.access.credentials import LONGEST_NAME, is_name
+
+    name = given.strip()
+    if not is_name(name):
+        raise BadInput("NAME", f"{name[:LONGEST_NAME]!r} is not a name: 1 to {LONGEST_NAME} printable characters")
+    return name
+
+
+def role_of(word: str) -> Role:
+    """BadInput."""
+    from service.store.access.permissions import Role
+
+    roles = {role.word: role for role in Role}
+    if word not in roles:
+        raise BadInput("--role", f"{word!r} is not one of {', '.join(roles)}")
+    return roles[word]
+
+
+def scopes_of(words: list[str]) -> tuple[str, ...] | None:
+    """None where there are none: all that the role may. BadInput."""
+    from service.store.access.permissions import SCOPES
+
+    for word in words:
+        if word not in SCOPES:
+            raise BadInput("--scope", f"{word!r} is not one of {', '.join(SCOPES)}")
+    return tuple(dict.fromkeys(words)) or None
+
+
+def password_for(name: str) -> str:
+    """Asked for twice at a terminal, else the first line of stdin: no argument, which every process can read."""
+    if not sys.stdin.isatty():
+        return sys.stdin.readline().removesuffix("\n")
+    password = getpass.getpass(f"Password of {name}: ")
+    if getpass.getpass("Once more: ") != password:
+        raise BadInput("password", "the two passwords differ; nothing was changed")
+    return password
+
+
+def verify_audit(
+    head: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NUMBER:SHA256|FILE",
+            help="Output of an earlier run, or a file with heads (or a log). Default: the file of the service.",
+        ),
+    ] = None,
+    config: Config = None,
+    data_dir: DataDir = None,
+) -> None:
+    """Does each entry fit the one before it, and are all known heads in the chain? Prints the head as NUMBER:SHA256, or
+    the first entry that does not fit.
+    """
+    from service.cli.database import audit_heads_file, opened
+    from service.store.access.audit_chain import heads_in, read_head, verify
+    from service.store.people.audit import AuditStore
+
+    file = Path(head) if head is not None else audit_heads_file(config, data_dir)
+    if file.is_file():
+        expected = heads_in(file.read_text("utf-8", errors="replace"), str(file))
+    elif head is not None:
+        expected = (read_head(head),)
+    else:
+        expected = ()
+    with opened(config, data_dir) as database:
+        number, value = verify(AuditStore(database).links(), expected)
+    if not expected:
+        sys.stderr.write(f"no head is known ({file} does not exist): an end that was cut off would not be noticed\n")
+    sys.stdout.write(f"{number}:{value}\n")
+
+
+def export_audit(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="JSON lines to write.")],
+    config: Config = None,
+    data_dir: DataDir = None,
+) -> None:
+    """Write all entries as JSON lines; `entry` is the text whose hash `sha256` goes over. Prints the file."""
+    from service.cli.database import opened
+    from service.cli.terminal import write_file
+    from service.store.people.audit import AuditStore
+
+    with opened(config, data_dir) as database:
+        lines = [
+            json.dumps({"number": number, "entry": entry, "sha256": value})
+            for number, entry, value in AuditStore(database).links()
+        ]
+    write_file(file, "\n".join(lines))
+    sys.stdout.write(f"{file}\n")

@@ -1,13 +1,19 @@
 """A plant as a whole: many machines, robots and campaigns."""
 
+from __future__ import annotations
+
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from service.cli.options import DEFAULT_URL, JsonTo, Url
+
+if TYPE_CHECKING:
+    from service.identification.fleet.document import Fleet, FleetRobot, FleetType
+    from service.store.plant import BatchDocument, BatchEntry
 
 Form = Literal["html", "pdf", "json"]
 
@@ -26,10 +32,7 @@ def fleet(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Print a line for each robot of the plant: last measurement, changes, difference from robots of its type."""
-    from service.cli.campaign.tables import write_tables
-    from service.cli.documents import put_json, write_file
-    from service.cli.plant.lines import fleet_lines
-    from service.cli.progress_indicator import waiting
+    from service.cli.terminal import put_json, waiting, write_file, write_tables
     from service.identification.fleet.document import Fleet
     from service.web.client import ServiceClient
 
@@ -53,9 +56,8 @@ def reidentify(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Identify stored campaigns of the service's machine again; prints the job. Stored estimates stay as they are."""
-    from service.cli.plant.lines import job_line
-    from service.cli.progress_indicator import waiting
-    from service.store.plant.batches import BatchDocument
+    from service.cli.terminal import waiting
+    from service.store.plant import BatchDocument
     from service.web.client import ServiceClient
 
     with ServiceClient(url) as client:
@@ -68,8 +70,7 @@ def reidentify(
 
 def list_jobs(as_json: AsJson = False, url: Url = DEFAULT_URL) -> None:
     """Print a line for each job of the plant, the oldest first."""
-    from service.cli.plant.lines import job_line
-    from service.store.plant.batches import BatchDocument
+    from service.store.plant import BatchDocument
     from service.web.client import ServiceClient
 
     with ServiceClient(url) as client:
@@ -79,8 +80,7 @@ def list_jobs(as_json: AsJson = False, url: Url = DEFAULT_URL) -> None:
 
 def show(job: Job, as_json: AsJson = False, url: Url = DEFAULT_URL) -> None:
     """Print a job and a line for each campaign that is done: largest change of J, or why there is no result."""
-    from service.cli.plant.lines import job_line, result_line
-    from service.store.plant.batches import BatchDocument, BatchEntry
+    from service.store.plant import BatchDocument, BatchEntry
     from service.web.client import ServiceClient
 
     with ServiceClient(url) as client:
@@ -95,9 +95,51 @@ def show(job: Job, as_json: AsJson = False, url: Url = DEFAULT_URL) -> None:
 
 def cancel(job: Job, url: Url = DEFAULT_URL) -> None:
     """Compute no more of a job; what was computed stays."""
-    from service.cli.plant.lines import job_line
-    from service.store.plant.batches import BatchDocument
+    from service.store.plant import BatchDocument
     from service.web.client import ServiceClient
 
     with ServiceClient(url) as client:
         typer.echo(job_line(BatchDocument.model_validate(client.cancel_job(job))))
+
+
+def fleet_lines(fleet: Fleet) -> list[str]:
+    """What is printed: each type with its robots, or that there are none."""
+    found = [line for one in fleet.types for line in (f"{one.name}: {_counts(one)}", *map(_robot, one.robots))]
+    return found or ["no robot of this plant was measured yet"]
+
+
+def _counts(one: FleetType) -> str:
+    changed = sum(bool(robot.changed) for robot in one.robots)
+    outliers = sum(bool(robot.outlier) for robot in one.robots)
+    due = sum(robot.due for robot in one.robots)
+    return f"{len(one.robots)} robots, {changed} changed, {outliers} outliers, {due} due"
+
+
+def _robot(robot: FleetRobot) -> str:
+    last = "never measured" if robot.measured_at is None else f"measured {robot.measured_at:%Y-%m-%d}"
+    parts = [f"  {robot.label}: {last}, {robot.campaigns} campaigns"]
+    if robot.due:
+        parts.append("due")
+    for axis, one in robot.axes.items():
+        if one.change is not None and one.change.alarm:
+            how = "drift" if one.change.since is None else f"step at campaign {one.change.since}"
+            parts.append(f"{axis} changed by {one.change.change_percent:+.2f} % ({how})")
+        if one.difference is not None and one.difference.outlier:
+            by_gain = ", torque constant can explain it" if one.difference.by_gain else ""
+            parts.append(f"{axis} differs by {one.difference.difference_percent:+.2f} % from the others{by_gain}")
+    return ", ".join(parts)
+
+
+def job_line(job: BatchDocument) -> str:
+    """State and counts."""
+    failed = f", {job.failed} without a result" if job.failed else ""
+    done = f"{job.done} of {job.campaigns} campaigns, {job.sweeps} sweeps{failed}"
+    return f"job {job.id} ({job.kind}, {job.machine}): {job.state.value}, {done}"
+
+
+def result_line(one: BatchEntry) -> str:
+    """Of one campaign of a job."""
+    if one.cause:
+        return f"  campaign {one.campaign_id}: no result: {one.cause}"
+    change = "nothing to compare" if one.change_percent is None else f"J changed by {one.change_percent:.3g} % at most"
+    return f"  campaign {one.campaign_id}: {one.sweeps} sweeps, {change}"

@@ -28,9 +28,7 @@ def report(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Write a report: verdict, origin, figures, tables and findings. Prints the files."""
-    from service.cli.campaign.tables import write_tables
-    from service.cli.documents import write_file
-    from service.cli.progress_indicator import waiting
+    from service.cli.terminal import waiting, write_file, write_tables
 
     forms: tuple[Form, ...] = ("html", "pdf", "json")
     places = zip(forms, (file, pdf, tables), strict=True)
@@ -41,7 +39,7 @@ def report(
         if of.isdecimal():
             written = _of_service(int(of), diagnosis, [form for form, _ in wanted], url)
         else:
-            from service.cli.campaign.result_page import result_page
+            from service.cli.report_pages import result_page
 
             page = result_page(Path(of))
             written = [page.written(form) for form, _ in wanted]

@@ -1,9 +1,20 @@
 """`sweepid robot`: robots as their makers describe them."""
 
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from service.model.errors import BadInput
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from service.formats.maker_urdf import UrdfCheck, UrdfFinding
 
 
 def check(
@@ -25,8 +36,7 @@ def check(
     """Tell what of a URDF is unusual and what is missing, and draft the files of the robot. Nothing is overwritten."""
     from rich.console import Console
 
-    from service.cli.documents import write_file
-    from service.cli.urdf_findings import drafts_of, print_findings
+    from service.cli.terminal import write_file
     from service.formats.maker_urdf import bare_robot, cell_text, check_urdf, read_description
     from service.formats.maker_urdf.packages import Packages
     from service.model.errors import writing
@@ -65,8 +75,7 @@ def virtual(
     """Draft a virtual machine of a robot: files for `sweepid drive` and `sweepid serve`. Nothing is overwritten."""
     import os
 
-    from service.cli.documents import write_file
-    from service.cli.urdf_findings import refuse_existing
+    from service.cli.terminal import write_file
     from service.formats.maker_urdf.virtual import DraftedRobot, virtual_machine
     from service.model.configuration import read_text, read_yaml
     from service.model.errors import BadInput
@@ -95,3 +104,40 @@ def _pair(option: str, sign: str, name: str) -> tuple[str, str]:
     if not (key and found):
         raise BadInput(name, f"{option!r} is not NAME{sign}VALUE")
     return key, value
+
+
+def drafts_of(checked: UrdfCheck, name: str, out: Path, cell: str) -> dict[Path, str]:
+    """Texts by path; BadInput for a name that makes no file, and where a file is there already."""
+    from service.formats.maker_urdf import side_file_text
+
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", name):
+        raise BadInput("--name", f"{name!r} is not a file name: use letters, digits, '-', '_' and '.'")
+    drafts = {
+        out / "robots" / f"{name}.urdf": checked.urdf_text,
+        out / "robots" / f"{name}.yaml": side_file_text(checked, name, f"{name}.urdf"),
+        out / "cells" / f"{name}.yaml": cell,
+    }
+    refuse_existing(drafts)
+    return drafts
+
+
+def refuse_existing(drafts: Iterable[Path]) -> None:
+    """BadInput names the first file that is there already."""
+    for path in drafts:
+        if path.exists():
+            raise BadInput(str(path), "exists already; nothing is overwritten")
+
+
+def print_findings(findings: tuple[UrdfFinding, ...], checked: UrdfCheck, name: str, console: Console) -> None:
+    """One row a finding."""
+    from rich.table import Table
+
+    joints = checked.chain.joints
+    table = Table(title=f"{name}: {len(joints)} axes, {joints[0].name} to {joints[-1].name}")
+    for column in ("", "where", "what"):
+        table.add_column(column, overflow="fold")
+    for kind in ("missing", "unusual", "changed"):
+        for one in findings:
+            if one.kind == kind:
+                table.add_row(one.kind, one.place, one.sentence)
+    console.print(table)

@@ -23,7 +23,7 @@ from service.diagnosis.rows.rigid import load_rows
 from service.diagnosis.rows.signals import Tracks, tracks
 from service.identification.axis.nominal_priors import TorqueGain
 from service.identification.estimates.torque_gain import KnownMass, torque_gains
-from service.identification.model.convergence import finite
+from service.identification.model.least_squares import finite
 from service.identification.spectra.frequency_response import spectrum
 from service.model.errors import BadInput
 from service.model.recording import Sweep, SweepSpec

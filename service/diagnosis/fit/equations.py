@@ -32,7 +32,7 @@ from service.diagnosis.fit.solving import solve, symmetric
 from service.diagnosis.rows.responses import Complex, bins, through
 from service.diagnosis.rows.rigid import Rigid, nominal_load, rigid
 from service.diagnosis.rows.signals import EVERY, Tracks, white_covariance
-from service.identification.model.convergence import finite
+from service.identification.model.least_squares import finite
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -15,7 +15,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from service.diagnosis.rows.responses import Complex, back, derivative_spectrum, in_frequency
-from service.identification.model.convergence import finite
+from service.identification.model.least_squares import finite
 from service.identification.model.regressor import gravity_rows
 from service.identification.motion.trajectory_record import runs_at_once
 from service.model.errors import BadInput

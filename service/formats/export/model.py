@@ -8,8 +8,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formats.export.workspace import worth_of
-from service.identification.estimates.worth import AxisWorth
+from service.identification.estimates.standard_parameters import AxisWorth, ObservedCombinations, worth
+from service.identification.model.base_parameters import base_parameters
+from service.identification.model.regressor import fold, lock
 from service.model.errors import BadInput
 from service.model.results.estimate import (
     BaseParameter,
@@ -27,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Body:
+class LinkBody:
     """A link with all fixed children. SI; centre (3,) in the link's frame, inertia (3, 3) about the centre."""
 
     link: str
@@ -42,7 +43,7 @@ class IdentifiedModel(Shown):
     """A robot's joints (n), in order, each with its body, its motor and, if it was measured, its friction."""
 
     robot: Robot
-    bodies: tuple[Body, ...]
+    bodies: tuple[LinkBody, ...]
     motor_inertias: Array  # (n,) kg m^2 (kg) on the joint side, 0 if unknown
     friction: tuple[float | None, ...]  # viscous, N m s/rad (N s/m); None: the axis was not measured
     dry_friction: tuple[float | None, ...]  # Coulomb, N m (N); None: no effect of the accepted model states it
@@ -56,7 +57,7 @@ class IdentifiedModel(Shown):
     def worth(self) -> tuple[AxisWorth, ...]:
         """Inertia and gravity of each axis over the workspace, CAD's beside; empty if the estimate does not say."""
         parameters = np.concatenate([*(body.parameters for body in self.bodies), self.motor_inertias])
-        return worth_of(self.robot, self.estimate, parameters)
+        return _worth_of(self.robot, self.estimate, parameters)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -113,22 +114,22 @@ def model_of(robot: Robot, found: Estimate, place: str = "estimate") -> Identifi
     )
 
 
-def _body(standard: StandardParameters, link: str, place: str) -> Body:
+def _body(standard: StandardParameters, link: str, place: str) -> LinkBody:
     place = f"{place} standard_parameters"
     values = standard.links.get(link)
     if values is None or set(values) != set(INERTIAL_NAMES):
         raise BadInput(place, f"lacks the ten parameters of link {link}")
     if values["m"] <= 0:
         raise BadInput(place, f"mass of link {link} is {values['m']} kg, must exceed 0")
-    return body(link, np.array([_finite(values[name], f"{place} {link} {name}") for name in INERTIAL_NAMES]))
+    return body_of(link, np.array([_finite(values[name], f"{place} {link} {name}") for name in INERTIAL_NAMES]))
 
 
-def body(link: str, parameters: Array) -> Body:
+def body_of(link: str, parameters: Array) -> LinkBody:
     """From the ten parameters (10,) at the frame's origin; the mass is not 0."""
     mass = float(parameters[0])
     centre = parameters[1:4] / mass
     about = inertia_matrix(parameters) - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    return Body(link, mass, centre, about, parameters)
+    return LinkBody(link, mass, centre, about, parameters)
 
 
 def _motor(standard: StandardParameters, joint: str, place: str) -> float:
@@ -167,3 +168,49 @@ def _finite(value: float, place: str) -> float:
     if not math.isfinite(value):
         raise BadInput(place, f"{value} is not a finite number")
     return value
+
+
+def observation(robot: Robot, found: Estimate, place: str) -> ObservedCombinations:
+    """The base parameters that an estimate determines. BadInput if it is of another robot.
+
+    Estimates of an earlier version have no base: then nothing was locked, and the parameters are independent.
+    """
+    fixed = {robot.index(joint): position for joint, position in found.base.locked.items()}
+    left = [k for k in range(len(robot.joints)) if k not in fixed]
+    moved = sorted(robot.index(joint) for joint in found.axes)
+    if not set(moved) <= set(left):
+        raise BadInput(f"{place} base.locked", "names a joint that was measured")
+    own, stated = base_parameters(lock(robot.chain, fixed), tuple(left.index(k) for k in moved)), found.base_parameters
+    if tuple(one.name for one in stated) != own.names:
+        other = next((one.name for one in stated if one.name not in own.names), f"{len(stated)} parameters")
+        raise BadInput(
+            f"{place} base_parameters",
+            f"are not those of robot {robot.name}: {other}; give an estimate of this very robot",
+        )
+    if len({len(row) for row in found.base.covariance}) > 1:
+        raise BadInput(f"{place} base.covariance", "has rows of different lengths")
+    known = [k for k, one in enumerate(stated) if one.std is not None]
+    covariance = np.array(found.base.covariance, dtype=float)
+    if covariance.shape != (len(stated), len(stated)):
+        covariance = np.diag([(one.std or 0.0) ** 2 for one in stated])
+    return ObservedCombinations(
+        own.combination[known] @ fold(robot.chain, fixed),
+        np.array([stated[k].value for k in known]),
+        covariance[np.ix_(known, known)],
+    )
+
+
+def _worth_of(robot: Robot, found: Estimate, parameters: Array) -> tuple[AxisWorth, ...]:
+    """Of the parameters (11 n,) of an estimate; empty if it determines none, or is of another robot."""
+    try:
+        observed = observation(robot, found, "") if found.axes else None
+    except BadInput:
+        observed = None
+    if observed is None or not len(observed.values):
+        return ()
+    motors = np.array([axis.reflected_motor_inertia or 0.0 for axis in robot.axes])
+    unknown = motors == 0
+    motors[unknown] = parameters[-len(motors) :][unknown]
+    nominal = np.concatenate([robot.chain.inertial.ravel(), motors])
+    spread = robot.prior.inertia, np.where(unknown, 1.0, robot.prior.motor_inertia)
+    return worth(robot, nominal, spread, observed, parameters)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from service.formats.export import identified_model
-from service.formats.export.urdf import as_urdf
+from service.formats.export.files import as_urdf
 from service.identification.axis.nominal_priors import link_spread
 from service.identification.model.base_parameters import base_parameters
 from service.identification.model.regressor import fold, lock

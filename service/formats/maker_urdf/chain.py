@@ -3,11 +3,12 @@
 import math
 import warnings
 import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from service.formats.maker_urdf.finding import Finding
 from service.model.errors import BadInput
 from service.model.robot import rotation_about
 from service.model.urdf import read_axis, read_inertial, read_origin
@@ -15,7 +16,16 @@ from service.model.urdf import read_axis, read_inertial, read_origin
 MOVING = ("revolute", "continuous", "prismatic")
 
 
-def choose_chain(root: ET.Element, tip: str | None, place: str) -> list[Finding]:
+@dataclass(frozen=True)
+class UrdfFinding:
+    """`missing`: the user must complete it; `changed`: modified here; `unusual`: the user should check it."""
+
+    kind: Literal["missing", "changed", "unusual"]
+    place: str  # link, joint or file
+    sentence: str
+
+
+def choose_chain(root: ET.Element, tip: str | None, place: str) -> list[UrdfFinding]:
     """Make `root` one serial chain that ends in link `tip`, in place; returns the changes.
 
     None: the only chain. BadInput names the possible tips, or the reason why there is no such chain.
@@ -86,7 +96,7 @@ class _Tree:
         tips = ", ".join(f"{link} ({len(way)} axes)" for link, way in shown.items() if way)
         raise BadInput(self._place, f"has {len(ends)} chains; choose the end of one by --tip: {tips}")
 
-    def drop_other_trees(self, tip: str) -> list[Finding]:
+    def drop_other_trees(self, tip: str) -> list[UrdfFinding]:
         """Remove links that belong to another root than the tip."""
         base = self._base(tip)
         others = {link for link in self._links if self._base(link) != base}
@@ -97,7 +107,9 @@ class _Tree:
             if link.get("name") in others:
                 self._root.remove(link)
         roots = sorted(link for link in others if link not in self._carrier)
-        return [Finding("changed", link, "is the base of another tree: left out with all its links") for link in roots]
+        return [
+            UrdfFinding("changed", link, "is the base of another tree: left out with all its links") for link in roots
+        ]
 
     def _moving(self, link: str) -> list[ET.Element]:
         return [joint for joint in self.way_to(link) if joint.get("type") != "fixed"]
@@ -131,7 +143,7 @@ def _check_moving(joint: ET.Element, place: str) -> None:
         )
 
 
-def _linkages(root: ET.Element, axes: list[str], place: str) -> list[Finding]:
+def _linkages(root: ET.Element, axes: list[str], place: str) -> list[UrdfFinding]:
     """Joints beside the chain that follow one of its axes: bars through which the motor of another axis acts."""
     joints = root.findall("joint")
     leaders = {
@@ -141,7 +153,7 @@ def _linkages(root: ET.Element, axes: list[str], place: str) -> list[Finding]:
     for joint in joints:
         children.setdefault(_end(joint, "parent", place), []).append(_end(joint, "child", place))
     masses = {link.get("name", ""): float(read_inertial(link, place)[0]) for link in root.findall("link")}
-    found: list[Finding] = []
+    found: list[UrdfFinding] = []
     for joint in joints:
         name = leader = joint.get("name", "")
         for _ in leaders:
@@ -153,7 +165,7 @@ def _linkages(root: ET.Element, axes: list[str], place: str) -> list[Finding]:
             carried += children.get(link, ())
         mass, at = sum(masses.get(link, 0.0) for link in carried), axes.index(leader)
         found.append(
-            Finding(
+            UrdfFinding(
                 "unusual",
                 ", ".join(axes[at : at + 2]),
                 f"part of a parallel linkage: {name} follows {leader} (<mimic>) beside the chain. sweepid cannot "
@@ -163,7 +175,7 @@ def _linkages(root: ET.Element, axes: list[str], place: str) -> list[Finding]:
     return found
 
 
-def _fix(joint: ET.Element, place: str) -> Finding:
+def _fix(joint: ET.Element, place: str) -> UrdfFinding:
     """Replace a moving joint by a fixed one, at 0 or the nearest position within its limits."""
     here, mimic = f"{place} joint {joint.get('name')}", joint.find("mimic")
     kind, limit = joint.get("type"), joint.find("limit")
@@ -182,7 +194,7 @@ def _fix(joint: ET.Element, place: str) -> Finding:
             joint.remove(element)
     joint.set("type", "fixed")
     why = "is not between base and tip" if mimic is None else f"follows {mimic.get('joint')} (<mimic>)"
-    return Finding("changed", joint.get("name", ""), f"{why}: fixed at {position:.4g}")
+    return UrdfFinding("changed", joint.get("name", ""), f"{why}: fixed at {position:.4g}")
 
 
 def _shift(joint: ET.Element, position: float, here: str) -> None:
@@ -202,7 +214,7 @@ def _shift(joint: ET.Element, position: float, here: str) -> None:
     ET.SubElement(joint, "origin", xyz=_text(translation), rpy=_text(rpy))
 
 
-def _with_ends(joint: ET.Element) -> Finding:
+def _with_ends(joint: ET.Element) -> UrdfFinding:
     """A continuous joint is limited to one turn: because of cables, and because a plan needs limits."""
     limit = joint.find("limit")
     if limit is None:
@@ -210,7 +222,7 @@ def _with_ends(joint: ET.Element) -> Finding:
     joint.set("type", "revolute")
     limit.set("lower", f"{-math.pi:.6f}")
     limit.set("upper", f"{math.pi:.6f}")
-    return Finding(
+    return UrdfFinding(
         "changed", joint.get("name", ""), "turns without end (continuous): limited to half a turn either way"
     )
 

@@ -3,28 +3,30 @@
 import math
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
-from service.formats.maker_urdf.chain import choose_chain
-from service.formats.maker_urdf.finding import Finding
-from service.formats.maker_urdf.hulls import embed_hulls, link_shapes
-from service.formats.maker_urdf.inertials import check_inertials, check_masses
+from service.formats.maker_urdf.chain import UrdfFinding, choose_chain
+from service.formats.maker_urdf.inertials import check_inertials, check_masses, embed_hulls, link_shapes
 from service.formats.maker_urdf.packages import Packages
+from service.model.collision import CollisionChecker
+from service.model.configuration import Cell
 from service.model.errors import BadInput
 from service.model.physical_bounds import MOST_EFFORT, MOST_LIMIT, MOST_POSITION
+from service.model.robot import Axis, Robot, RobotDescription, build_robot
 from service.model.urdf import MOST_LINKS, Chain, Joint, look_over, read_chain
 
 Array = NDArray[np.float64]
 
-MOST_TURN = 4 * math.pi  # rad: wrists turn up to 7.9
 _HIDDEN = re.compile("counter_?(balance|weight)|balancer|gas_?spring|spring_?(cyl|rod)|parallel|linkage", re.I)
-LONGEST_SHAPE, SHORTEST_SHAPE = 5.0, 0.002  # m: outside, a mesh is probably in mm, or scaled twice
-FASTEST = {"revolute": 20.0, "prismatic": 10.0}  # rad/s, m/s
-STRONGEST = 1e5  # N m, N
+Pair = tuple[str, str]
+CLEARANCE, MARGIN = 0.03, 0.02  # m; rad (m)
+POSES = 200  # random poses to find shapes that overlap by construction
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class UrdfCheck:
     name: str
     urdf_text: str
     chain: Chain
-    findings: tuple[Finding, ...]
+    findings: tuple[UrdfFinding, ...]
     gear_ratios: Mapping[str, float | None]  # by joint, of its <transmission>
     doubted: tuple[str, ...]
     lacking: tuple[BadInput, ...]  # meshes and position limits without which nothing is drafted
@@ -55,11 +57,11 @@ def check_urdf(text: str, packages: Packages, tip: str | None, place: str) -> Ur
     limits, lacking = _complete_limits(root, place)
     offs, unread = embed_hulls(root, packages, place)
     found += [*_hidden(root), *limits]
-    found += [Finding("missing", error.place.removeprefix(place).strip(), error.reason) for error in unread]
+    found += [UrdfFinding("missing", error.place.removeprefix(place).strip(), error.reason) for error in unread]
     if offs:
         worst = max(offs, key=lambda name: offs[name])
         larger = f"The hull of this one is larger than its mesh by up to {1e3 * offs[worst]:.1f} mm, the most of all"
-        found.append(Finding("changed", worst, f"{len(offs)} collision meshes are used as convex hulls. {larger}"))
+        found.append(UrdfFinding("changed", worst, f"{len(offs)} collision meshes are used as convex hulls. {larger}"))
     inertials, doubted = check_inertials(root, place)
     chain = read_chain(ET.tostring(root, encoding="unicode"), place)
     found += [*inertials, *check_masses(chain, _extent(root, chain.joints[-1].link, place))]
@@ -79,8 +81,8 @@ def check_urdf(text: str, packages: Packages, tip: str | None, place: str) -> Ur
     )
 
 
-def _shapes(root: ET.Element, chain: Chain, place: str) -> list[Finding]:
-    reported: list[Finding] = []
+def _shapes(root: ET.Element, chain: Chain, place: str) -> list[UrdfFinding]:
+    reported: list[UrdfFinding] = []
     moving = {joint.link for joint in chain.joints}
     for link in root.findall("link"):
         name = link.get("name", "")
@@ -93,13 +95,13 @@ def _shapes(root: ET.Element, chain: Chain, place: str) -> list[Finding]:
             continue
         if not shapes and name in moving:
             reported.append(
-                Finding("unusual", name, "moves but has no collision shape: its collisions are not detected")
+                UrdfFinding("unusual", name, "moves but has no collision shape: its collisions are not detected")
             )
         for shape in shapes:
             size = float(np.ptp(shape, axis=0).max())
-            if not SHORTEST_SHAPE <= size <= LONGEST_SHAPE:
+            if not 0.002 <= size <= 5.0:  # m: outside, a mesh is probably in mm, or scaled twice
                 reported.append(
-                    Finding("unusual", name, f"has a collision shape of {size:.3g} m: is its unit the metre?")
+                    UrdfFinding("unusual", name, f"has a collision shape of {size:.3g} m: is its unit the metre?")
                 )
     return reported
 
@@ -113,21 +115,21 @@ def _extent(root: ET.Element, link: str, place: str) -> float:
         return 0.0
 
 
-def _hidden(root: ET.Element) -> list[Finding]:
+def _hidden(root: ET.Element) -> list[UrdfFinding]:
     names = [one.get("name", "") for one in root if one.tag in ("link", "joint")]
     shown = ", ".join(name for name in names if _HIDDEN.search(name))
     what = (
         "named like a counterbalance or a parallel linkage, whose force is not in a URDF: sweepid takes it for gravity"
     )
-    return [Finding("unusual", shown, f"{what} and friction of the axis that it acts on")] if shown else []
+    return [UrdfFinding("unusual", shown, f"{what} and friction of the axis that it acts on")] if shown else []
 
 
-def _complete_limits(root: ET.Element, place: str) -> tuple[list[Finding], list[BadInput]]:
+def _complete_limits(root: ET.Element, place: str) -> tuple[list[UrdfFinding], list[BadInput]]:
     """Give each moving joint limits that are numbers: without velocity or effort limit 0, at which nothing moves.
 
     Returns what is missing, and errors for positions: the limits of a turn that a check needs are none of a machine.
     """
-    found: list[Finding] = []
+    found: list[UrdfFinding] = []
     errors: list[BadInput] = []
     for joint in root.findall("joint"):
         name, kind = joint.get("name", ""), joint.get("type")
@@ -140,13 +142,13 @@ def _complete_limits(root: ET.Element, place: str) -> tuple[list[Finding], list[
             if not 0 < _float(text) <= most:
                 limit.set(key, "0")
                 what = f"{key} limit: {text} is not a usable limit; the draft has 0, at which nothing moves"
-                found.append(Finding("missing", name, what))
+                found.append(UrdfFinding("missing", name, what))
         low, high = (_float(limit.get(key, "0")) for key in ("lower", "upper"))
         if not -MOST_POSITION <= low < high <= MOST_POSITION:
             stated = f"{limit.get('lower', 'none')} to {limit.get('upper', 'none')}"
             reason = f"position limits {stated} leave no travel: enter those of the manufacturer in the URDF"
             errors.append(BadInput(f"{place} joint {name}", reason))
-            found.append(Finding("missing", name, reason))
+            found.append(UrdfFinding("missing", name, reason))
             end = math.pi if kind == "revolute" else 1.0
             limit.set("lower", f"{-end:.6f}")
             limit.set("upper", f"{end:.6f}")
@@ -160,25 +162,25 @@ def _float(text: str) -> float:
         return math.nan
 
 
-def _limits(joint: Joint) -> list[Finding]:
+def _limits(joint: Joint) -> list[UrdfFinding]:
     unit = "m" if joint.kind == "prismatic" else "rad"
     effort = "N" if joint.kind == "prismatic" else "N m"
-    reported: list[Finding] = []
+    reported: list[UrdfFinding] = []
     if joint.soft:
         limits = f"{joint.lower:g} to {joint.upper:g} {unit}"
         what = "the soft limits of <safety_controller> are narrower than <limit> and are used"
-        reported.append(Finding("unusual", joint.name, f"position limits {limits}: {what}"))
+        reported.append(UrdfFinding("unusual", joint.name, f"position limits {limits}: {what}"))
     farthest = max(abs(joint.lower), abs(joint.upper))
-    if joint.kind == "revolute" and farthest > MOST_TURN:
+    if joint.kind == "revolute" and farthest > 4 * math.pi:  # rad: wrists turn up to 7.9
         turns = f"{joint.lower:g} to {joint.upper:g} rad, {farthest / 2 / math.pi:.3g} turns"
-        reported.append(Finding("unusual", joint.name, f"position limits {turns}: is the unit the degree?"))
+        reported.append(UrdfFinding("unusual", joint.name, f"position limits {turns}: is the unit the degree?"))
     for name, value, most, of in (
-        ("velocity", joint.velocity, FASTEST[joint.kind], f"{unit}/s"),
-        ("effort", joint.effort, STRONGEST, effort),
+        ("velocity", joint.velocity, {"revolute": 20.0, "prismatic": 10.0}[joint.kind], f"{unit}/s"),  # rad/s, m/s
+        ("effort", joint.effort, 1e5, effort),  # N m, N
     ):
         if value > most:
             reported.append(
-                Finding("unusual", joint.name, f"{name} limit {value:g} {of} is not plausible: check its unit")
+                UrdfFinding("unusual", joint.name, f"{name} limit {value:g} {of} is not plausible: check its unit")
             )
     return reported
 
@@ -194,17 +196,17 @@ def _gear_ratio(root: ET.Element, joint: str, place: str) -> float | None:
     return reductions.pop() if len(reductions) == 1 and not reductions & {0.0, 1.0} else None
 
 
-def _drive_data(chain: Chain, ratios: Mapping[str, float | None]) -> list[Finding]:
+def _drive_data(chain: Chain, ratios: Mapping[str, float | None]) -> list[UrdfFinding]:
     """Data that a URDF cannot contain: the user must complete the side file."""
     joints = [joint.name for joint in chain.joints]
     bare = [joint for joint in joints if ratios[joint] is None]
-    reported = [Finding("missing", ", ".join(bare), "gear ratio")] if bare else []
-    reported.append(Finding("missing", ", ".join(joints), "rated effort: a URDF has only the limit"))
+    reported = [UrdfFinding("missing", ", ".join(bare), "gear ratio")] if bare else []
+    reported.append(UrdfFinding("missing", ", ".join(joints), "rated effort: a URDF has only the limit"))
     reported.append(
-        Finding("missing", ", ".join(joints), "motor inertia; left open it is found with the load, less well")
+        UrdfFinding("missing", ", ".join(joints), "motor inertia; left open it is found with the load, less well")
     )
     reported.append(
-        Finding(
+        UrdfFinding(
             "missing",
             ", ".join(joints),
             "cogging orders (torque ripple, periods per motor turn); without them J can be ten times less certain",
@@ -213,7 +215,7 @@ def _drive_data(chain: Chain, ratios: Mapping[str, float | None]) -> list[Findin
     return reported
 
 
-def _dampings(root: ET.Element, chain: Chain, place: str) -> list[Finding]:
+def _dampings(root: ET.Element, chain: Chain, place: str) -> list[UrdfFinding]:
     """Manufacturers set damping for simulators: a wrong value, as a prior of friction, would cause a wrong J."""
     moving = {joint.name for joint in chain.joints}
     dampings = {
@@ -224,7 +226,7 @@ def _dampings(root: ET.Element, chain: Chain, place: str) -> list[Finding]:
     }
     shown = ", ".join(f"{joint} {damping:g}" for joint, damping in dampings.items() if damping)
     return (
-        [Finding("unusual", shown, "damping is not used as friction: it is mostly a value for simulators")]
+        [UrdfFinding("unusual", shown, "damping is not used as friction: it is mostly a value for simulators")]
         if shown
         else []
     )
@@ -238,3 +240,122 @@ def _number(text: str | None, place: str) -> float:
     if not math.isfinite(value):
         raise BadInput(place, f"{text!r} is not finite")
     return value
+
+
+def side_file_text(check: UrdfCheck, name: str, urdf: str) -> str:
+    """The side file (`config/robots/*.yaml`) of a robot with the data of its URDF; null where data are missing."""
+    lines = [
+        ("# Drafted from a maker's URDF. Complete the values that are null from the data sheets of motors and gears:"),
+        "# gear_ratio: motor revolutions per joint revolution (prismatic: motor rad per m), signed; must be completed",
+        "# rated_effort: what motor and gear can give continuously, at the joint; has to be completed",
+        ("# motor_inertia: kg m^2 on the motor side, brake included; null: unknown, it is measured with the load"),
+        "# viscous_friction: N m s/rad (N s/m) at the joint; null: unknown",
+        "# cogging_orders: torque ripple, periods per motor revolution, from the motor's maker; [] if unknown.",
+        "#   A ripple that is not given here counts as noise, and J can be ten times less certain",
+        "# transmission_orders: gear error, periods per motor revolution, from the gear's maker; [] if unknown",
+        f"name: {_scalar(name)}",
+        f"urdf: {_scalar(urdf)}",
+        "gravity: [0.0, 0.0, -9.81] # in the base frame: turn it for a robot that hangs",
+        "axes:",
+    ]
+    for joint in check.chain.joints:
+        given, unit = check.gear_ratios[joint.name], "N" if joint.kind == "prismatic" else "N m"
+        ratio = "null" if given is None else f"{given!r} # of the URDF's <transmission>"
+        lines += [
+            f"  - joint: {_scalar(joint.name)}",
+            f"    gear_ratio: {ratio}",
+            "    motor_inertia: null",
+            f"    rated_effort: null # the URDF's limit is {joint.effort:g} {unit}",
+            "    viscous_friction: null",
+            "    cogging_orders: []",
+            "    transmission_orders: []",
+        ]
+    lines.append("prior: # how far the model may be off: one sigma, relative")
+    if check.doubted:
+        lines.append(f"  # the inertials of {', '.join(check.doubted)} are guesses, placeholders or not possible")
+    spread = 1.0 if check.doubted else 0.3
+    lines += [f"  inertia: {spread}", f"  gravity: {spread}"]
+    lines += ["  viscous_friction: 0.5", "  motor_inertia: 0.1", "  effort_gain: 0.05"]
+    return "\n".join(lines) + "\n"
+
+
+def cell_text(robot: Robot, name: str) -> tuple[str, list[UrdfFinding]]:
+    """A cell without obstacles for a robot with all shapes known, and findings that the user should check."""
+    nested = _nested(robot)
+    pairs = tuple(pair for pair, _ in nested)
+    cell = Cell(name=name, clearance=CLEARANCE, joint_margin=MARGIN, ignored_pairs=pairs)
+    home, met = _home(robot, CollisionChecker(robot, cell))
+    found = [
+        UrdfFinding(
+            "unusual", f"{a}, {b}", f"collide in {100 * share:.0f} % of {POSES} poses: treated as nested, not checked"
+        )
+        for (a, b), share in nested
+    ]
+    found += [
+        UrdfFinding("unusual", f"{a}, {b}", "collide with all joints at 0, or in the middle: home is another pose")
+        for a, b in met
+    ]
+    lines = [
+        f"# Drafted for {name}: without obstacles. Add floor and boxes, m in the robot's base frame.",
+        f"name: {_scalar(name)}",
+        f"clearance: {CLEARANCE}",
+        f"joint_margin: {MARGIN}",
+        "boxes: []",
+        "ignored_pairs:" if nested else "ignored_pairs: []",
+        *(
+            f"  - [{_scalar(a)}, {_scalar(b)}] # collide in {100 * share:.0f} % of {POSES} poses"
+            for (a, b), share in nested
+        ),
+        "home:" if home.any() else "home: {}",
+        *(f"  {_scalar(joint)}: {at:.4f}" for joint, at in zip(robot.joints, home, strict=True) if at),
+    ]
+    return "\n".join(lines) + "\n", found
+
+
+def bare_robot(check: UrdfCheck) -> Robot:
+    """The chain with an arbitrary drive train, which collision checks do not use."""
+    axes = tuple(Axis(joint=joint.name, gear_ratio=1.0, rated_effort=1.0) for joint in check.chain.joints)
+    return build_robot(RobotDescription(name=check.name, urdf="", axes=axes), check.urdf_text)
+
+
+def _nested(robot: Robot) -> Sequence[tuple[Pair, float]]:
+    """Pairs of links that overlap in nearly all poses, with the fraction of the poses."""
+    checker = CollisionChecker(robot, Cell(name="none", clearance=CLEARANCE))
+    counts = Counter(pair for pose in _drawn(robot, np.zeros(len(robot.joints))) for pair in checker.touching(pose))
+    return [(pair, count / POSES) for pair, count in sorted(counts.items()) if count >= 0.9 * POSES]
+
+
+def _home(robot: Robot, checker: CollisionChecker) -> tuple[Array, Sequence[Pair]]:
+    """Home position (n,) and colliding pairs: 0 if a joint's limits leave room for a sweep there, else their middle.
+
+    If there are collisions, the nearest of some random poses with room and without collision.
+    """
+    joints = robot.chain.joints
+    low, high = _ends(robot)
+    room = np.minimum(math.radians(6.0), (high - low) / 4) + MARGIN  # for a sweep, rad (m)
+    inside = [joint.lower + own <= 0.0 <= joint.upper - own for joint, own in zip(joints, room, strict=True)]
+    home = np.round((low + high) / 2, 4)
+    home[inside] = 0.0
+    met = sorted(checker.touching(home))
+    poses = _drawn(robot, room)
+    free = poses[checker.collision_free(poses)] if met else poses[:0]
+    if len(free):
+        nearest = int(np.argmin(np.linalg.norm(free - home, axis=1)))
+        home = free[nearest].round(4)
+    return home, met
+
+
+def _drawn(robot: Robot, room: Array) -> Array:
+    """Poses (m, n) at least `room` (n,) from the limits, reproducible."""
+    low, high = _ends(robot)
+    return np.random.default_rng(1).uniform(low + room, high - room, (POSES, len(low)))
+
+
+def _ends(robot: Robot) -> tuple[Array, Array]:
+    joints = robot.chain.joints
+    return np.array([joint.lower for joint in joints]), np.array([joint.upper for joint in joints])
+
+
+def _scalar(text: str) -> str:
+    """A value in YAML notation, in one line."""
+    return yaml.safe_dump(text, width=10_000).removesuffix("...\n").strip()

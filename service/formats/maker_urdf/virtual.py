@@ -13,7 +13,7 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from service.formats.maker_urdf.draft import cell_text
+from service.formats.maker_urdf.check import cell_text
 from service.formats.maker_urdf.inertials import gravity_efforts, random_poses
 from service.model.errors import BadInput
 from service.model.robot import Robot, RobotDescription, link_frames, robot_from_outside
@@ -21,14 +21,23 @@ from service.model.urdf import Chain, Joint, inertia_matrix, read_chain, transfo
 
 Array = NDArray[np.float64]
 
-RATIOS = {"revolute": 100.0, "prismatic": 2 * math.pi / 0.01}  # rad per rad; rad/m of a screw with 10 mm a turn
-MOTOR = 0.3  # motor inertia on the joint side, of the mean inertia of the links
-FRICTION = 0.05  # N m s/rad (N s/m) and N m (N), of the rated effort
-SPEED, VELOCITY = 1.0, 1.0  # rad/s (m/s): limit of the profile; where a URDF has none
-ACCELERATION, QUICK_STOP = 1.0, 4.0  # rad/s^2 (m/s^2)
-BANDWIDTH, HIGHEST = 100.0, 250.0  # 1/s of the speed control: in the mean, and in the lightest pose
-HOST_TIMEOUT = 3.0  # s
-TRUE_MASS, TRUE_INERTIA, TRUE_MOTOR = 1.04, 1.1, 1.05  # of the virtual machine, relative to its model
+
+@dataclass(frozen=True)
+class _Machine:
+    """The virtual machine, where the side file says nothing; mass, inertia and motor are relative to its model."""
+
+    friction: float = 0.05
+    """N m s/rad (N s/m) and N m (N), of the rated effort."""
+    acceleration: float = 1.0
+    """rad/s^2 (m/s^2)"""
+    host_timeout: float = 3.0
+    """s"""
+    mass: float = 1.04
+    inertia: float = 1.1
+    motor: float = 1.05
+
+
+_MACHINE = _Machine()
 
 
 class _DraftedAxis(BaseModel):
@@ -122,14 +131,16 @@ def _about(chain: Chain, k: int, rotations: Array, origins: Array) -> float:
 
 
 def _completed(axis: _DraftedAxis, joint: Joint, load: _Load) -> _DraftedAxis:
-    ratio = axis.gear_ratio or RATIOS[joint.kind]
-    needed = 1.5 * load.gravity + 2 * ACCELERATION * load.most
+    # rad per rad; rad/m of a screw with 10 mm a turn
+    ratio = axis.gear_ratio or {"revolute": 100.0, "prismatic": 2 * math.pi / 0.01}[joint.kind]
+    needed = 1.5 * load.gravity + 2 * _MACHINE.acceleration * load.most
     rated = axis.rated_effort or (min(max(joint.effort / 2, needed), joint.effort) if joint.effort else needed)
+    # motor inertia on the joint side, of the mean inertia of the links
     plausible = {
         "gear_ratio": ratio,
         "rated_effort": rated,
-        "motor_inertia": MOTOR * load.mean / ratio**2,
-        "viscous_friction": FRICTION * rated,
+        "motor_inertia": 0.3 * load.mean / ratio**2,
+        "viscous_friction": _MACHINE.friction * rated,
     }
     return axis.model_copy(update={key: value for key, value in plausible.items() if getattr(axis, key) is None})
 
@@ -140,7 +151,7 @@ def _with_limits(urdf_text: str, axes: list[_DraftedAxis]) -> str:
     for joint in root.findall("joint"):
         limit, axis = joint.find("limit"), wanted.get(joint.get("name", ""))
         if limit is not None and axis is not None:
-            for key, value in (("velocity", VELOCITY), ("effort", 2 * (axis.rated_effort or 0.0))):
+            for key, value in (("velocity", 1.0), ("effort", 2 * (axis.rated_effort or 0.0))):
                 if float(limit.get(key, "0")) <= 0:
                     limit.set(key, repr(value))
     return ET.tostring(root, encoding="unicode") + "\n"
@@ -150,13 +161,14 @@ def _scenario(robot: Robot, loads: list[_Load], name: str) -> dict[str, object]:
     axes: dict[str, object] = {}
     for axis, joint, load in zip(robot.axes, robot.chain.joints, loads, strict=True):
         motor = axis.reflected_motor_inertia or 0.0
-        gain = min(BANDWIDTH * (load.mean + motor), HIGHEST * (load.least + motor))
+        # 1/s of the speed control: in the mean, and in the lightest pose
+        gain = min(100.0 * (load.mean + motor), 250.0 * (load.least + motor))
         friction = (axis.viscous_friction or 0.0) / 2
         axes[axis.joint] = {
             "train": {
-                "motor_inertia": TRUE_MOTOR * (axis.motor_inertia or 0.0),
-                "motor_friction": {"viscous": 1.2 * friction, "coulomb": FRICTION * axis.rated_effort / 2},
-                "load_friction": {"viscous": friction, "coulomb": FRICTION * axis.rated_effort / 4},
+                "motor_inertia": _MACHINE.motor * (axis.motor_inertia or 0.0),
+                "motor_friction": {"viscous": 1.2 * friction, "coulomb": _MACHINE.friction * axis.rated_effort / 2},
+                "load_friction": {"viscous": friction, "coulomb": _MACHINE.friction * axis.rated_effort / 4},
             },
             "control": {
                 "gain": gain,
@@ -167,7 +179,7 @@ def _scenario(robot: Robot, loads: list[_Load], name: str) -> dict[str, object]:
     return {
         "name": name,
         "robot": f"../robots/{name}.yaml",
-        "links": {joint.link: {"mass": TRUE_MASS, "inertia": TRUE_INERTIA} for joint in robot.chain.joints},
+        "links": {joint.link: {"mass": _MACHINE.mass, "inertia": _MACHINE.inertia} for joint in robot.chain.joints},
         "axes": axes,
         "measurement": {
             "effort_noise": 0.002,
@@ -184,17 +196,17 @@ def _profile(robot: Robot, loads: list[_Load], eds: str) -> dict[str, object]:
     axes: list[dict[str, object]] = []
     travel = {"rad": 3.2, "m": 3.2}
     for number, (axis, joint, load) in enumerate(zip(robot.axes, robot.chain.joints, loads, strict=True), 1):
-        whole = TRUE_INERTIA * load.most + TRUE_MOTOR * (axis.reflected_motor_inertia or 0.0)
-        spare = (joint.effort - TRUE_MASS * load.gravity) / whole
+        whole = _MACHINE.inertia * load.most + _MACHINE.motor * (axis.reflected_motor_inertia or 0.0)
+        spare = (joint.effort - _MACHINE.mass * load.gravity) / whole
         if spare <= 0:
             raise BadInput(
                 f"joint {axis.joint}",
                 f"effort limit {joint.effort:g} is below its gravity of {load.gravity:.4g}: it cannot hold its links; "
                 "correct masses or limit in the URDF",
             )
-        unit, stop = ("m" if joint.kind == "prismatic" else "rad"), min(QUICK_STOP, 0.8 * spare)
-        speed = min(SPEED, joint.velocity)
-        travel[unit] = max(travel[unit], speed * HOST_TIMEOUT + speed**2 / (2 * stop))
+        unit, stop = ("m" if joint.kind == "prismatic" else "rad"), min(4.0, 0.8 * spare)  # rad/s^2 (m/s^2)
+        speed = min(1.0, joint.velocity)  # rad/s (m/s)
+        travel[unit] = max(travel[unit], speed * _MACHINE.host_timeout + speed**2 / (2 * stop))
         axes.append(
             {
                 "joint": axis.joint,
@@ -207,7 +219,7 @@ def _profile(robot: Robot, loads: list[_Load], eds: str) -> dict[str, object]:
                 "position_limits": [joint.lower, joint.upper],
                 "velocity_limit": speed,
                 "effort_limit": joint.effort,
-                "acceleration": min(ACCELERATION, 0.5 * spare),
+                "acceleration": min(_MACHINE.acceleration, 0.5 * spare),
                 "quick_stop_deceleration": stop,
                 "standstill_velocity": 1e-3,
             }
@@ -223,7 +235,7 @@ def _profile(robot: Robot, loads: list[_Load], eds: str) -> dict[str, object]:
             "sdo_timeout": 2.0,
             "drive_timeout": 2.0,
             "silence": 1.0,
-            "host_timeout": HOST_TIMEOUT,
+            "host_timeout": _MACHINE.host_timeout,
             "missed_cycles": 1_000_000,
         },
         "travel_limits": travel,

@@ -9,27 +9,122 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formats.sinumerik.measurement import Measurement
-from service.formats.sinumerik.models import (
-    ByControl,
-    Excitation,
-    LoopInertia,
-    MeasuredResponse,
-    OverGain,
-    Response,
-    ServoTuning,
-    Size,
+from service.formats.sinumerik.measurement import (
+    GAIN,
+    PARAMETERS,
+    LoopMeasurement,
+    Quantity,
     SpeedController,
+    Tuning,
 )
-from service.formats.sinumerik.signals import GAIN, PARAMETERS, Quantity
-from service.formats.sinumerik.tuning import Tuning
 from service.identification.spectra.speed_loop import LoopFit, fit_closed_loop, fit_torque_response
 from service.model.errors import BadInput
+from service.model.results.part import Part
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-
 COHERENT = 0.5  # minimum coherence of a line that is used, if the file has a coherence
+
+
+class Size(Part):
+    """A value with one standard deviation."""
+
+    value: float
+    std: float
+
+
+class OverGain(Size):
+    """J/K, in s."""
+
+    unit: str
+
+
+class LoopInertia(Part):
+    """On the motor side, kg m^2, and on the axis; null without the controller's gain. `over_gain`: for a closed loop.
+
+    `band`, Hz, and number of `lines` that were used; `ended`: how the iteration ended.
+    """
+
+    motor_side: Size | None
+    axis_side: Size | None
+    axis_unit: str
+    over_gain: OverGain | None
+    delay: float | None
+    band: tuple[float, float]
+    lines: int
+    misfit_percent: float
+    converged: bool
+    ended: str
+
+
+class ResponseColumns(Part):
+    """Columns of the frequency response: Hz, real and imaginary part of output over input."""
+
+    frequency: tuple[float, ...]
+    re: tuple[float, ...]
+    im: tuple[float, ...]
+    coherence: tuple[float, ...] | None = None
+    frequency_in_file: tuple[float, ...] | None = None
+
+
+class ExcitationSignal(Part):
+    """`sample_interval`, s, `bandwidth`, Hz; amplitude and offset in `unit`."""
+
+    signal: str
+    sample_interval: float
+    bandwidth: float
+    amplitude: float
+    unit: str
+    offset: float
+    offset_rpm: float
+    periods_averaged: int
+    directions: int
+
+
+class MeasuredResponse(Part):
+    """A frequency response measured by the control; `inertia` from its time series and from its own spectrum."""
+
+    kind: str
+    version: str
+    axis: str
+    measured_at: str
+    input: str
+    output: str
+    excitation: ExcitationSignal
+    motor_to_axis: float
+    torque_constant: float
+    parameters: dict[str, float]
+    inertia: dict[str, LoopInertia]
+    speed_controller_gain: float | None
+    cannot_tell: tuple[str, ...]
+    frequencies_too_high_percent: float
+    unread: tuple[str, ...]
+    frequency_response: ResponseColumns
+
+
+class ByControl(Part):
+    """Values computed by the control, on the motor side: kg m^2, N m s/rad, Hz."""
+
+    motor_inertia: float
+    total_inertia: float
+    viscous_friction: float
+    antiresonance: float | None
+
+
+class ServoTuning(Part):
+    """An automatic servo tuning: the inertia computed by the control, and that computed here from its response."""
+
+    kind: str
+    version: str
+    axis: str
+    measured_at: str
+    motor_to_axis: float
+    inertia: dict[str, LoopInertia]
+    by_control: ByControl
+    speed_controllers: tuple[SpeedController, ...]
+    cannot_tell: tuple[str, ...]
+    unread: tuple[str, ...]
+    frequency_response: ResponseColumns
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +138,7 @@ class Given:
     gear_ratio: float | None = None
 
 
-def measurement_document(found: Measurement, given: Given, place: str) -> MeasuredResponse:
+def measurement_document(found: LoopMeasurement, given: Given, place: str) -> MeasuredResponse:
     """`inertia` from its time series and from its own spectrum; BadInput at `place` if neither determines one."""
     ways = {"time_series": _by_series(found, given, place), "spectrum": _by_spectrum(found, given, place)}
     closed = found.input.meaning.quantity is Quantity.SPEED_SETPOINT
@@ -56,7 +151,7 @@ def measurement_document(found: Measurement, given: Given, place: str) -> Measur
         measured_at=found.measured_at,
         input=found.input.meaning.name,
         output=found.output.meaning.name,
-        excitation=Excitation(
+        excitation=ExcitationSignal(
             signal=f"PRBS of order {found.order}, one period of {len(found.output.series[0])} samples",
             sample_interval=found.sample_interval,
             bandwidth=found.bandwidth,
@@ -104,17 +199,14 @@ def tuning_document(found: Tuning, given: Given, place: str) -> ServoTuning:
             viscous_friction=found.friction,
             antiresonance=found.antiresonance,
         ),
-        speed_controllers=tuple(
-            SpeedController(gain=each.gain, reset_time=each.reset_time, reference_model=each.reference_model)
-            for each in found.regulators
-        ),
+        speed_controllers=found.regulators,
         cannot_tell=("dry friction and gravity: the response is of small motions about a speed",),
         unread=found.unread,
         frequency_response=_response(found),
     )
 
 
-def response_table(found: Measurement | Tuning) -> dict[str, Array]:
+def response_table(found: LoopMeasurement | Tuning) -> dict[str, Array]:
     """Columns of the frequency response in the file, at true frequencies."""
     if isinstance(found, Tuning):
         plant = found.plant
@@ -130,11 +222,11 @@ def response_table(found: Measurement | Tuning) -> dict[str, Array]:
     }
 
 
-def _response(found: Measurement | Tuning) -> Response:
-    return Response.model_validate({name: column.tolist() for name, column in response_table(found).items()})
+def _response(found: LoopMeasurement | Tuning) -> ResponseColumns:
+    return ResponseColumns.model_validate({name: column.tolist() for name, column in response_table(found).items()})
 
 
-def recording_table(found: Measurement) -> dict[str, Array]:
+def recording_table(found: LoopMeasurement) -> dict[str, Array]:
     """Columns of the time series: input and output of each direction, on the motor side."""
     time = np.asarray(np.arange(len(found.output.series[0])) * found.sample_interval, dtype=float)
     columns = {"time": time}
@@ -143,7 +235,7 @@ def recording_table(found: Measurement) -> dict[str, Array]:
     return columns
 
 
-def _by_series(found: Measurement, given: Given, place: str) -> LoopFit:
+def _by_series(found: LoopMeasurement, given: Given, place: str) -> LoopFit:
     """Each direction separately, by the DFT of its period; the mean, with at least their difference as uncertainty."""
     fits: list[LoopFit] = []
     for inward, outward in zip(found.input.series, found.output.series, strict=True):
@@ -169,7 +261,7 @@ def _by_series(found: Measurement, given: Given, place: str) -> LoopFit:
     )
 
 
-def _by_spectrum(found: Measurement, given: Given, place: str) -> LoopFit:
+def _by_spectrum(found: LoopMeasurement, given: Given, place: str) -> LoopFit:
     """From the spectra averaged by the control, at the frequencies in the file."""
     good = found.spectra.coherence >= COHERENT
     good[0] = False
@@ -177,7 +269,7 @@ def _by_spectrum(found: Measurement, given: Given, place: str) -> LoopFit:
     return _fit(found, frequency, response, given, f"{place} spectrum")
 
 
-def _fit(found: Measurement, frequency: Array, response: Complex, given: Given, place: str) -> LoopFit:
+def _fit(found: LoopMeasurement, frequency: Array, response: Complex, given: Given, place: str) -> LoopFit:
     inward, outward = found.input.meaning.quantity, found.output.meaning.quantity
     if outward is not Quantity.SPEED or inward not in (Quantity.SPEED_SETPOINT, Quantity.TORQUE, Quantity.CURRENT):
         raise BadInput(place, f"is of {found.output.meaning.name} over {found.input.meaning.name}: shows no inertia")
@@ -205,7 +297,7 @@ def _inertia(fit: LoopFit, gain: float | None, motor_to_axis: float, rotary: boo
     )
 
 
-def _unknown(found: Measurement, gain: float | None) -> tuple[str, ...]:
+def _unknown(found: LoopMeasurement, gain: float | None) -> tuple[str, ...]:
     missing = (
         "dry friction, gravity and offsets: the response is of small motions about a speed",
         "rotor and load apart: below the first antiresonance they move as one",

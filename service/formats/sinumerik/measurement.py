@@ -1,34 +1,79 @@
-"""A frequency response saved by the control: function "frequency response", XML root `ResponseTestCustom`.
+"""What a control saved of an axis: a frequency response, or the result of automatic servo tuning.
 
-The excitation is a pseudo-random binary sequence of 2^order - 1 samples on a speed offset, run in both directions. A
-time series is one period of it, averaged by the control; the spectra are those of the series, averaged over both
-directions: auto-spectra of the input and of the output, and the cross-spectrum of output* and input.
+**Frequency response**, XML root `ResponseTestCustom`: the excitation is a pseudo-random binary sequence of 2^order - 1
+samples on a speed offset, run in both directions. A time series is one period of it, averaged by the control; the
+spectra are those of the series, averaged over both directions: auto-spectra of the input and of the output, and the
+cross-spectrum of output* and input. The lines are at k / (n T), n samples of interval T. The frequencies in the file
+are uniform from 0 to the bandwidth: 0.15 % too high for order 11, `axis_error`.
 
-The lines are at k / (n T), n samples of interval T. The frequencies in the file are uniform from 0 to the bandwidth:
-0.15 % too high for order 11, `axis_error`.
+**Servo tuning** (AST), XML root `DynamicModelAxisController`, contains the model of the speed controller: inertia of
+the rotor, total inertia and friction as identified by the control, zeros of the mechanics, the measured response of
+speed to torque with its coherence, and the controller's settings before and after. The control gives no uncertainty.
+
+The number of a signal is that of its display parameter (SINAMICS S120/S150 List Manual): r0061 is the actual speed.
+Numbers that occur in no available file are not guessed.
 """
 
 from dataclasses import dataclass, replace
-from pathlib import Path
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formats.sinumerik.members import Member, read_members
-from service.formats.sinumerik.signals import DRIVE, PARAMETERS, SIGNALS, Meaning
+from service.formats.sinumerik.members import Member
 from service.model.errors import BadInput
+from service.model.results.part import Part
 
+DRIVE, CONTROL = 5, 6  # platforms of signals and parameters
+
+GAIN = (DRIVE, 1460)
+PARAMETERS = {
+    GAIN: "p1460 speed controller gain, N m s/rad",
+    (DRIVE, 1462): "p1462 speed controller reset time, ms",
+    (DRIVE, 1656): "p1656 current set-point filters active",
+    (CONTROL, 32200): "MD32200 position controller gain",
+    (CONTROL, 32500): "MD32500 friction compensation active",
+    (CONTROL, 36000): "MD36000 exact stop coarse, mm or deg",
+    (CONTROL, 36010): "MD36010 exact stop fine, mm or deg",
+    (CONTROL, 36030): "MD36030 standstill tolerance, mm or deg",
+    (CONTROL, 36400): "MD36400 contour monitoring tolerance, mm or deg",
+}
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+RESPONSE = "ResponseTestCustom"
+TUNING = "DynamicModelAxisController"
 
-ROOT = "ResponseTestCustom"
-VERSIONS = ("4.7.", "4.96.")  # of the available files
-SPEED_LOOP, NOISE = 2, 4  # codes of control loop and waveform in these files
-SAME = 1e-6  # relative
+
+class Quantity(Enum):
+    """A quantity on the motor side; units of a linear motor are m/s and N."""
+
+    SPEED = "speed"  # rad/s
+    SPEED_SETPOINT = "speed set-point"  # rad/s
+    TORQUE = "torque"  # N m
+    CURRENT = "torque-forming current"  # A
+
+
+@dataclass(frozen=True, slots=True)
+class Meaning:
+    """Name, quantity and unit of a drive's signal."""
+
+    name: str
+    quantity: Quantity
+    unit: str
+
+
+SIGNALS = {
+    61: Meaning("r0061 speed actual value", Quantity.SPEED, "rad/s"),
+    62: Meaning("r0062 speed set-point after the filter", Quantity.SPEED_SETPOINT, "rad/s"),
+    63: Meaning("r0063 speed actual value, smoothed", Quantity.SPEED, "rad/s"),
+    77: Meaning("r0077 torque-forming current set-point", Quantity.CURRENT, "A"),
+    78: Meaning("r0078 torque-forming current actual value", Quantity.CURRENT, "A"),
+    80: Meaning("r0080 torque actual value", Quantity.TORQUE, "N m"),
+}
 
 
 @dataclass(frozen=True)
-class Signal:
+class LoopSignal:
     """One signal on the motor side: a series (n,) for each direction of motion."""
 
     meaning: Meaning
@@ -57,7 +102,7 @@ class Spectra:
 
 
 @dataclass(frozen=True)
-class Measurement:
+class LoopMeasurement:
     """The content of a file. Amplitudes on the motor side; `motor_to_axis`: motor rad per rad (m) of the axis."""
 
     version: str
@@ -72,8 +117,8 @@ class Measurement:
     motor_to_axis: float
     rotary: bool
     torque_constant: float  # N m/A
-    input: Signal
-    output: Signal
+    input: LoopSignal
+    output: LoopSignal
     spectra: Spectra
     parameters: dict[tuple[int, int], float]
     unread: tuple[str, ...]
@@ -90,27 +135,22 @@ class Measurement:
         return float(self.spectra.frequency[-1] / self.frequency[-1] - 1)
 
 
-def read_measurement(path: Path) -> Measurement:
-    """BadInput names file and member if something is missing, unknown or inconsistent."""
-    root = read_members(path)
-    check_family(root, ROOT)
-    return measurement_of(root)
-
-
-def check_family(root: Member, kind: str) -> None:
+def _check_family(root: Member, kind: str) -> None:
     """BadInput for another kind of file, or for a version without known files."""
     if root.kind != kind:
         raise BadInput(root.place, f"is a {root.kind}, not a {kind}")
-    if not root.version.startswith(VERSIONS):
-        known = " and ".join(f"{version}x" for version in VERSIONS)
+    versions = ("4.7.", "4.96.")  # of the available files
+    if not root.version.startswith(versions):
+        known = " and ".join(f"{version}x" for version in versions)
         raise BadInput(root.place, f"has version {root.version!r}; known are {known}")
 
 
-def measurement_of(root: Member) -> Measurement:
-    """The measurement from the root of a file."""
+def measurement_of(root: Member) -> LoopMeasurement:
+    """The measurement in a file; BadInput names file and member if something is missing, unknown or inconsistent."""
+    _check_family(root, RESPONSE)
     for name, code, words in (
-        ("m_eControlLoopType", SPEED_LOOP, "of the speed control loop"),
-        ("m_eWaveformType", NOISE, "with pseudo-random noise"),
+        ("m_eControlLoopType", 2, "of the speed control loop"),
+        ("m_eWaveformType", 4, "with pseudo-random noise"),
     ):
         if root.whole(name) != code:
             raise BadInput(root.place, f"member {name} is {root.whole(name)}: not measured {words} ({code})")
@@ -125,7 +165,7 @@ def measurement_of(root: Member) -> Measurement:
         raise BadInput(root.place, f"its response is of signals {ends}, and it holds {sorted(nodes)}")
     inward, outward = (nodes[end] for end in ends)
     excitation = source.first("ExcitationSourceCondition")
-    found = Measurement(
+    found = LoopMeasurement(
         version=root.version,
         axis=root.whole("m_uAxis"),
         measured_at=_instant(root.get("m_timeStampMeas")),
@@ -151,7 +191,7 @@ def measurement_of(root: Member) -> Measurement:
     return replace(found, unread=root.unread())
 
 
-def _signal(node: Member, interval: float, order: int) -> Signal:
+def _signal(node: Member, interval: float, order: int) -> LoopSignal:
     number, platform = node.whole("m_uNodeId"), node.whole("m_ePlatformType")
     if platform != DRIVE or number not in SIGNALS:
         known = ", ".join(f"r{known:04}" for known in SIGNALS)
@@ -166,7 +206,7 @@ def _signal(node: Member, interval: float, order: int) -> Signal:
     for member in node.each("TimeSeries"):
         values = member.array("m_ValueVector")
         end, stated = member.number("m_TimeVector.end"), member.whole("m_TimeVector.length")
-        if not len(values) == stated == 2**order - 1 or abs(end / ((stated - 1) * interval) - 1) > SAME:
+        if not len(values) == stated == 2**order - 1 or abs(end / ((stated - 1) * interval) - 1) > 1e-6:
             raise BadInput(
                 node.place,
                 f"signal {number} has {len(values)} samples to {end} s; a period of order {order} has {2**order - 1} "
@@ -175,7 +215,7 @@ def _signal(node: Member, interval: float, order: int) -> Signal:
         series.append(values)
     if not series:
         raise BadInput(node.place, f"signal {number} has no TimeSeries: save the measurement with its time series")
-    return Signal(SIGNALS[number], tuple(series))
+    return LoopSignal(SIGNALS[number], tuple(series))
 
 
 def _spectra(inward: Member, outward: Member) -> Spectra:
@@ -216,3 +256,99 @@ def _instant(stamp: Member) -> str:
     date, time = stamp.whole("Date"), stamp.number("Time")
     day = f"{date // 10000:04}-{date // 100 % 100:02}-{date % 100:02}"
     return f"{day}T{int(time) // 10000:02}:{int(time) // 100 % 100:02}:{time % 100:04.1f}"
+
+
+class SpeedController(Part):
+    """Gain, N m s/rad, and reset time, s."""
+
+    gain: float
+    reset_time: float
+    reference_model: bool
+
+
+@dataclass(frozen=True)
+class MeasuredPlant:
+    """Speed over torque (b,), rad/s per N m, at `frequency` (b,), Hz; coherence (b,) if it is in the file."""
+
+    frequency: Array
+    response: Complex
+    coherence: Array | None
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """On the motor side: kg m^2, N m s/rad, Hz. `axis_per_motor`: rad (m) of the axis per rad of the motor."""
+
+    version: str
+    axis: str
+    measured_at: str
+    motor_inertia: float
+    total_inertia: float
+    friction: float
+    lowest_frequency: float  # above it, the control considers its response valid
+    antiresonance: float | None  # the lowest zero of the mechanics; None if the control found none
+    axis_per_motor: float
+    rotary: bool
+    plant: MeasuredPlant
+    regulators: tuple[SpeedController, ...]
+    unread: tuple[str, ...]
+
+
+def tuning_of(root: Member) -> Tuning:
+    """The tuning in a file; BadInput names file and member if something is missing or unknown."""
+    _check_family(root, TUNING)
+    position, model = root.first("DynamicModelPositionController840DSL"), root.first("DynamicModelSpeedControllerS120")
+    if not model.flag("m_bMotorIsRotary"):
+        raise BadInput(root.place, "is of a linear motor, which is not supported: its units are not known")
+    zero = model.number("m_dSpeedPlantLowestEstZeroFreq")
+    found = Tuning(
+        version=root.version,
+        axis=root.string("m_szAxisName"),
+        measured_at=root.string("m_szInitTime"),
+        motor_inertia=_positive(model, "m_dMotorInertia"),
+        total_inertia=_positive(model, "m_dTotalInertia"),
+        friction=model.number("m_dViscousCoeff"),
+        lowest_frequency=model.number("m_dMinUsableMechPlantFrequency"),
+        antiresonance=zero if zero > 1e-12 else None,
+        axis_per_motor=_positive(position, "m_dAxisDistPerMotorDistUnitsMetersAndRadians"),
+        rotary=position.flag("m_bAxisIsRotary"),
+        plant=_plant(model.get("m_listMechPlants").first("PlantMeasRecord")),
+        regulators=tuple(
+            SpeedController(
+                gain=each.number("m_dKpGain"),
+                reset_time=each.number("m_dIntegralTime"),
+                reference_model=each.flag("m_bUsingReferenceModel"),
+            )
+            for each in model.each("SpeedLoopRegulator")
+        ),
+        unread=(),
+    )
+    return replace(found, unread=root.unread())
+
+
+def _positive(member: Member, name: str) -> float:
+    """An inertia, kg m^2, or the way per turn of a motor."""
+    value, smallest = member.number(name), 1e-12
+    if not value > smallest:
+        raise BadInput(member.place, f"member {name} is {value}, and must be above {smallest:g}")
+    return value
+
+
+def _plant(record: Member) -> MeasuredPlant:
+    frequency, response = _frequency_response(record.get("m_pPlant"))
+    coherence = None
+    if record.find("m_pMeasCoherence") is not None:
+        at, values = _frequency_response(record.get("m_pMeasCoherence"))
+        if not np.array_equal(at, frequency):
+            raise BadInput(record.place, "m_pMeasCoherence is not of the frequencies of m_pPlant")
+        coherence = values.real
+        if (coherence < 0).any() or (coherence > 1 + 1e-6).any():
+            raise BadInput(record.place, "m_pMeasCoherence leaves 0 ... 1")
+    return MeasuredPlant(frequency, response, coherence)
+
+
+def _frequency_response(member: Member) -> tuple[Array, Complex]:
+    pairs, frequency = member.array("m_ValueVector", per_value=2), member.array("m_FrequencyVector")
+    if len(pairs) != len(frequency) or (np.diff(frequency) <= 0).any() or frequency.min(initial=1.0) < 0:
+        raise BadInput(member.place, f"{member.name} has {len(pairs)} values at {len(frequency)} rising frequencies")
+    return frequency, np.asarray(pairs @ np.array([1, 1j]), dtype=np.complex128)

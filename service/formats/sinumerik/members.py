@@ -3,6 +3,7 @@
 A DOCTYPE is rejected, so there are no entities and a small file cannot expand. Unused members can be listed.
 """
 
+import base64
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,14 +12,13 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formats.sinumerik.base85 import HUGE, decode
 from service.model.errors import BadInput
 
 Array = NDArray[np.float64]
 
 LARGEST = 32_000_000  # bytes of a file; the control writes 0.2 to 0.3 MB
-MOST = 200_000  # members
-DEEPEST = 64
+
+HUGE = 1e15  # larger than any measured quantity, in each unit of the control
 
 
 @dataclass(slots=True)
@@ -124,7 +124,7 @@ def read_members(path: Path) -> Member:
         raise BadInput(str(path), f"cannot be read: {error.strerror or error}") from None
     if len(content) > LARGEST:
         raise BadInput(str(path), f"is larger than {LARGEST} bytes; a measurement of the control is not")
-    builder = _Builder(str(path))
+    builder = _MemberBuilder(str(path))
     parser = expat.ParserCreate()
     parser.buffer_text = True
     parser.StartDoctypeDeclHandler = builder.doctype
@@ -138,7 +138,7 @@ def read_members(path: Path) -> Member:
     return builder.top.children[0]
 
 
-class _Builder:
+class _MemberBuilder:
     """Callbacks of expat."""
 
     def __init__(self, place: str) -> None:
@@ -153,8 +153,9 @@ class _Builder:
 
     def start(self, kind: str, attributes: dict[str, str]) -> None:
         self._count += 1
-        if self._count > MOST or len(self._open) > DEEPEST:
-            raise BadInput(self.top.place, f"has more than {MOST} members, or more than {DEEPEST} inside of each other")
+        most, deepest = 200_000, 64
+        if self._count > most or len(self._open) > deepest:
+            raise BadInput(self.top.place, f"has more than {most} members, or more than {deepest} inside of each other")
         member = Member(kind, attributes.get("name", ""), attributes.get("ver", ""), self.top.place)
         self._open[-1].children.append(member)
         self._open.append(member)
@@ -164,3 +165,31 @@ class _Builder:
 
     def characters(self, text: str) -> None:
         self._open[-1].pieces.append(text)
+
+
+def decode(text: str, place: str) -> Array:
+    """Doubles (n,), most significant byte first, of a text in base 85, where a point is a word of zero.
+
+    BadInput at `place` if it is truncated, in another format, or has non-finite numbers.
+    """
+    ours = b"0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ!#$`()*+-/:;=?@[]^_{|}~"
+    theirs = b"0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz!#$%&()*+-;<=>?@^_`{|}~"
+    words = "".join(text.split()).split(".")
+    if any(len(run) % 5 for run in words):
+        raise BadInput(
+            place, "base-85 data are incomplete: the number of characters between two points is not a multiple of 5"
+        )
+    characters = "00000".join(words).encode("latin-1", "replace")
+    if characters.translate(None, ours):
+        raise BadInput(place, "has a character that is not of the control's base 85")
+    try:
+        content = base64.b85decode(characters.translate(bytes.maketrans(ours, theirs)))
+    except ValueError:  # a word of more than 32 bits
+        content = b""
+    if len(content) % 8 or len(content) * 5 != len(characters) * 4:
+        raise BadInput(place, f"{len(characters) // 5} words of base 85 are not whole doubles")
+    numbers = np.frombuffer(content, dtype=">f8").astype(np.float64)
+    sensible = np.abs(numbers) < HUGE  # False for NaN
+    if not sensible.all():
+        raise BadInput(place, f"number {int(np.flatnonzero(~sensible)[0])} is NaN, or not below {HUGE:g}")
+    return numbers

@@ -5,7 +5,7 @@ difference is best. Fine search: least squares of (start, stretch of time, offse
 the start is known to a small fraction of a sample. A trace that does not match is rejected, with the probable cause:
 
 - the residual exceeds `RESIDUAL` of the sines' RMS amplitude: another sweep, another axis;
-- time is stretched by more than `STRETCH` (the lines would be at other frequencies): feed override, cycle;
+- time is stretched by more than 5e-4 (the lines would be at other frequencies): feed override, cycle;
 - the path starts elsewhere by more than `START`: another pose, another zero.
 """
 
@@ -17,23 +17,15 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import fftconvolve
 
-from service.identification.design.excitation import Excitation
-from service.identification.design.sweep_path import way
+from service.identification.design.excitation import Excitation, way
 from service.model.errors import BadInput
 
 Array = NDArray[np.float64]
 
 RESIDUAL = 0.05  # of the sines' RMS amplitude
-STRETCH = 5e-4
 START = 2e-3  # rad (m)
-LARGEST = 1e6  # rad (m), of a position: above any axis; its square does not overflow
-MOST_COARSE = 2**20  # points of the coarse search: a trace of almost six hours
-FOLLOWS = 0.2  # following error of the position control is smaller; errors of gear ratio or unit are larger
 
 _COARSE = 0.02  # s, a tenth of a period at 5 Hz
-_STRETCHES = np.geomspace(0.2, 5.0, 163)  # 2 % apart, tried only to find the cause of a mismatch
-_REACH = 0.2  # s, largest error of the coarse start
-_STANDSTILL = 0.5  # s before and after the motion that are used in the fit
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +57,7 @@ def motion_start(path: Excitation, position: float, time: Array, set_position: A
     match = _match(path, position, time, set_position, np.ones(1))
     if not match.rms <= RESIDUAL * swing:
         raise BadInput(place, _what_it_is(path, position, time, set_position, match, swing))
-    if not abs(match.stretch - 1) <= STRETCH:
+    if not abs(match.stretch - 1) <= 5e-4:
         raise BadInput(place, _slow(match))
     if abs(match.offset) > START:
         raise BadInput(
@@ -84,22 +76,25 @@ def motion_start(path: Excitation, position: float, time: Array, set_position: A
 
 def _check_size(path: Excitation, position: float, time: Array, set_position: Array, place: str) -> None:
     """BadInput if the search would need numbers that overflow, or more points than its limit."""
+    largest = 1e6  # rad (m): above any axis; its square does not overflow
+    most = 2**20  # points of the coarse search: a trace of almost six hours
     with np.errstate(over="ignore", invalid="ignore"):
         ways = np.abs(way(path, np.linspace(0.0, path.duration, 1000)))
     for name, value in (("pose", abs(position)), ("path", ways.max()), ("set position", np.abs(set_position).max())):
-        if not value <= LARGEST:
-            raise BadInput(place, f"{name} reaches {value:.3g} rad (m), limit {LARGEST:g}")
+        if not value <= largest:
+            raise BadInput(place, f"{name} reaches {value:.3g} rad (m), limit {largest:g}")
     points = (len(time) - 1) / _stride(time)
-    if points > MOST_COARSE:
+    if points > most:
         raise BadInput(place, f"trace of {time[-1] - time[0]:.0f} s is too long for the search, limit "
-                       f"{MOST_COARSE * _COARSE:.0f} s: cut it to one sweep")  # fmt: skip
+                       f"{most * _COARSE:.0f} s: cut it to one sweep")  # fmt: skip
 
 
 def check_follows(name: str, channel: Array, expected: Array, place: str) -> None:
-    """BadInput unless the channel follows the expected signal: slope 1 within `FOLLOWS`, by least squares."""
+    """BadInput unless the channel follows the expected signal: slope 1 within 20 %, by least squares."""
     deviation = expected - expected.mean()
     slope = float(deviation @ channel) / float(deviation @ deviation)
-    if not abs(slope - 1) <= FOLLOWS:
+    # following error of the position control is smaller; errors of gear ratio or unit are larger
+    if not abs(slope - 1) <= 0.2:
         raise BadInput(
             place,
             f"{name} moves {slope:.3g} times as far as the path: another axis, or a wrong unit, sign or gear ratio",
@@ -108,7 +103,8 @@ def check_follows(name: str, channel: Array, expected: Array, place: str) -> Non
 
 def _what_it_is(path: Excitation, position: float, time: Array, signal: Array, match: _Match, swing: float) -> str:
     """The most likely reason why the trace is not this motion."""
-    slow = _match(path, position, time, signal, _STRETCHES)
+    # 2 % apart
+    slow = _match(path, position, time, signal, np.geomspace(0.2, 5.0, 163))
     if slow.rms <= RESIDUAL * swing:
         return _slow(slow)
     mirrored = _match(path, position, time, 2 * position - signal, np.ones(1))
@@ -130,22 +126,23 @@ def _slow(match: _Match) -> str:
 def _match(path: Excitation, position: float, time: Array, signal: Array, stretches: Array) -> _Match:
     """The best fit, started from the best of these stretches."""
     start, stretch = _search(path, time, signal, stretches)
-    first, last = start - _STANDSTILL, start + stretch * path.duration + _STANDSTILL
+    rest = 0.5  # s before and after the motion
+    first, last = start - rest, start + stretch * path.duration + rest
     part = (time >= first) & (time <= last)
     times, values = time[part], signal[part] - position
 
     def difference(guess: Array) -> Array:
         return values - guess[2] - way(path, (times - guess[0]) / guess[1])
 
-    reach = _REACH * stretch  # less than half the path, so that the motion cannot leave the record
+    reach = 0.2 * stretch  # s; less than half the path, so that the motion cannot leave the record
     fit = least_squares(
         difference,
         np.array([start, stretch, 0.0]),
         bounds=([start - reach, stretch / 1.1, -np.inf], [start + reach, stretch * 1.1, np.inf]),
         x_scale=np.array([_COARSE, 0.01, START]),
     )
-    found, rest = cast(Array, fit.x), cast(Array, fit.fun)
-    return _Match(float(found[0]), float(found[1]), float(found[2]), float(np.sqrt(np.mean(rest**2))))
+    found, left = cast(Array, fit.x), cast(Array, fit.fun)
+    return _Match(float(found[0]), float(found[1]), float(found[2]), float(np.sqrt(np.mean(left**2))))
 
 
 def _search(path: Excitation, time: Array, signal: Array, stretches: Array) -> tuple[float, float]:

@@ -17,14 +17,13 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formats.traces.containers.request import Channel, Listed, Taken, check_numbers, shown
-from service.formats.traces.roles import axis_of, role_of
+from service.formats.traces.containers import ChannelName, ListedChannel, Taken, check_numbers, shown
+from service.formats.traces.units import axis_of, role_of
 from service.model.errors import BadInput
 from service.store.files.columns import LARGEST_CSV, MOST_NUMBERS
 
 Array = NDArray[np.float64]
 
-ROOT = "traceSession"
 _UNITS = {"posn": "posn", "velo": "velo", "torque": "motor Nm", "force": "N", "current": "A", "percent": "%"}
 _BY_ROLE = {
     "effort": "motor Nm",
@@ -41,9 +40,6 @@ _NAMES = (
     (r"CmdTorque|CmdTrq", "effort 1"), (r"ActCurr", "current"), (r"DrvLoad", "load"),
     (r"(Ctrl|Cont|Pos|Meas)\w*(Dev|Diff|Err)|Tool|Base|[WM]cs", ""),
 )  # fmt: skip
-_INSTEAD = {"position": "load_position", "velocity": "load_velocity"}  # of an axis with one of the two
-_FOLLOWS = 0.8  # correlation of a torque and its current, which is some samples later
-_SMOOTH = 8  # samples
 
 
 @dataclass(slots=True)
@@ -71,7 +67,7 @@ class LineTrace:
 
     def __init__(self, path: Path) -> None:
         self._place = str(path)
-        builder = _Builder(str(path))
+        builder = _SessionBuilder(str(path))
         _parse(path, builder)
         self.sessions = [one for one in builder.sessions if one.times and one.signals]
         if not self.sessions:
@@ -81,9 +77,9 @@ class LineTrace:
             one for number, session in enumerate(self.sessions, start=1) for one in self._of_session(number, session)
         )
 
-    def _of_session(self, number: int, session: Session) -> list[Listed]:
+    def _of_session(self, number: int, session: Session) -> list[ListedChannel]:
         roles = {key: _role(signal.name) for key, signal in session.signals.items()}
-        axes = {key: axis_of(Listed(name=signal.name)) for key, signal in session.signals.items()}
+        axes = {key: axis_of(ListedChannel(name=signal.name)) for key, signal in session.signals.items()}
         for axis in set(axes.values()):
             there = {roles[key].partition(" ")[0] for key in roles if axes[key] == axis}
             best = {
@@ -94,11 +90,12 @@ class LineTrace:
             for key in [key for key in roles if axes[key] == axis]:
                 role = roles[key].partition(" ")[0]
                 roles[key] = role if best.get(role) == roles[key] else ""
-                for wanted, instead in _INSTEAD.items():
+                # an axis may have one of the two
+                for wanted, instead in {"position": "load_position", "velocity": "load_velocity"}.items():
                     if role == instead and wanted not in there:
                         roles[key] = wanted
         return [
-            Listed(
+            ListedChannel(
                 name=signal.name,
                 unit=self._unit(signal, roles[key]),
                 group=number,
@@ -113,7 +110,7 @@ class LineTrace:
             return "velo motor"
         return _UNITS.get(signal.units) or _UNITS.get(self._set_up.get(signal.name, "")) or _BY_ROLE.get(role, "")
 
-    def read(self, channels: Sequence[Channel]) -> Taken:
+    def read(self, channels: Sequence[ChannelName]) -> Taken:
         """The signals of one session, on the grid of the shortest interval of them."""
         groups = {channel.group for channel in channels}
         number = next((int(str(group)) for group in groups if group is not None and str(group).isdigit()), 1)
@@ -143,7 +140,12 @@ class LineTrace:
         return found[0]
 
     def _told(
-        self, session: Session, signals: list[_Signal], listed: dict[str, Listed], grid: Array, values: list[Array]
+        self,
+        session: Session,
+        signals: list[_Signal],
+        listed: dict[str, ListedChannel],
+        grid: Array,
+        values: list[Array],
     ) -> list[str]:
         notes: list[str] = []
         for signal, value in zip(signals, values, strict=True):
@@ -164,9 +166,10 @@ class LineTrace:
                 None,
             )
             if current is not None and current.values:
-                flow, pull = (np.convolve(one, np.ones(_SMOOTH), "valid") for one in (_on(current, grid), value))
+                flow, pull = (np.convolve(one, np.ones(8), "valid") for one in (_on(current, grid), value))  # samples
                 power, along = float(flow @ flow) * float(pull @ pull), float(flow @ pull)
-                if power > 0 and abs(along) / power**0.5 > _FOLLOWS:
+                # correlation of a torque and its current, which is some samples later
+                if power > 0 and abs(along) / power**0.5 > 0.8:
                     per = f"{along / float(flow @ flow):.3g} N m per A of i_q, {current.identifier}"
                     notes.append(f"{signal.identifier} is {per}: the motor's torque")
                 else:
@@ -175,7 +178,7 @@ class LineTrace:
         return notes
 
 
-class _Builder:
+class _SessionBuilder:
     """Callbacks of expat."""
 
     def __init__(self, place: str) -> None:
@@ -188,8 +191,8 @@ class _Builder:
         raise BadInput(self._place, "declares a DOCTYPE, which no file of the control does; entities are not expanded")
 
     def start(self, kind: str, given: dict[str, str]) -> None:
-        if self._depth == 0 and kind != ROOT:
-            raise BadInput(self._place, f"is a {kind}, not a {ROOT}")
+        if self._depth == 0 and kind != "traceSession":
+            raise BadInput(self._place, f"is a {kind}, not a traceSession")
         self._depth += 1
         match kind:
             case "signal":
@@ -235,7 +238,7 @@ class _Builder:
         return value
 
 
-def _parse(path: Path, builder: _Builder) -> None:
+def _parse(path: Path, builder: _SessionBuilder) -> None:
     parser = expat.ParserCreate()
     parser.StartDoctypeDeclHandler = builder.doctype
     parser.StartElementHandler = builder.start
@@ -255,7 +258,7 @@ def _role(name: str) -> str:
     bare = name.rpartition("/")[2]
     match: Callable[[str], object] = lambda pattern: re.search(pattern, bare)  # noqa: E731
     found = next((role for pattern, role in _NAMES if match(pattern)), None)
-    return role_of(Listed(name=bare))[0] if found is None else found
+    return role_of(ListedChannel(name=bare))[0] if found is None else found
 
 
 def _grid(session: Session, signals: Sequence[_Signal], place: str) -> Array:

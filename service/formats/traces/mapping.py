@@ -27,11 +27,11 @@ Unit = Literal[
 Group = str | int  # MDF4: name or number; HDF5: path
 
 
-class _Part(BaseModel):
+class _MappingPart(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class CncAxis(_Part):
+class CncAxis(_MappingPart):
     """A joint in the CNC: the CNC position is ``zero + direction * joint position``, in deg (mm)."""
 
     name: str = Field(default="axis", pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,30}$")
@@ -40,7 +40,7 @@ class CncAxis(_Part):
     torque_constant: float | None = Field(default=None, gt=0)  # N m per A, of the motor
 
 
-class Column(_Part):
+class SourceColumn(_MappingPart):
     """A column of the source: ``scale * source + offset`` is in SI units on the joint side; a unit determines both.
 
     Without any of them, the unit in the file itself is converted; without a unit the values are SI.
@@ -64,7 +64,7 @@ class Column(_Part):
         return bool(self.model_fields_set & {"scale", "offset"})
 
     @model_validator(mode="after")
-    def _one_way(self) -> "Column":
+    def _one_way(self) -> "SourceColumn":
         if self.unit is not None and self.scaled:
             raise ValueError("give a unit, or scale and offset")
         return self
@@ -89,7 +89,7 @@ class Column(_Part):
         return scale, -scale * cnc.zero if self.unit == "axis position" else 0.0
 
 
-class FromPosition(_Part):
+class FromPosition(_MappingPart):
     """Velocity by differentiating the position; low-pass corner in Hz."""
 
     from_position: float = Field(gt=0)
@@ -105,38 +105,38 @@ def _robot_kind(given: Any) -> str:
     return "axis" if isinstance(given, dict | SingleAxis) else "file"
 
 
-class Columns(_Part):
+class Columns(_MappingPart):
     """Source of each column of the bundle. Those that are not named are found by name and unit in the file;
     without `time`, the clock of the file is used, else it follows from the sample rate.
 
     `set_position` is not a column of the bundle: it is used to find the start of the sweep in the trace.
     """
 
-    time: Column | None = None
-    effort: Column | None = None
+    time: SourceColumn | None = None
+    effort: SourceColumn | None = None
     velocity: (
         Annotated[
-            Annotated[Column, Tag("measured")] | Annotated[FromPosition, Tag("derived")],
+            Annotated[SourceColumn, Tag("measured")] | Annotated[FromPosition, Tag("derived")],
             Discriminator(_velocity_kind),
         ]
         | None
     ) = None
-    position: Column | None = None
-    velocity_setpoint: Column | None = None
-    excitation_effort: Column | None = None
-    load_velocity: Column | None = None
-    load_position: Column | None = None
-    temperature: Column | None = None
-    set_position: Column | None = None
+    position: SourceColumn | None = None
+    velocity_setpoint: SourceColumn | None = None
+    excitation_effort: SourceColumn | None = None
+    load_velocity: SourceColumn | None = None
+    load_position: SourceColumn | None = None
+    temperature: SourceColumn | None = None
+    set_position: SourceColumn | None = None
 
     @property
-    def sources(self) -> dict[str, Column]:
+    def sources(self) -> dict[str, SourceColumn]:
         """The columns that are in the trace, by name."""
         there = ((name, getattr(self, name)) for name in Columns.model_fields)
-        return {name: column for name, column in there if isinstance(column, Column)}
+        return {name: column for name, column in there if isinstance(column, SourceColumn)}
 
 
-class SingleAxis(_Part):
+class SingleAxis(_MappingPart):
     """A robot with one axis, defined without a URDF: it rotates about or moves along the base's x.
 
     What is not given is taken from the trace.
@@ -156,7 +156,7 @@ class SingleAxis(_Part):
     prior: Prior = Prior()
 
 
-class Csv(_Part):
+class Csv(_MappingPart):
     """Format of a text source, where it is not to be found by content; rows before the heading are skipped."""
 
     delimiter: str | None = Field(default=None, min_length=1, max_length=1)
@@ -164,7 +164,7 @@ class Csv(_Part):
     skip_rows: int = Field(default=0, ge=0, le=10**6)
 
 
-class Motion(_Part):
+class SweepMotion(_MappingPart):
     """Data for the path of the sweep in addition to its fields, s; `measure_from` is then found in the trace."""
 
     ramp: float = Field(gt=0)
@@ -184,7 +184,7 @@ class TraceSweep(SweepSpec):
     source: Path
     group: Group | None = None  # of its channels in an MDF4 or HDF5 file; the session of a control's trace
     file_axis: str | int | None = None  # number or name of the axis in a file of several
-    path: Motion | None = None
+    path: SweepMotion | None = None
 
     @model_validator(mode="after")
     def _known_path(self) -> "TraceSweep":
@@ -193,7 +193,7 @@ class TraceSweep(SweepSpec):
         return self
 
 
-class Mapping(_Part):
+class Mapping(_MappingPart):
     """The mapping file. `robot`: a side file of ``config/robots`` relative to this file, or one axis defined here."""
 
     robot: Annotated[Annotated[Path, Tag("file")] | Annotated[SingleAxis, Tag("axis")], Discriminator(_robot_kind)]

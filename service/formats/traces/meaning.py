@@ -12,31 +12,28 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formats.traces.mapping import Column
+from service.formats.traces.mapping import SourceColumn
 from service.formats.traces.units import QUANTITIES, measures, quantity_of, to_si
 from service.model.errors import BadInput
 
 Array = NDArray[np.float64]
 
 FITS = math.log(1.15)  # a ratio of speeds may be off by 15 %; units differ by more
-_SEEN, _SURE = 0.8, 0.98  # least part of the variance of position that the speed's integral explains; for a gear ratio
-_DRIVES = 1.5  # a ratio of motor and axis above it (or below its inverse) is a gear
 _SHOWN = ("", "velo", "velo motor")  # no unit, or the one that a control shows
-_SPEEDS = ("velocity", "velocity_setpoint", "load_velocity")
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
+class SourceChannel:
     """A column as it is in the file."""
 
-    column: Column
+    column: SourceColumn
     unit: str
     values: Array
     named: bool = True  # by the mapping; without any unit it is SI then
 
 
 @dataclass(slots=True)
-class Train:
+class KnownTrain:
     """What is known of the axis; what the motion shows is filled in. `gear_ratio`: motor rad per joint rad (m)."""
 
     prismatic: bool | None = None
@@ -52,7 +49,7 @@ class Train:
             self.notes.append(text)
 
 
-def find_kind(train: Train, channels: Mapping[str, Channel], time: Array) -> None:
+def find_kind(train: KnownTrain, channels: Mapping[str, SourceChannel], time: Array) -> None:
     """Whether the axis slides, and its gear ratio, where they are not known."""
     if train.prismatic is None:
         train.prismatic = _slides(train, channels, time)
@@ -60,7 +57,9 @@ def find_kind(train: Train, channels: Mapping[str, Channel], time: Array) -> Non
         train.gear_ratio = _gear(train, channels, time)
 
 
-def scalings(train: Train, channels: Mapping[str, Channel], time: Array, place: str) -> dict[str, tuple[float, float]]:
+def scalings(
+    train: KnownTrain, channels: Mapping[str, SourceChannel], time: Array, place: str
+) -> dict[str, tuple[float, float]]:
     """Scale and offset to SI by column, of those that the mapping does not scale itself."""
     wanted = {name: one for name, one in channels.items() if _open(one)}
     found: dict[str, tuple[float, float]] = {}
@@ -68,7 +67,7 @@ def scalings(train: Train, channels: Mapping[str, Channel], time: Array, place: 
         if name in wanted:
             found[name] = (_way(train, name, wanted[name], channels, time, f"{place} column {name}"), 0.0)
     position = _si(channels, found, "position")
-    for name in _SPEEDS:
+    for name in ("velocity", "velocity_setpoint", "load_velocity"):
         if name in wanted:
             found[name] = (_speed(train, name, wanted[name], position, time, f"{place} column {name}"), 0.0)
     for name in ("effort", "excitation_effort"):
@@ -79,19 +78,19 @@ def scalings(train: Train, channels: Mapping[str, Channel], time: Array, place: 
     return found
 
 
-def _open(one: Channel) -> bool:
+def _open(one: SourceChannel) -> bool:
     return not one.column.scaled and one.column.unit is None and one.unit != "SI" and bool(one.unit or not one.named)
 
 
-def _si(channels: Mapping[str, Channel], found: Mapping[str, tuple[float, float]], name: str) -> Array | None:
+def _si(channels: Mapping[str, SourceChannel], found: Mapping[str, tuple[float, float]], name: str) -> Array | None:
     if name not in channels:
         return None
     scale, offset = found.get(name, (channels[name].column.scale, channels[name].column.offset))
     return scale * channels[name].values + offset
 
 
-def slope(position: Array, time: Array, speed: Array, least: float = _SEEN) -> float | None:
-    """Factor of a speed by which its integral follows position; None if it does not."""
+def slope(position: Array, time: Array, speed: Array, least: float = 0.8) -> float | None:
+    """Factor of a speed by which its integral follows position; None where it explains less than `least` of it."""
     way = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(time))])
     way, position = way - way.mean(), position - position.mean()
     power, moved = float(way @ way), float(position @ position)
@@ -101,7 +100,7 @@ def slope(position: Array, time: Array, speed: Array, least: float = _SEEN) -> f
     return along / power if along**2 / power / moved > least else None
 
 
-def _slides(train: Train, channels: Mapping[str, Channel], time: Array) -> bool:
+def _slides(train: KnownTrain, channels: Mapping[str, SourceChannel], time: Array) -> bool:
     for name in ("position", "velocity", "load_velocity", "effort"):
         known = measures(channels[name].unit) if name in channels else None
         if known and known[0] in ("length", "speed", "force", "angle", "angular speed"):
@@ -113,7 +112,7 @@ def _slides(train: Train, channels: Mapping[str, Channel], time: Array) -> bool:
     return False
 
 
-def _shown(train: Train, channels: Mapping[str, Channel], time: Array) -> bool | None:
+def _shown(train: KnownTrain, channels: Mapping[str, SourceChannel], time: Array) -> bool | None:
     """By a control that shows deg with rev/min, and mm with mm/min, of the axis; rev/min of its motor."""
     for name in ("load_velocity", "velocity"):
         if name not in channels:
@@ -132,7 +131,7 @@ def _shown(train: Train, channels: Mapping[str, Channel], time: Array) -> bool |
     return None
 
 
-def _gear(train: Train, channels: Mapping[str, Channel], time: Array) -> float | None:
+def _gear(train: KnownTrain, channels: Mapping[str, SourceChannel], time: Array) -> float | None:
     """From the speed of the motor in turns and the position of the axis."""
     motor, position = channels.get("velocity"), channels.get("position")
     if motor is None or position is None or not _open(motor):
@@ -146,7 +145,7 @@ def _gear(train: Train, channels: Mapping[str, Channel], time: Array) -> float |
         unit = position.column.scale
     if unit is None or not (turns or control or (not motor.unit and not train.prismatic)):
         return None
-    ratio = slope(position.values * unit, time, motor.values, _SURE)
+    ratio = slope(position.values * unit, time, motor.values, 0.98)
     if not ratio:
         return None
     if control and train.prismatic and _named(ratio, "speed"):
@@ -155,7 +154,7 @@ def _gear(train: Train, channels: Mapping[str, Channel], time: Array) -> float |
     if not motor.unit and _named(ratio, "angular speed"):
         return None  # a unit of the axis itself
     gear = math.tau / 60 / ratio
-    if not train.prismatic and 1 / _DRIVES < abs(gear) < _DRIVES:
+    if not train.prismatic and 1 / 1.5 < abs(gear) < 1.5:  # no gear
         return 1.0 if control else None
     short = float(f"{gear:.3g}")
     found = short if abs(short / gear - 1) < 2e-3 else float(f"{gear:.5g}")
@@ -163,7 +162,9 @@ def _gear(train: Train, channels: Mapping[str, Channel], time: Array) -> float |
     return found
 
 
-def _way(train: Train, name: str, one: Channel, channels: Mapping[str, Channel], time: Array, place: str) -> float:
+def _way(
+    train: KnownTrain, name: str, one: SourceChannel, channels: Mapping[str, SourceChannel], time: Array, place: str
+) -> float:
     quantity = quantity_of(name, bool(train.prismatic))
     if one.unit == "posn":
         return QUANTITIES[quantity]["mm" if train.prismatic else "deg"]
@@ -195,7 +196,7 @@ def _named(scale: float, quantity: str) -> bool:
     return min(_off(factor, scale) for factor in QUANTITIES[quantity].values()) < FITS
 
 
-def _speed(train: Train, name: str, one: Channel, position: Array | None, time: Array, place: str) -> float:
+def _speed(train: KnownTrain, name: str, one: SourceChannel, position: Array | None, time: Array, place: str) -> float:
     """By unit and motion: the joint's, or the motor's divided by the gear ratio."""
     seen = None if position is None else slope(position, time, one.values)
     gear = train.gear_ratio or 1.0
@@ -255,7 +256,7 @@ def _off(factor: float, seen: float | None) -> float:
     return 0.0 if seen is None else abs(math.log(abs(seen / factor)))
 
 
-def _effort(train: Train, name: str, one: Channel, place: str) -> float:
+def _effort(train: KnownTrain, name: str, one: SourceChannel, place: str) -> float:
     gear, known = train.gear_ratio or 1.0, measures(one.unit)
     quantity = known[0] if known else ""
     ask: Callable[[str, str, str], BadInput] = lambda unit, what, option: BadInput(  # noqa: E731

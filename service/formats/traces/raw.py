@@ -8,19 +8,24 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formats.traces.containers.reading import format_of, list_containers, read_containers
-from service.formats.traces.containers.request import Channel, Listed, Taken
+from service.formats.traces.containers import (
+    ChannelName,
+    ListedChannel,
+    Taken,
+    format_of,
+    list_containers,
+    read_containers,
+)
 from service.formats.traces.line_trace import LineTrace
-from service.formats.traces.mapping import Column, Columns, Csv, FromPosition, Mapping, TraceSweep
-from service.formats.traces.roles import find_roles
+from service.formats.traces.mapping import Columns, Csv, FromPosition, Mapping, SourceColumn, TraceSweep
 from service.formats.traces.tables import TextTable
+from service.formats.traces.units import find_roles
 from service.model.errors import BadInput
 from service.store.files.columns import read_table, table_names
 
 Array = NDArray[np.float64]
 
 GROUPED = ("mdf4", "hdf5", "ros", "xml")
-_NEEDED = ("effort", "position")
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,14 +35,14 @@ class Raw:
     """
 
     columns: dict[str, Array]
-    sources: dict[str, Column]
+    sources: dict[str, SourceColumn]
     units: dict[str, str] = field(default_factory=dict[str, str])
     clock: Array | None = None
     found: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
 
 
-class _File:
+class _TraceFile:
     """One trace file, opened once for all of its sweeps."""
 
     def __init__(self, path: Path, form: Csv) -> None:
@@ -46,15 +51,15 @@ class _File:
         self._xml = LineTrace(path) if self.kind == "xml" else None
 
     @cached_property
-    def listed(self) -> tuple[Listed, ...]:
+    def listed(self) -> tuple[ListedChannel, ...]:
         given = self._text or self._xml
         if given is not None:
             return given.listed
         if self.kind == "parquet":
-            return tuple(Listed(name=name) for name in table_names(self.path))
+            return tuple(ListedChannel(name=name) for name in table_names(self.path))
         return list_containers(self.path)
 
-    def read(self, sweeps: Sequence[tuple[Channel, ...]]) -> Iterator[Taken]:
+    def read(self, sweeps: Sequence[tuple[ChannelName, ...]]) -> Iterator[Taken]:
         given = self._text or self._xml
         if given is not None:
             return (given.read(channels) for channels in sweeps)
@@ -62,7 +67,7 @@ class _File:
             return (self._parquet(channels) for channels in sweeps)
         return iter(read_containers(self.path, sweeps))
 
-    def _parquet(self, channels: tuple[Channel, ...]) -> Taken:
+    def _parquet(self, channels: tuple[ChannelName, ...]) -> Taken:
         names = tuple(dict.fromkeys(channel.source for channel in channels))
         table = read_table(self.path, str(self.path), names)
         return Taken(np.array([table[channel.source] for channel in channels]), ("",) * len(channels), None)
@@ -78,10 +83,10 @@ def read_raw(mapping: Mapping, traces: Sequence[tuple[Path, TraceSweep]]) -> Ite
 
     BadInput names the file and the column.
     """
-    files: dict[Path, _File] = {}
-    plans: list[tuple[Path, dict[str, Column], dict[str, str]]] = []
+    files: dict[Path, _TraceFile] = {}
+    plans: list[tuple[Path, dict[str, SourceColumn], dict[str, str]]] = []
     for path, entry in traces:
-        file = files[path] = files.get(path) or _File(path, mapping.csv)
+        file = files[path] = files.get(path) or _TraceFile(path, mapping.csv)
         if file.kind not in GROUPED:
             _refuse_groups(mapping.columns.sources, entry, path)
         wanted, found = _sources(mapping.columns, entry, file)
@@ -99,11 +104,11 @@ def read_raw(mapping: Mapping, traces: Sequence[tuple[Path, TraceSweep]]) -> Ite
         yield Raw(columns, wanted, units, taken.clock, frozenset(found), taken.notes)
 
 
-def _sources(columns: Columns, entry: TraceSweep, file: _File) -> tuple[dict[str, Column], dict[str, str]]:
+def _sources(columns: Columns, entry: TraceSweep, file: _TraceFile) -> tuple[dict[str, SourceColumn], dict[str, str]]:
     """Columns that the mapping names with those that are found in the file, and the units of these by their role."""
     named = columns.sources
-    derived = isinstance(columns.velocity, FromPosition)
-    if all(name in named for name in _NEEDED) and (derived or "velocity" in named):
+    derived, needed = isinstance(columns.velocity, FromPosition), ("effort", "position")
+    if all(name in named for name in needed) and (derived or "velocity" in named):
         return named, {}
     listed = [one for one in file.listed if entry.group is None or one.group in (entry.group, None)]
     if entry.group is None and file.kind == "xml":
@@ -117,12 +122,12 @@ def _sources(columns: Columns, entry: TraceSweep, file: _File) -> tuple[dict[str
     if "position" not in roles and "load_position" in roles:
         roles["position"] = roles.pop("load_position")
     wanted = {
-        name: Column(source=one.name, group=one.group if file.kind in GROUPED else None)
+        name: SourceColumn(source=one.name, group=one.group if file.kind in GROUPED else None)
         for name, one in roles.items()
         if name in Columns.model_fields and name not in named and not (name == "velocity" and derived)
     }
     whole = {**named, **wanted}
-    missing = [name for name in _NEEDED if name not in whole]
+    missing = [name for name in needed if name not in whole]
     if missing:
         there = ", ".join(f"{one.name} [{one.unit}]" if one.unit else one.name for one in file.listed[:12])
         raise BadInput(
@@ -134,14 +139,14 @@ def _sources(columns: Columns, entry: TraceSweep, file: _File) -> tuple[dict[str
     }
 
 
-def _channels(wanted: dict[str, Column], entry: TraceSweep) -> tuple[Channel, ...]:
+def _channels(wanted: dict[str, SourceColumn], entry: TraceSweep) -> tuple[ChannelName, ...]:
     return tuple(
-        Channel(source=column.name, group=entry.group if column.group is None else column.group)
+        ChannelName(source=column.name, group=entry.group if column.group is None else column.group)
         for column in wanted.values()
     )
 
 
-def _refuse_groups(wanted: dict[str, Column], entry: TraceSweep, path: Path) -> None:
+def _refuse_groups(wanted: dict[str, SourceColumn], entry: TraceSweep, path: Path) -> None:
     for group in (entry.group, *(column.group for column in wanted.values())):
         if group is not None:
             raise BadInput(

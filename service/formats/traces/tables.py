@@ -9,6 +9,7 @@ import csv
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from datetime import date
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -18,19 +19,20 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 from numpy.typing import NDArray
 
-from service.formats.traces.clock import seconds_of, timelike, unit_of_time
-from service.formats.traces.containers.request import Channel, Listed, Taken, check_numbers, shown
+from service.formats.traces.containers import ChannelName, ListedChannel, Taken, check_numbers, shown
 from service.formats.traces.mapping import Csv
 from service.formats.traces.units import known_unit, measures, unit_in
 from service.model.errors import BadInput
 from service.store.files.columns import LARGEST_CSV, MOST_NUMBERS
 
 Array = NDArray[np.float64]
-_arrow, _csv = cast(Any, pa), cast(Any, pa_csv)  # without types
 
-SAMPLE = 2**18  # characters in which the form is found
-_FIRM = 10  # lines after which another kind of line is a fault in the data, and not their end
-_FORMS = (("\t", "."), (";", "."), (",", "."), ("|", "."), ("\t", ","), (";", ","), ("|", ","), (" ", "."), (" ", ","))
+_STAMP = re.compile(
+    r"(?:(?:(\d{4})[-./](\d\d?)[-./](\d\d?)|(\d\d?)([./-])(\d\d?)[./-](\d{4}))[T ,]*)?"
+    r"(\d\d?):(\d\d):(\d\d)(?:[.,:](\d{1,9}))?\s*([AaPp][Mm])?\s*(Z|[+-]\d\d:?\d\d)?"
+)
+_UNITS = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
+_arrow, _csv = cast(Any, pa), cast(Any, pa_csv)  # without types
 _BOMS = (
     (b"\xef\xbb\xbf", "utf-8-sig"),
     (b"\xff\xfe\x00\x00", "utf-32"),
@@ -39,7 +41,6 @@ _BOMS = (
     (b"\xfe\xff", "utf-16"),
 )
 _MISSING = frozenset(("", "-", "--", "nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "n/a", "#n/a", "null", "none"))
-_NULLS = sorted({form for one in _MISSING for form in (one, one.upper(), one.capitalize(), "NaN", "None")})
 _TYPE = re.compile(r"(?i)(l?real|u?[sdl]?int|bool|byte|d?word|double|single|float|string|dt_\w+)\d*|-")
 _INTERVAL = re.compile(
     r"(?i)(?:sampl\w*[ _-]?(?:time|period|interval)|abtast(?:zeit|intervall|periode)|cycle[ _-]?time|zykluszeit"
@@ -49,6 +50,97 @@ _INTERVAL = re.compile(
 _RATE = re.compile(
     r"(?i)(?:sampl\w*[ _-]?(?:rate|freq\w*)|abtast(?:rate|frequenz))\W*?(?:\[?k?hz\]?)?[\s:=;,\t]+([\d.,]+)\s*(k?)hz?"
 )
+
+
+def timelike(cell: str) -> bool:
+    """True for a stamp of a wall clock."""
+    return _STAMP.fullmatch(cell.strip()) is not None
+
+
+def seconds_of(cells: Sequence[str | None], place: str) -> Array:
+    """Stamps of a wall clock in s from the first; midnight and the change to or from summer time are taken out."""
+    found = np.array([_seconds(cell, place, row) for row, cell in enumerate(cells, start=1)])
+    steps = np.diff(found)
+    for jump in (86400.0, 3600.0):
+        for sign in (1, -1):
+            steps[np.abs(steps - sign * jump) < min(600.0, jump / 2)] -= sign * jump
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _seconds(cell: str | None, place: str, row: int) -> float:
+    found = _STAMP.fullmatch((cell or "").strip())
+    if found is None:
+        raise BadInput(place, f"row {row} is {cell!r}, which is no time of day")
+    year, month, day, first, between, second, other, hour, minute, seconds, parts, half, _ = found.groups()
+    days = 0
+    try:
+        if year:
+            days = date(int(year), int(month), int(day)).toordinal()
+        elif other:
+            months = (int(first), int(second)) if between == "/" and int(first) <= 12 else (int(second), int(first))
+            days = date(int(other), *months).toordinal()
+    except ValueError as error:
+        raise BadInput(place, f"row {row} is {cell!r}: {error}") from None
+    hours = int(hour) % 12 + (12 if half.lower() == "pm" else 0) if half else int(hour)
+    return days * 86400.0 + hours * 3600.0 + int(minute) * 60.0 + float(f"{seconds}.{parts or 0}")
+
+
+def unit_of_time(time: Array, sample_rate: float | None) -> tuple[str, float]:
+    """Unit of numbers without one, and its s: that of the sample rate, else the largest of a usable rate."""
+    steps = np.diff(time)
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+    for name, unit in _UNITS:
+        rate = 1 / (step * unit)
+        if sample_rate is not None and abs(rate / sample_rate - 1) < 0.1:
+            return name, unit
+    if sample_rate is not None:
+        return "s", 1.0
+    # Hz: slower records do not show an inertia, so that their numbers are of a smaller unit
+    return next(((name, unit) for name, unit in _UNITS if 1 / (step * unit) >= 20.0), _UNITS[0])
+
+
+def spacing(time: Array) -> float:
+    """s between rows, by least squares; 1 where there is none."""
+    rows = np.arange(len(time)) - (len(time) - 1) / 2
+    power = float(rows @ rows)
+    return float(rows @ time) / power if power and np.isfinite(time).all() else 1.0
+
+
+def even(time: Array, columns: dict[str, Array], place: str) -> tuple[Array, dict[str, Array], tuple[str, ...]]:
+    """The record on an even grid. Stamps that are rounded or doubled take the grid's; a record of uneven rate is
+    interpolated. A gap stays, for a bundle to refuse.
+    """
+    steps = np.diff(time)
+    if len(steps) < 2 or not np.isfinite(time).all() or not (steps >= 0).all():
+        return time, columns, ()
+    mean = spacing(time)
+    grid = time[0] + mean * np.arange(len(time))
+    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    off = float(np.abs(time - grid).max())
+    if (steps == 0).any():
+        if not mean > 0 or off > 2 * max(usual, mean):
+            row = int(np.flatnonzero(steps == 0)[0])
+            raise BadInput(place, f"time stands still at row {row + 2}: {time[row]:.6g} s")
+        told = f"{int((steps == 0).sum())} stamps are doubled: the rows are taken as even, {1 / mean:.6g} Hz"
+        return grid, columns, (told,)
+    # part of the steps that may be off by 20 % in an even record
+    gap = steps.max() > 1.5 * usual and (np.abs(steps - usual) > 0.2 * usual).mean() <= 0.05
+    if gap or steps.max() > 5.0 * usual or off <= 0.4 * mean:  # times the common step: values were lost
+        return time, columns, ()
+    grid = time[0] + mean * np.arange(int((time[-1] - time[0]) / mean + 1e-9) + 1)
+    told = f"steps of time are {steps.min():.3g} to {steps.max():.3g} s: interpolated to {1 / mean:.6g} Hz"
+    return grid, {name: np.interp(grid, time, column) for name, column in columns.items()}, (told,)
+
+
+def filled(column: Array) -> Array:
+    """A column that has a value in each k-th row only, of a slower rate, with the rows between interpolated."""
+    there = np.flatnonzero(np.isfinite(column))
+    if len(there) < 3 or len(there) == len(column):
+        return column
+    apart = np.diff(there)
+    if apart.min() < 2 or apart.min() != apart.max():
+        return column
+    return np.interp(np.arange(len(column)), there, column[there])
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +158,9 @@ class TextTable:
         self._place = str(path)
         text, encoding = decoded(path)
         self.notes = () if encoding in ("utf-8", "utf-8-sig") else (f"{path.name} is read as {encoding}",)
-        lines = text[:SAMPLE].split("\n")
-        if len(text) > SAMPLE:
+        sample = 2**18  # characters in which the form is found
+        lines = text[:sample].split("\n")
+        if len(text) > sample:
             lines.pop()
         self._odd: list[tuple[int, int, str]] = []  # lines of another number of cells
         self._delimiter, self._point, self._first = _form(lines, form, self._place)
@@ -86,12 +179,12 @@ class TextTable:
         names = self._head.names
         self._numbered = tuple(f"{name} (column {k})" for k, name in enumerate(names, start=1))
         self.listed = tuple(
-            Listed(name=name if names.count(name) == 1 else self._numbered[k], unit=self._head.units[k])
+            ListedChannel(name=name if names.count(name) == 1 else self._numbered[k], unit=self._head.units[k])
             for k, name in enumerate(names)
             if k not in times and name
         )
 
-    def read(self, channels: Sequence[Channel]) -> Taken:
+    def read(self, channels: Sequence[ChannelName]) -> Taken:
         """The columns; the clock is that of a channel's own time, or the interval in the heading."""
         found = [self._index(channel.source) for channel in channels]
         times = [self._head.clocks.get(k) for k in found]
@@ -166,7 +259,9 @@ class TextTable:
                 decimal_point=self._point,
                 include_columns=[str(k) for k in wanted],
                 column_types={str(k): _arrow.string() if k in text else _arrow.float64() for k in wanted},
-                null_values=_NULLS,
+                null_values=(
+                    sorted({form for one in _MISSING for form in (one, one.upper(), one.capitalize(), "NaN", "None")})
+                ),
                 strings_can_be_null=True,
             ),
         ) as file:
@@ -272,7 +367,17 @@ def _is_number(cell: str, point: str) -> bool:
 def _form(lines: Sequence[str], form: Csv, place: str) -> tuple[str, str, int]:
     """Delimiter, decimal point and first line of the data."""
     best: tuple[int, str, str, int] = (0, "", "", 0)
-    for delimiter, point in _FORMS:
+    for delimiter, point in (
+        ("\t", "."),
+        (";", "."),
+        (",", "."),
+        ("|", "."),
+        ("\t", ","),
+        (";", ","),
+        ("|", ","),
+        (" ", "."),
+        (" ", ","),
+    ):
         if form.delimiter not in (None, delimiter) or form.decimal_point not in (None, point) or delimiter == point:
             continue
         numbers = partial(_is_number, point=point)
@@ -288,19 +393,20 @@ def _form(lines: Sequence[str], form: Csv, place: str) -> tuple[str, str, int]:
 def _longest(lines: Sequence[str], skip: int, delimiter: str, is_number: Callable[[str], bool]) -> tuple[int, int]:
     """Numbers in the longest run of lines of data, and where it starts."""
     best, score, start, width, count = (0, 0), 0, 0, 0, 0
+    firm = 10  # lines after which another kind of line is a fault in the data, and not their end
     for k, line in enumerate(lines):
         cells = _cells(line, delimiter) if k >= skip and line.strip() else []
         numbers = sum(map(is_number, cells)) if len(cells) > 1 else 0
         stamps = sum(timelike(cell) for cell in cells) if 2 * numbers <= len(cells) else 0
         filled = sum(cell != "" for cell in cells)
         if numbers and 2 * (numbers + stamps) > filled and numbers + stamps > 1 and (2 * numbers > filled or stamps):
-            if len(cells) != width and count < _FIRM:
+            if len(cells) != width and count < firm:
                 score, start, width, count = 0, k, len(cells), 0
             if len(cells) == width:
                 score, count = score + numbers + stamps, count + 1
             if count > 1 and score > best[0]:
                 best = (score, start)
-        elif line.strip() and count < _FIRM:
+        elif line.strip() and count < firm:
             score, width, count = 0, 0, 0
     return best
 

@@ -1,4 +1,4 @@
-r"""Converts traces (.mat, .csv, .parquet, .mf4, .h5) to a bundle with a mapping (docs/how-to/your-own-trace.md).
+"""Converts traces (.mat, .csv, .parquet, .mf4, .h5) to a bundle with a mapping (docs/how-to/your-own-trace.md).
 
 For a machine that records position but no velocity, the mapping contains ``velocity: {from_position: 100}``; the
 number is the corner of a low-pass filter in Hz. The differentiation must not look like inertia:
@@ -18,21 +18,21 @@ from collections.abc import Mapping as Mapping_
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 from pydantic import ValidationError
 from scipy.signal import butter, sosfiltfilt
 
 from service.formats.traces.alignment import check_follows, motion_start
-from service.formats.traces.clock import even, filled, spacing, unit_of_time
 from service.formats.traces.mapping import CncAxis, Columns, FromPosition, Mapping, SingleAxis, TraceSweep
-from service.formats.traces.meaning import Channel, Train, find_kind, scalings
+from service.formats.traces.meaning import KnownTrain, SourceChannel, find_kind, scalings
 from service.formats.traces.raw import Raw, read_raw, sessions_of
+from service.formats.traces.tables import even, filled, spacing, unit_of_time
 from service.formats.traces.units import check_same, to_si
-from service.identification.design.excitation import Excitation
-from service.identification.design.sweep_path import way
+from service.identification.design.excitation import Excitation, way
 from service.identification.estimates.estimate import identify
 from service.identification.spectra.frequency_response import spectrum
 from service.model.configuration import bad_field, read_robot, read_yaml
@@ -42,11 +42,6 @@ from service.model.robot import Axis, Robot, RobotDescription, robot_from_outsid
 from service.store.files.columns import check_samples
 
 Array = NDArray[np.float64]
-
-# f'(x) h of order 8 from samples at x+1 h ... x+4 h minus those at x-1 h ... x-4 h (Fornberg 1988, table 1)
-_CENTRAL = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
-_SETTLED = 10  # periods of the corner
-_SHOWN = 3.0  # standard deviations of an inertia that a trace shows
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,16 +148,16 @@ def _whole(entry: TraceSweep, number: int, joints: tuple[str, ...]) -> TraceSwee
     return entry.model_copy(update=update)
 
 
-def _train(given: Path | SingleAxis, robot: Robot | None, mapping: Mapping, joint: str) -> Train:
+def _train(given: Path | SingleAxis, robot: Robot | None, mapping: Mapping, joint: str) -> KnownTrain:
     constant = mapping.axes.get(joint, CncAxis()).torque_constant
     if isinstance(given, SingleAxis):
         slides = None if given.kind is None else given.kind == "prismatic"
-        return Train(slides, given.gear_ratio, given.rated_effort, constant)
+        return KnownTrain(slides, given.gear_ratio, given.rated_effort, constant)
     if robot is None:
-        return Train(torque_constant=constant)
+        return KnownTrain(torque_constant=constant)
     axis = robot.axis(joint)
     slides = robot.chain.joints[robot.index(joint)].kind == "prismatic"
-    return Train(slides, axis.gear_ratio, axis.rated_effort, constant, fixed=True)
+    return KnownTrain(slides, axis.gear_ratio, axis.rated_effort, constant, fixed=True)
 
 
 def _drafted(
@@ -197,7 +192,8 @@ def _nominal(robot: Robot, sweeps: Sequence[Sweep]) -> float | None:
     """kg m^2 (kg) about the axis, by the sweeps; None where they do not show it."""
     try:
         (axis,) = identify(robot, [spectrum(robot, sweep) for sweep in sweeps]).axes
-        values = [one.value for one in axis.sweeps if one.value > _SHOWN * one.std]
+        # standard deviations of an inertia that a trace shows
+        values = [one.value for one in axis.sweeps if one.value > 3.0 * one.std]
     except (BadInput, ValueError, ArithmeticError, np.linalg.LinAlgError):
         return None
     return float(f"{np.median(values):.6g}") if values else None
@@ -219,11 +215,13 @@ def _sweep(robot: Robot, entry: TraceSweep, converted: "_Converted", place: str)
 def differentiate(signal: Array, sample_rate: float, corner: float) -> Array:
     """Time derivative (n,) of a signal (n,) sampled at `sample_rate` Hz, without phase; see the module docstring."""
     sections = cast(Array, butter(4, corner, fs=sample_rate, output="sos"))
+    # f'(x) h of order 8 from samples at x+1 h ... x+4 h minus those at x-1 h ... x-4 h (Fornberg 1988, table 1)
+    central = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
+    middle = len(central)
     run_in = _run_in(sample_rate, corner)
-    smooth = np.pad(sosfiltfilt(sections, signal, padlen=run_in), len(_CENTRAL), mode="reflect", reflect_type="odd")
+    smooth = np.pad(sosfiltfilt(sections, signal, padlen=run_in), middle, mode="reflect", reflect_type="odd")
     derivative = np.zeros(len(signal))
-    for distance, weight in enumerate(_CENTRAL, start=1):
-        middle = len(_CENTRAL)
+    for distance, weight in enumerate(central, start=1):
         ahead = smooth[middle + distance : middle + distance + len(signal)]
         behind = smooth[middle - distance : middle - distance + len(signal)]
         derivative += weight * sample_rate * (ahead - behind)
@@ -232,7 +230,7 @@ def differentiate(signal: Array, sample_rate: float, corner: float) -> Array:
 
 def _run_in(sample_rate: float, corner: float) -> int:
     """Samples of odd reflection until the filter has settled: its slowest pole decays as exp(-2.4 corner t)."""
-    return int(_SETTLED * sample_rate / corner)
+    return int(10 * sample_rate / corner)
 
 
 def _aligned(entry: TraceSweep, recording: Recording, set_position: Array, position: float, place: str) -> float:
@@ -266,7 +264,7 @@ class _Converted:
     columns: Columns
 
 
-def _convert(mapping: Mapping, train: Train, entry: TraceSweep, raw: Raw, place: str) -> _Converted:
+def _convert(mapping: Mapping, train: KnownTrain, entry: TraceSweep, raw: Raw, place: str) -> _Converted:
     rate = entry.sample_rate if "sample_rate" in entry.model_fields_set else None
     sampled = {name: filled(values) for name, values in raw.columns.items() if name != "time"}
     time, scaled = _time(raw, rate, train, len(raw.columns["position"]), place)
@@ -277,7 +275,7 @@ def _convert(mapping: Mapping, train: Train, entry: TraceSweep, raw: Raw, place:
         step = spacing(time)
         rate = float(f"{1 / step:.6g}") if step > 0 else 1.0
     channels = {
-        name: Channel(raw.sources[name], raw.units.get(name, ""), values, name not in raw.found)
+        name: SourceChannel(raw.sources[name], raw.units.get(name, ""), values, name not in raw.found)
         for name, values in sampled.items()
     }
     for name, one in channels.items():
@@ -316,7 +314,7 @@ def _convert(mapping: Mapping, train: Train, entry: TraceSweep, raw: Raw, place:
     return _Converted(taken, rate, Columns.model_validate({**written, **kept}))
 
 
-def _axis(train: Train, joint: str, channels: Mapping_[str, Channel], place: str) -> Axis:
+def _axis(train: KnownTrain, joint: str, channels: Mapping_[str, SourceChannel], place: str) -> Axis:
     rated = train.rated_effort
     if rated is None and any(one.column.unit == "percent" for one in channels.values()):
         raise BadInput(place, "is in percent of the rated torque: give `rated_effort` of the axis")
@@ -326,7 +324,7 @@ def _axis(train: Train, joint: str, channels: Mapping_[str, Channel], place: str
         raise bad_field(f"{place} robot", error) from None
 
 
-def _time(raw: Raw, rate: float | None, train: Train, count: int, place: str) -> tuple[Array, float | None]:
+def _time(raw: Raw, rate: float | None, train: KnownTrain, count: int, place: str) -> tuple[Array, float | None]:
     """s, and its factor: by mapping, file or step; the file's own clock; the sample rate."""
     if "time" in raw.columns:
         column, values = raw.sources["time"], raw.columns["time"]
@@ -359,7 +357,7 @@ def _derived(position: Array, sample_rate: float, corner: float, place: str) -> 
         raise BadInput(place, f"low-pass of {corner} Hz is not below half the sample rate {sample_rate} Hz")
     if not np.isfinite(position).all():
         raise BadInput(place, "a position is missing; the low-pass filter needs all positions")
-    if not len(position) > _SETTLED * sample_rate / corner:
+    if not len(position) > 10 * sample_rate / corner:
         raise BadInput(place, f"{len(position)} samples are too few for a low-pass of {corner} Hz")
     return differentiate(position, sample_rate, corner)
 
@@ -402,3 +400,40 @@ def _single_axis_robot(axis: SingleAxis, place: str) -> Robot:
     except ValidationError as error:
         raise bad_field(f"{place} robot", error) from None
     return robot_from_outside(description, urdf, f"{place} robot")
+
+
+def mapping_of(
+    path: Path,
+    *,
+    axis: str | None = None,
+    torque_constant: float | None = None,
+    sample_rate: float | None = None,
+    **known: Any,
+) -> Mapping:
+    """A mapping file (YAML), or the mapping of a trace file; `known`: fields of the axis. BadInput names the field."""
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return read_yaml(path, Mapping)
+    given = {name: value for name, value in known.items() if value is not None}
+    name = "".join(letter for letter in path.stem if letter.isprintable())[:200] or "trace"
+    try:
+        mapping = of_file(path, SingleAxis(name=name, joint="axis", **given), axis, torque_constant)
+        if sample_rate is None:
+            return mapping
+        return mapping.model_copy(
+            update={
+                "sweeps": tuple(
+                    one.model_validate(one.model_dump(exclude_unset=True) | {"sample_rate": sample_rate})
+                    for one in mapping.sweeps
+                )
+            }
+        )
+    except ValidationError as error:
+        raise bad_field(str(path), error) from None
+
+
+def mapping_text(made: Imported) -> str:
+    """The whole mapping as YAML, with the guesses as comments."""
+    content = made.mapping.model_dump(mode="json", exclude_defaults=True)
+    content["robot"] = made.mapping.model_dump(mode="json", exclude_none=True)["robot"]
+    notes = "".join(f"# {note}\n" for note in made.notes)
+    return notes + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)

@@ -1,29 +1,53 @@
-"""The inertias of one axis from its spectra: periodic sweeps jointly (`joint_fit`), free records one by one.
+r"""The inertias of one axis from its spectra: periodic sweeps jointly (`joint_fit`), free records one by one.
 
 A torque constant that is wrong by 5 % scales every J by 5 %, and no sweep can detect it. `std` is conditional on the
 gain; `std_total` includes the uncertainty of the gain. A gain calibrated by a test mass (`torque_gain`) is removed from
 the effort first.
 
-Known effects of the robot are removed first (`known_torque`), or enter the priors of spring and hose. Their
+Known effects of the robot are removed first (`known_effects`), or enter the priors of spring and hose. Their
 uncertainty is part of every standard deviation. Load-dependent friction requires the load; that fit is therefore
 repeated with the inertias it found.
 
 A free record is fitted as a rigid axis. If the drive train is known from other data (sweeps with lines, an initial
 analysis), its impedance Z gives the error of that: the rigid fit yields the mean of Re Z/s weighted by the power of the
 acceleration. The difference is added to the standard deviation, and the sweep gets a warning.
+
+Separates noise and nonlinear distortion: sweeps of one pose that differ only in their phases (`realisations`).
+
+The robust method for the best linear approximation (Pintelon and Schoukens, System RobotEstimate, 2012, sec.
+4.3.1). A nonlinearity responds to sines at the lines and at other multiples of 1/period. At a line, part of its
+response is linear and equal for all phases; the phase of the other part depends on all other phases. Over random
+phases that part has the mean 0 and scatters like noise, but not between periods. Of M realisations, with D the
+effort at a line that the linear model does not explain,
+
+    s^2 = sum_m |D_m / Omega_m - mean|^2 / (M - 1)    estimates    (noise^2 + distortion^2) / |Omega|^2 .
+
+The noise is the difference between the P periods of a window: the bins that are no multiple of 1/period; for each
+multiple those that are nearest to it. The residual of the model contains no ripple and no drift of gravity, which would
+be taken for noise. The noise absorbed by the sweep's own parameters is restored by their leverage. Multiples of
+1/period without a sine contain only noise and distortion.
+
+The friction of the axis distorts in all poses: variances of effort are pooled over the groups of an axis, weighted
+by their degrees of freedom. A fitted inertia or stiffness of a sweep absorbs part of its distortion; D contains it
+again.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from service.identification.axis.distortion import Distortion, distortion_of
-from service.identification.axis.ideal_frequency import AxisAnalysis
+from service.identification.axis.drive_train import (
+    TwoMassTrain,
+    impedance,
+    paper_inertia,
+    stack_residual,
+    stacks,
+)
+from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.axis.joint_fit import JointFit, fit_axis
-from service.identification.axis.known_effects import LOAD, KnownAxis
-from service.identification.axis.known_torque import Corrected, Load, corrected
+from service.identification.axis.known_effects import LOAD, Corrected, GearLoad, KnownAxis, corrected
 from service.identification.axis.nominal_priors import (
     NOISE_GUESS,
     PosePrior,
@@ -34,24 +58,132 @@ from service.identification.axis.nominal_priors import (
     with_known_hose,
     with_known_spring,
 )
-from service.identification.model.convergence import unsettled
+from service.identification.model.least_squares import unsettled
 from service.identification.model.regressor import axis_rows, gravity_terms
-from service.identification.spectra.axis_inertia import DriveTrain, impedance, paper_inertia
 from service.identification.spectra.frequency_response import Spectrum
 from service.identification.spectra.time_domain import fit_record
+from service.model.arrays import Array, Complex
 from service.model.results.estimate import Suspect
 from service.model.robot import Robot
 from service.model.urdf import Chain
 
-Array = NDArray[np.float64]
-
-DISTORTION_ROUNDS = 2  # fits, each with the distortion of the previous fit
-LOAD_ROUNDS = 3  # fits of an axis with load-dependent friction
-WORTH_A_WARNING = 0.5  # of a record's standard deviation: a larger error of its model gives a warning
+SAME_SINES = 1e-6  # relative, of frequencies and amplitudes; phases, rad
 
 
 @dataclass(frozen=True)
-class SweepInertia:
+class AxisDistortion:
+    """Distortion of one axis, at the multiples (h,) of 1/period in use: standard deviation of the real and of the
+    imaginary part of an effort bin, N m (N). `realisations`: largest number in one pose; `groups`: number of poses
+    with several.
+    """
+
+    frequency: Array
+    noise: Array
+    distortion: Array
+    realisations: int
+    groups: int
+
+    def spread(self, spectrum: Spectrum) -> Array:
+        """Standard deviation of each bin (b,) relative to the noise."""
+        ratio = np.ones(len(spectrum.frequency))
+        for frequency, noise, distortion in zip(self.frequency, self.noise, self.distortion, strict=True):
+            ratio[np.abs(spectrum.frequency - frequency) < SAME_SINES * frequency] = np.hypot(1.0, distortion / noise)
+        return ratio
+
+
+def distortion_of(
+    spectra: Sequence[Spectrum], uncertain: Sequence[Complex], fit: JointFit, before: AxisDistortion | None = None
+) -> AxisDistortion | None:
+    """Distortion from the sweeps of one axis and their joint fit, which was made with the distortion `before`.
+
+    None if no two sweeps are realisations of one sweep.
+    """
+    groups = _groups(spectra)
+    if not groups:
+        return None
+    squares: dict[float, list[tuple[float, float]]] = {}  # by frequency: excess variance of effort, its weight
+    noises: dict[float, list[tuple[float, float]]] = {}
+    for members in groups:
+        left, by_load, free = zip(*(_left(spectra[k], uncertain[k], fit, k, before) for k in members), strict=True)
+        mean = np.mean([fit.own[k][:2] for k in members], axis=0)
+        full = [
+            rest + (fit.own[k][:2] - mean) @ columns for rest, columns, k in zip(left, by_load, members, strict=True)
+        ]
+        one = spectra[members[0]]
+        period, periods = one.spec.period or 1.0, one.spec.periods or 1
+        number = np.round(one.frequency * period * periods).astype(int)
+        for place in np.flatnonzero(number % periods == 0):
+            between = (np.abs(number - number[place]) <= periods // 2) & (number % periods != 0)
+            if not between.any():
+                continue
+            frequency = round(float(one.frequency[place]), 9)
+            freedom = float(np.sum([one_free[between] for one_free in free]))
+            noise = float(np.sum([np.abs(rest[between]) ** 2 for rest in left])) / freedom
+            noises.setdefault(frequency, []).append((noise, freedom))
+            if one.line[place]:
+                answer = np.array(
+                    [rest[place] / spectra[k].velocity[place] for rest, k in zip(full, members, strict=True)]
+                )
+                size = float(np.mean([np.abs(spectra[k].velocity[place]) ** 2 for k in members]))
+                total, freedom = float(np.var(answer, ddof=1)) * size, len(members) - 1
+            else:
+                freedom = float(np.sum([one_free[place] for one_free in free]))
+                total = float(np.sum([np.abs(rest[place]) ** 2 for rest in left])) / freedom
+            squares.setdefault(frequency, []).append((total - noise, freedom))
+    frequencies = sorted(squares)
+    return AxisDistortion(
+        frequency=np.array(frequencies),
+        noise=np.array([np.sqrt(_mean(noises[f]) / 2) for f in frequencies]),
+        distortion=np.array([np.sqrt(max(_mean(squares[f]), 0.0) / 2) for f in frequencies]),
+        realisations=max(len(members) for members in groups),
+        groups=len(groups),
+    )
+
+
+def _groups(spectra: Sequence[Spectrum]) -> list[list[int]]:
+    """Numbers of the sweeps that differ only in their phases, two or more."""
+    alike: dict[tuple[object, ...], list[int]] = {}
+    for k, one in enumerate(spectra):
+        spec = one.spec
+        if (spec.periods or 0) < 2:
+            continue
+        sines = tuple((round(sine.frequency, 6), float(f"{sine.amplitude:.6g}")) for sine in spec.sines)
+        key = (tuple(np.round(spec.pose, 3)), float(f"{spec.offset_velocity:.6g}"), sines, spec.period, spec.periods)
+        alike.setdefault((*key, one.samples), []).append(k)
+    return [members for members in alike.values() if len(members) > 1 and _differ([spectra[k] for k in members])]
+
+
+def _differ(spectra: Sequence[Spectrum]) -> bool:
+    """Whether no two neighbours have the same phases: repeats contain no information on distortion."""
+    phases = sorted(tuple(sine.phase for sine in one.spec.sines) for one in spectra)
+    return all(np.abs(np.subtract(one, other)).max() > SAME_SINES for one, other in pairwise(phases))
+
+
+def _left(
+    spectrum: Spectrum, uncertain: Complex, fit: JointFit, number: int, before: "AxisDistortion | None"
+) -> tuple[Complex, Complex, Array]:
+    """Effort of a sweep not explained by the fit (b,), its derivatives by load inertia and gravity stiffness (2, b),
+    and the part of each bin that its own parameters left free (b,).
+    """
+    (stack,) = stacks([spectrum], [uncertain])
+    residual, _, by_own = stack_residual(stack, fit.shared, fit.own[number][None])
+    weight = 1 / (np.ones(len(spectrum.frequency)) if before is None else before.spread(spectrum))
+    columns = np.concatenate([(by_own[0] * weight).real, (by_own[0] * weight).imag], axis=1).T  # (2 b, p)
+    length = np.linalg.norm(columns, axis=0)
+    basis, singular, _ = np.linalg.svd(columns / np.where(length > 0, length, 1.0), full_matrices=False)
+    # own parameters that no bin separates count as one
+    taken = np.sum(basis[:, singular > 1e-6 * singular[0]] ** 2, axis=1)
+    parts = taken.reshape(2, -1).sum(axis=0)
+    # a twentieth of a bin is always free
+    return residual[0], by_own[0, :2], np.maximum(1 - parts / 2, 0.05)
+
+
+def _mean(values: Sequence[tuple[float, float]]) -> float:
+    return sum(value * weight for value, weight in values) / sum(weight for _, weight in values)
+
+
+@dataclass(frozen=True)
+class FittedSweep:
     """Result of one sweep, SI on the joint side. `response` rows: frequency Hz, Z complex, std of its parts."""
 
     sweep: str
@@ -73,12 +205,12 @@ class AxisEstimate:
     """Result of one axis: its sweeps, covariance (n, n) of their inertias, and the joint fit of the periodic ones."""
 
     joint: str
-    sweeps: tuple[SweepInertia, ...]
+    sweeps: tuple[FittedSweep, ...]
     covariance: Array
     fit: JointFit | None
     gain: TorqueGain
     suspects: tuple[Suspect, ...]
-    distortion: Distortion | None  # only if the axis has several realisations of its sweeps
+    distortion: AxisDistortion | None  # only if the axis has several realisations of its sweeps
     direct_encoder: bool  # every sweep with lines has the measured motion of the load
 
     @property
@@ -102,7 +234,7 @@ def identify_axis(
     unlocked: tuple[int, ...],
     nominal: Array,
     spectra: Sequence[Spectrum],
-    analysis: AxisAnalysis | None,
+    analysis: InitialAnalysis | None,
     gain: TorqueGain,
     known: KnownAxis,
 ) -> AxisEstimate:
@@ -116,7 +248,7 @@ def identify_axis(
     reference = axis_rows(chain, own, poses) @ nominal
     gravity = gravity_terms(chain, nominal, robot.gravity, own, poses)
     periodic = [k for k, spectrum in enumerate(spectra) if spectrum.spec.periodic]
-    sweeps: dict[int, SweepInertia] = {}
+    sweeps: dict[int, FittedSweep] = {}
     covariance = np.zeros((len(spectra), len(spectra)))
     fit, distortion = None, None
     suspects: list[Suspect] = []
@@ -156,13 +288,13 @@ def _fit(
     with_lines: Sequence[Spectrum],
     reference: Array,
     priors: Sequence[PosePrior],
-    analysis: AxisAnalysis | None,
+    analysis: InitialAnalysis | None,
     gain: TorqueGain,
     known: KnownAxis,
-) -> tuple[JointFit, list[Corrected], Distortion | None]:
+) -> tuple[JointFit, list[Corrected], AxisDistortion | None]:
     """The joint fit of the sweeps with lines, the sweeps without gain and known effects, and their distortion."""
-    loads = [Load(float(prior.mean[0]), float(prior.mean[2]), float(prior.mean[1])) for prior in priors]
-    rounds = LOAD_ROUNDS if known.get(LOAD) else 1
+    loads = [GearLoad(float(prior.mean[0]), float(prior.mean[2]), float(prior.mean[1])) for prior in priors]
+    rounds = 3 if known.get(LOAD) else 1  # its friction depends on the load found
     while True:
         parts = [corrected(one, known, gain.gain, load) for one, load in zip(with_lines, loads, strict=True)]
         spectra = [part.spectrum for part in parts]
@@ -178,7 +310,8 @@ def _fit(
         rounds -= 1
         if not rounds:
             distortion = distortion_of(spectra, uncertain, fit)
-            for _ in range(DISTORTION_ROUNDS if distortion else 0):
+            # each with the distortion of the previous fit
+            for _ in range(2 if distortion else 0):
                 spread = None if distortion is None else [distortion.spread(one) for one in spectra]
                 fit = fit_axis(spectra, *given, spread)
                 distortion = distortion_of(spectra, uncertain, fit, distortion)
@@ -189,7 +322,7 @@ def _fit(
         ]
 
 
-def _analysed(analysis: AxisAnalysis, gain: TorqueGain) -> SharedPrior:
+def _analysed(analysis: InitialAnalysis, gain: TorqueGain) -> SharedPrior:
     """The analysis used the effort as reported by the drive: its inertia and friction are `gain` times too large."""
     scale = np.array([1, 1, 1, gain.gain**2, gain.gain]) / gain.gain
     return SharedPrior(scale * analysis.mean, np.outer(scale, scale) * analysis.covariance)
@@ -200,13 +333,13 @@ def _total(value: float, std: float, gain: TorqueGain) -> float:
 
 
 def _from_joint_fit(
-    spectrum: Spectrum, reference: float, fit: JointFit, row: int, gain: TorqueGain, distortion: Distortion | None
-) -> SweepInertia:
+    spectrum: Spectrum, reference: float, fit: JointFit, row: int, gain: TorqueGain, distortion: AxisDistortion | None
+) -> FittedSweep:
     value, std = float(fit.inertia[row]), float(np.sqrt(fit.covariance[row, row]))
     spread = np.ones(len(spectrum.frequency)) if distortion is None else distortion.spread(spectrum)
     response = _lines(spectrum, float(fit.noise[row]) * spread)
     stds = np.array([std for _, _, std in response])
-    return SweepInertia(
+    return FittedSweep(
         sweep=spectrum.spec.id,
         value=value,
         std=std,
@@ -236,7 +369,7 @@ def _paper_value(response: tuple[tuple[float, complex, float], ...], fit: JointF
     return paper_inertia(frequency, z)
 
 
-def _from_record(spectrum: Spectrum, reference: float, gain: TorqueGain, train: DriveTrain | None) -> SweepInertia:
+def _from_record(spectrum: Spectrum, reference: float, gain: TorqueGain, train: TwoMassTrain | None) -> FittedSweep:
     fit = fit_record(spectrum)
     excess = 0.0 if train is None else _elastic_excess(spectrum, train, fit.inertia)
     std = float(np.hypot(fit.inertia_std, excess))
@@ -247,9 +380,10 @@ def _from_record(spectrum: Spectrum, reference: float, gain: TorqueGain, train: 
     warnings = [
         f"{what} is good for an error of {100 * error / fit.inertia:.1f} %"
         for what, error in errors.items()
-        if error > WORTH_A_WARNING * fit.inertia_std
+        # a larger error of the model is worth a warning
+        if error > 0.5 * fit.inertia_std
     ]
-    return SweepInertia(
+    return FittedSweep(
         sweep=spectrum.spec.id,
         value=fit.inertia,
         std=std,
@@ -264,7 +398,7 @@ def _from_record(spectrum: Spectrum, reference: float, gain: TorqueGain, train: 
     )
 
 
-def _elastic_excess(spectrum: Spectrum, train: DriveTrain, inertia: float) -> float:
+def _elastic_excess(spectrum: Spectrum, train: TwoMassTrain, inertia: float) -> float:
     """Error of the rigid fit of a free record for an elastic axis of about `inertia`, kg m^2 (kg)."""
     moving = spectrum.frequency > 0
     z = impedance(spectrum.frequency[moving], train, inertia - train.motor_inertia, 0.0)

@@ -27,30 +27,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from service.identification.axis.drive_train import OWN, SHARED, TwoMassTrain, effort_residual
 from service.identification.axis.joint_fit import STARTS, complete_prior, real_parts
 from service.identification.axis.nominal_priors import NOISE_GUESS, PosePrior, SharedPrior, pose_prior, shared_prior
-from service.identification.axis.sweep_model import OWN, SHARED, effort_residual
-from service.identification.model.convergence import Fit, converged, finite
-from service.identification.model.least_squares import scaled_inverse
-from service.identification.model.regressor import axis_rows, gravity_terms
-from service.identification.spectra.axis_inertia import DriveTrain
-from service.identification.spectra.frequency_response import Complex, Spectrum, spectrum, window
+from service.identification.model.least_squares import SearchResult, converged, finite, scaled_inverse
+from service.identification.model.regressor import axis_rows, gravity_terms, inertial_parameters
+from service.identification.spectra.frequency_response import Spectrum, spectrum, window
+from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
 from service.model.recording import Sweep
 from service.model.robot import Robot
 
-Array = NDArray[np.float64]
-
-CLOCK = 1 / 500  # of Ts, one sigma of S: accuracy of the time stamps of a trace
-MEAN_OR_INSTANT = 1 / 24  # of Ts^2, one sigma of q: two sigma are the mean over a sample
-APART = 3.0  # standard deviations of q by which it must differ from 0
 START_SQUARE = 0.5e-3**2  # s^2, q
-ROUNDS = 3  # of fitting and estimating the noise
-FIRST_EVALUATIONS, EVALUATIONS = 12, 100  # of the residual: from each start, and of each round
-ROUNDING = 1e-9  # of the largest velocity at a line: least noise, where a simulation has none
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +65,7 @@ class ChannelLags:
 
     effort: Lag
     velocity: Lag
-    train: DriveTrain
+    train: TwoMassTrain
     resonance: float
 
 
@@ -146,9 +136,10 @@ def _response(lag: Lag, one: Spectrum) -> Complex:
 
 def _lag(total: float, square: float, covariance: Array, cycle: float) -> Lag:
     """`covariance` (2, 2) of S and q."""
-    covariance = covariance + np.diag([(CLOCK * cycle) ** 2, (MEAN_OR_INSTANT * cycle**2) ** 2])
+    # one sigma of S and q: of time stamps, and of an instant or a mean over the sample (two sigma)
+    covariance = covariance + np.diag([((1 / 500) * cycle) ** 2, ((1 / 24) * cycle**2) ** 2])
     total_std, square_std = (float(np.sqrt(value)) for value in np.diag(covariance))
-    if not square > APART * square_std:
+    if not square > 3.0 * square_std:  # three sigma from 0
         # the error of q is the error of T
         return Lag(total, total_std, 0.0, float(np.sqrt(max(square, 0.0) + square_std)), total, total_std, apart=False)
     smoothing = float(np.sqrt(square))
@@ -179,7 +170,8 @@ def _velocity_lag(spectra: Sequence[Spectrum], positions: Sequence[Complex], cyc
     motion = s * np.concatenate([position[one.line] for one, position in zip(spectra, positions, strict=True)])
     velocity = np.concatenate([one.velocity[one.line] for one in spectra])
     sigma = np.concatenate([np.full(int(one.line.sum()), own) for one, own in zip(spectra, noise, strict=True)])
-    sigma = np.maximum(sigma / np.sqrt(2), ROUNDING * np.abs(velocity).max())
+    # a simulation may have no noise
+    sigma = np.maximum(sigma / np.sqrt(2), 1e-9 * np.abs(velocity).max())
 
     def residual(values: Array) -> Array:
         gain, total, square = values
@@ -201,25 +193,24 @@ def _velocity_lag(spectra: Sequence[Spectrum], positions: Sequence[Complex], cyc
 
 def _effort_lag(
     robot: Robot, joint: str, spectra: list[Spectrum], cycle: float, taken: float = 0.0
-) -> tuple[Lag, DriveTrain, float]:
+) -> tuple[Lag, TwoMassTrain, float]:
     """Delay, drive train, and the median load inertia, kg m^2 (kg); `taken` s are already removed from the effort."""
     number = robot.index(joint)
     poses = np.array([one.spec.pose for one in spectra])
-    nominal = np.concatenate(
-        [robot.chain.inertial.ravel(), [axis.reflected_motor_inertia or 0.0 for axis in robot.axes]]
-    )
+    nominal = inertial_parameters(robot)
     reference = axis_rows(robot.chain, number, poses) @ nominal
     gravity = gravity_terms(robot.chain, nominal, robot.gravity, number, poses)
     priors = [
         _with_ends(complete_prior(one, pose_prior(robot, number, inertia, terms)))
         for one, inertia, terms in zip(spectra, reference, gravity, strict=True)
     ]
-    problem = _Problem(spectra, shared_prior(robot, number, reference, spectra), priors)
+    problem = _LagProblem(spectra, shared_prior(robot, number, reference, spectra), priors)
     noise = np.array([NOISE_GUESS * robot.axes[number].rated_effort / np.sqrt(2 * one.samples) for one in spectra])
-    starts = [problem.search(problem.start(frequency), noise, FIRST_EVALUATIONS).x for frequency in STARTS]
+    # a few evaluations tell which start leads to the lowest minimum
+    starts = [problem.search(problem.start(frequency), noise, 12).x for frequency in STARTS]
     values = min(starts, key=lambda candidate: float(np.sum(problem.rows(candidate, noise)[0] ** 2)))
-    for _ in range(ROUNDS):
-        found = problem.search(values, noise, EVALUATIONS)
+    for _ in range(3):  # rounds of fitting and estimating the noise
+        found = problem.search(values, noise, 100)
         converged(found, joint, "the effort's delay")
         values = np.asarray(found.x, dtype=float)
         noise = problem.noise(values)
@@ -227,10 +218,8 @@ def _effort_lag(
     covariance = scaled_inverse(jacobian.T @ jacobian)
     part = slice(SHARED, SHARED + 2)
     total, square = float(values[SHARED]), float(values[SHARED + 1])
-    motor_inertia, motor_friction, load_friction, compliance, damping_time = (float(value) for value in values[:SHARED])
-    train = DriveTrain(motor_inertia, motor_friction, load_friction, compliance, damping_time)
     load_inertia = float(np.median([own[0] for own in problem.own(values)]))
-    return _lag(total + taken, square, covariance[part, part], cycle), train, load_inertia
+    return _lag(total + taken, square, covariance[part, part], cycle), TwoMassTrain.of(values), load_inertia
 
 
 def _with_ends(prior: PosePrior) -> PosePrior:
@@ -239,7 +228,7 @@ def _with_ends(prior: PosePrior) -> PosePrior:
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _LagProblem:
     """Least squares over [shared (5), S, q, own parameters of every sweep], rows in standard deviations."""
 
     spectra: Sequence[Spectrum]
@@ -279,7 +268,7 @@ class _Problem:
             column += len(own)
         return np.concatenate(residuals), np.concatenate(jacobians)
 
-    def search(self, values: Array, noise: Array, evaluations: int) -> Fit:
+    def search(self, values: Array, noise: Array, evaluations: int) -> SearchResult:
         """SciPy's result from `values` on."""
         return least_squares(
             lambda x: self.rows(x, noise)[0],

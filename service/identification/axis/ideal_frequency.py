@@ -4,7 +4,7 @@ The input is the frequency response of the axis in several poses (`noise_respons
 locked-rotor frequency f_l, where the motor stands and the load oscillates, and the corner f_c below which friction
 dominates:
 
-Fit. The two-mass impedance (`axis_inertia`) to all poses at once, every line weighted by its variance: Jm, mu_m, mu_l,
+Fit. The two-mass impedance (`drive_train`) to all poses at once, every line weighted by its variance: Jm, mu_m, mu_l,
 c, h are shared, J_l and k_g belong to the pose; data sheet and nominal model are priors. Gauss-Newton by SciPy,
 with the weights computed again at the fitted Z, because near f_l the measured Z is a quotient of small numbers. Then
 
@@ -26,29 +26,22 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
+from service.identification.axis.drive_train import TwoMassTrain, impedance
 from service.identification.axis.joint_fit import SHARED, STARTS
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
 from service.identification.design.excitation import LINE_MARGIN, LINES
-from service.identification.model.convergence import Fit, converged, finite
-from service.identification.model.least_squares import scaled_inverse
-from service.identification.spectra.axis_inertia import DriveTrain, impedance
-from service.identification.spectra.noise_response import Response
+from service.identification.model.least_squares import SearchResult, converged, finite, scaled_inverse
+from service.identification.spectra.noise_response import FrequencyResponse
+from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
-ROUNDS = 3  # of fitting and weighing
-EVALUATIONS = 100  # of the residual, in each search
 LEVEL = (0.15, 0.45)  # of f_l: lines used for the level asymptote
-SAME_CLASS = 1.25  # ratio of J up to which all poses form one class
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class Uncertain:
     """A value and its standard deviation."""
 
     value: float
@@ -56,14 +49,14 @@ class Figure:
 
 
 @dataclass(frozen=True, slots=True)
-class Ideal:
+class IdealFrequency:
     """Result of one method for one pose; kg m^2 (kg), N m s/rad (N s/m), Hz."""
 
-    inertia: Figure
-    friction: Figure
-    locked_rotor: Figure
-    corner: Figure
-    frequency: Figure  # sqrt(locked_rotor corner)
+    inertia: Uncertain
+    friction: Uncertain
+    locked_rotor: Uncertain
+    corner: Uncertain
+    frequency: Uncertain  # sqrt(locked_rotor corner)
 
     @property
     def sweep_frequency(self) -> float:
@@ -76,10 +69,10 @@ class PoseAnalysis:
     """One pose: all joint positions, rad (m); the measured response and the result of both methods."""
 
     pose: tuple[float, ...]
-    response: Response
+    response: FrequencyResponse
     load_inertia: float
-    fit: Ideal
-    asymptotes: Ideal
+    fit: IdealFrequency
+    asymptotes: IdealFrequency
 
     @property
     def at_least(self) -> tuple[float, float] | None:
@@ -89,7 +82,7 @@ class PoseAnalysis:
 
 
 @dataclass(frozen=True, slots=True)
-class PoseClass:
+class InertiaClass:
     """Poses of similar inertia: J up to `up_to` (inf: the last class), their lowest f_l and their ideal frequency."""
 
     name: str
@@ -99,7 +92,7 @@ class PoseClass:
 
 
 @dataclass(frozen=True)
-class AxisAnalysis:
+class InitialAnalysis:
     """Result of the initial analysis of one axis.
 
     `mean` (5,) and `covariance` (5, 5) of the drive train in the order of `DriveTrain.as_array`, including the data
@@ -113,15 +106,15 @@ class AxisAnalysis:
     poses: tuple[PoseAnalysis, ...]
 
     @property
-    def train(self) -> DriveTrain:
-        return _train(self.mean)
+    def train(self) -> TwoMassTrain:
+        return TwoMassTrain.of(self.mean)
 
     @property
-    def classes(self) -> tuple[PoseClass, ...]:
+    def classes(self) -> tuple[InertiaClass, ...]:
         """Light and heavy poses, divided at the geometric mean of the extremes; one class if they hardly differ."""
         fits = sorted((pose.fit for pose in self.poses), key=lambda fit: fit.inertia.value)
         low, high = fits[0].inertia.value, fits[-1].inertia.value
-        if high <= SAME_CLASS * low:
+        if high <= 1.25 * low:  # they hardly differ
             return (_class("all", np.inf, fits),)
         border = float(np.sqrt(low * high))
         light = [fit for fit in fits if fit.inertia.value <= border]
@@ -139,9 +132,9 @@ class AxisAnalysis:
         return tuple(line for line in LINES if line <= highest or line == ideal)
 
 
-def _class(name: str, up_to: float, fits: "Sequence[Ideal]") -> PoseClass:
+def _class(name: str, up_to: float, fits: "Sequence[IdealFrequency]") -> InertiaClass:
     ideal = float(np.exp(np.mean([np.log(max(fit.frequency.value, LINES[0])) for fit in fits])))
-    return PoseClass(name, up_to, min(fit.locked_rotor.value for fit in fits), nearest_line(ideal))
+    return InertiaClass(name, up_to, min(fit.locked_rotor.value for fit in fits), nearest_line(ideal))
 
 
 def nearest_line(frequency: float) -> float:
@@ -152,10 +145,10 @@ def nearest_line(frequency: float) -> float:
 def analyse_axis(
     joint: str,
     poses: Sequence[tuple[float, ...]],
-    responses: Sequence[Response],
+    responses: Sequence[FrequencyResponse],
     shared_prior: SharedPrior,
     pose_priors: Sequence[PosePrior],
-) -> AxisAnalysis:
+) -> InitialAnalysis:
     """The analysis of one axis from its responses in n poses; `shared_prior`: the data sheet's drive train.
 
     BadInput where the responses have fewer numbers than there are to find, one is not finite, or the fit does not
@@ -166,12 +159,12 @@ def analyse_axis(
             weight = 1 / np.sqrt(response.variance(response.impedance))
         finite(response.impedance, joint, f"its frequency response in pose {number}")
         finite(weight, joint, f"the weight of its frequency response in pose {number}")
-    problem = _Problem(tuple(responses), shared_prior, tuple(pose_priors))
+    problem = _ResponseProblem(tuple(responses), shared_prior, tuple(pose_priors))
     if problem.count <= problem.size:
         raise BadInput(joint, f"{problem.count} equations of its frequency responses for {problem.size} unknowns")
     values, chi_squared, covariance = _fit(joint, problem)
     asymptotes = [_asymptotes(response) for response in responses]
-    return AxisAnalysis(
+    return InitialAnalysis(
         joint=joint,
         mean=values[:SHARED],
         covariance=covariance[:SHARED, :SHARED],
@@ -190,10 +183,10 @@ def analyse_axis(
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _ResponseProblem:
     """Unknowns: the shared ones (5,), then J_l and k_g of each pose; in units of their priors' standard deviations."""
 
-    responses: tuple[Response, ...]
+    responses: tuple[FrequencyResponse, ...]
     shared_prior: SharedPrior
     pose_priors: tuple[PosePrior, ...]
 
@@ -234,7 +227,7 @@ class _Problem:
         return starts
 
 
-def _fit(joint: str, problem: _Problem) -> tuple[Array, float, Array]:
+def _fit(joint: str, problem: _ResponseProblem) -> tuple[Array, float, Array]:
     """Values, chi^2 per degree of freedom, and covariance. BadInput with the joint if the search did not converge."""
     mean, root = problem.mean, problem.root
     inverse_root = np.linalg.inv(root)
@@ -246,11 +239,12 @@ def _fit(joint: str, problem: _Problem) -> tuple[Array, float, Array]:
     def jacobian(x: Array) -> Array:
         return np.vstack([_misfit(problem, mean + root @ x, weights)[1] @ root, np.eye(len(x))])
 
-    def solve(start: Array) -> Fit:
-        return optimize.least_squares(residual, start, jac=jacobian, method="lm", max_nfev=EVALUATIONS)
+    def solve(start: Array) -> SearchResult:
+        # evaluations of the residual, in each search
+        return optimize.least_squares(residual, start, jac=jacobian, method="lm", max_nfev=100)
 
     found = min((solve(inverse_root @ (start - mean)) for start in problem.starts()), key=lambda each: each.cost)
-    for _ in range(ROUNDS):
+    for _ in range(3):  # rounds of fitting and weighing
         values = mean + root @ found.x
         weights[:] = [
             1 / np.sqrt(response.variance(_model(response.frequency, values, SHARED + 2 * k)) / 2)
@@ -267,12 +261,12 @@ def _fit(joint: str, problem: _Problem) -> tuple[Array, float, Array]:
 
 
 def _model(frequency: Array, values: Array, own: int) -> Complex:
-    return impedance(frequency, _train(values), float(values[own]), float(values[own + 1])).total
+    return impedance(frequency, TwoMassTrain.of(values), float(values[own]), float(values[own + 1])).total
 
 
-def _misfit(problem: _Problem, values: Array, weights: Sequence[Array]) -> tuple[Array, Array]:
+def _misfit(problem: _ResponseProblem, values: Array, weights: Sequence[Array]) -> tuple[Array, Array]:
     """Weighted real and imaginary parts (count,) of model minus measured Z, and their derivatives (count, size)."""
-    train = _train(values)
+    train = TwoMassTrain.of(values)
     h, c = train.damping_time, train.compliance
     rows: list[Array] = []
     derivatives: list[Array] = []
@@ -292,14 +286,9 @@ def _misfit(problem: _Problem, values: Array, weights: Sequence[Array]) -> tuple
     return np.concatenate(rows), np.vstack(derivatives)
 
 
-def _train(values: Array) -> DriveTrain:
-    motor_inertia, motor_friction, load_friction, compliance, damping_time = (float(v) for v in values[:SHARED])
-    return DriveTrain(motor_inertia, motor_friction, load_friction, compliance, damping_time)
-
-
-def _ideal(values: Array, covariance: Array, own: int) -> Ideal:
+def _ideal(values: Array, covariance: Array, own: int) -> IdealFrequency:
     """The pose whose J_l is number `own`; standard deviations to first order."""
-    train, load = _train(values), float(values[own])
+    train, load = TwoMassTrain.of(values), float(values[own])
     inertia, friction = train.motor_inertia + load, max(train.motor_friction + train.load_friction, 0.0)
     locked_rotor, corner = train.locked_rotor_frequency(load), friction / (2 * np.pi * inertia)
     by_inertia, by_friction, by_resonance = np.zeros((3, len(values)))
@@ -311,21 +300,21 @@ def _ideal(values: Array, covariance: Array, own: int) -> Ideal:
     rows = np.array([by_inertia, by_friction, by_resonance, by_corner, (by_resonance + by_corner) / 2])
     std = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", rows, covariance, rows), 0.0))
     frequency = float(np.sqrt(locked_rotor * corner))
-    return Ideal(
-        Figure(inertia, float(std[0])),
-        Figure(friction, float(std[1])),
+    return IdealFrequency(
+        Uncertain(inertia, float(std[0])),
+        Uncertain(friction, float(std[1])),
         _relative(locked_rotor, float(std[2])),
         _relative(corner, float(std[3])),
         _relative(frequency, float(std[4])),
     )
 
 
-def _relative(value: float, std: float) -> Figure:
+def _relative(value: float, std: float) -> Uncertain:
     """A value with the standard deviation of its logarithm; an infinite value has none."""
-    return Figure(value, std * value if np.isfinite(value) else np.inf)
+    return Uncertain(value, std * value if np.isfinite(value) else np.inf)
 
 
-def _peak(response: Response) -> float:
+def _peak(response: FrequencyResponse) -> float:
     """Frequency of the highest maximum of |Z|/omega within the band, Hz: parabola through three lines in log-log."""
     x, y = np.log(response.frequency), np.log(np.abs(response.impedance) / response.frequency)
     inner = [k for k in range(1, len(x) - 1) if y[k] >= max(y[k - 1], y[k + 1])]
@@ -338,7 +327,7 @@ def _peak(response: Response) -> float:
     return float(np.exp(x[top] - slope / (2 * curve) if curve < 0 else x[top]))
 
 
-def _asymptotes(response: Response) -> Ideal:
+def _asymptotes(response: FrequencyResponse) -> IdealFrequency:
     frequency, z = response.frequency, response.impedance
     variance = response.variance(z)
     omega = 2 * np.pi * frequency
@@ -351,21 +340,21 @@ def _asymptotes(response: Response) -> Ideal:
     inertia = _weighted(np.abs(z[level]) / omega[level], variance[level] / omega[level] ** 2)
     below = frequency <= max(LEVEL[1] * resonance, frequency[0])
     friction = _weighted(z.real[below], variance[below] / 2)
-    friction = Figure(max(friction.value, 0.0), friction.std)
+    friction = Uncertain(max(friction.value, 0.0), friction.std)
     corner = friction.value / (2 * np.pi * inertia.value)
     corner_std = float(np.hypot(friction.std / (2 * np.pi * inertia.value), corner * inertia.std / inertia.value))
     ideal = float(np.sqrt(resonance * corner))
     resonance_std = spacing / np.sqrt(12)  # anywhere between two lines
     spread = np.hypot(corner_std / max(corner, 1e-300), resonance_std / resonance) / 2
-    return Ideal(
+    return IdealFrequency(
         inertia,
         friction,
-        Figure(resonance, float(resonance_std)),
-        Figure(corner, corner_std),
-        Figure(ideal, float(ideal * spread)),
+        Uncertain(resonance, float(resonance_std)),
+        Uncertain(corner, corner_std),
+        Uncertain(ideal, float(ideal * spread)),
     )
 
 
-def _weighted(values: Array, variance: Array) -> Figure:
+def _weighted(values: Array, variance: Array) -> Uncertain:
     weight = 1 / np.maximum(variance, 1e-300)
-    return Figure(float(values @ weight / weight.sum()), float(1 / np.sqrt(weight.sum())))
+    return Uncertain(float(values @ weight / weight.sum()), float(1 / np.sqrt(weight.sum())))

@@ -1,11 +1,11 @@
 """All sweeps of one axis fitted together: the drive train is shared, the load inertia belongs to the pose.
 
-The equations are those of `sweep_model`. Gauss-Newton with Levenberg's damping on the real and imaginary parts, with
+The equations are those of `drive_train`. Gauss-Newton with Levenberg's damping on the real and imaginary parts, with
 one additional row for every prior of the data sheet. The own parameters are eliminated sweep by sweep (Schur
 complement), so the cost grows linearly with the number of sweeps. The noise variance is pooled over the sweeps of
 one sample rate, from residuals corrected for the degrees of freedom.
 
-Known effects are removed before (`known_torque`); their uncertainty enters as further shared parameters, 0 +- 1.
+Known effects are removed before (`known_effects`); their uncertainty enters as further shared parameters, 0 +- 1.
 
 A sweep whose residual is larger than chance allows (a torque spike, a collision, a loose cable) would distort the
 drive train and the noise of all sweeps. It gets the variance of its own residual, the most probable one for an
@@ -19,38 +19,35 @@ from enum import Enum
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.special import chdtri
 
-from service.identification.axis.load_motion import spring
+from service.identification.axis.drive_train import (
+    SHARED,
+    Stack,
+    TwoMassTrain,
+    direct_terms,
+    spring,
+    stack_residual,
+    stacks,
+)
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
-from service.identification.axis.sweep_model import SHARED, Stack, direct_terms, stack_residual, stacks
-from service.identification.model.convergence import finite
-from service.identification.model.least_squares import scaled_inverse, scaled_solution
-from service.identification.spectra.axis_inertia import DriveTrain
-from service.identification.spectra.frequency_response import Complex, Spectrum
+from service.identification.model.least_squares import finite, scaled_inverse, scaled_solution
+from service.identification.spectra.frequency_response import Spectrum
+from service.model.arrays import Array, Complex, Mask
 from service.model.errors import BadInput
-
-Array = NDArray[np.float64]
 
 FREE = 10.0  # times the largest effort bin: one sigma of unknown parameters
 ITERATIONS = 60  # of Gauss-Newton, each with its damping
-FIRST_ITERATIONS = 8  # from each start: enough to find the lowest minimum
 GAINED = 1e-9  # of the cost: a step that gains less ends the search
-DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-12, 1e8  # of the diagonal: initial, smallest, largest (then the end)
-POOLINGS = 10  # largest number of rounds to select the sweeps that share the noise
-TOLD = 1e-12  # of the prior's precision: minimum information of the data on an inertia, for its bound
 ROUNDS = 4  # of fitting and estimating the noise
 STARTS = (np.inf, 25.0, 16.0, 11.0, 8.0, 6.0)  # Hz, locked-rotor frequencies tried as start
-STARTERS = 24  # sweeps, or a few more, used to choose between the starts
 FEW_FREEDOM = 4.0  # degrees of freedom; with fewer, the noise cannot be estimated and the guess is used
-NOISE_FLOOR = 1e-7  # of the largest effort at a line: rounding, for simulations without noise
 CHANCE = 0.01  # probability that any sweep of an axis is suspected although all are correct
 MATERIAL = 1e-3  # of the largest effort bin: smaller residuals are not tested
 
 
-class Ended(Enum):
+class FitEnded(Enum):
     """How a minimisation ended."""
 
     CONVERGED = f"a further step gains less than {GAINED:g} of the cost"
@@ -71,7 +68,7 @@ class JointFit:
     (u,): change of each independent part of the known effects, in its standard deviations.
     """
 
-    train: DriveTrain
+    train: TwoMassTrain
     train_std: Array
     load_inertia: Array
     gravity: Array
@@ -85,8 +82,8 @@ class JointFit:
     freedom: float
     moved: Array
     shared: Array  # (5 + u,) and
-    own: tuple[Array, ...]  # of each sweep (p,): all parameters, for `sweep_model`
-    ended: Ended
+    own: tuple[Array, ...]  # of each sweep (p,): all parameters, for `drive_train`
+    ended: FitEnded
     noise_change: Array  # (n,) relative change of `noise` in the last of the `ROUNDS`
 
 
@@ -124,7 +121,7 @@ class _Normal:
 class _Minimum:
     point: _Point
     cost: float  # squared standard deviations
-    ended: Ended
+    ended: FitEnded
 
 
 @dataclass(frozen=True)
@@ -146,14 +143,15 @@ def fit_axis(
     """Fit all periodic sweeps of one axis; `noise_guess` is the effort noise of one sample, N m (N).
 
     `uncertain` (u, b) of each sweep: uncertainty of the effects removed from its effort. `spread` (b,) of each sweep:
-    standard deviation of each bin over the noise, larger than 1 with nonlinear distortion (`distortion`).
+    standard deviation of each bin over the noise, larger than 1 with nonlinear distortion (`axis_estimate`).
     BadInput, and no result, if the cost is not finite, if it still decreases after the last step, or if a step or
     a variance is not finite.
     """
     known = list(uncertain or [np.zeros((0, len(one.frequency)), dtype=np.complex128) for one in spectra])
     poses = [complete_prior(*pair) for pair in zip(spectra, pose_priors, strict=True)]
     sigma = np.array([noise_guess / np.sqrt(2 * spectrum.samples) for spectrum in spectra])
-    some = slice(None, None, max(1, len(spectra) // STARTERS))
+    # about 24 sweeps choose between the starts
+    some = slice(None, None, max(1, len(spectra) // 24))
     wide = list(spread or [np.ones(len(one.frequency)) for one in spectra])
     shared = _first_train(stacks(spectra[some], known[some], wide[some]), shared_prior, poses[some], sigma[some])
     parts = stacks(spectra, known, wide)
@@ -161,15 +159,15 @@ def fit_axis(
     point = _Point(shared, priors.own_mean)
     rate = np.array([spectrum.spec.sample_rate for spectrum in spectra])
     noise = _Noise(sigma, np.ones(len(spectra)), np.ones(len(spectra)), 0.0)
-    ended, before = Ended.UNFINISHED, noise
+    ended, before = FitEnded.UNFINISHED, noise
     for _ in range(ROUNDS):
         minimum = _minimise(parts, priors, noise.sigma, point, ITERATIONS)
-        if minimum.ended is Ended.LOST or not np.isfinite(minimum.cost):
+        if minimum.ended is FitEnded.LOST or not np.isfinite(minimum.cost):
             what = "has no finite residual or derivative: effort, motion or prior overflow"
             raise BadInput(_not_finite(spectra, parts, point), what)
         point, ended = minimum.point, minimum.ended
         before, noise = noise, _pooled_noise(parts, priors, noise.sigma, point, rate, noise_guess)
-    if ended is Ended.UNFINISHED:
+    if ended is FitEnded.UNFINISHED:
         raise BadInput(spectra[0].spec.axis, f"its fit over {len(spectra)} sweeps did not converge: {ended.value}")
     result = replace(_result(parts, priors, noise, point, ended), noise_change=np.abs(noise.sigma / before.sigma - 1))
     for one, value, variance in zip(spectra, result.inertia, np.diag(result.covariance), strict=True):
@@ -211,7 +209,8 @@ def _first_train(parts: Sequence[Stack], shared: SharedPrior, poses: Sequence[Po
     """The drive train (5,) of the best of several starts, used as start of the fit."""
     priors = _priors(parts, shared, poses)
     starts = STARTS if any(stack.load_velocity is None for stack in parts) else STARTS[:1]
-    tries = [_minimise(parts, priors, sigma, _start(priors, frequency), FIRST_ITERATIONS) for frequency in starts]
+    # few iterations show the lowest minimum
+    tries = [_minimise(parts, priors, sigma, _start(priors, frequency), 8) for frequency in starts]
     finite = [one for one in tries if np.isfinite(one.cost)] or tries
     return min(finite, key=lambda one: one.cost).point.shared
 
@@ -255,25 +254,25 @@ def _equations(
 
 def _minimise(parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Point, iterations: int) -> _Minimum:
     """The point of least cost, starting at `point`. A step to a point whose cost is not a number is rejected."""
-    damping, ended = DAMPING, Ended.UNFINISHED
+    damping, ended = 1e-3, FitEnded.UNFINISHED  # of the diagonal
     cost, normals = _equations(parts, priors, sigma, point)
     for _ in range(iterations if np.isfinite(cost) else 0):
         if not all(each.finite for each in normals):
-            ended = Ended.LOST  # squares of derivatives overflow: there is no step
+            ended = FitEnded.LOST  # squares of derivatives overflow: there is no step
             break
         while True:
             trial = _step(normals, priors, point, damping)
             trial_cost, trial_normals = _equations(parts, priors, sigma, trial)
-            if trial_cost <= cost or damping > MOST_DAMPING:
+            if trial_cost <= cost or damping > 1e8:
                 break
             damping *= 10
         if not trial_cost <= cost:
-            ended = Ended.AT_REST if np.isfinite(trial_cost) else Ended.LOST
+            ended = FitEnded.AT_REST if np.isfinite(trial_cost) else FitEnded.LOST
             break
         gained, point, cost, normals = cost - trial_cost, trial, trial_cost, trial_normals
-        damping = max(damping / 10, LEAST_DAMPING)
+        damping = max(damping / 10, 1e-12)
         if gained < GAINED * (1 + cost):
-            ended = Ended.CONVERGED
+            ended = FitEnded.CONVERGED
             break
     return _Minimum(point, cost, ended)
 
@@ -316,13 +315,14 @@ def _pooled_noise(
         variance[same], sound[same] = _pool(
             squares[same], freedom[same], samples[same] * (MATERIAL * largest[same]) ** 2, guess
         )
-    sigma = np.maximum(np.sqrt(variance / samples), NOISE_FLOOR * largest)
+    # rounding, for simulations without noise
+    sigma = np.maximum(np.sqrt(variance / samples), 1e-7 * largest)
     ratio = squares / samples / sigma**2 / np.maximum(freedom, 1.0)
     weight = np.where(sound, 1.0, 1 / np.maximum(ratio, 1.0))
     return _Noise(sigma / np.sqrt(weight), ratio, weight, float(freedom[sound].sum()))
 
 
-def _pool(squares: Array, freedom: Array, immaterial: Array, guess: float) -> tuple[float, NDArray[np.bool_]]:
+def _pool(squares: Array, freedom: Array, immaterial: Array, guess: float) -> tuple[float, Mask]:
     """Variance of the sweeps (n,) of one sample rate, and which of them are correct: not worse than by chance."""
     everyone = np.ones(len(squares), dtype=bool)
     if freedom.sum() < FEW_FREEDOM:
@@ -331,7 +331,7 @@ def _pool(squares: Array, freedom: Array, immaterial: Array, guess: float) -> tu
     worst = chdtri(np.maximum(freedom, 1.0), CHANCE / len(squares)) / np.maximum(freedom, 1.0)
     variance = float(np.median(each))  # half of the sweeps may be faulty
     sound = everyone
-    for _ in range(POOLINGS):
+    for _ in range(10):  # rounds to select the sweeps that share the noise
         before, sound = sound, (each <= worst * variance) | (each <= immaterial)
         variance = float(squares[sound].sum() / freedom[sound].sum())
         if np.array_equal(before, sound):
@@ -339,7 +339,7 @@ def _pool(squares: Array, freedom: Array, immaterial: Array, guess: float) -> tu
     return variance, sound
 
 
-def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Point, ended: Ended) -> JointFit:
+def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Point, ended: FitEnded) -> JointFit:
     count = len(noise.sigma)
     load, own_variance, bound = np.zeros((3, count))
     gravity, by_shared = np.zeros((count, 2)), np.zeros((count, len(point.shared)))
@@ -352,20 +352,20 @@ def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Poin
         by_shared[stack.place] = -gain[:, 0]  # d J_l / d shared
         own_variance[stack.place] = inverse[:, 0, 0]
         told = normal.own[:, 0, 0] - precision[:, 0]
-        bound[stack.place] = 1 / np.sqrt(np.maximum(told, TOLD * precision[:, 0]))
+        # least information of the data, relative to the prior's
+        bound[stack.place] = 1 / np.sqrt(np.maximum(told, 1e-12 * precision[:, 0]))
         load[stack.place], gravity[stack.place] = own[:, 0], own[:, 1:3]
     by_shared[:, 0] += 1  # J = Jm + J_l
     shared_covariance = scaled_inverse(matrix)
     shared, shared_std = point.shared[:SHARED].copy(), np.sqrt(np.diag(shared_covariance))[:SHARED]
     if all(stack.load_velocity is not None for stack in parts):  # the inertias did not need the spring
         shared[3:], shared_std[3:] = spring(parts, point.shared, point.own, float(shared_std[2]))
-    motor_inertia, motor_friction, load_friction, compliance, damping_time = (float(value) for value in shared)
     return JointFit(
-        train=DriveTrain(motor_inertia, motor_friction, load_friction, compliance, damping_time),
+        train=TwoMassTrain.of(shared),
         train_std=shared_std,
         load_inertia=load,
         gravity=gravity,
-        inertia=load + motor_inertia,
+        inertia=load + float(shared[0]),
         covariance=by_shared @ shared_covariance @ by_shared.T + np.diag(own_variance),
         own_variance=own_variance,
         bound=bound,

@@ -6,23 +6,15 @@ And values known better from a diagnosis: the spring, a hose, the torque constan
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.axis.known_effects import ELASTICITY, GAIN, HOSE, KnownAxis
-from service.identification.design.predicted_confidence import SOFTEST
-from service.identification.model.parameter_prior import link_sizes
+from service.identification.design.pose_selection import SOFTEST
+from service.identification.model.inverse_dynamics import link_sizes
 from service.identification.spectra.frequency_response import Spectrum
+from service.model.arrays import Array
 from service.model.robot import Robot
 from service.model.urdf import Chain
 
-Array = NDArray[np.float64]
-
-LIGHTEST_LINK = 0.01  # of the mean link's mass: uncertainty of a link without mass in the model
-UNKNOWN_CORNER = 1.0  # Hz, mu / (2 pi J) where no data sheet gives the friction
-UNKNOWN_MOTOR = 0.5  # of the axis' inertia: a motor that no data sheet gives, and one sigma of it
-DAMPING_TIME, DAMPING_SIGMA = 1e-3, 2e-3  # s, of the spring
-LEAST_LOAD = 0.1  # of the axis' inertia: a load that the motor's data sheet leaves nothing of
-TORQUE_SLACK = 1e-3  # of the rated effort, one sigma of gravity in addition to its error: cables, offsets of the base
 NOISE_GUESS = 0.002  # of the rated effort: start value only, the noise is then estimated
 
 
@@ -73,7 +65,7 @@ def with_known_spring(prior: SharedPrior, known: KnownAxis, gain: float) -> Shar
     values.
 
     The diagnosis' spring carries `ratio` times the load that the nominal motor inertia leaves: at the true load its
-    compliance is compliance / ratio. `gain`: effort reported by the drive over true effort, see `known_torque`.
+    compliance is compliance / ratio. `gain`: effort reported by the drive over true effort, see `known_effects`.
     """
     effect = known.get(ELASTICITY)
     if effect is None:
@@ -113,30 +105,34 @@ def shared_prior(robot: Robot, number: int, reference: Array, spectra: list[Spec
 
     `reference` (m,): the model's inertias in the axis' poses.
     """
+    unknown_motor = 0.5  # of the axis' inertia: a motor that no data sheet gives, and one sigma of it
     axis, prior = robot.axes[number], robot.prior
     typical = _typical(robot, number, reference, spectra)
     motor = axis.reflected_motor_inertia
     motor_mean, motor_sigma = (
-        (motor, prior.motor_inertia * motor) if motor else (UNKNOWN_MOTOR * typical, UNKNOWN_MOTOR * typical)
+        (motor, prior.motor_inertia * motor) if motor else (unknown_motor * typical, unknown_motor * typical)
     )
     friction = axis.viscous_friction
     # half of it on either side of the spring
-    total, spread = (friction, prior.viscous_friction) if friction else (2 * np.pi * UNKNOWN_CORNER * typical, 1.0)
+    # unknown: a corner mu / (2 pi J) of 1 Hz
+    total, spread = (friction, prior.viscous_friction) if friction else (2 * np.pi * 1.0 * typical, 1.0)
     half = total / 2
     half_sigma = max(2 * spread, 1.0) * half
     softest = 1 / (typical * (2 * np.pi * SOFTEST) ** 2)
     return SharedPrior(
-        mean=np.array([motor_mean, half, half, 0.0, DAMPING_TIME]),
-        covariance=np.diag(np.square([motor_sigma, half_sigma, half_sigma, softest, DAMPING_SIGMA])),
+        mean=np.array([motor_mean, half, half, 0.0, 1e-3]),  # s, damping time of the spring
+        covariance=np.diag(np.square([motor_sigma, half_sigma, half_sigma, softest, 2e-3])),
     )
 
 
 def pose_prior(robot: Robot, number: int, reference: float, gravity: Array) -> PosePrior:
     """The model's axis inertia and `gravity` (2,) torque and stiffness in a pose, with their uncertainty."""
     motor = robot.axes[number].reflected_motor_inertia or 0.0
-    load = max(reference - motor, LEAST_LOAD * reference)
+    # at least a tenth, where the motor's data sheet leaves nothing of it
+    load = max(reference - motor, 0.1 * reference)
     # torque and stiffness are two components of one vector: each may have the error of its length
-    spread = robot.prior.gravity * float(np.hypot(*gravity)) + TORQUE_SLACK * robot.axes[number].rated_effort
+    # besides its own error one sigma of 1e-3 of the rated effort: cables, offsets of the base
+    spread = robot.prior.gravity * float(np.hypot(*gravity)) + 1e-3 * robot.axes[number].rated_effort
     return PosePrior(
         mean=np.array([load, gravity[1], gravity[0]]),
         sigma=np.array([2 * robot.prior.inertia * reference, spread, spread]),
@@ -148,7 +144,8 @@ def link_spread(links: Array, inertia: float) -> Array:
 
     By the size of a link, mass m and radius of gyration r: m, m r and m r^2 for mass, first and second moments.
     """
-    return inertia * link_sizes(links, LIGHTEST_LINK * float(links[:, 0].mean()))
+    # a link without mass in the model is as uncertain as 1 % of the mean link
+    return inertia * link_sizes(links, 0.01 * float(links[:, 0].mean()))
 
 
 def model_spread(robot: Robot, chain: Chain, unlocked: tuple[int, ...], combination: Array, largest: float) -> Array:
@@ -162,7 +159,7 @@ def model_spread(robot: Robot, chain: Chain, unlocked: tuple[int, ...], combinat
 
 
 def base_spread(
-    robot: Robot, chain: Chain, unlocked: tuple[int, ...], combination: Array, measured: "Measured"
+    robot: Robot, chain: Chain, unlocked: tuple[int, ...], combination: Array, measured: "MeasuredInertias"
 ) -> Array:
     """Standard deviations (r,) of the base parameters  beta = `combination` (r, 11 n) x  in the nominal model, after a
     measurement.
@@ -176,7 +173,7 @@ def base_spread(
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredInertias:
     """Axis inertias (m,) with their variance, the model's, and their rows (m, r) in the base parameters."""
 
     values: Array

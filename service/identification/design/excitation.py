@@ -2,7 +2,7 @@ r"""Designs one sweep: a slow motion with superposed sines, within a few degrees
 
 The set-point is e(t) (v0 + sum a_i sin(2 pi f_i (t - t0) + phi_i)) with a raised-cosine envelope e over `ramp`.
 
-It follows from three rules (FRF measurement practice: Pintelon and Schoukens, System Identification, 2012, ch. 2 and
+It follows from three rules (FRF measurement practice: Pintelon and Schoukens, System RobotEstimate, 2012, ch. 2 and
 5):
 
 Cogging. Torque ripple of order o (per motor revolution) appears at o u v0 / 2 pi Hz, and because the sines modulate the
@@ -18,33 +18,52 @@ Travel. v0 (ramp + settle + P) stays within the travel; at fixed travel the stan
 
 Schroeder phases (1970), phi_i = -pi i (i - 1) / n, keep the crest factor low. Several realisations of one sweep have
 random phases instead, uniform except that crest factors above CREST are drawn again: the response of a nonlinearity at
-a line then has a random phase as well and scatters between realisations (`distortion`). The sum of the amplitudes,
+a line then has a random phase as well and scatters between realisations (`axis_estimate`). The sum of the amplitudes,
 which is limited by the no-reversal rule and the envelope, does not depend on phases.
+
+The path of a sweep: its velocity set-point integrated in closed form (paper, section 4.1).
+
+Every part of the set-point (`excitation`) is c sin(w t + p), the offset with w = 0 and p = pi/2, times the envelope.
+With k = pi / ramp and s the time since the start of the rise, the hold or the fall,
+
+    rise   (1 - cos k s) / 2    hold   1    fall   (1 + cos k s) / 2
+    cos(k s) sin(w s + p) = (sin((w + k) s + p) + sin((w - k) s + p)) / 2
+
+so the only integral needed is  F(w, p, s) = int_0^s sin(w x + p) dx = s sin(p + w s / 2) sinc(w s / 2 pi),
+which holds for every w, zero included.
+
+Designs one noise run: a slow motion with superposed pseudo-random torque (paper, section 4.1).
+
+The paper's values are used: offset 0.1 rpm, 1 % of the rated torque, band below 40 Hz, softened speed control. Two
+rules change them. The offset is the next lower one for which cogging does not fall on the lines (`ripple_free_offset`).
+And a light axis must not reverse, because friction is constant only in one direction: noise of RMS f over n lines moves
+a free inertia J by
+
+    v_rms = f / (2 pi J sqrt(n)) sqrt(sum 1/f_k^2),
+
+which may be 0.2 of the offset. That is about the velocity in the softened loop with the resonance included;
+random phases have peaks of 3 to 4 times their RMS.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
+from math import ceil, floor
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.model.recording import Sine
 from service.model.robot import Axis, Robot
 
-Array = NDArray[np.float64]
-
 LINES = (2.0, 3.0, 4.0, 5.0)  # Hz, the paper's sweep frequencies
-WINDOWS = (3, 5, 7)  # whole periods of 1 s; prime by the cogging rule
 TRAVEL = math.radians(4.0)  # rad (m), most that a sweep may turn
 RAMP = 0.5  # s
 SETTLE = 0.5  # s
 LOAD_MARGIN = 0.8  # of the offset that the sines may use on motor and load
 CREST = 2.4  # highest crest factor of a random realisation; 4 lines of any phases have at most 2.83
-DRAWS = 100  # of random phases
-CREST_SAMPLES = 200  # of a period, in which the crest factor is looked at
 LINE_MARGIN = 0.75  # of the locked-rotor frequency: no line above, but for the lowest
 
 
@@ -111,7 +130,7 @@ def design_sweep(
     periods, offset = max(
         (
             (periods, ripple_free_offset(axis, min(travel / (RAMP + SETTLE + periods), speed_limit), 1.0, periods))
-            for periods in WINDOWS
+            for periods in (3, 5, 7)  # whole periods of 1 s; prime by the cogging rule
         ),
         key=lambda choice: choice[1] ** 2 * choice[0],
     )
@@ -143,11 +162,12 @@ def realisations(excitation: Excitation, count: int, seed: Sequence[int]) -> tup
 
 def _with_random_phases(excitation: Excitation, rng: np.random.Generator) -> Excitation:
     """The first draw of an acceptable crest factor, or the last of all draws."""
-    time = np.linspace(0.0, excitation.period, CREST_SAMPLES, endpoint=False)
+    # where the crest factor is looked at
+    time = np.linspace(0.0, excitation.period, 200, endpoint=False)
     frequency = np.array([sine.frequency for sine in excitation.sines])
     amplitude = np.array([sine.amplitude for sine in excitation.sines])
     phases = np.zeros(len(frequency))
-    for _ in range(DRAWS):
+    for _ in range(100):  # draws
         phases = rng.uniform(0.0, 2 * np.pi, len(frequency))
         shape = amplitude @ np.sin(2 * np.pi * frequency[:, None] * time + phases[:, None])
         if np.abs(shape).max() <= CREST * np.sqrt(np.sum(amplitude**2) / 2):
@@ -184,3 +204,104 @@ def ripple_free_offset(axis: Axis, fastest: float, period: float, periods: int) 
         if all((order // common) * n % periods for order in orders):
             return n * step
     return 0.0
+
+
+def way(excitation: Excitation, time: Array) -> Array:
+    """Position set-point relative to the start at `time` (n,), s from standstill; rad (m), exact. `ramp` is not 0."""
+    hold = excitation.settle + excitation.periods * excitation.period
+    rising = np.clip(time, 0.0, excitation.ramp)
+    holding = np.clip(time - excitation.ramp, 0.0, hold)
+    falling = np.clip(time - excitation.ramp - hold, 0.0, excitation.ramp)
+    total = np.zeros_like(time)
+    for amplitude, omega, phase in _parts(excitation):
+        start = phase - omega * excitation.measure_from
+        top = start + omega * excitation.ramp
+        down = top + omega * hold
+        total += amplitude * (
+            _edge(omega, start, rising, np.pi / excitation.ramp, -1)
+            + _integral(omega, top, holding)
+            + _edge(omega, down, falling, np.pi / excitation.ramp, 1)
+        )
+    return total
+
+
+def peak_jerk(excitation: Excitation) -> float:
+    """Upper bound of the set-point's second derivative, rad/s^3 (m/s^3): product rule on envelope and waves."""
+    bend = np.pi / excitation.ramp
+    waves = [sum(abs(a) * omega**order for a, omega, _ in _parts(excitation)) for order in range(3)]
+    return bend**2 / 2 * waves[0] + bend * waves[1] + waves[2]
+
+
+def _parts(excitation: Excitation) -> list[tuple[float, float, float]]:
+    """Amplitude, rad/s (m/s), angular frequency, rad/s, and phase at the window's start, rad, of every part."""
+    offset = (excitation.offset_velocity, 0.0, np.pi / 2)
+    return [offset, *((sine.amplitude, 2 * np.pi * sine.frequency, sine.phase) for sine in excitation.sines)]
+
+
+def _edge(omega: float, phase: float, time: Array, bend: float, sign: int) -> Array:
+    """The integral under (1 + sign cos(bend s)) / 2."""
+    sides = _integral(omega + bend, phase, time) + _integral(omega - bend, phase, time)
+    return _integral(omega, phase, time) / 2 + sign * sides / 4
+
+
+def _integral(omega: float, phase: float, time: Array) -> Array:
+    return time * np.sin(phase + omega * time / 2) * np.sinc(omega * time / (2 * np.pi))
+
+
+OFFSET = 0.1 * 2 * np.pi / 60  # rad/s (m/s)
+SHARE = 0.01  # of the rated effort
+LOWEST, HIGHEST = 1.0, 39.0  # Hz
+PERIOD, PERIODS = 1.6, 3  # s; prime by the cogging rule
+SOFTENING = 0.4
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseExcitation:
+    """One noise run from standstill to standstill; SI on the joint side, fields as in `drivers.ports.NoiseCommand`."""
+
+    offset_velocity: float  # rad/s (m/s), signed
+    effort: float  # N m (N), RMS
+    lowest: float  # Hz
+    highest: float  # Hz
+    period: float  # s
+    periods: int
+    seed: int
+    softening: float
+    ramp: float  # s
+    settle: float  # s
+
+    @property
+    def measure_from(self) -> float:
+        """Start of the measured window, s."""
+        return self.ramp + self.settle
+
+    @property
+    def duration(self) -> float:
+        """From standstill to standstill, s."""
+        return 2 * self.ramp + self.settle + self.periods * self.period
+
+    @property
+    def travel(self) -> float:
+        """Signed travel from start to end, rad (m)."""
+        return self.offset_velocity * (self.ramp + self.settle + self.periods * self.period)
+
+
+def design_noise(
+    robot: Robot, joint: str, *, inertia: float, travel: float, seed: int, direction: int = 1
+) -> NoiseExcitation:
+    """The noise run of a joint whose axis inertia is about `inertia`, kg m^2 (kg), within `travel` rad (m).
+
+    Raises BadInput if cogging falls on its lines for every offset.
+    """
+    noise_ramp, noise_settle = 0.5, 1.0  # s
+    axis = robot.axis(joint)
+    fastest = min(OFFSET, travel / (noise_ramp + noise_settle + PERIODS * PERIOD))
+    offset = ripple_free_offset(axis, fastest, PERIOD, PERIODS)
+    if offset <= 0:
+        raise BadInput(joint, f"no offset up to {fastest:.4g} keeps the axis' cogging off the lines of its noise")
+    lines = np.arange(ceil(LOWEST * PERIOD), floor(HIGHEST * PERIOD) + 1, dtype=np.float64) / PERIOD
+    sway = float(np.sqrt(np.mean(1 / lines**2))) / (2 * np.pi * inertia)  # per N m
+    effort = min(SHARE * axis.rated_effort, 0.2 * offset / sway)  # a fifth of the offset
+    return NoiseExcitation(
+        direction * offset, effort, LOWEST, HIGHEST, PERIOD, PERIODS, seed, SOFTENING, noise_ramp, noise_settle
+    )

@@ -5,7 +5,7 @@ The joint *velocity* of axis k is a sum of sines on the harmonics of one fundame
     v_k(t) = e(t) sum_h a_kh sin(2 pi h (t - t0)/T + phi_kh)
 
 so the set of axes is a set of ordinary sweeps with common period, ramp and settling. The ramp e(t) moves the middle of
-the oscillation away from the start; the shift is known in closed form (`sweep_path`) and the start is shifted
+the oscillation away from the start; the shift is known in closed form (`excitation`) and the start is shifted
 in the opposite direction, so that during the window axis k oscillates about `center`.
 
 Choice: random shapes (amplitudes falling as 1/h) about random centres, each scaled to the nearest of its limits
@@ -18,24 +18,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from service.identification.design.excitation import Excitation, velocity_setpoint
-from service.identification.design.sweep_path import way
+from service.identification.design.excitation import Excitation, velocity_setpoint, way
 from service.identification.model.base_parameters import condition_number
-from service.identification.model.inverse_dynamics import Motion, dynamics_rows
+from service.identification.model.inverse_dynamics import JointMotion, dynamics_rows
+from service.model.arrays import Array, Mask
 from service.model.errors import BadInput
 from service.model.recording import Sine
 from service.model.robot import Robot
 
-Array = NDArray[np.float64]
-
 BREAKAWAY = 0.1  # of the rated effort: Coulomb friction to add to a predicted effort
-FIRST_STEP, LAST_STEP = 0.5, 0.02  # of the ranges: disturbance of the best shape at first and at last
-EVALUATED = 80  # instants of a period used for the condition number
-CHECKED = 16  # instants of the highest harmonic's period at which limits are checked
-SHRINK = 0.8  # factor on all amplitudes if effort or path do not fit
-LEAST_SCALE = 0.1  # of the first amplitudes: below, another shape is tried
 
 
 @dataclass(frozen=True)
@@ -52,7 +44,7 @@ class TrajectoryLimits:
     effort: Array
 
     @property
-    def moving(self) -> NDArray[np.bool_]:
+    def moving(self) -> Mask:
         """Joints that have room, (n,)."""
         return self.lower < self.upper
 
@@ -80,7 +72,7 @@ class Trajectory:
 
 
 @dataclass(frozen=True)
-class Shape:
+class TrajectoryShape:
     """Times of a run: `harmonics` of 1/`period` in use; s."""
 
     period: float = 10.0
@@ -94,7 +86,7 @@ def design_trajectory(
     robot: Robot,
     base_columns: Sequence[int],
     limits: TrajectoryLimits,
-    shape: Shape,
+    shape: TrajectoryShape,
     free: Callable[[Array], bool],
     *,
     seed: int = 0,
@@ -117,7 +109,8 @@ def design_trajectory(
     if best is None:
         raise BadInput("trajectory", f"none of {restarts} shapes fits the limits with a free path")
     for step in range(steps):
-        size = FIRST_STEP * (1 - step / steps) + LAST_STEP
+        # of the ranges, at first and at last
+        size = 0.5 * (1 - step / steps) + 0.02
         center = best.center + size * rng.uniform(-0.5, 0.5, joints) * (limits.upper - limits.lower)
         shapes = _waves(best)
         largest: Array = np.abs(shapes).max(axis=(1, 2), keepdims=True)
@@ -133,7 +126,7 @@ def _fit(
     robot: Robot,
     base_columns: Sequence[int],
     limits: TrajectoryLimits,
-    shape: Shape,
+    shape: TrajectoryShape,
     free: Callable[[Array], bool],
     center: Array,
     waves: Array,
@@ -144,12 +137,13 @@ def _fit(
     if not free(center[None]):
         return None
     duration = _excitation(shape, waves[0]).duration
-    time = np.linspace(0.0, duration, round(CHECKED * shape.harmonics * duration / shape.period))
+    # 16 instants of the highest harmonic's period
+    time = np.linspace(0.0, duration, round(16 * shape.harmonics * duration / shape.period))
     whole = np.zeros(len(waves))
     for k in np.flatnonzero(limits.moving).tolist():
         whole[k] = _largest(limits, shape, k, center[k], waves[k], time)
     scale = 1.0
-    while scale > LEAST_SCALE:
+    while scale > 0.1:  # below, another shape is tried
         scaled = waves * (scale * whole)[:, None, None]
         trajectory = _build(shape, center, scaled)
         path = trajectory.path(time)
@@ -159,11 +153,13 @@ def _fit(
                 _rows(robot, base_columns, trajectory)[:, limits.moving].reshape(-1, len(base_columns))
             )
             return Trajectory(trajectory.start, center, trajectory.excitations, condition)
-        scale *= SHRINK
+        scale *= 0.8  # effort or path do not fit
     return None
 
 
-def _largest(limits: TrajectoryLimits, shape: Shape, axis: int, center: float, waves: Array, time: Array) -> float:
+def _largest(
+    limits: TrajectoryLimits, shape: TrajectoryShape, axis: int, center: float, waves: Array, time: Array
+) -> float:
     """Factor on an axis' waves at which the first of position, velocity and acceleration reaches its limit."""
     excitation = _excitation(shape, waves)
     velocity = velocity_setpoint(excitation, time)
@@ -179,11 +175,11 @@ def _largest(limits: TrajectoryLimits, shape: Shape, axis: int, center: float, w
 def _effort_fits(robot: Robot, limits: TrajectoryLimits, trajectory: Trajectory, time: Array) -> bool:
     """Whether the nominal model, with links and gravity increased by twice its prior, stays below the effort limits."""
     velocity = np.stack([velocity_setpoint(excitation, time) for excitation in trajectory.excitations], -1)
-    motion = Motion(trajectory.path(time), velocity, np.gradient(velocity, time, axis=0))
+    motion = JointMotion(trajectory.path(time), velocity, np.gradient(velocity, time, axis=0))
     return bool((np.abs(nominal_effort(robot, motion)) <= limits.effort).all())
 
 
-def nominal_effort(robot: Robot, motion: Motion, breakaway: float = BREAKAWAY) -> Array:
+def nominal_effort(robot: Robot, motion: JointMotion, breakaway: float = BREAKAWAY) -> Array:
     """Effort (m, n) of the nominal model, enlarged by two sigma of its prior; N m (N).
 
     `breakaway`: assumed Coulomb friction, share of the rated effort.
@@ -197,7 +193,7 @@ def nominal_effort(robot: Robot, motion: Motion, breakaway: float = BREAKAWAY) -
     return dynamics_rows(robot.chain, robot.gravity, motion) @ parameters
 
 
-def steady_motion(trajectory: Trajectory, time: Array) -> Motion:
+def steady_motion(trajectory: Trajectory, time: Array) -> JointMotion:
     """The periodic motion in the window, `time` (m,) s since its start: ideal, as commanded."""
     parts: list[tuple[Array, Array, Array]] = []
     for excitation in trajectory.excitations:
@@ -210,23 +206,24 @@ def steady_motion(trajectory: Trajectory, time: Array) -> Motion:
             acceleration += sine.amplitude * omega * np.cos(angle)
         parts.append((position, velocity, acceleration))
     position, velocity, acceleration = np.moveaxis(np.array(parts), 0, -1)
-    return Motion(trajectory.center + position, velocity, acceleration)
+    return JointMotion(trajectory.center + position, velocity, acceleration)
 
 
 def _rows(robot: Robot, base_columns: Sequence[int], trajectory: Trajectory) -> Array:
     """Rows (instants, n, r) of the base parameters over one period, in units of the rated efforts."""
     period = trajectory.excitations[0].period
-    motion = steady_motion(trajectory, np.linspace(0.0, period, EVALUATED, endpoint=False))
+    # instants used for the condition number
+    motion = steady_motion(trajectory, np.linspace(0.0, period, 80, endpoint=False))
     rows = dynamics_rows(robot.chain, robot.gravity, motion)[..., list(base_columns)]
     return rows / np.array([axis.rated_effort for axis in robot.axes])[:, None]
 
 
-def _build(shape: Shape, center: Array, waves: Array) -> Trajectory:
+def _build(shape: TrajectoryShape, center: Array, waves: Array) -> Trajectory:
     excitations = tuple(_excitation(shape, each) for each in waves)
     return Trajectory(center - np.array([_shift(each) for each in excitations]), center, excitations, np.inf)
 
 
-def _excitation(shape: Shape, waves: Array) -> Excitation:
+def _excitation(shape: TrajectoryShape, waves: Array) -> Excitation:
     """The sweep of one axis with the velocity sum c cos + s sin, `waves` (h, 2)."""
     sines = tuple(
         Sine(

@@ -1,4 +1,4 @@
-r"""Sweeps and trajectories together: one weighted least-squares problem in the base parameters of the whole dynamics.
+"""Sweeps and trajectories together: one weighted least-squares problem in the base parameters of the whole dynamics.
 
 Rows of the sweeps: the axis inertias J with their covariance (`estimate`), J_k = M_kk(q) with the motor's share.
 Rows of the trajectories: harmonic by harmonic, for every moving axis,
@@ -31,40 +31,48 @@ from enum import Enum
 from functools import reduce
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.identification.axis.drive_train import TwoMassTrain
 from service.identification.axis.nominal_priors import TorqueGain, uncalibrated
-from service.identification.estimates.estimate import Estimate
-from service.identification.model.base_parameters import BaseParameters
-from service.identification.model.convergence import finite
-from service.identification.model.inverse_dynamics import Motion, drive_rows, dynamics_rows, link_rows
-from service.identification.model.least_squares import Information, Solution, span
-from service.identification.model.parameter_prior import nominal_parameters, parameter_spread, prior_information
-from service.identification.model.regressor import axis_rows
-from service.identification.model.whole_base import dynamic_base
+from service.identification.estimates.estimate import RobotEstimate
+from service.identification.estimates.standard_parameters import RobotParameters, physical_document, standard_document
+from service.identification.model.base_parameters import BaseParameters, joint_ranges, spread_evenly
+from service.identification.model.inverse_dynamics import (
+    JointMotion,
+    drive_rows,
+    dynamic_base,
+    dynamics_rows,
+    link_rows,
+    nominal_parameters,
+    parameter_spread,
+    prior_information,
+)
+from service.identification.model.least_squares import Information, Solution, finite, span, unsettled
+from service.identification.model.physical_consistency import nearest_physical
+from service.identification.model.regressor import axis_rows, inertia_rows
 from service.identification.motion import free_motion
-from service.identification.motion.choice import Chosen, FrictionLaw, choose, extended, scales, wider
-from service.identification.motion.equations import LINK_RATE, STILL
-from service.identification.motion.faults import faults
+from service.identification.motion.choice import (
+    SIMPLE,
+    Chosen,
+    HeldOutMotion,
+    IdentifiedFriction,
+    choose,
+    extended,
+    faults,
+    held_out,
+    scales,
+    wider,
+)
+from service.identification.motion.equations import LINK_RATE, STILL, cogging
 from service.identification.motion.free_motion import FreeMotion
-from service.identification.motion.held_out import HeldOut, held_out
 from service.identification.motion.trajectory_record import TrajectoryRecord, calibrated, with_loads
-from service.identification.spectra.axis_inertia import DriveTrain
-from service.identification.spectra.frequency_response import Complex
+from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
+from service.model.results import combination as results
 from service.model.robot import Robot
 
-Array = NDArray[np.float64]
-
 IDENTIFIED = 0.5  # of the prior's standard deviation: maximum for an identified parameter
-HALF = 0.5  # of its value: maximum standard deviation of a parameter that is positive on every robot
 POSITIVE = ("Jm(", "Fv(", "Fc(")  # alone: names of parameters that are positive on every robot
-SHOWN = 0.9  # of the prior's: above, no measurement shows the parameter
-ONE_SOURCE = 1.5  # times the standard deviation of both together: below, one source is sufficient
-DRIVE_RATE = 2000.0  # Hz, at which friction and ripple are computed: sign and cogging extend far above the band
-HARMONIC_NOISE_GUESS = 1e-4  # of the rated effort, of a harmonic: start value only
-ROUNDS = 3  # of weighting
-ROUNDING = 1e-12  # kg m^2 per unit of a parameter: smaller entries of a row count as 0
 
 
 @dataclass(frozen=True)
@@ -79,7 +87,7 @@ class AxisInertias:
     poses: Array
     values: Array
     covariance: Array
-    train: DriveTrain | None
+    train: TwoMassTrain | None
     gain: float
 
 
@@ -94,7 +102,7 @@ class Source(Enum):
 
 
 @dataclass(frozen=True)
-class CombinedParameter:
+class JudgedParameter:
     """One base parameter. Standard deviations: with all data and the model's prior; `std_total` with the uncertainty of
     the torque constants; with the prior and one source alone (inf: not visible in it); of the nominal model.
     `reason` is empty for an identified parameter.
@@ -121,7 +129,7 @@ class CombinedParameter:
 
 
 @dataclass(frozen=True)
-class Combination:
+class JointEstimate:
     """Result over the whole robot. `solution` is of the base parameters (r,).
 
     `noise`: standard deviation of real and imaginary part of an effort harmonic by joint, including model error, N m
@@ -130,19 +138,19 @@ class Combination:
 
     robot: Robot
     base: BaseParameters
-    parameters: tuple[CombinedParameter, ...]
+    parameters: tuple[JudgedParameter, ...]
     solution: Solution
     noise: dict[str, float]
-    noise_change: dict[str, float]  # of `noise` in the last of the `ROUNDS`, relative
+    noise_change: dict[str, float]  # of `noise` in the last of the 3, relative
     scatter: dict[str, float | None]
     trajectories: tuple[tuple[str, ...], ...]  # ids of the sweeps of each
     free: tuple[tuple[str, ...], ...]  # the same of free motions
-    free_axes: dict[str, HeldOut]  # by joint, prediction error of free motions
-    friction: dict[str, FrictionLaw]  # by joint, beyond Coulomb and viscous friction
+    free_axes: dict[str, HeldOutMotion]  # by joint, prediction error of free motions
+    friction: dict[str, IdentifiedFriction]  # by joint, beyond Coulomb and viscous friction
     chosen: Chosen | None  # the fit of free motions
     faults: tuple[str, ...]  # of their records
 
-    def effort(self, load: Motion, motor: Motion | None = None) -> Array:
+    def effort(self, load: JointMotion, motor: JointMotion | None = None) -> Array:
         """Predicted efforts (m, n) along a motion, without ripple, N m (N)."""
         rows = dynamics_rows(self.robot.chain, self.robot.gravity, load, motor)
         efforts = rows[..., list(self.base.columns)] @ self.solution.values
@@ -157,7 +165,7 @@ class Combination:
         return _inertia_rows(self.robot, self.base, joint, poses) @ self.solution.values
 
 
-def inertias_of(estimate: Estimate) -> tuple[AxisInertias, ...]:
+def inertias_of(estimate: RobotEstimate) -> tuple[AxisInertias, ...]:
     """The measured inertias of an estimate, by axis."""
     ids = sorted(sweep.sweep for axis in estimate.axes for sweep in axis.sweeps)
     pose_of = dict(zip(ids, estimate.poses, strict=True))
@@ -180,7 +188,7 @@ def combine(
     records: Sequence[TrajectoryRecord],
     motions: Sequence[FreeMotion] = (),
     gains: Mapping[str, TorqueGain] | None = None,
-) -> Combination:
+) -> JointEstimate:
     """Joint estimate of sweeps (optional), trajectories and free motions of the whole robot.
 
     `gains`: calibrated with a test mass, by joint. BadInput if neither contains a common motion of axes, or an inertia,
@@ -208,10 +216,11 @@ def combine(
         evidence, free_gains = free.evidence(len(start))
     others = _sum(sweeps, len(start)).plus(prior).plus(evidence)
     scatter = {joint: _scatter(records, joint) for joint in dict.fromkeys(each.joint for each in equations)}
-    noise = {joint: value or HARMONIC_NOISE_GUESS * robot.axis(joint).rated_effort for joint, value in scatter.items()}
+    # start value only
+    noise = {joint: value or 1e-4 * robot.axis(joint).rated_effort for joint, value in scatter.items()}
     at_once = _motion_information(equations, noise, len(start))
     before = noise
-    for _ in range(ROUNDS):
+    for _ in range(3):  # rounds of weighting
         values = _sum(at_once, len(start)).plus(others).solve(start).values
         before, noise = noise, {joint: max(scatter[joint] or 0.0, _misfit(equations, joint, values)) for joint in noise}
         finite(np.array(list(noise.values())), ", ".join(noise), "the noise of its trajectories")
@@ -236,7 +245,7 @@ def combine(
     )
     of_runs = _sum(at_once, len(start))
     of_runs = of_runs if free is None else extended(of_runs, len(free.start))
-    return Combination(
+    return JointEstimate(
         robot=robot,
         base=base,
         parameters=tuple(
@@ -267,7 +276,8 @@ class _Equations:
 
 
 def _equations(robot: Robot, base: BaseParameters, record: TrajectoryRecord) -> list[_Equations]:
-    slow, fast = (round(rate * record.period) for rate in (LINK_RATE, DRIVE_RATE))
+    # Hz; sign and cogging extend far above the band
+    slow, fast = (round(rate * record.period) for rate in (LINK_RATE, 2000.0))
     motor, load = (record.motion(robot, fast, load=of_load) for of_load in (False, True))
     links = link_rows(robot.chain, robot.gravity, record.motion(robot, slow, load=True))
     count = len(record.frequency)
@@ -277,7 +287,7 @@ def _equations(robot: Robot, base: BaseParameters, record: TrajectoryRecord) -> 
         drives = _harmonics(drive_rows(motor)[:, index], count)
         rows = _real(np.hstack([_harmonics(links[:, index], count), drives])[:, list(base.columns)])
         values = _real(track.effort[:, None])[:, 0]
-        ripple = _ripple(robot, index, motor.position[:, index])
+        ripple = cogging(robot, index, motor.position[:, index])
         reversals = _reversals(motor.velocity[:, index], load.velocity[:, index])
         spanned = span(_real(_harmonics(np.hstack([ripple, reversals]), count)))
         equations.append(
@@ -302,13 +312,6 @@ def _real(harmonics: Complex) -> Array:
     of two.
     """
     return np.vstack([harmonics[:1].real / np.sqrt(2), harmonics[1:].real, harmonics[1:].imag])
-
-
-def _ripple(robot: Robot, index: int, position: Array) -> Array:
-    """(n, 2 orders): cosine and sine of the motor angle at every cogging order."""
-    axis = robot.axes[index]
-    angle = np.outer(position, np.array(axis.cogging_orders) * axis.gear_ratio)
-    return np.hstack([np.cos(angle), np.sin(angle)])
 
 
 def _reversals(*velocities: Array) -> Array:
@@ -349,7 +352,7 @@ def _sum(parts: Mapping[str, Information], size: int) -> Information:
 def _inertia_rows(robot: Robot, base: BaseParameters, joint: str, poses: Array) -> Array:
     """Rows (m, r) of the inertia about an axis, which does not depend on friction and offsets."""
     rows = axis_rows(robot.chain, robot.index(joint), poses)
-    rows[np.abs(rows) < ROUNDING] = 0.0  # otherwise a column of rounding errors would count as data
+    rows[np.abs(rows) < 1e-12] = 0.0  # otherwise a column of rounding errors would count as data
     return np.hstack([rows, np.zeros((len(rows), 3 * len(robot.axes)))])[:, list(base.columns)]
 
 
@@ -370,7 +373,8 @@ def _misfit(equations: Sequence[_Equations], joint: str, values: Array) -> float
 
 def _shown(std: Array, left_open: Array) -> Array:
     """Standard deviations (r,), inf if the prior alone has nearly the same."""
-    return np.where(std < SHOWN * left_open, std, np.inf)
+    # above, no measurement shows the parameter
+    return np.where(std < 0.9 * left_open, std, np.inf)
 
 
 def _judged(
@@ -381,21 +385,153 @@ def _judged(
     std_sweeps: float,
     std_trajectories: float,
     std_prior: float,
-) -> CombinedParameter:
+) -> JudgedParameter:
     source, reason = _source(std, std_sweeps, std_trajectories), ""
     if not np.isfinite(std):
         source, reason = Source.NONE, "no sweep and no trajectory shows it"
     elif std > IDENTIFIED * std_prior:
         reason = f"too weakly excited: standard deviation {std:.3g}, the nominal model's is {std_prior:.3g}"
-    elif name.startswith(POSITIVE) and " " not in name and std > HALF * abs(value):
+    # it is positive on every robot
+    elif name.startswith(POSITIVE) and " " not in name and std > 0.5 * abs(value):
         reason = f"the standard deviation {std:.3g} is above half of the value"
-    return CombinedParameter(name, value, std, std_total, std_sweeps, std_trajectories, std_prior, source, reason)
+    return JudgedParameter(name, value, std, std_total, std_sweeps, std_trajectories, std_prior, source, reason)
 
 
 def _source(std: float, std_sweeps: float, std_trajectories: float) -> Source:
-    sweeps, trajectories = std_sweeps <= ONE_SOURCE * std, std_trajectories <= ONE_SOURCE * std
+    one_source = 1.5  # times the standard deviation of both together: below, one source is sufficient
+    sweeps, trajectories = std_sweeps <= one_source * std, std_trajectories <= one_source * std
     if sweeps and trajectories:
         return Source.EITHER
     if sweeps:
         return Source.SWEEPS
     return Source.TRAJECTORIES if trajectories else Source.BOTH
+
+
+def combined_parameters(found: JointEstimate) -> RobotParameters:
+    """Parameters of the whole robot. A motor without data sheet is nominally what its axis has more than the links of
+    CAD, a tenth of it at least.
+    """
+    robot, count = found.robot, 11 * len(found.robot.axes)
+    own = np.array(found.base.columns) < count
+    middle = np.mean(joint_ranges(robot.chain), axis=0)[None]
+    nominal, spread = np.zeros(len(robot.axes)), np.ones(len(robot.axes))
+    for k, axis in enumerate(robot.axes):
+        if axis.reflected_motor_inertia:
+            nominal[k], spread[k] = axis.reflected_motor_inertia, robot.prior.motor_inertia
+            continue
+        whole = abs(float(found.inertia(axis.joint, middle)[0]))
+        links = float((inertia_rows(robot.chain, k, middle) @ robot.chain.inertial.ravel())[0])
+        nominal[k] = max(whole - links, 0.1 * whole)
+    physical = nearest_physical(
+        np.concatenate([robot.chain.inertial.ravel(), nominal]),
+        (robot.prior.inertia, spread),
+        found.base.combination[own, :count],
+        found.solution.values[own],
+        found.solution.covariance[np.ix_(own, own)],
+    )
+    return RobotParameters(physical.parameters, physical.deviation, physical.ended)
+
+
+def combination_document(combination: JointEstimate) -> results.Combination:
+    """All numbers; a standard deviation that a source does not determine is None.
+
+    `became_identifiable`: names of the parameters that are identified by sweeps and trajectories only together.
+    """
+    parameters, standard = combination.parameters, combined_parameters(combination)
+    return results.Combination(
+        base_parameters=tuple(
+            results.CombinedParameter(
+                name=parameter.name,
+                value=parameter.value,
+                std=_finite(parameter.std),
+                std_total=_finite(parameter.std_total),
+                std_sweeps=_finite(parameter.std_sweeps),
+                std_trajectories=_finite(parameter.std_trajectories),
+                std_nominal=parameter.std_prior,
+                source=parameter.source.value,
+                identified=parameter.identified,
+                reason=parameter.reason,
+            )
+            for parameter in parameters
+        ),
+        became_identifiable=tuple(parameter.name for parameter in parameters if parameter.by_combination),
+        trajectories=combination.trajectories,
+        noise={
+            joint: results.EffortNoise(harmonic=noise, scatter=combination.scatter[joint]).with_nonempty(
+                warning=unsettled(combination.noise_change[joint])
+            )
+            for joint, noise in combination.noise.items()
+        },
+        free_motions=combination.free,
+        free_motion_axes={joint: _free_motion_axis(combination, joint) for joint in combination.free_axes},
+        covariance=tuple(map(tuple, combination.solution.covariance.tolist())),
+        standard_parameters=standard_document(combination.robot, standard),
+        physical=physical_document(standard),
+    ).with_nonempty(free_motion_fit=_fit(combination), warnings=_warnings(combination, standard.deviation))
+
+
+def _fit(combination: JointEstimate) -> results.FreeMotionFit | None:
+    chosen = combination.chosen
+    if chosen is None:
+        return None
+    return results.FreeMotionFit(simple_estimator=SIMPLE, coloured=chosen.coloured, prior_widened=chosen.widened)
+
+
+def _free_motion_axis(combination: JointEstimate, joint: str) -> results.FreeMotionAxis:
+    axis, chosen = combination.free_axes[joint], combination.chosen
+    found = results.FreeMotionAxis(
+        residual_rms=axis.residual,
+        held_out_rms=axis.error,
+        held_out_percent=100 * axis.error / combination.robot.axis(joint).rated_effort,
+        noise_floor_rms=axis.floor,
+    )
+    if chosen is None:
+        return found
+    moved = chosen.fit.moved
+    warning = f"the fit of the free motions still moved by {moved:.2g} standard deviations in its last round"
+    return found.with_nonempty(
+        simple_held_out_rms=chosen.simple[joint],
+        friction=_friction(combination, joint),
+        lacks=chosen.fit.evidence.lacks.get(joint, ()),
+        # standard deviations
+        warning=warning if moved > 0.5 else "",
+    )
+
+
+def _friction(combination: JointEstimate, joint: str) -> tuple[results.FrictionPoint, ...]:
+    law = combination.friction.get(joint)
+    if law is None:
+        return ()
+    points = zip(law.speeds.tolist(), law.whole.tolist(), law.std.tolist(), strict=True)
+    return tuple(results.FrictionPoint(velocity=speed, effort=effort, std=std) for speed, effort, std in points)
+
+
+def _warnings(combination: JointEstimate, deviation: float) -> tuple[str, ...]:
+    """What no robot can have, with the next step."""
+    sign = (
+        "The effort of this axis and its velocity seem to count in opposite directions: change the sign of one of them"
+    )
+    check = "Check signs and units of the efforts, the gear ratios and gravity's direction, or record a longer motion"
+    far = 3.0  # standard deviations: greatest distance of the base parameters from those of a physical robot
+    robot = combination.robot
+    found = list(combination.faults)
+    for one in combination.parameters:
+        if one.name.startswith(POSITIVE) and " " not in one.name and one.value + 2 * one.std < 0:
+            mend = sign if one.name.startswith("Fc(") else check
+            found.append(f"{one.name} is {one.value:.3g} ± {one.std:.2g}: it is positive on every robot. {mend}")
+    # poses of the workspace
+    poses = spread_evenly(200, *joint_ranges(robot.chain))
+    for joint in robot.joints:
+        least = float(combination.inertia(joint, poses).min())
+        if least <= 0:
+            found.append(f"the inertia of {joint} is {least:.3g} in a pose: it is positive on every robot. {check}")
+    if deviation > far:
+        found.append(
+            f"no robot of rigid bodies has these base parameters: the nearest is {deviation:.1f} standard deviations "
+            f"away, limit {far:g}. {check}"
+        )
+    return tuple(found)
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None

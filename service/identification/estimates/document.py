@@ -1,20 +1,204 @@
 """The estimate as the document that `sweepid identify --json` prints and the service stores."""
 
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Sequence
 
-from service.identification.estimates.axis_document import axis_document, used_effects
-from service.identification.estimates.estimate import Estimate
-from service.identification.estimates.standard_document import physical_document, standard_document
-from service.identification.estimates.standard_parameters import standard_parameters
+import numpy as np
+
+from service.identification.axis.axis_estimate import FittedSweep
+from service.identification.axis.known_effects import DELAY, ELASTICITY, GAIN, HOSE, LAWS, KnownEffect, KnownEffects
+from service.identification.estimates.estimate import AxisEstimate, RobotEstimate
+from service.identification.estimates.initial_analysis import TRAIN
+from service.identification.estimates.standard_parameters import (
+    physical_document,
+    standard_document,
+    standard_parameters,
+)
 from service.identification.model.base_parameters import combination_of
 from service.identification.model.symbols import Dimension, symbolic_names
+from service.model.arrays import Array
 from service.model.results import estimate as results
+from service.model.results.effect import Value
 
-Array = NDArray[np.float64]
+ENTERS = {
+    DELAY: "effort is taken earlier by the delay",
+    ELASTICITY: "prior of the spring, beside the data sheet",
+    HOSE: "stiffness beside gravity's",
+    GAIN: "effort is divided by the gain",
+    **dict.fromkeys(LAWS, "its torque at the measured velocity is taken out of the effort"),
+}
+STAYS_OUT = {
+    "effort_offset": "a constant torque has no component at the lines, and records without lines fit it anyway",
+    "cogging_torque": "ripple of known orders is fitted in every sweep",
+    "transmission_error": "ripple of known orders is fitted in every sweep",
+    "gravity_error": "gravity is fitted in every sweep",
+    "payload": "the inertias hold whatever the robot carries",
+}
 
 
-def as_document(estimate: Estimate, workspace: Array) -> results.Estimate:
+def rmse_percent(a: Array, b: Array) -> float:
+    """100 sqrt(mean(((a - b) / b)^2)), as in the paper's Table 1."""
+    return 100 * float(np.sqrt(np.mean(((a - b) / b) ** 2)))
+
+
+def axis_document(estimate: RobotEstimate, axis: AxisEstimate, workspace: Array) -> results.EstimatedAxis:
+    """The document of one axis."""
+    measured = np.array([sweep.value for sweep in axis.sweeps])
+    reference = np.array([sweep.reference for sweep in axis.sweeps])
+    identified = estimate.model_at_sweeps(axis.joint)
+    spread = _spread(estimate, axis, workspace)
+    squares, freedom = estimate.chi_squared[axis.joint]
+    return results.EstimatedAxis(
+        inertia=tuple(_inertia(sweep, float(model)) for sweep, model in zip(axis.sweeps, identified, strict=True)),
+        rmse_percent=results.Rmse(
+            reference_measured=rmse_percent(reference, measured),
+            identified_measured=rmse_percent(identified, measured),
+            reference_identified=rmse_percent(
+                estimate.reference(axis.joint, workspace), estimate.identified(axis.joint, workspace)
+            ),
+        ),
+        drive_train=_train(axis),
+        load_motion="direct_encoder" if axis.direct_encoder else "motor_encoder",
+        torque_gain=results.TorqueGain(value=axis.gain.gain, std=axis.gain.std),
+        distortion=_distortion(axis),
+        effects_moved_in_std=None if axis.fit is None or not len(axis.fit.moved) else _largest(axis.fit.moved),
+        confidence_percent=None if spread is None else spread.worst,
+        workspace_std_percent=spread,
+        reduced_chi_squared=squares / freedom if freedom > 0.5 else None,
+        held_out=_held_out(estimate, axis),
+        cramer_rao=_cramer_rao(axis),
+    )
+
+
+def _inertia(sweep: FittedSweep, identified: float) -> results.SweepInertia:
+    """`terms` and `warning` only if there are any."""
+    found = results.SweepInertia(
+        sweep=sweep.sweep,
+        value=sweep.value,
+        std=sweep.std,
+        std_total=sweep.std_total,
+        reference=sweep.reference,
+        identified=identified,
+        paper_value=sweep.paper_value,
+        viscous_friction=sweep.viscous_friction,
+        frequency_response=_lines(sweep),
+    )
+    terms = {name: Value(value=value, std=std) for name, (value, std) in sweep.terms.items()}
+    return found.with_nonempty(terms=terms, warning=sweep.warning)
+
+
+def _lines(sweep: FittedSweep) -> tuple[results.ResponseLine, ...]:
+    """Noise and distortion parts of each line's std, if the axis has several realisations of its sweeps."""
+    if sweep.noise is None:
+        return tuple(
+            results.ResponseLine(frequency=frequency, re=z.real, im=z.imag, std=std)
+            for frequency, z, std in sweep.response
+        )
+    return tuple(
+        results.ResponseLine(
+            frequency=frequency,
+            re=z.real,
+            im=z.imag,
+            std=std,
+            noise_std=noise,
+            distortion_std=float(np.sqrt(max(std**2 - noise**2, 0.0))),
+        )
+        for (frequency, z, std), noise in zip(sweep.response, sweep.noise, strict=True)
+    )
+
+
+def _spread(estimate: RobotEstimate, axis: AxisEstimate, workspace: Array) -> results.Spread | None:
+    """Standard deviation of the identified inertia over the workspace; None while a base parameter is undetermined."""
+    if not estimate.solution.determined.all():
+        return None
+    percent = 100 * estimate.identified_std(axis.joint, workspace) / np.abs(estimate.identified(axis.joint, workspace))
+    return results.Spread(median=float(np.median(percent)), worst=float(percent.max()))
+
+
+def _held_out(estimate: RobotEstimate, axis: AxisEstimate) -> results.HeldOut | None:
+    """Checks the standard deviations in poses that were not used in the fit."""
+    held_out = estimate.held_out[axis.joint]
+    known = np.isfinite(held_out.std)
+    if not known.any():
+        return None
+    error, z = held_out.error[known], held_out.error[known] / held_out.std[known]
+    return results.HeldOut(
+        sweeps=int(known.sum()),
+        rmse_percent=100 * float(np.sqrt(np.mean((error / axis.values[known]) ** 2))),
+        standardized_rmse=float(np.sqrt(np.mean(z**2))),
+        # 95 % of a normal error
+        within_95_percent=100 * float(np.mean(np.abs(z) < 1.96)),
+    )
+
+
+def _cramer_rao(axis: AxisEstimate) -> results.CramerRao | None:
+    bound = [(sweep.bound, sweep.std, sweep.value) for sweep in axis.sweeps if sweep.bound is not None]
+    if not bound:
+        return None
+    return results.CramerRao(
+        bound_percent=100 * float(np.median([limit / abs(value) for limit, _, value in bound])),
+        std_over_bound=float(np.median([std / limit for limit, std, _ in bound])),
+    )
+
+
+def _train(axis: AxisEstimate) -> dict[str, Value] | None:
+    if axis.fit is None:
+        return None
+    return {
+        name: Value(value=float(value), std=float(std))
+        for name, value, std in zip(TRAIN, axis.fit.train.as_array(), axis.fit.train_std, strict=True)
+    }
+
+
+def _distortion(axis: AxisEstimate) -> results.Distortion | None:
+    """Amplitudes: a bin contains half of a sine's."""
+    found = axis.distortion
+    if found is None:
+        return None
+    return results.Distortion(
+        realisations=found.realisations,
+        poses=found.groups,
+        effort=tuple(
+            results.DistortedLine(
+                frequency=float(frequency), noise_std=2 * float(noise), distortion_std=2 * float(distortion)
+            )
+            for frequency, noise, distortion in zip(found.frequency, found.noise, found.distortion, strict=True)
+        ),
+    )
+
+
+def _largest(moved: Array) -> float:
+    return float(np.abs(moved).max())
+
+
+def used_effects(known: KnownEffects, axes: Sequence[AxisEstimate]) -> tuple[results.UsedEffect, ...]:
+    """Every known effect of the estimate's axes with the values used."""
+    return tuple(_used(effect, axis) for axis in axes for effect in known.of(axis.joint).effects)
+
+
+def _used(effect: KnownEffect, axis: AxisEstimate) -> results.UsedEffect:
+    used, how = _role(effect, axis)
+    parameters = {
+        name: Value(value=value, std=effect.std[name], unit=effect.units[name]) for name, value in effect.values.items()
+    }
+    return results.UsedEffect(axis=axis.joint, effect=effect.name, parameters=parameters, used=used, how=how)
+
+
+def _role(effect: KnownEffect, axis: AxisEstimate) -> tuple[bool, str]:
+    """Whether it is used, and how or why not."""
+    other = "is not described for sweeps with lines"
+    if effect.unusable:
+        return False, effect.unusable
+    if effect.name == GAIN:
+        used = axis.gain.gain == 1 + effect.values.get("gain_error", 0.0)
+        return used, ENTERS[GAIN] if used else "a test mass calibrated the axis"
+    if effect.name in ENTERS:
+        if axis.fit is None:
+            return False, "the axis has no sweep with lines"
+        return True, ENTERS[effect.name]
+    return False, STAYS_OUT.get(effect.name, other)
+
+
+def as_document(estimate: RobotEstimate, workspace: Array) -> results.Estimate:
     """All numbers of an estimate; undetermined values are None.
 
     `workspace` (m, all joints): the poses over which reference and identified model are compared.
@@ -78,14 +262,14 @@ def _base_parameter(name: str, symbolic: str, value: float, std: float, spread: 
     return found.model_copy(update={"reason": why})
 
 
-def _locked(estimate: Estimate) -> dict[str, float]:
+def _locked(estimate: RobotEstimate) -> dict[str, float]:
     """Positions, rad (m), of the joints that never moved: the base parameters are those of the chain without them."""
     position = estimate.poses.mean(axis=0)
     joints = estimate.robot.joints
     return {joint: float(position[k]) for k, joint in enumerate(joints) if k not in estimate.unlocked}
 
 
-def _in_words(estimate: Estimate) -> tuple[tuple[str, ...], tuple[Dimension, ...]]:
+def _in_words(estimate: RobotEstimate) -> tuple[tuple[str, ...], tuple[Dimension, ...]]:
     """The base parameters as expressions in distances and angles of the robot."""
     axes = tuple(estimate.unlocked.index(estimate.robot.index(axis.joint)) for axis in estimate.axes)
     columns = estimate.base.columns

@@ -2,48 +2,150 @@ r"""From the spectra of a campaign to its estimate: axis inertias, base paramete
 
 The inertias J of each axis (`axis_estimate`) with their covariance C are the right-hand side of  J = W beta  over all
 axes (`least_squares`), W in the base parameters of the chain in which every joint that never moved is locked. Sweeps
-that do not fit the others are named and get a lower weight (`outliers`). A misfit of J = W beta beyond chance on an
+that do not fit the others are named and get a lower weight (below). A misfit of J = W beta beyond chance on an
 axis (chi-squared at `CHANCE`) increases the covariance of that axis, so that no standard deviation is smaller than
 the residuals. The same set of spectra gives the same estimate, independent of the order of the sweeps: they are
 sorted by sweep id first.
+
+Two tests find sweeps that do not fit the others, each with the limit for the worst of n correct sweeps by chance:
+
+- its effort: the residual of its own fit relative to the pooled noise (`joint_fit`): a torque spike, a collision, a
+  cable;
+- its inertia: the value minus the prediction from all other sweeps of all axes,  e_i = J_i - W_i beta_(-i)  over
+  its standard deviation: a wrong pose, another payload, a slipped encoder.
+
+A suspect is never dropped. It gets the variance of its misfit, v + (e^2 - v), the most probable value if it has a
+separate error, so its influence decreases as 1/e (iteratively reweighted least squares; weight = v / e^2). If the
+whole axis fits badly, the cause is the model and not a sweep: then the errors are scaled by their median.
+
+Sweeps that contradict each other can be suspected in turn: with A down-weighted B fits, so A is released, and so on
+without end. If the weights have not converged after 10 rounds, a sweep that is suspected once stays suspected and
+steps are halved; that ends the cycle with all of them down-weighted, and the result contains a note.
 """
 
-from collections.abc import Mapping, Sequence
+import pickle
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from functools import cached_property
+from hashlib import sha256
 from itertools import accumulate, pairwise
+from threading import Lock
+from typing import ParamSpec
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import chdtri
+from scipy.special import chdtri, ndtri
 
 from service.identification.axis.axis_estimate import AxisEstimate, identify_axis
-from service.identification.axis.ideal_frequency import AxisAnalysis
-from service.identification.axis.joint_fit import CHANCE, FEW_FREEDOM
+from service.identification.axis.ideal_frequency import InitialAnalysis
+from service.identification.axis.joint_fit import CHANCE, FEW_FREEDOM, MATERIAL
 from service.identification.axis.known_effects import KnownEffects
-from service.identification.axis.nominal_priors import Measured, TorqueGain, base_spread, torque_gain
-from service.identification.axis.outliers import Ended, judge
-from service.identification.design.halton import spread_evenly
-from service.identification.estimates.axis_cache import unchanged_or
-from service.identification.model.base_parameters import BaseParameters, base_parameters, condition_number, joint_ranges
+from service.identification.axis.nominal_priors import MeasuredInertias, TorqueGain, base_spread, torque_gain
+from service.identification.model.base_parameters import (
+    BaseParameters,
+    base_parameters,
+    condition_number,
+    joint_ranges,
+    spread_evenly,
+)
 from service.identification.model.least_squares import Information, LeftOut, Solution
-from service.identification.model.regressor import axis_rows, lock
-from service.identification.spectra.frequency_response import Spectrum
-from service.identification.spectra.single_axis import check_moved_alone
+from service.identification.model.regressor import axis_rows, inertial_parameters, lock
+from service.identification.spectra.frequency_response import Spectrum, check_moved_alone
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.model.results.estimate import Suspect
 from service.model.robot import Robot
 from service.model.urdf import Chain
 
-Array = NDArray[np.float64]
+MEDIAN = -float(ndtri(0.25))  # of the size of a standard normal value
 
-SAME_POSITION = 2e-3  # rad (m): positions that differ by less are one; a joint that did not move more was locked
-WORKSPACE = 2000  # poses that represent the workspace if no collision-free grid is given
-FOLDS = 10  # parts into which the poses are divided; each is predicted from the others
+
+class WeightingEnded(Enum):
+    """How the weighting ended."""
+
+    SETTLED = "no added variance changes by more than 1 %"
+    CONTRADICTION = "sweeps contradict each other: each suspected one stays suspected"
+    UNFINISHED = "the added variances still change after 40 rounds"
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class Judged:
+    """`extra` (n,) variance to add to each inertia, `errors` (n,) from the prediction by the others, in its standard
+    deviations.
+    """
+
+    extra: Array
+    errors: Array
+    left_out: LeftOut
+    ended: WeightingEnded
+
+
+def judge(rows: Array, values: Array, covariances: Sequence[Array], rounds: int = 40) -> Judged:
+    """Inertias of all sweeps (n,), their rows (n, p) in the base parameters and their covariance, a block an axis.
+
+    All values must be finite: the caller, which has the sweeps' names, checks that (`estimate`).
+    """
+    edges = accumulate((len(block) for block in covariances), initial=0)
+    parts = [slice(a, b) for a, b in pairwise(edges)]
+    limit = -float(ndtri(CHANCE / 2 / len(values)))
+    extra, errors = np.zeros((2, len(values)))
+    left_out = LeftOut.of(rows, values, covariances)
+    own = np.concatenate([np.diag(block) for block in covariances])
+    suspected, ended = np.zeros(len(values), dtype=bool), WeightingEnded.UNFINISHED
+    for number in range(rounds):
+        error, variance = left_out.each()
+        chance = variance - extra
+        errors = error / np.sqrt(chance)
+        scale = np.ones(len(values))
+        for part in parts:
+            scale[part] = max(1.0, float(np.median(np.abs(errors[part]))) / MEDIAN)
+        bad = (np.abs(errors) > limit * scale) & (np.abs(error) > MATERIAL * np.abs(values))
+        # until then a suspicion may be withdrawn; normal convergence takes about six rounds
+        held = number >= 10
+        suspected = suspected | bad if held else bad
+        wanted = np.where(suspected, np.maximum(error**2 - np.where(suspected, chance, 0.0), 0.0), 0.0)
+        # two that contradict each other share their difference: full steps would assign it to both and to none in turn
+        before, extra = extra, (extra + wanted) / 2 if held else wanted
+        # relative to each added variance (once held, also to the sweep's own)
+        if np.all(np.abs(extra - before) <= 1e-2 * (np.abs(before) + (own if held else 0.0))):
+            ended = WeightingEnded.CONTRADICTION if held else WeightingEnded.SETTLED
+            break
+        enlarged = [block + np.diag(extra[part]) for block, part in zip(covariances, parts, strict=True)]
+        left_out = LeftOut.of(rows, values, enlarged)
+    return Judged(extra, errors, left_out, ended)
+
+
+P = ParamSpec("P")
+
+KEPT = 8  # results, of a few MB at most each: the axes of one robot
+
+_kept: OrderedDict[bytes, AxisEstimate] = OrderedDict()
+_lock = Lock()
+
+
+def unchanged_or(compute: Callable[P, AxisEstimate], *inputs: P.args, **named: P.kwargs) -> AxisEstimate:
+    """`compute(*inputs)`, or its earlier result in this process for equal inputs. Raises the errors of `compute`."""
+    key = sha256(pickle.dumps((compute.__qualname__, inputs, named), protocol=5)).digest()
+    with _lock:
+        found = _kept.get(key)
+        if found is not None:
+            _kept.move_to_end(key)
+            return found
+    result = compute(*inputs, **named)
+    with _lock:
+        _kept[key] = result
+        while len(_kept) > KEPT:
+            _kept.popitem(last=False)
+    return result
+
+
+SAME_POSITION = 2e-3  # rad (m): positions that differ by less are one; a joint that did not move more was locked
+WORKSPACE = 2000  # poses that represent the workspace if no collision-free grid is given
+
+
+@dataclass(frozen=True)
+class HeldOutPoses:
     """Inertias (n,) of an axis predicted from the sweeps of other poses.
 
     `error` = measured - predicted; `std`: its standard deviation, inf if the other poses do not determine it.
@@ -54,7 +156,7 @@ class HeldOut:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class RobotEstimate:
     """The complete estimate of a robot from a set of spectra."""
 
     robot: Robot
@@ -70,7 +172,7 @@ class Estimate:
     observation: dict[str, Array]  # rows (n, r) of each axis' sweeps in the base parameters
     chi_squared: dict[str, tuple[float, float]]  # of J = W beta by axis, and its degrees of freedom
     suspects: tuple[Suspect, ...]
-    held_out: dict[str, HeldOut]
+    held_out: dict[str, HeldOutPoses]
     known: KnownEffects
 
     @cached_property
@@ -120,10 +222,10 @@ def _check_alive(spectrum: Spectrum) -> None:
 def identify(
     robot: Robot,
     spectra: Sequence[Spectrum],
-    analyses: Mapping[str, AxisAnalysis] | None = None,
+    analyses: Mapping[str, InitialAnalysis] | None = None,
     gains: Mapping[str, TorqueGain] | None = None,
     known: KnownEffects | None = None,
-) -> Estimate:
+) -> RobotEstimate:
     """The estimate from these spectra. Raises BadInput if none of them contains inertia (noise runs and stepped sines
     do not), or if axes moved together.
 
@@ -140,7 +242,7 @@ def identify(
     poses = np.array([spectrum.spec.pose for spectrum in spectra])
     moved = sorted({robot.index(spectrum.spec.axis) for spectrum in spectra})
     chain, unlocked = moving_chain(robot, moved, poses)
-    nominal = nominal_parameters(robot, chain, unlocked)
+    nominal = inertial_parameters(robot, chain, unlocked)
     base = base_parameters(chain, tuple(unlocked.index(number) for number in moved))
 
     axes: list[AxisEstimate] = []
@@ -160,14 +262,14 @@ def identify(
     for axis in judged.axes:
         information = information.add(observation[axis.joint], axis.values, axis.covariance)
     start, rows = base.combination @ nominal, np.vstack(list(observation.values()))
-    measured = Measured(
+    measured = MeasuredInertias(
         values=np.concatenate([axis.values for axis in judged.axes]),
         variance=np.concatenate([np.diag(axis.covariance) for axis in judged.axes]),
         model=rows @ start,
         rows=rows,
     )
     spread = base_spread(robot, chain, unlocked, base.combination, measured)
-    return Estimate(
+    return RobotEstimate(
         robot=robot,
         chain=chain,
         unlocked=unlocked,
@@ -198,18 +300,12 @@ def moving_chain(robot: Robot, moved: Sequence[int], poses: Array) -> tuple[Chai
     return lock(robot.chain, fixed), tuple(number for number in range(len(robot.axes)) if number not in fixed)
 
 
-def nominal_parameters(robot: Robot, chain: Chain, unlocked: Sequence[int]) -> Array:
-    """The model's parameters (11 n,) of a chain of the robot's joints `unlocked`."""
-    motors = [robot.axes[number].reflected_motor_inertia or 0.0 for number in unlocked]
-    return np.concatenate([chain.inertial.ravel(), motors])
-
-
 @dataclass(frozen=True)
 class _Judged:
     axes: tuple[AxisEstimate, ...]
     chi_squared: dict[str, tuple[float, float]]
     suspects: tuple[Suspect, ...]
-    held_out: dict[str, HeldOut]
+    held_out: dict[str, HeldOutPoses]
 
 
 def _judge(axes: Sequence[AxisEstimate], observation: Mapping[str, Array], poses: Array) -> _Judged:
@@ -231,7 +327,7 @@ def _judge(axes: Sequence[AxisEstimate], observation: Mapping[str, Array], poses
     edges = list(accumulate((len(axis.sweeps) for axis in axes), initial=0))
     members = {axis.joint: np.arange(a, b) for axis, (a, b) in zip(axes, pairwise(edges), strict=True)}
     found = [suspect for axis in axes for suspect in axis.suspects]
-    doubt = "" if judged.ended is Ended.SETTLED else f" ({judged.ended.value})"
+    doubt = "" if judged.ended is WeightingEnded.SETTLED else f" ({judged.ended.value})"
     enlarged: list[AxisEstimate] = []
     chi_squared: dict[str, tuple[float, float]] = {}
     for axis in axes:
@@ -249,16 +345,17 @@ def _judge(axes: Sequence[AxisEstimate], observation: Mapping[str, Array], poses
                 found.append(Suspect(axis=axis.joint, sweep=sweep.sweep, why=why, weight=float(error**-2)))
     left_out = LeftOut.of(rows, values, [axis.covariance for axis in enlarged])
     error, std = _predicted(left_out, poses)
-    held_out = {joint: HeldOut(error[own], std[own]) for joint, own in members.items()}
+    held_out = {joint: HeldOutPoses(error[own], std[own]) for joint, own in members.items()}
     return _Judged(tuple(enlarged), chi_squared, tuple(found), held_out)
 
 
 def _predicted(left_out: LeftOut, poses: Array) -> tuple[Array, Array]:
-    """Every sweep predicted from the sweeps of other poses, in up to `FOLDS` folds: errors and their std, (n,) each."""
+    """Every sweep predicted from the sweeps of other poses, in up to 10 folds: errors and their std, (n,) each."""
+    folds = 10  # parts into which the poses are divided; each is predicted from the others
     places = np.unique(np.round(poses / SAME_POSITION), axis=0, return_inverse=True)[1].ravel()
     error, std = np.zeros(len(poses)), np.full(len(poses), np.inf)
-    for fold in range(min(FOLDS, int(places.max()) + 1)):
-        members = np.flatnonzero(places % FOLDS == fold)
+    for fold in range(min(folds, int(places.max()) + 1)):
+        members = np.flatnonzero(places % folds == fold)
         predicted = left_out.together(members)
         if predicted is not None:
             error[members], std[members] = predicted[0], np.sqrt(np.diag(predicted[1]))

@@ -2,29 +2,44 @@
 priors.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from service.identification.axis.ideal_frequency import AxisAnalysis, analyse_axis
+from service.identification.axis.ideal_frequency import (
+    IdealFrequency,
+    InertiaClass,
+    InitialAnalysis,
+    PoseAnalysis,
+    Uncertain,
+    analyse_axis,
+)
 from service.identification.axis.nominal_priors import pose_prior, shared_prior
 from service.identification.estimates.estimate import SAME_POSITION
-from service.identification.model.regressor import axis_rows, gravity_terms
+from service.identification.model.regressor import axis_rows, gravity_terms, inertial_parameters
 from service.identification.spectra.frequency_response import Spectrum
-from service.identification.spectra.noise_response import NoiseSpectrum, Response, noise_response, stepped_response
+from service.identification.spectra.noise_response import (
+    FrequencyResponse,
+    NoiseSpectrum,
+    noise_response,
+    stepped_response,
+)
 from service.model.recording import SweepSpec
+from service.model.results import estimate as results
+from service.model.results.effect import Value
 from service.model.robot import Robot
 
-FEWEST_LINES = 8  # of a pose: with fewer, resonance and friction cannot be separated
 
-
-def analyse(robot: Robot, runs: Sequence[NoiseSpectrum], stepped: Sequence[Spectrum] = ()) -> dict[str, AxisAnalysis]:
+def analyse(
+    robot: Robot, runs: Sequence[NoiseSpectrum], stepped: Sequence[Spectrum] = ()
+) -> dict[str, InitialAnalysis]:
     """The analysis of every axis with enough lines in a pose; an axis with noise runs needs no stepped sines.
 
     Runs of one axis with equal positions of the other joints belong to one pose: its own position does not change
     its inertia.
     """
-    analyses: dict[str, AxisAnalysis] = {}
+    analyses: dict[str, InitialAnalysis] = {}
     for number, joint in enumerate(robot.joints):
         noise = [run for run in runs if run.spec.axis == joint]
         sines = [sweep for sweep in stepped if sweep.spec.axis == joint]
@@ -37,7 +52,8 @@ def analyse(robot: Robot, runs: Sequence[NoiseSpectrum], stepped: Sequence[Spect
             ]
         )
         specs = [each.spec for each in (noise or sines)]
-        enough = [(specs[found[0]], answer) for found, answer in groups if len(answer.frequency) >= FEWEST_LINES]
+        # with fewer lines, resonance and friction cannot be separated
+        enough = [(specs[found[0]], answer) for found, answer in groups if len(answer.frequency) >= 8]
         if enough:
             analyses[joint] = _axis(robot, number, [spec for spec, _ in enough], [answer for _, answer in enough])
     return analyses
@@ -57,10 +73,11 @@ def _poses(number: int, specs: Sequence[SweepSpec]) -> list[list[int]]:
     return groups
 
 
-def _axis(robot: Robot, number: int, specs: Sequence[SweepSpec], responses: Sequence[Response]) -> AxisAnalysis:
+def _axis(
+    robot: Robot, number: int, specs: Sequence[SweepSpec], responses: Sequence[FrequencyResponse]
+) -> InitialAnalysis:
     poses = np.array([spec.pose for spec in specs])
-    motors = [axis.reflected_motor_inertia or 0.0 for axis in robot.axes]
-    nominal = np.concatenate([robot.chain.inertial.ravel(), motors])
+    nominal = inertial_parameters(robot)
     reference = axis_rows(robot.chain, number, poses) @ nominal
     gravity = gravity_terms(robot.chain, nominal, robot.gravity, number, poses)
     shown = [_as_spectrum(spec, response) for spec, response in zip(specs, responses, strict=True)]
@@ -73,7 +90,7 @@ def _axis(robot: Robot, number: int, specs: Sequence[SweepSpec], responses: Sequ
     )
 
 
-def _as_spectrum(spec: SweepSpec, response: Response) -> Spectrum:
+def _as_spectrum(spec: SweepSpec, response: FrequencyResponse) -> Spectrum:
     """The lines of a response at unit velocity, as needed for the data sheet's prior."""
     lines = len(response.frequency)
     return Spectrum(
@@ -86,3 +103,130 @@ def _as_spectrum(spec: SweepSpec, response: Response) -> Spectrum:
         names=(),
         regressors=np.empty((0, lines), dtype=np.complex128),
     )
+
+
+TRAIN = ("motor_inertia", "motor_friction", "load_friction", "compliance", "damping_time")
+
+
+def analyses_document(analyses: Mapping[str, InitialAnalysis]) -> dict[str, results.AxisAnalysis]:
+    """By joint; floats are stored without loss, infinite values as None. `re`, `im` of effort/velocity, `std` of
+    them.
+    """
+    return {joint: _axis_analysis(analysis) for joint, analysis in analyses.items()}
+
+
+def analyses_from(documents: results.Analyses) -> dict[str, InitialAnalysis]:
+    """The inverse of `analyses_document`."""
+    return {joint: _axis_from(joint, axis) for joint, axis in documents.items()}
+
+
+def _axis_analysis(analysis: InitialAnalysis) -> results.AxisAnalysis:
+    std = np.sqrt(np.diag(analysis.covariance))
+    return results.AxisAnalysis(
+        drive_train={
+            name: Value(value=float(value), std=float(sigma))
+            for name, value, sigma in zip(TRAIN, analysis.mean, std, strict=True)
+        },
+        covariance=tuple(map(tuple, analysis.covariance.tolist())),
+        chi_squared=analysis.chi_squared,
+        classes=tuple(_class(each) for each in analysis.classes),
+        poses=tuple(_pose(pose) for pose in analysis.poses),
+    )
+
+
+def _class(each: InertiaClass) -> results.PoseClass:
+    return results.PoseClass(
+        name=each.name,
+        inertia_up_to=_finite(each.up_to),
+        locked_rotor=_finite(each.locked_rotor),
+        sweep_frequency=each.sweep_frequency,
+    )
+
+
+def _pose(pose: PoseAnalysis) -> results.AnalysedPose:
+    response = pose.response
+    std = np.sqrt(response.variance(response.impedance) / 2)
+    return results.AnalysedPose(
+        pose=pose.pose,
+        load_inertia=pose.load_inertia,
+        fit=_ideal(pose.fit),
+        asymptotes=_ideal(pose.asymptotes),
+        frequency_response=tuple(
+            results.AnalysedLine(
+                frequency=float(response.frequency[k]),
+                re=float(response.impedance[k].real),
+                im=float(response.impedance[k].imag),
+                std=float(std[k]),
+                coherence=float(response.coherence[k]),
+            )
+            for k in range(len(std))
+        ),
+    )
+
+
+def _ideal(ideal: IdealFrequency) -> results.Ideal:
+    return results.Ideal(
+        inertia=_figure(ideal.inertia),
+        friction=_figure(ideal.friction),
+        locked_rotor=_figure(ideal.locked_rotor),
+        corner=_figure(ideal.corner),
+        frequency=_figure(ideal.frequency),
+        sweep_frequency=ideal.sweep_frequency,
+    )
+
+
+def _figure(figure: Uncertain) -> results.Figure:
+    return results.Figure(value=_finite(figure.value), std=_finite(figure.std))
+
+
+def _axis_from(joint: str, document: results.AxisAnalysis) -> InitialAnalysis:
+    return InitialAnalysis(
+        joint=joint,
+        mean=np.array([document.drive_train[name].value for name in TRAIN]),
+        covariance=np.array(document.covariance),
+        chi_squared=document.chi_squared,
+        poses=tuple(_pose_from(pose) for pose in document.poses),
+    )
+
+
+def _pose_from(document: results.AnalysedPose) -> PoseAnalysis:
+    lines = document.frequency_response
+    impedance = np.array([complex(line.re, line.im) for line in lines])
+    variance = 2 * np.array([line.std for line in lines]) ** 2
+    covariance = np.zeros((len(lines), 2, 2), dtype=np.complex128)
+    covariance[:, 0, 0] = variance  # at unit velocity all of the variance is that of the effort
+    return PoseAnalysis(
+        pose=document.pose,
+        response=FrequencyResponse(
+            np.array([line.frequency for line in lines]),
+            impedance,
+            np.ones_like(impedance),
+            covariance,
+            np.array([line.coherence for line in lines]),
+        ),
+        load_inertia=document.load_inertia,
+        fit=_ideal_from(document.fit),
+        asymptotes=_ideal_from(document.asymptotes),
+    )
+
+
+def _ideal_from(document: results.Ideal) -> IdealFrequency:
+    return IdealFrequency(
+        inertia=_figure_from(document.inertia),
+        friction=_figure_from(document.friction),
+        locked_rotor=_figure_from(document.locked_rotor),
+        corner=_figure_from(document.corner),
+        frequency=_figure_from(document.frequency),
+    )
+
+
+def _figure_from(figure: results.Figure) -> Uncertain:
+    return Uncertain(_number(figure.value), _number(figure.std))
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _number(value: float | None) -> float:
+    return math.inf if value is None else value

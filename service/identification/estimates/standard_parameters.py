@@ -1,43 +1,135 @@
-"""Standard parameters of every link and motor of a robot, from an estimate that determines only combinations of them.
+r"""Standard parameters of every link and motor of a robot, from an estimate that determines only combinations of them.
 
 They are the physical parameters closest to the nominal model that give the identified base parameters
 (`physical_consistency`). If that robot is expected to be worse than CAD in the inertia or the gravity of an axis,
 because uncertain base parameters are reproduced exactly at the cost of what the sweeps do not determine, they are the
 most probable ones instead. Links after joints that never moved are included: the identified parameters of such a rigid
 group are distributed among its links by the same rule.
+
+What a rigid model is worth where it is used: inertia and gravity torque of each axis over the workspace.
+
+The sweeps determine combinations b of the parameters x, with covariance C; the others are CAD's x0. With P the prior's
+covariance, in which mass, centre and inertia of a link are correlated as in the nearest physical robot
+(`physical_consistency`), and K the combinations, a torque t = h x has given the sweeps
+
+    mean t0 + h P K' (K P K' + C)^-1 (b - K x0),    variance  h P h' - h P K' (K P K' + C)^-1 K P h'.
+
+The expected error of any model, of the exported one as of CAD, is the root of this variance and of the square of the
+model's distance from this mean. A physical model with exactly the combinations b may be farther from it than CAD.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from service.identification.estimates.combination import Combination
-from service.identification.estimates.estimate import AxisEstimate, Estimate
-from service.identification.estimates.worth import Observation, worse_than_cad, worth
-from service.identification.model.base_parameters import joint_ranges
-from service.identification.model.physical_consistency import Ended, nearest_physical
-from service.identification.model.regressor import fold, inertia_rows
+from service.identification.estimates.estimate import AxisEstimate, RobotEstimate
+from service.identification.model.physical_consistency import SearchEnded, nearest_physical, nominal_factor
+from service.identification.model.regressor import axis_rows, fold, gravity_rows
+from service.model.arrays import Array
+from service.model.results import combination as results
+from service.model.robot import INERTIAL_NAMES, Robot
 
-Array = NDArray[np.float64]
-
-SEEN = 1e-6  # of the largest singular value: a combination of base parameters above it is determined by the poses
-LEAST_ROTOR = 0.1  # of the inertia of its axis: a motor that no data sheet gives
-UNKNOWN_ROTOR = 1.0  # relative standard deviation of a motor inertia that no data sheet gives
+POSES = 100
+TOLERANCE = 1.05  # of CAD's expected error, below which a difference has no consequence
 
 
 @dataclass(frozen=True)
-class StandardParameters:
+class Worth:
+    """One quantity of an axis, RMS over the workspace, N m or kg m^2 (N or kg): the model's, its difference from CAD,
+    and the expected errors of both after the sweeps.
+    """
+
+    value: float
+    change: float
+    error: float
+    error_of_cad: float
+
+
+@dataclass(frozen=True)
+class AxisWorth:
+    """An axis, with what the model is worth for it."""
+
+    joint: str
+    inertia: Worth
+    gravity: Worth
+
+    @property
+    def warning(self) -> str:
+        """What to know before the model is used for gravity; "" if it is better than CAD."""
+        own = self.gravity
+        if own.error <= TOLERANCE * own.error_of_cad:
+            return ""
+        return (
+            f"gravity torque of {self.joint}: expected error {own.error:.3g}, CAD's {own.error_of_cad:.3g} of "
+            f"{own.value:.4g} N m (N), RMS over the workspace: the sweeps do not determine it; use CAD's, or compare "
+            "it with held poses"
+        )
+
+
+@dataclass(frozen=True)
+class ObservedCombinations:
+    """Combinations (k, 11 n) of the parameters with their values (k,) and covariance (k, k)."""
+
+    combination: Array
+    values: Array
+    covariance: Array
+
+
+def worth(
+    robot: Robot, nominal: Array, spread: tuple[float, Array], observed: ObservedCombinations, parameters: Array
+) -> tuple[AxisWorth, ...]:
+    """Of parameters (11 n,). `nominal` and `spread` as in `nearest_physical`."""
+    poses = _poses(robot)
+    seen = nominal_factor(nominal, spread, observed.combination)
+    whole = seen @ seen.T + observed.covariance
+    innovation = np.linalg.lstsq(whole, observed.values - observed.combination @ nominal, rcond=None)[0]
+
+    def one(rows: Array) -> Worth:
+        factor = nominal_factor(nominal, spread, rows)
+        crossed = factor @ seen.T
+        gained = np.sum(crossed * np.linalg.lstsq(whole, crossed.T, rcond=None)[0].T, axis=1)
+        variance = np.maximum(np.sum(factor**2, axis=1) - gained, 0.0)
+        mean, own = crossed @ innovation, rows @ (parameters - nominal)
+        error, of_cad = (_rms(np.sqrt(variance + (there - mean) ** 2)) for there in (own, np.zeros(len(own))))
+        return Worth(_rms(rows @ parameters), _rms(own), error, of_cad)
+
+    def gravity(joint: int) -> Array:
+        rows = gravity_rows(robot.chain, robot.gravity, joint, poses)[:, 0]
+        return np.hstack([rows, np.zeros((len(rows), len(robot.joints)))])
+
+    axes = enumerate(robot.joints)
+    return tuple(AxisWorth(joint, one(axis_rows(robot.chain, k, poses)), one(gravity(k))) for k, joint in axes)
+
+
+def worse_than_cad(axes: Iterable[AxisWorth]) -> bool:
+    """Whether the model is expected to be worse than CAD in the inertia or gravity of an axis."""
+    return any(part.error > TOLERANCE * part.error_of_cad for axis in axes for part in (axis.inertia, axis.gravity))
+
+
+def _poses(robot: Robot) -> Array:
+    """(POSES, n) within the limits, half a turn to each side of a joint without."""
+    ends = [(joint.lower, joint.upper) for joint in robot.chain.joints]
+    low, high = np.array([(low, high) if np.isfinite(low + high) else (-np.pi, np.pi) for low, high in ends]).T
+    return np.random.default_rng(1).uniform(low, high, (POSES, len(ends)))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@dataclass(frozen=True)
+class RobotParameters:
     """parameters (11 n,) of all the robot's joints, links first; `deviation` of base parameters from the estimate,
     in standard deviations (Mahalanobis over all base parameters): 0 if the estimate is physical; `ended`:
     reason for the end of the search."""
 
     parameters: Array
     deviation: float
-    ended: Ended
+    ended: SearchEnded
 
 
-def standard_parameters(estimate: Estimate) -> StandardParameters:
+def standard_parameters(estimate: RobotEstimate) -> RobotParameters:
     """Parameters of the whole robot; a motor whose inertia is neither known nor measured stays 0."""
     robot = estimate.robot
     combination = estimate.base.combination
@@ -50,53 +142,30 @@ def standard_parameters(estimate: Estimate) -> StandardParameters:
     nominal, spread = np.concatenate([robot.chain.inertial.ravel(), motors]), (robot.prior.inertia, motor_spread)
     values, covariance = seen @ estimate.solution.values, seen @ estimate.solution.covariance @ seen.T
     found = nearest_physical(nominal, spread, seen @ combination, values, covariance)
-    if found.ended is Ended.EXACT:
-        observed = Observation(seen @ combination, values, covariance)
+    if found.ended is SearchEnded.EXACT:
+        observed = ObservedCombinations(seen @ combination, values, covariance)
         if worse_than_cad(worth(robot, nominal, spread, observed, found.parameters)):
             found = nearest_physical(nominal, spread, seen @ combination, values, covariance, exactly=False)
-    return StandardParameters(found.parameters, found.deviation, found.ended)
-
-
-def combined_parameters(found: Combination) -> StandardParameters:
-    """Parameters of the whole robot. A motor without data sheet is nominally what its axis has more than the links of
-    CAD, a tenth of it at least.
-    """
-    robot, count = found.robot, 11 * len(found.robot.axes)
-    own = np.array(found.base.columns) < count
-    middle = np.mean(joint_ranges(robot.chain), axis=0)[None]
-    nominal, spread = np.zeros(len(robot.axes)), np.full(len(robot.axes), UNKNOWN_ROTOR)
-    for k, axis in enumerate(robot.axes):
-        if axis.reflected_motor_inertia:
-            nominal[k], spread[k] = axis.reflected_motor_inertia, robot.prior.motor_inertia
-            continue
-        whole = abs(float(found.inertia(axis.joint, middle)[0]))
-        links = float((inertia_rows(robot.chain, k, middle) @ robot.chain.inertial.ravel())[0])
-        nominal[k] = max(whole - links, LEAST_ROTOR * whole)
-    physical = nearest_physical(
-        np.concatenate([robot.chain.inertial.ravel(), nominal]),
-        (robot.prior.inertia, spread),
-        found.base.combination[own, :count],
-        found.solution.values[own],
-        found.solution.covariance[np.ix_(own, own)],
-    )
-    return StandardParameters(physical.parameters, physical.deviation, physical.ended)
+    return RobotParameters(found.parameters, found.deviation, found.ended)
 
 
 def _seen(rows: Array) -> Array:
     """Combinations (k, r) of the r base parameters that are determined by the rows (m, r)."""
     length = np.linalg.norm(rows, axis=0)
     _, singular, directions = np.linalg.svd(rows / np.where(length > 0, length, 1.0), full_matrices=False)
-    return np.asarray(directions[singular > SEEN * singular[0]] * length, dtype=float)
+    # the poses determine the combinations above it
+    return np.asarray(directions[singular > 1e-6 * singular[0]] * length, dtype=float)
 
 
-def _nominal_motors(estimate: Estimate) -> tuple[Array, Array]:
+def _nominal_motors(estimate: RobotEstimate) -> tuple[Array, Array]:
     """Reflected inertia and its relative standard deviation, (n,) each."""
     nominal = np.array([axis.reflected_motor_inertia or 0.0 for axis in estimate.robot.axes])
     spread = np.full(len(nominal), estimate.robot.prior.motor_inertia)
     for axis in estimate.axes:
         number = estimate.robot.index(axis.joint)
         if nominal[number] == 0:
-            nominal[number], spread[number] = _measured_motor(axis), UNKNOWN_ROTOR
+            # relative; no data sheet gives it
+            nominal[number], spread[number] = _measured_motor(axis), 1.0
     return nominal, spread
 
 
@@ -105,3 +174,24 @@ def _measured_motor(axis: AxisEstimate) -> float:
     if axis.fit is not None and axis.fit.train.motor_inertia > 0:
         return axis.fit.train.motor_inertia
     return abs(float(np.median([sweep.value for sweep in axis.sweeps]))) / 2
+
+
+def standard_document(robot: Robot, standard: RobotParameters) -> results.StandardParameters:
+    """Parameters of all links and motors of the robot, by name."""
+    joints = robot.chain.joints
+    count = 10 * len(joints)
+    return results.StandardParameters(
+        links={
+            joint.link: dict(zip(INERTIAL_NAMES, values.tolist(), strict=True))
+            for joint, values in zip(joints, standard.parameters[:count].reshape(-1, 10), strict=True)
+        },
+        motor_inertias={
+            f"Jm({joint.name})": float(value) for joint, value in zip(joints, standard.parameters[count:], strict=True)
+        },
+    )
+
+
+def physical_document(standard: RobotParameters) -> results.Physical:
+    """`warning` where the search of the most probable robot did not converge."""
+    warning = standard.ended.value if standard.ended is SearchEnded.UNFINISHED else ""
+    return results.Physical(deviation_in_std=standard.deviation).with_nonempty(warning=warning)

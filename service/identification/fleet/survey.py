@@ -6,7 +6,6 @@ from datetime import datetime, timedelta
 
 import numpy as np
 
-from service.identification.fleet.chart import AlarmRate, Look, looks
 from service.identification.fleet.document import (
     FleetAxis,
     FleetChange,
@@ -15,13 +14,114 @@ from service.identification.fleet.document import (
     FleetRobot,
     FleetType,
 )
-from service.identification.fleet.history import Between, History, between_campaigns
-from service.identification.fleet.series import CampaignMeasured, newest_ratio, series
-from service.identification.fleet.siblings import Sibling, outliers
+from service.identification.fleet.statistics import (
+    AlarmRate,
+    Between,
+    CampaignValue,
+    History,
+    Look,
+    Sibling,
+    between_campaigns,
+    looks,
+    outliers,
+)
+
+Pose = tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Rules:
+class InPose:
+    """J of an axis in one pose: its logarithm, that over J of the robot file, and the relative standard deviation.
+
+    `std` is conditional on the torque gain.
+    """
+
+    log_value: float
+    log_ratio: float
+    std: float
+
+
+@dataclass(frozen=True, slots=True)
+class AxisMeasured:
+    """An axis in one campaign. `calibration`: the torque gain that was used, `gain_std` its standard deviation."""
+
+    poses: Mapping[Pose, InPose]
+    calibration: float
+    gain_std: float
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignMeasured:
+    """The axes of a robot in one campaign."""
+
+    id: int
+    at: datetime
+    axes: Mapping[str, AxisMeasured]
+
+
+def pose_key(pose: Sequence[float]) -> Pose:
+    """Equal for poses that differ by less than the resolution of a planned pose."""
+    # rad (m)
+    return tuple(round(position / 0.01) for position in pose)
+
+
+def in_pose(values: Sequence[float], references: Sequence[float], stds: Sequence[float]) -> InPose:
+    """From the sweeps in one pose: values, those of the robot file, standard deviations, kg m^2 (kg), all above 0."""
+    value, reference, std = (np.asarray(each, dtype=np.float64) for each in (values, references, stds))
+    log = np.log(value)
+    return InPose(
+        log_value=float(log.mean()),
+        log_ratio=float((log - np.log(reference)).mean()),
+        std=float(np.sqrt(np.sum((std / value) ** 2)) / len(value)),
+    )
+
+
+def series(robot: str, axis: str, campaigns: Sequence[CampaignMeasured]) -> tuple[History, int]:
+    """The newest comparable campaigns (input: the oldest first), and the number of older ones that are not comparable.
+
+    The compared value is the mean of log J over the poses that all of them have, with equal weights: other weights or
+    poses would look like a change of J if the robot file is wrong. The series ends at a campaign that would leave
+    fewer than half of the poses of the newest one, or that has another torque gain.
+    """
+    of_axis = [(one, one.axes[axis]) for one in campaigns if axis in one.axes]
+    if not of_axis:
+        return History(robot, ()), 0
+    newest = of_axis[-1][1]
+    shared, used = set(newest.poses), 0
+    for _, measured in reversed(of_axis):
+        left = shared & set(measured.poses)
+        # fewer than half of the newest campaign's poses
+        if measured.calibration != newest.calibration or len(left) < 0.5 * len(newest.poses):
+            break
+        shared, used = left, used + 1
+    kept = of_axis[len(of_axis) - used :]
+    return History(robot, tuple(_measurement(one, measured, shared) for one, measured in kept)), len(of_axis) - used
+
+
+def newest_ratio(robot: str, axis: str, campaigns: Sequence[CampaignMeasured]) -> tuple[History, float]:
+    """The newest campaign's mean of log J over that of the robot file, in all its poses, and the gain's std."""
+    for one in reversed(campaigns):
+        measured = one.axes.get(axis)
+        if measured is not None:
+            values = list(measured.poses.values())
+            mean = float(np.mean([value.log_ratio for value in values]))
+            found = CampaignValue(one.id, mean, _std(values), measured.calibration)
+            return History(robot, (found,)), measured.gain_std
+    return History(robot, ()), 0.0
+
+
+def _measurement(campaign: CampaignMeasured, measured: AxisMeasured, shared: set[Pose]) -> CampaignValue:
+    values = [measured.poses[pose] for pose in sorted(shared)]
+    mean = float(np.mean([value.log_value for value in values]))
+    return CampaignValue(campaign.id, mean, _std(values), measured.calibration)
+
+
+def _std(values: Sequence[InPose]) -> float:
+    return float(np.sqrt(np.sum([value.std**2 for value in values])) / len(values))
+
+
+@dataclass(frozen=True, slots=True)
+class FleetRules:
     """Configuration: the false-alarm probability of a time of `campaigns`, and days between measurements."""
 
     probability: float
@@ -40,7 +140,7 @@ class RobotMeasured:
 
 
 @dataclass(frozen=True, slots=True)
-class _Axis:
+class _AxisSurvey:
     """One axis of all robots, by the number of the robot."""
 
     histories: Mapping[str, History]
@@ -50,7 +150,7 @@ class _Axis:
     siblings: Mapping[str, Sibling]
 
 
-def survey(name: str, robots: Sequence[RobotMeasured], rules: Rules, at: datetime) -> FleetType:
+def survey(name: str, robots: Sequence[RobotMeasured], rules: FleetRules, at: datetime) -> FleetType:
     """The robots of the type `name` at the time `at`. BadInput for impossible rules."""
     axes = list(dict.fromkeys(axis for robot in robots for one in robot.campaigns for axis in one.axes))
     rate = AlarmRate(rules.probability, max(1, len(robots)), max(1, len(axes)), rules.campaigns)
@@ -66,13 +166,13 @@ def survey(name: str, robots: Sequence[RobotMeasured], rules: Rules, at: datetim
     )
 
 
-def _axis(axis: str, robots: Sequence[RobotMeasured], rate: AlarmRate) -> _Axis:
+def _axis(axis: str, robots: Sequence[RobotMeasured], rate: AlarmRate) -> _AxisSurvey:
     made = {str(number): series(str(number), axis, robot.campaigns) for number, robot in enumerate(robots)}
     histories = {key: history for key, (history, _) in made.items()}
     ratios = [newest_ratio(str(number), axis, robot.campaigns) for number, robot in enumerate(robots)]
     gains = {history.robot: gain for history, gain in ratios}
     found = outliers([history for history, _ in ratios], rate.probability, rate.quantities, gains)
-    return _Axis(
+    return _AxisSurvey(
         histories=histories,
         left_out={key: left for key, (_, left) in made.items()},
         between=between_campaigns(list(histories.values())),
@@ -81,7 +181,9 @@ def _axis(axis: str, robots: Sequence[RobotMeasured], rate: AlarmRate) -> _Axis:
     )
 
 
-def _robot(key: str, robot: RobotMeasured, axes: Mapping[str, _Axis], rules: Rules, at: datetime) -> FleetRobot:
+def _robot(
+    key: str, robot: RobotMeasured, axes: Mapping[str, _AxisSurvey], rules: FleetRules, at: datetime
+) -> FleetRobot:
     own = {axis: _document(key, found, robot) for axis, found in axes.items() if found.histories[key].measurements}
     last = robot.campaigns[-1].at if robot.campaigns else None
     due_at = None if last is None else last + timedelta(days=rules.remeasure_days)
@@ -98,7 +200,7 @@ def _robot(key: str, robot: RobotMeasured, axes: Mapping[str, _Axis], rules: Rul
     )
 
 
-def _document(key: str, axis: _Axis, robot: RobotMeasured) -> FleetAxis:
+def _document(key: str, axis: _AxisSurvey, robot: RobotMeasured) -> FleetAxis:
     history = axis.histories[key]
     times = {one.id: one.at for one in robot.campaigns}
     values, variances = history.arrays()

@@ -1,4 +1,4 @@
-"""The base parameters: combinations of inertial parameters that can be identified from the inertias about the axes.
+r"""The base parameters: combinations of inertial parameters that can be identified from the inertias about the axes.
 
 With W (rows of all measured axes over the workspace, columns scaled to unit length) of rank r, r columns span the
 rest,
@@ -12,21 +12,18 @@ selected columns.
 """
 
 from dataclasses import dataclass
+from itertools import count, islice
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.model.regressor import axis_rows, parameter_names
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.model.urdf import Chain
-
-Array = NDArray[np.float64]
 
 TOLERANCE = 1e-9  # of a unit column: minimum of its part outside the span of the selected columns
 SAMPLES = 400  # random poses that represent the workspace
 CLEAR = 1e3  # times `TOLERANCE`: the residual of a dependent column over all samples is far below
-NEGLIGIBLE = 1e-8  # of the largest share in a base parameter, columns of unit length: rounding
-FEW_SAMPLES = 60  # sufficient if the rank is known
 
 
 @dataclass(frozen=True)
@@ -52,7 +49,7 @@ def base_parameters(chain: Chain, axes: tuple[int, ...], seed: int = 0) -> BaseP
 
 def combination_of(chain: Chain, axes: tuple[int, ...], columns: tuple[int, ...]) -> Array | None:
     """`BaseParameters.combination` for given columns; None if they are not a base of this chain."""
-    rows = _sampled_rows(chain, axes, FEW_SAMPLES, seed=1)
+    rows = _sampled_rows(chain, axes, 60, seed=1)  # few samples suffice: the rank is known
     scale = _scale(rows)
     combination = _combination(rows / scale, scale, list(columns))
     left = (rows - rows[:, list(columns)] @ combination) / scale
@@ -112,7 +109,8 @@ def _scale(rows: Array) -> Array:
 def _combination(scaled: Array, scale: Array, chosen: list[int]) -> Array:
     """K (r, p) with ``rows = rows[:, chosen] @ K`` for ``rows = scaled * scale``."""
     share = np.linalg.lstsq(scaled[:, chosen], scaled, rcond=None)[0]
-    share[np.abs(share) < NEGLIGIBLE * np.abs(share).max(axis=1, keepdims=True, initial=1.0)] = 0.0
+    # rounding
+    share[np.abs(share) < 1e-8 * np.abs(share).max(axis=1, keepdims=True, initial=1.0)] = 0.0
     return share * scale / scale[chosen][:, None]
 
 
@@ -141,3 +139,23 @@ def _name(row: Array, names: tuple[str, ...], leader: int) -> str:
         factor = "" if abs(size - 1) < 1e-6 else f"{size:.4g} "
         parts.append(f"{'-' if row[column] < 0 else '+'} {factor}{names[column]}")
     return " ".join(parts)
+
+
+def spread_evenly(number: int, lower: Array, upper: Array) -> Array:
+    """`number` points (number, n) of the box from `lower` to `upper` (n,), in their units; the first is `lower`."""
+    unit = np.stack([_mirrored(number, prime) for prime in _primes(len(lower))], axis=1)
+    return unit * (upper - lower) + lower
+
+
+def _mirrored(number: int, base: int) -> Array:
+    """Of 0 to `number` - 1, in [0, 1)."""
+    values, rest, place = np.zeros(number), np.arange(number), 1.0 / base
+    while rest.any():
+        rest, digit = np.divmod(rest, base)
+        values += digit * place
+        place /= base
+    return values
+
+
+def _primes(number: int) -> tuple[int, ...]:
+    return tuple(islice((n for n in count(2) if all(n % k for k in range(2, n))), number))

@@ -10,24 +10,28 @@ and joint k <= i provides  f.v + n.w  of it, with (v, w) the twist of body i if 
 
 The parameter vector is [ten parameters of link 1, ..., ten of link n, then n each of Jm, Fv, Fc, offset], (14 n,);
 its first 11 n are those of `regressor`, Jm being reflected to the joint.
+
+The nominal model of the whole dynamics, (14 n,) parameters as in `inverse_dynamics`, and its uncertainty.
+
+What no data sheet gives may be anything that the measured efforts allow: an unknown rotor behind its gear can be 500
+times as heavy as the wrist that it turns, so the model of the links says nothing about it (`Scale`).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from service.identification.model.regressor import parameter_names
-from service.model.robot import link_frames
+from service.identification.model.base_parameters import BaseParameters, joint_ranges, reduce_columns
+from service.identification.model.least_squares import Information
+from service.identification.model.regressor import apply_each, inertia_rows, inertial_parameters, parameter_names
+from service.model.arrays import Array
+from service.model.robot import Robot, link_frames
 from service.model.urdf import Chain
-
-Array = NDArray[np.float64]
-
-DRIVE = 4  # parameters of a drive: Jm, Fv, Fc, offset
 
 
 @dataclass(frozen=True)
-class Motion:
+class JointMotion:
     """Motion of all joints at m instants: arrays (m, n); rad, rad/s, rad/s^2 (m, m/s, m/s^2)."""
 
     position: Array
@@ -35,7 +39,7 @@ class Motion:
     acceleration: Array
 
 
-def dynamics_rows(chain: Chain, gravity: Array, load: Motion, motor: Motion | None = None) -> Array:
+def dynamics_rows(chain: Chain, gravity: Array, load: JointMotion, motor: JointMotion | None = None) -> Array:
     """Rows (m, n, 14 n): ``rows @ parameters`` = effort of every axis, N m (N).
 
     `load` is the motion of the links, `motor` that of the motors on the joint side if it differs.
@@ -43,13 +47,13 @@ def dynamics_rows(chain: Chain, gravity: Array, load: Motion, motor: Motion | No
     return np.concatenate([link_rows(chain, gravity, load), drive_rows(load if motor is None else motor)], axis=-1)
 
 
-def drive_rows(motion: Motion) -> Array:
+def drive_rows(motion: JointMotion) -> Array:
     """Rows (m, n, 4 n) of the drives' own parameters: Jm, Fv, Fc, offset of every axis."""
     each = (motion.acceleration, motion.velocity, np.sign(motion.velocity), np.ones_like(motion.velocity))
     return np.concatenate([part[..., None] * np.eye(part.shape[-1]) for part in each], axis=-1)
 
 
-def link_rows(chain: Chain, gravity: Array, motion: Motion) -> Array:
+def link_rows(chain: Chain, gravity: Array, motion: JointMotion) -> Array:
     """Rows (m, n, 10 n) of the links' inertial parameters; `gravity` (3,) in the base frame, m/s^2."""
     count, samples = len(chain.joints), len(motion.position)
     rotations, origins = link_frames(chain, motion.position)
@@ -70,13 +74,13 @@ def link_rows(chain: Chain, gravity: Array, motion: Motion) -> Array:
             spin = spin + speed * axis
         before = origins[:, body]
         to_body = np.swapaxes(rotations[:, body], -1, -2)
-        force, moment = _wrench_rows(*(_apply(to_body, vector) for vector in (spin, spin_rate, acceleration)))
+        force, moment = _wrench_rows(*(apply_each(to_body, vector) for vector in (spin, spin_rate, acceleration)))
         for k in range(body + 1):
-            pull = _apply(to_body, axes[:, k])
+            pull = apply_each(to_body, axes[:, k])
             if chain.joints[k].kind == "prismatic":
                 rows[:, k, body] = np.einsum("mi,mij->mj", pull, force)
                 continue
-            sway = _apply(to_body, np.cross(axes[:, k], origins[:, body] - origins[:, k]))
+            sway = apply_each(to_body, np.cross(axes[:, k], origins[:, body] - origins[:, k]))
             rows[:, k, body] = np.einsum("mi,mij->mj", sway, force) + np.einsum("mi,mij->mj", pull, moment)
     return rows.reshape(samples, count, 10 * count)
 
@@ -112,5 +116,96 @@ def _momentum(spin: Array) -> Array:
     return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
-def _apply(matrices: Array, vectors: Array) -> Array:
-    return np.einsum("mij,mj->mi", matrices, vectors)
+SAMPLES = 200  # random motions that represent all motions
+
+
+def dynamic_base(robot: Robot, ends: tuple[Array, Array] | None = None) -> BaseParameters:
+    """The base parameters of the efforts of all axes that move, including friction and offsets; columns of the 14 n.
+
+    `ends`: lower and upper (n,) positions of the joints, rad (m); a joint with equal ends stands. None: the whole
+    range of every joint.
+    """
+    rng = np.random.default_rng(0)
+    lower, upper = ends or joint_ranges(robot.chain)
+    moving, shape = lower < upper, (SAMPLES, len(lower))
+    motion = JointMotion(rng.uniform(lower, upper, shape), *(moving * rng.uniform(-1.0, 1.0, (2, *shape))))
+    rows = dynamics_rows(robot.chain, robot.gravity, motion)[:, moving]
+    return reduce_columns(rows.reshape(-1, rows.shape[-1]), dynamics_names(robot.chain))
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Size of the measurements of an axis, all positive, and the largest values that they allow; None where nothing was
+    measured.
+    """
+
+    inertia: float | None = None  # kg m^2 (kg)
+    viscous: float | None = None  # N m s/rad (N s/m)
+    effort: float | None = None  # N m (N), RMS
+    speed: float | None = None  # rad/s (m/s), the highest
+
+
+def nominal_parameters(robot: Robot) -> Array:
+    """The model's (14 n,): links of CAD, motors and viscous friction of the data sheets; dry friction is unknown."""
+    viscous = [axis.viscous_friction or 0.0 for axis in robot.axes]
+    return np.concatenate([inertial_parameters(robot), viscous, np.zeros(2 * len(robot.axes))])
+
+
+def link_sizes(links: Array, lightest: float = 0.0) -> Array:
+    """Natural sizes (10 n,) of the parameters of links (n, 10): m, m r and m r^2 for mass, first and second moments.
+
+    r: radius of gyration, m. `lightest`, kg: least mass.
+    """
+    # kg, and m below: no parameter is certain
+    mass = np.maximum(links[:, :1], max(lightest, 1e-9))
+    radius = np.sqrt(np.maximum(links[:, [4, 6, 9]].sum(-1, keepdims=True), 0) / 2 / mass) + 1e-3
+    return np.hstack([mass, np.repeat(mass * radius, 3, 1), np.repeat(mass * radius**2, 6, 1)]).ravel()
+
+
+def parameter_spread(robot: Robot, scales: Mapping[str, Scale] | None = None) -> Array:
+    """Standard deviations (14 n,). For values without data sheet those of `scales`, by joint; where nothing was
+    measured, the inertia that a motor moves, and the rated effort at the joint's highest speed.
+    """
+    size = link_sizes(robot.chain.inertial)
+    prior = robot.prior
+    measured = [(scales or {}).get(axis.joint, Scale()) for axis in robot.axes]
+    rated = np.array(
+        [
+            # of a measured motion, in place of the rated effort
+            3.0 * one.effort if one.effort else axis.rated_effort
+            for axis, one in zip(robot.axes, measured, strict=True)
+        ]
+    )
+    motors = [
+        prior.motor_inertia * axis.reflected_motor_inertia
+        if axis.reflected_motor_inertia
+        else measured[k].inertia or _moved(robot, k)
+        for k, axis in enumerate(robot.axes)
+    ]
+    speeds = [
+        joint.velocity if np.isfinite(joint.velocity) and joint.velocity > 0 else 1.0 for joint in robot.chain.joints
+    ]
+    viscous = [
+        prior.viscous_friction * axis.viscous_friction
+        if axis.viscous_friction
+        else one.viscous or axis.rated_effort / speed
+        for axis, speed, one in zip(robot.axes, speeds, measured, strict=True)
+    ]
+    # dry friction and offset are in no data sheet
+    return np.concatenate([prior.inertia * size, motors, viscous, 0.1 * rated, 0.02 * rated])
+
+
+def prior_information(robot: Robot, base: BaseParameters, scales: Mapping[str, Scale] | None = None) -> Information:
+    """The prior of the base parameters (r,) as a measurement of them; dry friction has a wide prior."""
+    spread = parameter_spread(robot, scales)
+    # dry friction has a wide prior
+    spread[12 * len(robot.axes) :] *= 10.0
+    covariance = (base.combination * spread**2) @ base.combination.T
+    start = base.combination @ nominal_parameters(robot)
+    return Information.empty(len(start)).add(np.eye(len(start)), start, covariance)
+
+
+def _moved(robot: Robot, index: int) -> float:
+    """Inertia of the links about an axis in the middle of all ranges, kg m^2 (kg)."""
+    pose = np.mean(joint_ranges(robot.chain), axis=0)
+    return float((inertia_rows(robot.chain, index, pose[None]) @ robot.chain.inertial.ravel())[0])

@@ -1,4 +1,4 @@
-r"""Weighted least squares that is extended measurement by measurement, in information form.
+"""Weighted least squares that is extended measurement by measurement, in information form.
 
 With rows W, values y and covariance C of one batch,
 
@@ -14,20 +14,18 @@ depends on such a direction by more than a tenth of its S counts as undetermined
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 from scipy.special import ndtri, stdtrit
 
-Array = NDArray[np.float64]
+from service.model.arrays import Array, Complex, Mask
+from service.model.errors import BadInput
 
 RANK_TOLERANCE = 1e-12  # of the scaled information matrix's largest eigenvalue
 BETTER = 1.0  # times the start's precision: below, data do not determine a direction
-HANGS_ON = 0.1  # of its start's standard deviation: limit for a determined parameter
-UNMOVED = 1e-6  # part of an unseen direction in a parameter (unit vectors) below which it counts as determined
-SPANNED = 1e-9  # of the largest singular value: a direction that columns span
-LEAST_EIGENVALUE = 1e-14  # of the largest: lower limit in an inverse, about 50 rounding errors
 UNPREDICTED = 1e-8  # of a value's own precision: below, no other value predicts it
 
 
@@ -74,9 +72,11 @@ class Information:
         unseen = np.linalg.norm(vectors[:, ~seen], axis=1)
         if spread is None:
             # a parameter is determined if no undetermined direction changes it
-            return Solution(start + step, inverse * np.outer(scale, scale), unseen < UNMOVED)
+            # part of an unseen direction in a parameter, unit vectors
+            return Solution(start + step, inverse * np.outer(scale, scale), unseen < 1e-6)
         covariance = inverse + vectors[:, ~seen] @ vectors[:, ~seen].T
-        determined = (unseen < HANGS_ON) & (np.diag(covariance) < 1.0)
+        # a tenth of its start's standard deviation
+        determined = (unseen < 0.1) & (np.diag(covariance) < 1.0)
         return Solution(start + step, covariance * np.outer(scale, scale), determined)
 
 
@@ -86,7 +86,7 @@ class Solution:
 
     values: Array
     covariance: Array
-    determined: NDArray[np.bool_]
+    determined: Mask
 
     @property
     def std(self) -> Array:
@@ -158,7 +158,8 @@ class LeftOut:
 def span(columns: Array) -> Array:
     """Orthonormal columns (m, k) that span `columns` (m, p), k <= p."""
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
-    return left[:, singular > SPANNED * singular.max(initial=0.0)]
+    # the directions that columns span
+    return left[:, singular > 1e-9 * singular.max(initial=0.0)]
 
 
 def jackknife_factor(parts: int) -> float:
@@ -182,6 +183,49 @@ def scaled_inverse(matrix: Array) -> Array:
     """Inverses of positive definite matrices (..., p, p), scaled to unit diagonals first."""
     scale = _scale(matrix)[..., None]
     eigenvalues, vectors = np.linalg.eigh(matrix / scale / np.swapaxes(scale, -1, -2))
-    eigenvalues = np.maximum(eigenvalues, LEAST_EIGENVALUE * eigenvalues[..., -1:])
+    # about 50 rounding errors
+    eigenvalues = np.maximum(eigenvalues, 1e-14 * eigenvalues[..., -1:])
     turned = np.swapaxes(vectors, -1, -2)
     return (vectors / eigenvalues[..., None, :]) @ turned / scale / np.swapaxes(scale, -1, -2)
+
+
+UNSETTLED = 0.05  # relative change of a noise estimate in the last round of reweighting: a warning above
+
+
+class SearchResult(Protocol):
+    """Result of `scipy.optimize.least_squares`."""
+
+    x: Array
+    cost: float
+    success: bool
+    message: str
+
+
+def finite(values: Array | Complex, place: str, what: str) -> None:
+    """BadInput at `place` where one of `values`, any shape, is NaN or infinite; `what` names them.
+
+    Called before a fit: for such a start SciPy raises an error without axis and sweep, and linear
+    solvers return NaN.
+    """
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        raise BadInput(
+            place, f"{bad.size} of {values.size} values of {what} are not finite, the first is number {bad[0]}"
+        )
+
+
+def unsettled(change: float) -> str | None:
+    """The warning if a noise estimate still changes in the last round of reweighting; `change` is relative."""
+    if change <= UNSETTLED:
+        return None
+    return f"its noise still changes by {100 * change:.0f} % in the last round; limit {100 * UNSETTLED:.0f} %"
+
+
+def converged(found: SearchResult, place: str, what: str) -> None:
+    """Raises BadInput at `place` unless SciPy's result `found`, the fit of `what`, is a converged and finite
+    minimum.
+    """
+    if not np.isfinite(found.cost):
+        raise BadInput(place, f"the fit of {what} has no finite residual")
+    if not found.success:
+        raise BadInput(place, f"the fit of {what} did not converge: {' '.join(found.message.split())}")

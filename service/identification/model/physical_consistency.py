@@ -29,26 +29,18 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
-from service.identification.model.convergence import finite
+from service.identification.model.least_squares import finite
+from service.model.arrays import Array, Mask
 from service.model.urdf import inertia_matrix
 
-Array = NDArray[np.float64]
-
 EXACT = 1e-10  # of a row's terms and nominal spread: A x - b below it counts as zero
-STEPS = 100  # maximum number of Newton steps; about ten are used
-HALVINGS = 60  # maximum number of halvings of a step
-SOFTNESSES = (1.0, 1e-2, 1e-4, 1e-6, 0.0)
+STEPS = 100  # of Newton's method, at most; about ten are used
 SMALL = 1e-12  # ratio of eigenvalues below which the smaller counts as zero
-SMALL_SLOPE = 1e-12  # of the dual along the step: below, full Newton steps are used
-LIGHTEST = 1e-6  # of the heaviest link's mass: least nominal mass
 THINNEST = 1e-4  # of a link's largest second moment about its centre of mass: least nominal one
-LEAST_GYRATION = 1e-3  # m, least nominal radius of gyration
-DISTANT = 1e-9  # of the second moment by the centre's distance: a smaller one is lost in rounding
 
 
-class Ended(Enum):
+class SearchEnded(Enum):
     """How the search for physical parameters ended."""
 
     EXACT = "the base parameters are reproduced"
@@ -57,12 +49,12 @@ class Ended(Enum):
 
 
 @dataclass(frozen=True)
-class Physical:
+class NearestPhysical:
     """parameters (11 n,); `deviation`: Mahalanobis distance of their base parameters from those given, 0 if exact."""
 
     parameters: Array
     deviation: float
-    ended: Ended
+    ended: SearchEnded
 
 
 def nearest_physical(
@@ -73,7 +65,7 @@ def nearest_physical(
     covariance: Array,
     *,
     exactly: bool = True,
-) -> Physical:
+) -> NearestPhysical:
     """Parameters (11 n,) closest to `nominal` with ``rows @ parameters = values``, all links and motors physical.
 
     If there are none, or without `exactly`, the most probable ones given both: `deviation` is then their distance from
@@ -86,25 +78,25 @@ def nearest_physical(
     """
     for name, given in (("nominal model", nominal), ("rows", rows), ("values", values), ("covariance", covariance)):
         finite(given, "base parameters", f"their {name}")
-    problem = _Problem.of(nominal, spread, rows, values)
+    problem = _Constraints.of(nominal, spread, rows, values)
     parameters = _exactly(problem) if exactly else None
     if parameters is not None:
         size = np.abs(rows) @ np.abs(parameters) + np.abs(values) + np.sqrt(np.diag(problem.nominal_covariance()))
         if np.all(np.abs(rows @ parameters - values) <= EXACT * size):
-            return Physical(parameters, 0.0, Ended.EXACT)
+            return NearestPhysical(parameters, 0.0, SearchEnded.EXACT)
     noise = _whitening(covariance)
     white = problem.transformed(noise)
     multipliers, reached = _most_probable(white)
     parameters = problem.parameters(white.blocks(multipliers))
-    ended = Ended.MOST_PROBABLE if reached else Ended.UNFINISHED
-    return Physical(parameters, float(np.linalg.norm(noise @ (rows @ parameters - values))), ended)
+    ended = SearchEnded.MOST_PROBABLE if reached else SearchEnded.UNFINISHED
+    return NearestPhysical(parameters, float(np.linalg.norm(noise @ (rows @ parameters - values))), ended)
 
 
 def nominal_factor(nominal: Array, spread: tuple[float, Array], rows: Array) -> Array:
     """F (k, j) with F F' the covariance of ``rows @ parameters`` that the nominal model's spread makes, to first order
     in its divergence: mass, centre and inertia of a link are correlated. Arguments as `nearest_physical`.
     """
-    problem = _Problem.of(nominal, spread, rows, np.zeros(len(rows)))
+    problem = _Constraints.of(nominal, spread, rows, np.zeros(len(rows)))
     links = problem.link_rows.reshape(len(rows), -1) / np.sqrt(problem.link_weight)
     return np.hstack([links, problem.motor_rows / np.sqrt(problem.motor_weight)])
 
@@ -120,7 +112,7 @@ def pseudo_inertia(parameters: Array) -> Array:
     return pseudo
 
 
-def is_physical(parameters: Array) -> NDArray[np.bool_]:
+def is_physical(parameters: Array) -> Mask:
     """(..., 10) -> (...): whether the pseudo-inertia is positive definite, about the link's own centre of mass."""
     mass = parameters[..., 0]
     heavy = mass > 0
@@ -133,12 +125,12 @@ def is_physical(parameters: Array) -> NDArray[np.bool_]:
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _Constraints:
     """The constraints in the coordinates Y (n, 4, 4) of the links and y (j,) of the motors; both nominally 1."""
 
     factor: Array  # (n, 4, 4), L
     motors: Array  # (n,) nominal
-    free: NDArray[np.bool_]  # (n,) motors that are not nominally 0
+    free: Mask  # (n,) motors that are not nominally 0
     link_weight: float
     motor_weight: Array  # (j,)
     link_rows: Array  # (k, n, 4, 4), symmetric
@@ -146,7 +138,7 @@ class _Problem:
     values: Array  # (k,)
 
     @classmethod
-    def of(cls, nominal: Array, spread: tuple[float, Array], rows: Array, values: Array) -> "_Problem":
+    def of(cls, nominal: Array, spread: tuple[float, Array], rows: Array, values: Array) -> "_Constraints":
         count = len(nominal) // 11
         pseudo = _nominal_pseudo_inertia(nominal[: 10 * count].reshape(-1, 10))
         factor = np.asarray(np.linalg.cholesky(pseudo), dtype=float)
@@ -164,9 +156,9 @@ class _Problem:
             values=values,
         )
 
-    def transformed(self, left: Array) -> "_Problem":
+    def transformed(self, left: Array) -> "_Constraints":
         """The same with the constraints combined by `left` (l, k)."""
-        return _Problem(
+        return _Constraints(
             self.factor,
             self.motors,
             self.free,
@@ -226,7 +218,7 @@ class _Problem:
         return np.concatenate([np.einsum("jab,nab->nj", _BASIS, pseudo).ravel(), motors])
 
 
-def _exactly(problem: _Problem) -> Array | None:
+def _exactly(problem: _Constraints) -> Array | None:
     """Parameters (11 n,) that give the base parameters; None if it is proven that there are none, or none are found.
 
     In units in which the nominal model's uncertainty is white, the softened problem is easy; softening is reduced in
@@ -234,7 +226,7 @@ def _exactly(problem: _Problem) -> Array | None:
     """
     white = problem.transformed(_whitening(problem.nominal_covariance()))
     multipliers = np.zeros(len(problem.values))
-    for softness in SOFTNESSES:
+    for softness in (1.0, 1e-2, 1e-4, 1e-6, 0.0):
         found = _maximise(white, softness, multipliers)
         if found is None or white.impossible(found):
             return None
@@ -242,7 +234,7 @@ def _exactly(problem: _Problem) -> Array | None:
     return problem.parameters(white.blocks(multipliers))
 
 
-def _most_probable(white: _Problem) -> tuple[Array, bool]:
+def _most_probable(white: _Constraints) -> tuple[Array, bool]:
     """Multipliers (k,) at the maximum of the dual of the second problem, which always has one; whether it was reached.
 
     Values hundreds of standard deviations away (effort with the wrong sign) put it where blocks are nearly singular
@@ -264,7 +256,7 @@ def _most_probable(white: _Problem) -> tuple[Array, bool]:
     return multipliers, True
 
 
-def _maximise(problem: _Problem, softness: float, start: Array) -> Array | None:
+def _maximise(problem: _Constraints, softness: float, start: Array) -> Array | None:
     """Multipliers (k,) at the maximum of the dual, softness = e; None if there is none (or none is found).
 
     Near the maximum full steps are made until rounding stops the progress.
@@ -281,7 +273,7 @@ def _maximise(problem: _Problem, softness: float, start: Array) -> Array | None:
             return None
         step = np.asarray(np.linalg.lstsq(curvature / np.outer(scale, scale), gradient / scale, rcond=None)[0]) / scale
         slope = float(gradient @ step)
-        if slope < SMALL_SLOPE:
+        if slope < 1e-12:  # full Newton steps from here on
             if slope >= last / 100:
                 return multipliers
             length = 1.0
@@ -292,10 +284,10 @@ def _maximise(problem: _Problem, softness: float, start: Array) -> Array | None:
     return None
 
 
-def _length(problem: _Problem, softness: float, start: Array, step: Array, slope: float) -> float:
+def _length(problem: _Constraints, softness: float, start: Array, step: Array, slope: float) -> float:
     """Length of a step: up to where the dual's slope, which only decreases, is less than half of `slope`."""
     shortest, longest, length = 0.0, np.inf, 1.0
-    for _ in range(HALVINGS):
+    for _ in range(60):  # halvings
         there = start + length * step
         now = -np.inf
         if problem.inside(there):
@@ -316,12 +308,15 @@ def _whitening(covariance: Array) -> Array:
 
 def _nominal_pseudo_inertia(links: Array) -> Array:
     """(n, 4, 4) of nominal links (n, 10); non-physical ones are raised to the least mass and second moments."""
-    mass = np.maximum(links[:, 0], LIGHTEST * (links[:, 0].max(initial=0.0) or 1.0))
+    # kg: least nominal mass, by the heaviest link's
+    mass = np.maximum(links[:, 0], 1e-6 * (links[:, 0].max(initial=0.0) or 1.0))
     centre = links[:, 1:4] / mass[:, None]
     pseudo = pseudo_inertia(links)
     moments, axes = np.linalg.eigh(pseudo[:, :3, :3] - mass[:, None, None] * _outer(centre))
-    distant = DISTANT * mass * (centre**2).sum(-1)
-    least = np.maximum(np.maximum(THINNEST * moments[:, -1], LEAST_GYRATION**2 * mass), distant)
+    # a smaller one is lost in rounding beside the centre's distance
+    distant = 1e-9 * mass * (centre**2).sum(-1)
+    # a radius of gyration of 1 mm at least
+    least = np.maximum(np.maximum(THINNEST * moments[:, -1], 1e-3**2 * mass), distant)
     lifted = np.maximum(moments, least[:, None])
     second = (axes * lifted[:, None, :]) @ np.swapaxes(axes, -1, -2) + mass[:, None, None] * _outer(centre)
     pseudo[:, :3, :3] = np.where((moments[:, 0] < least)[:, None, None], second, pseudo[:, :3, :3])

@@ -12,16 +12,14 @@ The parameter vector is [ten parameters of link 1, ..., ten of link n, u_1^2 Jm_
 Joints that never move in a campaign are removed first (`lock`), as in the paper for the last three axes.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from service.model.robot import INERTIAL_NAMES, link_frames, rotation_about
+from service.model.arrays import Array
+from service.model.robot import INERTIAL_NAMES, Robot, link_frames, rotation_about
 from service.model.urdf import Chain, Joint, transform_inertial
-
-Array = NDArray[np.float64]
 
 
 def inertia_rows(chain: Chain, joint: int, poses: Array) -> Array:
@@ -34,10 +32,10 @@ def inertia_rows(chain: Chain, joint: int, poses: Array) -> Array:
     for body in range(joint, count):
         to_body = np.swapaxes(rotations[:, body], -1, -2)
         if chain.joints[joint].kind == "prismatic":
-            v, w = _apply(to_body, axis), np.zeros_like(axis)
+            v, w = apply_each(to_body, axis), np.zeros_like(axis)
         else:
-            v = _apply(to_body, np.cross(axis, origins[:, body] - origins[:, joint]))
-            w = _apply(to_body, axis)
+            v = apply_each(to_body, np.cross(axis, origins[:, body] - origins[:, joint]))
+            w = apply_each(to_body, axis)
         wx, wy, wz = w.T
         rows[:, body, 0] = np.sum(v * v, -1)
         rows[:, body, 1:4] = 2 * np.cross(v, w)
@@ -94,7 +92,7 @@ def gravity_rows(chain: Chain, gravity: Array, joint: int, poses: Array) -> Arra
         arm = origins[:, body] - origins[:, joint]
         for part, direction in enumerate((across, along)):
             rows[:, part, body, 0] = np.sum(arm * direction, -1)
-            rows[:, part, body, 1:4] = _apply(np.swapaxes(rotations[:, body], -1, -2), direction)
+            rows[:, part, body, 1:4] = apply_each(np.swapaxes(rotations[:, body], -1, -2), direction)
     return rows.reshape(len(poses), 2, -1)
 
 
@@ -133,6 +131,13 @@ def fold(chain: Chain, fixed: dict[int, float]) -> Array:
     return matrix
 
 
+def inertial_parameters(robot: Robot, chain: Chain | None = None, joints: Sequence[int] | None = None) -> Array:
+    """The model's parameters (11 n,) of all joints, or of a `chain` of the robot's `joints`; an unknown motor has 0."""
+    axes = robot.axes if joints is None else [robot.axes[number] for number in joints]
+    motors = [axis.reflected_motor_inertia or 0.0 for axis in axes]
+    return np.concatenate([(chain or robot.chain).inertial.ravel(), motors])
+
+
 def parameter_names(chain: Chain) -> tuple[str, ...]:
     """Names of the 11 n parameters: ``Izz(link_2)``, ..., ``Jm(joint_2)``; a merged body has the name of its first
     link.
@@ -141,7 +146,8 @@ def parameter_names(chain: Chain) -> tuple[str, ...]:
     return (*links, *(f"Jm({joint.name})" for joint in chain.joints))
 
 
-def _apply(matrices: Array, vectors: Array) -> Array:
+def apply_each(matrices: Array, vectors: Array) -> Array:
+    """Matrices (m, i, j) on vectors (m, j)."""
     return np.einsum("mij,mj->mi", matrices, vectors)
 
 

@@ -8,22 +8,99 @@ coefficient without such an expression (a skew axis) keeps its decimals.
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import combinations, combinations_with_replacement
 
 import numpy as np
-from numpy.typing import NDArray
 
-from service.identification.model.expressions import Expression, Search, Term, products, squared_sums, times
 from service.identification.model.regressor import parameter_names
+from service.model.arrays import Array
 from service.model.robot import rotation_about
 from service.model.urdf import Chain, Joint
 
-Array = NDArray[np.float64]
 
-VARIANTS = 3  # robots with other dimensions that an expression must also fit
-ONE = 1e-6  # tolerance at which a coefficient counts as 1
-NOTHING = 1e-9  # m: a shorter distance counts as 0
+@dataclass(frozen=True)
+class Product:
+    """A product and its value (g,) in each of the cases."""
+
+    text: str
+    value: Array
+
+
+@dataclass(frozen=True)
+class Expression:
+    """``factor * text``, the factor signed; text may be empty."""
+
+    factor: float
+    text: str
+
+
+def products(quantities: list[Product], count: int, cases: int) -> list[Product]:
+    """All products of `count` of the quantities; for 0: the product 1, with empty text."""
+    found: list[Product] = []
+    for chosen in combinations_with_replacement(quantities, count):
+        same = count == 2 and chosen[0] is chosen[1]
+        text = f"{chosen[0].text}^2" if same else " ".join(term.text for term in chosen)
+        found.append(Product(text, np.prod([term.value for term in chosen], axis=0) * np.ones(cases)))
+    return found
+
+
+def squared_sums(quantities: list[Product]) -> list[Product]:
+    """``(a + b)^2`` and ``(a - b)^2`` of all pairs."""
+    return [
+        Product(f"({first.text} {mark} {second.text})^2", (first.value + sign * second.value) ** 2)
+        for first, second in combinations(quantities, 2)
+        for sign, mark in ((1, "+"), (-1, "-"))
+    ]
+
+
+def times(first: Product, second: Product) -> Product:
+    return Product(" ".join(filter(None, (first.text, second.text))), first.value * second.value)
+
+
+class Search:
+    """Expressions of the given terms, each with value (g,)."""
+
+    def __init__(self, terms: list[Product]) -> None:
+        self._texts: list[str] = [term.text or "1" for term in terms]
+        self._values = np.array([term.value for term in terms])
+        few = len(terms) <= 400  # or the search takes seconds
+        # the two of a pair and the sign of its second
+        self._pairs = [(i, j, sign) for i, j in combinations(range(len(terms)), 2) for sign in (1, -1)] if few else []
+        index = np.array(self._pairs, dtype=int).reshape(-1, 3)
+        self._sums = self._values[index[:, 0]] + index[:, 2, None] * self._values[index[:, 1]]
+        # up to which two numbers count as equal
+        self._tolerance = 1e-8 * np.abs(self._values).max(axis=0)
+
+    def simplest(self, value: Array) -> Expression | None:
+        """The expression with the fewest terms; None if there is none. `value` (g,)."""
+        return next(self._found(value), None)
+
+    def _found(self, value: Array) -> Iterator[Expression]:
+        factors = (1.0, -1.0, 2.0, -2.0, 0.5, -0.5)
+        for factor in factors:
+            for i in self._equal(self._values, value / factor):
+                yield Expression(factor, "" if self._texts[i] == "1" else self._texts[i])
+        for factor in factors:
+            for pair in self._equal(self._sums, value / factor):
+                yield Expression(factor, f"({self._pair(pair)})")
+        if len(self._texts) > 80:
+            return
+        for factor in factors:
+            for i, text in enumerate(self._texts):
+                for sign, mark in ((1, "+"), (-1, "-")):
+                    for pair in self._equal(self._sums, value / factor - sign * self._values[i]):
+                        if i not in self._pairs[pair][:2]:
+                            yield Expression(factor, f"({self._pair(pair)} {mark} {text})")
+
+    def _equal(self, candidates: Array, value: Array) -> list[int]:
+        near = np.flatnonzero(np.abs(candidates[:, 0] - value[0]) <= self._tolerance[0])
+        return near[(np.abs(candidates[near] - value) <= self._tolerance).all(axis=1)].tolist()
+
+    def _pair(self, pair: int) -> str:
+        i, j, sign = self._pairs[pair]
+        return f"{self._texts[i]} {'+' if sign > 0 else '-'} {self._texts[j]}"
 
 
 @dataclass(frozen=True)
@@ -50,7 +127,7 @@ def symbolic_names(
     rng = np.random.default_rng(0)
     values = [np.array([dimension.value for dimension in known])]
     found = [combination]
-    for _ in range(VARIANTS):
+    for _ in range(3):  # robots that an expression must also fit
         varied = values[0] * rng.uniform(0.7, 1.4, len(known))
         other = combine(with_dimensions(chain, known, varied))
         if other is None:
@@ -71,7 +148,8 @@ def dimensions(chain: Chain) -> tuple[Dimension, ...]:
     for k in range(1, len(chain.joints)):
         before, joint = chain.joints[k - 1], chain.joints[k]
         way = f"from {before.name} to {joint.name}"
-        axes = [axis for axis in range(3) if abs(joint.translation[axis]) > NOTHING]
+        # m
+        axes = [axis for axis in range(3) if abs(joint.translation[axis]) > 1e-9]
         for axis in axes:
             symbol = f"l{numbers[k - 1]}" + ("xyz"[axis] if len(axes) > 1 else "")
             meaning = f"{way} along {'xyz'[axis]} of {before.link}"
@@ -119,7 +197,7 @@ class _Speaker:
     def _part(self, coefficient: Array, leader: int, column: int) -> str:
         expression = self._search(leader, column).simplest(coefficient) or Expression(coefficient[0], "")
         size = abs(expression.factor)
-        number = "" if abs(size - 1) < ONE else f"{size:.4g} "
+        number = "" if abs(size - 1) < 1e-6 else f"{size:.4g} "  # counts as 1
         words = expression.text and f" {expression.text}"
         return f"{'-' if expression.factor < 0 else '+'} {number}{self._parameters[column]}{words}"
 
@@ -132,12 +210,12 @@ class _Speaker:
             self._searches[key] = Search(self._terms([d.joint for d in self._known], first, last, power))
         return self._searches[key]
 
-    def _terms(self, joints: list[int], first: int, last: int, power: int) -> list[Term]:
+    def _terms(self, joints: list[int], first: int, last: int, power: int) -> list[Product]:
         cases = len(self._values)
         between = [k for k, joint in enumerate(joints) if first < joint <= last]
-        lengths = [Term(self._known[k].symbol, self._values[:, k]) for k in between if self._known[k].unit == "m"]
+        lengths = [Product(self._known[k].symbol, self._values[:, k]) for k in between if self._known[k].unit == "m"]
         turns = [
-            Term(f"{name}({self._known[k].symbol})", turn(self._values[:, k]))
+            Product(f"{name}({self._known[k].symbol})", turn(self._values[:, k]))
             for k in between
             if self._known[k].unit == "rad"
             for name, turn in (("cos", np.cos), ("sin", np.sin))

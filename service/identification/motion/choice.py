@@ -6,43 +6,104 @@ spring is. Friction beyond Coulomb and viscous (`friction_laws`) takes an error 
 nominal model that the data contradict must weigh less. So every candidate predicts parts of the motion that
 it has not seen, and the one with the least error is used,
 
-    mean over the axes of log(error / error of the simple estimator) + sum over the axes above `NOT_WORSE` times it,
+    mean over the axes of log(error / error of the simple estimator) + sum over the axes above 1.05 times it,
 
 where the simple estimator is least squares weighted by axis, with Coulomb and viscous friction and no nominal model:
 what anybody would try first. It is itself a candidate, so the result is no worse on these parts.
+
+Prediction error of a fit of free motions on held-out parts of them.
+
+Each of `FOLDS` parts in turn is left out of all records and predicted from the rest. The noise floor, below which no
+model error can fall, is the difference between runs of the same motion, half of its power in each; None if no motion
+was run twice.
+
+Faults of the records of free motions, where the whole inverse dynamics fits them badly.
+
+Each hypothesis changes the records or the robot file: the efforts of two axes are exchanged, all efforts are late, or
+gravity has another direction. The simple estimator (`choice`), which knows no nominal model, then predicts
+held-out parts. A hypothesis that leaves less than 0.5 of the error of its axes is told, with the evidence and what
+to change. A wrong sign of an effort needs no hypothesis: its Coulomb friction is negative.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.model.base_parameters import BaseParameters
+from service.identification.model.inverse_dynamics import Scale, dynamic_base, nominal_parameters, prior_information
 from service.identification.model.least_squares import Information
-from service.identification.model.parameter_prior import Scale
 from service.identification.motion.equations import LOW_SPEEDS, AxisEquations, all_equations, friction_laws
-from service.identification.motion.fit import FreeFit, fit_equations
-from service.identification.motion.free_motion import FreeMotion
-from service.identification.motion.held_out import held_out_errors
-from service.identification.motion.noise import ORDER
-from service.identification.spectra.low_pass import low_pass
+from service.identification.motion.fit import FOLDS, ORDER, FreeFit, fit_equations
+from service.identification.motion.free_motion import FreeMotion, low_pass
+from service.model.arrays import Array
 from service.model.robot import Robot
-
-Array = NDArray[np.float64]
-
-SIMPLE = "least squares weighted by axis, Coulomb and viscous friction, no nominal model"
-OPEN = 1e4  # times the prior: no nominal model
-NOT_WORSE = 1.05  # times the error of the simple estimator on an axis
-LAW_GAIN = 0.9  # of an axis' error: most that is left with laws of friction
-CONTRADICTED = 1.5  # standard deviations of the nominal model, RMS, from which its prior is too narrow
-SHOWN = 10.0  # times the information of the prior: what the data determine
-SPEEDS = (0.05, 0.1, 0.2, 0.5, 0.9)  # of the highest speed, in either direction, at which friction is told
-LAW_PRIOR = 0.3  # of the RMS effort, one sigma of a law's friction
 
 
 @dataclass(frozen=True)
-class FrictionLaw:
+class HeldOutMotion:
+    """RMS of one axis below the band's end, N m (N): `residual` of the fit, `error` of parts held out, `floor`."""
+
+    residual: float
+    error: float
+    floor: float | None
+
+
+def held_out(
+    records: Sequence[FreeMotion], fit: FreeFit, others: Information, start: Array
+) -> dict[str, HeldOutMotion]:
+    """By joint. `others`: information without the free motions, including the nominal model's prior."""
+    values = fit.evidence.honest.plus(others).solve(start).values
+    return {
+        joint: HeldOutMotion(
+            residual=_rms([each.values - each.rows @ values for each in _of(fit, joint)], _of(fit, joint)),
+            error=error,
+            floor=_floor(records, _of(fit, joint), values),
+        )
+        for joint, error in held_out_errors(fit, others, start).items()
+    }
+
+
+def held_out_errors(fit: FreeFit, others: Information, start: Array) -> dict[str, float]:
+    """RMS of what the rest of the records leaves unpredicted in each fold, N m (N), by joint."""
+    errors: dict[str, list[Array]] = {}
+    for fold in range(FOLDS):
+        without = fit.without(fold).plus(others).solve(start).values
+        for each, white in zip(fit.equations, fit.white, strict=True):
+            out = white.block % FOLDS == fold
+            errors.setdefault(each.joint, []).append((each.values - each.rows @ without)[each.sound][out])
+    return {joint: float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) for joint, parts in errors.items()}
+
+
+def _of(fit: FreeFit, joint: str) -> list[AxisEquations]:
+    return [each for each in fit.equations if each.joint == joint]
+
+
+def _rms(signals: Sequence[Array], parts: Sequence[AxisEquations]) -> float:
+    kept = np.concatenate([signal[each.sound] for signal, each in zip(signals, parts, strict=True)])
+    return float(np.sqrt(np.mean(kept**2)))
+
+
+def _floor(records: Sequence[FreeMotion], parts: Sequence[AxisEquations], values: Array) -> float | None:
+    """Difference between runs of the same motion, minus the modelled effect of the difference of their paths."""
+    squares: list[Array] = []
+    for one, other in combinations(parts, 2):
+        if records[one.record].same_motion(records[other.record]):
+            both = one.sound & other.sound
+            difference = one.values - other.values - (one.rows - other.rows) @ values
+            squares.append(difference[both] ** 2 / 2)
+    kept = np.concatenate(squares) if squares else np.zeros(0)
+    return float(np.sqrt(np.mean(kept))) if len(kept) else None
+
+
+SIMPLE = "least squares weighted by axis, Coulomb and viscous friction, no nominal model"
+OPEN = 1e4  # times the prior: no nominal model
+SPEEDS = (0.05, 0.1, 0.2, 0.5, 0.9)  # of the highest speed, in either direction, at which friction is told
+
+
+@dataclass(frozen=True)
+class IdentifiedFriction:
     """Friction of an axis beyond Coulomb and viscous: `values` (len(LOW_SPEEDS),) N m (N) at `reference` rad/s (m/s).
 
     `speeds` (m,) and its whole friction there, with Coulomb and viscous, and its standard deviation, (m,).
@@ -79,7 +140,8 @@ class Chosen:
     @property
     def score(self) -> float:
         ratios = np.array([self.errors[joint] / max(self.simple[joint], 1e-300) for joint in self.simple])
-        return float(np.mean(np.log(ratios)) + np.sum(np.log(np.maximum(ratios / NOT_WORSE, 1.0))))
+        # worse on an axis than the simple estimator
+        return float(np.mean(np.log(ratios)) + np.sum(np.log(np.maximum(ratios / 1.05, 1.0))))
 
     @property
     def least_errors(self) -> dict[str, float]:
@@ -88,12 +150,12 @@ class Chosen:
 
     def friction(
         self, robot: Robot, base: BaseParameters, more: Information, of: Mapping[str, Scale]
-    ) -> dict[str, FrictionLaw]:
+    ) -> dict[str, IdentifiedFriction]:
         """By joint, with `more` information on the parameters; empty without laws."""
         if not self.laws:
             return {}
         count, found = len(robot.axes), self.fit.evidence.honest.plus(self.others).plus(more).solve(self.start)
-        laws: dict[str, FrictionLaw] = {}
+        laws: dict[str, IdentifiedFriction] = {}
         for joint in sorted(self.laws):
             index, reference = robot.index(joint), of[joint].speed or 1.0
             first = len(base.columns) + index * len(LOW_SPEEDS)
@@ -104,7 +166,9 @@ class Chosen:
             rows = np.column_stack([speeds, np.sign(speeds), further])
             variance = np.einsum("mi,ij,mj->m", rows, found.covariance[np.ix_(own, own)], rows)
             values = found.values[own]
-            laws[joint] = FrictionLaw(reference, values[2:], speeds, rows @ values, np.sqrt(np.maximum(variance, 0.0)))
+            laws[joint] = IdentifiedFriction(
+                reference, values[2:], speeds, rows @ values, np.sqrt(np.maximum(variance, 0.0))
+            )
         return laws
 
     def evidence(self, size: int) -> tuple[Information, Array]:
@@ -150,7 +214,8 @@ def choose(
     plain = fit_equations(robot, records, parts, open_prior, start, order=0)
     simple = held_out_errors(plain, open_prior, start)
     efforts = [of.get(joint, Scale()).effort or 1.0 for joint in robot.joints]
-    law_prior = np.repeat([(LAW_PRIOR * effort) ** -2 for effort in efforts], len(LOW_SPEEDS))
+    # one sigma of a law's friction is 0.3 of the RMS effort
+    law_prior = np.repeat([(0.3 * effort) ** -2 for effort in efforts], len(LOW_SPEEDS))
 
     def candidate(order: int, laws: frozenset[str], widened: float) -> Chosen:
         own, begin, equations = sweeps.plus(wider(prior, widened)), start, parts
@@ -165,12 +230,14 @@ def choose(
     best = min((candidate(order, frozenset(), 1.0) for order in (0, ORDER)), key=lambda one: one.score)
     order = ORDER if best.coloured else 0
     everywhere = candidate(order, frozenset(best.errors), 1.0).errors
-    better = frozenset(joint for joint, error in everywhere.items() if error < LAW_GAIN * best.errors[joint])
+    # laws of friction must take a tenth of an axis' error
+    better = frozenset(joint for joint, error in everywhere.items() if error < 0.9 * best.errors[joint])
     if better:
         best = min(best, candidate(order, better, 1.0), key=lambda one: one.score)
     others = [candidate(0, frozenset(), OPEN)]
     contradicted = contradiction(best.evidence(len(start))[0], prior, start)
-    if contradicted > CONTRADICTED:
+    # standard deviations: the prior is too narrow
+    if contradicted > 1.5:
         others.append(candidate(order, best.laws, contradicted))
     return min(best, *others, key=lambda one: one.score)
 
@@ -180,7 +247,7 @@ def contradiction(data: Information, prior: Information, start: Array) -> float:
     factor = np.linalg.cholesky(np.linalg.inv(prior.matrix))
     known, directions = np.linalg.eigh(factor.T @ data.matrix @ factor)
     deviation = directions.T @ factor.T @ (data.vector - data.matrix @ start)
-    shown = known > SHOWN
+    shown = known > 10.0  # what the data determine
     squares = (deviation[shown] / known[shown]) ** 2 / (1 + 1 / known[shown])
     return float(np.sqrt(np.mean(squares))) if shown.any() else 0.0
 
@@ -205,3 +272,76 @@ def _with_laws(robot: Robot, parts: Sequence[AxisEquations], joints: frozenset[s
             own[:, robot.index(each.joint)] = each.lacks[:, : len(LOW_SPEEDS)]
         found.append(replace(each, rows=np.hstack([each.rows, own.reshape(len(own), -1)])))
     return found
+
+
+@dataclass(frozen=True)
+class _Hypothesis:
+    """`parts` as they would be without the fault; `joints` that it is about; `told` with the next step."""
+
+    robot: Robot
+    base: BaseParameters
+    parts: list[AxisEquations]
+    joints: tuple[str, ...]
+    told: str
+
+
+def faults(
+    robot: Robot,
+    base: BaseParameters,
+    records: Sequence[FreeMotion],
+    of: Mapping[str, Scale],
+    least: Mapping[str, float],
+) -> tuple[str, ...]:
+    """The most certain, or none; `least`: held-out errors of the fit, `of`: `choice.scales`."""
+    # a held-out error below a quarter of the RMS effort raises no question
+    if all(error < 0.25 * (of[joint].effort or np.inf) for joint, error in least.items() if joint in of):
+        return ()
+    found: list[tuple[float, str]] = []
+    for one in _hypotheses(robot, base, records):
+        errors = _errors(one, records, of)
+        left = float(np.exp(np.mean([np.log(errors[joint] / least[joint]) for joint in one.joints])))
+        if left < 0.5:  # a mended fault leaves less than half
+            found.append((left, f"{one.told}: the held-out error falls to {100 * left:.0f} %"))
+    return tuple(told for _, told in sorted(found)[:1])
+
+
+def _errors(one: _Hypothesis, records: Sequence[FreeMotion], of: Mapping[str, Scale]) -> dict[str, float]:
+    start = one.base.combination @ nominal_parameters(one.robot)
+    prior = wider(prior_information(one.robot, one.base, of), OPEN)
+    return held_out_errors(fit_equations(one.robot, records, one.parts, prior, start, order=0), prior, start)
+
+
+def _hypotheses(robot: Robot, base: BaseParameters, records: Sequence[FreeMotion]) -> Iterator[_Hypothesis]:
+    axes = ("x", "y", "z")
+    lags = np.arange(-0.3, 0.301, 0.05)  # s
+    parts = all_equations(robot, base, records)
+    joints = tuple(dict.fromkeys(each.joint for each in parts))
+    efforts = {(each.record, each.joint): each.values for each in parts}
+    for pair in combinations(joints, 2):
+        other = dict(zip(pair, reversed(pair), strict=True))
+        if all((each.record, other[each.joint]) in efforts for each in parts if each.joint in pair):
+            exchanged = [
+                replace(each, values=efforts[each.record, other[each.joint]]) if each.joint in pair else each
+                for each in parts
+            ]
+            told = f"the efforts of {pair[0]} and {pair[1]} seem to be exchanged: exchange their columns"
+            yield _Hypothesis(robot, base, exchanged, pair, told)
+    for lag in lags[np.abs(lags) > 0.01].tolist():
+        shifted = [replace(each, values=np.interp(each.time + lag, each.time, each.values)) for each in parts]
+        told = f"the efforts seem to be {1000 * lag:.0f} ms late: take them earlier by that"
+        yield _Hypothesis(robot, base, shifted, joints, told)
+    size = float(np.linalg.norm(robot.gravity)) or 9.81  # where the robot file has no gravity
+    oblique = dynamic_base(_turned(robot, (size, size, size)))  # of any direction: none makes a column vanish
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            gravity = [0.0, 0.0, 0.0]
+            gravity[axis] = sign * size
+            if np.allclose(gravity, robot.gravity, atol=0.1 * size):
+                continue
+            turned = _turned(robot, (gravity[0], gravity[1], gravity[2]))
+            told = f'gravity seems to act along {"-" if sign < 0 else ""}{axes[axis]} of the base: set "gravity"'
+            yield _Hypothesis(turned, oblique, all_equations(turned, oblique, records), joints, told)
+
+
+def _turned(robot: Robot, gravity: tuple[float, float, float]) -> Robot:
+    return replace(robot, description=robot.description.model_copy(update={"gravity": gravity}))

@@ -2,7 +2,7 @@ r"""The equations of a free motion: at every instant and for every axis that mov
 
     L[effort] = sum_j x_j L[regressor_j] + L[ripple] + noise                                 (`inverse_dynamics`)
 
-with the same low-pass L for both sides (`low_pass`), which therefore causes no bias, decimated according to its
+with the same low-pass L for both sides (`free_motion`), which therefore causes no bias, decimated according to its
 cut-off. Regressors are computed from the smoothed motion at the full rate: links from the load's if a direct encoder
 measures it, drives from the motor's. An axis at rest gives no equation: dry friction balances any torque by the others'
 motion. Cogging of the known orders is eliminated by a cosine and a sine each, before `least_squares`.
@@ -12,25 +12,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.model.base_parameters import BaseParameters
-from service.identification.model.inverse_dynamics import Motion, link_rows
-from service.identification.motion.free_motion import FreeMotion
-from service.identification.spectra.low_pass import low_pass, memory
+from service.identification.model.inverse_dynamics import JointMotion, link_rows
+from service.identification.motion.free_motion import FreeMotion, low_pass, memory
+from service.model.arrays import Array, Mask
 from service.model.robot import Robot
 
-Array = NDArray[np.float64]
-
 STILL = 0.01  # of the largest velocity: below, an axis counts as at rest
-AT_REST = 0.1  # share of the filter's weight on samples at rest from which an equation is left out
-MOVED = 1e-3  # rad (m) that an axis moves at least
 LINK_RATE = 200.0  # Hz, at which the links' rows are computed: products of a few smoothed motions
 LOW_SPEEDS = (0.05, 0.1, 0.2)  # of the largest velocity: where friction at low speed has fallen to 37 %
 ANGLES = (1.0, 2.0, 3.0)  # periods per revolution (per 2 pi m)
 OF_SPEED, OF_ANGLE = "friction of the speed", "a torque of the angle"
 LACKS = (*[OF_SPEED for _ in LOW_SPEEDS], OF_SPEED, OF_SPEED, *[OF_ANGLE for _ in (*ANGLES, *ANGLES)])
-CHUNK = 4000  # instants whose rows are computed together, to limit memory
 
 
 @dataclass(frozen=True)
@@ -46,11 +40,11 @@ class AxisEquations:
     values: Array
     ripple: Array
     lacks: Array
-    sound: NDArray[np.bool_]
+    sound: Mask
     time: Array  # (m,) s since the record's start
 
 
-def load_and_motor(robot: Robot, record: FreeMotion) -> tuple[Motion, Motion]:
+def load_and_motor(robot: Robot, record: FreeMotion) -> tuple[JointMotion, JointMotion]:
     """Smoothed motion (m, n) of all loads (of the motors where they are not measured) and of all motors."""
     columns = [robot.index(joint) for joint in record.joints]
     shape = (len(record.effort), len(robot.axes))
@@ -62,7 +56,7 @@ def load_and_motor(robot: Robot, record: FreeMotion) -> tuple[Motion, Motion]:
         load[:, :, robot.index(joint)] = [_smooth(record, position, order) for order in range(3)]
     for joint, velocity in record.load_velocity.items():
         load[1:, :, robot.index(joint)] = [_smooth(record, velocity, order) for order in range(2)]
-    return Motion(*load), Motion(*motor)
+    return JointMotion(*load), JointMotion(*motor)
 
 
 def all_equations(
@@ -94,7 +88,7 @@ def equations(
     found: list[AxisEquations] = []
     for k, joint in enumerate(record.joints):
         index = robot.index(joint)
-        if np.ptp(motor.position[:, index]) < MOVED:
+        if np.ptp(motor.position[:, index]) < 1e-3:  # rad (m)
             continue
         velocity = motor.velocity[:, index]
         highest = float(np.abs(velocity).max())
@@ -106,7 +100,7 @@ def equations(
                 record=number,
                 rows=rows,
                 values=effort[:, k],
-                ripple=low_pass(_ripple(robot, index, motor.position[:, index]), rate, band)[kept],
+                ripple=low_pass(cogging(robot, index, motor.position[:, index]), rate, band)[kept],
                 lacks=low_pass(_lacks(motor, index, (fastest or {}).get(joint, highest)), rate, band)[kept],
                 sound=inside & ~_at_rest(velocity, rate, band)[kept],
                 time=time,
@@ -115,14 +109,15 @@ def equations(
     return found
 
 
-def links_along(robot: Robot, load: Motion) -> Array:
+def links_along(robot: Robot, load: JointMotion) -> Array:
     """`link_rows` (m, n, 10 n) in pieces, for records of any length."""
-    starts = range(0, len(load.position), CHUNK)
-    parts = [link_rows(robot.chain, robot.gravity, _part(load, slice(k, k + CHUNK))) for k in starts]
+    chunk = 4000  # instants whose rows are computed together, to limit memory
+    starts = range(0, len(load.position), chunk)
+    parts = [link_rows(robot.chain, robot.gravity, _part(load, slice(k, k + chunk))) for k in starts]
     return np.concatenate(parts)
 
 
-def drive_along(motor: Motion, index: int) -> Array:
+def drive_along(motor: JointMotion, index: int) -> Array:
     """Rows (m, 4 n) of the drives' parameters in the effort of axis `index`; all but its own are zero."""
     count = motor.velocity.shape[1]
     velocity = motor.velocity[:, index]
@@ -148,7 +143,7 @@ def friction_laws(velocity: Array, reference: float) -> Array:
     return np.stack([mean_sign(velocity) * np.exp(-np.square(speed / width)) for width in LOW_SPEEDS], -1)
 
 
-def _lacks(motor: Motion, index: int, reference: float) -> Array:
+def _lacks(motor: JointMotion, index: int, reference: float) -> Array:
     """(m, t), in the order of `LACKS`: friction at low speed; friction that grows with the square of the speed, or with
     it in one direction more than in the other; what a cable, an eccentric wheel or a spring does over the angle.
     """
@@ -157,22 +152,30 @@ def _lacks(motor: Motion, index: int, reference: float) -> Array:
     return np.hstack([low, np.stack([speed * np.abs(speed), np.abs(speed)], -1), *turns])
 
 
-def _part(motion: Motion, part: slice) -> Motion:
-    return Motion(motion.position[part], motion.velocity[part], motion.acceleration[part])
+def _part(motion: JointMotion, part: slice) -> JointMotion:
+    return JointMotion(motion.position[part], motion.velocity[part], motion.acceleration[part])
 
 
 def _smooth(record: FreeMotion, position: Array, order: int) -> Array:
     return low_pass(position, record.rate, record.motion_cut, order)
 
 
-def _at_rest(velocity: Array, rate: float, band: float) -> NDArray[np.bool_]:
+def _at_rest(velocity: Array, rate: float, band: float) -> Mask:
     """Where the low-pass covers samples at rest, (m,)."""
     still = np.abs(velocity) < STILL * np.abs(velocity).max()
-    return low_pass(still.astype(float), rate, band) > AT_REST
+    # of the filter's weight
+    return low_pass(still.astype(float), rate, band) > 0.1
 
 
-def _ripple(robot: Robot, index: int, position: Array) -> Array:
+def cogging(robot: Robot, index: int, position: Array) -> Array:
     """(m, 2 orders): cosine and sine of the motor angle at every cogging order."""
     axis = robot.axes[index]
     angle = np.outer(position, np.array(axis.cogging_orders) * axis.gear_ratio)
     return np.hstack([np.cos(angle), np.sin(angle)])
+
+
+def whole_parameters(robot: Robot, base: BaseParameters, values: Array) -> Array:
+    """Parameters (14 n,) with the same efforts as base parameters (r,); all that are not in the base are 0."""
+    parameters = np.zeros(14 * len(robot.axes))
+    parameters[list(base.columns)] = values
+    return parameters

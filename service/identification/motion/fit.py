@@ -1,8 +1,8 @@
 r"""Base parameters from free motions, with a covariance that is consistent with the residuals.
 
-Generalised least squares with the colour of the residuals (`motion.noise`), refined iteratively:
+Generalised least squares with the colour of the residuals (below), refined iteratively:
 
-    A = sum_b A_b,  A_b = W_b^T W_b,  beta = A^-1 sum_b W_b^T y_b        (W, y white; b: stretches of `BLOCK` seconds)
+    A = sum_b A_b,  A_b = W_b^T W_b,  beta = A^-1 sum_b W_b^T y_b        (W, y white; b: stretches of 2.0 seconds)
 
 A^-1 would be the covariance if the model were exact. It is not: its error repeats along the path and is not noise. So
 the scores s_b = W_b^T (y_b - W_b beta) of the blocks give the spread (sandwich estimate), each corrected for its own
@@ -24,6 +24,13 @@ the ratio of its scores to those of white noise: what one axis lacks does not we
 The blocks' scores cannot show an error that is the same in all of them: it is in the parameters. So what a robot often
 has beside the model (`TESTS`) is tried column by column. Where the residual shows it, the change that it would make to
 the parameters, beyond noise, is added to the spread, and it is told.
+
+Residuals of a free motion are coloured: an autoregressive model of each axis whitens its equations.
+
+    e_t = r_t - sum_j a_j r_(t-j),   j <= ORDER         (Yule-Walker, Levinson's recursion)
+
+The first samples of an interval have fewer predecessors and use the predictor of lower order with its larger variance,
+so an interval of any length is whitened without loss. Intervals end where an axis rests.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -35,32 +42,79 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, stdtr, stdtrit
 
-from service.identification.model.base_parameters import BaseParameters
-from service.identification.model.convergence import finite
-from service.identification.model.least_squares import RANK_TOLERANCE, Information, span
-from service.identification.motion.equations import LACKS, AxisEquations, all_equations
-from service.identification.motion.free_motion import FreeMotion
-from service.identification.motion.noise import ORDER, Colour, stretches
-from service.identification.spectra.low_pass import memory
+from service.identification.model.least_squares import RANK_TOLERANCE, Information, finite, span
+from service.identification.motion.equations import LACKS, AxisEquations
+from service.identification.motion.free_motion import FreeMotion, memory
+from service.model.arrays import Array, Mask
 from service.model.errors import BadInput
 from service.model.robot import Robot
 
-Array = NDArray[np.float64]
-
-BLOCK = 2.0  # s
-ROUNDS = 4  # of fit and colour
-NOISE_LEAST = 1e-5  # of the RMS effort of an axis: smallest standard deviation of a residual
-LEAST_EFFORT = 1e-9  # N m (N), RMS of an axis
-TESTS = (*LACKS, "elasticity of the gear")
-OPEN = 1e-4  # of the square of a column: least part outside the span of the rows with which it is tested
-SHOWS, TOLD = 0.01, 0.01  # probability by chance below which a lack widens the spread, and below which any is told
-FOLDS = 5  # every fifth block is held out together
-LEAST = 1e-9  # of a parameter: smallest share of an axis in the information
-OWN_SHARE = 0.99  # share of a direction determined by a single block at which its correction is limited
+ORDER = 6
 
 
 @dataclass(frozen=True)
-class Evidence:
+class Colour:
+    """Predictors of order 0 to p: `coefficients` (p + 1, p), of the samples 1 to p before; `std` (p + 1,) of errors."""
+
+    coefficients: Array
+    std: Array
+
+    @classmethod
+    def of(cls, stretches: list[Array], least: float, freedom: float, order: int = ORDER) -> "Colour":
+        """From residuals (m_i,) of all intervals; `freedom`: samples minus fitted parameters, `least`: smallest std."""
+        order = min(order, max(len(stretch) for stretch in stretches) - 1)
+        lags = np.array(
+            [sum(float(x[lag:] @ x[: len(x) - lag]) for x in stretches if len(x) > lag) for lag in range(order + 1)]
+        )
+        lags /= max(freedom, 1.0)
+        lags[0] = max(lags[0] * (1 + 1e-9), least**2)
+        return cls(*_levinson(lags))
+
+    def whiten(self, signals: Array) -> Array:
+        """For one interval (m, ...): prediction errors over their standard deviation."""
+        white = np.empty_like(signals)
+        for k in range(len(signals)):
+            order = min(k, len(self.std) - 1)
+            if order == len(self.std) - 1:
+                white[k:] = self._full(signals, k)
+                break
+            predicted = np.tensordot(self.coefficients[order, :order], signals[:k][::-1], axes=1)
+            white[k] = (signals[k] - predicted) / self.std[order]
+        return white
+
+    def _full(self, signals: Array, order: int) -> Array:
+        errors = signals[order:].copy()
+        for lag, coefficient in enumerate(self.coefficients[order, :order], start=1):
+            errors -= coefficient * signals[order - lag : len(signals) - lag]
+        return errors / self.std[order]
+
+
+def stretches(sound: Mask) -> list[slice]:
+    """The intervals of consecutive usable samples."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], sound.astype(int), [0]])))
+    return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def _levinson(lags: Array) -> tuple[Array, Array]:
+    """Predictors of all orders and the standard deviations of their errors, from autocovariances (p + 1,)."""
+    order = len(lags) - 1
+    coefficients, variance = np.zeros((order + 1, order)), np.full(order + 1, lags[0])
+    for k in range(1, order + 1):
+        before = coefficients[k - 1, : k - 1]
+        reflection = (lags[k] - before @ lags[1:k][::-1]) / variance[k - 1]
+        coefficients[k, : k - 1] = before - reflection * before[::-1]
+        coefficients[k, k - 1] = reflection
+        variance[k] = variance[k - 1] * (1 - reflection**2)
+    return coefficients, np.sqrt(variance)
+
+
+TESTS = (*LACKS, "elasticity of the gear")
+OPEN = 1e-4  # of the square of a column: least part outside the span of the rows with which it is tested
+FOLDS = 5  # every fifth block is held out together
+
+
+@dataclass(frozen=True)
+class FitEvidence:
     """`honest`: information with a covariance consistent with the residuals. `gain_vector` (r, n): contribution of the
     efforts of each axis to `honest.vector`. `lacks`: by joint, what the residual shows that the model lacks.
     """
@@ -93,7 +147,7 @@ class FreeFit:
         return reduce(Information.plus, (own for number, own in enumerate(self.folds) if number != fold))
 
     @cached_property
-    def evidence(self) -> Evidence:
+    def evidence(self) -> FitEvidence:
         """Computed in coordinates with information 1; directions that no record shows are left out."""
         to_white, from_white = _coordinates(self.information)
         spread, lacks = _spread(self.white, to_white, self.values)
@@ -103,7 +157,7 @@ class FreeFit:
             own[:, self.joints.index(each.joint)] += each.rows.T @ each.values
         gain_vector = from_white.T @ shrunk @ (to_white.T @ own)
         honest = Information(from_white.T @ shrunk @ from_white, gain_vector.sum(axis=1), self.information.count)
-        return Evidence(honest, gain_vector, lacks)
+        return FitEvidence(honest, gain_vector, lacks)
 
 
 @dataclass(frozen=True)
@@ -124,15 +178,6 @@ class WhiteEquations:
         return WhiteEquations(self.joint, self.rows / factor, self.values / factor, self.lacks / factor, self.block)
 
 
-def fit_free_motions(
-    robot: Robot, base: BaseParameters, records: Sequence[FreeMotion], prior: Information, start: Array
-) -> FreeFit:
-    """Fit all records together. `prior` and `start` (r,) keep undetermined parameters at their start, for the
-    residuals.
-    """
-    return fit_equations(robot, records, all_equations(robot, base, records), prior, start)
-
-
 def fit_equations(
     robot: Robot,
     records: Sequence[FreeMotion],
@@ -147,6 +192,7 @@ def fit_equations(
 
     BadInput where no axis moves for long enough, and where an equation or a fitted parameter is not finite.
     """
+    rounds = 4  # of fit and colour
     for each in parts:
         finite(
             np.column_stack([each.rows, each.values]),
@@ -162,11 +208,11 @@ def fit_equations(
     colours = {joint: Colour(np.zeros((1, 0)), np.array([own])) for joint, own in size.items()}
     values, before = start, start
     white: list[WhiteEquations] = []
-    for turn in range(ROUNDS):
+    for turn in range(rounds):
         white = [_whitened(each, colours[each.joint], block, values) for each, block in zip(parts, blocks, strict=True)]
         information = _sum(white, len(start))
         before, values = values, information.plus(prior).solve(start).values
-        if turn < ROUNDS - 1:
+        if turn < rounds - 1:
             colours = _colours(parts, values, information, size, order)
     finite(values, f"free motion {records[0].ids[0]}", "the fitted parameters")
     information = _sum(white, len(start))
@@ -190,7 +236,8 @@ def _levelled(white: Sequence[WhiteEquations], information: Information, values:
             share = rows[own].T @ rows[own]
             squares[each.joint] += float(np.sum((rows[own].T @ residual[own]) ** 2))
             expected[each.joint] += float(np.trace(share) - np.sum(share**2))
-    return [each.over(np.sqrt(max(1.0, squares[each.joint] / max(expected[each.joint], LEAST)))) for each in white]
+    # an axis has a share of 1e-9 of a parameter at least
+    return [each.over(np.sqrt(max(1.0, squares[each.joint] / max(expected[each.joint], 1e-9)))) for each in white]
 
 
 def _coordinates(information: Information) -> tuple[Array, Array]:
@@ -208,7 +255,7 @@ def _coordinates(information: Information) -> tuple[Array, Array]:
 def _rms(parts: Iterable[AxisEquations]) -> float:
     """RMS of the efforts, N m (N)."""
     efforts = np.concatenate([each.values[each.sound] for each in parts])
-    return max(float(np.sqrt(np.mean(efforts**2))), LEAST_EFFORT)
+    return max(float(np.sqrt(np.mean(efforts**2))), 1e-9)  # N m (N)
 
 
 def _colours(
@@ -223,7 +270,8 @@ def _colours(
         whole[each.sound] = left
         residuals.setdefault(each.joint, []).extend(whole[part] for part in stretches(each.sound))
     return {
-        joint: Colour.of(own, NOISE_LEAST * size[joint], freedom * sum(map(len, own)), order)
+        # least standard deviation of a residual, of the RMS effort
+        joint: Colour.of(own, 1e-5 * size[joint], freedom * sum(map(len, own)), order)
         for joint, own in residuals.items()
     }
 
@@ -263,7 +311,7 @@ def _blocks(records: Sequence[FreeMotion], parts: Sequence[AxisEquations]) -> li
     first = [next(k for k, other in enumerate(records) if other.same_motion(record)) for record in records]
     numbers: dict[tuple[int, int], int] = {}
     return [
-        np.array([numbers.setdefault((first[each.record], int(t / BLOCK)), len(numbers)) for t in each.time])
+        np.array([numbers.setdefault((first[each.record], int(t / 2.0)), len(numbers)) for t in each.time])
         for each in parts
     ]
 
@@ -285,7 +333,8 @@ def _spread(
     middle = np.zeros((size, size))
     for share, score in zip(shares, scores, strict=True):
         part, directions = np.linalg.eigh(share)
-        corrected = directions @ ((directions.T @ score) / np.sqrt(1 - np.minimum(part, OWN_SHARE)))
+        # limited where a single block determines a direction
+        corrected = directions @ ((directions.T @ score) / np.sqrt(1 - np.minimum(part, 0.99)))
         middle += np.outer(corrected, corrected)
     mean = max(1.0, float(np.trace(middle)) / max(size, 1))
     few = float(stdtrit(max(count - 1, 1), ndtr(2.0))) / 2.0
@@ -296,7 +345,7 @@ def _spread(
         columns = np.vstack([each.lacks if each.joint == joint else 0 * each.lacks for each in white])
         for name, moved, certain in _lacking(columns, rows, residual, where, count):
             spread += np.outer(moved, moved)
-            if certain < TOLD / tests and name not in lacking.setdefault(joint, []):
+            if certain < 0.01 / tests and name not in lacking.setdefault(joint, []):
                 lacking[joint].append(name)
     return spread, {joint: tuple(names) for joint, names in lacking.items()}
 
@@ -318,5 +367,6 @@ def _lacking(
         if noise <= 0:
             continue
         certain = 2 * cast(float, stdtr(count - 1, -abs(total) / noise**0.5))
-        if certain < SHOWS:
+        # probability by chance below which it widens the spread
+        if certain < 0.01:
             yield TESTS[k], along[:, k] * (total**2 - noise) ** 0.5 / power[k], certain

@@ -2,28 +2,61 @@ r"""Free motion of several axes together: a log of a robot program, a trajectory
 
 In a bundle it is a set of sweeps with the excitation "trajectory" and no sines, one per axis, with the same start,
 pose, block and repeat. A set with a single axis is not a free motion of several axes: it is a record of that axis.
+
+One zero-phase low-pass for every signal of a record; derivatives are computed in the frequency domain as well.
+
+    H(f) = erfc((f - cut) / (sqrt(2) ROLL_OFF cut)) / 2,        d^k/dt^k:  (2 pi i f)^k H(f)
+
+The edge is the integral of a Gaussian, so the filter's memory decays like a Gaussian of 1 / (2 pi ROLL_OFF cut) s. Ends
+of a record are extended by point reflection, which keeps value and slope: correct if an axis rests at the end,
+otherwise wrong by the acceleration within `memory` of the end.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.fft import next_fast_len
+from scipy.special import erfc
 
-from service.identification.spectra.axis_inertia import DriveTrain
+from service.identification.axis.drive_train import TwoMassTrain
 from service.identification.spectra.frequency_response import check_numbers
-from service.identification.spectra.low_pass import low_pass
+from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
 from service.model.recording import Sweep, SweepSpec
 from service.model.robot import Robot
 
-Array = NDArray[np.float64]
+ROLL_OFF = 0.2  # of the cut-off
+
+
+def memory(cut: float) -> float:
+    """Length of the filter on either side, s."""
+    # four standard deviations of the Gaussian
+    return 4.0 / (2 * np.pi * ROLL_OFF * cut)
+
+
+def low_pass(signals: Array, rate: float, cut: float, derivative: int = 0) -> Array:
+    """Signals (m, ...) along the first axis, or a derivative of them; `rate` and `cut` in Hz."""
+    count = len(signals)
+    pad = min(int(np.ceil(2 * memory(cut) * rate)), count - 1)
+    more = min(int(next_fast_len(count + 2 * pad, real=True)) - count - pad, count - 1)  # primes are slow
+    before = 2 * signals[:1] - signals[pad:0:-1]
+    after = 2 * signals[-1:] - signals[-2 : -more - 2 : -1]
+    # the mean of the ends is subtracted, so that numbers far from zero lose no digits
+    middle = (signals[:1] + signals[-1:]) / 2
+    longer = np.concatenate([before, signals, after]) - middle
+    frequency = np.fft.rfftfreq(len(longer), 1 / rate)
+    gain = cast(Array, erfc((frequency / cut - 1) / (np.sqrt(2) * ROLL_OFF))) / 2
+    response = ((2j * np.pi * frequency) ** derivative * gain).reshape(-1, *[1] * (signals.ndim - 1))
+    spectrum: Complex = np.fft.rfft(longer, axis=0) * response
+    smooth = np.fft.irfft(spectrum, len(longer), axis=0)[pad : pad + count]
+    return smooth + middle if derivative == 0 else smooth
+
 
 BAND = 10.0  # Hz, of the equations: below the springs of industrial robots
 MOTION = 3.0  # times the band: cut-off of the smoothed motion, high enough to keep the whole band
-USABLE = 0.35  # of the sample rate, highest cut-off
 SAME_PATH, SAME_PLACE = 0.01, 1e-3  # maximum difference of the paths of repeats: relative, and rad (m)
-FEWEST_SAMPLES = 50  # samples
 
 
 @dataclass(frozen=True)
@@ -51,7 +84,7 @@ class FreeMotion:
     @property
     def motion_cut(self) -> float:
         """Cut-off of the motion, Hz."""
-        return min(MOTION * BAND, USABLE * self.rate)
+        return min(MOTION * BAND, 0.35 * self.rate)  # of the sample rate
 
     @property
     def band(self) -> float:
@@ -108,7 +141,7 @@ def calibrated(record: FreeMotion, gains: Mapping[str, float]) -> FreeMotion:
     return replace(record, effort=record.effort / np.array([gains.get(joint, 1.0) for joint in record.joints]))
 
 
-def with_loads(record: FreeMotion, trains: Mapping[str, DriveTrain]) -> FreeMotion:
+def with_loads(record: FreeMotion, trains: Mapping[str, TwoMassTrain]) -> FreeMotion:
     """With load positions also for axes without a direct encoder: ql = qm - c (effort - Jm d2qm/dt2), smoothed."""
     loads = dict(record.load_position)
     for k, joint in enumerate(record.joints):
@@ -122,6 +155,7 @@ def with_loads(record: FreeMotion, trains: Mapping[str, DriveTrain]) -> FreeMoti
 
 
 def _record(robot: Robot, sweeps: Sequence[Sweep]) -> FreeMotion:
+    fewest_samples = 50  # samples
     sweeps = sorted(sweeps, key=lambda sweep: robot.index(sweep.spec.axis))
     first = sweeps[0]
     for sweep in sweeps:
@@ -138,8 +172,8 @@ def _record(robot: Robot, sweeps: Sequence[Sweep]) -> FreeMotion:
                     f"{name} {mine} differs from {others} of sweep {first.spec.id}, which ran with it",
                 )
     start = int(np.searchsorted(first.recording.time, first.spec.measure_from - 0.5 / first.spec.sample_rate))
-    if len(first.recording.time) - start < FEWEST_SAMPLES:
-        raise BadInput(f"sweep {first.spec.id}", f"fewer than {FEWEST_SAMPLES} samples after measure_from")
+    if len(first.recording.time) - start < fewest_samples:
+        raise BadInput(f"sweep {first.spec.id}", f"fewer than {fewest_samples} samples after measure_from")
     loads = {s.spec.axis: s.recording.load_position for s in sweeps}
     speeds = {s.spec.axis: s.recording.load_velocity for s in sweeps}
     return FreeMotion(

@@ -11,21 +11,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from service.identification.model.inverse_dynamics import Motion
+from service.identification.axis.drive_train import TwoMassTrain
+from service.identification.model.inverse_dynamics import JointMotion
 from service.identification.motion.free_motion import BAND
-from service.identification.spectra.axis_inertia import DriveTrain
-from service.identification.spectra.frequency_response import Complex, check_numbers, window
-from service.identification.spectra.pairs import from_pairs, pairs
+from service.identification.spectra.frequency_response import check_numbers, from_pairs, pairs, window
+from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
 from service.model.recording import Sweep, SweepSpec
-from service.model.results.identified.spectrum import TrackDocument
+from service.model.results.spectrum import TrackDocument
 from service.model.robot import Robot
-
-Array = NDArray[np.float64]
-
-MOTION_BAND = 0.4  # of the sample rate: sticking before a reversal is only visible far above `BAND`
 
 
 @dataclass(frozen=True)
@@ -83,7 +78,7 @@ class TrajectoryRecord:
         """Of the effort's harmonics (h + 1,), Hz."""
         return np.arange(len(self.tracks[0].effort)) / self.period
 
-    def motion(self, robot: Robot, samples: int, *, load: bool) -> Motion:
+    def motion(self, robot: Robot, samples: int, *, load: bool) -> JointMotion:
         """Motion (samples, all joints) over one period, of the loads if they were measured, or of the motors."""
         position, velocity, acceleration = np.zeros((3, samples, len(robot.axes)))
         position[:] = self.pose
@@ -94,7 +89,7 @@ class TrajectoryRecord:
             position[:, index] = in_time(harmonics, samples)
             velocity[:, index] = in_time(omega * harmonics, samples)
             acceleration[:, index] = in_time(omega**2 * harmonics, samples)
-        return Motion(position, velocity, acceleration)
+        return JointMotion(position, velocity, acceleration)
 
     def effort(self, samples: int) -> Array:
         """Measured efforts (samples, tracks) over one period, below the band's end, N m (N)."""
@@ -108,7 +103,8 @@ def axis_track(sweep: Sweep) -> AxisTrack:
     check_numbers(spec, record)
     first, count = window(spec, record.time)
     part, periods = slice(first, first + count), spec.periods or 1
-    of_motion = round(MOTION_BAND * spec.sample_rate * (spec.period or 0.0))
+    # sticking before a reversal is only visible far above `BAND`
+    of_motion = round(0.4 * spec.sample_rate * (spec.period or 0.0))
     highest = min(round(BAND * (spec.period or 0.0)), of_motion)
     effort: Complex = np.fft.rfft(record.effort[part])[: periods * (highest + 1)] / count
     between = np.arange(len(effort)) % periods != 0
@@ -171,7 +167,7 @@ def calibrated(record: TrajectoryRecord, gains: Mapping[str, float]) -> Trajecto
     return replace(record, tracks=tuple(tracks))
 
 
-def with_loads(record: TrajectoryRecord, trains: Mapping[str, DriveTrain]) -> TrajectoryRecord:
+def with_loads(record: TrajectoryRecord, trains: Mapping[str, TwoMassTrain]) -> TrajectoryRecord:
     """With load positions also without a direct encoder: ql = qm - c (effort - Jm d2qm/dt2).
 
     Friction of the motor, which does not act on the spring, is left out. `trains`: drive trains from a joint fit; an

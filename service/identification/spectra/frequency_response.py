@@ -1,4 +1,4 @@
-r"""From the samples of one sweep to its lines: DFT of effort, velocity and of all regressors of the effort.
+"""From the samples of one sweep to its lines: DFT of effort, velocity and of all regressors of the effort.
 
 A measured window of P whole periods has bins at multiples of 1/(P period). The excited bins contain the response; the
 bins between them contain disturbances: the transient of the elastic load, gravity changing along the path, torque
@@ -15,32 +15,41 @@ line through both ends of the window is subtracted:  DFT[dq/dt] = i omega DFT[q 
 quotients would act like elasticity.) Its noise is noise of a regressor, 10^-4 of the motion and less.
 
 Records without lines (a plain trajectory) use the trapezoidal rule, which approximates the integral over the record to
-second order also if its ends differ, and keep the bins from 0 Hz to `FREE_BAND`. At those bins the first and the last
+second order also if its ends differ, and keep the bins from 0 Hz to 20.0. At those bins the first and the last
 sample have the same phase factor, so it is the DFT without the last sample and with their mean as first sample.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.spectra.pairs import from_pairs, pairs
+from service.model.arrays import Array, Complex, Mask
 from service.model.errors import BadInput
-from service.model.recording import Array, Recording, Sweep, SweepSpec
-from service.model.results.identified.spectrum import SpectrumDocument
+from service.model.recording import Recording, Sweep, SweepSpec
+from service.model.results.spectrum import Pairs, SpectrumDocument
 from service.model.robot import Axis, Robot, link_frames
 
-Complex = NDArray[np.complex128]
+
+def pairs(values: Complex) -> Pairs:
+    """(n,) -> n pairs."""
+    return [[value.real, value.imag] for value in values.tolist()]
+
+
+def from_pairs(values: Pairs) -> Complex:
+    """The inverse: (n,)."""
+    return np.array([complex(re, im) for re, im in values], dtype=np.complex128)
+
+
 Bins = NDArray[np.int_]
 
 LOW = 1.0  # Hz: below, load- and position-dependent friction dominates
 MARGIN = 3.0  # Hz above the last line
-FREE_BAND = 20.0  # Hz
 BELOW_NYQUIST = 0.4  # of the sample rate: above, filters against aliasing distort
 WHOLE = 1e-6  # relative, by which a number of samples or of periods may differ from a whole one
-VERTICAL = 1e-3  # rad between an axis and gravity
 REST, AT_REST = 0.1, 0.005  # s; of the highest velocity: longer and slower, an axis of a free record rests
-SAME_WAY = 0.5  # allowed relative difference of load and motor travel over the window
 
 
 @dataclass(frozen=True)
@@ -58,7 +67,7 @@ class Spectrum:
     spec: SweepSpec
     samples: int
     frequency: Array  # (b,) Hz
-    line: NDArray[np.bool_]  # (b,) excited
+    line: Mask  # (b,) excited
     effort: Complex  # (b,)
     velocity: Complex  # (b,)
     names: tuple[str, ...]
@@ -138,13 +147,14 @@ def _periodic(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> S
 
 def _load_velocity(spec: SweepSpec, record: Recording, first: int, count: int, bins: Bins) -> Complex | None:
     """Velocity of the direct encoder at `bins`. BadInput if its travel differs from that of the motor."""
+    same_way = 0.5  # allowed relative difference of load and motor travel over the window
     if record.load_position is None:
         return None if record.load_velocity is None else _dft(record.load_velocity[first : first + count], bins)
     way, motor = _way(record.load_position, first, count), _way(record.position, first, count)
-    if spec.offset_velocity and not abs(way[-1] / motor[-1] - 1) < SAME_WAY:
+    if spec.offset_velocity and not abs(way[-1] / motor[-1] - 1) < same_way:
         raise BadInput(
             f"sweep {spec.id} load_position",
-            f"moves {way[-1] / motor[-1]:.3g} times as far as position, limit 1 +- {SAME_WAY:g}",
+            f"moves {way[-1] / motor[-1]:.3g} times as far as position, limit 1 +- {same_way:g}",
         )
     ramp = way[-1] * np.arange(count) / count
     omega = 2 * np.pi * bins * (spec.sample_rate / count)
@@ -163,7 +173,7 @@ def _free(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> Spect
     if len(time) < 8:
         raise BadInput(f"sweep {spec.id}", f"only {len(time)} samples after measure_from {spec.measure_from} s")
     length = float(time[-1])
-    bins = np.arange(int(min(FREE_BAND, BELOW_NYQUIST * spec.sample_rate) * length) + 1)
+    bins = np.arange(int(min(20.0, BELOW_NYQUIST * spec.sample_rate) * length) + 1)  # Hz
     frequency = bins / length
     part = slice(first, None)
     names, signals = _signals(robot, index, spec, record, part)
@@ -224,7 +234,7 @@ def _trapezoidal_dft(signals: Array, bins: Bins) -> Complex:
     return _dft(folded, bins)
 
 
-def _bins(spec: SweepSpec, count: int) -> tuple[Bins, NDArray[np.bool_]]:
+def _bins(spec: SweepSpec, count: int) -> tuple[Bins, Mask]:
     """Numbers of the bins in use and which of them are excited. BadInput for a line between two bins."""
     step = spec.sample_rate / count
     number = np.array([sine.frequency for sine in spec.sines]) / step
@@ -242,7 +252,8 @@ def _vertical(robot: Robot, index: int, spec: SweepSpec) -> bool:
     """Whether gravity has no torque about the axis in the pose of a sweep."""
     rotations, _ = link_frames(robot.chain, np.array([spec.pose]))
     axis = rotations[0, index] @ robot.chain.joints[index].axis
-    return float(np.linalg.norm(np.cross(axis, robot.gravity))) < VERTICAL * float(np.linalg.norm(robot.gravity))
+    # rad between both
+    return float(np.linalg.norm(np.cross(axis, robot.gravity))) < 1e-3 * float(np.linalg.norm(robot.gravity))
 
 
 def _rests(velocity: Array, rate: float) -> Array:
@@ -281,3 +292,40 @@ def _signals(
 
 def ripple_orders(axis: Axis) -> tuple[float, ...]:
     return tuple(sorted({*axis.cogging_orders, *axis.transmission_orders}))
+
+
+def check_moved_alone(spectra: Sequence[Spectrum]) -> None:
+    """BadInput with the sweep if a trajectory ran together with another axis.
+
+    Together are trajectories of several axes that began in the same pose and overlap in time, and those whose block
+    states several axes.
+    """
+    trajectories = [each for each in spectra if each.spec.excitation == "trajectory"]
+    for each in trajectories:
+        if each.spec.axes_at_once > 1:
+            raise BadInput(
+                f"sweep {each.spec.id}",
+                f"its block {each.spec.block!r} moved several axes at once: the equations of {each.spec.axis} alone do "
+                "not hold for it; identify it with the sweeps of the other axes as one trajectory",
+            )
+    for first, second in combinations(trajectories, 2):
+        if _together(first, second):
+            raise BadInput(
+                f"sweep {second.spec.id}",
+                f"{second.spec.axis} moved while {first.spec.axis} did in sweep {first.spec.id} (same pose, "
+                f"started_at {second.spec.started_at:g} and {first.spec.started_at:g} s): the equations of one axis do "
+                "not hold; identify them as one trajectory of several axes, or correct started_at if they ran one "
+                "after the other",
+            )
+
+
+def _together(first: Spectrum, second: Spectrum) -> bool:
+    one, other = first.spec, second.spec
+    if one.axis == other.axis or one.pose != other.pose:
+        return False
+    return one.started_at < _end(second) and other.started_at < _end(first)
+
+
+def _end(spectrum: Spectrum) -> float:
+    """End of the record, s on the campaign's clock."""
+    return spectrum.spec.started_at + spectrum.spec.measure_from + spectrum.samples / spectrum.spec.sample_rate

@@ -3,7 +3,7 @@ r"""The frequency response of an axis' drive train, with the injected torque as 
 While the axis moves slowly, the drive adds a periodic torque r inside its speed loop. Effort u and velocity v
 respond to r, but also to torque ripple and other disturbances of the axis, and the loop feeds that back into both:
 u/v, or the H1 estimate sum(u v*) / sum(|v|^2), then lies between the impedance and minus the controller's gain. With r
-as reference (Pintelon and Schoukens, System Identification, 2012, sec. 2.6.2 and 2.7)
+as reference (Pintelon and Schoukens, System RobotEstimate, 2012, sec. 2.6.2 and 2.7)
 
     Z = Gamma/Omega = E[u/r] / E[v/r]
 
@@ -39,21 +39,18 @@ from service.identification.spectra.frequency_response import (
     BELOW_NYQUIST,
     Spectrum,
     check_numbers,
+    from_pairs,
+    pairs,
     ripple_orders,
     window,
 )
-from service.identification.spectra.pairs import from_pairs, pairs
+from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
-from service.model.recording import Array, Sweep, SweepSpec
-from service.model.results.identified.spectrum import NoiseDocument
+from service.model.recording import Sweep, SweepSpec
+from service.model.results.spectrum import NoiseDocument
 from service.model.robot import Axis, Robot
 
-Complex = NDArray[np.complex128]
-
-EXCITED = 0.1  # of the strongest line of the reference: weaker lines count as not excited
-ENOUGH_RUNS = 3  # from this number on, runs are averaged instead of periods
 NEAR = 2  # bins on either side of a line from which ripple is found
-NEIGHBOURS = 3  # lines on either side over which noise is averaged
 
 
 @dataclass(frozen=True)
@@ -90,7 +87,7 @@ class NoiseSpectrum:
 
 
 @dataclass(frozen=True)
-class Response:
+class FrequencyResponse:
     """Averaged response at b lines. `covariance` (b, 2, 2) is that of the means of (effort, velocity), line by line."""
 
     frequency: Array  # (b,) Hz, ascending
@@ -139,7 +136,8 @@ def noise_spectrum(robot: Robot, sweep: Sweep) -> NoiseSpectrum:
         _without_drift(column[part], periods) for column in (record.excitation_effort, record.effort, record.velocity)
     )
     strength = np.abs(np.fft.rfft(reference)[::periods])[: int(BELOW_NYQUIST * length) + 1]
-    lines = np.flatnonzero(strength > EXCITED * strength[1:].max(initial=0.0))
+    # weaker lines count as not excited
+    lines = np.flatnonzero(strength > 0.1 * strength[1:].max(initial=0.0))
     lines = lines[lines > 0]
     if len(lines) < 2:
         raise BadInput(place, "its injected torque has no lines")
@@ -156,12 +154,12 @@ def noise_spectrum(robot: Robot, sweep: Sweep) -> NoiseSpectrum:
     )
 
 
-def noise_response(runs: Sequence[NoiseSpectrum]) -> Response:
+def noise_response(runs: Sequence[NoiseSpectrum]) -> FrequencyResponse:
     """The mean over runs of one axis in one pose. BadInput if their lines differ, or if there is no scatter."""
     for run in runs:
         if not np.array_equal(run.frequency, runs[0].frequency):
             raise BadInput(f"sweep {run.spec.id}", f"has other lines than sweep {runs[0].spec.id} of the same pose")
-    if len(runs) >= ENOUGH_RUNS:
+    if len(runs) >= 3:  # enough to average runs instead of periods
         parts = np.array([_answers(run.reference.mean(0), run.effort.mean(0), run.velocity.mean(0)) for run in runs])
     else:
         parts = np.concatenate(
@@ -173,10 +171,12 @@ def noise_response(runs: Sequence[NoiseSpectrum]) -> Response:
     mean = parts.mean(axis=0)
     error = parts - mean
     scatter = np.einsum("nib,njb->bij", error, error.conj()) / (count - 1)
-    return Response(runs[0].frequency, mean[0], mean[1], scatter / count, _coherence(mean[1], scatter[:, 1, 1].real))
+    return FrequencyResponse(
+        runs[0].frequency, mean[0], mean[1], scatter / count, _coherence(mean[1], scatter[:, 1, 1].real)
+    )
 
 
-def stepped_response(sweeps: Sequence[Spectrum]) -> Response:
+def stepped_response(sweeps: Sequence[Spectrum]) -> FrequencyResponse:
     """The same from sweeps with few lines each, any number per line; their noise is that of the bins between."""
     found: dict[float, list[tuple[complex, complex, float]]] = {}
     for sweep in sweeps:
@@ -197,7 +197,7 @@ def stepped_response(sweeps: Sequence[Spectrum]) -> Response:
     covariance[:, 0, 0] = mean[:, 2] / count
     effort, velocity = mean[:, 0], mean[:, 1]
     scatter = mean[:, 2].real * np.abs(velocity / effort) ** 2  # treated as noise of the velocity
-    return Response(frequency, effort, velocity, covariance, _coherence(velocity, scatter))
+    return FrequencyResponse(frequency, effort, velocity, covariance, _coherence(velocity, scatter))
 
 
 def _coherence(mean: Complex, scatter: Array) -> Array:
@@ -252,9 +252,10 @@ def _answers(reference: Complex, effort: Complex, velocity: Complex) -> Complex:
 
 def _smooth(values: Array) -> Array:
     """Mean of each line and its neighbours, (b,)."""
+    neighbours = 3  # lines on either side over which noise is averaged
     total = np.concatenate([[0.0], np.cumsum(values)])
     line = np.arange(len(values))
-    first, last = np.maximum(line - NEIGHBOURS, 0), np.minimum(line + NEIGHBOURS + 1, len(values))
+    first, last = np.maximum(line - neighbours, 0), np.minimum(line + neighbours + 1, len(values))
     return (total[last] - total[first]) / (last - first)
 
 

@@ -24,19 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from service.identification.model.convergence import finite
-from service.identification.model.least_squares import jackknife_factor
+from service.identification.model.least_squares import finite, jackknife_factor
+from service.model.arrays import Array, Complex, Mask
 from service.model.errors import BadInput
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
 FOLLOWS = 0.5  # |v/r| down to which the loop is used: beyond, structural modes and delays dominate
-RIGID = 0.5  # of the lowest antiresonance up to which torque to speed is used
 PARTS = 5
 FEWEST = 12  # lines
 DELAY = 1e-3  # s, at which the fit starts
-SCALES = (0.1, 0.1, 0.01)  # of inertia and delay over their starts, and of c: steps of the search
 
 
 @dataclass(frozen=True)
@@ -88,25 +83,16 @@ def fit_closed_loop(frequency: Array, response: Complex, place: str, reset_time:
             left = 1 / (1 + train * integral[used]) - measured[used]
             return np.concatenate([left.real, left.imag])
 
-        found = least_squares(error, np.array([1.0, 1.0, 0.0]), method="lm", x_scale=np.array(SCALES))
+        # steps of inertia and delay over their starts, and of c
+        found = least_squares(error, np.array([1.0, 1.0, 0.0]), method="lm", x_scale=np.array((0.1, 0.1, 0.01)))
         solution = _of_jacobian(np.asarray(found.x), np.asarray(found.jac), np.asarray(found.fun), measured[used])
         return replace(solution, converged=bool(found.success), ended=" ".join(str(found.message).split()))
 
     whole, std = _with_parts(f, solve, place)
     if not whole.converged or not whole.values[0] * first > 0:
         raise BadInput(place, f"shows no inertia from {f[0]:.3g} to {f[-1]:.3g} Hz: {whole.ended}")
-    return LoopFit(
-        inertia=float(whole.values[0] * first),
-        inertia_std=float(std[0] * abs(first)),
-        friction=float(whole.values[2]),
-        friction_std=float(std[2]),
-        delay=float(whole.values[1] * DELAY),
-        band=(float(f[0]), float(f[-1])),
-        lines=len(f),
-        misfit=whole.misfit,
-        converged=whole.converged,
-        ended=whole.ended,
-    )
+    inertia, std[0] = float(whole.values[0] * first), std[0] * abs(first)
+    return _loop_fit(f, whole, std, inertia, friction=2, delay=float(whole.values[1] * DELAY))
 
 
 def fit_torque_response(
@@ -120,7 +106,8 @@ def fit_torque_response(
     """From v/torque (b,), rad/s per N m, at `frequency` (b,), Hz, from `lowest` on; BadInput for too few lines, or
     one that is not finite."""
     finite(response, place, "its response")
-    highest = np.inf if antiresonance is None else RIGID * antiresonance
+    # the train is rigid up to half of it
+    highest = np.inf if antiresonance is None else 0.5 * antiresonance
     inside = _band(frequency, (frequency >= lowest) & (frequency <= highest), place)
     f, measured = frequency[inside], response[inside]
     s: Complex = np.multiply(2j * np.pi, f, dtype=np.complex128)
@@ -135,28 +122,35 @@ def fit_torque_response(
         return _of_jacobian(x, matrix, matrix @ x - right, np.ones(len(used), dtype=np.complex128))
 
     whole, std = _with_parts(f, solve, place)
+    return _loop_fit(f, whole, std, float(whole.values[0]), friction=1)
+
+
+def _loop_fit(
+    frequency: Array, whole: _Solution, std: Array, inertia: float, friction: int, delay: float | None = None
+) -> LoopFit:
+    """`friction`: its number among the parameters; the first is the inertia."""
     return LoopFit(
-        inertia=float(whole.values[0]),
+        inertia=inertia,
         inertia_std=float(std[0]),
-        friction=float(whole.values[1]),
-        friction_std=float(std[1]),
-        delay=None,
-        band=(float(f[0]), float(f[-1])),
-        lines=len(f),
+        friction=float(whole.values[friction]),
+        friction_std=float(std[friction]),
+        delay=delay,
+        band=(float(frequency[0]), float(frequency[-1])),
+        lines=len(frequency),
         misfit=whole.misfit,
         converged=whole.converged,
         ended=whole.ended,
     )
 
 
-def _follows(response: Complex) -> NDArray[np.bool_]:
+def _follows(response: Complex) -> Mask:
     """Lines (b,) up to where the loop stops following: two neighbours below `FOLLOWS`."""
     weak = np.abs(response) < FOLLOWS
     stop = np.flatnonzero(weak[:-1] & weak[1:])
     return np.arange(len(response)) < (stop[0] if len(stop) else len(response))
 
 
-def _band(frequency: Array, wanted: NDArray[np.bool_], place: str) -> NDArray[np.int_]:
+def _band(frequency: Array, wanted: Mask, place: str) -> NDArray[np.int_]:
     inside = np.flatnonzero(wanted & (frequency > 0))
     if len(inside) < FEWEST:
         raise BadInput(place, f"has {len(inside)} lines where the train is rigid and the loop follows, needs {FEWEST}")

@@ -33,25 +33,17 @@ that by noise, is added to its variance. (The friction terms with v|v| differ fr
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.model.least_squares import jackknife_factor, span
-from service.identification.spectra.frequency_response import Complex, Spectrum
+from service.identification.spectra.frequency_response import Spectrum
+from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
 
-Array = NDArray[np.float64]
-
-OPEN = 1e-7  # smallest singular value of the unit columns: below, two terms differ only by rounding
-TURNS_FAR = 0.01  # share of a constant outside the span of cos and sin of the travel: travel above 0.25 rad
 PARTS = 10  # stretches of the record
-FEW_ROWS = 4  # minimum average number of equations per stretch
-LOST = 1e-6  # of the largest singular value: directions missing in a record without one stretch
-ALONE = 1e-6  # minimum share of a bin's equations that the other bins also determine
-DRAG_OPEN = 1e-4  # smallest singular value of the unit columns with v|v|: below, the motion does not separate it
 
 
 @dataclass(frozen=True)
-class FreeFit:
+class RecordFit:
     """Result of one record; SI on the joint side. `residual_percent`: RMS of the residual over RMS of the effort.
 
     `by_drag`: part of the standard deviation of J caused by friction that is not linear in speed.
@@ -64,14 +56,15 @@ class FreeFit:
     by_drag: float
 
 
-def fit_record(spectrum: Spectrum) -> FreeFit:
+def fit_record(spectrum: Spectrum) -> RecordFit:
     """Fit one free record with every term that its motion excites. Raises BadInput if J is then undetermined."""
     columns = _columns(spectrum)
     rows = _unrested(spectrum, np.stack(list(columns.values()), -1))
     values = _unrested(spectrum, spectrum.effort[:, None])[:, 0]
     scale = np.linalg.norm(rows, axis=0)
     scaled = rows / np.where(scale > 0, scale, 1.0)
-    if len(values) <= len(scale) or np.linalg.svd(scaled, compute_uv=False)[-1] < OPEN:
+    # of unit columns: two terms differ only by rounding
+    if len(values) <= len(scale) or np.linalg.svd(scaled, compute_uv=False)[-1] < 1e-7:
         raise BadInput(
             f"sweep {spectrum.spec.id}",
             f"its motion of {spectrum.samples} samples does not separate inertia from {', '.join(list(columns)[1:])}",
@@ -84,7 +77,7 @@ def fit_record(spectrum: Spectrum) -> FreeFit:
     std = np.sqrt(variance) / scale
     result = dict(zip(columns, zip((solution / scale).tolist(), std.tolist(), strict=True), strict=True))
     inertia, inertia_std = result.pop("inertia")
-    return FreeFit(
+    return RecordFit(
         inertia=inertia,
         inertia_std=inertia_std,
         terms=result,
@@ -108,7 +101,8 @@ def _columns(spectrum: Spectrum) -> dict[str, Complex]:
         constant = _in_time(columns["effort_offset"][:, None])[:, 0]
         gravity = _in_time(np.stack([columns["gravity_torque"], columns["gravity_stiffness"]], -1))
         beyond = constant - gravity @ np.linalg.lstsq(gravity, constant, rcond=None)[0]
-        if np.linalg.norm(beyond) < TURNS_FAR * np.linalg.norm(constant):
+        # a travel above 0.25 rad leaves more outside the span of its cos and sin
+        if np.linalg.norm(beyond) < 0.01 * np.linalg.norm(constant):
             del columns["effort_offset"]
     return columns
 
@@ -142,20 +136,22 @@ def _between_stretches(rows: Array, residual: Array) -> Array:
     A fit without a stretch differs by the least-squares solution for the residual outside it. A direction shown only
     by this stretch is not changed.
     """
-    if len(rows) < FEW_ROWS * PARTS:
+    if len(rows) < 4 * PARTS:  # four equations a stretch
         return np.zeros_like(rows[0])
     stretch = np.arange(len(rows)) * PARTS // len(rows)
     without = np.array(
-        [np.linalg.lstsq(rows[stretch != b], residual[stretch != b], rcond=LOST)[0] for b in range(PARTS)]
+        # directions may be missing without one stretch
+        [np.linalg.lstsq(rows[stretch != b], residual[stretch != b], rcond=1e-6)[0] for b in range(PARTS)]
     )
     return np.asarray(jackknife_factor(PARTS) ** 2 * (PARTS - 1) * np.var(without, axis=0), dtype=float)
 
 
 def _between_bins(rows: Array, residual: Array, inverse: Array) -> Array:
     """Variances (p,) from the residual of each bin, with `inverse` (p, p) of the normal matrix."""
+    alone = 1e-6  # minimum share of a bin's equations that the other bins also determine
     left, bins = _bins(residual[:, None])[..., 0], _bins(rows)
     moments, axes = np.linalg.eigh(np.eye(2) - bins @ inverse @ np.swapaxes(bins, -1, -2))
-    grown = np.where(moments > ALONE, 1 / np.sqrt(np.maximum(moments, ALONE)), 0.0)
+    grown = np.where(moments > alone, 1 / np.sqrt(np.maximum(moments, alone)), 0.0)
     grown = np.einsum("kij,kj,klj,kl->ki", axes, grown, axes, left)
     influence: Array = np.einsum("kip,ki->kp", bins, grown) @ inverse
     return np.asarray(np.sum(influence**2, axis=0), dtype=float)
@@ -180,7 +176,8 @@ def _by_drag(rows: Array, residual: Array, spectrum: Spectrum, inverse: Array) -
     along = float(inverse @ rows.T @ column)
     beyond = column - rows @ np.linalg.lstsq(rows, column, rcond=None)[0]
     power = float(beyond @ beyond)
-    if power < DRAG_OPEN**2 * float(column @ column):
+    # the motion does not separate it
+    if power < 1e-4**2 * float(column @ column):
         return 0.0
     moved = float(beyond @ residual) / power
     by_bins = np.sum(_bins(beyond[:, None]) * _bins(residual[:, None]), axis=(1, 2))

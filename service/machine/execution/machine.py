@@ -1,4 +1,9 @@
-"""The machine: the drive port behind the lease and the latched stop. Only `motion` moves it."""
+"""The machine: the drive port behind the lease and the latched stop. Only `motion` moves it.
+
+Stops also come from outside the event loop: from the stop process or from the drivers (the host was suspended, another
+host is on the bus, an axis was enabled or disabled by another party). Then the machine is held immediately; the loop
+confirms and latches the stop later (`listening`, `watching`).
+"""
 
 import asyncio
 import time
@@ -22,21 +27,17 @@ from drivers.ports import (
     ReportsTraffic,
     SetPointTiming,
 )
-from service.machine.execution.epoch import Epochs, Intention
-from service.machine.execution.motion import Bounds, Motion
-from service.machine.execution.state.asking import Asking
-from service.machine.execution.state.latched_stops import Hold, LatchedStops
-from service.machine.execution.state.lease_renewal import renew
-from service.machine.execution.state.stop_sequences import CONFIRMED_WITHIN, StopSequences
+from service.machine.execution.motion import Bounds, MotionAccess
+from service.machine.execution.permission import Epochs, Intention
 from service.machine.execution.statement import Condition, Reports, Statement
+from service.machine.execution.stops import Hold, LatchedStops, StopSequences, renew
+from service.machine.stop_process.handle import StopProcess
 from service.model.errors import Conflict
-from service.process.tasks.run_to_end import run_to_end
+from service.process.tasks import Background, run_to_end
 from service.store.documents import StopDocument
 from service.store.guards import LeaseLost, MachineLease, StopLatch
 
 _log = structlog.get_logger(__name__)
-
-RECENT = 0.25  # s
 
 
 class Machine:
@@ -68,7 +69,8 @@ class Machine:
         self._trouble_cause: Cause | None = None
         self._reports = Reports(port.joints)
         self._sequences = StopSequences(port)
-        self._asked = Asking(self.recent_status)
+        self._background = Background()
+        self._answered: asyncio.Event | None = None  # of the present question to the drives
         self._connecting = asyncio.Lock()
         self._asking = asyncio.Lock()
         self._recent: tuple[float, Mapping[str, AxisStatus]] | None = None
@@ -187,10 +189,22 @@ class Machine:
         return Cause(CauseCode.COMMUNICATION_LOST, silent[0] if len(silent) == 1 else "", detail=self.silence)
 
     async def ask(self) -> Statement:
-        """The statement after the drives were asked (`Asking.ask`). Never raises."""
+        """The statement when the drives have answered, or after 0.5 s; one question for all callers. Never raises."""
         if self.connected:
-            await self._asked.ask()
+            if self._answered is None:
+                self._answered = asyncio.Event()
+                self._background.begin("ask the drives", self._refresh(self._answered))
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._answered.wait(), 0.5)
         return self.statement
+
+    async def _refresh(self, answered: asyncio.Event) -> None:
+        try:
+            with suppress(DriveError, Conflict):  # the statement tells it
+                await self.recent_status()
+        finally:
+            self._answered = None
+            answered.set()
 
     async def status(self) -> Mapping[str, AxisStatus]:
         """The state of every axis. Raises Conflict while not connected."""
@@ -207,9 +221,9 @@ class Machine:
         return status
 
     async def recent_status(self) -> Mapping[str, AxisStatus]:
-        """As `status`, but up to `RECENT` s old: the drives are read once in that time for any number of callers."""
+        """As `status`, but up to 0.25 s old: the drives are read once in that time for any number of callers."""
         async with self._asking:
-            if self._recent is None or time.monotonic() - self._recent[0] > RECENT:
+            if self._recent is None or time.monotonic() - self._recent[0] > 0.25:
                 status = await self.status()
                 self._recent = time.monotonic(), status
             return self._recent[1]
@@ -226,9 +240,7 @@ class Machine:
         await self._port.acknowledge(joint)
         self._recent = None
 
-    async def stop(
-        self, by: str, why: str, press: str = "", source: str = "", within: float = CONFIRMED_WITHIN
-    ) -> StopDocument:
+    async def stop(self, by: str, why: str, press: str = "", source: str = "", within: float = 1.0) -> StopDocument:
         """Stop every axis first, then latch: no motion until a person releases it. May be called at any time.
 
         StopNotConfirmed after at most `within` s names the axes that did not confirm standstill; the stop sequence goes
@@ -236,16 +248,16 @@ class Machine:
         (`noted`); a stop that is not stored does not survive a restart.
         """
         self._order_stop()
-        hold = self.seize(by, why, press, source)
+        hold = self.latch(by, why, press, source)
         return await self._sequences.within(hold, self.confirm(hold), within)
 
-    def seize(self, by: str, why: str, press: str = "", source: str = "", cause: Cause | None = None) -> Hold:
+    def latch(self, by: str, why: str, press: str = "", source: str = "", cause: Cause | None = None) -> Hold:
         """Block motion and send the stop to every axis; `confirm` must follow. From any thread.
 
         A repetition by the same press, or from the same `source` a moment ago, is the same stop. It begins an epoch all
         the same: a command may have been given since the first, and the person who presses again wants it to end.
         """
-        hold = self._holds.take(by, why, press, source, cause)  # before it is sent: a motion about to start finds it
+        hold = self._holds.latch(by, why, press, source, cause)  # before it is sent: a motion about to start finds it
         self.epochs.begin(_stopped(hold.document))
         self._sequences.halt(hold)
         return hold
@@ -301,7 +313,7 @@ class Machine:
     async def close(self) -> None:
         """End of the service: entries that the database refuses now are lost."""
         await self._sequences.close()
-        await self._asked.close()
+        await self._background.settle()
         await self._holds.close()
 
     @property
@@ -346,12 +358,12 @@ class Machine:
             self._user = None
 
     @asynccontextmanager
-    async def motion(self, envelope: Bounds, intention: Intention) -> AsyncGenerator[Motion]:
+    async def motion(self, envelope: Bounds, intention: Intention) -> AsyncGenerator[MotionAccess]:
         """The gate to motion, only for the present user, during the block (see `motion`)."""
         if self._user is None:
             raise Conflict("the machine is not reserved by a campaign: it may not be moved")
         permitted = partial(self.check_may_move, intention)
-        motion = Motion(self._port, envelope, permitted, self.lost, self._reports)
+        motion = MotionAccess(self._port, envelope, permitted, self.lost, self._reports)
         try:
             yield motion
         except BaseException as error:
@@ -411,3 +423,65 @@ class Machine:
 
 def _stopped(stop: StopDocument) -> Cause:
     return replace(stop.cause or Cause(CauseCode.STOPPED), by=stop.by, detail=stop.why)
+
+
+@asynccontextmanager
+async def listening(
+    process: StopProcess, machine: Machine, report: Callable[[str, str, str], None]
+) -> AsyncGenerator[None]:
+    """Receive from the stop process during the block, and handle the stops from before it.
+
+    `report` is called with source, reason and address of each new stop after the machine is held; it does not wait.
+    """
+    async with _holding(machine) as hold:
+
+        def word(by: str, why: str, press: str, address: str) -> None:
+            taken = hold(by, why, press, f"{address} {by}")
+            process.taken_over()
+            if not taken.reported:
+                taken.reported = True
+                report(by, why, address)
+
+        process.attach(word)
+        try:
+            yield
+        finally:
+            process.attach(None)
+
+
+@asynccontextmanager
+async def watching(machine: Machine, report: Callable[[str, Cause], None]) -> AsyncGenerator[None]:
+    """Receive the findings of the host watch during the block. `report`: called with source and cause, as in
+    `listening`.
+    """
+    async with _holding(machine) as hold:
+
+        def found(cause: Cause) -> None:
+            hold("host watch", f"{cause}; check the machine, release this stop and resume", "", "", cause)
+            report("host watch", cause)
+
+        machine.watch(found)
+        try:
+            yield
+        finally:
+            machine.watch(None)
+
+
+@asynccontextmanager
+async def _holding(machine: Machine) -> AsyncGenerator[Callable[..., Hold]]:
+    """A function that holds the machine (arguments of `Machine.latch`); may be called from any thread."""
+    loop, confirming = asyncio.get_running_loop(), Background()
+
+    def follow(hold: Hold) -> None:
+        confirming.begin("confirm a stop", machine.confirm_logged(hold))
+
+    def hold_at_once(by: str, why: str, press: str, source: str, cause: Cause | None = None) -> Hold:
+        hold = machine.latch(by, why, press, source, cause)
+        loop.call_soon_threadsafe(follow, hold)
+        return hold
+
+    try:
+        yield hold_at_once
+    finally:
+        await asyncio.sleep(0)  # run the pending callbacks
+        await confirming.settle()

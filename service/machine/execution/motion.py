@@ -20,7 +20,6 @@ from service.model.errors import Conflict
 Command = SweepCommand | NoiseCommand
 Go = Callable[[float], Coroutine[object, object, None]]
 """Moves the axis to a position, rad (m)."""
-ROUNDING = 1e-9  # rad (m)
 
 
 class Bounds(Protocol):
@@ -34,7 +33,7 @@ class Bounds(Protocol):
     def check_run(self, commands: Sequence[Command], pose: Sequence[float]) -> None: ...
 
 
-class Motion:
+class MotionAccess:
     """See the module docstring. `check` raises Conflict while motion is blocked; `lost` receives why the drives do not
     answer.
     """
@@ -61,7 +60,7 @@ class Motion:
         low, high = sorted((here[self._envelope.joints.index(joint)], target))
 
         async def go(to: float) -> None:
-            if not low - ROUNDING <= to <= high + ROUNDING:
+            if not low - 1e-9 <= to <= high + 1e-9:  # rad (m), of rounding
                 shown, lowest, highest = distinct(to, low, high, digits=6)
                 raise Conflict(f"{joint}: target {shown} is outside the checked range {lowest} to {highest}")
             self._may_move()

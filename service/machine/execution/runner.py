@@ -12,29 +12,21 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import Cause, CauseCode, DriveError
-from service.machine.execution.approvals import Approvals
-from service.machine.execution.check_move import CheckMove
-from service.machine.execution.current_activity import CurrentActivity
-from service.machine.execution.epoch import Intention
 from service.machine.execution.machine import Machine
-from service.machine.execution.sign_of_life import SignOfLife
-from service.machine.execution.sweep_executor import SweepExecutor, cause_of
+from service.machine.execution.permission import Approvals, Intention, SignOfLife
+from service.machine.execution.sweep_executor import CampaignCourse, CheckMove, CurrentActivity, SweepExecutor, cause_of
 from service.model.errors import Conflict, NotFound, SweepidError
-from service.planning.ahead import Range, check_seen, positions_of
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
-from service.planning.campaigns.stop_criterion import confidence_reached
-from service.planning.compiled_plan import CompiledPlan
-from service.process.logs.about import MACHINE
-from service.process.tasks.run_to_end import run_to_end
-from service.process.telemetry.spans import TRACING
+from service.planning.campaigns.stored_results import confidence_reached
+from service.planning.compiled_plan import CompiledPlan, Range, check_seen, positions_of
+from service.process.logs import MACHINE
+from service.process.tasks import run_to_end
+from service.process.telemetry import TRACING
 from service.store.database import refusal
 from service.store.documents import CampaignDocument, CampaignState, SweepDocument, SweepState
 from service.store.store import CampaignMove, StaleVersion, Store, SweepMove
 
 _log = structlog.get_logger(__name__)
-
-RETRY = 2.0  # s between attempts to store the end of a campaign
-_IN_PARTS = "the remaining trajectories were measured in part and can only be repeated completely"
 
 
 class Identification(Protocol):
@@ -53,6 +45,8 @@ class Runner:
     """The commands of an operator. Each returns the campaign after it. Raises Conflict if it is not possible in this
     state.
     """
+
+    retry = 2.0  # s between attempts to store the end of a campaign
 
     def __init__(
         self,
@@ -294,25 +288,26 @@ class Runner:
             await self._measure(campaign, compiled, intention)
 
     async def _measure(self, campaign: CampaignDocument, compiled: CompiledPlan, intention: Intention) -> None:
-        checked: set[str] = set()  # joints that made their check move since this start or resume
         name = f"campaign {campaign.id}"
         try:
             with self._machine.used_by(name, intention):
                 await self._executor.store_streams()
                 origin = await asyncio.to_thread(self._origin, campaign, compiled)
+                course = CampaignCourse(compiled, origin, self._jobs.submit)
                 while await self._next_is_due(campaign.id):
                     sweeps = await asyncio.to_thread(self._store.sweeps, campaign.id)
                     due = compiled.due(sweeps)
                     known = await asyncio.to_thread(self._confidence_reached, campaign.id, compiled)
                     if not due or known:
                         in_parts = any(sweep.state is SweepState.PLANNED for sweep in sweeps)
+                        parts = "the remaining trajectories were measured in part and can only be repeated completely"
                         skip = {SweepState.PLANNED: sweep_move(SweepEvent.SKIP)}
-                        why = known or (_IN_PARTS if in_parts else "")
+                        why = known or (parts if in_parts else "")
                         cause = Cause(CauseCode.SWEEPS_SKIPPED, detail=why) if why else None
                         await self._move(campaign.id, CampaignEvent.MEASURED, cause, skip)
                         await self._jobs.settle(campaign.id)
                         return
-                    await self._executor.run(due, compiled, intention, origin, checked, self._jobs.submit)
+                    await self._executor.run(due, course, intention)
         except BaseException as error:
             # the executor brought the machine to standstill before it raised the error
             self._unstored = cause_of(self._machine, error)
@@ -356,7 +351,7 @@ class Runner:
                     _log.error("end_not_stored", cause=str(self._unstored), reason=refusal(refused))
             if not wait:
                 return
-            await asyncio.sleep(RETRY)
+            await asyncio.sleep(self.retry)
 
     async def _tell(self) -> None:
         """Store the end of a campaign that broke off, if that is pending. Raises SQLAlchemyError if refused."""

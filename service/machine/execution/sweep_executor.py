@@ -1,45 +1,186 @@
-"""Runs one sweep on the machine: move to the pose, enable, sweep, disable, recording. Any error: standstill first."""
+"""Runs one sweep on the machine: move to the pose, enable, sweep, disable, recording. Any error: standstill first.
+
+Before any larger motion of an axis in a run of a campaign it makes the check move, a small one and back. It detects
+wiring errors at half a degree and half a degree per second. It is monitored during the move, not only at its end: the
+axis moves in the commanded direction and not too far, and every other joint stands (brakes hold, no coupling). Errors
+that the encoder of the axis cannot detect must be seen by a person, to whom the operator's page shows which axis moves
+in which direction: two drives exchanged together with motor and encoder, or a gear ratio with the wrong sign, which
+inverts command and position alike.
+"""
 
 import asyncio
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, replace
-from typing import ParamSpec, TypeVar
+from dataclasses import asdict, dataclass, field, replace
+from typing import ClassVar
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
-from drivers.errors import Cause, CauseCode, CausedError, SweepInterrupted
-from drivers.ports import AxisStatus
-from service.machine.execution.check_move import DURATION, WAY, CheckMove, make
-from service.machine.execution.current_activity import CurrentActivity, travels
-from service.machine.execution.epoch import Intention
+from drivers.errors import Cause, CauseCode, CausedError, CommunicationLost, Measured, SweepInterrupted, distinct
+from drivers.ports import AxisState, AxisStatus
+from service.machine.execution.incoming import BegunSweep, Incoming
 from service.machine.execution.machine import Machine
-from service.machine.execution.motion import Motion
-from service.machine.execution.recording.incoming import BegunSweep, Incoming
-from service.machine.execution.recording.recorder import finish
-from service.machine.execution.recording.recovery import break_off, end_runs, store_streams
-from service.model.errors import SweepidError
+from service.machine.execution.motion import Go, MotionAccess
+from service.machine.execution.permission import Intention
+from service.machine.execution.recording import break_off, end_runs, finish, store_streams
+from service.model.errors import MotionFailed, SweepidError
 from service.model.recording import SweepSpec
-from service.model.results.identified.manifest import Facts
-from service.planning.ahead import positions_of
+from service.model.results.spectrum import Facts
 from service.planning.campaigns.live import LiveHub
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move
-from service.planning.compiled_plan import CompiledPlan
-from service.process.logs.about import MACHINE, in_executor
-from service.process.tasks.run_to_end import run_to_end
-from service.process.telemetry.spans import TRACING
+from service.planning.compiled_plan import CompiledPlan, positions_of
+from service.planning.safety.travel import Leg
+from service.process.logs import MACHINE, in_executor
+from service.process.tasks import run_to_end
+from service.process.telemetry import TRACING
 from service.store.database import refusal
 from service.store.documents import NewRecording, SweepDocument
 from service.store.files.recordings import RecordingFiles, Run
 from service.store.store import Store
 
+
+@dataclass(frozen=True, slots=True)
+class Travel:
+    """One joint moves to `target`, rad (m); `seconds` at the speed of moves between poses."""
+
+    joint: str
+    target: float
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentActivity:
+    """A sweep, or those of a trajectory, with the remaining moves to its pose.
+
+    `travels`: the first one is in progress, the others follow; empty: the sweep itself. `seconds`: of the sweep.
+    `checked`: joints that made their check move since the last start or resume. `begun`: monotonic clock, s.
+    """
+
+    numbers: tuple[int, ...]
+    joints: tuple[str, ...]
+    travels: tuple[Travel, ...]
+    seconds: float
+    checked: frozenset[str]
+    begun: float
+
+
+def travels(joints: Sequence[str], here: Sequence[float], legs: Sequence[Leg], velocity: float) -> tuple[Travel, ...]:
+    """Moves from the pose `here`, rad (m), at `velocity`, rad/s (m/s)."""
+    pose = list(here)
+    found: list[Travel] = []
+    for index, target in legs:
+        found.append(Travel(joints[index], target, abs(target - pose[index]) / velocity))
+        pose[index] = target
+    return tuple(found)
+
+
+WAY = {"rad": math.radians(0.5), "m": 2e-3}  # by the joint's unit
+DURATION = 1.0  # s in one direction: slow enough to be monitored by a status every 0.1 s
+
+
+class CheckMoveFailed(MotionFailed, code=CauseCode.CHECK_MOVE_FAILED):
+    """An axis did not move as commanded, or another axis moved. The machine was stopped."""
+
+
+@dataclass(frozen=True, slots=True)
+class CheckMove:
+    """One direction of it: `joint` by `way` rad (m), signed, from the positions of all joints at its start. Pure."""
+
+    # of the travel: wrong direction, or another joint; encoder noise and play of a brake stay below
+    astray: ClassVar[float] = 0.1
+    # of the travel, before and after the target: drives have a position window of their own
+    missed: ClassVar[float] = 0.25
+
+    joint: str
+    way: float
+    start: Mapping[str, float]
+    units: Mapping[str, str]  # by joint
+
+    @property
+    def target(self) -> float:
+        return self.start[self.joint] + self.way
+
+    def check_under_way(self, status: Mapping[str, AxisStatus]) -> None:
+        """CheckMoveFailed if the axis moves in the wrong direction or too far, or if another joint moves.
+
+        CommunicationLost if a drive does not answer, because it cannot be monitored then.
+        """
+        for joint, axis in status.items():
+            if axis.state is AxisState.UNKNOWN:
+                raise CommunicationLost(joint, f"did not answer in the check move of {self.joint}")
+            moved, unit = axis.position - self.start[joint], self.units[joint]
+            limit = self.astray * WAY[unit]
+            if joint != self.joint and not abs(moved) <= limit:
+                way, most = distinct(abs(moved), limit, digits=2)
+                raise CheckMoveFailed(
+                    joint,
+                    f"moved by {'-' if moved < 0 else '+'}{way} {unit} in the check move of {self.joint}, "
+                    f"limit {most} {unit}",
+                    measured=Measured(abs(moved), limit, unit),
+                )
+        forward = self._moved(status) * math.copysign(1.0, self.way)
+        if not forward >= -self.astray * abs(self.way):
+            raise self._failed(status, "wrong direction; limit", -self.astray * self.way)
+        if not forward <= (1 + self.missed) * abs(self.way):
+            raise self._failed(status, "limit", (1 + self.missed) * self.way)
+
+    def check_end(self, status: Mapping[str, AxisStatus]) -> None:
+        """CheckMoveFailed unless the axis is also at its target."""
+        self.check_under_way(status)
+        if not abs(self._moved(status) - self.way) <= self.missed * abs(self.way):  # too far is told above
+            raise self._failed(status, "target not reached; limit", (1 - self.missed) * self.way)
+
+    def _moved(self, status: Mapping[str, AxisStatus]) -> float:
+        return status[self.joint].position - self.start[self.joint]
+
+    def _failed(self, status: Mapping[str, AxisStatus], why: str, limit: float) -> CheckMoveFailed:
+        joint, unit = self.joint, self.units[self.joint]
+        shown = distinct(self._moved(status), limit, digits=3)
+        moved, most = (each if each.startswith("-") else f"+{each}" for each in shown)
+        return CheckMoveFailed(
+            joint,
+            f"moved by {moved} {unit} in its check move of {self.way:+.3g} {unit}: {why} {most} {unit}",
+            measured=Measured(self._moved(status), limit, unit),
+        )
+
+
+async def make(go: Go, move: CheckMove, status: Callable[[], Awaitable[Mapping[str, AxisStatus]]]) -> None:
+    """Move the axis with `go`, and monitor every joint by `status`. Raises CheckMoveFailed or the error of the drive.
+
+    After an error the move has ended and its axis is stopped, as in a cancelled `DrivePort.move_to`.
+    """
+    moving = asyncio.create_task(go(move.target), name=f"check {move.joint}")
+    try:
+        while not (await asyncio.wait([moving], timeout=0.1))[0]:  # s, in which it moves 0.05 degrees
+            move.check_under_way(await status())
+    except BaseException:
+        moving.cancel()
+        await asyncio.wait([moving])
+        if not moving.cancelled():
+            moving.exception()  # same cause; the error raised here has more detail
+        raise
+    moving.result()
+    move.check_end(await status())
+
+
 _log = structlog.get_logger(__name__)
 
-Arguments = ParamSpec("Arguments")
-Result = TypeVar("Result")
+
+@dataclass(frozen=True, slots=True)
+class CampaignCourse:
+    """What the sweeps between a start or resume of a campaign and its end have in common.
+
+    `origin`: start of the campaign on the monotonic clock, s. `recorded` is called for each sweep that is stored as
+    recorded, whatever is raised afterwards. `checked`: the joints that made their check move since then.
+    """
+
+    compiled: CompiledPlan
+    origin: float
+    recorded: Callable[[SweepDocument], None]
+    checked: set[str] = field(default_factory=set[str])
 
 
 class SweepExecutor:
@@ -65,73 +206,50 @@ class SweepExecutor:
         """Wait for the disk."""
         self._disk.shutdown()
 
-    async def run(
-        self,
-        sweeps: Sequence[SweepDocument],
-        compiled: CompiledPlan,
-        intention: Intention,
-        origin: float,
-        checked: set[str],
-        recorded: Callable[[SweepDocument], None],
-    ) -> None:
+    async def run(self, sweeps: Sequence[SweepDocument], course: CampaignCourse, intention: Intention) -> None:
         """Run a planned sweep, or the sweeps of one trajectory together.
-
-        `origin`: start of the campaign on the monotonic clock, s.
-
-        `checked`: the joints that made their check move in this run of the campaign; new ones are added.
-
-        `recorded` is called for each sweep that is stored as recorded, whatever is raised afterwards.
 
         Whatever is raised (also on cancellation): the machine stands, each sweep that is not recorded is failed or
         interrupted with its cause, and its samples are kept as a partial recording. If the database refuses that,
         `end_runs` repeats it.
         """
-        campaign, numbers = sweeps[0].campaign_id, [sweep.number for sweep in sweeps]
+        campaign, numbers, compiled = sweeps[0].campaign_id, [sweep.number for sweep in sweeps], course.compiled
+        left: list[BegunSweep] = []  # started, and not recorded yet
         span = TRACING.span("sweep", campaign=campaign, sweep=numbers[0], together=len(numbers))
         with MACHINE.sweeps(campaign, numbers), span:
-            await self._run(sweeps, compiled, intention, origin, checked, recorded)
-
-    async def _run(
-        self,
-        sweeps: Sequence[SweepDocument],
-        compiled: CompiledPlan,
-        intention: Intention,
-        origin: float,
-        checked: set[str],
-        recorded: Callable[[SweepDocument], None],
-    ) -> None:
-        left: list[BegunSweep] = []  # started, and not recorded yet
-        try:
-            async with self._machine.motion(compiled.envelope, intention) as motion:
-                await run_to_end(asyncio.to_thread(self._begin, sweeps, compiled, left))
-                together = tuple(left)
-                commands, pose = [each.command for each in together], together[0].sweep.spec.pose
-                await asyncio.to_thread(compiled.envelope.check_run, commands, pose)
-                with TRACING.span("approach"):
-                    here = await self._approach(motion, together, compiled, checked, time.monotonic())
-                started_at = time.monotonic() - origin
-                with TRACING.span("record"):
-                    await self._record(motion, together, compiled, here)
-                here = await self._pose(together[0].sweep, compiled)  # measured again: a brake may have slipped
-                moved = {command.joint for command in commands}
-                compiled.envelope.check_standing(pose, here, compiled.pose_tolerance, moving=moved)
-                for each, (spec, recording) in [(each, await self._finish(each, started_at)) for each in together]:
-                    await run_to_end(self._keep(each, spec, recording, left, recorded))
-        except BaseException as error:
-            await run_to_end(self._give_up(left, error))
-            raise
-        finally:
-            self.under_way = None
+            try:
+                async with self._machine.motion(compiled.envelope, intention) as motion:
+                    await run_to_end(asyncio.to_thread(self._begin, sweeps, compiled, left))
+                    together = tuple(left)
+                    commands, pose = [each.command for each in together], together[0].sweep.spec.pose
+                    await asyncio.to_thread(compiled.envelope.check_run, commands, pose)
+                    with TRACING.span("approach"):
+                        here = await self._approach(motion, together, course)
+                    started_at = time.monotonic() - course.origin
+                    with TRACING.span("record"):
+                        await self._record(motion, together, compiled, here)
+                    here = await self._pose(together[0].sweep, compiled)  # measured again: a brake may have slipped
+                    moved = {command.joint for command in commands}
+                    compiled.envelope.check_standing(pose, here, compiled.pose_tolerance, moving=moved)
+                    for each, (spec, recording) in [(each, await self._finish(each, started_at)) for each in together]:
+                        await run_to_end(self._keep(each, spec, recording, left, course.recorded))
+            except BaseException as error:
+                await run_to_end(self._give_up(left, error))
+                raise
+            finally:
+                self.under_way = None
 
     async def end_runs(self, cause: Cause) -> None:
         """Store that nothing runs any more, if the database refused it before. Raises SQLAlchemyError if it
         still does.
         """
-        await self._on_disk(end_runs, self._store, self._files, cause, cause)
+        await in_executor(self._disk, end_runs, self._store, self._files, cause, cause)
 
     async def store_streams(self) -> None:
         """Store the samples of earlier sweeps that could not be written when they ended. Raises SQLAlchemyError."""
-        await self._on_disk(store_streams, self._store, self._files, "the disk did not accept it when the sweep ended")
+        await in_executor(
+            self._disk, store_streams, self._store, self._files, "the disk did not accept it when the sweep ended"
+        )
 
     def _begin(self, sweeps: Sequence[SweepDocument], compiled: CompiledPlan, begun: list[BegunSweep]) -> None:
         """Begin them in the store; `begun` receives those that were begun, also if one is refused."""
@@ -159,7 +277,7 @@ class SweepExecutor:
             self.set_points_missed += streamed.missed
         each.facts["set_point_timing"] = None if streamed is None else asdict(streamed)
         timing = self._machine.channel_timing[each.command.joint]
-        return await self._on_disk(finish, self._files, each.run, spec, each.command, timing, each.facts)
+        return await in_executor(self._disk, finish, self._files, each.run, spec, each.command, timing, each.facts)
 
     async def _keep(
         self,
@@ -171,22 +289,23 @@ class SweepExecutor:
     ) -> None:
         """Store a recorded sweep; its stream is removed after the row of its recording is stored."""
         run, move = each.run, sweep_move(SweepEvent.RECORD)
-        sweep = await self._on_disk(
-            self._store.end_sweep, run.campaign_id, run.number, move, spec=spec, recording=recording
+        sweep = await in_executor(
+            self._disk, self._store.end_sweep, run.campaign_id, run.number, move, spec=spec, recording=recording
         )
         left.remove(each)
         recorded(sweep)
         _log.info("recorded", campaign=run.campaign_id, sweep=run.number, axis=spec.axis)
-        await self._on_disk(self._files.stream(run).unlink)
+        await in_executor(self._disk, self._files.stream(run).unlink)
 
     async def _approach(
-        self, motion: Motion, together: Sequence[BegunSweep], compiled: CompiledPlan, checked: set[str], begun: float
+        self, motion: MotionAccess, together: Sequence[BegunSweep], course: CampaignCourse
     ) -> tuple[float, ...]:
         """Move the axes to the sweeps' pose, one at a time, and check their positions. Returns the measured pose.
 
         An axis makes its check move before any larger move and before its sweep.
         """
-        sweep, commands = together[0].sweep, [each.command for each in together]
+        sweep, commands, begun = together[0].sweep, [each.command for each in together], time.monotonic()
+        compiled, checked = course.compiled, course.checked
         envelope, pose = compiled.envelope, sweep.spec.pose
         units = envelope.units()
         here = await self._pose(sweep, compiled)
@@ -215,7 +334,7 @@ class SweepExecutor:
         return here
 
     async def _check(
-        self, motion: Motion, joint: str, towards: float, sweep: SweepDocument, compiled: CompiledPlan
+        self, motion: MotionAccess, joint: str, towards: float, sweep: SweepDocument, compiled: CompiledPlan
     ) -> None:
         """The check move of a joint in the direction of `towards`, and back."""
         units = compiled.envelope.units()
@@ -239,7 +358,7 @@ class SweepExecutor:
             self.check_move = None
 
     async def _record(
-        self, motion: Motion, together: Sequence[BegunSweep], compiled: CompiledPlan, here: Sequence[float]
+        self, motion: MotionAccess, together: Sequence[BegunSweep], compiled: CompiledPlan, here: Sequence[float]
     ) -> None:
         """Run the sweeps and write their samples to disk. Raises SamplesMissing if any is missing."""
         self._incoming = incoming = Incoming(together, compiled, motion.stop, self._hub, self._disk)
@@ -272,14 +391,9 @@ class SweepExecutor:
         run = each.run
         _log.error("sweep_given_up", campaign=run.campaign_id, sweep=run.number, cause=str(cause))
         try:
-            await self._on_disk(break_off, self._store, self._files, run, event, cause, each.facts)
+            await in_executor(self._disk, break_off, self._store, self._files, run, event, cause, each.facts)
         except (SQLAlchemyError, SweepidError) as refused:  # the others must be ended as well
             _log.error("sweep_not_ended", campaign=run.campaign_id, sweep=run.number, reason=str(refused))
-
-    async def _on_disk(
-        self, work: Callable[Arguments, Result], *args: Arguments.args, **kwargs: Arguments.kwargs
-    ) -> Result:
-        return await in_executor(self._disk, work, *args, **kwargs)
 
 
 def _pose_of(status: Mapping[str, AxisStatus], sweep: SweepDocument, compiled: CompiledPlan) -> tuple[float, ...]:

@@ -7,23 +7,56 @@ sweep and for each leg between two sweeps, starting from the cell's home.
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
 
-from service.identification.design.excitation import Excitation, velocity_setpoint
-from service.identification.design.sweep_path import way
-from service.machine.paths.control import Control
+from service.formats.traces.mapping import CncAxis, Columns, Csv
+from service.identification.design.excitation import Excitation, velocity_setpoint, way
+from service.model.configuration import Cell, read_yaml
 from service.model.errors import BadInput, EnvelopeViolation
-from service.model.geometry.cell import Cell
 from service.model.robot import Robot
-from service.planning.plan import PlanDocument, PlannedSweep
+from service.planning.documents import PlanDocument, PlannedSweep
 from service.planning.safety.envelope import Envelope
 from service.store.files.bundle import check_specs
 
-Array = NDArray[np.float64]
 
-_STEPS_OF_A_PERIOD = 10  # of the fastest sine, at least: with fewer, a table of positions does not represent it
+class CncTrace(BaseModel):
+    """How the CNC exports its trace."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    sample_rate: float = Field(gt=0)  # Hz
+    csv: Csv = Csv()
+    columns: Columns
+
+
+class CncControl(BaseModel):
+    """One CNC. `axes` by joint; all joints of the robot are required."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    name: str = Field(min_length=1)
+    axes: dict[str, CncAxis]
+    interpolation_cycle: float = Field(default=0.004, ge=0.0005, le=0.02)  # s
+    largest_program: int = Field(default=1_000_000, ge=10_000)  # bytes
+    trace: CncTrace
+
+
+def read_control(path: Path, robot: Robot) -> CncControl:
+    """The control of a robot; BadInput unless it names each joint once, each with a different axis."""
+    control = read_yaml(path, CncControl)
+    if set(control.axes) != set(robot.joints):
+        raise BadInput(f"{path} axes", f"must be the joints of {robot.name}: {', '.join(robot.joints)}")
+    names = [axis.name.upper() for axis in control.axes.values()]
+    if len(set(names)) < len(names):
+        raise BadInput(f"{path} axes", f"an axis is listed twice: {', '.join(names)}")
+    if control.trace.columns.set_position is None:
+        raise BadInput(f"{path} trace.columns", "set_position is missing: it tells where a trace's motion starts")
+    return control
+
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -63,7 +96,7 @@ class PathSweep:
         return f"SWEEP_{self.number:04d}"
 
 
-def path_sweeps(plan: PlanDocument, robot: Robot, cell: Cell, control: Control) -> Iterator[PathSweep]:
+def path_sweeps(plan: PlanDocument, robot: Robot, cell: Cell, control: CncControl) -> Iterator[PathSweep]:
     """The sweeps of a plan, one at a time; BadInput names the first that is not permitted."""
     if (plan.robot, plan.request.cell) != (robot.name, cell.name):
         raise BadInput(
@@ -80,7 +113,7 @@ def path_sweeps(plan: PlanDocument, robot: Robot, cell: Cell, control: Control) 
             for leg in planned.legs:
                 envelope.check_move(leg.joint, here, leg.target, plan.request.move_velocity)
                 here[robot.index(leg.joint)] = leg.target
-            envelope.check_standing(planned.spec.pose, here, _REACHED)
+            envelope.check_standing(planned.spec.pose, here, 1e-3)  # rad (m): nearer axes need no leg
             envelope.check_sweep(planned.command(), planned.spec.pose)
         except EnvelopeViolation as error:
             raise BadInput(place, str(error)) from None
@@ -90,23 +123,21 @@ def path_sweeps(plan: PlanDocument, robot: Robot, cell: Cell, control: Control) 
         yield sweep
 
 
-_REACHED = 1e-3  # rad (m): axes nearer to their target than this need no leg
-
-
-def _check_sampling(planned: PlannedSweep, control: Control, place: str) -> None:
+def _check_sampling(planned: PlannedSweep, control: CncControl, place: str) -> None:
     if not planned.spec.periodic:
         raise BadInput(place, "has no sines and periods: it has no path")
     fastest = max(sine.frequency for sine in planned.spec.sines)
-    if fastest * control.interpolation_cycle * _STEPS_OF_A_PERIOD > 1:
+    least = 10  # steps of a period: with fewer, a table of positions does not represent the sine
+    if fastest * control.interpolation_cycle * least > 1:
         raise BadInput(
             place,
             f"sine of {fastest:.6g} Hz: a cycle of {control.interpolation_cycle} s gives fewer than "
-            f"{_STEPS_OF_A_PERIOD} steps per period",
+            f"{least} steps per period",
         )
 
 
 def _in_cnc_units(
-    number: int, planned: PlannedSweep, robot: Robot, control: Control, before: tuple[float, ...], speed: float
+    number: int, planned: PlannedSweep, robot: Robot, control: CncControl, before: tuple[float, ...], speed: float
 ) -> PathSweep:
     command, pose = planned.command(), planned.spec.pose
     path = Excitation(

@@ -15,14 +15,9 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-TAKE_OVER = 0.1  # s in which the service must take over a stop before this process insists
-MERGED = 0.02  # s after a stop in which another one sends no frames: a flood must not fill the bus
-_AGAIN = 1.0  # s between attempts to open the bus
-_PAUSE = 0.01  # s between attempts to confirm a stop
-
 
 @dataclass(frozen=True)
-class Outcome:
+class StopOutcome:
     """By joint why the stop may not have arrived, or is not confirmed ("": it is); the reason if none was sent."""
 
     joints: Mapping[str, str] = field(default_factory=dict[str, str])
@@ -37,11 +32,15 @@ class Outcome:
 @dataclass(frozen=True)
 class _Wish:
     until: float  # s on the monotonic clock
-    done: Callable[[Outcome], None]
+    done: Callable[[StopOutcome], None]
 
 
-class Bus:
+class StopBus:
     """`stop` and `confirm` may be called from any thread; `stop` may wait for the drives as `StopSender.send` does."""
+
+    take_over = 0.1  # s in which the service must take over a stop before this process insists
+    merged = 0.02  # s after a stop in which another one sends no frames: a flood must not fill the bus
+    again = 1.0  # s between attempts to open the bus
 
     def __init__(self, profile: Path, tell: Callable[[str], None]) -> None:
         """Opens the bus of the drive profile in the background; `tell` is called at each change of `trouble`."""
@@ -53,7 +52,7 @@ class Bus:
         self._owed = False  # a stop that is sent when the bus is open again
         self._sending = threading.Lock()
         self._sent_at = float("-inf")
-        self._last = Outcome(trouble=self.trouble)
+        self._last = StopOutcome(trouble=self.trouble)
         self._count = self._taken_over = 0
         self._wishes: queue.SimpleQueue[_Wish] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._keep, name="stop-bus", daemon=True)
@@ -61,15 +60,15 @@ class Bus:
         self._following = threading.Thread(target=self._follow, name="stop-confirm", daemon=True)
         self._following.start()
 
-    def stop(self) -> Outcome:
+    def stop(self) -> StopOutcome:
         """Send the stop for every axis; it is on the bus at return. Insists unless `taken_over` is called.
 
         If the bus is not open, the stop is sent as soon as it is.
         """
         with self._sending:
-            if time.monotonic() - self._sent_at > MERGED:
+            if time.monotonic() - self._sent_at > self.merged:
                 self._count += 1
-                insisting = threading.Timer(TAKE_OVER, self._insist_after, [self._count])
+                insisting = threading.Timer(self.take_over, self._insist_after, [self._count])
                 insisting.daemon = True
                 insisting.start()
                 self._send()
@@ -77,7 +76,7 @@ class Bus:
                     self._wanted.set()
             return self._last
 
-    def confirm(self, until: float, done: Callable[[Outcome], None]) -> None:
+    def confirm(self, until: float, done: Callable[[StopOutcome], None]) -> None:
         """After `stop`: `done` is called in another thread when every axis stands without energy, or at `until`, s on
         the monotonic clock.
         """
@@ -111,7 +110,7 @@ class Bus:
         sender = self._sender
         try:
             if sender is not None and self._open.is_set():
-                self._last = Outcome(sender.send())
+                self._last = StopOutcome(sender.send())
                 self._sent_at, self._owed = time.monotonic(), False
                 return
         except Exception as error:  # noqa: BLE001 - an answer in any case
@@ -119,7 +118,7 @@ class Bus:
         self._open.clear()
         self._owed = True
         trouble = self.trouble or "not sent"
-        self._last = Outcome(dict.fromkeys(self._joints, trouble), trouble)
+        self._last = StopOutcome(dict.fromkeys(self._joints, trouble), trouble)
 
     def _follow(self) -> None:
         pending: list[_Wish] = []
@@ -137,19 +136,19 @@ class Bus:
             for wish in over:
                 wish.done(outcome)
             if pending:
-                time.sleep(_PAUSE)
+                time.sleep(0.01)
 
-    def _confirmed(self, until: float) -> Outcome:
+    def _confirmed(self, until: float) -> StopOutcome:
         if self._thread.is_alive():  # otherwise only one process can open the bus
             self._open.wait(max(0.0, until - time.monotonic()))
         sender = self._sender
         if sender is None or not self._open.is_set():
             trouble = self.trouble or "not connected"
-            return Outcome(dict.fromkeys(self._joints, trouble), trouble)
+            return StopOutcome(dict.fromkeys(self._joints, trouble), trouble)
         try:
-            return Outcome(sender.confirm(max(0.0, until - time.monotonic())))
+            return StopOutcome(sender.confirm(max(0.0, until - time.monotonic())))
         except Exception as error:  # noqa: BLE001 - an answer in any case
-            return Outcome(dict.fromkeys(self._joints, str(error)))
+            return StopOutcome(dict.fromkeys(self._joints, str(error)))
 
     def _keep(self) -> None:
         # imported here, because the process listens before these are loaded
@@ -178,7 +177,7 @@ class Bus:
             except DriveError as error:
                 self._open.clear()
                 self._note(str(error))
-            self._wanted.wait(_AGAIN)
+            self._wanted.wait(self.again)
             self._wanted.clear()
         sender.close()
 

@@ -19,9 +19,6 @@ from service.model.errors import SweepidError
 
 _log = structlog.get_logger(__name__)
 
-_AGAIN = 1.0  # s until the process is restarted after its end
-HUNG = 2.0  # s without a sign of life, which comes every `listener.BEAT`
-_MOST_EARLY = 100  # stops kept until somebody listens; each of them holds the machine
 
 Word = Callable[[str, str, str, str], None]
 
@@ -35,6 +32,8 @@ class StopProcess:
 
     `tls`: certificate and key, for clients that begin with TLS.
     """
+
+    hung = 2.0  # s without a sign of life, which comes every `listener.BEAT`
 
     def __init__(self, drive: Path, host: str, port: int, tls: tuple[Path, Path] | None = None) -> None:
         self.port = port
@@ -89,9 +88,9 @@ class StopProcess:
     def failed(self) -> str:
         """Why it cannot stop anything now: it has ended and is being restarted, or it hangs; "" if it works."""
         silent = time.monotonic() - self._alive
-        if self._ended or silent <= HUNG:
+        if self._ended or silent <= self.hung:
             return self._ended
-        return f"the stop process has not answered for {silent:.0f} s, limit {HUNG:g} s: restart the service"
+        return f"the stop process has not answered for {silent:.0f} s, limit {self.hung:g} s: restart the service"
 
     @property
     def trouble(self) -> str:
@@ -151,7 +150,7 @@ class StopProcess:
                 return
             self._ended = f"the stop process ended (code {code})"
             _log.error("stop_process_ended", code=code)
-            while not self._closing.wait(_AGAIN):
+            while not self._closing.wait(1.0):
                 with suppress(StopNotStarted):
                     self._process = self._start()
                     break
@@ -168,7 +167,7 @@ class StopProcess:
             word = (str(stop["by"]), str(stop["why"]), str(stop["press"]), str(stop["address"]))
             with self._attaching:
                 if self._word is None:
-                    self._early = [*self._early, word][:_MOST_EARLY]
+                    self._early = [*self._early, word][:100]  # each of them holds the machine
                 else:
                     self._word(*word)
 

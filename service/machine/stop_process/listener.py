@@ -2,8 +2,8 @@
 
 A stop is executed when its first line has arrived, without waiting for headers or body. Its answer comes later, from
 another thread; meanwhile this thread serves all others. A connection without data is closed after its time limit, or
-when others need its place. With a certificate it also accepts TLS, for clients that
-begin with it: a page loaded by HTTPS cannot send elsewhere.
+when others need its place. With a certificate it also accepts TLS, for clients that begin with it: a page loaded by
+HTTPS cannot send elsewhere.
 """
 
 import json
@@ -12,21 +12,103 @@ import selectors
 import socket
 import ssl
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from urllib.parse import parse_qs, urlsplit
 
-from service.machine.stop_process.answers import Answer, Request, waiting_time
-from service.machine.stop_process.tls import HANDSHAKE, Secured
+from service.machine.stop_process.bus import StopOutcome
 
-PATHS = ("/stop", "/api/v1/stop")
-LONGEST_LINE = 4096  # bytes of a request's first line
-MOST_CONNECTIONS = 256
-PATIENCE = 5.0  # s for a connection, from its start to its end
+LONGEST_WAIT = 1.0  # s that a stop waits for its confirmation; the answer comes within 1.2 s
+
+Answer = tuple[int, dict[str, object]]  # HTTP status, JSON
+
+
+@dataclass(frozen=True)
+class Request:
+    """Origin and reason of a stop. `press` identifies one press of a button that arrives by two ways.
+
+    `wait`: s for the confirmation; 0: the answer is that the stop was sent.
+    """
+
+    by: str
+    why: str
+    press: str
+    address: str
+    wait: float = LONGEST_WAIT
+
+    def words(self) -> dict[str, str]:
+        """What the service is told."""
+        words = asdict(self)
+        del words["wait"]
+        return words
+
+
+def waiting_time(word: object) -> float:
+    """The parameter `wait`, s from 0 to `LONGEST_WAIT`. Whatever else it is: a stop is not refused."""
+    try:
+        wanted = float(str(word))
+    except ValueError:
+        return LONGEST_WAIT
+    return max(0.0, wanted) if wanted < LONGEST_WAIT else LONGEST_WAIT  # also if it is not a number
+
+
+def not_confirmed(sent: bool, within: float, unconfirmed: Mapping[str, str]) -> str:
+    """The sentence for a person."""
+    what = f"stop sent, not confirmed within {within:g} s" if sent else "stop not sent"
+    reasons = "; ".join(f"{joint}: {reason}" for joint, reason in unconfirmed.items())
+    return f"{what}{': ' if reasons else ''}{reasons}; use the emergency stop"
+
+
+def answer_to(wanted: Request, sent: StopOutcome, confirmed: StopOutcome | None) -> Answer:
+    """`confirmed`: None if it is not waited for. 200 only if every axis reports standstill without energy."""
+    if confirmed is None and sent.good:
+        doubts = {joint: doubt for joint, doubt in sent.joints.items() if doubt}
+        return 202, {"sent": sent.good, "confirmed": (), "unconfirmed": doubts}
+    reported = sent if confirmed is None else confirmed
+    stands = () if confirmed is None else confirmed.good
+    unconfirmed = {joint: doubt for joint, doubt in reported.joints.items() if doubt}
+    # a bus that was opened meanwhile got the stop at once
+    told = sent.good or (() if confirmed is None or confirmed.trouble else tuple(confirmed.joints))
+    facts: dict[str, object] = {"sent": told, "confirmed": stands, "unconfirmed": unconfirmed}
+    if stands and not unconfirmed:
+        return 200, facts
+    trouble = unconfirmed or {"stop process": reported.trouble or "no drive is known"}
+    return 503, {
+        "type": "urn:sweepid:problem:stop-not-confirmed",
+        "title": "Service Unavailable",
+        "status": 503,
+        "detail": not_confirmed(bool(told), wanted.wait, trouble),
+        **facts,
+    }
+
+
+class Secured:
+    """TLS of one connection, in memory: the socket stays plain, and nothing blocks."""
+
+    def __init__(self, context: ssl.SSLContext) -> None:
+        self._coming, self._going = ssl.MemoryBIO(), ssl.MemoryBIO()
+        self._tls = context.wrap_bio(self._coming, self._going, server_side=True)
+
+    def read(self, data: bytes) -> tuple[bytes, bytes]:
+        """Decrypted bytes, and bytes to send now during the handshake. ssl.SSLError."""
+        self._coming.write(data)
+        said = bytearray()
+        try:
+            while piece := self._tls.read(65536):
+                said += piece
+        except (ssl.SSLWantReadError, ssl.SSLZeroReturnError):
+            pass
+        return bytes(said), self._going.read()
+
+    def write(self, words: bytes) -> bytes:
+        """The bytes encrypted for the wire. ssl.SSLError."""
+        self._tls.write(words)
+        return self._going.read()
+
+
 BEAT = 0.25  # s between signs of life
-_ANY_ORIGIN = "Access-Control-Allow-Origin: *\r\n"  # every page may stop
 
 
 Answered = Callable[[Answer], None]
@@ -46,6 +128,10 @@ class _Connection:
 
 class Listener:
     """Listens at `host`:`port` (0: any free one) from now on; OSError if that is not possible."""
+
+    longest_line = 4096  # bytes of a request's first line
+    most_connections = 256
+    patience = 5.0  # s for a connection, from its start to its end
 
     def __init__(
         self,
@@ -102,11 +188,11 @@ class Listener:
         except OSError:  # already closed, or no descriptor free
             return
         accepted.setblocking(False)
-        connection = _Connection(accepted, str(address[0]), time.monotonic() + PATIENCE)
+        connection = _Connection(accepted, str(address[0]), time.monotonic() + self.patience)
         self._connections[accepted] = connection
         self._selector.register(accepted, selectors.EVENT_READ)
         self._read(connection)  # most have already sent data
-        if len(self._connections) > MOST_CONNECTIONS:
+        if len(self._connections) > self.most_connections:
             least = self._least_needed()
             if least.asked and not least.answered:
                 self._answer(least, (503, {"detail": "too many stops at once: sent, not confirmed"}))
@@ -135,14 +221,14 @@ class Listener:
                 self._drop(connection)
                 return
             line, found, _ = bytes(connection.received).partition(b"\r\n")
-            if found or len(line) > LONGEST_LINE:
+            if found or len(line) > self.longest_line:
                 connection.asked = True
                 self._take(connection, line.decode("latin-1"))
 
     def _opened(self, connection: _Connection, data: bytes) -> bytes:
         """The decrypted bytes."""
         begins = not connection.received and connection.secured is None
-        if begins and self._tls is not None and data.startswith(HANDSHAKE):
+        if begins and self._tls is not None and data.startswith(b"\x16"):  # of TLS; no HTTP method begins with it
             connection.secured = Secured(self._tls)
         if connection.secured is None:
             return data
@@ -158,7 +244,7 @@ class Listener:
         except ValueError:
             self._answer(connection, (400, {"detail": "not a request"}))
             return
-        if url.path.rstrip("/") not in PATHS:
+        if url.path.rstrip("/") not in ("/stop", "/api/v1/stop"):
             self._answer(connection, (404, {"detail": "this port accepts only POST /stop"}))
         elif method == "POST":
             by, why, press, wait = (asked.get(name, [""])[0] for name in ("by", "why", "press", "wait"))
@@ -189,7 +275,8 @@ class Listener:
         body = json.dumps(content).encode()
         kind = "application/json" if status < 400 else "application/problem+json"
         head = (
-            f"HTTP/1.1 {status} {'OK' if status < 400 else 'Refused'}\r\nContent-Type: {kind}\r\n{_ANY_ORIGIN}"
+            f"HTTP/1.1 {status} {'OK' if status < 400 else 'Refused'}\r\nContent-Type: {kind}\r\n"
+            "Access-Control-Allow-Origin: *\r\n"  # every page may stop
             "Access-Control-Allow-Methods: POST\r\nCache-Control: no-store\r\nConnection: close\r\n"
             f"Content-Length: {len(body)}\r\n\r\n"
         )

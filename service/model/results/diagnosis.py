@@ -1,16 +1,144 @@
 """A diagnosis: the difference between model and measurement by axis, and the resulting model."""
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 from pydantic import Field, JsonValue
 
-from service.model.results.cell import Cell
-from service.model.results.check import Finding
+from service.model.recording import SweepSpec
 from service.model.results.effect import AxisFit, Effect, Value
-from service.model.results.experiment import Experiment
 from service.model.results.part import Document, Part
 from service.model.results.table import Column, Shown, Table
+
+
+@dataclass(frozen=True, slots=True)
+class Bin:
+    """From `low` to `high` (None: a single value), in `unit`; `parts`: divisions of the unit, which `low` counts."""
+
+    low: float
+    high: float | None
+    unit: str
+    parts: int | None = None
+
+
+class Cell(Part):
+    """RMS of the repeatable gap in a bin, N m (N), before and after, and its significance in standard deviations."""
+
+    dimension: str
+    value: str
+    rms: float
+    significance: float
+    rms_after: float
+
+    @property
+    def bin(self) -> Bin | None:
+        """`value` in numbers: "0.1 to 0.2 rad/s", "3 Hz", "0/8 turn"; None for the name of a block or a direction."""
+        first, *rest = self.value.split(" ")
+        number, _, parts = first.partition("/")
+        low, high = _number(number), None
+        if rest[:1] == ["to"] and len(rest) > 1:
+            high, rest = _number(rest[1]), rest[2:]
+            if high is None:
+                return None
+        if low is None or not rest or (parts and not parts.isdecimal()):
+            return None
+        return Bin(low, high, " ".join(rest), int(parts) if parts else None)
+
+
+def _number(text: str) -> float | None:
+    """A number written with digits; not "nan" or "1_000", which are not used for bins."""
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) and "_" not in text else None
+
+
+class Finding(Part):
+    """`severity` wrong: the physics of the `axis` (null: of the whole robot) cannot be trusted; warning: read it.
+
+    `value` and `limit` have the unit given in the sentence; null if there is no number.
+    """
+
+    code: str
+    severity: Literal["wrong", "warning"]
+    axis: str | None
+    sweeps: tuple[str, ...]
+    value: float | None
+    limit: float | None
+    sentence: str
+    action: str
+
+
+class CheckedAxis(Part):
+    """A swept axis, and the codes of its findings."""
+
+    sweeps: int
+    trustworthy: bool
+    codes: tuple[str, ...]
+
+
+class DataCheck(Shown, Document):
+    """Do recordings, set-points and robot file fit together?"""
+
+    findings: tuple[Finding, ...]
+    axes: dict[str, CheckedAxis]
+
+    @property
+    def _what(self) -> str:
+        count = sum(axis.sweeps for axis in self.axes.values())
+        return f"{count} sweep{'s' * (count > 1)}"
+
+    def table(self) -> Table:
+        """One row a finding: what was found and what to do."""
+        return Table(
+            f"Check of {self._what}",
+            (
+                Column("", tuple(one.severity for one in self.findings)),
+                Column("what", tuple(one.code for one in self.findings)),
+                Column("found", tuple(one.sentence for one in self.findings)),
+                Column("to do", tuple(one.action for one in self.findings)),
+            ),
+        )
+
+    def shown(self) -> Sequence[Table | str]:
+        """The findings, or that there is none."""
+        return (self.table(),) if self.findings else (f"Nothing found in {self._what}.",)
+
+
+TEST_MASS = "test_mass"  # the kind whose sweeps are run with a known mass on the last link
+
+
+class ExperimentSweep(Part):
+    """A designed sweep; `ramp` and `settle`, s."""
+
+    spec: SweepSpec
+    ramp: float
+    settle: float
+
+
+class Experiment(Part):
+    """What to measure next, and the reason; `seconds` of machine time.
+
+    `kind`: a block, `full_design`, `more_poses`, `warm_up` or `test_mass`. `separation`: expected chi-squared of the
+    difference of the effects `between`, null if it was not computed.
+    """
+
+    kind: str
+    blocks: tuple[str, ...]
+    sweeps: tuple[ExperimentSweep, ...]
+    seconds: float
+    separation: float | None
+    between: tuple[str, ...]
+    reason: str
+
+    @property
+    def weighs(self) -> bool:
+        """True if a known mass must be mounted."""
+        return self.kind == TEST_MASS
+
 
 Verdict = Literal["none", "named", "ambiguous", "unknown", "untestable"]
 Standing = Literal["settled", "open", "unexplained"]

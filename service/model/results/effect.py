@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, JsonValue, Strict
 
-from service.model.results.part import Part
+from service.model.results.part import Document, Part
 
 Number = Annotated[float, Strict()]  # no strings or booleans
 
@@ -65,3 +65,53 @@ class AxisFit(Part):
     gravity: tuple[PoseGravity, ...] | None = None
     viscous_friction: Value
     torques: Literal["recorded", "true"] = "recorded"
+
+
+class RevisedAxis(Part):
+    """Known effects of an axis, and its rigid model."""
+
+    effects: tuple[Effect, ...]
+    fit: AxisFit
+
+
+class ModelRevision(Document):
+    """By joint; the corresponding scenario of a virtual machine, and the parts that a scenario cannot contain."""
+
+    axes: dict[str, RevisedAxis]
+    scenario: dict[str, JsonValue]
+    notes: tuple[str, ...]
+
+
+class Torques(Part):
+    """Of the rigid axis: whether its torques are as recorded by the drive."""
+
+    torques: Literal["recorded", "true"] = "recorded"
+
+
+class KnownEffectsOfAxis(Part):
+    """Known effects of an axis."""
+
+    effects: tuple[Effect, ...] = ()
+    fit: Torques = Torques()
+
+
+class KnownModel(Document):
+    """The part of a model revision, or of a user's file with effects, that an estimate needs."""
+
+    axes: dict[str, KnownEffectsOfAxis]
+
+
+class StoredModel(Part):
+    """A model revision in the store."""
+
+    id: int
+    revision: int
+
+
+class ModelFile(Part):
+    """A file with known effects, by its name."""
+
+    file: str
+
+
+ModelSource = StoredModel | ModelFile

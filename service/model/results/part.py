@@ -2,10 +2,13 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Self, cast
+from typing import Any, ClassVar, Self, cast
 
-from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
+from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, JsonValue, TypeAdapter, ValidationError
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
 
 from service.model.errors import BadInput
 
@@ -59,3 +62,13 @@ class Document(Part):
             got = "" if len(given) > 60 or first["type"] == "missing" else f", got {given}"
             more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
             raise BadInput(where, f"{first['msg']}{got}{more}; use a file written by this version of sweepid") from None
+
+
+@dataclass(frozen=True)
+class JsonOf:
+    """Annotates a JSON object: its schema is that of a model (or a union of models), its content is not validated."""
+
+    model: Any  # whatever a TypeAdapter takes
+
+    def __get_pydantic_json_schema__(self, _: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return handler(TypeAdapter(self.model).core_schema)

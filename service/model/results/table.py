@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Value = str | int | float | None
-NOTHING = "–"
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,7 @@ class Column:
     def texts(self) -> tuple[str, ...]:
         """The values as a person reads them."""
         return tuple(
-            NOTHING if value is None else f"{value:{self.form}}" if isinstance(value, float) else str(value)
+            "–" if value is None else f"{value:{self.form}}" if isinstance(value, float) else str(value)
             for value in self.values
         )
 

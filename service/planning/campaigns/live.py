@@ -23,9 +23,6 @@ _log = structlog.get_logger(__name__)
 
 Array = NDArray[np.float64]
 
-RETRY = 2.0  # s until the next attempt after an error of the database
-LOOK = 1.0  # s between queries for entries of other services
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveBlock:
@@ -141,6 +138,8 @@ def thin(campaign_id: int, number: int, block: SampleBlock, rate: float) -> Live
 class EventFeed:
     """Follows the outbox: first the stored events, then the new ones."""
 
+    retry = 2.0  # s until the next attempt after an error of the database
+
     def __init__(self, store: Store, database: Database) -> None:
         """Create it in the event loop that follows it. `database` reports its writes."""
         self._store = store
@@ -164,7 +163,7 @@ class EventFeed:
                 except SQLAlchemyError as refused:
                     _log.warning("events_not_read", after=after, reason=refusal(refused))
                     with suppress(TimeoutError):
-                        await asyncio.wait_for(news.wait(), RETRY)
+                        await asyncio.wait_for(news.wait(), self.retry)
                     continue
                 for event in events:
                     yield event
@@ -175,9 +174,9 @@ class EventFeed:
             self._waiting.remove(news)
 
     async def watch(self) -> None:
-        """Until cancelled: followers also get the events of other services in the same database, within `LOOK`."""
+        """Until cancelled: followers also get the events of other services in the same database, within 1 s."""
         while True:
-            await asyncio.sleep(LOOK)
+            await asyncio.sleep(1.0)
             if self._waiting and not self._closed:
                 self._ring()
 

@@ -8,8 +8,13 @@ Before a sweep, from its command alone (bounds apply to every instant, including
     effort      (1 + 2 s_J) J_cad a_max + (1 + s_g) |gravity|_max + (1 + s_v) mu_v v_max
                 + breakaway share of the rated effort
 
-with s the robot's prior. Torque noise adds travel, velocity and effort (`noise_motion`), with the least inertia that
-the prior allows. A violation names axis, quantity, value, limit and unit. Limits that a drive enforces in addition
+with s the robot's prior. Torque noise of n lines has the amplitude a = f sqrt(2/n) at each, f the RMS. With the least
+inertia J that the prior allows, whose motion the speed control only reduces, it adds
+
+    velocity    sum a / (2 pi f_k J)
+    travel      sum a / ((2 pi f_k)^2 J)   in either direction
+
+A violation names axis, quantity, value, limit and unit. Limits that a drive enforces in addition
 are handled by the adapter; nothing here depends on them.
 """
 
@@ -22,24 +27,23 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.errors import CauseCode, Measured, distinct
 from drivers.ports import NoiseCommand, SampleBlock, Sine, SweepCommand
-from service.identification.design.excitation import TRAVEL
+from service.identification.design.excitation import TRAVEL, Excitation, velocity_setpoint, way
 from service.identification.design.exciting_trajectory import BREAKAWAY, nominal_effort
 from service.identification.estimates.torque_gain import KnownMass
+from service.identification.model.inverse_dynamics import JointMotion
 from service.identification.model.regressor import gravity_terms, inertia_rows
+from service.model.collision import CollisionChecker
+from service.model.configuration import Cell
 from service.model.errors import EnvelopeViolation
-from service.model.geometry.cell import Cell
-from service.model.geometry.collision import CollisionChecker
+from service.model.recording import Sine as SpecSine
 from service.model.robot import Robot
-from service.planning.safety.noise_motion import Command, noise_effort, noise_velocity, noise_way
-from service.planning.safety.trajectory_motion import commanded_motion, path_of
 from service.planning.safety.travel import Leg, route
 
 Array = NDArray[np.float64]
+Command = SweepCommand | NoiseCommand
 
-LEAST_INERTIA = 0.1  # of CAD's: least that a link is taken to have, however wide the prior
 
-
-class Limits(BaseModel):
+class MethodLimits(BaseModel):
     """Limits of the method; the limits of the robot's joints and of the cell apply in addition."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -57,12 +61,12 @@ class Envelope:
     """Allowed motion of one robot in one cell. Every check raises EnvelopeViolation or returns None."""
 
     def __init__(
-        self, robot: Robot, cell: Cell, limits: Limits | None = None, test_mass: KnownMass | None = None
+        self, robot: Robot, cell: Cell, limits: MethodLimits | None = None, test_mass: KnownMass | None = None
     ) -> None:
         """`test_mass`: mounted while this envelope is used. Its weight counts; its shape is not checked for
         collision.
         """
-        self.limits = limits or Limits()
+        self.limits = limits or MethodLimits()
         self._inertial = robot.chain.inertial.ravel().copy()
         if test_mass is not None:
             self._inertial[-10:] += test_mass.parameters
@@ -256,7 +260,8 @@ class Envelope:
     def least_inertia(self, index: int, pose: Sequence[float]) -> float:
         """Lower bound of the axis' inertia, from the CAD model and its prior, kg m^2 (kg)."""
         motor = self._robot.axes[index].reflected_motor_inertia or 0.0
-        return max(1 - 2 * self._robot.prior.inertia, LEAST_INERTIA) * self._cad_inertia(index, pose) + motor
+        # however wide the prior, a link is taken to have a tenth of its inertia in CAD
+        return max(1 - 2 * self._robot.prior.inertia, 0.1) * self._cad_inertia(index, pose) + motor
 
     def joint_range(self, index: int) -> tuple[float, float]:
         """Joint limits minus the cell's margin, rad (m)."""
@@ -351,6 +356,60 @@ def _noise_numbers(command: Command) -> tuple[tuple[str, float], ...]:
         ("distance of the band from half the sample rate", below),
         ("softening", command.softening),
     )
+
+
+def noise_velocity(command: NoiseCommand, inertia: float) -> float:
+    """Bound of the noise's part of the velocity, rad/s (m/s); `inertia` kg m^2 (kg)."""
+    omega = _omega(command)
+    return _amplitude(command) * float(np.sum(1 / omega)) / inertia
+
+
+def noise_way(command: NoiseCommand, inertia: float) -> float:
+    """Bound of the travel by the noise in either direction, rad (m)."""
+    omega = _omega(command)
+    return _amplitude(command) * float(np.sum(1 / omega**2)) / inertia
+
+
+def noise_effort(command: NoiseCommand) -> float:
+    """Bound of the effort with this noise, N m (N).
+
+    The response of the speed control is part of the effort: at most twice the injected torque.
+    """
+    return 2.0 * _amplitude(command) * len(_omega(command))
+
+
+def _omega(command: NoiseCommand) -> Array:
+    first, last = math.ceil(command.lowest * command.period - 1e-9), math.floor(command.highest * command.period + 1e-9)
+    return np.asarray(2 * np.pi * np.arange(max(first, 1), last + 1) / command.period, dtype=np.float64)
+
+
+def _amplitude(command: NoiseCommand) -> float:
+    return command.effort * math.sqrt(2 / max(len(_omega(command)), 1))
+
+
+def commanded_motion(joints: Sequence[str], commands: Sequence[SweepCommand], pose: Sequence[float]) -> JointMotion:
+    """From standstill at `pose` (n,) to standstill, (m, n); joints without a command stand."""
+    duration, rate = commands[0].duration, 50.0  # Hz; the harmonics of a trajectory are far below
+    time = np.linspace(0.0, duration, max(2, round(duration * rate) + 1))
+    position = np.tile(np.asarray(pose, dtype=float), (len(time), 1))
+    velocity = np.zeros_like(position)
+    for command in commands:
+        index = joints.index(command.joint)
+        position[:, index] += path_of(command, time)
+        velocity[:, index] = velocity_setpoint(_excitation(command), time)
+    return JointMotion(position, velocity, np.asarray(np.gradient(velocity, time, axis=0), dtype=float))
+
+
+def path_of(command: SweepCommand, time: Array) -> Array:
+    """Position relative to the start at `time` (m,), s since the start; rad (m)."""
+    return way(_excitation(command), time)
+
+
+def _excitation(command: SweepCommand) -> Excitation:
+    sines = tuple(
+        SpecSine(frequency=sine.frequency, amplitude=sine.amplitude, phase=sine.phase) for sine in command.sines
+    )
+    return Excitation(command.offset_velocity, sines, command.period, command.periods, command.ramp, command.settle)
 
 
 def _at_most(joint: str, quantity: str, value: float, limit: float, unit: str) -> None:

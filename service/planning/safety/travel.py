@@ -6,13 +6,10 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from service.model.geometry.collision import CollisionChecker
+from service.model.collision import CollisionChecker
 
 Array = NDArray[np.float64]
 Leg = tuple[int, float]  # number of the joint, position to move it to, rad (m)
-
-AT_TARGET = 2e-4  # rad (m): a joint within this distance of its target is not moved
-ALL_ORDERS = 4  # up to this number of joints, every order is tried
 
 
 def route(
@@ -71,8 +68,8 @@ def _nearest_neighbours(distance: Array) -> NDArray[np.intp]:
 
 
 def _direct(checker: CollisionChecker, start: Sequence[float], goal: Sequence[float]) -> tuple[Leg, ...] | None:
-    moving = [k for k in range(len(goal)) if abs(goal[k] - start[k]) > AT_TARGET]
-    orders = permutations(moving) if len(moving) <= ALL_ORDERS else iter((tuple(moving), tuple(reversed(moving))))
+    moving = [k for k in range(len(goal)) if abs(goal[k] - start[k]) > 2e-4]  # rad (m): a nearer joint is not moved
+    orders = permutations(moving) if len(moving) <= 4 else iter((tuple(moving), tuple(reversed(moving))))
     for order in orders:
         pose = list(start)
         legs: list[Leg] = []

@@ -3,15 +3,21 @@
 Pure functions from recordings and robot file to `Benefit`, and its section of a report.
 """
 
-from service.report.benefit.benefit import benefit
-from service.report.benefit.feed_forward import feed_forward
-from service.report.benefit.result import AxisBenefit, Benefit, Followed, ModelBenefit, Tracking
+from service.report.benefit.benefit import (
+    AxisBenefit,
+    Benefit,
+    FollowingError,
+    ModelBenefit,
+    Tracking,
+    benefit,
+)
+from service.report.benefit.prediction import feed_forward
 from service.report.benefit.section import benefit_section, sentence
 
 __all__ = [
     "AxisBenefit",
     "Benefit",
-    "Followed",
+    "FollowingError",
     "ModelBenefit",
     "Tracking",
     "benefit",

@@ -1,31 +1,49 @@
-"""CAD and estimate compared on sweeps that were not used in the estimate; see `held_out`, `prediction` and `monitor`.
+r"""CAD and estimate compared on sweeps that were not used in the estimate; see also `prediction`.
 
 The tested estimate uses the training sweeps of all axes and no held-out sweep. Its gravity is that of its physical
 standard parameters: the part that the inertias do not determine is that of CAD. The measured inertia in a held-out pose
 is that of an estimate from all sweeps, with its covariance.
+
+The sweeps of an axis are grouped by pose in the order of the bundle; every `EVERY`th pose is held out with all its
+sweeps, a rule that is independent of the results. Sweeps are of one pose if all other joints have the same position:
+the axis itself may start at either end.
+
+A monitor compares measured and predicted effort at each sample, and gives an alarm if they differ by more than L. False
+alarms: one in `QUIET_HOURS` h of samples at the drive's rate, that is a probability p = 1 / (3600 QUIET_HOURS rate) per
+sample, about 3e-8 at 1 kHz. Minutes of recordings have too few samples for an empirical quantile at this probability,
+so a Gaussian tail is assumed, with the mean m_s and the standard deviation s_s of each sweep:
+
+    mean over s of  Phi(-(L - m_s)/s_s) + Phi(-(L + m_s)/s_s)  =  p
+
+Differences between poses (gravity, friction) are not noise that changes with each sample: one Gaussian over all poses
+would multiply them by 5.5 and make the better model look too good. L is never less than the largest recorded
+difference. An external effort of L is just detected if there is no other difference. Single samples are assumed
+independent, so the requirement is higher than for the filtered monitors of real controls.
 """
 
-from collections.abc import Sequence
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import ndtr, ndtri
 
 from service.identification.axis.axis_estimate import AxisEstimate
-from service.identification.estimates.estimate import Estimate, identify
+from service.identification.axis.drive_train import TwoMassTrain
+from service.identification.estimates.estimate import RobotEstimate, identify
 from service.identification.estimates.standard_parameters import standard_parameters
 from service.identification.model.regressor import axis_rows, gravity_terms
-from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.model.errors import BadInput
-from service.model.recording import Sweep
-from service.model.results.effect import Value
-from service.model.robot import Robot
-from service.report.benefit.held_out import EVERY, held_out, poses_of
-from service.report.benefit.lever_arm import ON_THE_AXIS, lever_arm
-from service.report.benefit.monitor import QUIET_HOURS, alarm_probability, smallest_effort
+from service.model.recording import Sweep, SweepSpec
+from service.model.results.effect import Number, Value
+from service.model.results.part import Document, Part
+from service.model.robot import Robot, link_frames
+from service.model.urdf import read_origin
 from service.report.benefit.prediction import (
-    RigidBody,
+    RigidAxis,
     Window,
     dry_friction,
     left_by,
@@ -33,18 +51,100 @@ from service.report.benefit.prediction import (
     window_of,
     without_friction,
 )
-from service.report.benefit.result import AxisBenefit, Benefit, ModelBenefit
 
 Array = NDArray[np.float64]
+QUIET_HOURS = 8.0  # one shift
+ON_THE_AXIS = 0.01  # m: if nearer, a force at the end has no torque about the axis
+EVERY = 4
+
+
+class ModelBenefit(Part):
+    """One model on the held-out sweeps of an axis; N m (N), for prismatic axes in brackets.
+
+    `effort_rms` and `effort_peak` of measured minus predicted effort, sample by sample; `lines_rms` of its part at the
+    excited lines, `left_percent` that part over the measured one. `inertia_percent`: RMS over the held-out sweeps of
+    model minus measured inertia, relative. `inertia_error`: the same in kg m^2 (kg), which is N m for each rad/s^2.
+    `smallest_effort`: the smallest external effort that the monitor can detect; `smallest_force` at the robot's end
+    that causes it, N, null if that end is on the axis.
+    """
+
+    effort_rms: Number
+    effort_peak: Number
+    lines_rms: Number
+    left_percent: Number
+    inertia_percent: Value
+    inertia_error: Number
+    smallest_effort: Number
+    smallest_force: Number | None
+
+
+class AxisBenefit(Part):
+    """Both models on one axis. `effort_rms`, `lines_rms`: of the measured effort itself, in the held-out sweeps.
+
+    `lever_arm`: median over the held-out poses of the distance of the robot's end from the axis, m; null: prismatic.
+    """
+
+    unit: str
+    training: tuple[str, ...]
+    held_out: tuple[str, ...]
+    poses: int
+    held_out_poses: int
+    effort_rms: Number
+    lines_rms: Number
+    lever_arm: Number | None
+    cad: ModelBenefit
+    identified: ModelBenefit
+
+    @property
+    def lines_ratio(self) -> float:
+        """Factor by which the residual at the excited lines is smaller with the estimate."""
+        return self.cad.lines_rms / self.identified.lines_rms
+
+    @property
+    def smallest_ratio(self) -> float:
+        """Factor by which the smallest detectable effort is smaller with the estimate."""
+        return self.cad.smallest_effort / self.identified.smallest_effort
+
+
+class FollowingError(Part):
+    """Error of an axis on a path, motor side, referred to the joint: rad (m)."""
+
+    rms: Number
+    peak: Number
+
+
+class Tracking(Part):
+    """The same path with torque feed-forward of each model, by joint. `top_speed`, `top_acceleration` of any joint."""
+
+    duration: Number  # s
+    top_speed: Number  # rad/s (m/s)
+    top_acceleration: Number  # rad/s^2 (m/s^2)
+    gain: Number  # 1/s, of the position controllers
+    cad: Mapping[str, FollowingError]
+    identified: Mapping[str, FollowingError]
+
+
+class Benefit(Document):
+    """By joint. `every`: every so-many-th pose of an axis is held out; `quiet_hours`: time per false alarm.
+
+    `not_judged`: reasons why an axis has no result. `tracking`: result of a simulation, if there was one.
+    """
+
+    robot: str
+    every: int
+    quiet_hours: Number
+    axes: Mapping[str, AxisBenefit]
+    not_judged: Mapping[str, str]
+    tracking: Tracking | None = None
 
 
 @dataclass(frozen=True)
-class _Axis:
+class _JudgedAxis:
     """One axis that can be compared; arrays are in the order of `held_out`."""
 
     robot: Robot
     number: int
-    train: DriveTrain
+    train: TwoMassTrain
     training: tuple[Sweep, ...]
     held_out: tuple[Sweep, ...]
     spectra: dict[str, Spectrum]
@@ -105,9 +205,9 @@ def _axis(
     used: Sequence[Sweep],
     spectra: dict[str, Spectrum],
     out: frozenset[str],
-    known: Estimate,
-    every: Estimate,
-) -> _Axis:
+    known: RobotEstimate,
+    every: RobotEstimate,
+) -> _JudgedAxis:
     own = [sweep for sweep in used if sweep.spec.axis == joint]
     held = tuple(sweep for sweep in own if sweep.spec.id in out)
     all_of_it = _of(every, joint)
@@ -116,7 +216,7 @@ def _axis(
     fit = _of(known, joint).fit
     if fit is None:
         raise ValueError(f"{joint} has sweeps with lines, but no joint fit")
-    return _Axis(
+    return _JudgedAxis(
         robot=robot,
         number=robot.index(joint),
         train=fit.train,
@@ -128,11 +228,11 @@ def _axis(
     )
 
 
-def _of(estimate: Estimate, joint: str) -> AxisEstimate:
+def _of(estimate: RobotEstimate, joint: str) -> AxisEstimate:
     return next(axis for axis in estimate.axes if axis.joint == joint)
 
 
-def _judge(axis: _Axis, known: Estimate, identified: Array, counts: tuple[int, int]) -> AxisBenefit:
+def _judge(axis: _JudgedAxis, known: RobotEstimate, identified: Array, counts: tuple[int, int]) -> AxisBenefit:
     """`identified` (11 n,): standard parameters. `counts`: poses, and those held out."""
     robot = axis.robot
     motors = [one.reflected_motor_inertia or 0.0 for one in robot.axes]
@@ -150,14 +250,14 @@ def _judge(axis: _Axis, known: Estimate, identified: Array, counts: tuple[int, i
         poses=counts[0],
         held_out_poses=counts[1],
         effort_rms=_rms([float(np.mean(one.effort**2)) for one in windows]),
-        lines_rms=_lines(windows, [one.effort for one in windows]),
+        lines_rms=_lines_rms(windows, [one.effort for one in windows]),
         lever_arm=arm,
         cad=_model(axis, nominal, axis.covariance, arm),
         identified=_model(axis, identified, axis.covariance + uncertain, arm),
     )
 
 
-def _model(axis: _Axis, parameters: Array, covariance: Array, arm: float | None) -> ModelBenefit:
+def _model(axis: _JudgedAxis, parameters: Array, covariance: Array, arm: float | None) -> ModelBenefit:
     """Result of the model with standard `parameters` (11 n,); `covariance` (h, h) of model minus measured inertia."""
     train_windows, windows = axis.windows(axis.training), axis.windows(axis.held_out)
     bodies = _bodies(axis, parameters, axis.training)
@@ -175,14 +275,14 @@ def _model(axis: _Axis, parameters: Array, covariance: Array, arm: float | None)
         peak,
         alarm_probability(rate),
     )
-    lines = _lines(windows, left)
+    lines = _lines_rms(windows, left)
     error = np.array([body.inertia for body in own]) - axis.measured
     percent = 100 / axis.measured
     return ModelBenefit(
         effort_rms=_rms([float(np.mean(one**2)) for one in left]),
         effort_peak=peak,
         lines_rms=lines,
-        left_percent=100 * lines / _lines(windows, [one.effort for one in windows]),
+        left_percent=100 * lines / _lines_rms(windows, [one.effort for one in windows]),
         inertia_percent=rms_with_std(error * percent, covariance * np.outer(percent, percent), "%"),
         inertia_error=float(np.sqrt(np.mean(error**2))),
         smallest_effort=smallest,
@@ -197,19 +297,94 @@ def rms_with_std(errors: Array, covariance: Array, unit: str) -> Value:
     return Value(value=rms, std=std, unit=unit)
 
 
-def _bodies(axis: _Axis, parameters: Array, sweeps: Sequence[Sweep]) -> list[RigidBody]:
+def _bodies(axis: _JudgedAxis, parameters: Array, sweeps: Sequence[Sweep]) -> list[RigidAxis]:
     """The rigid body of the axis in the sweeps' poses, from `parameters` (11 n,) of the whole robot."""
     poses = np.array([sweep.spec.pose for sweep in sweeps])
     chain = axis.robot.chain
     inertia = axis_rows(chain, axis.number, poses) @ parameters
     gravity = gravity_terms(chain, parameters, axis.robot.gravity, axis.number, poses)
-    return [RigidBody(float(j), float(g), float(k)) for j, (g, k) in zip(inertia, gravity, strict=True)]
+    return [RigidAxis(float(j), float(g), float(k)) for j, (g, k) in zip(inertia, gravity, strict=True)]
 
 
-def _lines(windows: Sequence[Window], signals: Sequence[Array]) -> float:
+def _lines_rms(windows: Sequence[Window], signals: Sequence[Array]) -> float:
     return _rms([lines_power(signal, one) for signal, one in zip(signals, windows, strict=True)])
 
 
 def _rms(powers: Sequence[float]) -> float:
     """RMS over sweeps with equal weights."""
     return float(np.sqrt(np.mean(powers)))
+
+
+def poses_of(specs: Sequence[SweepSpec], own: int) -> list[list[SweepSpec]]:
+    """The sweeps of joint number `own`, grouped by pose, in the order in which the poses first occur."""
+    found: list[list[SweepSpec]] = []
+    for spec in specs:
+        same = next((pose for pose in found if _same(pose[0], spec, own)), None)
+        if same is None:
+            found.append([spec])
+        else:
+            same.append(spec)
+    return found
+
+
+def held_out(poses: Sequence[Sequence[SweepSpec]]) -> frozenset[str]:
+    """The ids of the sweeps of every `EVERY`th pose."""
+    return frozenset(spec.id for pose in poses[EVERY - 1 :: EVERY] for spec in pose)
+
+
+def _same(one: SweepSpec, other: SweepSpec, own: int) -> bool:
+    apart: Array = np.abs(np.subtract(one.pose, other.pose))
+    limit = np.full(len(apart), 2e-3)  # rad (m) of the other joints, as of an estimate
+    limit[own] = 0.1  # rad (m): a sweep travels about 4 degrees, forward or backward
+    return bool(np.all(apart < limit))
+
+
+def end_of(robot: Robot) -> Array:
+    """Origin (3,) of the last link in the frame of the last moving one, along fixed joints to their end, for example a
+    flange or tool.
+    """
+    root = ET.fromstring(robot.urdf_text)  # the robot's chain was read from it: it is valid
+    fixed = {
+        parent.get("link"): (joint, child.get("link"))
+        for joint in root.findall("joint")
+        if joint.get("type") == "fixed"
+        and (parent := joint.find("parent")) is not None
+        and (child := joint.find("child")) is not None
+    }
+    link: str | None = robot.chain.joints[-1].link
+    rotation, place = np.eye(3), np.zeros(3)
+    while link in fixed:
+        joint, link = fixed[link]
+        turn, way = read_origin(joint, f"joint {joint.get('name')}")
+        place = place + rotation @ way
+        rotation = rotation @ turn
+    return place
+
+
+def lever_arm(robot: Robot, own: int, poses: Array) -> Array:
+    """Distance (m,) in m between the robot's end and the line of revolute joint number `own`, at poses (m, joints)."""
+    rotations, origins = link_frames(robot.chain, poses)
+    end = origins[:, -1] + rotations[:, -1] @ end_of(robot)
+    axis = rotations[:, own] @ robot.chain.joints[own].axis
+    return np.linalg.norm(np.cross(axis, end - origins[:, own]), axis=-1)
+
+
+def alarm_probability(sample_rate: float, quiet_hours: float = QUIET_HOURS) -> float:
+    """Probability per sample for one false alarm in `quiet_hours`; `sample_rate` in Hz."""
+    return 1.0 / (3600.0 * quiet_hours * sample_rate)
+
+
+def smallest_effort(means: Array, stds: Array, peak: float, probability: float) -> float:
+    """L from means (s,) and standard deviations (s,) of the sweeps and the largest difference recorded; N m (N)."""
+    scale = max(float(np.abs(means).max()), float(stds.max()))
+    if scale == 0:
+        return peak
+    spread = np.maximum(stds, 1e-9 * scale)
+
+    def excess(limit: float) -> float:
+        tails = ndtr(-(limit - means) / spread) + ndtr(-(limit + means) / spread)
+        return float(np.mean(tails)) - probability
+
+    # each sweep alone meets the rate here, so all together do
+    enough = float(np.max(np.abs(means) - ndtri(probability / 2) * spread))
+    return max(float(brentq(excess, 0.0, 1.01 * enough)), peak)

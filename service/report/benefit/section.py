@@ -3,14 +3,13 @@
 from collections.abc import Callable, Sequence
 from html import escape
 
-from service.report.benefit.result import AxisBenefit, Benefit, ModelBenefit, Tracking
-from service.report.drawing import IDENTIFIED, REFERENCE, Drawn, Figure, Part, figure, scale
-from service.report.html import Page
+from service.model.results.digits import with_std
+from service.report.benefit.benefit import AxisBenefit, Benefit, ModelBenefit, Tracking
+from service.report.drawing import IDENTIFIED, REFERENCE, Drawn, DrawnFigure, Part, figure, scale
+from service.report.html import ReportPage
 
-HEADROOM = 1.15  # times the highest bar: room for its number above it
 
-
-def benefit_section(page: Page, found: Benefit) -> None:
+def benefit_section(page: ReportPage, found: Benefit) -> None:
     """The section; only the reasons if no axis can be compared."""
     page.add("<h2>What you gain</h2>")
     if found.axes:
@@ -38,14 +37,14 @@ def benefit_section(page: Page, found: Benefit) -> None:
 def sentence(found: Benefit) -> str:
     """What changes for the user of the robot; requires at least one axis."""
     axes = list(found.axes.values())
-    left = (_span([each(one).left_percent for one in axes]) for each in (_identified, _cad))
+    left = (_span([model.left_percent for model in models]) for models in _both(axes))
     summary = (
         "With the identified model a torque feed-forward leaves {} % of the test motion's torque to the position "
         "controller, with CAD {} %."
     ).format(*left)
     forces = [one for one in axes if one.cad.smallest_force is not None]
     if forces:
-        seen = (_span([each(one).smallest_force or 0.0 for one in forces]) for each in (_identified, _cad))
+        seen = (_span([model.smallest_force or 0.0 for model in models]) for models in _both(forces))
         summary += " A torque monitor sees a push of {} N at the end of the robot; with CAD it takes {} N.".format(
             *seen
         )
@@ -53,7 +52,7 @@ def sentence(found: Benefit) -> str:
     return f"{summary} On {', '.join(worse)} the estimate is no better than CAD." if worse else summary
 
 
-def _tracking(page: Page, found: Tracking) -> None:
+def _tracking(page: ReportPage, found: Tracking) -> None:
     ratios = [found.cad[joint].rms / one.rms for joint, one in found.identified.items()]
     page.add(
         "<h3>The same path with either model</h3>",
@@ -75,7 +74,7 @@ def _tracking(page: Page, found: Tracking) -> None:
     )
 
 
-def worth(found: Benefit) -> Figure:
+def worth(found: Benefit) -> DrawnFigure:
     """Both models for each axis: remaining torque in percent, and smallest force in N."""
     joints, axes = list(found.axes), list(found.axes.values())
     panels: tuple[tuple[str, str, Callable[[ModelBenefit], float | None]], ...] = (
@@ -85,8 +84,9 @@ def worth(found: Benefit) -> Figure:
     traces: list[Part] = []
     layout: dict[str, Drawn] = {"height": 360, "bargap": 0.35, "meta": {"width": 960}}
     for number, (tail, title, size) in enumerate(panels):
-        for name, each, colour, pattern in (("CAD", _cad, REFERENCE, "/"), ("estimate", _identified, IDENTIFIED, "")):
-            sizes = [size(each(axis)) for axis in axes]
+        identified, cad = _both(axes)
+        for name, models, colour, pattern in (("CAD", cad, REFERENCE, "/"), ("estimate", identified, IDENTIFIED, "")):
+            sizes = [size(model) for model in models]
             traces.append(
                 {
                     "type": "bar",
@@ -103,14 +103,19 @@ def worth(found: Benefit) -> Figure:
                     "hovertemplate": f"%{{x}}, {name}: %{{y:.3g}}<extra></extra>",
                 }
             )
-        highest = max((size(each(axis)) or 0.0 for each in (_cad, _identified) for axis in axes), default=0.0)
+        highest = max((size(model) or 0.0 for model in (*cad, *identified)), default=0.0)
         layout[f"xaxis{tail}"] = {
             **scale(""),
             "type": "category",
             "domain": [0.54 * number, 0.46 + 0.54 * number],
             "anchor": f"y{tail}",
         }
-        layout[f"yaxis{tail}"] = {**scale(title), "anchor": f"x{tail}", "range": [0, HEADROOM * (highest or 1.0)]}
+        # 1.15: room for the number above the highest bar
+        layout[f"yaxis{tail}"] = {
+            **scale(title),
+            "anchor": f"x{tail}",
+            "range": [0, 1.15 * (highest or 1.0)],
+        }
     return figure(traces, layout)
 
 
@@ -119,7 +124,8 @@ def _table(found: Benefit) -> tuple[list[str], list[list[str]]]:
     rows: list[list[str]] = []
     for joint, axis in found.axes.items():
         rows += [
-            _row(f"{joint}, {name}", axis.unit, each(axis)) for name, each in (("CAD", _cad), ("estimate", _identified))
+            _row(f"{joint}, {name}", axis.unit, model)
+            for name, model in (("CAD", axis.cad), ("estimate", axis.identified))
         ]
     return head, rows
 
@@ -128,18 +134,15 @@ def _row(label: str, unit: str, model: ModelBenefit) -> list[str]:
     off = model.inertia_percent
     return [
         label,
-        f"{off.value:.2f}" if off.std is None else f"{off.value:.2f} ± {off.std:.2f}",
+        f"{off.value:.2f}" if off.std is None else " ± ".join(with_std(off.value, off.std)),
         *(f"{size:.3g} {unit}" for size in (model.lines_rms, model.effort_rms, model.smallest_effort)),
         _number(model.smallest_force),
     ]
 
 
-def _cad(axis: AxisBenefit) -> ModelBenefit:
-    return axis.cad
-
-
-def _identified(axis: AxisBenefit) -> ModelBenefit:
-    return axis.identified
+def _both(axes: Sequence[AxisBenefit]) -> tuple[list[ModelBenefit], list[ModelBenefit]]:
+    """The identified models, and those of CAD."""
+    return [axis.identified for axis in axes], [axis.cad for axis in axes]
 
 
 def _span(sizes: Sequence[float]) -> str:

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 
 from service.model.errors import BadInput, SweepidError
-from service.store.access.keys import masked
+from service.store.access.credentials import masked
 
 FIRST = "0" * 64
 """The hash before the first entry."""

@@ -5,24 +5,28 @@ Reading validates everything before it returns anything; writing uses a temporar
 renamed when it is complete, so a bundle is always complete.
 """
 
+import errno
 import shutil
+import zipfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal
 from uuid import uuid4
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, StringConstraints, ValidationError
 
 from service.model.configuration import bad_field, read_text
 from service.model.errors import BadInput
 from service.model.recording import Sweep, SweepSpec
 from service.model.results.table import Column, Shown, Table, columns_of_sweeps
 from service.model.robot import Robot, RobotDescription, robot_from_outside
+from service.store.documents import NewRecording, RecordingState
 from service.store.files.columns import check_possible, check_samples, columns_of, read_columns, write_columns
+from service.store.files.recordings import RecordingFiles
 
-FORMAT = "sweepid-bundle/1"
 MOST_NUMBERS = 250_000_000  # all sweeps of a bundle are in memory together
 
 
@@ -51,7 +55,7 @@ class _Entry(SweepSpec):
     file: str
 
 
-class _Document(BaseModel):
+class _BundleDocument(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     format: Literal["sweepid-bundle/1"]
     robot: RobotDescription
@@ -62,7 +66,7 @@ def read_bundle(directory: Path) -> Bundle:
     """Read and validate a whole bundle. BadInput names the file, the sweep and the reason of the first error."""
     place = directory / "bundle.json"
     try:
-        document = _Document.model_validate_json(read_text(place), strict=True)
+        document = _BundleDocument.model_validate_json(read_text(place), strict=True)
     except ValidationError as error:
         raise bad_field(str(place), error) from None
     description = document.robot
@@ -88,9 +92,7 @@ def read_bundle(directory: Path) -> Bundle:
 def write_bundle(
     directory: Path, robot: Robot, sweeps: Sequence[Sweep], samples: Literal[".parquet", ".csv"] = ".parquet"
 ) -> None:
-    """Write a bundle to a new or empty directory. Raises BadInput, and writes nothing, if `read_bundle` would refuse
-    it.
-    """
+    """Write a bundle to a new or empty directory. BadInput, and nothing is written, if `read_bundle` would refuse."""
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
         raise BadInput(str(directory), "exists already and is not an empty folder")
     check_specs(robot, [sweep.spec for sweep in sweeps], str(directory))
@@ -202,5 +204,93 @@ def _write_into(directory: Path, robot: Robot, sweeps: Sequence[Sweep], samples:
         write_columns(directory / name, sweep.recording)
         entries.append(_Entry.model_validate(sweep.spec.model_dump() | {"file": name}))
     description = robot.description.model_copy(update={"urdf": "robot.urdf"})
-    document = _Document(format=FORMAT, robot=description, sweeps=tuple(entries))
+    document = _BundleDocument(format="sweepid-bundle/1", robot=description, sweeps=tuple(entries))
     (directory / "bundle.json").write_text(document.model_dump_json(indent=2) + "\n", encoding="utf-8")
+
+
+class SavedBundle(BaseModel):
+    """A bundle whose samples are already in files, one recording per sweep; `folder`: the name of their folder."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    robot: RobotDescription
+    urdf_text: str
+    sweeps: tuple[SweepSpec, ...]
+    recordings: tuple[NewRecording, ...]
+    folder: Annotated[str, StringConstraints(pattern="^import-[0-9a-f]{32}$")]  # set by the reader
+
+
+def save_bundle(files: RecordingFiles, bundle: Bundle) -> SavedBundle:
+    """Write the recordings of a bundle to a new folder; all of them or nothing."""
+    name = f"import-{uuid4().hex}"
+    folder = files.folder(name)
+    try:
+        recordings = tuple(
+            files.save(
+                folder / f"{number:04d}-1.parquet",
+                sweep.recording,
+                RecordingState.COMPLETE,
+                {"robot": bundle.robot.name, "spec": sweep.spec.model_dump(mode="json")},
+            )
+            for number, sweep in enumerate(bundle.sweeps, 1)
+        )
+    except BaseException:
+        shutil.rmtree(folder)
+        raise
+    return SavedBundle(
+        robot=bundle.robot.description,
+        urdf_text=bundle.robot.urdf_text,
+        sweeps=tuple(sweep.spec for sweep in bundle.sweeps),
+        recordings=recordings,
+        folder=name,
+    )
+
+
+def take_in(source: Path, work: Path) -> dict[str, Any]:
+    """`save_bundle` of a bundle (its folder or a zip of it) below `work`, an empty folder, as JSON."""
+    return save_bundle(RecordingFiles(work), read_from(source, work / "bundle")).model_dump(mode="json")
+
+
+def read_from(source: Path, folder: Path) -> Bundle:
+    """The bundle in a folder or a zip, which is unpacked into `folder`; BadInput then names places in the bundle."""
+    if source.is_dir():
+        return read_bundle(source)
+    _unpack(source, folder)
+    inner = [folder, *(path.parent for path in folder.glob("*/bundle.json"))]  # of a folder that was zipped as a whole
+    try:
+        return read_bundle(inner[1] if len(inner) == 2 and not (folder / "bundle.json").exists() else folder)
+    except BadInput as error:  # the sender knows the bundle, not this folder
+        raise BadInput(_own_place(error.place, folder), _own_place(error.reason, folder)) from None
+
+
+def _unpack(archive: Path, folder: Path, most_bytes: int = 4 * 2**30, most_files: int = 20_000) -> None:
+    """A small zip can contain very large files. `zipfile` itself removes path components that would leave it."""
+    try:
+        with zipfile.ZipFile(archive) as content:
+            members = content.infolist()
+            if len(members) > most_files:
+                raise BadInput("bundle", f"has {len(members)} files, limit {most_files}")
+            for member in members:
+                member.filename = member.filename.replace("\\", "/")  # of a program of Windows
+                # LZMA allocates the dictionary size stated by the member, up to 4 GiB, before it reads a byte
+                if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2):
+                    raise BadInput(
+                        f"bundle {member.filename[:60]!r}",
+                        f"is compressed by method {member.compress_type} of zip, which is not read; compress it by "
+                        "deflate (8) or bzip2 (12), or store it (0)",
+                    )
+            size = sum(member.file_size for member in members)
+            if size > most_bytes:
+                raise BadInput("bundle", f"unpacks to {size} bytes, limit {most_bytes} bytes")
+            content.extractall(folder, members)
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
+        raise BadInput("bundle", f"cannot be unpacked: {error}") from None
+    except OSError as error:
+        # a name that is too long, a file that is also a folder, an offset before the archive; None: bad bzip2 data.
+        # Other codes, such as a full disk, are errors of this computer
+        if error.errno not in (errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.EINVAL, None):
+            raise
+        raise BadInput("bundle", f"cannot be unpacked: {error.strerror or error}") from None
+
+
+def _own_place(text: str, folder: Path) -> str:
+    return text.replace(f"{folder}/", "").replace(str(folder), "bundle")

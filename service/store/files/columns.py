@@ -2,7 +2,8 @@
 pyarrow's readers; all numbers are float64.
 """
 
-from collections.abc import Collection, Sequence
+import os
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,7 +13,7 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pa_parquet
 from numpy.typing import NDArray
 
-from service.model.errors import BadInput
+from service.model.errors import BadInput, SweepidError
 from service.model.physical_bounds import most_of_column
 from service.model.recording import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, Recording
 
@@ -24,7 +25,6 @@ _arrow, _csv, _parquet = cast(Any, pa), cast(Any, pa_csv), cast(Any, pa_parquet)
 
 MOST_NUMBERS = 50_000_000  # per file: more than an hour of all columns at 1 kHz
 LARGEST_CSV = 2**29  # bytes
-_MOST_SHOWN = 20  # names of columns in an error message
 
 
 def read_columns(path: Path, place: str | None = None) -> Recording:
@@ -54,9 +54,7 @@ def write_columns(path: Path, recording: Recording) -> None:
 
 
 def check_samples(recording: Recording, place: str) -> None:
-    """Raises BadInput unless all columns have equal length and are finite, and `time` starts at 0 and increases
-    strictly.
-    """
+    """Raises BadInput unless all columns are equally long and finite, and `time` starts at 0 and increases strictly."""
     count = recording.time.size
     if count < 2:
         raise BadInput(place, f"has {count} samples; limit at least 2")
@@ -160,9 +158,9 @@ def _check_type(kind: Any, name: str, place: str) -> None:
         raise BadInput(place, f"column {name!r} holds {kind}, not numbers")
 
 
-def _shown(names: list[str]) -> str:
-    more = f" and {len(names) - _MOST_SHOWN} more" if len(names) > _MOST_SHOWN else ""
-    return ", ".join(name[:60] for name in names[:_MOST_SHOWN]) + more if names else "none"
+def _shown(names: list[str], most: int = 20) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(name[:60] for name in names[:most]) + more if names else "none"
 
 
 def _read_csv(path: Path, required: Collection[str], wanted: Sequence[str], place: str) -> dict[str, Array]:
@@ -214,3 +212,68 @@ def _lines(path: Path) -> int:
 def _numbers(column: Any) -> Array:
     """An own copy, (n,)."""
     return np.array(column.cast(_arrow.float64(), safe=False).to_numpy(zero_copy_only=False), dtype=np.float64)
+
+
+Column = Array | NDArray[np.int64]
+
+# errors of Arrow for a page that a power failure left zeroed or incomplete
+_TORN = (_arrow.ArrowException, OSError, ValueError, TypeError, MemoryError)
+
+
+class UnreadableStream(SweepidError):
+    """The stream contains no recording: its head is damaged, not only its end."""
+
+
+class SampleStream:
+    """A new file of blocks. Methods block until the data is on disk. Raises OSError if it cannot be written."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("xb")
+        self._writer: Any = None
+        # Arrow's first conversion imports pandas if it is installed: up to a second in which the thread that
+        # streams set-points is delayed. Do it before any motion.
+        _arrow.array(np.empty(0))
+
+    def write(self, columns: Mapping[str, Column]) -> None:
+        """Append a block of columns (n,), always the same ones."""
+        batch = _arrow.RecordBatch.from_pydict(dict(columns))
+        if self._writer is None:
+            self._writer = _arrow.ipc.new_stream(self._file, batch.schema)
+        self._writer.write_batch(batch)
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Close without an end mark: a truncated stream is readable, and a full disk cannot store one."""
+        self._file.close()
+
+
+def read_blocks(path: Path) -> dict[str, Array] | None:
+    """The columns (n,) of a stream up to its truncated end; None with fewer than two samples.
+
+    Raises UnreadableStream if the content is not columns.
+    """
+    batches: list[Any] = []
+    with path.open("rb") as file:
+        try:
+            reader = _arrow.ipc.open_stream(file)
+            while True:
+                batch = reader.read_next_batch()
+                batch.validate(full=True)  # otherwise Arrow trusts the lengths in a damaged batch and crashes
+                batches.append(batch)
+        except StopIteration:
+            pass
+        except _TORN:
+            pass  # the truncated end: expected after a crash; everything before it is complete
+    if sum(len(batch) for batch in batches) < 2:
+        return None
+    try:
+        table = _arrow.Table.from_batches(batches)
+        return {name: np.array(table.column(name).to_numpy()) for name in table.column_names if name != "index"}
+    except (*_TORN, LookupError) as error:
+        raise damaged(path, error) from error
+
+
+def damaged(path: Path, error: Exception) -> UnreadableStream:
+    """Error with a description."""
+    return UnreadableStream(f"{path.name} is damaged: {type(error).__name__}: {error}")

@@ -14,13 +14,17 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from sqlalchemy import select
 
 from service.model.errors import BadInput, Conflict
+from service.model.recording import Sweep
+from service.model.robot import build_robot
 from service.store import tables as t
 from service.store.database import Database
-from service.store.files.atomic_files import place_new
+from service.store.documents import CampaignDocument, NewSweep, SweepState
+from service.store.files.bundle import Bundle, SavedBundle
+from service.store.files.recordings import RecordingFiles, place_new
 from service.store.rows import NoMachine, of_own
+from service.store.store import Store
 
 FILE = "database.json"
-_SPECTRUM = ".spectrum-"  # in the name of the spectrum next to a recording
 
 
 class Owner(BaseModel):
@@ -81,7 +85,12 @@ def _recordings(folder: Path, kind: str) -> int:
     """Number of recordings, including those whose samples are in an object store: their manifests stay."""
     files = (folder / "recordings").glob(f"{kind}/*")
     return len(
-        {path.with_suffix("") for path in files if path.suffix in (".parquet", ".json") and _SPECTRUM not in path.name}
+        # in the name of the spectrum next to a recording
+        {
+            path.with_suffix("")
+            for path in files
+            if path.suffix in (".parquet", ".json") and ".spectrum-" not in path.name
+        }
     )
 
 
@@ -104,3 +113,29 @@ def _write(folder: Path, owner: Owner) -> None:
         place_new(partial, folder / FILE)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def import_campaign(store: Store, files: RecordingFiles, saved: SavedBundle) -> CampaignDocument:
+    """A measured campaign of sweeps whose recordings are in `files`, and which wait for identification.
+
+    If it cannot be stored, the recordings are removed.
+    """
+    try:
+        robot = store.add_robot(build_robot(saved.robot, saved.urdf_text))
+        return store.add_measured(robot.id, [NewSweep(spec=spec, mode=None) for spec in saved.sweeps], saved.recordings)
+    except BaseException:
+        files.remove_folder(saved.folder)
+        raise
+
+
+def campaign_bundle(store: Store, files: RecordingFiles, campaign_id: int) -> Bundle:
+    """The complete sweeps of a campaign, as used by the estimate. Raises Conflict if there is none yet."""
+    robot = store.robot(store.campaign(campaign_id).robot_id).build()
+    sweeps = tuple(
+        Sweep(sweep.spec, files.load(store.recording(campaign_id, sweep.number)))
+        for sweep in store.sweeps(campaign_id)
+        if sweep.state in (SweepState.RECORDED, SweepState.IDENTIFIED)
+    )
+    if not sweeps:
+        raise Conflict(f"campaign {campaign_id} has no complete recording yet")
+    return Bundle(robot, sweeps)

@@ -1,7 +1,7 @@
 """External files are read in a separate process: a file that expands without limit or crashes its reader does not
 affect the memory or the life of the process that owns the machine.
 
-The reader (`files.reader`) answers with JSON, never with objects: a compromised reader cannot run code here.
+The reader (`main`) answers with JSON, never with objects: a compromised reader cannot run code here.
 """
 
 import asyncio
@@ -10,12 +10,15 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from service.model.errors import BadInput
+from service.process.tasks import give_way
 
 _ENVIRONMENT: Mapping[str, str] = {
     # address space is limited: no pools and stacks for as many threads as there are cores
@@ -50,7 +53,15 @@ async def read_isolated(
     """
     named = f"{task.__module__}:{task.__qualname__}"
     process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-P", "-m", "service.store.files.reader", str(limits.memory), named, *map(str, arguments)),
+        *(
+            sys.executable,
+            "-P",
+            "-m",
+            "service.store.files.isolated_reader",
+            str(limits.memory),
+            named,
+            *map(str, arguments),
+        ),
         stdin=subprocess.PIPE,  # closed when this process dies
         stdout=subprocess.PIPE,
         env={**os.environ, **_ENVIRONMENT},
@@ -96,3 +107,52 @@ def _result(answer: dict[str, Any], place: str, limits: Limits) -> Any:
             raise OSError(number, os.strerror(number))
         case _:
             raise BadInput(place, f"needs more memory than the limit of {limits.memory} bytes")
+
+
+def main(arguments: list[str]) -> None:
+    """The reader: ``python -m ...files.isolated_reader MEMORY MODULE:FUNCTION [PATH ...]`` runs the task.
+
+    It writes one JSON object: ``done`` with the function's result, ``place`` and ``reason`` of a BadInput, ``errno`` of
+    a disk error, or ``memory`` if there was not enough of it.
+    """
+    memory, named, *paths = arguments
+    give_way()
+    _limit(int(memory))
+    threading.Thread(target=_end_with_service, name="end with the service", daemon=True).start()
+    sys.stdout.write(json.dumps(_answer(named, [Path(path) for path in paths])))
+    sys.stdout.flush()
+    os._exit(0)  # immediately: the other thread blocks on the input
+
+
+def _answer(named: str, paths: list[Path]) -> dict[str, Any]:
+    module, _, function = named.partition(":")
+    try:
+        return {"done": getattr(import_module(module), function)(*paths)}
+    except BadInput as error:
+        return {"place": error.place, "reason": error.reason}
+    except MemoryError:
+        return {"memory": True}
+    except OSError as error:
+        if error.errno is None:
+            raise
+        return {"errno": error.errno}
+
+
+def _limit(memory: int) -> None:
+    if sys.platform != "win32":
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        if sys.platform == "linux":  # macOS accepts the limit and does not enforce it
+            resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+
+
+def _end_with_service() -> None:
+    """Ends the reader in the middle of a file if the service has ended."""
+    while os.read(0, 1):
+        pass
+    os._exit(1)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

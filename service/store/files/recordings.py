@@ -24,16 +24,78 @@ from pydantic import JsonValue
 
 from service.model.errors import BadInput
 from service.model.recording import Recording
-from service.model.results.identified.manifest import Facts
-from service.model.results.identified.spectrum import AnySpectrum
-from service.process.settings.object_store import StoreAddress
+from service.model.results.spectrum import AnySpectrum, Facts
+from service.process.settings import StoreAddress
 from service.store.documents import NewRecording, RecordingDocument, RecordingState, SpectrumRecord
-from service.store.files.atomic_files import place, place_folder, place_new
-from service.store.files.columns import read_columns, write_columns
-from service.store.files.spectra import SpectrumFile, encode_spectrum
 
 FETCHED = "fetch-"  # prefix of the name of a file from the object store
-_STREAM = re.compile(r"campaign-(\d+)/(\d+)-(\d+)\.arrows")
+
+
+def place_new(partial: Path, path: Path) -> None:
+    """As `place`, but raises FileExistsError, and changes nothing, if the path exists."""
+    sync(partial)
+    try:
+        os.link(partial, path)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links: the name is reserved first
+        path.open("xb").close()
+        partial.replace(path)
+    partial.unlink(missing_ok=True)
+    sync(path.parent)
+
+
+def place(partial: Path, path: Path) -> None:
+    """Move a finished file to its path so that after a power failure the whole file or none exists."""
+    sync(partial)
+    partial.replace(path)
+    sync(path.parent)
+
+
+def place_folder(partial: Path, path: Path) -> None:
+    """As `place`, for a folder whose files are on disk."""
+    partial.rename(path)
+    sync(path.parent)
+
+
+def sync(path: Path) -> None:
+    """The content written to a file or folder is on disk when this returns."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def file_sha256(path: Path) -> str:
+    """Hash of the content, as in rows and manifests."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class SpectrumFile:
+    """Path of a spectrum document, and the SHA-256 of the file."""
+
+    path: Path
+    sha256: str
+
+
+def encode_spectrum(document: AnySpectrum) -> tuple[bytes, str]:
+    """The content of a spectrum's file and its SHA-256. Floats are stored without loss."""
+    content = json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
+    return content, hashlib.sha256(content).hexdigest()
+
+
+def read_spectrum(file: SpectrumFile) -> AnySpectrum:
+    """The document. Raises BadInput if the file is missing or was changed."""
+    try:
+        content = file.path.read_bytes()
+    except FileNotFoundError:
+        raise BadInput(str(file.path), "spectrum file is missing") from None
+    if hashlib.sha256(content).hexdigest() != file.sha256:
+        raise BadInput(str(file.path), f"spectrum file was changed, SHA-256 is not {file.sha256}")
+    return json.loads(content)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,9 +158,7 @@ class RecordingFiles:
         return folder / f"{run.number:04d}-{run.attempt}.arrows"
 
     def last_attempt(self, campaign_id: int, number: int) -> int:
-        """The highest attempt at a sweep with a file in the folder, even if the database does not have it; 0 if
-        none.
-        """
+        """The highest attempt at a sweep with a file in the folder, also if the database lacks it; 0 if none."""
         name = re.compile(rf"{number:04d}-(\d+)\.")
         found = map(name.match, os.listdir(self.stream(Run(campaign_id, number, 0)).parent))
         return max((int(match.group(1)) for match in found if match), default=0)
@@ -116,7 +176,7 @@ class RecordingFiles:
         """Existing streams: that of the running sweep, or those left by a crash."""
         found: dict[Run, Path] = {}
         for path in sorted((self._root / "recordings").glob("campaign-*/*.arrows")):
-            match = _STREAM.fullmatch(f"{path.parent.name}/{path.name}")
+            match = re.fullmatch(r"campaign-(\d+)/(\d+)-(\d+)\.arrows", f"{path.parent.name}/{path.name}")
             if match:
                 campaign_id, number, attempt = (int(group) for group in match.groups())
                 found[Run(campaign_id, number, attempt)] = path
@@ -165,6 +225,8 @@ class RecordingFiles:
         """
         partial = path.with_name(f".{path.stem}.partial.parquet")
         try:
+            from service.store.files.columns import write_columns  # Arrow: not for who names files only
+
             write_columns(partial, recording)
             sha256 = file_sha256(partial)
             path = _place_beside(partial, path)
@@ -206,6 +268,8 @@ class RecordingFiles:
 
     def load(self, document: RecordingDocument) -> Recording:
         """The samples of a recording. Raises BadInput if the file was changed, NotNow as `local`."""
+        from service.store.files.columns import read_columns
+
         return read_columns(self.local(document))
 
     def local(self, document: RecordingDocument) -> Path:
@@ -222,9 +286,7 @@ class RecordingFiles:
         return path
 
     def named(self, document: RecordingDocument) -> RecordingFile:
-        """The recording for a job. Raises BadInput unless the file is unchanged here, or there is a store to fetch it
-        from.
-        """
+        """The recording for a job. BadInput unless the file is unchanged here, or there is a store to fetch it from."""
         file = self.reference(document)
         if file.was_here:
             check_file(file.path, document.sha256)
@@ -279,9 +341,3 @@ def _place_beside(partial: Path, path: Path) -> Path:
                 break
         path = path.with_name(f"{path.name.split('.')[0]}.{number}{path.suffix}")
     return path
-
-
-def file_sha256(path: Path) -> str:
-    """Hash of the content, as in rows and manifests."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

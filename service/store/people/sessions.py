@@ -1,22 +1,25 @@
-"""Browser sessions of users: opened by a password, ended by time or by a person. They are in the audit."""
+"""Browser sessions of users: opened by a password, ended by time or by a person, in the audit; and their time.
 
+The time of sessions and keys is kept in the database, so that it does not run backward over a restart.
+"""
+
+from collections.abc import Callable
 from datetime import datetime, timedelta
+from pathlib import Path
 
+import structlog
 from pydantic import BaseModel, ConfigDict
-from sqlalchemy import delete, select, update
+from sqlalchemy import delete, func, select, update
 
 from service.model.errors import NotFound
 from service.store import rows
 from service.store import tables as t
 from service.store.access.audit_chain import Entry
-from service.store.access.keys import key_sha256, new_key
+from service.store.access.credentials import key_sha256, new_key
 from service.store.access.permissions import Role
 from service.store.database import Database
-from service.store.people.audit import append
-from service.store.people.time import keep
+from service.store.people.audit import AuditHeads, AuditStore, append
 from service.store.people.users import UserDocument
-
-_SEEN_EVERY = timedelta(minutes=1)  # a page sends a request per second; not every request writes
 
 
 class SessionDocument(BaseModel):
@@ -56,7 +59,7 @@ class SessionStore:
         """The new session, and the secret of its cookie, which is not stored. Removes sessions that ended long ago."""
         token, address = new_key(), str(entry["address"])[:100]
         with self._database.write(quiet=True) as session:
-            keep(session, self._database)
+            self._database.keep_time(session)
             at = self._database.now(session)
             session.execute(delete(t.SessionRow).where(t.SessionRow.created_at < at - self._longest))
             row = t.SessionRow(user_id=user.id, sha256=key_sha256(token), address=address, created_at=at, seen_at=at)
@@ -79,10 +82,11 @@ class SessionStore:
             documents = [self._document(row, user) for row, user in session.execute(of_it)]
             at = self._database.now(session)
         document = next(iter(documents), None)
-        if document is not None and not document.trouble(at) and at - document.seen_at >= _SEEN_EVERY:
+        # a page sends a request per second; not every request writes
+        if document is not None and not document.trouble(at) and at - document.seen_at >= timedelta(minutes=1):
             with self._database.write(quiet=True) as session:
                 session.execute(update(t.SessionRow).where(t.SessionRow.id == document.id).values(seen_at=at))
-                keep(session, self._database)
+                self._database.keep_time(session)
         return document
 
     def end(self, session_id: int, entry: Entry) -> SessionDocument:
@@ -115,3 +119,42 @@ class SessionStore:
             expires_at=min(row.created_at + self._longest, row.seen_at + self._idle),
             disabled=whose.trouble,
         )
+
+
+_log = structlog.get_logger(__name__)
+
+
+def keep_time(database: Database) -> None:
+    """Store the time, so that a restart does not begin before it. Blocks; at least once a minute."""
+    with database.write(quiet=True, patience=1.0) as session:  # s for another writer: the next minute comes
+        database.keep_time(session)
+
+
+def begin_time(database: Database) -> None:
+    """At the start of a service: if the clock was set back while none ran, all sessions end.
+
+    How long that was is not known, so nobody can say how much of their time is left. Keys last longer and remain: they
+    expire by the time that the database keeps.
+    """
+    with database.write(quiet=True) as session:
+        kept = session.scalar(select(t.SteadyTimeRow.at))
+        wall = database.clock.wall()
+        if kept is not None and wall < kept - timedelta(seconds=60):  # by so much clocks of services may differ
+            open_ones = t.SessionRow.ended_at.is_(None)
+            ended = session.scalar(select(func.count()).select_from(t.SessionRow).where(open_ones)) or 0
+            session.execute(update(t.SessionRow).where(open_ones).values(ended_at=wall))
+            behind = round((kept - wall).total_seconds())
+            append(session, [{"event": "clock set back", "actor": "service", "seconds": behind, "sessions": ended}])
+            _log.error("clock_set_back", seconds=behind, ended_sessions=ended)
+        database.keep_time(session)
+
+
+def keeping_time_and_head(database: Database, heads_file: Path) -> Callable[[bool], None]:
+    """What a service does each minute, and at its end (True): stores the time of sessions and keys, notes the head."""
+    heads = AuditHeads(AuditStore(database), heads_file)
+
+    def each_minute(ended: bool) -> None:
+        keep_time(database)
+        heads.note(at_end=ended)
+
+    return each_minute

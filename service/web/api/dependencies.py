@@ -1,20 +1,56 @@
-"""Shared parts of the routes: the application, the caller and the intention, a page of a list, the version read."""
+"""What routes ask for by `Depends`: parts of the application, caller, intention, a page of a list, the version read."""
 
 import re
-from typing import Annotated, Generic, TypeVar
+from collections.abc import Callable, Coroutine, Mapping
+from typing import Annotated, Any, Generic, TypeVar
 
 from fastapi import Depends, Header, Path, Query, Request, Response
 from pydantic import BaseModel
+from starlette.datastructures import Headers
 from starlette.requests import HTTPConnection
+from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.machine.execution.epoch import Intention
+from service.jobs.diagnosing import Diagnosing
+from service.jobs.experiments import Experiments
+from service.jobs.jobs import Batches
+from service.jobs.worker import Worker
+from service.machine.execution.machine import Machine
+from service.machine.execution.permission import Approvals, Intention
+from service.machine.execution.runner import Runner
 from service.model.errors import BadInput
+from service.planning.campaigns.stored_results import FleetHistory
+from service.process.settings import Settings
+from service.store.diagnoses import DiagnosisStore, ModelStore
 from service.store.documents import LARGEST_ID
-from service.web.api.machine.arrival import EPOCH, epoch_of
-from service.web.api.people.audit_trail import audit_trail_of
+from service.store.files.recordings import RecordingFiles
+from service.store.people.audit import AuditWriter
+from service.store.people.sessions import SessionStore
+from service.store.plant import BatchStore
+from service.store.store import Store
+from service.web.api.access import audit_trail_of
 from service.web.application import Application
 
-Item = TypeVar("Item", bound=BaseModel)
+EPOCH = "Sweepid-Epoch"
+_ARRIVED = "sweepid.epoch"  # in the scope
+
+
+class Arrival:
+    """ASGI middleware."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http":
+            application: Application | None = getattr(scope["app"].state, "application", None)
+            if application is not None and application.cell is not None:
+                scope[_ARRIVED] = application.machine.epochs.given(Headers(scope=scope).get(EPOCH))
+        await self._app(scope, receive, send)
+
+
+def epoch_of(scope: Scope) -> str:
+    """Of the arrival; empty without a machine, which nothing can move."""
+    return scope.get(_ARRIVED, "")
 
 
 async def _application(connection: HTTPConnection) -> Application:
@@ -23,6 +59,63 @@ async def _application(connection: HTTPConnection) -> Application:
     if not isinstance(application, Application):
         raise TypeError("the application runs outside its lifespan")
     return application
+
+
+ApplicationOf = Annotated[Application, Depends(_application)]
+Part = TypeVar("Part")
+
+
+def _part(of: Callable[[Application], Part]) -> Callable[..., Coroutine[None, None, Part]]:
+    """One part of the application; NoMachine where it is of the machine and there is none."""
+
+    async def part(application: ApplicationOf) -> Part:
+        return of(application)
+
+    return part
+
+
+SettingsOf = Annotated[Settings, Depends(_part(lambda application: application.settings))]
+StoreOf = Annotated[Store, Depends(_part(lambda application: application.store))]
+FilesOf = Annotated[RecordingFiles, Depends(_part(lambda application: application.files))]
+DiagnosesOf = Annotated[DiagnosisStore, Depends(_part(lambda application: application.diagnoses))]
+ModelsOf = Annotated[ModelStore, Depends(_part(lambda application: application.models))]
+BatchesOf = Annotated[BatchStore, Depends(_part(lambda application: application.batches))]
+FleetOf = Annotated[FleetHistory, Depends(_part(lambda application: application.fleet_history))]
+SessionsOf = Annotated[SessionStore, Depends(_part(lambda application: application.sessions))]
+AuditOf = Annotated[AuditWriter, Depends(_part(lambda application: application.audit))]
+WorkerOf = Annotated[Worker, Depends(_part(lambda application: application.worker))]
+MachineOf = Annotated[Machine, Depends(_part(lambda application: application.machine))]
+RunnerOf = Annotated[Runner, Depends(_part(lambda application: application.runner))]
+DiagnosingOf = Annotated[Diagnosing, Depends(_part(lambda application: application.own.diagnosing))]
+ExperimentsOf = Annotated[Experiments, Depends(_part(lambda application: application.own.experiments))]
+ApprovalsOf = Annotated[Approvals, Depends(_part(lambda application: application.own.approvals))]
+ReidentifyingOf = Annotated[Batches, Depends(_part(lambda application: application.own.batches))]
+
+
+async def _caller(request: Request, application: ApplicationOf) -> str:
+    return audit_trail_of(request.scope).actor if application.settings.login else ""
+
+
+CallerOf = Annotated[str, Depends(_caller)]
+"""The name of the authenticated caller; "" without login."""
+
+
+async def _intention(
+    request: Request,
+    by: CallerOf,
+    _shown: Annotated[
+        str | None,
+        Header(
+            alias=EPOCH,
+            description="`epoch` of the state that the person saw; default: that of the arrival. 409 `superseded` "
+            "if a stop came since",
+        ),
+    ] = None,
+) -> Intention:
+    return Intention(epoch_of(request.scope), by)
+
+
+IntentionOf = Annotated[Intention, Depends(_intention)]
 
 
 def _if_match(
@@ -36,34 +129,11 @@ def _if_match(
     return int(tag[1:-1])
 
 
-ApplicationOf = Annotated[Application, Depends(_application)]
-
-
-def who_asks(request: Request, application: Application) -> str:
-    """The name of the authenticated caller; "" without login."""
-    return audit_trail_of(request.scope).actor if application.settings.login else ""
-
-
-async def _intention(
-    request: Request,
-    application: ApplicationOf,
-    _shown: Annotated[
-        str | None,
-        Header(
-            alias=EPOCH,
-            description="`epoch` of the state that the person saw; default: that of the arrival. 409 `superseded` "
-            "if a stop came since",
-        ),
-    ] = None,
-) -> Intention:
-    return Intention(epoch_of(request.scope), who_asks(request, application))
-
-
-IntentionOf = Annotated[Intention, Depends(_intention)]
 IfMatch = Annotated[int | None, Depends(_if_match)]
 Id = Annotated[int, Path(ge=1, le=LARGEST_ID)]
 After = Annotated[int, Query(ge=0, le=LARGEST_ID, description="the `next` of the page before; 0 for the first page")]
 Limit = Annotated[int, Query(ge=1, le=200)]
+Item = TypeVar("Item", bound=BaseModel)
 
 
 class Page(BaseModel, Generic[Item]):
@@ -81,3 +151,14 @@ def page(items: tuple[Item, ...], limit: int, number: str = "id") -> Page[Item]:
 def set_etag(response: Response, version: int) -> None:
     """Set the strong ETag of a resource's version."""
     response.headers["ETag"] = f'"{version}"'
+
+
+def media(*kinds: str, schema: Mapping[str, str] | None = None) -> dict[int | str, dict[str, Any]]:
+    """The answer 200 of a route as the OpenAPI document declares it: of these media types; default: bytes."""
+    body = {"schema": schema or {"type": "string", "format": "binary"}}
+    return {200: {"content": dict.fromkeys(kinds, body)}}
+
+
+def download(content: str | bytes, media_type: str, name: str) -> Response:
+    """An answer that a browser stores as a file with this name."""
+    return Response(content, media_type=media_type, headers={"Content-Disposition": f'attachment; filename="{name}"'})

@@ -2,9 +2,10 @@
 
 A web page that is open in the same browser must not be able to move a machine. So a request from a page of another
 origin is refused, and also a request for a foreign host name (DNS rebinding).
-Stopping is never refused. Authentication is the next check: `service.web.api.people.access`.
+Stopping is never refused. Authentication is the next check: `service.web.api.access`.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from urllib.parse import urlsplit
@@ -13,7 +14,9 @@ from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from structlog.contextvars import bound_contextvars
 
+from service.process.telemetry import TRACING
 from service.web.api.problem import problem_response
 
 BODY_LIMIT = 256 * 2**10  # bytes of JSON
@@ -105,3 +108,38 @@ def _limited(receive: Receive, limit: int) -> Receive:
         return message
 
     return counted
+
+
+_PATH = re.compile(r"/campaigns/(?P<campaign>[0-9]{1,10})(?:/sweeps/(?P<sweep>[0-9]{1,10}))?(?:/|$)")
+_CHANGES = ("POST", "PUT", "PATCH", "DELETE")  # no spans of reads: they are many, and no estimate results from them
+
+
+class Logged:
+    """ASGI middleware."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        found = _PATH.search(scope["path"]) if scope["type"] in ("http", "websocket") else None
+        about = {} if found is None else {name: int(number) for name, number in found.groupdict().items() if number}
+        with bound_contextvars(**about):
+            if scope["type"] == "http" and scope["method"] in _CHANGES:
+                await self._traced(scope, receive, send)
+            else:
+                await self._app(scope, receive, send)
+
+    async def _traced(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """A client with its own trace (header `traceparent`) finds the request in that trace."""
+        path = str(scope["path"])[:200]
+        parent = next((value.decode("latin-1") for name, value in scope["headers"] if name == b"traceparent"), "")
+        with TRACING.span(f"{scope['method']} {re.sub('/[0-9]+(?=/|$)', '/{id}', path)}", parent) as span:
+            span.note("http.request.method", scope["method"])
+            span.note("url.path", path)
+
+            async def noted(message: Message) -> None:
+                if message["type"] == "http.response.start":
+                    span.note("http.response.status_code", message["status"])
+                await send(message)
+
+            await self._app(scope, receive, noted)

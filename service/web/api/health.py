@@ -7,9 +7,10 @@ from fastapi import APIRouter, Response
 from pydantic import BaseModel
 
 from service.web.api.dependencies import ApplicationOf
+from service.web.api.permissions import allow
 from service.web.application import Application
 
-router = APIRouter(prefix="/health", tags=["health"])
+health_routes = APIRouter(prefix="/health", tags=["health"])
 
 
 class Live(BaseModel):
@@ -38,14 +39,16 @@ class Ready(BaseModel):
     recordings: WaitingRecordings | None
 
 
-@router.head("/live", include_in_schema=False)  # monitors ask so
-@router.get("/live")
+@health_routes.head("/live", include_in_schema=False)  # monitors ask so
+@health_routes.get("/live")
+@allow(None)
 async def get_live() -> Live:
     return Live(alive=True)
 
 
-@router.head("/ready", include_in_schema=False)
-@router.get("/ready", responses={503: {"model": Ready, "description": "not ready to measure"}})
+@health_routes.head("/ready", include_in_schema=False)
+@health_routes.get("/ready", responses={503: {"model": Ready, "description": "not ready to measure"}})
+@allow(None)
 async def get_ready(response: Response, application: ApplicationOf) -> Ready:
     causes = await application.troubles()
     response.status_code = 503 if causes else 200

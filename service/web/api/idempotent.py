@@ -15,12 +15,11 @@ from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
 
 from service.model.errors import BadInput
-from service.store.requests import IdempotencyKeys
+from service.store.guards import IdempotencyKeys
 
 Handler = Callable[[Request], Coroutine[Any, Any, Response]]
 
 LONGEST_KEY = 255
-_KEPT_HEADERS = ("etag", "location", "content-type")
 OPENAPI_PARAMETER: dict[str, Any] = {
     "parameters": [
         {
@@ -74,7 +73,9 @@ async def _once(keys: IdempotencyKeys, key: str, request: Request, handle: Handl
     except BaseException:  # also at cancellation: the key must not stay reserved
         await run_in_threadpool(keys.release, key)
         raise
-    headers = {name: response.headers[name] for name in _KEPT_HEADERS if name in response.headers}
+    headers = {
+        name: response.headers[name] for name in ("etag", "location", "content-type") if name in response.headers
+    }
     content = json.dumps({"headers": headers, "content": bytes(response.body).decode()})
     await run_in_threadpool(keys.answer, key, response.status_code, content)
     return response

@@ -21,9 +21,8 @@ from starlette.routing import Match
 from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady
 from service.model.errors import BadInput, Conflict, EnvelopeViolation, NoPdf, NotFound, NotNow, SweepidError
 from service.planning.machine_setup import NeedsConfirmation
-from service.store.people.audit import AuditUnreadable
-from service.store.people.writer import NotAudited
-from service.store.requests import KeyReused
+from service.store.guards import KeyReused
+from service.store.people.audit import AuditUnreadable, NotAudited
 from service.store.store import StaleVersion
 
 MEDIA_TYPE = "application/problem+json"
@@ -47,15 +46,10 @@ _STATUS: tuple[tuple[type[Exception], HTTPStatus], ...] = (
     (NoPdf, HTTPStatus.NOT_IMPLEMENTED),
 )
 AGAIN = {"Retry-After": "5"}  # s, for a request that can be repeated unchanged
-_METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")
-_LIMITS = ("gt", "ge", "lt", "le", "min_length", "max_length", "expected", "multiple_of")
 _LONGEST_VALUE = 200
-_LONGEST_TEXT = 2000
-_SECRET = "/login"  # no input of requests below this path is returned: any field may contain a password
-_MOST_ERRORS = 8  # errors per answer: its size must not grow with the input
 
 
-class Refused(Exception):
+class RequestRefused(Exception):
     """Becomes the problem `name` with these headers."""
 
     def __init__(self, status: HTTPStatus, name: str, detail: str, headers: Mapping[str, str] | None = None) -> None:
@@ -104,8 +98,8 @@ def problem_response(
         "type": f"urn:sweepid:problem:{name}",
         "title": status.phrase,
         "status": status.value,
-        "detail": _cut(detail, _LONGEST_TEXT),
-        "instance": _cut(request.url.path, _LONGEST_TEXT),
+        "detail": _cut(detail, 2000),
+        "instance": _cut(request.url.path, 2000),
         "errors": tuple(errors),
     }
     problem = Problem.model_validate(members | dict(additional or {}))
@@ -117,7 +111,7 @@ def install_problem_handlers(app: FastAPI) -> None:
     """Convert every exception of a route into a problem."""
     app.add_exception_handler(SweepidError, _on_known_error)
     app.add_exception_handler(DriveError, _on_known_error)
-    app.add_exception_handler(Refused, _on_refused)
+    app.add_exception_handler(RequestRefused, _on_refused)
     app.add_exception_handler(RequestValidationError, _on_invalid_request)
     app.add_exception_handler(HTTPException, _on_http_error)
     app.add_exception_handler(Exception, _on_unknown_error)
@@ -132,18 +126,19 @@ def _on_known_error(request: Request, error: Exception) -> Response:
 
 
 def _on_refused(request: Request, error: Exception) -> Response:
-    if not isinstance(error, Refused):
+    if not isinstance(error, RequestRefused):
         raise error
     return error.response(request)
 
 
 def _on_invalid_request(request: Request, error: Exception) -> Response:
     details: Sequence[ErrorDetails] = error.errors() if isinstance(error, RequestValidationError) else ()
-    returned = _SECRET not in request.url.path
-    errors = tuple(_field_problem(detail, returned) for detail in details[:_MOST_ERRORS])
+    # no input of a login is returned: any field may contain a password
+    returned, most = "/login" not in request.url.path, 8  # the size of an answer must not grow with the input
+    errors = tuple(_field_problem(detail, returned) for detail in details[:most])
     first = errors[0]
     given = "" if first.value is None else f" (given: {first.value})"
-    more = f"; {len(details)} errors, the first {_MOST_ERRORS} are listed" if len(details) > _MOST_ERRORS else ""
+    more = f"; {len(details)} errors, the first {most} are listed" if len(details) > most else ""
     return problem_response(
         request, HTTPStatus.UNPROCESSABLE_ENTITY, "bad-input", f"{first.pointer}: {first.reason}{given}{more}", errors
     )
@@ -163,7 +158,10 @@ def _on_http_error(request: Request, error: Exception) -> Response:
 def _methods_of(request: Request) -> list[str]:
     """All methods of the path. The error knows those of one route only, and each of our routes has one method."""
     routes = cast("FastAPI", request.app).routes
-    scopes = {method: {**request.scope, "method": method} for method in _METHODS}
+    scopes = {
+        method: {**request.scope, "method": method}
+        for method in ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")
+    }
     return [name for name, scope in scopes.items() if any(r.matches(scope)[0] is Match.FULL for r in routes)]
 
 
@@ -180,7 +178,8 @@ def _field_problem(detail: ErrorDetails, returned: bool) -> FieldProblem:
     escaped = [str(part).replace("~", "~0").replace("/", "~1") for part in path]
     pointer = "#" + "".join(f"/{part}" for part in escaped) if where == "body" else "/".join([str(where), *escaped])
     context = detail.get("ctx", {})
-    limit = next((context[name] for name in _LIMITS if name in context), None)
+    limits = ("gt", "ge", "lt", "le", "min_length", "max_length", "expected", "multiple_of")
+    limit = next((context[name] for name in limits if name in context), None)
     if not isinstance(limit, int | float | None):
         limit = _cut(str(limit), _LONGEST_VALUE)
     return FieldProblem(

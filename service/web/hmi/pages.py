@@ -19,21 +19,12 @@ _PAGES = {
     "/diagnosis": "diagnosis.html",
     "/fleet": "fleet.html",
 }
-_DEAD = "<!-- dead -->"  # what a page says whose scripts did not load: in each language, as none was chosen
-_PROXIED = 'data-proxied=""'  # of STOP: the address of the stop process at a proxy, relative to the pages
-_HEAD = "  <!-- head -->\n"  # of every page: who looks at any of them can stop the machine
 _STATIC = Path(__file__).parent / "static"
-_TEXTS = Path(__file__).parent / "texts"
 # nothing is loaded from elsewhere, no inline script runs; plotly writes style attributes
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; worker-src 'self'; "
     "base-uri 'none'; form-action 'self'; frame-ancestors 'none'; connect-src 'self'"
 )
-_HEADERS = {
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "Cache-Control": "no-cache",
-}
 
 
 def add_pages(app: FastAPI, stop_port: int | None, behind_proxy: bool = False) -> None:
@@ -42,14 +33,20 @@ def add_pages(app: FastAPI, stop_port: int | None, behind_proxy: bool = False) -
     `behind_proxy`: they also send a stop to `stop` at their own origin, which the proxy forwards to that port.
     """
     stop = "" if stop_port is None else f" http://*:{stop_port} https://*:{stop_port}"
-    headers = _HEADERS | {"Content-Security-Policy": f"{_POLICY}{stop}"}
+    headers = {
+        "X-Content-Type-Options": "nosniff",
+        "Referrer-Policy": "no-referrer",
+        "Cache-Control": "no-cache",
+        "Content-Security-Policy": f"{_POLICY}{stop}",
+    }
     plotly = str(files("plotly").joinpath("package_data", "plotly.min.js"))
     app.add_api_route("/plotly.min.js", _file(plotly, headers), response_class=FileResponse, include_in_schema=False)
     words = texts()
+    # what a page says whose scripts did not load: in each language, as none was chosen
     dead = " ".join(f'<span lang="{tag}">{escape(own["head.dead"])}</span>' for tag, own in words.items())
-    head = (_STATIC / "head.html").read_text("utf-8").replace(_DEAD, dead)
+    head = (_STATIC / "head.html").read_text("utf-8").replace("<!-- dead -->", dead)
     if behind_proxy and stop_port is not None:
-        head = head.replace(_PROXIED, 'data-proxied="stop"')
+        head = head.replace('data-proxied=""', 'data-proxied="stop"')  # of STOP, relative to the pages
     for url, name in _PAGES.items():
         app.add_api_route(url, _page(url, name, head, headers), response_class=HTMLResponse, include_in_schema=False)
     app.add_api_route("/texts.js", _texts(words, headers), response_class=Response, include_in_schema=False)
@@ -60,7 +57,7 @@ def add_pages(app: FastAPI, stop_port: int | None, behind_proxy: bool = False) -
 
 def texts() -> dict[str, dict[str, str]]:
     """Texts of the pages by language and key; English, the language of the service, is first."""
-    files = sorted(_TEXTS.glob("*.json"), key=lambda file: (file.stem != "en", file.stem))
+    files = sorted((Path(__file__).parent / "texts").glob("*.json"), key=lambda file: (file.stem != "en", file.stem))
     return {file.stem: json.loads(file.read_text("utf-8")) for file in files}
 
 
@@ -95,7 +92,9 @@ def _file(path: str, headers: Mapping[str, str]) -> _Endpoint:
 def _page(url: str, name: str, head: str, headers: Mapping[str, str]) -> _Endpoint:
     """A page with the head that all of them have, in which its own link is the current one."""
     own = f'<a href="{url.removeprefix("/") or "./"}"'
-    content = (_STATIC / name).read_text("utf-8").replace(_HEAD, head.replace(own, f'{own} aria-current="page"'))
+    # who looks at any page can stop the machine
+    head = head.replace(own, f'{own} aria-current="page"')
+    content = (_STATIC / name).read_text("utf-8").replace("  <!-- head -->\n", head)
 
     async def page() -> HTMLResponse:
         return HTMLResponse(content, headers=headers)

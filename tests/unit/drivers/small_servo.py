@@ -10,24 +10,28 @@ from typing import Any
 import numpy as np
 
 from drivers.cia402 import states
-from drivers.cia402.axis import Axis
-from drivers.cia402.connection import Run, capabilities
-from drivers.cia402.device import Abilities, MeasuringState, Mode, Motion
+from drivers.cia402.axis import Cia402Axis
+from drivers.cia402.connection import DriveThread, P, RunningSweep, T, capabilities
+from drivers.cia402.device import Abilities, Feedback, MeasuringState, OperationMode
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
-from drivers.cia402.states import State
-from drivers.cia402.thread import DriveThread, P, T
+from drivers.cia402.states import Controlword, PowerState, Statusword
 from drivers.errors import CommunicationLost
 from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SweepCommand
 from tests.unit.drivers.given import axis
 
 HOST_TIMEOUT = 60.0  # s
 PATIENCE = 20.0  # s
-SHOWN = {State.SWITCH_ON_DISABLED: 0x40, State.READY: 0x21, State.SWITCHED_ON: 0x23, State.OPERATION_ENABLED: 0x27}
-STEPS = {
-    states.SHUTDOWN: State.READY,
-    states.SWITCH_ON: State.SWITCHED_ON,
-    states.ENABLE_OPERATION: State.OPERATION_ENABLED,
+SHOWN = {
+    PowerState.SWITCH_ON_DISABLED: 0x40,
+    PowerState.READY: 0x21,
+    PowerState.SWITCHED_ON: 0x23,
+    PowerState.OPERATION_ENABLED: 0x27,
+}
+STEPS: dict[int, PowerState] = {
+    Controlword.SHUTDOWN: PowerState.READY,
+    Controlword.SWITCH_ON: PowerState.SWITCHED_ON,
+    Controlword.ENABLE_OPERATION: PowerState.OPERATION_ENABLED,
 }
 
 
@@ -36,7 +40,7 @@ class Servo:
     """`before` is asked at every exchange with its name and may raise or wait; `told` is every controlword."""
 
     joint: str
-    state: State = State.SWITCH_ON_DISABLED
+    state: PowerState = PowerState.SWITCH_ON_DISABLED
     velocity: float = 0.0
     before: Callable[[str], None] = lambda _: None
     told: list[int] = field(default_factory=list)
@@ -71,18 +75,18 @@ class Servo:
 
     def statusword(self) -> int:
         self.before("statusword")
-        acknowledged = self.acknowledges and bool(self.told) and self.told[-1] & states.NEW_SET_POINT
-        return SHOWN[self.state] | (states.SET_POINT_ACKNOWLEDGED if acknowledged else 0)
+        acknowledged = self.acknowledges and bool(self.told) and self.told[-1] & Controlword.NEW_SET_POINT
+        return SHOWN[self.state] | (Statusword.SET_POINT_ACKNOWLEDGED if acknowledged else 0)
 
     def control(self, controlword: int) -> None:
         self.before(f"control {controlword:02X}")
         self.told.append(controlword)
-        self.state = STEPS.get(controlword & 0x0F, State.SWITCH_ON_DISABLED)
+        self.state = STEPS.get(controlword & 0x0F, PowerState.SWITCH_ON_DISABLED)
         if not self.energised:
             self.velocity = 0.0
             self.measuring = MeasuringState.ABORTED if self.measuring is MeasuringState.RUNNING else self.measuring
 
-    def set_mode(self, mode: Mode) -> None: ...
+    def set_mode(self, mode: OperationMode) -> None: ...
 
     def check_alive(self) -> None: ...
 
@@ -104,11 +108,11 @@ class Servo:
 
     def stop_unheard(self) -> None:
         self.unheard += 1
-        self.state = State.SWITCH_ON_DISABLED
+        self.state = PowerState.SWITCH_ON_DISABLED
 
-    def motion(self) -> Motion:
+    def motion(self) -> Feedback:
         self.before("motion")
-        return Motion(0.0, self.velocity, 0.0)
+        return Feedback(0.0, self.velocity, 0.0)
 
     def read_back(self) -> None: ...
 
@@ -165,7 +169,7 @@ class Link:
     async def open(self) -> "Link":
         self.opened += 1
         self.thread = AskedThread("small")
-        self.axes = {servo.joint: Axis(servo, self.watch) for servo in self._servos}
+        self.axes = {servo.joint: Cia402Axis(servo, self.watch) for servo in self._servos}
         self.identities = tuple([await self.thread.run(axis.introduce) for axis in self.axes.values()])
         return self
 
@@ -173,7 +177,7 @@ class Link:
     def capabilities(self) -> Capabilities:
         return capabilities(self.axes.values())
 
-    async def stream(self, sweeps: object, stop: threading.Event) -> Run:
+    async def stream(self, sweeps: object, stop: threading.Event) -> RunningSweep:
         raise CommunicationLost("no streams here")
 
     def halt(self, *, streaming: bool) -> None:

@@ -11,12 +11,12 @@ from typing import Any
 import can
 
 from drivers.canopen import frames
-from drivers.canopen.bus import Bus
+from drivers.canopen.bus import CanopenBus
 from drivers.canopen.host_sweep import HostSweep
 from drivers.canopen.profile import BusProfile
 from drivers.canopen.streamed_axis import StreamRequest
 from drivers.canopen.units import Codec
-from drivers.cia402.checks import Envelope
+from drivers.cia402.checks import DriveEnvelope
 from drivers.ports import SampleBlock, Sine, SweepMode
 from tests.unit.drivers import given
 
@@ -55,8 +55,8 @@ class Drive:
         self.counter = (self.counter + 1) & 0xFFFFFFFF
         self.position += self.velocity
         answer = [
-            (frames.TPDO1 + self.node, struct.pack("<Hih", self.statusword, self.velocity, self.velocity % 1000)),
-            (frames.TPDO2 + self.node, struct.pack("<iI", self.position + self.offset, self._second)),
+            (frames.Cob.TPDO1 + self.node, struct.pack("<Hih", self.statusword, self.velocity, self.velocity % 1000)),
+            (frames.Cob.TPDO2 + self.node, struct.pack("<iI", self.position + self.offset, self._second)),
         ]
         if self._pending is not None:
             controlword, target = self._pending
@@ -97,11 +97,11 @@ class Cabinet(threading.Thread):
                 continue
             identifier = message.arbitration_id
             self.heard.append(identifier)
-            if identifier == frames.SYNC:
+            if identifier == frames.Cob.SYNC:
                 for drive in self.drives.values():
                     for answer in drive.sync():
                         self.say(*answer)
-            elif identifier & ~0x7F == frames.RPDO1 and identifier & 0x7F in self.drives:
+            elif identifier & ~0x7F == frames.Cob.RPDO1 and identifier & 0x7F in self.drives:
                 self.drives[identifier & 0x7F].set_point(bytes(message.data))
 
     def close(self) -> None:
@@ -114,7 +114,7 @@ class Cabinet(threading.Thread):
 class Bench:
     """A bus with drives at one end and us at the other."""
 
-    bus: Bus
+    bus: CanopenBus
     settings: BusProfile
     cabinet: Cabinet
     wires: frames.Wires
@@ -143,7 +143,7 @@ class Bench:
             "position_window": (-50.0, 50.0),
         }
         command = given.sweep(Sine(5.0, 0.1, 0.3), **(fields | changes))
-        envelope = Envelope(command.velocity_limit, command.effort_limit, command.position_window, "rad", "N m")
+        envelope = DriveEnvelope(command.velocity_limit, command.effort_limit, command.position_window, "rad", "N m")
         drive = self.cabinet.drives.get(node)
         counter = COUNTER if drive is None or drive.counts else None
         return StreamRequest(axis, codec, command, envelope, counter, wires=self.wires)
@@ -163,7 +163,7 @@ async def bench(
     profile = BusProfile(interface=interface, channel=channel, **(patient | settings))  # pyright: ignore[reportArgumentType]
     cabinet = Cabinet(interface, channel, drives)
     wires = frames.Wires(counted=all(drive.counts for drive in drives))
-    bus = Bus(profile, tuple(drive.node for drive in drives), wires)
+    bus = CanopenBus(profile, tuple(drive.node for drive in drives), wires)
     cabinet.start()
     try:
         yield Bench(bus, profile, cabinet, wires)

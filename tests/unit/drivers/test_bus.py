@@ -16,13 +16,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.canopen import bus as bus_module
-from drivers.canopen import frames, socketcand
-from drivers.canopen.bus import Bus
-from drivers.canopen.bus_load import bus_load, check_bus_load
-from drivers.canopen.configuration import Pdo, pdos
-from drivers.canopen.device_map import Way, load_device_map
+from drivers.canopen import frames
+from drivers.canopen.bus import CanopenBus, SocketcandBus
+from drivers.canopen.device_map import SetPointWay, load_device_map
+from drivers.canopen.fieldbus import bus_load, check_bus_load
 from drivers.canopen.profile import BusProfile
-from drivers.cia402 import states
+from drivers.canopen.sdo import PdoMapping, streaming_pdos
+from drivers.cia402.states import Controlword
 from drivers.contract.bench import eventually
 from drivers.errors import CommunicationLost, ConnectionFailed, LimitExceeded
 
@@ -33,7 +33,7 @@ DRIVE_TIMEOUT = 60.0  # s, which no test waits for: the bus' clock is set on ins
 
 @dataclass(frozen=True)
 class Pair:
-    bus: Bus
+    bus: CanopenBus
     peer: can.BusABC
 
     def say(self, identifier: int, data: bytes, error: bool = False) -> None:
@@ -54,7 +54,7 @@ def pair() -> Iterator[Pair]:
     channel = f"bus-{uuid.uuid4()}"
     peer = can.Bus(interface="virtual", channel=channel)
     profile = BusProfile(interface="virtual", channel=channel, drive_timeout=DRIVE_TIMEOUT)
-    bus = Bus(profile, (NODE, 2))
+    bus = CanopenBus(profile, (NODE, 2))
     yield Pair(bus, peer)
     bus.close()
     bus.close()
@@ -71,14 +71,14 @@ def soon(condition: Callable[[], bool]) -> None:
 
 def test_bus_off_is_lost_communication_at_once(pair: Pair) -> None:
     stream = pair.bus.open_stream(NODE)
-    pair.say(frames.ERROR_BUS_OFF, bytes(8), error=True)
+    pair.say(frames.ErrorClass.BUS_OFF, bytes(8), error=True)
     event = stream.get(timeout=PATIENCE)
     assert isinstance(event, frames.Lost)
     assert "bus-off" in event.reason
     with pytest.raises(CommunicationLost, match="bus-off"):
         pair.bus.check_alive()
     with pytest.raises(CommunicationLost, match="bus-off"):
-        pair.bus.send(frames.SYNC, b"")
+        pair.bus.send(frames.Cob.SYNC, b"")
 
 
 def test_the_controllers_state_is_logged_once_a_change_and_told_when_the_bus_is_lost(
@@ -87,8 +87,8 @@ def test_the_controllers_state_is_logged_once_a_change_and_told_when_the_bus_is_
     stream = pair.bus.open_stream(NODE)
     warning, passive = (bytes([0, detail, 0, 0, 0, 0, 130, 0]) for detail in (0x08, 0x20))
     for data in (warning, warning, warning, passive, passive):
-        pair.say(frames.ERROR_CONTROLLER, data, error=True)
-    pair.say(frames.ERROR_RESTARTED, bytes(8), error=True)
+        pair.say(frames.ErrorClass.CONTROLLER, data, error=True)
+    pair.say(frames.ErrorClass.RESTARTED, bytes(8), error=True)
     event = stream.get(timeout=PATIENCE)
     assert isinstance(event, frames.Lost)
     assert event.reason.endswith("restarted after bus-off (transmit errors 0, receive errors 0)")
@@ -101,7 +101,7 @@ def test_the_controllers_state_is_logged_once_a_change_and_told_when_the_bus_is_
 
 def test_a_boot_up_message_is_a_restart_until_the_node_is_configured_again(pair: Pair) -> None:
     assert not pair.bus.restarted(NODE)
-    pair.say(frames.HEARTBEAT + NODE, b"\0")
+    pair.say(frames.Cob.HEARTBEAT + NODE, b"\0")
     soon(lambda: pair.bus.restarted(NODE))
     assert not pair.bus.restarted(2)
     pair.bus.note_configured(NODE)
@@ -110,16 +110,16 @@ def test_a_boot_up_message_is_a_restart_until_the_node_is_configured_again(pair:
 
 def test_a_stream_of_several_nodes_keeps_their_order_and_has_the_bus_own_events_once(pair: Pair) -> None:
     stream = pair.bus.open_stream(NODE, 2)
-    pair.say(frames.HEARTBEAT + 2, b"\x05")
-    pair.say(frames.RPDO1 + 2, bytes(6))
-    pair.say(frames.SYNC, b"")
-    pair.say(frames.HEARTBEAT + NODE, b"\x05")
+    pair.say(frames.Cob.HEARTBEAT + 2, b"\x05")
+    pair.say(frames.Cob.RPDO1 + 2, bytes(6))
+    pair.say(frames.Cob.SYNC, b"")
+    pair.say(frames.Cob.HEARTBEAT + NODE, b"\x05")
     events = [stream.get(timeout=PATIENCE) for _ in range(4)]
     assert isinstance(events[2], frames.Sync)
     assert events[:2] + events[3:] == [frames.Heartbeat(2, 5), frames.SetPoint(2, bytes(6)), frames.Heartbeat(NODE, 5)]
     pair.bus.close_stream(NODE, 2)
-    pair.say(frames.HEARTBEAT + 2, b"\x05")
-    pair.say(frames.HEARTBEAT + NODE, b"\0")
+    pair.say(frames.Cob.HEARTBEAT + 2, b"\x05")
+    pair.say(frames.Cob.HEARTBEAT + NODE, b"\0")
     soon(lambda: pair.bus.restarted(NODE))
     assert stream.empty()
 
@@ -129,8 +129,8 @@ def test_a_node_that_falls_silent_is_lost_and_the_others_are_not(pair: Pair, say
     pair.bus.check(2)
     say_nothing()
     stream = pair.bus.open_stream(2)
-    pair.say(frames.HEARTBEAT + 2, bytes([frames.OPERATIONAL]))
-    assert stream.get(timeout=PATIENCE) == frames.Heartbeat(2, frames.OPERATIONAL)
+    pair.say(frames.Cob.HEARTBEAT + 2, bytes([frames.NmtState.OPERATIONAL]))
+    assert stream.get(timeout=PATIENCE) == frames.Heartbeat(2, frames.NmtState.OPERATIONAL)
     with pytest.raises(CommunicationLost, match="node 1: no heartbeat"):
         pair.bus.check(NODE)
     pair.bus.check(2)
@@ -140,25 +140,25 @@ def test_a_bus_on_which_nobody_speaks_is_lost_for_good(pair: Pair, say_nothing: 
     say_nothing()
     with pytest.raises(CommunicationLost, match="no node was heard"):
         pair.bus.check(NODE)
-    pair.say(frames.HEARTBEAT + NODE, bytes([frames.OPERATIONAL]))
+    pair.say(frames.Cob.HEARTBEAT + NODE, bytes([frames.NmtState.OPERATIONAL]))
     with pytest.raises(CommunicationLost, match="no node was heard"):
         pair.bus.check(NODE)
 
 
 def test_frames_with_29_bits_are_nobodys_word(pair: Pair) -> None:
     stream = pair.bus.open_stream(NODE)
-    for identifier in (frames.EMERGENCY + NODE, frames.TPDO1 + NODE, frames.HEARTBEAT + NODE):
+    for identifier in (frames.Cob.EMERGENCY + NODE, frames.Cob.TPDO1 + NODE, frames.Cob.HEARTBEAT + NODE):
         pair.peer.send(can.Message(arbitration_id=identifier, data=bytes(8), is_extended_id=True))
-    pair.say(frames.HEARTBEAT + NODE, b"\x05")
+    pair.say(frames.Cob.HEARTBEAT + NODE, b"\x05")
     assert stream.get(timeout=PATIENCE) == frames.Heartbeat(NODE, 5)
     assert pair.bus.emergency(NODE) is None
 
 
 def test_emergencies_are_kept_until_withdrawn(pair: Pair) -> None:
-    pair.say(frames.EMERGENCY + NODE, bytes.fromhex("057321 0000000000"))
+    pair.say(frames.Cob.EMERGENCY + NODE, bytes.fromhex("057321 0000000000"))
     soon(lambda: pair.bus.emergency(NODE) is not None)
     assert pair.bus.emergency(2) is None
-    pair.say(frames.EMERGENCY + NODE, bytes(8))
+    pair.say(frames.Cob.EMERGENCY + NODE, bytes(8))
     soon(lambda: pair.bus.emergency(NODE) is None)
 
 
@@ -167,7 +167,7 @@ def test_emergencies_are_kept_until_withdrawn(pair: Pair) -> None:
 def test_nothing_a_bus_may_carry_ends_the_receiving_thread(pair: Pair, identifier: int, data: bytes) -> None:
     stream = pair.bus.open_stream(2)
     pair.say(identifier, data)
-    pair.say(frames.HEARTBEAT + 2, b"\x7f")
+    pair.say(frames.Cob.HEARTBEAT + 2, b"\x7f")
     event = stream.get(timeout=PATIENCE)
     while event != frames.Heartbeat(2, 0x7F):
         event = stream.get(timeout=PATIENCE)
@@ -177,12 +177,12 @@ def test_nothing_a_bus_may_carry_ends_the_receiving_thread(pair: Pair, identifie
 def test_a_closed_port_is_told_with_its_address() -> None:
     profile = BusProfile(interface="socketcand", channel="can0", host="127.0.0.1", port=1)
     with pytest.raises(ConnectionFailed, match=r"socketcand can0 at 127\.0\.0\.1:1 could not be opened"):
-        Bus(profile, (NODE,))
+        CanopenBus(profile, (NODE,))
 
 
 def test_an_unknown_interface_is_told() -> None:
     with pytest.raises(ConnectionFailed, match="telegraph"):
-        Bus(BusProfile(interface="telegraph", channel="can0"), (NODE,))
+        CanopenBus(BusProfile(interface="telegraph", channel="can0"), (NODE,))
 
 
 def test_a_bus_on_which_nobody_is_heard_still_takes_the_stop() -> None:
@@ -190,14 +190,14 @@ def test_a_bus_on_which_nobody_is_heard_still_takes_the_stop() -> None:
     beats = {"host_heartbeat": 0.01, "drive_heartbeat": 0.01, "drive_timeout": 0.02}
     profile = BusProfile.model_validate({"interface": "virtual", "channel": channel, **beats})
     with can.Bus(interface="virtual", channel=channel) as peer:
-        ours = Bus(profile, (1, 2))
+        ours = CanopenBus(profile, (1, 2))
         try:
             while not ours.silent(1):
                 pass
             with pytest.raises(CommunicationLost):
                 ours.check_alive()
             with pytest.raises(CommunicationLost):
-                ours.send(frames.SYNC, b"")
+                ours.send(frames.Cob.SYNC, b"")
             for identifier, data in frames.stop([1, 2], deaf=[2]):
                 ours.shout(identifier, data)
         finally:
@@ -205,8 +205,8 @@ def test_a_bus_on_which_nobody_is_heard_still_takes_the_stop() -> None:
         heard = []
         while (message := peer.recv(0.0)) is not None:
             heard.append((message.arbitration_id, bytes(message.data)))
-    quick_stop = frames.rpdo1(states.QUICK_STOP, 0)
-    assert heard == [(0x201, quick_stop), (0x202, quick_stop), (frames.SYNC, b""), (frames.NMT, b"\x02\x02")]
+    quick_stop = frames.rpdo1(Controlword.QUICK_STOP, 0)
+    assert heard == [(0x201, quick_stop), (0x202, quick_stop), (frames.Cob.SYNC, b""), (frames.Cob.NMT, b"\x02\x02")]
 
 
 HEARTBEAT = b"< frame 701 12.5 7F >"
@@ -241,10 +241,10 @@ def profile(port: int) -> BusProfile:
 
 async def test_frames_in_the_packet_of_the_last_answer_are_frames() -> None:
     with gateway([b"< hi >", b"< ok >", b"< ok >" + HEARTBEAT + b"< frame 081 12.6 0010000000000000 >"]) as port:
-        bus = Bus(profile(port), (1,))
+        bus = CanopenBus(profile(port), (1,))
         try:
             await eventually(lambda: bus.emergency(1) is not None)
-            bus.send(frames.SYNC, b"")
+            bus.send(frames.Cob.SYNC, b"")
         finally:
             bus.close()
 
@@ -253,12 +253,12 @@ async def test_frames_in_the_packet_of_the_last_answer_are_frames() -> None:
 def test_a_gateway_that_answers_otherwise_is_refused_and_nothing_stays_open(
     answers: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(socketcand, "ANSWER_TIMEOUT", 0.5)
+    monkeypatch.setattr(SocketcandBus, "answer_timeout", 0.5)
     with (
         gateway(answers) as port,
         pytest.raises(ConnectionFailed, match=r"could not be opened: (Expected|the gateway did not send) '< "),
     ):
-        Bus(profile(port), (1,))
+        CanopenBus(profile(port), (1,))
 
 
 DEVICES = Path(__file__).parents[3] / "config" / "devices"
@@ -268,9 +268,9 @@ def line_of(**changes: object) -> BusProfile:
     return BusProfile.model_validate({"interface": "virtual", "channel": "can0", **changes})
 
 
-def cyclic_of(axes: int) -> list[tuple[Pdo, ...]]:
+def cyclic_of(axes: int) -> list[tuple[PdoMapping, ...]]:
     plain = load_device_map(DEVICES / "plain-402.yaml")
-    cyclic = tuple(p for p in pdos(plain, Way.CYCLIC_VELOCITY, 1) if len(p.mapped) > 1)
+    cyclic = tuple(p for p in streaming_pdos(plain, SetPointWay.CYCLIC_VELOCITY, 1) if len(p.mapped) > 1)
     assert len(cyclic) == 3
     return [cyclic] * axes
 

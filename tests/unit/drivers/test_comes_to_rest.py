@@ -2,17 +2,17 @@
 
 import asyncio
 import threading
-from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from dataclasses import dataclass, replace
 
 import pytest
 
-from drivers.cia402 import states
-from drivers.cia402.axis import Axis
+from drivers.cia402.axis import Cia402Axis
+from drivers.cia402.connection import DriveThread
+from drivers.cia402.device import Abilities
 from drivers.cia402.host_watch import HostWatch
-from drivers.cia402.idle_axes import Watched
-from drivers.cia402.machine import Cia402Machine
-from drivers.cia402.thread import DriveThread
+from drivers.cia402.machine import Cia402Machine, Watched
+from drivers.cia402.states import Controlword
 from drivers.contract.bench import eventually
 from drivers.errors import (
     CommunicationLost,
@@ -22,6 +22,7 @@ from drivers.errors import (
     SweepInterrupted,
     WrongConfiguration,
 )
+from drivers.ports import SampleBlock, SweepMode
 from tests.unit.drivers.given import sweep
 from tests.unit.drivers.small_servo import PATIENCE, Gate, Link, Servo, connected, machine
 
@@ -183,7 +184,7 @@ async def test_an_axis_that_turns_without_energy_is_not_confirmed() -> None:
 async def test_a_stop_does_not_wait_for_a_set_point_that_is_never_acknowledged(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("drivers.cia402.axis.TRANSITION_TIMEOUT", 2 * PATIENCE)
+    monkeypatch.setattr(Cia402Axis, "transition_timeout", 2 * PATIENCE)
     servo = Servo("joint_1", acknowledges=False)
     async with connected(servo) as (port, _):
         await port.enable("joint_1")
@@ -229,7 +230,7 @@ async def test_no_further_step_is_told_to_a_drive(way: Callable[[Cia402Machine],
         with pytest.raises(SweepInterrupted, match="stopped while it was being enabled"):
             await asyncio.wait_for(enabling, PATIENCE)
         await asyncio.wait_for(ending, PATIENCE)
-        assert states.ENABLE_OPERATION not in second.told
+        assert Controlword.ENABLE_OPERATION not in second.told
         assert [first.energised, second.energised] == [False, False]
 
 
@@ -238,22 +239,22 @@ class Stuck(Servo):
     """Stays "ready to switch on"."""
 
     def control(self, controlword: int) -> None:
-        if controlword == states.SWITCH_ON:
+        if controlword == Controlword.SWITCH_ON:
             self.told.append(controlword)
         else:
             super().control(controlword)
 
 
 async def test_a_stop_does_not_wait_for_a_step_that_the_drive_does_not_take(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.cia402.axis.TRANSITION_TIMEOUT", 2 * PATIENCE)
+    monkeypatch.setattr(Cia402Axis, "transition_timeout", 2 * PATIENCE)
     servo = Stuck("joint_1")
     async with connected(servo) as (port, _):
         enabling = asyncio.create_task(port.enable("joint_1"))
-        await eventually(lambda: states.SWITCH_ON in servo.told)
+        await eventually(lambda: Controlword.SWITCH_ON in servo.told)
         await asyncio.wait_for(port.stop(), PATIENCE)
         with pytest.raises(SweepInterrupted):
             await asyncio.wait_for(enabling, PATIENCE)
-        assert servo.told[-1] == states.DISABLE_VOLTAGE
+        assert servo.told[-1] == Controlword.DISABLE_VOLTAGE
         await port.enable()  # what was stopped is over: the next is not
 
 
@@ -288,7 +289,7 @@ async def test_a_stop_by_a_person_stays_a_stop() -> None:
 
 async def test_the_end_of_the_moving_axis_is_told_before_that_of_one_that_stands() -> None:
     standing, stop = Servo("joint_2", announced=0x4310), threading.Event()
-    thread, axis = DriveThread("test"), Axis(standing, HostWatch(60.0))
+    thread, axis = DriveThread("test"), Cia402Axis(standing, HostWatch(60.0))
 
     async def lose() -> None:
         async with Watched(thread, [axis], stop):
@@ -310,3 +311,66 @@ async def test_no_axis_waits_for_the_answer_of_another() -> None:
         assert link.halted == before + 1
         gate.open()
         assert set(await asyncio.wait_for(stop, PATIENCE)) == {"joint_1", "joint_2"}
+
+
+class Streaming(Servo):
+    """Takes set-points of the host; `log` has what it is asked, and the end of its stream."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.log: list[str] = []
+        self.before = self.log.append
+
+    def configure(self) -> Abilities:
+        return replace(super().configure(), streams=True)
+
+
+class Stream:
+    """A run of one block, which goes on until it is told to stop and then takes its time to end."""
+
+    streams = True
+
+    def __init__(self, servo: Streaming, stop: threading.Event) -> None:
+        self._servo, self._stop = servo, stop
+
+    async def blocks(self) -> AsyncGenerator[SampleBlock, None]:
+        yield self._servo.page(0, 1)
+        await asyncio.Event().wait()
+
+    def halt(self) -> None: ...
+
+    async def interrupted(self) -> None: ...
+
+    async def over(self) -> None:
+        await eventually(self._stop.is_set)
+        await asyncio.sleep(0)
+        self._servo.log.append("the stream has ended")
+
+    def timing(self) -> None: ...
+
+
+@pytest.mark.parametrize("way", ["left", "cancelled"])
+async def test_an_axis_is_brought_down_only_after_its_stream_has_ended(way: str) -> None:
+    servo = Streaming("joint_1")
+    async with connected(servo) as (port, link):
+
+        async def stream(sweeps: object, stop: threading.Event) -> Stream:
+            return Stream(servo, stop)
+
+        link.stream = stream
+        await port.enable("joint_1")
+        run = port.run_sweep(sweep(mode=SweepMode.HOST_STREAMED, sample_rate=1 / link.sync_period))
+        await anext(run)
+        servo.log.clear()
+        if way == "left":
+            await run.aclose()
+        else:
+            consumer = asyncio.ensure_future(anext(run))
+            await asyncio.sleep(0)
+            consumer.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await consumer
+            await eventually(lambda: not servo.energised)
+        assert servo.log[0] == "the stream has ended"
+        assert servo.log[-1] == "motion"  # and it was confirmed
+        assert not servo.energised

@@ -13,9 +13,9 @@ from typer.testing import CliRunner, Result
 
 from drivers.canopen.device_map import load_device_map
 from drivers.canopen.profile import parse_profile
-from drivers.commission.by_hand import turned
 from drivers.commission.command import commission
 from drivers.commission.survey import load
+from drivers.commission.units import turned
 from drivers.errors import BadProfile
 from tests.commission_bench import DRIVES, OWN, Cabinet, cabinet, words_of_energy
 from tests.foreign_bench import MAKERS, ROOT, file_of
@@ -167,8 +167,8 @@ def by_hand(bench: Cabinet, way: float) -> Callable[[], None]:
     def turn() -> None:
         node = bench.node()
         node.axis.position += way * 171.0 / math.tau
-        if hasattr(node.axis, "_actual"):
-            node.axis._actual.stand(node.axis.position)
+        if hasattr(node.axis, "_rest"):
+            node.axis._rest()
         else:
             node.axis.publish()
 

@@ -10,9 +10,8 @@ import pytest
 from canopen.objectdictionary import ObjectDictionary, ODVariable, datatypes
 from canopen.sdo.client import SdoClient
 
-from drivers.canopen import objects
-from drivers.canopen.bus import Bus
-from drivers.canopen.configuration import settle, settle_sync
+from drivers.canopen.bus import CanopenBus
+from drivers.canopen.device_map import STANDARD, Entry
 from drivers.canopen.profile import BusProfile
 from drivers.canopen.sdo import ObjectAbsent, Sdo
 from drivers.errors import CommunicationLost, WrongConfiguration
@@ -50,7 +49,7 @@ def desk() -> Iterator[Desk]:
     server.NOTIFIER_CYCLE = 0.05
     server.connect()
     node = server.create_node(1, dictionary())
-    bus = Bus(BusProfile(interface="virtual", channel=channel, sdo_timeout=5.0, drive_timeout=60.0), (1, 2))
+    bus = CanopenBus(BusProfile(interface="virtual", channel=channel, sdo_timeout=5.0, drive_timeout=60.0), (1, 2))
     client = bus.add_node(1, None)
     yield Desk(Sdo(client, "joint_1 (node 1)", bus.check_alive), client, node)
     bus.close()
@@ -58,53 +57,53 @@ def desk() -> Iterator[Desk]:
 
 
 def test_values_are_written_and_read_back(desk: Desk) -> None:
-    assert settle(desk.sdo, ((objects.MAX_TORQUE, 500), (objects.QUICK_STOP_OPTION, -2))) == frozenset()
-    assert desk.sdo.read(objects.MAX_TORQUE) == 500
-    assert desk.sdo.read(objects.QUICK_STOP_OPTION) == -2
+    assert desk.sdo.settle_all(((STANDARD["max_torque"], 500), (STANDARD["quick_stop_option"], -2))) == frozenset()
+    assert desk.sdo.read(STANDARD["max_torque"]) == 500
+    assert desk.sdo.read(STANDARD["quick_stop_option"]) == -2
 
 
 def test_absent_objects_are_told(desk: Desk) -> None:
-    settings = ((objects.MAX_MOTOR_SPEED, 1), (objects.MAX_TORQUE, 3), (objects.POSITION_MIN, -5))
-    assert settle(desk.sdo, settings) == {objects.MAX_MOTOR_SPEED, objects.POSITION_MIN}
+    settings = ((STANDARD["max_speed"], 1), (STANDARD["max_torque"], 3), (STANDARD["position_min"], -5))
+    assert desk.sdo.settle_all(settings) == {STANDARD["max_speed"], STANDARD["position_min"]}
     with pytest.raises(ObjectAbsent, match=r"joint_1 \(node 1\): 6080h:00 max motor speed"):
-        desk.sdo.read(objects.MAX_MOTOR_SPEED)
+        desk.sdo.read(STANDARD["max_speed"])
 
 
 def test_a_constant_is_accepted_only_with_the_wanted_value(desk: Desk) -> None:
-    assert settle(desk.sdo, ((objects.QUICK_STOP_DECELERATION, 7),)) == frozenset()
+    assert desk.sdo.settle_all(((STANDARD["quick_stop_deceleration"], 7),)) == frozenset()
     with pytest.raises(WrongConfiguration, match=r"6085h:00 quick stop deceleration = 8: .*read only"):
-        settle(desk.sdo, ((objects.QUICK_STOP_DECELERATION, 8),))
+        desk.sdo.settle_all(((STANDARD["quick_stop_deceleration"], 8),))
 
 
 def test_a_drive_that_holds_something_else_is_wrong(desk: Desk) -> None:
     def clamped(*, index: int, subindex: int, od: ODVariable) -> int | None:
         del subindex, od
-        return 400 if index == objects.MAX_TORQUE.index else None
+        return 400 if index == STANDARD["max_torque"].index else None
 
     desk.node.add_read_callback(clamped)
     with pytest.raises(WrongConfiguration, match="6072h:00 max torque: wrote 500, drive holds 400"):
-        settle(desk.sdo, ((objects.MAX_TORQUE, 500),))
+        desk.sdo.settle_all(((STANDARD["max_torque"], 500),))
 
 
 def test_a_value_of_another_size_or_range_is_wrong(desk: Desk) -> None:
     with pytest.raises(WrongConfiguration, match="cannot hold 70000"):
-        desk.sdo.write(objects.MAX_TORQUE, 70_000)
+        desk.sdo.write(STANDARD["max_torque"], 70_000)
     with pytest.raises(WrongConfiguration, match="another type"):
-        desk.sdo.read(objects.Entry(0x6072, 0, "I", "max torque as 32 bits"))
+        desk.sdo.read(Entry(0x6072, 0, "I", "max torque as 32 bits"))
 
 
 def test_a_node_that_does_not_answer_is_lost_communication(desk: Desk) -> None:
     desk.node.remove_network()
     desk.client.RESPONSE_TIMEOUT = 0.2  # s
     with pytest.raises(CommunicationLost, match="6072h:00 max torque: No SDO response"):
-        desk.sdo.read(objects.MAX_TORQUE)
+        desk.sdo.read(STANDARD["max_torque"])
 
 
 def test_a_sync_counter_is_switched_off_while_the_sync_period_is_0(desk: Desk) -> None:
     """CiA 301, 7.5.2.22: 1019h may be changed only then."""
     written: list[tuple[int, bytes]] = []
     desk.node.add_write_callback(lambda index, data, **_: written.append((index, bytes(data))))
-    settle_sync(desk.sdo)
+    desk.sdo.settle_sync()
     assert written == [(0x1006, bytes(4)), (0x1019, b"\0")]
-    settle_sync(desk.sdo)
+    desk.sdo.settle_sync()
     assert len(written) == 2

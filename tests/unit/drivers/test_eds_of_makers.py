@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from drivers.commission.dictionary import Dictionary, read_dictionary
+from drivers.commission.drive import DriveDictionary, read_dictionary
 from drivers.errors import BadProfile
 
 LINES = (Path(__file__).parents[3] / "config/eds/plain-402.eds").read_text("utf-8").splitlines()
 TEXT = "\n".join(LINES)
 
 
-def read(content: str | bytes, folder: Path) -> Dictionary:
+def read(content: str | bytes, folder: Path) -> DriveDictionary:
     path = folder / "maker.eds"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     return read_dictionary(path, 5)

@@ -10,9 +10,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen import frames, objects
-from drivers.canopen.bus import Bus
-from drivers.canopen.foreign_frames import READINGS, ForeignFrames
+from drivers.canopen import frames
+from drivers.canopen.bus import CanopenBus, ForeignFrames
+from drivers.canopen.device_map import STANDARD, Entry
 from drivers.canopen.frames import (
     Controller,
     ControllerState,
@@ -23,34 +23,33 @@ from drivers.canopen.frames import (
     SetPoint,
     decode,
 )
-from drivers.canopen.heard_state import HeardState, upload_request
-from drivers.canopen.objects import STATUSWORD, Entry
 from drivers.canopen.profile import BusProfile, parse_profile
-from drivers.cia402 import states
+from drivers.canopen.stop_sender import HeardState, upload_request
+from drivers.cia402.states import Controlword
 from tests.unit.drivers.test_bus import soon
 
 HOST, NODES = 127, (1, 2)
 
 TRESPASSES = {
-    "heartbeat with node number 127, which this host uses (COB-ID 77Fh)": (frames.HEARTBEAT + HOST, b"\x05"),
-    "SYNC (COB-ID 080h)": (frames.SYNC, b""),
-    "NMT command 01h to node 2 (COB-ID 000h)": (frames.NMT, b"\x01\x02"),
-    "NMT command 81h to every node (COB-ID 000h)": (frames.NMT, b"\x81\x00"),
-    "NMT command 80h to node 1 (COB-ID 000h)": (frames.NMT, b"\x80\x01"),
-    "RPDO1 to node 1 (COB-ID 201h)": (frames.RPDO1 + 1, frames.rpdo1(states.ENABLE_OPERATION, 7)),
-    "RPDO2 to node 2 (COB-ID 302h)": (frames.RPDO2 + 2, b"\x00"),
-    "SDO request to node 1 (COB-ID 601h)": (frames.SDO_REQUEST + 1, bytes(8)),
+    "heartbeat with node number 127, which this host uses (COB-ID 77Fh)": (frames.Cob.HEARTBEAT + HOST, b"\x05"),
+    "SYNC (COB-ID 080h)": (frames.Cob.SYNC, b""),
+    "NMT command 01h to node 2 (COB-ID 000h)": (frames.Cob.NMT, b"\x01\x02"),
+    "NMT command 81h to every node (COB-ID 000h)": (frames.Cob.NMT, b"\x81\x00"),
+    "NMT command 80h to node 1 (COB-ID 000h)": (frames.Cob.NMT, b"\x80\x01"),
+    "RPDO1 to node 1 (COB-ID 201h)": (frames.Cob.RPDO1 + 1, frames.rpdo1(Controlword.ENABLE_OPERATION, 7)),
+    "RPDO2 to node 2 (COB-ID 302h)": (frames.Cob.RPDO2 + 2, b"\x00"),
+    "SDO request to node 1 (COB-ID 601h)": (frames.Cob.SDO_REQUEST + 1, bytes(8)),
 }
 OTHERS = (
-    (frames.HEARTBEAT + 1, b"\x05"),
-    (frames.HEARTBEAT + 9, b"\x05"),
-    (frames.NMT, b"\x01\x09"),
-    (frames.NMT, b"\x01"),
-    (frames.RPDO1 + 9, frames.rpdo1(states.ENABLE_OPERATION, 7)),
-    (frames.SDO_REQUEST + 9, bytes(8)),
-    (frames.SDO_RESPONSE + 1, bytes(8)),
-    (frames.TPDO1 + 1, bytes(8)),
-    (frames.EMERGENCY + 1, bytes(8)),
+    (frames.Cob.HEARTBEAT + 1, b"\x05"),
+    (frames.Cob.HEARTBEAT + 9, b"\x05"),
+    (frames.Cob.NMT, b"\x01\x09"),
+    (frames.Cob.NMT, b"\x01"),
+    (frames.Cob.RPDO1 + 9, frames.rpdo1(Controlword.ENABLE_OPERATION, 7)),
+    (frames.Cob.SDO_REQUEST + 9, bytes(8)),
+    (frames.Cob.SDO_RESPONSE + 1, bytes(8)),
+    (frames.Cob.TPDO1 + 1, bytes(8)),
+    (frames.Cob.EMERGENCY + 1, bytes(8)),
 )
 
 
@@ -68,19 +67,22 @@ def test_the_stop_of_the_stop_process_is_none_and_excuses_one_sync() -> None:
     strangers = ForeignFrames(NODES, HOST)
     for frame in (*frames.stop(NODES, ()), *frames.stop(NODES, NODES)):
         assert strangers.word(*frame) == ""
-    assert strangers.word(frames.SYNC, b"") != ""
+    assert strangers.word(frames.Cob.SYNC, b"") != ""
 
 
 def test_the_questions_that_confirm_a_stop_are_none_and_are_counted() -> None:
-    strangers, reading = ForeignFrames(NODES, HOST), (frames.SDO_REQUEST + 1, upload_request(STATUSWORD))
+    strangers, reading = (
+        ForeignFrames(NODES, HOST),
+        (frames.Cob.SDO_REQUEST + 1, upload_request(STANDARD["statusword"])),
+    )
     assert strangers.word(*reading) != ""  # without a stop
     for frame in frames.stop(NODES, ()):
         strangers.word(*frame)
-    assert [strangers.word(*reading) for _ in range(READINGS)] == [""] * READINGS
+    assert [strangers.word(*reading) for _ in range(ForeignFrames.readings)] == [""] * ForeignFrames.readings
     assert strangers.word(*reading) != ""
     for frame in frames.stop(NODES, ()):
         strangers.word(*frame)
-    assert strangers.word(frames.SDO_REQUEST + 1, b"\x2b" + bytes(7)) != ""  # it writes
+    assert strangers.word(frames.Cob.SDO_REQUEST + 1, b"\x2b" + bytes(7)) != ""  # it writes
 
 
 def test_a_bus_hears_them_once_it_was_alone() -> None:
@@ -88,16 +90,19 @@ def test_a_bus_hears_them_once_it_was_alone() -> None:
     channel = f"strangers-{uuid.uuid4()}"
     message = can.Message(arbitration_id=identifier, data=data, is_extended_id=False)
     with can.Bus(interface="virtual", channel=channel) as peer:
-        bus = Bus(BusProfile(interface="virtual", channel=channel, drive_timeout=60.0), NODES)
+        bus = CanopenBus(BusProfile(interface="virtual", channel=channel, drive_timeout=60.0), NODES)
         try:
             peer.send(message)
-            peer.send(can.Message(arbitration_id=frames.HEARTBEAT + 1, data=b"\x00", is_extended_id=False))
+            peer.send(can.Message(arbitration_id=frames.Cob.HEARTBEAT + 1, data=b"\x00", is_extended_id=False))
             soon(lambda: bus.restarted(1))  # both were heard
             assert bus.watch.reason == ""
             bus.expect_no_host()
-            for own in (frames.stop(NODES, ()), [(frames.HEARTBEAT + HOST, b"\x05"), (frames.SYNC, b"")]):
-                for frame in own:
-                    bus.send(*frame)
+            for identifier, data in (
+                *frames.stop(NODES, ()),
+                (frames.Cob.HEARTBEAT + HOST, b"\x05"),
+                (frames.Cob.SYNC, b""),
+            ):
+                bus.send(identifier, data)
             peer.send(message)
             soon(lambda: bus.watch.reason != "")
             assert what in bus.watch.reason
@@ -185,31 +190,31 @@ def test_process_data_confirm_standstill_without_energy(heard: HeardState) -> No
 
 
 def test_answers_to_the_service_confirm_it_if_the_velocity_is_not_older_than_the_state(heard: HeardState) -> None:
-    exchanged(heard, objects.VELOCITY, 0, 1.0)
-    exchanged(heard, objects.STATUSWORD, OFF, 2.0)
+    exchanged(heard, STANDARD["velocity"], 0, 1.0)
+    exchanged(heard, STANDARD["statusword"], OFF, 2.0)
     assert heard.doubt(0.5) != ""  # it may have begun to turn since
-    exchanged(heard, objects.VELOCITY, 0, 3.0)
+    exchanged(heard, STANDARD["velocity"], 0, 3.0)
     assert heard.doubt(0.5) == ""
-    exchanged(heard, objects.STATUSWORD, ON, 4.0)
+    exchanged(heard, STANDARD["statusword"], ON, 4.0)
     assert heard.doubt(0.5) == "is 'operation enabled'"
 
 
 def test_a_segment_that_looks_like_an_answer_is_none(heard: HeardState) -> None:
-    exchanged(heard, objects.STATUSWORD, ON, 1.0)
-    heard.answered(replied(objects.STATUSWORD, OFF), 1.1)
-    heard.answered(replied(objects.VELOCITY, 0), 1.2)
+    exchanged(heard, STANDARD["statusword"], ON, 1.0)
+    heard.answered(replied(STANDARD["statusword"], OFF), 1.1)
+    heard.answered(replied(STANDARD["velocity"], 0), 1.2)
     assert heard.doubt(0.5) == "is 'operation enabled'"
-    heard.requested(b"\xa0" + upload_request(objects.STATUSWORD)[1:], 1.3)  # a block upload
-    heard.answered(replied(objects.STATUSWORD, OFF), 1.4)
+    heard.requested(b"\xa0" + upload_request(STANDARD["statusword"])[1:], 1.3)  # a block upload
+    heard.answered(replied(STANDARD["statusword"], OFF), 1.4)
     assert heard.doubt(0.5) == "is 'operation enabled'"
 
 
 def test_a_velocity_within_the_noise_counts_only_in_a_unit_that_was_heard(heard: HeardState) -> None:
     heard.note(frames.MotionPdo(1, OFF, 1, 0), 1.0)
     assert heard.doubt(0.5).startswith("turns at 1 velocity units, standstill is at most 0")
-    exchanged(heard, objects.VELOCITY_UNIT, 0xFDB44700, 0.1)  # 1e-3 rev/min
-    exchanged(heard, objects.INCREMENTS, 1048576, 0.1)
-    exchanged(heard, objects.MOTOR_REVOLUTIONS, 1, 0.1)
+    exchanged(heard, STANDARD["velocity_unit"], 0xFDB44700, 0.1)  # 1e-3 rev/min
+    exchanged(heard, STANDARD["increments"], 1048576, 0.1)
+    exchanged(heard, STANDARD["motor_revolutions"], 1, 0.1)
     assert heard.doubt(0.5) == ""
 
 
@@ -217,11 +222,11 @@ def test_it_asks_for_what_is_missing_and_awaits_each_answer(heard: HeardState) -
     now, asked = 1.0, list[str]()
     values = {"statusword": OFF, "velocity": 0, "velocity_unit": 0xFDB44700, "increments": 1, "motor_revolutions": 1}
     entries = {
-        "statusword": objects.STATUSWORD,
-        "velocity": objects.VELOCITY,
-        "velocity_unit": objects.VELOCITY_UNIT,
-        "increments": objects.INCREMENTS,
-        "motor_revolutions": objects.MOTOR_REVOLUTIONS,
+        "statusword": STANDARD["statusword"],
+        "velocity": STANDARD["velocity"],
+        "velocity_unit": STANDARD["velocity_unit"],
+        "increments": STANDARD["increments"],
+        "motor_revolutions": STANDARD["motor_revolutions"],
     }
     while heard.doubt(0.5) and len(asked) < 10:
         request = heard.question(0.5, now)

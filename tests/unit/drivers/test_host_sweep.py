@@ -16,8 +16,8 @@ import pytest
 
 from drivers.canopen import frames, host_sweep
 from drivers.canopen.bcm import KernelRefused
-from drivers.canopen.host_sweep import STANDSTILL_TIMEOUT, HostSweep
-from drivers.canopen.streamed_axis import MOST_AHEAD, Ending, StreamedAxis
+from drivers.canopen.host_sweep import HostSweep
+from drivers.canopen.streamed_axis import Ending, StreamedAxis
 from drivers.contract.bench import eventually
 from drivers.errors import CommunicationLost
 from drivers.ports import SampleBlock
@@ -94,9 +94,9 @@ MISHAPS: dict[str, tuple[Callable[[Bench, Drive], object], Ending, str]] = {
         Ending.LEFT_ENVELOPE,
         "position .* is outside -50 to 50 rad",
     ),
-    "restarts": (lambda on, _: on.cabinet.say(frames.HEARTBEAT + 2, b"\0"), Ending.LEFT_STATE, "node restarted"),
+    "restarts": (lambda on, _: on.cabinet.say(frames.Cob.HEARTBEAT + 2, b"\0"), Ending.LEFT_STATE, "node restarted"),
     "fails": (
-        lambda on, _: on.cabinet.say(frames.EMERGENCY + 2, bytes.fromhex("057321 0000000000")),
+        lambda on, _: on.cabinet.say(frames.Cob.EMERGENCY + 2, bytes.fromhex("057321 0000000000")),
         Ending.LEFT_STATE,
         "error 7305h",
     ),
@@ -199,7 +199,7 @@ async def test_a_slow_drive_that_counts_has_few_syncs_to_catch_up_with() -> None
         blocks = await run_to_end(run)
     assert (run.ending, run.reason) == (Ending.COMPLETED, "")
     assert of(blocks, "joint_1").index.tolist() == list(range(SAMPLES))
-    assert 2 < max(ahead) <= MOST_AHEAD / PERIOD + 2
+    assert 2 < max(ahead) <= StreamedAxis.most_ahead / PERIOD + 2
 
 
 @pytest.mark.parametrize("state", [SWITCHED_ON, OFF, 0x21, 0x07, 0x08, 0x00, 0xFFFF])
@@ -250,7 +250,7 @@ async def test_a_late_host_is_counted_and_goes_on_where_the_profile_allows_it() 
 async def test_a_stall_while_the_axis_comes_to_standstill_is_not_held_against_the_axis() -> None:
     def stall(k: int, answer: list[Frame]) -> list[Frame]:
         if k == SAMPLES + 2:  # the sweep is over, and the host waits for standstill
-            hold_up(STANDSTILL_TIMEOUT + 0.5)
+            hold_up(HostSweep.standstill_timeout + 0.5)
         return answer
 
     async with bench(Drive(1, mangle=stall)) as on:
@@ -258,7 +258,7 @@ async def test_a_stall_while_the_axis_comes_to_standstill_is_not_held_against_th
         samples = of(await run_to_end(run), "joint_1")
         assert (run.ending, run.reason) == (Ending.COMPLETED, "")
         assert samples.index.tolist() == list(range(SAMPLES))
-        assert run.timing().worst_lateness > STANDSTILL_TIMEOUT
+        assert run.timing().worst_lateness > HostSweep.standstill_timeout
 
 
 async def test_an_axis_that_does_not_come_to_standstill_is_stopped() -> None:
@@ -271,7 +271,7 @@ async def test_an_axis_that_does_not_come_to_standstill_is_stopped() -> None:
         await run_to_end(run)
         assert (run.ending, run.joint) == (Ending.NO_STANDSTILL, "joint_2")
         assert run.reason == "joint_2 (node 2): is not at standstill 3 s after its sweep"
-        assert run.timing().cycles >= SAMPLES + STANDSTILL_TIMEOUT / PERIOD
+        assert run.timing().cycles >= SAMPLES + HostSweep.standstill_timeout / PERIOD
         assert {drive.statusword for drive in on.cabinet.drives.values()} == {OFF}
 
 
@@ -297,7 +297,7 @@ async def test_bus_off_ends_it_at_once() -> None:
         with pytest.raises(CommunicationLost, match=r"bus-off; controller bus-off \(transmit errors 248"):
             await run_to_end(run, lambda _: on.cabinet.say(0x040, bytes([0, 0, 0, 0, 0, 0, 248, 0]), error=True))
         with pytest.raises(CommunicationLost, match="bus-off"):
-            on.bus.send(frames.SYNC, b"")
+            on.bus.send(frames.Cob.SYNC, b"")
         assert on.cabinet.drives[1].statusword == ENABLED  # its own watch of SYNC must stop it
 
 

@@ -7,10 +7,9 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from drivers.cia402 import states
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
-from drivers.cia402.states import State
+from drivers.cia402.states import Controlword, PowerState
 from drivers.contract.bench import eventually
 from drivers.errors import MotionForbidden
 from drivers.ports import Sine
@@ -81,7 +80,11 @@ async def watched(
 
 
 def enabling(servo: Servo) -> list[int]:
-    return [word for word in servo.told if word & 0x0F in (states.SHUTDOWN, states.SWITCH_ON, states.ENABLE_OPERATION)]
+    return [
+        word
+        for word in servo.told
+        if word & 0x0F in (Controlword.SHUTDOWN, Controlword.SWITCH_ON, Controlword.ENABLE_OPERATION)
+    ]
 
 
 async def enable_and_move(port: Cia402Machine) -> None:
@@ -147,8 +150,8 @@ async def test_who_is_watched_by_nobody_and_not_connected_misses_nothing(monkeyp
     assert link.watch.reason == ""
 
 
-@pytest.mark.parametrize("state", [State.SWITCHED_ON, State.OPERATION_ENABLED])
-async def test_an_axis_that_nobody_here_enabled_is_told(state: State) -> None:
+@pytest.mark.parametrize("state", [PowerState.SWITCHED_ON, PowerState.OPERATION_ENABLED])
+async def test_an_axis_that_nobody_here_enabled_is_told(state: PowerState) -> None:
     servo = Servo("joint_1")
     async with watched(servo) as (port, _, told):
         servo.state = state
@@ -164,8 +167,8 @@ async def test_energy_that_nobody_here_took_is_missed_in_a_move() -> None:
     async with connected(servo) as (port, _):
         await port.enable("joint_1")
         moving = asyncio.create_task(port.move_to("joint_1", 0.5, 0.1))
-        await eventually(lambda: any(word & states.NEW_SET_POINT for word in servo.told))
-        servo.state = State.SWITCH_ON_DISABLED
+        await eventually(lambda: any(word & Controlword.NEW_SET_POINT for word in servo.told))
+        servo.state = PowerState.SWITCH_ON_DISABLED
         with pytest.raises(MotionForbidden, match=LOST):
             await moving
         with pytest.raises(MotionForbidden, match=LOST):
@@ -178,7 +181,7 @@ async def test_energy_that_nobody_here_took_is_missed_in_a_sweep() -> None:
         await port.enable("joint_1")
         run = port.run_sweep(COMMAND)
         await anext(run)
-        servo.state = State.SWITCH_ON_DISABLED
+        servo.state = PowerState.SWITCH_ON_DISABLED
         with pytest.raises(MotionForbidden, match=LOST):
             async for _ in run:
                 pass

@@ -16,8 +16,9 @@ from canopen.sdo.client import SdoClient
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from drivers.canopen import frames, objects
-from drivers.canopen.bus import Bus
+from drivers.canopen import frames
+from drivers.canopen.bus import CanopenBus
+from drivers.canopen.device_map import STANDARD
 from drivers.canopen.fieldbus import CanopenFieldbus
 from drivers.canopen.profile import BusProfile, parse_profile
 from drivers.canopen.sdo import Sdo
@@ -43,7 +44,7 @@ IMPATIENT, PATIENT = 0.03, 20.0  # s
 
 @dataclass
 class Desk:
-    bus: Bus
+    bus: CanopenBus
     client: SdoClient
     sdo: Sdo
     answers: "queue.SimpleQueue[bytes]"
@@ -51,7 +52,7 @@ class Desk:
     def settle(self) -> None:
         """Until nothing is under way any more that either side said, also on a busy computer."""
         self.bus.note_configured(NODE)
-        self.bus.send(frames.NMT, bytes([0x81, NODE]))  # reset
+        self.bus.send(frames.Cob.NMT, bytes([0x81, NODE]))  # reset
         deadline = time.monotonic() + PATIENT
         while not self.bus.restarted(NODE):
             assert time.monotonic() < deadline
@@ -69,15 +70,15 @@ def desk() -> Iterator[Desk]:
     node = can.Bus(interface="virtual", channel=channel)
 
     def answer(message: can.Message) -> None:
-        if message.arbitration_id == frames.NMT:
-            node.send(can.Message(arbitration_id=frames.HEARTBEAT + NODE, data=[0], is_extended_id=False))
+        if message.arbitration_id == frames.Cob.NMT:
+            node.send(can.Message(arbitration_id=frames.Cob.HEARTBEAT + NODE, data=[0], is_extended_id=False))
         if message.arbitration_id == 0x600 + NODE and message.data[0] != 0x80 and not answers.empty():
             said = answers.get()
             for one in (said[:8], said[8:]) if len(said) > 8 else (said,):
-                node.send(can.Message(arbitration_id=frames.SDO_RESPONSE + NODE, data=one, is_extended_id=False))
+                node.send(can.Message(arbitration_id=frames.Cob.SDO_RESPONSE + NODE, data=one, is_extended_id=False))
 
     listening = can.Notifier(node, [answer], timeout=0.05)
-    bus = Bus(BusProfile(interface="virtual", channel=channel, drive_timeout=3600.0), (NODE,))
+    bus = CanopenBus(BusProfile(interface="virtual", channel=channel, drive_timeout=3600.0), (NODE,))
     client = bus.add_node(NODE, None)
     yield Desk(bus, client, Sdo(client, "joint_1 (node 1)", bus.check_alive), answers)
     bus.close()
@@ -86,8 +87,8 @@ def desk() -> Iterator[Desk]:
 
 
 REQUESTS: dict[str, Callable[[Sdo], object]] = {
-    "read": lambda sdo: sdo.read(objects.POSITION),
-    "write": lambda sdo: sdo.write(objects.CONTROLWORD, 0),
+    "read": lambda sdo: sdo.read(STANDARD["position"]),
+    "write": lambda sdo: sdo.write(STANDARD["controlword"], 0),
     "segments": lambda sdo: sdo.upload(0x2110, 3, block=False),
     "blocks": lambda sdo: sdo.upload(0x2110, 3, block=True),
 }
@@ -108,7 +109,7 @@ def test_any_answer_ends_in_a_value_or_an_error_of_ours(desk: Desk, request_name
     desk.settle()
     desk.client.RESPONSE_TIMEOUT = PATIENT
     desk.answers.put(bytes.fromhex("4364600007000000"))
-    assert desk.sdo.read(objects.POSITION) == 7
+    assert desk.sdo.read(STANDARD["position"]) == 7
 
 
 @pytest.mark.parametrize(("request_name", "answer"), [("read", "4364600007000000"), ("write", "6040600000000000")])
@@ -125,7 +126,7 @@ def test_an_answer_that_the_stop_process_asked_for_is_no_lost_communication(
 DRIVES = Path(__file__).parents[3] / "config" / "drives"
 BEAT = 0.3  # s
 WAIT = 20.0  # s
-WORD = can.Message(arbitration_id=frames.HEARTBEAT + 127, data=[frames.OPERATIONAL], is_extended_id=False)
+WORD = can.Message(arbitration_id=frames.Cob.HEARTBEAT + 127, data=[frames.NmtState.OPERATIONAL], is_extended_id=False)
 
 
 @dataclass(frozen=True)
@@ -170,4 +171,4 @@ async def test_one_word_of_a_host_that_is_gone_keeps_nobody_away(peer: Peer) -> 
     peer.bus.send(WORD)  # a gateway had held it back
     with pytest.raises(CommunicationLost):  # of the drives that are not there
         await opening
-    assert peer.heard() >= {WORD.arbitration_id, frames.NMT}
+    assert peer.heard() >= {WORD.arbitration_id, frames.Cob.NMT}

@@ -14,8 +14,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.cia402.axis import Axis
-from drivers.cia402.device import Mode
+from drivers.cia402.axis import Cia402Axis
+from drivers.cia402.device import OperationMode, await_mode
 from drivers.cia402.host_watch import HostWatch
 from drivers.errors import (
     CommunicationLost,
@@ -26,13 +26,25 @@ from drivers.errors import (
     WrongIdentity,
 )
 from drivers.modbus.device import ModbusDevice
-from drivers.modbus.line import Line
-from drivers.modbus.profile import RtuLine
+from drivers.modbus.line import MasterLine
+from drivers.modbus.profile import RtuProfile
 from drivers.modbus.registers import RegisterMap, load_registers
 from drivers.ports import AxisState, Sine
 from tests.unit.drivers.given import sweep
-from tests.unit.drivers.modbus_bank import Bank, serving
-from tests.unit.drivers.modbus_drive import HIGH, KINDS, LOW, MAPS, drive, following, get, nobody, profile_on, put
+from tests.unit.drivers.modbus_bank import (
+    HIGH,
+    KINDS,
+    LOW,
+    MAPS,
+    Bank,
+    drive,
+    following,
+    get,
+    nobody,
+    profile_on,
+    put,
+    serving,
+)
 
 SWEEP = sweep(
     Sine(2.0, 0.002, 0.3),
@@ -58,7 +70,7 @@ def connected(
     following(bank, real)
     with serving(bank, timeout) as served:
         profile = profile_on(served, kind, **axis)
-        line = Line(profile.line)
+        line = MasterLine(profile.line)
         line.open()
         yield bank, ModbusDevice(profile.axes[0], profile, registers or real, "0" * 64, line, nobody())
         line.close()
@@ -127,7 +139,7 @@ def test_settings_are_written_once_and_read_back(kind: str, registers: RegisterM
 @KINDS
 def test_a_drive_that_restarted_gets_no_energy_before_a_person_knows(kind: str, registers: RegisterMap) -> None:
     with connected(kind) as (bank, device):
-        axis = Axis(device, HostWatch(60.0))
+        axis = Cia402Axis(device, HostWatch(60.0))
         axis.introduce()
         put(bank, registers, 1, "watchdog", 0)
         with pytest.raises(DriveFault, match="drive restarted, its settings are lost"):
@@ -143,7 +155,7 @@ def test_a_drive_that_restarted_gets_no_energy_before_a_person_knows(kind: str, 
 @KINDS
 def test_a_swapped_drive_gets_no_energy(kind: str, registers: RegisterMap) -> None:
     with connected(kind) as (bank, device):
-        axis = Axis(device, HostWatch(60.0))
+        axis = Cia402Axis(device, HostWatch(60.0))
         axis.introduce()
         put(bank, registers, 1, "serial", 1003)
         with pytest.raises(WrongIdentity, match=r"serial is 000003EBh, at connect it was 000003E9h"):
@@ -157,7 +169,7 @@ def test_enabling_takes_the_one_path_and_losing_the_drive_stops_it_unheard(
     kind: str, registers: RegisterMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with connected(kind, timeout=1.0) as (bank, device):  # good answers must not come late on a busy computer
-        axis = Axis(device, HostWatch(60.0))
+        axis = Cia402Axis(device, HostWatch(60.0))
         axis.introduce()
         bank.requests.clear()
         axis.enable(threading.Event())
@@ -191,12 +203,12 @@ def test_a_turned_gear_turns_the_signs(kind: str, registers: RegisterMap) -> Non
 
 
 def test_mode_that_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.modbus.device.MODE_TIMEOUT", 0.05)
+    monkeypatch.setattr(await_mode, "__defaults__", (0.05,))
     with connected("tcp") as (bank, device):
-        device.set_mode(Mode.PROFILE_POSITION)
+        device.set_mode(OperationMode.PROFILE_POSITION)
         bank.react = lambda _: None
         with pytest.raises(WrongConfiguration, match="mode 9 was not accepted, the drive reports mode 1"):
-            device.set_mode(Mode.CYCLIC_VELOCITY)
+            device.set_mode(OperationMode.CYCLIC_VELOCITY)
 
 
 @pytest.mark.parametrize(
@@ -258,7 +270,7 @@ def test_a_page_leaves_room_for_a_stop() -> None:
     with connected("tcp") as (_, device):
         assert device.page_size == 250  # 25 requests of 10 samples
     with connected("rtu") as (_, device):
-        line = RtuLine(transport="rtu", device="any", baudrate=115200, parity="N", timeout=0.5, watchdog=10.0)
+        line = RtuProfile(transport="rtu", device="any", baudrate=115200, parity="N", timeout=0.5, watchdog=10.0)
         assert device.page_size == 5 * math.floor(0.1 / line.read_time(60))
 
 
@@ -268,7 +280,7 @@ def test_a_page_leaves_room_for_a_stop() -> None:
 def test_noise_never_leads_to_an_enabling_write(kind: str, noise: list[bytes], cut: int) -> None:
     with connected(kind, timeout=0.01) as (bank, device):
         bank.spoil = lambda _, frame: noise[len(bank.requests) % len(noise)] + frame[:cut]
-        axis = Axis(device, HostWatch(60.0))
+        axis = Cia402Axis(device, HostWatch(60.0))
         enable = partial(axis.enable, threading.Event())
         for attempt in (axis.introduce, enable, axis.status, axis.acknowledge, axis.start_measuring):
             with suppress(DriveError):

@@ -14,13 +14,22 @@ from hypothesis import strategies as st
 
 from drivers.contract.bench import eventually
 from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady, WrongConfiguration, WrongIdentity
-from drivers.modbus import line as line_module
 from drivers.modbus.fieldbus import ModbusConnection, ModbusFieldbus
-from drivers.modbus.line import Line
-from drivers.modbus.profile import RtuLine, TcpLine
+from drivers.modbus.line import MasterLine
+from drivers.modbus.profile import RtuProfile, TcpProfile
 from drivers.modbus.registers import RegisterMap
-from tests.unit.drivers.modbus_bank import TIMEOUT, Bank, Request, rtu_frame, serving
-from tests.unit.drivers.modbus_drive import HIGH, KINDS, drive, following, profile_on
+from tests.unit.drivers.modbus_bank import (
+    HIGH,
+    KINDS,
+    TIMEOUT,
+    Bank,
+    Request,
+    drive,
+    following,
+    profile_on,
+    rtu_frame,
+    serving,
+)
 from tests.unit.drivers.test_bus import soon
 
 pytestmark = pytest.mark.slow
@@ -35,28 +44,28 @@ def bank(request: pytest.FixtureRequest) -> Bank:
 
 
 @contextmanager
-def opened(bank: Bank, timeout: float, **changes: float) -> Generator[Line]:
+def opened(bank: Bank, timeout: float, **changes: float) -> Generator[MasterLine]:
     with serving(bank, timeout) as profile:
-        line = Line(profile.model_copy(update=changes))
+        line = MasterLine(profile.model_copy(update=changes))
         line.open()
         yield line
         line.close()
 
 
 @pytest.fixture
-def line(bank: Bank) -> Generator[Line]:
+def line(bank: Bank) -> Generator[MasterLine]:
     with opened(bank, PATIENCE) as line:
         yield line
 
 
 @pytest.fixture
-def hasty(bank: Bank) -> Generator[Line]:
+def hasty(bank: Bank) -> Generator[MasterLine]:
     """A line on which nobody answers well."""
     with opened(bank, TIMEOUT) as line:
         yield line
 
 
-def test_read_and_write(bank: Bank, line: Line) -> None:
+def test_read_and_write(bank: Bank, line: MasterLine) -> None:
     assert line.read(1, 0x10, 3, "three") == [0x1111, 0x2222, 0x3333]
     line.write(1, 0x11, [7], "one")
     line.write(1, 0x11, [8, 9], "two")
@@ -67,7 +76,7 @@ def test_read_and_write(bank: Bank, line: Line) -> None:
         line.check(2, "unit 2")
 
 
-def test_a_refusal_is_no_loss(bank: Bank, line: Line) -> None:
+def test_a_refusal_is_no_loss(bank: Bank, line: MasterLine) -> None:
     with pytest.raises(WrongConfiguration, match=r"there: Modbus exception 2: no such register"):
         line.read(1, 0x99, 1, "there")
     with pytest.raises(WrongConfiguration):
@@ -76,9 +85,9 @@ def test_a_refusal_is_no_loss(bank: Bank, line: Line) -> None:
 
 
 def test_silence_is_a_loss_at_once_and_until_it_is_found_again(
-    bank: Bank, line: Line, monkeypatch: pytest.MonkeyPatch
+    bank: Bank, line: MasterLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(line_module, "LOOK_AGAIN", 0.0)
+    monkeypatch.setattr(MasterLine, "look_again", 0.0)
     bank.spoil = lambda request, frame: None if request.unit == 1 else frame
     with pytest.raises(CommunicationLost, match="unit 1 speed"):
         line.read(1, 0x10, 1, "unit 1 speed")
@@ -100,7 +109,7 @@ def test_silence_is_a_loss_at_once_and_until_it_is_found_again(
     assert line.read(1, 0x10, 1, "found") == [0x1111]
 
 
-def test_the_heartbeat_is_due_where_nobody_asked(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_heartbeat_is_due_where_nobody_asked(line: MasterLine, monkeypatch: pytest.MonkeyPatch) -> None:
     assert line.due(1)
     line.read(1, 0x10, 1, "x")
     assert not line.due(1)
@@ -109,8 +118,8 @@ def test_the_heartbeat_is_due_where_nobody_asked(line: Line, monkeypatch: pytest
     assert line.due(1)
 
 
-def test_no_write_is_ever_repeated(bank: Bank, hasty: Line, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(line_module, "LOOK_AGAIN", 0.0)
+def test_no_write_is_ever_repeated(bank: Bank, hasty: MasterLine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(MasterLine, "look_again", 0.0)
 
     def garbled(_: Request, frame: bytes) -> bytes:
         return b"\xff" * 9 if bank.transport == "tcp" else frame[:-1] + bytes([frame[-1] ^ 1])
@@ -130,7 +139,7 @@ def test_no_write_is_ever_repeated(bank: Bank, hasty: Line, monkeypatch: pytest.
 
 @pytest.mark.slow
 @pytest.mark.parametrize("bank", ["rtu"], indirect=True)
-def test_a_garbled_read_on_a_serial_line_is_asked_once_more(bank: Bank, line: Line) -> None:
+def test_a_garbled_read_on_a_serial_line_is_asked_once_more(bank: Bank, line: MasterLine) -> None:
     def spoil_first(_: Request, frame: bytes) -> bytes:
         return frame[:-1] + bytes([frame[-1] ^ 1]) if len(bank.requests) == 1 else frame
 
@@ -145,10 +154,10 @@ def test_a_garbled_read_on_a_serial_line_is_asked_once_more(bank: Bank, line: Li
 
 @pytest.mark.slow
 def test_a_late_answer_is_never_taken_for_that_of_a_later_request(
-    bank: Bank, line: Line, monkeypatch: pytest.MonkeyPatch
+    bank: Bank, line: MasterLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The unit's first two answers come after the time-out, each with the unit, function and length of the next."""
-    monkeypatch.setattr(line_module, "LOOK_AGAIN", 0.2)
+    monkeypatch.setattr(MasterLine, "look_again", 0.2)
     late: list[bytes] = []
 
     def hold_back(request: Request, frame: bytes) -> bytes | None:
@@ -176,9 +185,11 @@ def answer(bank: Bank, unit: int, pdu: bytes) -> None:
         bank.spoil = lambda _r, frame: frame[:4] + (len(pdu) + 1).to_bytes(2, "big") + bytes([unit]) + pdu
 
 
-def test_answers_of_somebody_else_are_no_answers(bank: Bank, hasty: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_answers_of_somebody_else_are_no_answers(
+    bank: Bank, hasty: MasterLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Another unit, another function, another length."""
-    monkeypatch.setattr(line_module, "LOOK_AGAIN", 0.0)
+    monkeypatch.setattr(MasterLine, "look_again", 0.0)
     for number, (unit, pdu) in enumerate(
         [
             (2, b"\x03\x02\x00\x07"),
@@ -196,7 +207,7 @@ def test_answers_of_somebody_else_are_no_answers(bank: Bank, hasty: Line, monkey
 
 
 @pytest.mark.parametrize("sender", [0, 255, 2])
-def test_a_tcp_drive_may_answer_as_unit_0_or_255(sender: int, bank: Bank, hasty: Line) -> None:
+def test_a_tcp_drive_may_answer_as_unit_0_or_255(sender: int, bank: Bank, hasty: MasterLine) -> None:
     """The transaction identifies the answer; on a serial line, and from another unit, it is none."""
     place = 6 if bank.transport == "tcp" else 0
     bank.spoil = lambda _, frame: frame[:place] + bytes([sender]) + frame[place + 1 :]
@@ -210,7 +221,7 @@ def test_a_tcp_drive_may_answer_as_unit_0_or_255(sender: int, bank: Bank, hasty:
 
 @pytest.mark.parametrize("code", [5, 6])
 @pytest.mark.parametrize("times", [1, 5, 6])
-def test_a_read_that_meets_a_busy_drive_is_repeated(code: int, times: int, bank: Bank, line: Line) -> None:
+def test_a_read_that_meets_a_busy_drive_is_repeated(code: int, times: int, bank: Bank, line: MasterLine) -> None:
     def spoil(request: Request, frame: bytes) -> bytes:
         if len(bank.requests) > times:
             return frame
@@ -218,25 +229,25 @@ def test_a_read_that_meets_a_busy_drive_is_repeated(code: int, times: int, bank:
         return frame[:4] + b"\0\x03" + frame[6:7] + pdu if bank.transport == "tcp" else rtu_frame(request.unit, pdu)
 
     bank.spoil = spoil
-    if times <= len(line_module.BUSY_PAUSES):
+    if times <= len(MasterLine.busy_pauses):
         assert line.read(1, 0x10, 1, "x") == [0x1111]
     else:
         with pytest.raises(WrongConfiguration, match=f"x: Modbus exception {code}: the drive is"):
             line.read(1, 0x10, 1, "x")
-    assert len(bank.requests) == min(times, len(line_module.BUSY_PAUSES)) + 1
+    assert len(bank.requests) == min(times, len(MasterLine.busy_pauses)) + 1
     bank.requests.clear()
     with pytest.raises(WrongConfiguration, match=f"exception {code}"):
         line.write(1, 0x10, [1], "no write is repeated")
     assert len(bank.requests) == 1
 
 
-def test_the_answer_to_a_write_elsewhere_is_no_answer(bank: Bank, line: Line) -> None:
+def test_the_answer_to_a_write_elsewhere_is_no_answer(bank: Bank, line: MasterLine) -> None:
     answer(bank, 1, b"\x10\x00\x11\x00\x01")
     with pytest.raises(CommunicationLost, match="another request"):
         line.write(1, 0x10, [1], "write")
 
 
-def test_tell_waits_for_nothing_and_reaches_a_lost_unit(bank: Bank, hasty: Line) -> None:
+def test_tell_waits_for_nothing_and_reaches_a_lost_unit(bank: Bank, hasty: MasterLine) -> None:
     bank.spoil = lambda _r, _f: None
     with pytest.raises(CommunicationLost):
         hasty.write(1, 0x10, [1], "lost")
@@ -253,7 +264,7 @@ def test_the_silence_between_frames_is_kept() -> None:
         assert time.monotonic() - start >= 4 * 0.03
 
 
-def test_a_line_that_is_closed(bank: Bank, line: Line) -> None:
+def test_a_line_that_is_closed(bank: Bank, line: MasterLine) -> None:
     line.close()
     line.close()
     with pytest.raises(CommunicationLost, match="closed"):
@@ -275,17 +286,17 @@ REFUSED = {  # where the line leads, and what the operating system says
 def test_a_line_that_cannot_be_opened_says_why(place: str, told: str, tmp_path: Path) -> None:
     """For whoever forgot to switch the machine on."""
     (tmp_path / "file").touch()
-    line: TcpLine | RtuLine = RtuLine(transport="rtu", device=str(tmp_path / place), timeout=1.0, watchdog=4.0)
+    line: TcpProfile | RtuProfile = RtuProfile(transport="rtu", device=str(tmp_path / place), timeout=1.0, watchdog=4.0)
     if "." in place:
-        line = TcpLine(transport="tcp", host=place, port=1, timeout=1.0, watchdog=4.0)
+        line = TcpProfile(transport="tcp", host=place, port=1, timeout=1.0, watchdog=4.0)
     with pytest.raises(ConnectionFailed, match=f"{told}.*; check power, cable and address"):
-        Line(line).open()
+        MasterLine(line).open()
 
 
 def test_a_server_that_goes_away_is_a_loss() -> None:
     bank = Bank("tcp", {1: dict(REGISTERS)})
     with serving(bank, PATIENCE) as profile:
-        line = Line(profile)
+        line = MasterLine(profile)
         line.open()
         line.read(1, 0x10, 1, "x")
     with pytest.raises(CommunicationLost):
@@ -331,7 +342,7 @@ def test_any_bytes_are_an_answer_or_a_drive_error(transport: str, data: st.DataO
 async def test_the_heartbeat_speaks_to_every_unit_and_notices_a_loss(
     kind: str, registers: RegisterMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(line_module, "LOOK_AGAIN", 0.3)
+    monkeypatch.setattr(MasterLine, "look_again", 0.3)
     bank = Bank(kind)
     for unit, torque in ((1, 17.544), (2, 18.717)):
         drive(bank, registers, unit, torque)

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from drivers.errors import BadProfile, LimitExceeded
 from drivers.modbus import from_profile
-from drivers.modbus.codec import Format, WireType, WordOrder
-from drivers.modbus.profile import RtuLine, TcpLine, parse_profile
-from drivers.modbus.registers import MEASURING, load_registers, parse_registers, spans
+from drivers.modbus.profile import RtuProfile, TcpProfile, parse_profile
+from drivers.modbus.registers import MEASURING, Format, WireType, WordOrder, load_registers, parse_registers, spans
 from drivers.registry import load_profile, open_drive
 
 MAPS = Path(__file__).parents[3] / "config" / "registers"
@@ -180,8 +179,8 @@ def other(profile: dict[str, object], **fields: Any) -> dict[str, Any]:
 
 def test_the_profiles_that_stand() -> None:
     tcp, rtu = parse_profile(TCP, DRIVES), parse_profile(RTU, DRIVES)
-    assert isinstance(tcp.line, TcpLine)
-    assert isinstance(rtu.line, RtuLine)
+    assert isinstance(tcp.line, TcpProfile)
+    assert isinstance(rtu.line, RtuProfile)
     assert [axis.unit_id for axis in rtu.axes] == [1, 2, 3, 4, 5, 6]
     assert tcp.axes == rtu.axes
     assert tcp.registers != rtu.registers
@@ -198,7 +197,9 @@ def test_the_axes_are_those_of_the_can_profile() -> None:
 
 def test_serial_silence_is_at_least_the_standards() -> None:
     def silence(baudrate: int, own: float = 0.0) -> float:
-        return RtuLine(transport="rtu", device="x", baudrate=baudrate, parity="E", silence_between_frames=own).silence
+        return RtuProfile(
+            transport="rtu", device="x", baudrate=baudrate, parity="E", silence_between_frames=own
+        ).silence
 
     assert silence(9600) == pytest.approx(3.5 * 11 / 9600)
     assert silence(115200) == pytest.approx(1.75e-3)
@@ -206,7 +207,7 @@ def test_serial_silence_is_at_least_the_standards() -> None:
 
 
 def test_what_a_read_takes_on_a_serial_line() -> None:
-    line = RtuLine(transport="rtu", device="x", baudrate=115200, parity="N")
+    line = RtuProfile(transport="rtu", device="x", baudrate=115200, parity="N")
     assert line.read_time(120) == pytest.approx(1.75e-3 + 253 * 10 / 115200)  # 24 ms
 
 

@@ -12,20 +12,31 @@ from typing import Any, cast
 import pytest
 
 from drivers.cia402 import states
-from drivers.cia402.axis import Axis
-from drivers.cia402.connection import capabilities
+from drivers.cia402.axis import Cia402Axis
+from drivers.cia402.connection import DriveThread, capabilities
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
-from drivers.cia402.thread import DriveThread
+from drivers.cia402.states import Controlword
 from drivers.errors import CommunicationLost, DriveError, StopNotConfirmed, SweepInterrupted
 from drivers.modbus.device import ModbusDevice
 from drivers.modbus.fieldbus import ModbusConnection, ModbusFieldbus
-from drivers.modbus.line import Line
-from drivers.modbus.profile import RtuLine, TcpLine
+from drivers.modbus.line import MasterLine
+from drivers.modbus.profile import RtuProfile, TcpProfile
 from drivers.modbus.registers import RegisterMap
-from tests.unit.drivers.modbus_bank import Bank, Request, serving
-from tests.unit.drivers.modbus_drive import HIGH, KINDS, LOW, drive, following, nobody, profile_on
-from tests.unit.drivers.modbus_memory import Clock, Wire
+from tests.unit.drivers.modbus_bank import (
+    HIGH,
+    KINDS,
+    LOW,
+    Bank,
+    Clock,
+    Request,
+    Wire,
+    drive,
+    following,
+    nobody,
+    profile_on,
+    serving,
+)
 
 PROMISE = 0.2  # s from a stop to its write to the unit that moves
 AXES, MOVING = 6, 4  # unit ids from 1
@@ -34,10 +45,10 @@ OTHERS = [unit for unit in range(1, AXES + 1) if unit != MOVING]
 SILENT = [silent for number in range(len(OTHERS) + 1) for silent in combinations(OTHERS, number)]
 
 
-def line_of(kind: str) -> TcpLine | RtuLine:
+def line_of(kind: str) -> TcpProfile | RtuProfile:
     if kind == "tcp":
-        return TcpLine(transport="tcp", host="127.0.0.1", timeout=TIMEOUT, watchdog=5.0)
-    return RtuLine(transport="rtu", device="memory", timeout=TIMEOUT, watchdog=5.0, silence_between_frames=0.01)
+        return TcpProfile(transport="tcp", host="127.0.0.1", timeout=TIMEOUT, watchdog=5.0)
+    return RtuProfile(transport="rtu", device="memory", timeout=TIMEOUT, watchdog=5.0, silence_between_frames=0.01)
 
 
 class Machine:
@@ -50,10 +61,10 @@ class Machine:
         for axis in profile.axes:
             drive(self.bank, registers, axis.unit_id, axis.rated_torque)
         following(self.bank, registers)
-        self.line, self.thread = Line(profile.line, self.clock, self.wire), DriveThread("test")
+        self.line, self.thread = MasterLine(profile.line, self.clock, self.wire), DriveThread("test")
         control, watch = nobody(), HostWatch(60.0)
         self.devices = [ModbusDevice(axis, profile, registers, "", self.line, control) for axis in profile.axes]
-        self.axes = {device.profile.joint: Axis(device, watch) for device in self.devices}
+        self.axes = {device.profile.joint: Cia402Axis(device, watch) for device in self.devices}
         self.line.open()
         identities = tuple(axis.introduce() for axis in self.axes.values())
         can = capabilities(self.axes.values())
@@ -162,9 +173,9 @@ async def test_no_enabling_goes_on_after_the_stop_that_interrupted_it(after: flo
     await machine.thread.run(lambda: None)
     assert states.decode(machine.devices[0].statusword()) not in states.ENERGISED
     words = [r.words[-1] for _, r in machine.wire.log if r.function == 16 and r.address == machine.controlword]
-    assert states.QUICK_STOP in words
-    told = len(words) - 1 - words[::-1].index(states.QUICK_STOP)
-    assert set(words[told:]) <= {states.QUICK_STOP, states.DISABLE_VOLTAGE}
+    assert Controlword.QUICK_STOP in words
+    told = len(words) - 1 - words[::-1].index(Controlword.QUICK_STOP)
+    assert set(words[told:]) <= {Controlword.QUICK_STOP, Controlword.DISABLE_VOLTAGE}
     await machine.thread.close()
 
 
@@ -185,7 +196,7 @@ async def test_on_a_real_line_the_moving_unit_is_told_and_confirmed_before_the_s
 
         def react(request: Request) -> None:
             follow(request)
-            if request.unit == 3 and request.words[-1] == states.QUICK_STOP:
+            if request.unit == 3 and request.words[-1] == Controlword.QUICK_STOP:
                 told.set()
 
         def spoil(request: Request, frame: bytes) -> bytes | None:

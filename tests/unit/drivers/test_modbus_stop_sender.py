@@ -9,18 +9,17 @@ import pytest
 import yaml
 
 from drivers.errors import ConnectionFailed
-from drivers.modbus.profile import RtuLine, TcpLine, parse_profile
+from drivers.modbus.profile import RtuProfile, TcpProfile, parse_profile
 from drivers.modbus.registers import load_registers
-from drivers.modbus.stop_sender import CONNECT_TIMEOUT, SENDING, ModbusStopSender
-from tests.unit.drivers.modbus_bank import Bank, Request, serving, tcp_frame
-from tests.unit.drivers.modbus_drive import HIGH, drive, following, profile_on, put
+from drivers.modbus.stop_sender import ModbusStopSender
+from tests.unit.drivers.modbus_bank import HIGH, Bank, Request, drive, following, profile_on, put, serving, tcp_frame
 
 ANYTHING = dict.fromkeys(range(0x10000), 0)
 UNITS = range(1, 7)
 
 
-def sender(root: Path, line: TcpLine | RtuLine) -> ModbusStopSender:
-    assert isinstance(line, TcpLine)
+def sender(root: Path, line: TcpProfile | RtuProfile) -> ModbusStopSender:
+    assert isinstance(line, TcpProfile)
     file = root / "config" / "drives" / "virtual-max100-modbus-tcp.yaml"
     content = yaml.safe_load(file.read_text("utf-8"))
     content["line"]["port"] = line.port
@@ -148,10 +147,10 @@ def test_units_that_are_all_silent_take_no_more_than_their_part_of_the_time(root
         told = sender(root, line)
         begun = time.monotonic()
         assert set(told.send().values()) == {"did not answer"}
-        assert time.monotonic() - begun < CONNECT_TIMEOUT + SENDING
+        assert time.monotonic() - begun < ModbusStopSender.connect_timeout + ModbusStopSender.sending
         begun = time.monotonic()
         assert set(told.confirm(0.0).values()) == {"no time was left to ask it"}
-        assert time.monotonic() - begun < CONNECT_TIMEOUT
+        assert time.monotonic() - begun < ModbusStopSender.connect_timeout
 
 
 def test_no_answer_is_taken_for_that_of_another_unit_or_request(root: Path) -> None:

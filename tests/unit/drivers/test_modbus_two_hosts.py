@@ -12,21 +12,19 @@ import pytest
 from greenlet import getcurrent, greenlet
 
 from drivers.cia402 import states
-from drivers.cia402.axis import Axis
-from drivers.cia402.enabling import enable_alone
+from drivers.cia402.axis import Cia402Axis
 from drivers.cia402.host_watch import HostWatch
+from drivers.cia402.machine import enable_alone
+from drivers.cia402.states import Controlword
 from drivers.errors import DriveError, MotionForbidden, NotReady
-from drivers.modbus.control import OWNER, Control
-from drivers.modbus.device import ModbusDevice, place_of
-from drivers.modbus.line import Line
-from drivers.modbus.profile import TcpLine
+from drivers.modbus.device import ModbusDevice
+from drivers.modbus.line import MasterLine
+from drivers.modbus.profile import TcpProfile
 from drivers.modbus.registers import RegisterMap
-from drivers.modbus.unit import Unit
-from tests.unit.drivers.modbus_bank import Bank, Request
-from tests.unit.drivers.modbus_drive import HIGH, drive, following, get, profile_on, put
-from tests.unit.drivers.modbus_memory import Clock, Wire
+from drivers.modbus.unit import OWNER, ControlToken, RegisterUnit
+from tests.unit.drivers.modbus_bank import HIGH, Bank, Clock, Request, Wire, drive, following, get, profile_on, put
 
-LINE = TcpLine(transport="tcp", host="127.0.0.1", timeout=0.5, watchdog=5.0)
+LINE = TcpProfile(transport="tcp", host="127.0.0.1", timeout=0.5, watchdog=5.0)
 PLAIN = replace(HIGH, signals={name: signal for name, signal in HIGH.signals.items() if name != OWNER})
 PROFILE = profile_on(LINE, "tcp", axes=2)
 LONGEST = 400  # accesses of a host, far more than enabling takes
@@ -49,12 +47,12 @@ class Host:
 
     def __init__(self, drives: Bank, registers: RegisterMap) -> None:
         self.wire, self.watch = Wire(drives, Clock()), HostWatch(60.0)
-        line = Line(LINE, self.wire.clock, self.wire)
+        line = MasterLine(LINE, self.wire.clock, self.wire)
         line.open()
-        units = [Unit(line, axis.unit_id, registers, place_of(axis)) for axis in PROFILE.axes]
-        self.control = Control(units, registers, self.watch)
+        units = [RegisterUnit(line, axis.unit_id, registers, axis.place) for axis in PROFILE.axes]
+        self.control = ControlToken(units, registers, self.watch)
         devices = [ModbusDevice(axis, PROFILE, registers, "", line, self.control) for axis in PROFILE.axes]
-        self.axes = [Axis(device, self.watch) for device in devices]
+        self.axes = [Cia402Axis(device, self.watch) for device in devices]
         for axis in self.axes:
             axis.introduce()
         self.enabled = False
@@ -161,7 +159,7 @@ def test_control_is_kept_until_it_is_released() -> None:
     one.axes[0].disable()
     with pytest.raises(NotReady, match=r"another host has control .*joint_1 \(unit 1\): control_owner"):
         enable_alone((other.axes[1],), other.axes, threading.Event())
-    assert get(drives, HIGH, "controlword", 2) == states.DISABLE_VOLTAGE
+    assert get(drives, HIGH, "controlword", 2) == Controlword.DISABLE_VOLTAGE
     one.control.release()
     other.enable(1)
     assert other.enabled

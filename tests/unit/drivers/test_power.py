@@ -7,17 +7,16 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.cia402 import axis as power
 from drivers.cia402 import states
-from drivers.cia402.axis import Axis
+from drivers.cia402.axis import Cia402Axis
 from drivers.cia402.host_watch import HostWatch
-from drivers.cia402.states import State
+from drivers.cia402.states import Controlword, PowerState
 from drivers.errors import DriveError
 from tests.unit.drivers.small_servo import Servo
 
 pytestmark = pytest.mark.slow
 
-READY = {State.SWITCHED_ON, State.OPERATION_ENABLED}
+READY = {PowerState.SWITCHED_ON, PowerState.OPERATION_ENABLED}
 STATUSWORD = st.sampled_from([0x00, 0x40, 0x21, 0x23, 0x27, 0x07, 0x0F, 0x08, 0x60]) | st.integers(0, 0xFFFF)
 
 
@@ -28,7 +27,7 @@ class Whim(Servo):
         super().__init__("joint_1")
         self._statuswords = list(statuswords)
         self.shown = statuswords[0]
-        self.asked: list[tuple[State, int]] = []  # state shown last, controlword
+        self.asked: list[tuple[PowerState, int]] = []  # state shown last, controlword
 
     def statusword(self) -> int:
         self.shown = self._statuswords.pop(0) if len(self._statuswords) > 1 else self._statuswords[0]
@@ -46,21 +45,21 @@ class Whim(Servo):
 def test_torque_is_asked_for_only_along_the_one_path(
     monkeypatch: pytest.MonkeyPatch, statuswords: list[int], wish: str
 ) -> None:
-    monkeypatch.setattr(power, "TRANSITION_TIMEOUT", 0.0)
-    monkeypatch.setattr(power, "RESET_TIMEOUT", 0.0)
+    monkeypatch.setattr(Cia402Axis, "transition_timeout", 0.0)
+    monkeypatch.setattr(Cia402Axis, "reset_timeout", 0.0)
     whim = Whim(statuswords)
-    axis = Axis(whim, HostWatch(60.0))
+    axis = Cia402Axis(whim, HostWatch(60.0))
     refused = False
     try:
         axis.enable(threading.Event()) if wish == "enable" else getattr(axis, wish)()
     except DriveError:
         refused = True
-    enabling = [state for state, word in whim.asked if word & 0x0F == states.ENABLE_OPERATION]
+    enabling = [state for state, word in whim.asked if word & 0x0F == Controlword.ENABLE_OPERATION]
     assert set(enabling) <= READY
     if wish not in ("enable", "halt"):
         assert not enabling
-    resets = [state for state, word in whim.asked if word & states.FAULT_RESET]
-    assert set(resets) <= {State.FAULT}
+    resets = [state for state, word in whim.asked if word & Controlword.FAULT_RESET]
+    assert set(resets) <= {PowerState.FAULT}
     assert not resets or wish == "acknowledge"
     if wish == "enable" and refused and whim.asked:
-        assert whim.asked[-1][1] == states.DISABLE_VOLTAGE
+        assert whim.asked[-1][1] == Controlword.DISABLE_VOLTAGE

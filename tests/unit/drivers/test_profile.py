@@ -8,25 +8,25 @@ from typing import Any
 import pytest
 import yaml
 
-from drivers.canopen.configuration import pdos
 from drivers.canopen.device_map import (
     STANDARD,
     TYPES,
     VIRTUAL_AXIS,
     DeviceMap,
+    DeviceUnits,
     Pdos,
-    Units,
-    Way,
+    SetPointWay,
     bits,
     load_device_map,
 )
 from drivers.canopen.frames import MotionPdo, PositionPdo, SetPoint, Wires, decode, stop
 from drivers.canopen.profile import parse_profile
+from drivers.canopen.sdo import streaming_pdos
 from drivers.cia402.profile import parse
 from drivers.errors import BadProfile
 from drivers.modbus.registers import load_registers
 from drivers.registry import load_profile, open_drive, open_profile
-from simulator.modbus.register_map import RegisterMapError, load_register_map
+from simulator.modbus.registers import RegisterMapError, load_register_map
 from simulator.scenario import ScenarioError, load_scenario
 
 DRIVES = Path(__file__).parents[3] / "config" / "drives"
@@ -149,9 +149,9 @@ def table(after: str) -> list[str]:
 
 
 def test_the_page_has_every_field_and_no_other() -> None:
-    for heading, model in (("## The file", DeviceMap), ("### `units`", Units), ("### `pdos`", Pdos)):
+    for heading, model in (("## The file", DeviceMap), ("### `units`", DeviceUnits), ("### `pdos`", Pdos)):
         assert table(heading) == list(model.model_fields), heading
-    assert table("### Modes of excitation") == [way.value for way in Way]
+    assert table("### Modes of excitation") == [way.value for way in SetPointWay]
     assert table("### Names of objects") == list(STANDARD)
     types = {code: name for name, code in TYPES.items()}
     for name, entry in STANDARD.items():
@@ -168,7 +168,7 @@ def test_every_map_of_the_house_is_one_and_its_pdos_fit(path: Path) -> None:
     device_map = load_device_map(path)
     assert device_map.description
     for way in device_map.excitation:
-        for pdo in pdos(device_map, way, 5):
+        for pdo in streaming_pdos(device_map, way, 5):
             assert sum(bits(entry) for entry in pdo.mapped) <= 64
             assert pdo.identifier & 0x7F == 5
 
@@ -257,26 +257,28 @@ def test_a_stop_never_tells_a_position() -> None:
     assert stop([1, 2], [2], wires=wires) == [(0x301, b"\2\0"), (0x302, b"\2\0"), (0x80, b""), (0x000, b"\2\2")]
     for path in DEVICES:
         device_map = load_device_map(path)
-        assert device_map.pdos.stop is not None or set(device_map.excitation) == {Way.CYCLIC_VELOCITY}
+        assert device_map.pdos.stop is not None or set(device_map.excitation) == {SetPointWay.CYCLIC_VELOCITY}
 
 
 @pytest.mark.parametrize(
     ("way", "supported", "mode"),
     [
-        (Way.CYCLIC_VELOCITY, 0x100, 9),
-        (Way.CYCLIC_VELOCITY, 0x005, None),
-        (Way.VELOCITY_OFFSET, 0x105, 9),
-        (Way.VELOCITY_OFFSET, 0x005, 3),
-        (Way.VELOCITY_OFFSET, 0x041, None),
-        (Way.VELOCITY_OFFSET, None, 9),
+        (SetPointWay.CYCLIC_VELOCITY, 0x100, 9),
+        (SetPointWay.CYCLIC_VELOCITY, 0x005, None),
+        (SetPointWay.VELOCITY_OFFSET, 0x105, 9),
+        (SetPointWay.VELOCITY_OFFSET, 0x005, 3),
+        (SetPointWay.VELOCITY_OFFSET, 0x041, None),
+        (SetPointWay.VELOCITY_OFFSET, None, 9),
     ],
 )
-def test_a_way_takes_the_best_mode_that_the_drive_has(way: Way, supported: int | None, mode: int | None) -> None:
+def test_a_way_takes_the_best_mode_that_the_drive_has(
+    way: SetPointWay, supported: int | None, mode: int | None
+) -> None:
     assert way.mode(supported) == mode
 
 
 def test_the_velocity_offset_is_the_last_choice_of_a_plain_drive() -> None:
-    assert load_device_map(CONFIG / "devices" / "plain-402.yaml").excitation[-1] is Way.VELOCITY_OFFSET
+    assert load_device_map(CONFIG / "devices" / "plain-402.yaml").excitation[-1] is SetPointWay.VELOCITY_OFFSET
 
 
 READERS: dict[str, Any] = {

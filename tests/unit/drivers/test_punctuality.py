@@ -6,8 +6,8 @@ import pytest
 
 from drivers.canopen.bcm import Steering, set_point_source
 from drivers.canopen.frames import Wires
+from drivers.canopen.host_sweep import Punctuality
 from drivers.canopen.profile import BusProfile
-from drivers.canopen.punctuality import Punctuality
 from tests.unit.drivers.streaming_bench import Drive, bench
 
 

@@ -9,8 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from drivers.canopen.frames import MotionPdo, PositionPdo
-from drivers.canopen.samples import Pairing, Sample
-from drivers.canopen.windows import Windows
+from drivers.canopen.samples import CounterPairing, SyncSample, Windows
 
 SYNCS = 7
 Item = MotionPdo | PositionPdo | None  # None: SYNC
@@ -25,9 +24,9 @@ def stream(count: int = SYNCS) -> list[Item]:
     return [item for k in range(count) for item in (None, motion(k), PositionPdo(1, k, 100 + k))]
 
 
-def pair(items: list[Item], counter: int = 99) -> list[Sample]:
-    pairing = Pairing(counter)
-    samples: list[Sample] = []
+def pair(items: list[Item], counter: int = 99) -> list[SyncSample]:
+    pairing = CounterPairing(counter)
+    samples: list[SyncSample] = []
     for item in items:
         if item is None:
             pairing.sync()
@@ -145,9 +144,9 @@ class Fate:
 Row = tuple[int, Fate, Fate, bool]  # velocity, fate of TPDO1 and TPDO2, TPDO2 comes first
 
 
-def told(rows: list[Row], settled: bool = False) -> tuple[list[Sample], Windows]:
+def told(rows: list[Row], settled: bool = False) -> tuple[list[SyncSample], Windows]:
     """The samples of these answers; at the end one SYNC is left out, as the host does it."""
-    windows, samples = Windows(), list[Sample]()
+    windows, samples = Windows(), list[SyncSample]()
     due: list[list[MotionPdo | PositionPdo]] = [[] for _ in range(len(rows) + 2)]
     for k, (velocity, of_motion, of_place, turned) in enumerate(rows):
         pair = [
@@ -168,11 +167,11 @@ def told(rows: list[Row], settled: bool = False) -> tuple[list[Sample], Windows]
     return [*samples, *([] if last is None else [last])], windows
 
 
-def mixed(samples: list[Sample]) -> list[Sample]:
+def mixed(samples: list[SyncSample]) -> list[SyncSample]:
     return [s for s in samples if s.torque - TORQUE != s.position - POSITION]
 
 
-def moved(samples: list[Sample]) -> list[Sample]:
+def moved(samples: list[SyncSample]) -> list[SyncSample]:
     """Given to another SYNC than it answers."""
     return [s for s in samples if s.torque - TORQUE != s.index]
 

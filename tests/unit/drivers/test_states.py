@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen.stop_sequence import StopSequence, StopStage
+from drivers.canopen.streamed_axis import StopSequence, StopStage
 from drivers.cia402 import states
-from drivers.cia402.states import ENERGISED, PATTERNS, STEPS, State, Wish, decode, operator_view, step
+from drivers.cia402.states import ENERGISED, PATTERNS, STEPS, Controlword, PowerState, Wish, decode, operator_view, step
 from drivers.errors import NotReady
 from drivers.ports import AxisState
 
@@ -26,20 +26,20 @@ class Row(NamedTuple):
 
 
 TABLE = {
-    State.NOT_READY: Row(0x0000, AxisState.DISABLED),
-    State.SWITCH_ON_DISABLED: Row(0x0250, AxisState.DISABLED, enabled=0x06),
-    State.READY: Row(0x0231, AxisState.DISABLED, enabled=0x07),
-    State.SWITCHED_ON: Row(0x0233, AxisState.DISABLED, energised=True, enabled=0x0F),
-    State.OPERATION_ENABLED: Row(0x0637, AxisState.ENABLED, energised=True, enabled=0x0F),
-    State.QUICK_STOP_ACTIVE: Row(0x0217, AxisState.STOPPING, energised=True),
-    State.FAULT_REACTION: Row(0x021F, AxisState.STOPPING, energised=True),
-    State.FAULT: Row(0x0218, AxisState.FAULT, fault_reset=0x80),
-    State.UNKNOWN: Row(0x0001, AxisState.UNKNOWN),
+    PowerState.NOT_READY: Row(0x0000, AxisState.DISABLED),
+    PowerState.SWITCH_ON_DISABLED: Row(0x0250, AxisState.DISABLED, enabled=0x06),
+    PowerState.READY: Row(0x0231, AxisState.DISABLED, enabled=0x07),
+    PowerState.SWITCHED_ON: Row(0x0233, AxisState.DISABLED, energised=True, enabled=0x0F),
+    PowerState.OPERATION_ENABLED: Row(0x0637, AxisState.ENABLED, energised=True, enabled=0x0F),
+    PowerState.QUICK_STOP_ACTIVE: Row(0x0217, AxisState.STOPPING, energised=True),
+    PowerState.FAULT_REACTION: Row(0x021F, AxisState.STOPPING, energised=True),
+    PowerState.FAULT: Row(0x0218, AxisState.FAULT, fault_reset=0x80),
+    PowerState.UNKNOWN: Row(0x0001, AxisState.UNKNOWN),
 }
 
 
-@pytest.mark.parametrize("state", State)
-def test_each_state_and_what_may_be_said_in_it(state: State) -> None:
+@pytest.mark.parametrize("state", PowerState)
+def test_each_state_and_what_may_be_said_in_it(state: PowerState) -> None:
     row = TABLE[state]
     assert decode(row.statusword) is state
     assert operator_view(state) is row.view
@@ -59,12 +59,12 @@ def test_every_statusword_has_one_state_or_none() -> None:
     for statusword in range(0x10000):
         fitting = [state for mask, value, state in PATTERNS if statusword & mask == value]
         assert len(fitting) <= 1
-        assert decode(statusword) is (fitting[0] if fitting else State.UNKNOWN)
+        assert decode(statusword) is (fitting[0] if fitting else PowerState.UNKNOWN)
         unknown += not fitting
     assert 0 < unknown < 0x10000
 
 
-ENABLED, OFF = State.OPERATION_ENABLED, State.SWITCH_ON_DISABLED
+ENABLED, OFF = PowerState.OPERATION_ENABLED, PowerState.SWITCH_ON_DISABLED
 
 
 def stop_sequence() -> StopSequence:
@@ -87,20 +87,20 @@ LADDERS = {
         (RAMP, 10**6),
         (0.9, False, ENABLED, (0x0F, 10**6 - 10), RAMP),
         (1.1, False, ENABLED, (0x02, 0), QUICK_STOP),
-        (2.0, False, State.QUICK_STOP_ACTIVE, (0x02, 0), QUICK_STOP),
-        (2.2, False, State.QUICK_STOP_ACTIVE, (0x00, 0), DISABLE),
-        (3.3, False, State.QUICK_STOP_ACTIVE, (0x00, 0), DONE),
+        (2.0, False, PowerState.QUICK_STOP_ACTIVE, (0x02, 0), QUICK_STOP),
+        (2.2, False, PowerState.QUICK_STOP_ACTIVE, (0x00, 0), DISABLE),
+        (3.3, False, PowerState.QUICK_STOP_ACTIVE, (0x00, 0), DONE),
     ),
     "a silent drive is told until the end": (
         (QUICK_STOP, 100),
-        (0.5, False, State.UNKNOWN, (0x02, 0), QUICK_STOP),
-        (1.1, False, State.UNKNOWN, (0x00, 0), DISABLE),
-        (2.2, False, State.UNKNOWN, (0x00, 0), DONE),
+        (0.5, False, PowerState.UNKNOWN, (0x02, 0), QUICK_STOP),
+        (1.1, False, PowerState.UNKNOWN, (0x00, 0), DISABLE),
+        (2.2, False, PowerState.UNKNOWN, (0x00, 0), DONE),
     ),
     "a fault ends it once the drive is off": (
         (QUICK_STOP, 100),
-        (0.1, False, State.FAULT_REACTION, (0x02, 0), QUICK_STOP),
-        (0.2, False, State.FAULT, (0x00, 0), DONE),
+        (0.1, False, PowerState.FAULT_REACTION, (0x02, 0), QUICK_STOP),
+        (0.2, False, PowerState.FAULT, (0x00, 0), DONE),
     ),
 }
 
@@ -119,7 +119,7 @@ def test_it_never_goes_back_and_never_enables_again() -> None:
     one.advance(StopStage.QUICK_STOP, 0.0, 100)
     one.advance(StopStage.RAMP, 0.1, 100)
     assert one.stage is StopStage.QUICK_STOP
-    for state in State:
+    for state in PowerState:
         assert one.command(0.2, False, state)[0] in (0x00, 0x02)
 
 
@@ -151,7 +151,7 @@ def test_whatever_happens_it_enables_no_drive_that_is_not_enabled_and_only_slows
             one.advance(goal, now, start)
         controlword, target = one.command(now, standing, state)
         assert not controlword & BIT_3 or state is ENABLED
-        assert controlword in (states.ENABLE_OPERATION, states.QUICK_STOP, states.DISABLE_VOLTAGE)
+        assert controlword in (Controlword.ENABLE_OPERATION, Controlword.QUICK_STOP, Controlword.DISABLE_VOLTAGE)
         assert abs(target) <= last
         assert one.stage >= max(stage, StopStage.RAMP)
         last, stage = abs(target), one.stage

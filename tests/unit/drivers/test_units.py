@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.canopen import measuring
-from drivers.canopen.device_map import load_device_map
-from drivers.canopen.objects import Entry
+from drivers.canopen.device_map import Entry, load_device_map
 from drivers.canopen.units import Codec, velocity_unit
 from drivers.canopen.units import codec as codec_of
 from drivers.errors import CommunicationLost, LimitExceeded, WrongConfiguration
@@ -201,7 +200,10 @@ def test_a_page_of_a_noise_run_holds_the_injected_torque() -> None:
     assert block.effort == pytest.approx(np.array([-100.0, -200.0, -300.0]))
     assert block.time == pytest.approx(np.array([0.016, 0.020, 0.024]))
     with pytest.raises(CommunicationLost, match="page of 108 bytes instead of 3 samples"):
-        measuring.samples(page.tobytes(), 4, 3, AXIS, CODEC, 4, "q (node 1)")
+        measuring.samples(page.tobytes(), 4, 3, AXIS, CODEC, 4, "q (node 1)", noise=False)
     of_a_sweep = np.zeros(3, measuring.SAMPLE)
     of_a_sweep["cycle"] = [4, 5, 6]
-    assert measuring.samples(of_a_sweep.tobytes(), 4, 3, AXIS, CODEC, 4, "q (node 1)").excitation_effort is None
+    assert (
+        measuring.samples(of_a_sweep.tobytes(), 4, 3, AXIS, CODEC, 4, "q (node 1)", noise=False).excitation_effort
+        is None
+    )

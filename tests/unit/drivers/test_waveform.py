@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen.set_points import Positions, Velocities
+from drivers.canopen.streamed_axis import Positions, Velocities
 from drivers.canopen.units import Codec
-from drivers.cia402.checks import Envelope, check_move, check_sweep
-from drivers.cia402.waveform import envelope, set_point, travel
+from drivers.cia402.checks import DriveEnvelope, check_move, check_sweep, envelope, set_point, travel
 from drivers.errors import LimitExceeded, distinct
 from drivers.ports import Sine, SweepCommand, SweepMode
 from tests.unit.drivers.given import axis, sweep
@@ -107,7 +106,7 @@ def test_a_position_beyond_32_bits_is_refused_before_anything_moves() -> None:
         Positions(CODEC, slow(), LAST, PERIOD, 2**31 - 1000, 0)
 
 
-ENVELOPE = Envelope(0.1, 200.0, (-1.0, 1.0), "rad", "N m")
+ENVELOPE = DriveEnvelope(0.1, 200.0, (-1.0, 1.0), "rad", "N m")
 
 AXIS = axis(gear_ratio=-100.0, position_limits=(-2.0, 2.0), velocity_limit=0.5)
 

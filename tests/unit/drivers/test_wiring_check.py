@@ -10,8 +10,8 @@ import pytest
 from canopen.objectdictionary import datatypes
 
 from drivers.canopen import frames
-from drivers.commission.channels import judge
-from drivers.commission.sheet import Verdict
+from drivers.commission.drive import CheckVerdict
+from drivers.commission.moving import judge
 from drivers.ports import ChannelTiming
 from tests.commission_bench import Cabinet, cabinet
 from tests.planted_mismatches import BOTH, CASES, KINDS, Case, holds, typed
@@ -25,7 +25,7 @@ def drives(request: pytest.FixtureRequest) -> Iterator[Cabinet]:
 
 def commands(messages: list[can.Message]) -> list[str]:
     """Every frame of a host that is not an SDO upload. A check that is killed at any time leaves what it found."""
-    hosts = {frames.NMT, frames.SYNC, frames.HEARTBEAT + 127}
+    hosts = {frames.Cob.NMT, frames.Cob.SYNC, frames.Cob.HEARTBEAT + 127}
     uploads = {2, 3, 4, 5}  # client command specifiers, CiA 301: initiate, segment, abort, block
     return [
         f"{message.arbitration_id:03X}h {message.data.hex()}"
@@ -69,7 +69,7 @@ def test_an_answer_of_4_bytes_is_told_and_no_mismatch(drives: Cabinet) -> None:
         sheet = drives.check()
     assert sheet.mismatches == ()
     (mode,) = [row for row in sheet.rows if row.check == "object mode" and row.joint == "joint_1"]
-    assert mode.verdict is Verdict.NOTE
+    assert mode.verdict is CheckVerdict.NOTE
     assert "sent in 4 bytes" in mode.what
 
 
@@ -91,7 +91,7 @@ def test_sound_drives_of_other_makers_have_none(dictionary: str) -> None:
         sheet = bench.check()
         assert sheet.mismatches == ()
         assert commands(bench.heard()) == []
-        assert [row for row in sheet.rows if row.verdict is Verdict.HOST]
+        assert [row for row in sheet.rows if row.verdict is CheckVerdict.HOST]
 
 
 def test_units_are_those_of_the_drive_once_a_connection_has_written_the_settings_of_its_map() -> None:
@@ -99,7 +99,7 @@ def test_units_are_those_of_the_drive_once_a_connection_has_written_the_settings
         slow = [axis | {"velocity_limit": 0.05} for axis in bench.profile["axes"]]
         sheet = bench.check(axes=slow)
     assert sheet.mismatches == ()
-    told = [row.what for row in sheet.rows if row.check == "map-settings" and row.verdict is Verdict.NOTE]
+    told = [row.what for row in sheet.rows if row.check == "map-settings" and row.verdict is CheckVerdict.NOTE]
     assert len(told) == len(slow)
     assert all("60A9h" in what for what in told)
 

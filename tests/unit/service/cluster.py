@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from service.process.settings.workers import Certificates, Cluster
+from service.process.settings import Certificates, Cluster
 from tests.ports import free_port
 
 CONFIG = Path(__file__).parents[3] / "config" / "dask"

@@ -20,8 +20,7 @@ import structlog
 from fastapi import FastAPI
 
 import service.web.application
-from service.jobs.worker import JobFailed, Worker
-from service.jobs.worker.jobs import Answer, Work
+from service.jobs.work import Answer, JobFailed, Work, Worker
 from service.model.errors import NotNow
 from service.process.settings import Settings
 from service.web.app import create_app, end_motion, end_streams

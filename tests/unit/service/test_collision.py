@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.model.configuration import read_robot
+from service.model.collision import CollisionChecker, reachable
+from service.model.configuration import Box, Cell, read_cell, read_robot
 from service.model.errors import BadInput
-from service.model.geometry.cell import Box, Cell, read_cell
-from service.model.geometry.collision import CollisionChecker, reachable
 from service.model.robot import Robot, build_robot
 from tests.unit.service.campaigns.small_arm import small_arm
 

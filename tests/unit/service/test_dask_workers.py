@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs.worker import JobFailed, Worker, WorkerLost, open_worker
-from service.process.settings.workers import Certificates, Cluster
+from service.jobs.work import JobFailed, Worker, WorkerLost
+from service.jobs.worker import open_worker
+from service.process.settings import Certificates, Cluster
 from tests.programs import needs
 from tests.unit.service.cluster import DaskProcesses, certificates
 

@@ -15,9 +15,9 @@ from structlog.contextvars import bound_contextvars
 from structlog.testing import LogCapture
 from structlog.typing import EventDict
 
-from service.jobs.open_jobs import OpenJobs
-from service.process.logs.about import MachineWork, in_executor
-from service.web.api.logged import Logged
+from service.jobs.jobs import OpenJobs
+from service.process.logs import MachineWork, in_executor
+from service.web.api.gate import Logged
 
 
 @pytest.fixture
@@ -125,8 +125,8 @@ def test_lines_of_libraries_and_warnings_are_json_with_both() -> None:
     """In a process of its own: logging belongs to all of a process."""
     code = (
         "import logging, warnings\n"
-        "from service.process.logs.about import MACHINE\n"
-        "from service.process.logs.lines import configure_logs\n"
+        "from service.process.logs import MACHINE\n"
+        "from service.process.logs import configure_logs\n"
         "configure_logs('INFO')\n"
         "with MACHINE.sweeps(1, [2]):\n"
         "    logging.getLogger('drivers.canopen').warning('node %d restarted', 3)\n"

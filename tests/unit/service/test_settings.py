@@ -5,9 +5,8 @@ from pathlib import Path
 import pytest
 
 from drivers.bounded_yaml import DEEPEST, MOST_CHARACTERS
-from service.model.configuration import LARGEST_YAML, read_text, read_yaml
+from service.model.configuration import LARGEST_YAML, Cell, read_text, read_yaml
 from service.model.errors import BadInput
-from service.model.geometry.cell import Cell
 from service.process.settings import Settings, load_settings
 
 
@@ -105,7 +104,7 @@ def test_a_cluster_that_cannot_be_used_safely_is_refused(
 ) -> None:
     given = {f"dask_{name}": str(tmp_path / f"{name}.pem") for name in files}
     with pytest.raises(BadInput) as refused:
-        Settings.model_validate({"dask_scheduler": address, **given}).check_cluster()
+        Settings.model_validate({"dask_scheduler": address, **given}).check()
     assert place in str(refused.value)
     assert reason in str(refused.value)
 

@@ -22,12 +22,17 @@ import pytest
 import drivers.registry
 from drivers.errors import ConnectionFailed
 from service.machine.stop_process import __main__ as stop_process
-from service.machine.stop_process import bus
-from service.machine.stop_process.answers import Answer, Request, answer_to, waiting_time
-from service.machine.stop_process.bus import Bus, Outcome
+from service.machine.stop_process.__main__ import Telling
+from service.machine.stop_process.bus import StopBus, StopOutcome
 from service.machine.stop_process.handle import StopProcess
-from service.machine.stop_process.listener import MOST_CONNECTIONS, Answered, Listener
-from service.machine.stop_process.telling import MOST, Telling
+from service.machine.stop_process.listener import (
+    Answer,
+    Answered,
+    Listener,
+    Request,
+    answer_to,
+    waiting_time,
+)
 from tests.system.rest_bench import until
 
 
@@ -44,7 +49,7 @@ def test_the_port_is_told_before_the_bus_has_news(monkeypatch: pytest.MonkeyPatc
     reading, writing = os.pipe()
     monkeypatch.setattr(stop_process.sys, "argv", ["stop", "profile.yaml", "127.0.0.1", "0"])
     monkeypatch.setattr(stop_process, "Telling", lambda _: Telling(writing))
-    monkeypatch.setattr(stop_process, "Bus", BusWithNews)
+    monkeypatch.setattr(stop_process, "StopBus", BusWithNews)
     monkeypatch.setattr(stop_process, "_obey", lambda _: None)
     monkeypatch.setattr(stop_process, "Listener", lambda *_: SimpleNamespace(port=1234, serve=lambda: None))
     stop_process.main()
@@ -120,22 +125,22 @@ class Sender:
 def sender(monkeypatch: pytest.MonkeyPatch) -> Sender:
     sender = Sender()
     monkeypatch.setattr(drivers.registry, "open_profile", lambda _: ({}, sender))
-    monkeypatch.setattr(bus, "_AGAIN", 0.01)
+    monkeypatch.setattr(StopBus, "again", 0.01)
     return sender
 
 
 def test_a_stop_that_could_not_be_sent_is_sent_when_the_gateway_is_back_and_so_is_the_next(sender: Sender) -> None:
     troubles: queue.SimpleQueue[str] = queue.SimpleQueue()
-    stopping = Bus(Path("profile.yaml"), troubles.put)
+    stopping = StopBus(Path("profile.yaml"), troubles.put)
     assert troubles.get(timeout=10) == ""
     sender.gone.set()
-    assert stopping.stop() == Outcome({JOINT: "refused"}, "refused")
+    assert stopping.stop() == StopOutcome({JOINT: "refused"}, "refused")
     assert troubles.get(timeout=10) == "refused"
     sender.gone.clear()
     sender.sent.get(timeout=10)
     assert troubles.get(timeout=10) == ""
-    time.sleep(2 * bus.MERGED)
-    assert stopping.stop() == Outcome({JOINT: ""})
+    time.sleep(2 * StopBus.merged)
+    assert stopping.stop() == StopOutcome({JOINT: ""})
     sender.sent.get(timeout=10)
     stopping.close()
 
@@ -224,7 +229,7 @@ def test_more_stops_than_connections_are_all_executed_and_the_oldest_is_told_at_
     pressed: Pressed, port: int
 ) -> None:
     with ExitStack() as stack:
-        clients = [stack.enter_context(asked(port)) for _ in range(MOST_CONNECTIONS + 1)]
+        clients = [stack.enter_context(asked(port)) for _ in range(Listener.most_connections + 1)]
         for _ in clients:
             assert pressed.arrived.acquire(timeout=PATIENCE)
         assert b"too many stops at once: sent, not confirmed" in told(clients[0])
@@ -236,7 +241,7 @@ def test_a_service_that_does_not_read_blocks_nothing_and_costs_bounded_memory() 
         telling = Telling(writing)
         for number in range(10_000):
             telling.tell({"stop": {"by": f"somebody {number}", "why": "x" * 500, "press": "", "address": "::1"}})
-        assert len(telling.waiting) <= MOST  # the memory is what is tested
+        assert len(telling.waiting) <= Telling.most  # the memory is what is tested
         while telling.waiting:
             assert os.read(reading, 1 << 16).startswith(b'{"stop"')
             telling.flush()
@@ -252,19 +257,24 @@ def test_a_stop_is_not_refused_for_a_badwaiting_time(word: str, wait: float) -> 
     assert waiting_time(word) == wait
 
 
-SENT = Outcome({"joint_1": "", "joint_2": ""})
-ANSWERS: dict[str, tuple[Outcome, Outcome | None, int, str]] = {
+SENT = StopOutcome({"joint_1": "", "joint_2": ""})
+ANSWERS: dict[str, tuple[StopOutcome, StopOutcome | None, int, str]] = {
     "confirmed": (SENT, SENT, 200, ""),
     "not waited for": (SENT, None, 202, ""),
     "one moves": (
         SENT,
-        Outcome({"joint_1": "turns", "joint_2": ""}),
+        StopOutcome({"joint_1": "turns", "joint_2": ""}),
         503,
         "stop sent, not confirmed within 1 s: joint_1: turns; use the emergency stop",
     ),
-    "nobody known": (Outcome(trouble="x"), Outcome(trouble="x"), 503, "stop not sent: stop process: x; use"),
-    "nothing sent": (Outcome({"joint_1": "x"}, "x"), Outcome({"joint_1": "x"}, "x"), 503, "stop not sent: joint_1: x"),
-    "nothing sent, not waited for": (Outcome({"joint_1": "x"}, "x"), None, 503, "stop not sent: joint_1: x; use"),
+    "nobody known": (StopOutcome(trouble="x"), StopOutcome(trouble="x"), 503, "stop not sent: stop process: x; use"),
+    "nothing sent": (
+        StopOutcome({"joint_1": "x"}, "x"),
+        StopOutcome({"joint_1": "x"}, "x"),
+        503,
+        "stop not sent: joint_1: x",
+    ),
+    "nothing sent, not waited for": (StopOutcome({"joint_1": "x"}, "x"), None, 503, "stop not sent: joint_1: x; use"),
 }
 
 

@@ -5,8 +5,7 @@ import asyncio
 import pytest
 from structlog.testing import capture_logs
 
-from service.process.tasks.background import Background
-from service.process.tasks.run_to_end import run_to_end
+from service.process.tasks import Background, run_to_end
 
 
 async def fails() -> None:

@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from service.formats.traces.alignment import check_follows, motion_start
-from service.identification.design.excitation import Excitation
-from service.identification.design.sweep_path import way
+from service.identification.design.excitation import Excitation, way
 from service.model.errors import BadInput
 from service.model.recording import Sine
 
@@ -54,37 +53,23 @@ def test_neither_a_move_before_nor_a_lost_end_disturbs() -> None:
     assert abs(motion_start(SWEEP, POSITION, late, trace(late, -0.3), "t") + 0.3) < 1e-4
 
 
-@pytest.mark.parametrize(
-    ("signal", "reason"),
-    [
-        (trace(clock(12), 2.0, sweep=OTHER), "is not this sweep's path"),
-        (np.full(3000, POSITION), "moves by 0 rad"),
-        (trace(clock(12), 2.0, stretch=1.25), r"took 125\.00 % of its time: feed override"),
-        (trace(clock(12), 2.0, stretch=2.0), r"took 200\.00 % of its time"),
-        (trace(clock(12), 2.0, stretch=0.5), r"took 50\.00 % of its time"),
-        (trace(clock(12), 2.0, stretch=1.002), r"took 100\.20 % of its time"),
-        (trace(clock(12), 2.0) + 0.3, r"starts \+0\.30000 rad \(m\) from the start of the path, -0\.52000"),
-        (2 * POSITION - trace(clock(12), 2.0), "opposite direction: wrong direction"),
-        (trace(clock(5.7), 2.0), "lies outside of the trace"),
-        (trace(clock(4.5), 2.0), "which ends at 4.496 s"),
-        (trace(clock(2.0), 0.1), "is shorter than the sweep"),
-        (np.minimum(trace(clock(12), 2.0), POSITION + 0.02), "is not this sweep's path"),
-    ],
-    ids=[
-        "other sweep",
-        "still",
-        "80 %",
-        "50 %",
-        "twice",
-        "a little slow",
-        "pose",
-        "mirrored",
-        "cut",
-        "torn",
-        "short",
-        "stopped",
-    ],
-)
+OTHERS: dict[str, tuple[np.ndarray, str]] = {
+    "other sweep": (trace(clock(12), 2.0, sweep=OTHER), "is not this sweep's path"),
+    "still": (np.full(3000, POSITION), "moves by 0 rad"),
+    "80 %": (trace(clock(12), 2.0, stretch=1.25), r"took 125\.00 % of its time: feed override"),
+    "50 %": (trace(clock(12), 2.0, stretch=2.0), r"took 200\.00 % of its time"),
+    "twice": (trace(clock(12), 2.0, stretch=0.5), r"took 50\.00 % of its time"),
+    "a little slow": (trace(clock(12), 2.0, stretch=1.002), r"took 100\.20 % of its time"),
+    "pose": (trace(clock(12), 2.0) + 0.3, r"starts \+0\.30000 rad \(m\) from the start of the path, -0\.52000"),
+    "mirrored": (2 * POSITION - trace(clock(12), 2.0), "opposite direction: wrong direction"),
+    "cut": (trace(clock(5.7), 2.0), "lies outside of the trace"),
+    "torn": (trace(clock(4.5), 2.0), "which ends at 4.496 s"),
+    "short": (trace(clock(2.0), 0.1), "is shorter than the sweep"),
+    "stopped": (np.minimum(trace(clock(12), 2.0), POSITION + 0.02), "is not this sweep's path"),
+}
+
+
+@pytest.mark.parametrize(("signal", "reason"), OTHERS.values(), ids=OTHERS)
 def test_what_does_not_match_is_refused_with_its_reason(signal: np.ndarray, reason: str) -> None:
     with pytest.raises(BadInput, match=reason):
         motion_start(SWEEP, POSITION, np.arange(len(signal)) / RATE, signal, "trace.csv")

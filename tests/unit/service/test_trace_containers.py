@@ -14,8 +14,7 @@ import pytest
 from asammdf.blocks.v4_blocks import ChannelConversion
 
 from service.formats.export.recordings import write_recordings
-from service.formats.traces.containers.reading import read_containers, read_here
-from service.formats.traces.containers.request import Channel, Taken
+from service.formats.traces.containers import ChannelName, Taken, read_containers, read_here
 from service.formats.traces.trace_import import import_trace
 from service.model.errors import BadInput
 from service.store.files.isolated_reader import Limits
@@ -28,13 +27,12 @@ pytestmark = pytest.mark.slow
 
 _h5, _mf4 = cast(Any, h5py), cast(Any, mf4_rs)  # without types
 TIME = np.arange(500) / 250
-WRITERS = "service.formats.export.recordings"
 NAMED = {name: {"source": name} for name in ("effort", "velocity", "position")}
 
 
 def ask(path: Path, *sources: str, group: str | int | None = None) -> Taken:
     """The channels of one sweep, read in this process."""
-    (taken,) = read_here(path, [[Channel(source=source, group=group) for source in sources]])
+    (taken,) = read_here(path, [[ChannelName(source=source, group=group) for source in sources]])
     return taken
 
 
@@ -236,7 +234,7 @@ def test_a_file_of_a_name_alone(tmp_path: Path) -> None:
 
 def test_the_reader_has_its_limits(tmp_path: Path) -> None:
     path = write_hdf5(tmp_path / "a.h5", effort=(np.zeros(3), ""))
-    channels = [(Channel(source="effort", group="run"),)]
+    channels = [(ChannelName(source="effort", group="run"),)]
     with pytest.raises(BadInput, match=r"a.h5: was not read within the limit of 0.01 s"):
         read_containers(path, channels, Limits(time=0.01))
     (taken,) = read_containers(path, channels)
@@ -249,8 +247,7 @@ def test_without_its_library_the_extra_is_named(
 ) -> None:
     (tmp_path / f"a{suffix}").write_bytes(b"")
     for name in list(sys.modules):
-        readers = f"service.formats.traces.containers.{extra}"
-        if name.startswith(f"{library}.") or name in (readers, f"{WRITERS}.{extra}"):
+        if name.startswith(f"{library}.") or name == f"service.formats.traces.{extra}":
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, library, None)
     wanted = rf"needs {library}[.\w]*: install sweepid with its extra, `sweepid\[{extra}\]`"

@@ -18,8 +18,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
-from service.formats.traces.drafts import mapping_of, mapping_text
-from service.formats.traces.trace_import import Imported, import_trace, read_traces
+from service.formats.traces.trace_import import Imported, import_trace, mapping_of, mapping_text, read_traces
 from service.model.errors import BadInput
 from service.model.recording import Recording
 from service.store.files.columns import write_columns

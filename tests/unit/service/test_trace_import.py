@@ -15,7 +15,7 @@ from service.identification.estimates.estimate import identify
 from service.identification.spectra.frequency_response import spectrum
 from service.model.errors import BadInput
 from service.model.recording import Recording, Sweep
-from service.store.files.bundle import read_bundle, write_bundle
+from service.store.files.bundle import write_bundle
 
 pytestmark = pytest.mark.slow
 
@@ -100,13 +100,6 @@ def test_a_german_csv_and_a_mat_file_give_the_same(tmp_path: Path) -> None:
     second = sample_of(import_trace(mapping(tmp_path, "trace.mat"))[1])
     for name in ("time", "effort", "velocity", "position"):
         np.testing.assert_allclose(getattr(first, name), getattr(second, name), atol=1e-9)
-
-
-def test_the_result_is_a_bundle(tmp_path: Path) -> None:
-    savemat(tmp_path / "trace.mat", trace())
-    robot, sweeps = import_trace(mapping(tmp_path, "trace.mat"))
-    write_bundle(tmp_path / "bundle", robot, sweeps)
-    assert read_bundle(tmp_path / "bundle").robot == robot
 
 
 def test_a_trace_with_a_gap_is_not_written(tmp_path: Path) -> None:

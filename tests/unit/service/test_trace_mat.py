@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from service.formats.traces.containers.reading import read_containers
-from service.formats.traces.containers.request import Channel
+from service.formats.traces.containers import ChannelName, read_containers
 from service.formats.traces.trace_import import import_trace
 from service.model.errors import BadInput
 from service.store.files.isolated_reader import Limits
@@ -63,16 +62,9 @@ def test_a_compressed_file_that_unfolds_meets_the_limit_of_memory(tmp_path: Path
     path = tmp_path / "trace.mat"
     savemat(path, {"TORQUE": np.zeros(MOST)}, do_compression=True)
     assert path.stat().st_size < 2_000_000
-    asked = [(Channel(source="TORQUE", group=None),)]
+    asked = [(ChannelName(source="TORQUE", group=None),)]
     with pytest.raises(BadInput, match="needs more memory than the limit of 629145600 bytes"):
         read_containers(path, asked, Limits(memory=600 * 2**20))
 
 
 MOST = 50_000_000
-
-
-def test_groups_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "trace.mat").write_bytes(written())
-    grouped = {"columns": {name: {"source": "TORQUE", "group": 1} for name in ("effort", "velocity", "position")}}
-    with pytest.raises(BadInput, match="has no groups, but the mapping names 1: only MDF4, HDF5, ROS bags and"):
-        import_trace(mapping(tmp_path, "trace.mat", **grouped))

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import yaml
 
-from service.formats.traces.mapping import CncAxis, Column, Mapping, Unit
+from service.formats.traces.mapping import CncAxis, Mapping, SourceColumn, Unit
 from service.model.configuration import read_yaml
 from service.model.errors import BadInput
 from service.model.robot import Axis
@@ -31,12 +31,14 @@ AXIS = CncAxis(name="A2", direction=-1, zero=90.0)
     ],
 )
 def test_units(unit: Unit, source: float, value: float) -> None:
-    scale, offset = Column(source="X", unit=unit).to_si(GEAR, AXIS, math.radians(1.0), 250.0)
+    scale, offset = SourceColumn(source="X", unit=unit).to_si(GEAR, AXIS, math.radians(1.0), 250.0)
     assert scale * source + offset == pytest.approx(value, rel=1e-12)
 
 
 def test_a_linear_axis_is_in_mm() -> None:
-    scale, offset = Column(source="X", unit="axis position").to_si(GEAR, CncAxis(name="X1", zero=5.0), 1e-3, 250.0)
+    scale, offset = SourceColumn(source="X", unit="axis position").to_si(
+        GEAR, CncAxis(name="X1", zero=5.0), 1e-3, 250.0
+    )
     assert scale * 105.0 + offset == pytest.approx(0.1)
 
 

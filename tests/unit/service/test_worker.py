@@ -12,13 +12,13 @@ from pathlib import Path
 import psutil
 import pytest
 
-from service.jobs.worker import Job, JobFailed, RecordedSweep, Worker, WorkerLost, open_worker, work
-from service.model.configuration import read_robot
-from service.model.geometry.cell import Cell
+from service.jobs.work import Job, JobFailed, RecordedSweep, Worker, WorkerLost, work
+from service.jobs.worker import open_worker
+from service.model.configuration import Cell, read_robot
 from service.model.robot import Robot
 from service.planning.safety.envelope import Envelope
-from service.process.settings.workers import Cluster
-from service.store.files.spectra import SpectrumFile
+from service.process.settings import Cluster
+from service.store.files.recordings import SpectrumFile
 from tests.unit.service.campaigns.conftest import ROOT, open_bench, until
 
 pytestmark = pytest.mark.slow

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from simulator import Measurement, Scenario, SweepRun, load_scenario
-from simulator.drive.axis import Axis
-from simulator.drive.dictionary import Dictionary
-from simulator.drive.measuring import Samples
+from simulator.drive.dictionary import ObjectDictionary
+from simulator.drive.measuring import DriveSamples
+from simulator.drive.virtual_axis import VirtualAxis
 
 CONFIG = Path(__file__).parents[3] / "config"
 EDS = CONFIG / "eds" / "virtual-axis.eds"
@@ -63,9 +63,9 @@ def sweep() -> Callable[..., SweepRun]:
 
 
 @pytest.fixture
-def dictionary() -> Dictionary:
+def dictionary() -> ObjectDictionary:
     """Node 3, motor of 20 N m and 3000 rev/min, limits at +-100 rev."""
-    d = Dictionary(EDS, 3)
+    d = ObjectDictionary(EDS, 3)
     d[0x6076, 0] = 20_000
     for index in (0x607F, 0x6080):
         d[index, 0] = 3_000_000
@@ -75,12 +75,12 @@ def dictionary() -> Dictionary:
 
 
 @pytest.fixture
-def axis(dictionary: Dictionary) -> Axis:
-    return Axis(dictionary, CYCLE, can_move=True)
+def axis(dictionary: ObjectDictionary) -> VirtualAxis:
+    return VirtualAxis(dictionary, CYCLE, can_move=True)
 
 
 @pytest.fixture
-def turn(axis: Axis) -> Callable[..., np.ndarray]:
+def turn(axis: VirtualAxis) -> Callable[..., np.ndarray]:
     """Let the motor run `cycles` in chunks; the speeds, rev/s."""
 
     def run(cycles: int, chunk: int = 8, *, torque: float = 0.0, limited: bool = False) -> np.ndarray:
@@ -90,7 +90,7 @@ def turn(axis: Axis) -> Callable[..., np.ndarray]:
             command = axis.setpoints(chunk)
             position = axis.position + np.cumsum(command) * CYCLE
             axis.observe(
-                Samples(
+                DriveSamples(
                     torque=torque + injected,
                     torque_limited=np.full(chunk, limited),
                     command=command,
@@ -107,7 +107,7 @@ def turn(axis: Axis) -> Callable[..., np.ndarray]:
 
 
 @pytest.fixture
-def enable(dictionary: Dictionary, axis: Axis) -> Callable[[int], None]:
+def enable(dictionary: ObjectDictionary, axis: VirtualAxis) -> Callable[[int], None]:
     """Into OPERATION ENABLED in a mode of operation."""
 
     def go(mode: int) -> None:

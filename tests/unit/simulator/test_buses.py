@@ -11,9 +11,9 @@ import can
 import pytest
 
 from simulator import Scenario
-from simulator.can_bus import CanBus
-from simulator.canopen.node import Frame
-from simulator.machine import Machine
+from simulator.canopen.line import CanBus
+from simulator.canopen.pdo import Frame
+from simulator.machine import LiveMachine
 from simulator.virtual_drive import VirtualDrive
 
 PATIENCE = 60.0  # s; a busy computer
@@ -35,8 +35,8 @@ def running(drive: VirtualDrive) -> Iterator[VirtualDrive]:
 
 
 @pytest.fixture
-def machine(scenario: Callable[[str], Scenario]) -> Machine:
-    return Machine(scenario("rigid"), 1)
+def machine(scenario: Callable[[str], Scenario]) -> LiveMachine:
+    return LiveMachine(scenario("rigid"), 1)
 
 
 def wait_for(bus: can.BusABC, identifier: int) -> bytes:
@@ -46,7 +46,7 @@ def wait_for(bus: can.BusABC, identifier: int) -> bytes:
     raise AssertionError(f"no frame {identifier:x}")
 
 
-def test_clients_of_the_socketcand_server_share_the_bus(machine: Machine) -> None:
+def test_clients_of_the_socketcand_server_share_the_bus(machine: LiveMachine) -> None:
     with running(VirtualDrive(machine, EDS)) as drive:
         buses = [
             can.Bus(interface="socketcand", host="127.0.0.1", port=drive.port, channel="can0", tcp_tune=True)
@@ -78,7 +78,7 @@ def test_clients_of_the_socketcand_server_share_the_bus(machine: Machine) -> Non
             second.shutdown()
 
 
-def test_another_channel_is_refused(machine: Machine) -> None:
+def test_another_channel_is_refused(machine: LiveMachine) -> None:
     with running(VirtualDrive(machine, EDS)) as drive:
         assert drive.port is not None
         with socket.create_connection(("127.0.0.1", drive.port), timeout=PATIENCE) as client:
@@ -92,7 +92,7 @@ def test_another_channel_is_refused(machine: Machine) -> None:
 
 
 @pytest.mark.slow
-def test_any_python_can_interface(machine: Machine) -> None:
+def test_any_python_can_interface(machine: LiveMachine) -> None:
     with running(VirtualDrive(machine, EDS, bus="virtual", channel="test buses")) as drive:
         assert drive.port is None
         with can.Bus(interface="virtual", channel="test buses") as bus:

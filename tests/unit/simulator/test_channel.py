@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from simulator import Measurement, Scenario, SweepRun, Waveform, run_sweeps
-from simulator.channel import Channel
+from simulator.plant import Channel
 from tests.unit.simulator.conftest import line
 
 STEP = 0.00025

@@ -8,10 +8,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from simulator import Scenario, load_scenario
-from simulator.canopen.cabinet import Cabinet
-from simulator.canopen.node import Frame
-from simulator.fault_orders import ORDERS, Plant, carry_out
-from simulator.machine import Machine
+from simulator.canopen.cabinet import CanopenCabinet
+from simulator.canopen.pdo import Frame
+from simulator.control import ORDERS, OrderTarget, carry_out
+from simulator.machine import LiveMachine
 from tests.unit.simulator.conftest import CONFIG, EDS
 
 JOINTS = [f"joint_{number}" for number in range(1, 7)]
@@ -19,21 +19,21 @@ FIELDS = sorted({field for order in ORDERS.values() for field in (*order.require
 
 
 @pytest.fixture
-def cabinet(scenario: Callable[[str], Scenario]) -> Cabinet:
+def cabinet(scenario: Callable[[str], Scenario]) -> CanopenCabinet:
     sent: list[Frame] = []
-    return Cabinet(Machine(scenario("rigid"), 1), EDS, 1.0, sent.append)
+    return CanopenCabinet(LiveMachine(scenario("rigid"), 1), EDS, 1.0, sent.append)
 
 
 @pytest.fixture
-def plant(cabinet: Cabinet) -> Plant:
-    return Plant(cabinet, None)
+def plant(cabinet: CanopenCabinet) -> OrderTarget:
+    return OrderTarget(cabinet, None)
 
 
 @pytest.fixture(scope="module")
-def shared() -> Plant:
+def shared() -> OrderTarget:
     """For orders that are looked at alone: reading six EDS takes long."""
-    machine = Machine(load_scenario(CONFIG / "scenarios/max100-rigid.yaml"), 1)
-    return Plant(Cabinet(machine, EDS, 1.0, lambda _: None), None)
+    machine = LiveMachine(load_scenario(CONFIG / "scenarios/max100-rigid.yaml"), 1)
+    return OrderTarget(CanopenCabinet(machine, EDS, 1.0, lambda _: None), None)
 
 
 @pytest.mark.parametrize(
@@ -62,14 +62,14 @@ def shared() -> Plant:
         ('{"order": "bus_off"}', "not on this fieldbus"),
     ],
 )
-def test_bad_orders_name_the_field(shared: Plant, line: str, reason: str) -> None:
+def test_bad_orders_name_the_field(shared: OrderTarget, line: str, reason: str) -> None:
     reply = carry_out(shared, line.encode())
     assert reply["ok"] is False
     assert reason in str(reply["error"])
     assert len(str(reply["error"])) < 400
 
 
-def test_a_fault_waits_for_its_counter(cabinet: Cabinet, plant: Plant) -> None:
+def test_a_fault_waits_for_its_counter(cabinet: CanopenCabinet, plant: OrderTarget) -> None:
     order = {"order": "fault", "joint": "joint_1", "code": 0x7305, "at_counter": 3}
     assert carry_out(plant, json.dumps(order).encode()) == {"ok": True}
     states = []
@@ -79,7 +79,7 @@ def test_a_fault_waits_for_its_counter(cabinet: Cabinet, plant: Plant) -> None:
     assert states == ["SWITCH_ON_DISABLED", "SWITCH_ON_DISABLED", "FAULT"]
 
 
-def test_a_fault_without_an_instant_happens_now(cabinet: Cabinet, plant: Plant) -> None:
+def test_a_fault_without_an_instant_happens_now(cabinet: CanopenCabinet, plant: OrderTarget) -> None:
     assert carry_out(plant, b'{"order": "fault", "joint": "joint_2", "code": 29445}') == {"ok": True}
     assert cabinet.nodes["joint_2"].axis.state.name == "FAULT"
 
@@ -108,7 +108,7 @@ def orders() -> st.SearchStrategy[bytes]:
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(lines=st.lists(orders(), max_size=4))
 def test_no_order_raises_or_moves_an_axis_that_nobody_enabled(
-    cabinet: Cabinet, plant: Plant, lines: list[bytes]
+    cabinet: CanopenCabinet, plant: OrderTarget, lines: list[bytes]
 ) -> None:
     for line in lines:
         reply = carry_out(plant, line)
@@ -123,7 +123,7 @@ def test_no_order_raises_or_moves_an_axis_that_nobody_enabled(
 @pytest.mark.parametrize("order", sorted(ORDERS))
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_every_order_with_the_right_fields_and_any_values(shared: Plant, order: str, data: st.DataObject) -> None:
+def test_every_order_with_the_right_fields_and_any_values(shared: OrderTarget, order: str, data: st.DataObject) -> None:
     fields = {field: data.draw(anything()) for field in (*ORDERS[order].required, *ORDERS[order].optional)}
     if "joint" in fields:
         fields["joint"] = "joint_1"

@@ -8,8 +8,8 @@ import pytest
 
 from simulator.follow import Path as Wanted
 from simulator.follow import follow
+from simulator.rigid_body import true_inertia
 from simulator.scenario import ScenarioError, load_scenario
-from simulator.truth import true_inertia
 from tests.command import sweepid
 
 pytestmark = pytest.mark.slow

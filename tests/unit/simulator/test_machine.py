@@ -7,7 +7,7 @@ import pinocchio
 import pytest
 
 from simulator import Scenario, ScenarioError, true_inertia
-from simulator.machine import Machine
+from simulator.machine import LiveMachine
 from simulator.rigid_body import RigidBody, real_urdf
 
 STILL = np.zeros((500, 6))
@@ -18,7 +18,7 @@ STILL = np.zeros((500, 6))
 def test_an_axis_stands_under_gravity_braked_and_in_closed_loop(
     noise_free: Callable[[str], Scenario], name: str
 ) -> None:
-    machine = Machine(noise_free(name), seed=1)
+    machine = LiveMachine(noise_free(name), seed=1)
     machine.set_position("joint_2", 0.9)
     braked = machine.advance(STILL)
     assert np.ptp(braked.position[:, 1]) == 0
@@ -31,7 +31,7 @@ def test_an_axis_stands_under_gravity_braked_and_in_closed_loop(
 
 
 def test_positions_follow_the_setpoint_and_the_brake_stops(noise_free: Callable[[str], Scenario]) -> None:
-    machine = Machine(noise_free("full"), seed=1)
+    machine = LiveMachine(noise_free("full"), seed=1)
     machine.energise("joint_1", True)
     setpoints = np.zeros((2000, 6))
     setpoints[:1000, 0] = 0.1 * np.sin(np.pi * np.arange(1000) / 1000) ** 2
@@ -48,7 +48,7 @@ def test_positions_follow_the_setpoint_and_the_brake_stops(noise_free: Callable[
 def test_small_calls_equal_one_large_call(noise_free: Callable[[str], Scenario]) -> None:
     setpoints = np.zeros((200, 6))
     setpoints[:, 2] = np.linspace(0, 0.02, 200)
-    whole, pieces = (Machine(noise_free("misfit"), seed=1) for _ in range(2))
+    whole, pieces = (LiveMachine(noise_free("misfit"), seed=1) for _ in range(2))
     whole.energise("joint_3", True)
     pieces.energise("joint_3", True)
     expected = whole.advance(setpoints)
@@ -59,7 +59,7 @@ def test_small_calls_equal_one_large_call(noise_free: Callable[[str], Scenario])
 
 def test_the_pose_of_the_others_changes_the_torque(noise_free: Callable[[str], Scenario]) -> None:
     def effort(q3: float) -> float:
-        machine = Machine(noise_free("full"), seed=1)
+        machine = LiveMachine(noise_free("full"), seed=1)
         machine.set_position("joint_2", 0.8)
         machine.set_position("joint_3", q3)
         machine.energise("joint_2", True)
@@ -69,7 +69,7 @@ def test_the_pose_of_the_others_changes_the_torque(noise_free: Callable[[str], S
 
 
 def test_torque_limit_holds_and_is_reported(noise_free: Callable[[str], Scenario]) -> None:
-    machine = Machine(noise_free("full"), seed=1)
+    machine = LiveMachine(noise_free("full"), seed=1)
     machine.set_effort_limit("joint_1", 400.0)
     machine.energise("joint_1", True)
     step = np.zeros((300, 6))
@@ -83,7 +83,7 @@ def test_torque_limit_holds_and_is_reported(noise_free: Callable[[str], Scenario
 
 
 def test_noise_and_steps_of_the_torque(scenario: Callable[[str], Scenario]) -> None:
-    machine = Machine(scenario("full"), seed=5)
+    machine = LiveMachine(scenario("full"), seed=5)
     samples = machine.advance(np.zeros((4000, 6)))
     rated = np.array([axis.rated_effort for axis in machine.axes[:3]])
     np.testing.assert_allclose(samples.effort[:, :3].std(axis=0), 0.002 * rated, rtol=0.05)
@@ -93,7 +93,7 @@ def test_noise_and_steps_of_the_torque(scenario: Callable[[str], Scenario]) -> N
 
 
 def test_what_cannot_be_done_is_refused(scenario: Callable[[str], Scenario]) -> None:
-    machine = Machine(scenario("full"), seed=1)
+    machine = LiveMachine(scenario("full"), seed=1)
     assert [axis.locked for axis in machine.axes] == [False] * 3 + [True] * 3
     with pytest.raises(ScenarioError, match="joint_5"):
         machine.energise("joint_5", True)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from simulator.canopen.node import Frame
-from simulator.socketcand import SentFrame, SocketcandServer, parse_send
+from simulator.canopen.line import SentFrame, SocketcandServer, parse_send
+from simulator.canopen.pdo import Frame
 
 pytestmark = pytest.mark.slow
 

@@ -24,10 +24,9 @@ from simulator import (
     true_inertia,
 )
 from simulator.coupled import CoupledTrains
-from simulator.machine import Machine
-from simulator.moving_axis import moving_axis
+from simulator.machine import LiveMachine
 from simulator.plant import Plant
-from simulator.rigid_body import RigidBody, real_urdf
+from simulator.rigid_body import RigidBody, moving_axis, real_urdf
 from simulator.scenario import STEP
 from tests.unit.simulator.conftest import line
 
@@ -281,7 +280,7 @@ def test_the_live_machine_couples_its_axes(noise_free: Load) -> None:
     setpoints[:, 2] = 0.1 * np.sin(np.pi * np.arange(600) / 600) ** 2
     effort = {}
     for energised in (("joint_3",), ("joint_2", "joint_3")):
-        machine = Machine(without_spring(noise_free("six")), seed=1)
+        machine = LiveMachine(without_spring(noise_free("six")), seed=1)
         for joint in energised:
             machine.energise(joint, True)
         effort[energised] = machine.advance(setpoints).effort[:, 1:3]

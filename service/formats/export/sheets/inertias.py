@@ -1,28 +1,55 @@
-r"""The inertia about an axis from base parameters, anywhere in the workspace.
+"""The inertia about an axis from base parameters, anywhere in the workspace.
 
 With base parameters beta, their covariance C and the rows W of the poses (`service.identification.model`)
 
     J = W beta,   cov J = W C W^T
+
+Supplementary loads of a KUKA are the difference between estimate and CAD as bodies on the first three links: the
+control contains a model of the bare robot, and takes one additional body each on A1, A2 and A3. With x_k the ten
+parameters of a body on link k, A their contribution to the base parameters and beta_0 those of CAD
+
+    min over P_k >= 0:   |C^-1/2 (A x(P) - (beta - beta_0))|^2 + sum_k (m_k + tr(Sigma_k) / R^2) / M
+
+P_k = [Sigma_k, m c; (m c)^T, m] is the pseudo-inertia (`physical_consistency`), so the bodies are physical. M is the
+mass and R the length of the robot; their term, at most some standard deviations, determines unobservable parts.
+With P_k = L_k L_k^T of full rank, each local minimum is the global one (Burer and Monteiro 2005).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.stats import chi2
 
 from service.identification.model.base_parameters import BaseParameters, base_parameters
-from service.identification.model.regressor import lock
+from service.identification.model.least_squares import converged
+from service.identification.model.physical_consistency import pseudo_inertia
+from service.identification.model.regressor import fold, lock
 from service.model.errors import BadInput
-from service.model.results.estimate import Base, BaseParameter, Estimate
-from service.model.results.identified.sheet import Sheet, SheetParameter
-from service.model.robot import Robot
-from service.model.urdf import Chain
+from service.model.results.estimate import Base, BaseParameter, Estimate, StandardParameters
+from service.model.results.payload import Payload
+from service.model.results.sheet import Sheet, SheetParameter, Supplementary, SupplementaryLoad
+from service.model.robot import INERTIAL_NAMES, Robot, link_frames
+from service.model.urdf import LARGEST, Chain, inertia_vector, transform_inertial
 
 Array = NDArray[np.float64]
 
 STILL = 2e-3  # rad (m): smaller differences count as no motion
-NO_SHARE = 1e-9  # of a row's largest entry: below, a parameter does not affect the inertia
+
+_PLACE = "--payload"
+UPRIGHT = -90.0  # deg: position of the second axis that defines the frame of its load
+# FLANGE of the load of A3: Beckhoff TF5120, function block KRC_LDDconfig (M_A3, X_A3 ...). ROBROOT of those of A1 and
+# A2, and moments about the centre of mass: KUKA's class CRobot, setLoadA1 to setLoadA3. No public source gives the axis
+# positions at which a frame is fixed to its link: the sheet says that they must be checked.
+_FRAMES: tuple[tuple[Literal["A1", "A2", "A3"], str], ...] = (
+    ("A1", "ROBROOT (base frame of the URDF) with A1 = 0 deg"),
+    ("A2", "ROBROOT (base frame of the URDF) with A1 = 0 deg and A2 = -90 deg"),
+    ("A3", "FLANGE (in the URDF: frame of {last}) with A4 = A5 = A6 = 0 deg"),
+)
 
 
 @dataclass(frozen=True)
@@ -65,7 +92,7 @@ class Inertias:
         """Rows (m, r), and the first of their parameters that is not identified, or ""."""
         free = [k for k in range(len(self.robot.joints)) if k not in self.fixed]
         rows = self.base.rows(self.chain, free.index(self.robot.index(joint)), poses[:, free])
-        share = np.abs(rows).max(axis=0) > NO_SHARE * np.abs(rows).max()
+        share = np.abs(rows).max(axis=0) > 1e-9 * np.abs(rows).max()  # below, a parameter does not affect the inertia
         left = (name for name, used, opened in zip(self.base.names, share, self.opened, strict=True) if used and opened)
         return rows, next(left, "")
 
@@ -107,3 +134,183 @@ def _inertias(
     values = np.array([one.value for one in parameters])
     opened = tuple(one.std is None for one in parameters)
     return Inertias(robot, joints, values, covariance, opened, fixed, base, chain, place)
+
+
+@dataclass(frozen=True)
+class LoadData:
+    """A physical body, in the frame of a joint: kg, m, kg m^2; the columns of `axes` (3, 3) are principal axes."""
+
+    frame: str
+    mass: float
+    mass_std: float
+    centre: tuple[float, float, float]
+    moments: tuple[float, float, float]
+    axes: Array
+
+
+def load_of(found: Payload) -> LoadData:
+    """BadInput if a value that a control needs is missing, or no body can have these values."""
+    figures = {"mass": found.mass, **found.center, **found.inertia}
+    open_ = [name for name, part in figures.items() if part.value is None]
+    if open_:
+        raise BadInput(_PLACE, f"lacks {', '.join(open_)}: its motions did not excite them")
+    if found.mass.std_total is None:
+        raise BadInput(f"{_PLACE} mass.std_total", "is missing")
+    near = found.physical.nearest
+    if set(near.inertia) != set(INERTIAL_NAMES[4:]):
+        raise BadInput(f"{_PLACE} physical.nearest.inertia", f"lacks {', '.join(INERTIAL_NAMES[4:])}")
+    for value in (found.mass.std_total, near.mass, *near.center, *near.inertia.values()):
+        if not abs(value) <= LARGEST:
+            raise BadInput(_PLACE, f"has {value}, must be a number of at most {LARGEST:g}")
+    of = near.inertia
+    tensor = np.array(
+        [[of["Ixx"], of["Ixy"], of["Ixz"]], [of["Ixy"], of["Iyy"], of["Iyz"]], [of["Ixz"], of["Iyz"], of["Izz"]]]
+    )
+    moments, axes = np.linalg.eigh(tensor)
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] *= -1
+    if not moments[0] > 0 or moments[2] > moments[0] + moments[1] + 1e-9:
+        raise BadInput(_PLACE, "has moments of inertia that are not physically possible")
+    least, middle, most = moments.tolist()
+    return LoadData(found.frame, near.mass, found.mass.std_total, near.center, (least, middle, most), axes)
+
+
+def zyx(rotation: Array) -> tuple[float, float, float]:
+    """A, B, C of a KUKA, deg: about Z, then the new Y, then the new X."""
+    b = math.atan2(-rotation[2, 0], math.hypot(rotation[0, 0], rotation[1, 0]))
+    a = math.atan2(rotation[1, 0], rotation[0, 0])
+    c = math.atan2(rotation[2, 1], rotation[2, 2])
+    return math.degrees(a), math.degrees(b), math.degrees(c)
+
+
+def supplementary(
+    robot: Robot, known: Inertias, standard: StandardParameters, gain: float, upright: float
+) -> Supplementary:
+    """The loads of A1, A2 and A3, or the reason why there are none.
+
+    `gain`: relative standard deviation of the torque constants, which scale the whole estimate. `upright`: rad,
+    position of the second joint in the URDF at which the control displays A2 = -90 deg.
+    """
+    kinds = [joint.kind for joint in robot.chain.joints[:3]]
+    if len(kinds) < 3 or "prismatic" in kinds:
+        return Supplementary(loads=(), left_out="the first three joints must be revolute", before=0.0, after=0.0)
+    combination = known.base.combination @ fold(robot.chain, known.fixed)
+    motors = [
+        axis.reflected_motor_inertia or standard.motor_inertias.get(f"Jm({axis.joint})", 0.0) for axis in robot.axes
+    ]
+    cad = np.concatenate([robot.chain.inertial.ravel(), motors])
+    shown = np.array([not opened for opened in known.opened])
+    difference = (known.values - combination @ cad)[shown]
+    scaled = gain * known.values[shown]
+    covariance = known.covariance[np.ix_(shown, shown)] + np.outer(scaled, scaled)
+    if not covariance.size or not np.isfinite(covariance).all() or not (np.diag(covariance) > 0).all():
+        reason = "the estimate has no base parameters with a standard deviation above 0"
+        return Supplementary(loads=(), left_out=reason, before=0.0, after=0.0)
+    white = _whitening(covariance)
+    before = float(np.sum((white @ difference) ** 2))
+    if chi2.sf(before, len(difference)) > 0.0455:  # two standard deviations
+        reason = "the estimate does not differ from CAD by more than its uncertainty"
+        return Supplementary(loads=(), left_out=reason, before=_per_parameter(before, difference), after=0.0)
+    parts = white @ combination[shown][:, :30]
+    size = _Size(float(robot.chain.inertial[:, 0].sum()) or 1.0, _reach(robot))
+    used = [0, 1, 2]
+    # each body that explains too little is removed
+    bodies, after = _fit(parts, white @ difference, used, size)
+    for link in (0, 1, 2):
+        fewer = [k for k in used if k != link]
+        without, left = _fit(parts, white @ difference, fewer, size)
+        if left - after < 4.0:  # of chi-squared
+            used, bodies, after = fewer, without, left
+    loads = tuple(_load(robot, link, bodies[link], upright) for link in used)
+    reason = "" if loads else "no body on A1 to A3 reduces the difference from CAD: the robot has less inertia than CAD"
+    left = _per_parameter(after, difference)
+    if loads and left > 3.0:  # standard deviations, RMS: a motor or a lighter link, for example
+        loads, reason = (
+            (),
+            f"no bodies on A1 to A3 explain the difference from CAD: {left:.1f} standard deviations remain",
+        )
+    return Supplementary(loads=loads, left_out=reason, before=_per_parameter(before, difference), after=left)
+
+
+class _Size:
+    """Units for parameters of a body of the order of one: mass, kg, and length, m."""
+
+    def __init__(self, mass: float, length: float) -> None:
+        self.mass = mass
+        self.scale = np.array([length, length, length, 1.0])
+
+
+def _fit(parts: Array, wanted: Array, links: list[int], size: _Size) -> tuple[dict[int, Array], float]:
+    """Bodies (10,) by link that best explain the whitened difference, and the remaining chi-squared."""
+    if not links:
+        return {}, float(wanted @ wanted)
+    lower = np.tril_indices(4)
+
+    def bodies(unknowns: Array) -> Array:
+        factors = np.zeros((len(links), 4, 4))
+        factors[:, lower[0], lower[1]] = unknowns.reshape(len(links), 10)
+        factors = size.scale[:, None] * factors * math.sqrt(size.mass)
+        return np.array([_parameters(factor @ factor.T) for factor in factors])
+
+    columns = np.hstack([parts[:, 10 * link : 10 * link + 10] for link in links])
+
+    def misfit(unknowns: Array) -> Array:
+        return columns @ bodies(unknowns).ravel() - wanted
+
+    start = np.tile(0.1 * np.eye(4)[lower], len(links))
+    # far below one standard deviation; usually after some hundred evaluations
+    found = least_squares(lambda x: np.concatenate([misfit(x), x]), start, ftol=1e-6, max_nfev=5000)
+    converged(found, "supplementary loads", "bodies on A1 to A3")
+    result = bodies(found.x)
+    return dict(zip(links, result, strict=True)), float(np.sum(misfit(found.x) ** 2))
+
+
+def _load(robot: Robot, link: int, parameters: Array, upright: float) -> SupplementaryLoad:
+    """A body in the frame that the control requires."""
+    pose = np.zeros(len(robot.joints))
+    pose[1] = upright if link == 1 else 0.0
+    rotations, origins = (part[0] for part in link_frames(robot.chain, pose[None]))
+    rotation, translation = rotations[link], origins[link]
+    if link == 2:  # in the flange's frame
+        rotation = rotations[-1].T @ rotations[link]
+        translation = rotations[-1].T @ (origins[link] - origins[-1])
+    moved = transform_inertial(parameters, rotation, translation)
+    mass = float(moved[0])
+    centre = moved[1:4] / mass
+    second = pseudo_inertia(moved)[:3, :3] - mass * np.outer(centre, centre)
+    values, axes = np.linalg.eigh(second)
+    values = np.maximum(values, mass * 0.01**2)  # least radius of gyration, m
+    moments = values.sum() - values
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] *= -1
+    return SupplementaryLoad(
+        axis=_FRAMES[link][0],
+        link=robot.chain.joints[link].link,
+        frame=_FRAMES[link][1].format(last=robot.joints[-1]),
+        mass=mass,
+        centre=(float(centre[0]), float(centre[1]), float(centre[2])),
+        orientation=zyx(axes),
+        moments=(float(moments[0]), float(moments[1]), float(moments[2])),
+    )
+
+
+def _parameters(pseudo: Array) -> Array:
+    """(10,) of a pseudo-inertia (4, 4)."""
+    second = pseudo[:3, :3]
+    tensor = np.trace(second) * np.eye(3) - second
+    return np.concatenate([[pseudo[3, 3]], pseudo[:3, 3], inertia_vector(tensor)])
+
+
+def _whitening(covariance: Array) -> Array:
+    scale = np.sqrt(np.diag(covariance))
+    moments, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray((directions / np.sqrt(np.maximum(moments, 1e-12 * moments[-1]))).T / scale, dtype=float)
+
+
+def _per_parameter(distance: float, difference: Array) -> float:
+    return math.sqrt(distance / len(difference))
+
+
+def _reach(robot: Robot) -> float:
+    """Sum of the distances between the joints, m."""
+    return float(sum(np.linalg.norm(joint.translation) for joint in robot.chain.joints)) or 1.0

@@ -16,18 +16,29 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import JsonValue, ValidationError
+from scipy.stats import chi2
 
 from service.formats.export.model import IdentifiedModel, model_of
-from service.formats.export.sheets.inertias import of_estimate
-from service.formats.export.sheets.supplementary import UPRIGHT, supplementary
-from service.identification.model.certainty import UNSURE, share_of_value
+from service.formats.export.sheets.inertias import UPRIGHT, Inertias, of_estimate, of_sheet, supplementary
 from service.identification.model.physical_consistency import is_physical
 from service.model.configuration import bad_field
 from service.model.errors import BadInput
-from service.model.results.estimate import Estimate, EstimatedAxis, StandardParameters
-from service.model.results.identified.sheet import AxisSheet, Ranges, Sheet, SheetBody, SheetParameter
+from service.model.results.estimate import UNSURE, Estimate, EstimatedAxis, StandardParameters, share_of_value
+from service.model.results.sheet import (
+    AxisCheck,
+    AxisSheet,
+    Ranges,
+    Sheet,
+    SheetBody,
+    SheetCheck,
+    SheetParameter,
+    SheetVerdict,
+)
 from service.model.robot import INERTIAL_NAMES, Robot
+
+Array = NDArray[np.float64]
 
 
 def sheet(
@@ -170,3 +181,81 @@ def _rounded(value: JsonValue) -> JsonValue:
     if isinstance(value, list):
         return [_rounded(each) for each in value]
     return value
+
+
+def compare(sheet: Sheet, robot: Robot, estimate: Estimate, poses: Mapping[str, Array], place: str) -> SheetCheck:
+    """The sheet compared with a later estimate of `robot`; `poses` (m, n), rad (m): those measured later, by axis.
+
+    BadInput: an altered sheet, another robot, no common axis, or an inertia that one of them does not determine.
+    """
+    check_sheet(sheet, "sheet")
+    if sheet.robot != robot.name:
+        raise BadInput("sheet", f"is of robot {sheet.robot}, and {place} of {robot.name}")
+    serial = robot.description.serial or ""
+    if sheet.serial and serial and sheet.serial != serial:
+        raise BadInput("sheet", f"is of serial number {sheet.serial}, and {place} of {serial}")
+    before, after = of_sheet(robot, sheet, "sheet"), of_estimate(robot, estimate, place)
+    joints = [joint for joint in before.joints if joint in after.joints and len(poses.get(joint, ()))]
+    if not joints:
+        raise BadInput(place, f"has no axis of the sheet: it has {', '.join(after.joints)}")
+    old, covariance = _modelled(before, joints, poses)
+    if all(after.knows(joint, poses[joint]) for joint in joints):
+        new, own = _modelled(after, joints, poses)
+    else:
+        new, own = _measured(estimate, joints)
+    covariance = covariance + own
+    std = np.sqrt(np.diag(covariance))
+    if not std.min() > 0:
+        raise BadInput(
+            place, f"gives {joints[int(np.argmin(std))]} without uncertainty: the significance cannot be computed"
+        )
+    difference = new - old
+    probability = _probability(difference / std, covariance / np.outer(std, std))
+    axes = tuple(
+        AxisCheck(
+            joint=joint,
+            sheet=float(old[k]),
+            now=float(new[k]),
+            std=float(std[k]),
+            differs_percent=100 * float(difference[k] / old[k]),
+            differs_in_std=float(difference[k] / std[k]),
+            poses=len(poses[joint]),
+        )
+        for k, joint in enumerate(joints)
+    )
+    return SheetCheck(
+        robot=robot.name,
+        fingerprint=sheet.fingerprint,
+        source=place,
+        verdict=_verdict(probability),
+        probability=probability,
+        axes=axes,
+        not_compared=tuple(joint for joint in before.joints if joint not in joints),
+    )
+
+
+def _modelled(of: Inertias, joints: Sequence[str], poses: Mapping[str, Array]) -> tuple[Array, Array]:
+    """Mean inertia (k,) of each axis over its poses by the base parameters, and its covariance (k, k)."""
+    rows = np.array([of.rows(joint, poses[joint]).mean(axis=0) for joint in joints])
+    return rows @ of.values, rows @ of.covariance @ rows.T
+
+
+def _measured(estimate: Estimate, joints: Sequence[str]) -> tuple[Array, Array]:
+    """The same from the sweeps alone."""
+    sweeps = [estimate.axes[joint].inertia for joint in joints]
+    means = np.array([float(np.mean([sweep.value for sweep in own])) for own in sweeps])
+    stds = np.array([float(np.mean([sweep.std for sweep in own])) for own in sweeps])
+    return means, np.diag(stds**2)
+
+
+def _probability(standardised: Array, correlation: Array) -> float:
+    """Probability of at least this difference by chance, for all axes together."""
+    distance = float(standardised @ np.linalg.lstsq(correlation, standardised, rcond=None)[0])
+    return float(chi2.sf(distance, np.linalg.matrix_rank(correlation)))
+
+
+def _verdict(probability: float) -> SheetVerdict:
+    """Limits: two-sided probabilities of 2 and 4 standard deviations, as in the daily check."""
+    if probability >= 0.0455:
+        return "the same"
+    return "perhaps changed" if probability >= 6.33e-5 else "changed"

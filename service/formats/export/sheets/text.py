@@ -2,9 +2,10 @@
 
 import math
 
-from service.formats.export.mjcf import quaternion
-from service.formats.export.sheets.load import Load, zyx
-from service.model.results.identified.sheet import AxisSheet, Sheet, SheetBody, Supplementary, SupplementaryLoad
+from service.formats.export.files import quaternion
+from service.formats.export.sheets.inertias import LoadData, zyx
+from service.model.results.digits import with_std
+from service.model.results.sheet import AxisSheet, Sheet, SheetBody, Supplementary, SupplementaryLoad
 
 _NO_LOAD = (
     "Payload: left out. An estimate of the robot contains only combinations of the parameters of its links, "
@@ -13,7 +14,7 @@ _NO_LOAD = (
 )
 
 
-def as_markdown(sheet: Sheet, load: Load | None = None) -> str:
+def as_markdown(sheet: Sheet, load: LoadData | None = None) -> str:
     """The page; `load`: the payload on the last link, if it was measured."""
     parts = [
         f"# Dynamics of {sheet.robot} for its control",
@@ -25,20 +26,18 @@ def as_markdown(sheet: Sheet, load: Load | None = None) -> str:
             [
                 (
                     axis.joint,
-                    _with_unit(axis.cad, axis),
-                    _with_unit(axis.identified, axis),
-                    _with_unit(axis.std, axis),
+                    *(f"{size} {_unit(axis)}" for size in _sizes(axis)),
                     f"{axis.lowest:.4g} ... {axis.highest:.4g}",
-                    f"{100 * (axis.identified / axis.cad - 1):+.1f} %, {axis.differs_in_std:+.1f} std"
-                    if axis.cad > 0
+                    f"{100 * (1 - axis.cad / axis.identified):+.1f} %, {axis.differs_in_std:+.1f} std"
+                    if axis.cad > 0 and axis.identified > 0
                     else "-",
                 )
                 for axis in sheet.axes
             ],
         ),
         (
-            "Medians over the measured poses, the motor included. Between poses the inertia varies from "
-            "the lowest to the highest value: a single value per axis has this error."
+            "Medians over the measured poses, the motor included; differences in percent of the identified. Between "
+            "poses the inertia varies from the lowest to the highest value: a single value per axis has this error."
         ),
         _validity(sheet),
         "## Sinumerik",
@@ -111,14 +110,12 @@ def _beckhoff(sheet: Sheet) -> str:
 def _inertias(sheet: Sheet, name: str) -> str:
     """On the motor side, of every axis that has one."""
     rows = [
-        (axis.joint, f"{axis.motor:.5g}", f"{axis.motor_std:.2g}", _span(axis))
-        for axis in sheet.axes
-        if not axis.left_out
+        (axis.joint, *with_std(axis.motor, axis.motor_std), _span(axis)) for axis in sheet.axes if not axis.left_out
     ]
     return _table(("axis", name, "± std", "lowest ... highest"), rows)
 
 
-def _kuka(load: Load) -> str:
+def _kuka(load: LoadData) -> str:
     a, b, c = zyx(load.axes)
     return "\n\n".join(
         [
@@ -127,7 +124,7 @@ def _kuka(load: Load) -> str:
                 ("M kg", "X Y Z mm", "A B C deg", "JX JY JZ kg m²"),
                 [
                     (
-                        f"{load.mass:.4g} ± {load.mass_std:.2g}",
+                        " ± ".join(with_std(load.mass, load.mass_std)),
                         ", ".join(f"{1e3 * value:.4g}" for value in load.centre),
                         ", ".join(f"{value:.4g}" for value in (a, b, c)),
                         ", ".join(f"{value:.4g}" for value in load.moments),
@@ -199,7 +196,7 @@ def _mjcf(body: SheetBody) -> tuple[str, str, str]:
     )
 
 
-def _abb(load: Load) -> str:
+def _abb(load: LoadData) -> str:
     cog = ",".join(f"{1e3 * value:.4g}" for value in load.centre)
     aom = ",".join(f"{value:.6f}" for value in quaternion(load.axes))
     inertia = ",".join(f"{value:.4g}" for value in load.moments)
@@ -208,7 +205,7 @@ def _abb(load: Load) -> str:
             f"`loaddata`, about the frame of {load.frame} (turn it into the tool frame, for `tooldata` into that "
             "of the wrist, where that is another):",
             f"```\nPERS loaddata measured := [{load.mass:.4g},[{cog}],[{aom}],{inertia}];\n```",
-            f"Mass ± {load.mass_std:.2g} kg (one standard deviation).",
+            f"Mass {' ± '.join(with_std(load.mass, load.mass_std))} kg (one standard deviation).",
         ]
     )
 
@@ -221,8 +218,13 @@ def _span(axis: AxisSheet) -> str:
     return f"{axis.motor_lowest:.4g} ... {axis.motor_highest:.4g}"
 
 
-def _with_unit(value: float, axis: AxisSheet) -> str:
-    return f"{value:.4g} {'kg' if axis.kind == 'prismatic' else 'kg m²'}"
+def _sizes(axis: AxisSheet) -> tuple[str, str, str]:
+    """CAD, identified, standard deviation."""
+    return with_std(axis.cad, axis.std)[0], *with_std(axis.identified, axis.std)
+
+
+def _unit(axis: AxisSheet) -> str:
+    return "kg" if axis.kind == "prismatic" else "kg m²"
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:

@@ -15,6 +15,7 @@ import { events } from "./stream.js";
 import { language, text, word } from "./words.js";
 
 const EARLIER = 5; // number of earlier campaigns
+const TICKS = [-3, -2, -1, 0, 1, 2, 3].flatMap((decade) => [1, 2, 5].map((digit) => digit * 10 ** decade)); // plotly.js labels 0.5 between decades as 5
 const BLUE = "#2f7ef0";
 
 /** @type {Api.CampaignDocument[]} */
@@ -99,7 +100,7 @@ async function showConvergence(id) {
   const known = lines.flatMap((one) => one.y).filter((value) => value !== null);
   const far = Math.max(...known) / Math.min(...known);
   if (wanted !== null) lines.push({ type: "scatter", mode: "lines", name: text("results.limit"), x: [x[0], x.at(-1)], y: [wanted, wanted], line: { dash: "dash" } });
-  plot("convergence", lines, { xaxis: { title: { text: text("chart.sweep") }, tick0: 1, dtick: Math.ceil(x.at(-1) / 10) }, yaxis: { title: { text: text("results.confidence") }, type: "log", ...(far > 1 && far < 8 ? {} : { dtick: "D2" }) } });
+  plot("convergence", lines, { xaxis: { title: { text: text("chart.sweep") }, tick0: 1, dtick: Math.ceil(x.at(-1) / 10) }, yaxis: { title: { text: text("results.confidence") }, type: "log", ...(far > 1 && far < 8 ? {} : { tickvals: TICKS, ticktext: TICKS.map((tick) => number(tick)) }) } });
 }
 
 function showSweeps() {
@@ -141,7 +142,7 @@ function showResponse() {
 // medians over the measured poses; other poses give other medians
 /** @param {Api.CampaignView} campaign */
 async function showEarlier({ id, robot_id }) {
-  const others = campaigns.filter((one) => one.robot_id === robot_id && one.id !== id).slice(-EARLIER).reverse();
+  const others = campaigns.filter((one) => one.robot_id === robot_id && one.id < id).slice(-EARLIER).reverse();
   /** @type {[number, Api.Estimate][]} */
   const known = [];
   for (const one of others) {

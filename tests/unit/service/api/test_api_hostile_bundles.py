@@ -104,7 +104,7 @@ def test_a_reader_killed_while_it_stores_leaves_nothing(
     sender.start()
     while not list((served_in / "data" / "transfer").glob("import-*/recordings/import-*/*.json")):
         assert sender.is_alive(), answers[0].text
-    (reader,) = children(service, b"service.store.files.reader")
+    (reader,) = children(service, b"service.store.files.isolated_reader")
     os.kill(reader, signal.SIGKILL)
     sender.join()
     assert answers[0].status_code == 422

@@ -7,13 +7,16 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.store.access.permissions import API, CALLS, LOGINS, STOP
+from service.process.settings import Settings
+from service.web.api.permissions import API, LOGINS, STOP
+from service.web.app import create_app
 from tests.unit.service.hosting import hosting
 
 pytestmark = pytest.mark.slow
 
 ALLOWED = {STOP, *LOGINS, ("POST", f"{API}/logout")}
-CHANGES = sorted(path for method, path in CALLS if method == "POST" and (method, f"{API}{path}") not in ALLOWED)
+ROLES = create_app(Settings()).state.permissions.roles
+CHANGES = sorted(path.removeprefix(API) for method, path in ROLES if method == "POST" and (method, path) not in ALLOWED)
 WHY = "this service has no machine (`--no-machine`) and only shows the plant"
 
 

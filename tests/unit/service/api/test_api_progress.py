@@ -6,11 +6,10 @@ from datetime import UTC, datetime
 import pytest
 from pydantic import JsonValue
 
-from service.machine.execution.check_move import CheckMove
-from service.machine.execution.current_activity import CurrentActivity, travels
-from service.planning.campaigns.planned_time import PlannedTime, planned_times
+from service.machine.execution.sweep_executor import CheckMove, CurrentActivity, travels
+from service.planning.campaigns.stored_plan import PlannedTime, planned_times
 from service.store.documents import CampaignState, PlanRecord, SweepState, SweepStatus
-from service.web.api.campaign.progress import CHECK_MOVE, expected_time, progress, steps
+from service.web.api.campaigns import CHECK_MOVE, expected_time, progress, steps
 
 PLANNED, RUNNING = SweepState.PLANNED, SweepState.RUNNING
 TIMES = (30.0, 12.0, 20.0, 12.0, 40.0, 12.0, 16.0, 12.0)  # s, as planned: long ways and short ones

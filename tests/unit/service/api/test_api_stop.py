@@ -19,7 +19,7 @@ import pytest
 from service.process.settings import Settings
 from service.store.documents import LARGEST_ID
 from service.store.guards import StopLatch
-from service.web.api.machine.arrival import EPOCH, Arrival
+from service.web.api.dependencies import EPOCH, Arrival
 from service.web.app import create_app
 from service.web.client import ServiceClient
 from tests.system.rest_bench import add_plan, until
@@ -116,7 +116,7 @@ def test_a_stop_is_answered_without_the_database_and_noted_later(http: httpx.Cli
 def test_a_release_while_the_database_is_locked(
     http: httpx.Client, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.web.api.people.audit_trail._PATIENCE", 0.5)
+    monkeypatch.setattr("service.web.api.access._PATIENCE", 0.5)
     http.post("/stop", params={"by": "anna", "why": "smoke"})
     until(lambda: http.get("/stop").json()["stop"]["id"] > 0, "the database has the stop")
     (stop,) = http.get("/stop").json()["stops"]

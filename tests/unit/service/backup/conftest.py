@@ -14,13 +14,11 @@ import pytest
 from service.model.configuration import read_robot
 from service.model.recording import Recording, Sweep, SweepSpec
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move
-from service.store.backup.examination import examine
 from service.store.database import open_database
 from service.store.documents import NewSweep
-from service.store.files.bundle import Bundle
-from service.store.files.data_folder import claim_folder
-from service.store.files.exchange import import_campaign
-from service.store.files.intake import save_bundle
+from service.store.examination import examine
+from service.store.files.bundle import Bundle, save_bundle
+from service.store.files.data_folder import claim_folder, import_campaign
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
 

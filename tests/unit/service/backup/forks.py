@@ -15,10 +15,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import service.cli.settings_of
-import service.store.backup.making
-import service.store.backup.restoring
-import service.store.snapshot  # noqa: F401  once, not once a run
+import service.cli.database
+import service.store.backup  # noqa: F401  once, not once a run
 from service.cli import main
 
 _NAMED = {"open", "os.mkdir", "os.rename", "os.rmdir", "sqlite3.connect", "shutil.rmtree"}

@@ -5,24 +5,36 @@ import re
 import numpy as np
 import pytest
 
-from service.identification.spectra.axis_inertia import DriveTrain
+from service.identification.axis.drive_train import TwoMassTrain
 from service.identification.spectra.frequency_response import spectrum
 from service.model.errors import BadInput
-from service.report import Page
+from service.report import ReportPage
 from service.report.benefit import Benefit, benefit, benefit_section, feed_forward, sentence
-from service.report.benefit.benefit import rms_with_std
-from service.report.benefit.feed_forward import path_between
-from service.report.benefit.held_out import held_out, poses_of
-from service.report.benefit.lever_arm import end_of, lever_arm
-from service.report.benefit.monitor import alarm_probability, smallest_effort
-from service.report.benefit.prediction import RigidBody, dry_friction, left_by, lines_power, window_of, without_friction
+from service.report.benefit.benefit import (
+    alarm_probability,
+    end_of,
+    held_out,
+    lever_arm,
+    poses_of,
+    rms_with_std,
+    smallest_effort,
+)
+from service.report.benefit.prediction import (
+    RigidAxis,
+    dry_friction,
+    left_by,
+    lines_power,
+    path_between,
+    window_of,
+    without_friction,
+)
 from service.report.benefit.section import worth
 from service.report.plotting import svg
 from tests.unit.service.benefit import pair
 
 SLIDES = [0.0, 0.3, 0.6, 0.2, 0.9, 0.5, 0.1, 0.8]
 HELD_OUT = ("0004", "0008")
-RIGID = DriveTrain(1.0, pair.VISCOUS, 0.0, 0.0, 0.0)
+RIGID = TwoMassTrain(1.0, pair.VISCOUS, 0.0, 0.0, 0.0)
 # of the acceleration: sum over lines of (omega V)^2 / 2, rad^2/s^4
 ACCELERATION = float(np.sqrt(sum((2 * np.pi * s.frequency * s.amplitude) ** 2 / 2 for s in pair.SINES)))
 
@@ -94,7 +106,7 @@ def test_the_right_model_leaves_dry_friction_which_training_tells() -> None:
     robot, (one, other) = pair.robot(), pair.sweeps([0.0, 0.5])
     windows = [window_of(sweep, spectrum(robot, sweep), 0) for sweep in (one, other)]
     left = [
-        left_by(RigidBody(pair.true_inertia(slide), 0.0, 0.0), RIGID, window)
+        left_by(RigidAxis(pair.true_inertia(slide), 0.0, 0.0), RIGID, window)
         for slide, window in zip((0.0, 0.5), windows, strict=True)
     ]
     assert [part.mean() for part in left] == pytest.approx([pair.DRY] * 2, abs=1e-4)
@@ -107,8 +119,8 @@ def test_the_right_model_leaves_dry_friction_which_training_tells() -> None:
 def test_gravity_is_taken_along_the_way() -> None:
     robot, (sweep,) = pair.robot(), pair.sweeps([0.0])
     window = window_of(sweep, spectrum(robot, sweep), 0)
-    bare = left_by(RigidBody(7.0, 0.0, 0.0), RIGID, window)
-    heavy = left_by(RigidBody(7.0, 30.0, -20.0), RIGID, window)
+    bare = left_by(RigidAxis(7.0, 0.0, 0.0), RIGID, window)
+    heavy = left_by(RigidAxis(7.0, 30.0, -20.0), RIGID, window)
     assert bare - heavy == pytest.approx(30 * np.cos(sweep.recording.position) - 20 * np.sin(sweep.recording.position))
 
 
@@ -228,13 +240,13 @@ def test_an_axis_through_the_end_of_the_robot_has_no_force(found: Benefit) -> No
     }
     alone = found.model_copy(update={"axes": {"j1": axis.model_copy(update=models)}})
     assert "push" not in sentence(alone)
-    page = Page("worth")
+    page = ReportPage("worth")
     benefit_section(page, alone)
     assert "–" in page.html()
 
 
 def test_figure_and_table_of_the_report(found: Benefit) -> None:
-    page = Page("worth")
+    page = ReportPage("worth")
     benefit_section(page, found)
     html = page.html()
     assert "What you gain" in html
@@ -249,7 +261,7 @@ def test_figure_and_table_of_the_report(found: Benefit) -> None:
 
 
 def test_what_is_not_judged_is_told_without_a_figure() -> None:
-    page = Page("worth")
+    page = ReportPage("worth")
     benefit_section(page, benefit(pair.robot(), pair.sweeps([0.0, 0.3, 0.6])))
     html = page.html()
     assert "Not judged: j1 has sweeps in 3 poses" in html

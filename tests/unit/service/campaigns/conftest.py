@@ -13,29 +13,26 @@ from sqlalchemy import text
 
 from drivers.errors import Cause
 from drivers.ports import Sine, SweepCommand, SweepMode
+from service.jobs.dask_workers import DaskWorkers
 from service.jobs.jobs import Jobs
-from service.jobs.worker import Worker
-from service.jobs.worker.dask_workers import DaskWorkers
-from service.machine.execution.approvals import Approvals
-from service.machine.execution.epoch import Intention
+from service.jobs.work import Worker
 from service.machine.execution.machine import Machine
+from service.machine.execution.permission import Approvals, Intention
 from service.machine.execution.runner import Runner
 from service.machine.execution.sweep_executor import SweepExecutor
-from service.model.configuration import read_robot
-from service.model.geometry.cell import Cell
+from service.model.configuration import Cell, read_robot
 from service.model.recording import Sine as SpecSine
 from service.model.recording import SweepSpec
 from service.model.robot import Robot
 from service.planning.campaigns.live import LiveHub
 from service.planning.compiled_plan import CompiledPlan
 from service.planning.safety.envelope import Envelope
-from service.process.settings.workers import Cluster
-from service.store.approvals import ApprovalStore
+from service.process.settings import Cluster
 from service.store.database import Database, open_database
-from service.store.diagnosis.model_revisions import ModelStore
+from service.store.diagnoses import ModelStore
 from service.store.documents import CampaignDocument, NewSweep, SpectrumRecord, SweepDocument
 from service.store.files.recordings import RecordingFiles
-from service.store.guards import MachineLease, StopLatch
+from service.store.guards import ApprovalStore, MachineLease, StopLatch
 from service.store.store import Store
 from tests.unit.service.campaigns.formula_drive import FormulaDrive
 

@@ -13,25 +13,18 @@ from service.diagnosis.sensitivity.predicted_sweeps import expected
 from service.identification.design.diagnosis_sweeps import full_design
 from service.identification.estimates.torque_gain import KnownMass
 from service.identification.model.regressor import gravity_terms, inertia_rows
-from service.jobs.diagnosis_loop.diagnosing import Diagnosing
-from service.jobs.worker import JobFailed, Work, Worker
-from service.jobs.worker.dask_workers import DaskWorkers
+from service.jobs.dask_workers import DaskWorkers
+from service.jobs.diagnosing import Diagnosing
+from service.jobs.work import JobFailed, Work, Worker
 from service.model.errors import SweepidError
 from service.model.recording import Sweep
 from service.model.robot import Robot
-from service.process.settings.workers import Cluster
+from service.process.settings import Cluster
 from service.store.database import open_database
-from service.store.diagnosis.diagnoses import DiagnosisStore
-from service.store.diagnosis.model_revisions import ModelStore
-from service.store.diagnosis_documents import (
-    DiagnosisDocument,
-    DiagnosisState,
-    ModelDocument,
-)
-from service.store.documents import SpectrumRecord
-from service.store.files.bundle import Bundle
-from service.store.files.exchange import import_campaign
-from service.store.files.intake import save_bundle
+from service.store.diagnoses import DiagnosisStore, ModelStore
+from service.store.documents import DiagnosisDocument, DiagnosisState, ModelDocument, SpectrumRecord
+from service.store.files.bundle import Bundle, save_bundle
+from service.store.files.data_folder import import_campaign
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
 

@@ -9,17 +9,21 @@ import numpy as np
 import pytest
 
 from drivers.ports import NoiseCommand, SweepCommand
-from service.identification.axis.ideal_frequency import AxisAnalysis, Figure, Ideal, PoseAnalysis
+from service.identification.axis.ideal_frequency import (
+    IdealFrequency,
+    InitialAnalysis,
+    PoseAnalysis,
+    Uncertain,
+)
 from service.identification.model.regressor import inertia_rows
-from service.identification.spectra.noise_response import Response
+from service.identification.spectra.noise_response import FrequencyResponse
+from service.model.configuration import Cell, read_cell
 from service.model.errors import BadInput, EnvelopeViolation
-from service.model.geometry.cell import Cell, read_cell
 from service.model.robot import Robot
-from service.planning.analysis.documents import AnalysisPlan, AnalysisRequest
-from service.planning.analysis.plan import build_analysis_plan
-from service.planning.plan import PlanRequest, build_plan
-from service.planning.safety.envelope import Envelope
-from service.planning.safety.noise_motion import noise_effort, noise_velocity, noise_way
+from service.planning.analysis import build_analysis_plan
+from service.planning.documents import AnalysisPlan, AnalysisRequest, PlanRequest
+from service.planning.plan import build_plan
+from service.planning.safety.envelope import Envelope, noise_effort, noise_velocity, noise_way
 from tests.unit.service.campaigns.small_arm import small_arm
 
 REQUEST = {"kind": "analysis", "robot_id": 1, "axes": ("joint_1", "joint_3"), "varied": ("joint_2", "joint_3")}
@@ -148,12 +152,12 @@ def test_the_bounds_hold_for_any_phases() -> None:
 def test_a_plan_of_sweeps_stands_on_the_analysis(robot: Robot, cell: Cell) -> None:
     """Lines stay below the resonance that was found, pose by pose."""
     mean = np.array([58.0, 140.0, 60.0, 1 / 7.4e5, 1.2e-3])
-    nothing = Response(
+    nothing = FrequencyResponse(
         np.array([1.0]), np.ones(1, complex), np.ones(1, complex), np.zeros((1, 2, 2), complex), np.ones(1)
     )
-    figures = [Figure(value, 1.0) for value in (250.0, 200.0, 8.0, 0.2, 2.4)]
-    pose = PoseAnalysis((0.0,) * 6, nothing, 192.0, Ideal(*figures), Ideal(*figures))
-    analyses = {"joint_1": AxisAnalysis("joint_1", mean, np.diag((0.01 * mean) ** 2), 1.0, (pose,))}
+    figures = [Uncertain(value, 1.0) for value in (250.0, 200.0, 8.0, 0.2, 2.4)]
+    pose = PoseAnalysis((0.0,) * 6, nothing, 192.0, IdealFrequency(*figures), IdealFrequency(*figures))
+    analyses = {"joint_1": InitialAnalysis("joint_1", mean, np.diag((0.01 * mean) ** 2), 1.0, (pose,))}
     request = PlanRequest(robot_id=1, axes=("joint_1",), varied=("joint_2", "joint_3"), step=20.0, poses=8, analysis=1)
     found = build_plan(robot, request, cell, analyses)
     for sweep in found.sweeps:

@@ -10,16 +10,16 @@ import yaml
 from sqlalchemy import text
 
 from drivers.registry import load_profile
-from service.machine.execution.approvals import Approvals
+from service.machine.execution.permission import Approvals
 from service.machine.execution.runner import Runner
 from service.machine.execution.sweep_executor import SweepExecutor
+from service.model.configuration import Box, Cell
 from service.model.errors import BadInput, Conflict, NotFound, NotNow
-from service.model.geometry.cell import Box, Cell
-from service.planning.motion_hash import machine_sha256, motion_sha256
+from service.planning.compiled_plan import motion_sha256
+from service.planning.machine_setup import machine_sha256
 from service.process.settings import Settings
-from service.store.approvals import ApprovalStore
 from service.store.documents import CampaignState
-from service.store.guards import StopLatch
+from service.store.guards import ApprovalStore, StopLatch
 from tests.unit.service.campaigns.conftest import ROOT, TIMEOUT, Bench, refusing, until
 
 HASH, OTHER = "a" * 64, "b" * 64

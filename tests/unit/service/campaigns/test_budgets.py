@@ -9,11 +9,11 @@ from pydantic import ValidationError
 
 from drivers.ports import SweepCommand
 from service.identification.design.pose_selection import SLACK, Criterion
-from service.model.configuration import read_robot
+from service.model.configuration import Cell, read_cell, read_robot
 from service.model.errors import BadInput, EnvelopeViolation
-from service.model.geometry.cell import Cell, read_cell
 from service.model.robot import Robot, build_robot
-from service.planning.plan import PlanDocument, PlanRequest, build_plan
+from service.planning.documents import PlanDocument, PlanRequest
+from service.planning.plan import build_plan
 from service.planning.safety.envelope import Envelope
 from tests.unit.service.campaigns.small_arm import small_arm
 

@@ -6,12 +6,11 @@ import pytest
 
 from drivers.errors import CommunicationLost, DriveFault
 from drivers.ports import AxisState, AxisStatus
-from service.machine.execution.check_move import CheckMove, CheckMoveFailed
+from service.machine.execution.sweep_executor import CheckMove, CheckMoveFailed
 from service.store.documents import CampaignState, EventKind
 from tests.unit.service.campaigns.conftest import Bench
 
 WAY = math.radians(0.5)
-STEP = WAY / 20  # of the drives that do not do as they are told, every few milliseconds
 UNITS = {"joint_1": "rad", "joint_2": "rad", "slide": "m"}
 START = {"joint_1": 0.3, "joint_2": -0.1, "slide": 0.5}
 

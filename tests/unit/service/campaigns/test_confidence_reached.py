@@ -6,7 +6,7 @@ import pytest
 
 from service.model.results.estimate import BaseParameter, Estimate
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move
-from service.planning.campaigns.stop_criterion import confidence_reached
+from service.planning.campaigns.stored_results import confidence_reached
 from service.store.documents import CampaignState, SweepDocument, SweepState
 from tests.stored.documents import stored
 from tests.unit.service.campaigns.conftest import SPECTRUM, Bench

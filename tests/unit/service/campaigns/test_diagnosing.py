@@ -16,26 +16,26 @@ from service.diagnosis.sensitivity.predicted_sweeps import expected
 from service.identification.design.diagnosis_sweeps import full_design
 from service.identification.estimates.torque_gain import KnownMass
 from service.identification.estimation import estimate_document, sweep_spectrum
-from service.jobs.diagnosis_loop.acceptance import accept_model
-from service.jobs.diagnosis_loop.evidence import campaigns_of, recorded_sweeps
-from service.jobs.diagnosis_loop.starting import Start
-from service.jobs.worker import DiagnosisJob, open_worker
-from service.jobs.worker.dask_workers import DaskWorkers
+from service.jobs.dask_workers import DaskWorkers
+from service.jobs.diagnosing import Start, campaigns_of, recorded_sweeps
+from service.jobs.experiments import accept_model
+from service.jobs.work import DiagnosisJob
+from service.jobs.worker import open_worker
 from service.model.errors import BadInput, Conflict
 from service.model.robot import Robot
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move
 from service.store.database import open_database
-from service.store.diagnosis_documents import (
+from service.store.documents import (
     BoltedMass,
+    CampaignState,
     DiagnosisState,
     EstimateOf,
     NewDiagnosis,
+    NewSweep,
     Weighing,
 )
-from service.store.documents import CampaignState, NewSweep
-from service.store.files.bundle import Bundle
-from service.store.files.exchange import campaign_bundle, import_campaign
-from service.store.files.intake import save_bundle
+from service.store.files.bundle import Bundle, save_bundle
+from service.store.files.data_folder import campaign_bundle, import_campaign
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
 from tests.unit.service.campaigns.diagnosis_bench import (

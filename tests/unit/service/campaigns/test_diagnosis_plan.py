@@ -13,15 +13,14 @@ from drivers.ports import SweepMode
 from service.identification.design.diagnosis_sweeps import BLOCKS, DesignedSweep, full_design
 from service.identification.estimates.torque_gain import KnownMass
 from service.identification.model.regressor import gravity_terms
+from service.model.configuration import Cell, read_cell
 from service.model.errors import BadInput
-from service.model.geometry.cell import Cell, read_cell
 from service.model.robot import Robot, build_robot
 from service.planning.compiled_plan import plan_of
-from service.planning.diagnosis.documents import DiagnosisPlan, DiagnosisRequest, ExperimentRequest, limits
-from service.planning.diagnosis.plan import build_diagnosis_plan, build_experiment_plan
+from service.planning.diagnosis import build_diagnosis_plan, build_experiment_plan
+from service.planning.documents import DiagnosisPlan, DiagnosisRequest, ExperimentRequest, limits
 from service.planning.safety.envelope import Envelope
-from service.store.diagnosis_documents import BoltedMass
-from service.store.documents import PlanRecord
+from service.store.documents import BoltedMass, PlanRecord
 
 REQUEST = {"kind": "diagnosis", "robot_id": 1, "axes": ("joint_1", "joint_2"), "varied": ("joint_1", "joint_2")}
 EXPERIMENT = ExperimentRequest(robot_id=1)

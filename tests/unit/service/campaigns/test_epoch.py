@@ -8,13 +8,12 @@ from typing import Any
 import pytest
 
 from drivers.errors import Cause, CauseCode
-from service.machine.execution.approvals import Approvals
-from service.machine.execution.epoch import Epochs, Intention
-from service.machine.execution.external_stops import watching
+from service.machine.execution.machine import watching
+from service.machine.execution.permission import Approvals, Epochs, Intention
 from service.model.errors import Superseded
 from service.planning.campaigns.live import EventFeed
-from service.store.approvals import ApprovalStore
 from service.store.documents import CampaignState
+from service.store.guards import ApprovalStore
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, keeping, until
 from tests.unit.service.campaigns.test_approvals import HASH, Asked
 from tests.unit.service.campaigns.test_experiments import Loop, loop  # noqa: F401

@@ -7,22 +7,18 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs.diagnosis_loop.diagnosing import Diagnosing
-from service.jobs.diagnosis_loop.experiments import ROUNDS, Experiments
-from service.jobs.worker.dask_workers import DaskWorkers
+from service.jobs.dask_workers import DaskWorkers
+from service.jobs.diagnosing import Diagnosing
+from service.jobs.experiments import ROUNDS, Experiments
 from service.model.errors import BadInput, Conflict
 from service.model.robot import Robot
 from service.planning.campaigns.live import EventFeed
-from service.planning.diagnosis.documents import PEAK_VELOCITY
-from service.planning.machine_setup import MachineSetup
+from service.planning.documents import PEAK_VELOCITY
+from service.planning.machine_setup import DriveAxis, MachineSetup
 from service.planning.safety.envelope import Envelope
-from service.planning.safety.robot_and_machine import DriveAxis
-from service.process.settings import Settings
-from service.process.settings.workers import Cluster
-from service.store.diagnosis.diagnoses import DiagnosisStore
-from service.store.diagnosis.model_revisions import ModelStore
-from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, NewDiagnosis
-from service.store.documents import CampaignState, NewSweep
+from service.process.settings import Cluster, Settings
+from service.store.diagnoses import DiagnosisStore, ModelStore
+from service.store.documents import BoltedMass, CampaignState, DiagnosisDocument, NewDiagnosis, NewSweep
 from tests.stored.documents import axis_document, diagnosis_document, stored
 from tests.unit.service.campaigns.conftest import Bench, open_bench, spec, until
 

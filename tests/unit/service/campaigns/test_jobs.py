@@ -1,30 +1,46 @@
-"""From the recorded sweep to the estimate revision, once with a real worker process."""
+"""From the recorded sweep to the estimate revision, of measured and imported campaigns, and again in batches."""
 
+import asyncio
 import os
 import pickle
 import signal
 import sqlite3
-from contextlib import closing
+from collections.abc import AsyncGenerator, Iterator, Sequence
+from contextlib import asynccontextmanager, closing
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from pydantic import JsonValue
 
 from service.identification.axis.known_effects import known_effects
 from service.identification.estimation import estimate_document
 from service.identification.spectra.frequency_response import spectrum
+from service.jobs.jobs import MOST_REVISIONS, Jobs, open_groups, sweeps_a_revision
+from service.jobs.work import Worker
 from service.jobs.worker import open_worker
-from service.machine.execution.recording.recovery import recover
-from service.model.results.revision import KnownModel, StoredModel
+from service.machine.execution.recording import recover
+from service.model.errors import BadInput
+from service.model.recording import Sweep
+from service.model.results.effect import KnownModel, StoredModel
+from service.model.results.estimate import Estimate
 from service.model.robot import Robot
 from service.planning.safety.envelope import Envelope
-from service.store.diagnosis.diagnoses import DiagnosisStore
-from service.store.diagnosis.model_revisions import ModelStore
-from service.store.diagnosis_documents import NewDiagnosis
-from service.store.documents import CampaignState, SweepState
-from service.store.files.exchange import campaign_bundle
-from tests.unit.service.campaigns.conftest import POSES, Bench, open_bench, until
+from service.store.database import open_database
+from service.store.diagnoses import DiagnosisStore, ModelStore
+from service.store.documents import BatchState, CampaignState, EventKind, NewDiagnosis, SweepDocument, SweepState
+from service.store.files.bundle import Bundle, save_bundle
+from service.store.files.data_folder import campaign_bundle, import_campaign
+from service.store.files.recordings import RecordingFiles
+from service.store.store import Store
+from tests.programs import needs
+from tests.rigid_sweep import rigid_bundle
+from tests.stored_archive import Archive, archive
+from tests.unit.service.campaigns.conftest import POSES, Bench, open_bench, spec, until
 from tests.unit.service.campaigns.diagnosis_bench import InProcess
+from tests.unit.service.cluster import DaskProcesses, certificates
 from tests.unit.service.identification.known import model
 
 pytestmark = pytest.mark.slow
@@ -109,7 +125,7 @@ async def test_a_job_waits_while_the_database_is_locked(
     tmp_path: Path, robot: Robot, envelope: Envelope, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For longer than a transaction waits for its turn. Who asks is told, and nothing is done twice."""
-    monkeypatch.setattr("service.store.engines.sqlite.BUSY_TIMEOUT", 0.05)
+    monkeypatch.setattr("service.store.engines.BUSY_TIMEOUT", 0.05)
     async with open_bench(tmp_path, robot, envelope) as bench:
         await bench.start()
         await bench.over()
@@ -147,3 +163,266 @@ async def test_a_sweep_whose_file_was_changed_fails_and_the_others_go_on(
         assert "recording file was changed" in sweeps[1].cause
         assert [e.number for e in bench.store.estimates(bench.campaign.id)] == [1, 3, 4]
         await until(lambda: bench.jobs.open == 0)
+
+
+SWEEPS = 7
+
+
+@dataclass
+class Import:
+    """A data folder with one imported campaign."""
+
+    store: Store
+    files: RecordingFiles
+    jobs: Jobs
+    worker: Worker
+    campaign: int
+
+    async def completed(self) -> None:
+        await until(lambda: self.store.campaign(self.campaign).state is CampaignState.COMPLETED)
+        await until(lambda: self.jobs.open == 0)
+
+    def states(self) -> list[SweepState]:
+        return [sweep.state for sweep in self.store.sweeps(self.campaign)]
+
+    def revisions(self) -> list[tuple[int, int]]:
+        """Each with its sweep."""
+        return [(one.revision, one.number) for one in self.store.estimates(self.campaign)]
+
+
+@asynccontextmanager
+async def opened(folder: Path, bundle: Bundle | None = None, worker: Worker | None = None) -> AsyncGenerator[Import]:
+    """The folder with a worker; `bundle` is imported first, and nothing is identified yet."""
+    with open_database(f"sqlite:///{folder / 'sweepid.sqlite'}") as database:
+        store, files = Store(database), RecordingFiles(folder)
+        if bundle is not None:
+            import_campaign(store, files, save_bundle(files, bundle))
+        worker = worker or InProcess()
+        jobs = Jobs(store, files, worker, ModelStore(database))
+        yield Import(store, files, jobs, worker, store.campaigns()[0].id)
+        await jobs.close()
+
+
+async def identified(folder: Path, bundle: Bundle) -> tuple[list[tuple[int, int]], dict[str, JsonValue]]:
+    """Revisions with their sweeps, and the last document."""
+    async with opened(_new(folder), bundle) as there:
+        await there.jobs.submit_imported(there.campaign)
+        await there.completed()
+        return there.revisions(), there.store.estimate(there.campaign).document
+
+
+@pytest.fixture
+def three_revisions(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("service.jobs.jobs.MOST_REVISIONS", 3)
+
+
+def test_how_many_sweeps_share_a_revision_depends_on_their_number_alone() -> None:
+    sizes = [sweeps_a_revision(count) for count in (1, MOST_REVISIONS, MOST_REVISIONS + 1, 900, 901, 20_000)]
+    assert sizes == [1, 1, 2, 15, 16, 334]
+    for count in range(1, 400):
+        groups = open_groups(_recorded(range(1, count + 1)))
+        assert [sweep.number for group in groups for sweep in group] == list(range(1, count + 1))
+        assert len(groups) <= MOST_REVISIONS
+        assert len({len(group) for group in groups[:-1]}) <= 1
+
+
+def test_groups_are_the_same_where_a_part_is_done() -> None:
+    whole = open_groups(_recorded(range(1, 131)))
+    part = open_groups(_recorded(range(50, 131), count=130))
+    assert [group[-1].number for group in part] == [group[-1].number for group in whole if group[-1].number >= 50]
+    assert part[1:] == whole[-len(part) + 1 :]
+
+
+@pytest.mark.usefixtures("three_revisions")
+async def test_every_sweep_is_identified_once_and_some_have_a_revision(tmp_path: Path, robot: Robot) -> None:
+    async with opened(tmp_path, rigid_bundle(robot, SWEEPS)) as there:
+        await there.jobs.submit_imported(there.campaign)
+        assert there.jobs.open == SWEEPS
+        await there.completed()
+        assert there.states() == [SweepState.IDENTIFIED] * SWEEPS
+        assert there.revisions() == [(1, 3), (2, 6), (3, 7)]
+        events = there.store.events(0, there.campaign)
+        of_sweeps = [event.data["number"] for event in events if event.kind is EventKind.SWEEP]
+        assert of_sweeps == list(range(1, SWEEPS + 1))
+        assert [event.data for event in events if event.kind is EventKind.ESTIMATE] == [
+            {"revision": revision, "sweep": sweep} for revision, sweep in there.revisions()
+        ]
+        assert len(there.store.spectra(there.campaign)) == SWEEPS
+        assert [tuple(row[:2]) for row in there.store.confidences(there.campaign, ["joint_1"])] == there.revisions()
+
+
+async def test_shared_revisions_have_the_numbers_of_single_ones(
+    tmp_path: Path, robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bundle = rigid_bundle(robot, SWEEPS)
+    revisions, single = await identified(tmp_path / "single", bundle)
+    assert revisions == [(n, n) for n in range(1, SWEEPS + 1)]
+    monkeypatch.setattr("service.jobs.jobs.MOST_REVISIONS", 2)
+    revisions, shared = await identified(tmp_path / "shared", bundle)
+    assert revisions == [(1, 4), (2, 7)]
+    assert shared == single
+
+
+@pytest.mark.usefixtures("three_revisions")
+async def test_a_killed_worker_and_a_restart_lose_no_sweep_and_double_none(tmp_path: Path, robot: Robot) -> None:
+    bundle = rigid_bundle(robot, SWEEPS)
+    expected = await identified(tmp_path / "undisturbed", bundle)
+    folder = _new(tmp_path / "disturbed")
+    async with open_worker(None) as worker, opened(folder, bundle, worker) as there:
+        (process,) = await worker.processes()
+        await there.jobs.submit_imported(there.campaign)
+        os.kill(process, signal.SIGKILL)
+        await until(lambda: bool(there.revisions()))
+    async with opened(folder) as there:
+        await there.jobs.recover()
+        await there.jobs.recover()  # as a restart at the wrong moment
+        await there.completed()
+        assert there.states() == [SweepState.IDENTIFIED] * SWEEPS
+        assert (there.revisions(), there.store.estimate(there.campaign).document) == expected
+
+
+@pytest.mark.usefixtures("three_revisions")
+async def test_only_the_sweep_with_a_fault_fails(tmp_path: Path, robot: Robot) -> None:
+    """Of the first group one recording is changed on the disk; in the second a channel is dead."""
+    bundle = rigid_bundle(robot, SWEEPS)
+    async with opened(
+        tmp_path, replace(bundle, sweeps=tuple(_dead(sweep, "0005") for sweep in bundle.sweeps))
+    ) as there:
+        path = there.files.path(there.store.recording(there.campaign, 2))
+        path.write_bytes(path.read_bytes()[:-1])
+        await there.jobs.submit_imported(there.campaign)
+        await asyncio.wait_for(there.completed(), 120)
+        failed = {sweep.number: sweep.cause for sweep in there.store.sweeps(there.campaign) if sweep.cause}
+        assert "recording file was changed" in failed[2]
+        assert "is 0 at the line of 2 Hz" in failed[5]
+        assert [state is SweepState.FAILED for state in there.states()] == [n in (2, 5) for n in range(1, SWEEPS + 1)]
+        assert there.revisions() == [(1, 1), (2, 3), (3, 4), (4, 6), (5, 7)]
+        document = there.store.estimate(there.campaign).document
+    good = replace(bundle, sweeps=tuple(sweep for sweep in bundle.sweeps if sweep.spec.id not in ("0002", "0005")))
+    assert document == (await identified(tmp_path / "good", good))[1]
+
+
+def _new(folder: Path) -> Path:
+    folder.mkdir()
+    return folder
+
+
+def _dead(sweep: Sweep, id: str) -> Sweep:
+    if sweep.spec.id != id:
+        return sweep
+    return replace(sweep, recording=replace(sweep.recording, effort=np.zeros_like(sweep.recording.effort)))
+
+
+def _recorded(numbers: Sequence[int], count: int | None = None) -> list[SweepDocument]:
+    """`count` sweeps, of which these wait to be identified."""
+    return [
+        SweepDocument(
+            campaign_id=1,
+            number=number,
+            spec=spec(number, (0.0, 0.0, 0.0)),
+            mode=None,
+            state=SweepState.RECORDED if number in numbers else SweepState.IDENTIFIED,
+            cause="",
+            attempt=1,
+        )
+        for number in range(1, (count or len(numbers)) + 1)
+    ]
+
+
+CAMPAIGNS, STORED_POSES = 6, 3
+PATIENCE = 600.0  # s
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Archive]:
+    """Identified by the service's own worker process."""
+
+    async def identify(found: Archive) -> None:
+        async with open_worker(None) as worker:
+            await asyncio.wait_for(found.identify(worker), PATIENCE)
+
+    with archive(tmp_path_factory.mktemp("archive"), CAMPAIGNS, STORED_POSES) as found:
+        asyncio.run(identify(found))
+        yield found
+
+
+def check_same(stored: Archive, number: int) -> None:
+    """Every campaign has one result, which is the stored estimate to 1e-9."""
+    results = stored.batches.results(number)
+    assert [one.campaign_id for one in results] == list(stored.campaigns)
+    assert {one.cause for one in results} == {""}
+    for one in results:
+        new = Estimate.read(stored.batches.result(number, one.campaign_id).document, "new")
+        old = stored.store.estimate(one.campaign_id).content
+        for joint, axis in old.axes.items():
+            assert [sweep.sweep for sweep in axis.inertia] == [sweep.sweep for sweep in new.axes[joint].inertia]
+            for before, now in zip(axis.inertia, new.axes[joint].inertia, strict=True):
+                assert now.value == pytest.approx(before.value, rel=1e-9)
+                assert now.std == pytest.approx(before.std, rel=1e-9)
+        for before, now in zip(old.base_parameters, new.base_parameters, strict=True):
+            assert now.value == pytest.approx(before.value, rel=1e-9, abs=1e-9)
+
+
+async def test_one_worker_finds_the_same_and_the_next_process_goes_on(stored: Archive) -> None:
+    async with open_worker(None) as worker:
+        async with stored.service(worker) as batches:
+            number = (await batches.request(None, "Ada")).id
+            await until(lambda: stored.batches.batch(number).done > 0)
+        left = stored.batches.batch(number)
+        assert left.state is BatchState.RUNNING
+        async with stored.service(worker) as batches:
+            await batches.recover()
+            await asyncio.wait_for(stored.over(number), PATIENCE)
+    assert stored.batches.batch(number).state is BatchState.DONE
+    check_same(stored, number)
+
+
+@needs("openssl")
+async def test_four_workers_find_the_same_although_one_is_killed(stored: Archive, tmp_path: Path) -> None:
+    dask = DaskProcesses.at_free_port(tmp_path, certificates(tmp_path / "authority", "plant"))
+    try:
+        dask.start_scheduler()
+        for _ in range(4):
+            dask.start_worker()
+        async with open_worker(dask.cluster) as worker, stored.service(worker) as batches:
+            while len(await worker.processes()) < 4:  # noqa: ASYNC110
+                await asyncio.sleep(0.1)
+            number = (await batches.request(None, "Ada")).id
+            dask.workers[0].kill()
+            await asyncio.wait_for(stored.over(number), PATIENCE)
+    finally:
+        dask.close()
+    check_same(stored, number)
+
+
+async def test_a_cancelled_batch_computes_no_more(stored: Archive) -> None:
+    async with open_worker(None) as worker, stored.service(worker) as batches:
+        number = (await batches.request(None, "Ada")).id
+        await until(lambda: stored.batches.batch(number).done > 0)
+        cancelled = await batches.cancel(number)
+        assert batches.open == 0 or cancelled.state is BatchState.CANCELLED
+        again = await asyncio.wait_for(stored.again(worker, stored.campaigns[:1]), PATIENCE)  # and the worker is free
+    assert stored.batches.batch(number) == cancelled
+    assert stored.batches.batch(again).done == 1
+
+
+async def test_a_recording_that_was_changed_is_a_cause_and_stops_no_other(stored: Archive) -> None:
+    path = stored.files.path(stored.store.recording(stored.campaigns[1], 1))
+    content = path.read_bytes()
+    path.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    try:
+        async with open_worker(None) as worker:
+            number = await asyncio.wait_for(stored.again(worker, stored.campaigns[:2]), PATIENCE)
+    finally:
+        path.write_bytes(content)
+    good, bad = stored.batches.results(number)
+    assert (good.cause, good.sweeps) == ("", 2 * STORED_POSES)
+    assert "recording file was changed" in bad.cause
+    assert stored.batches.batch(number).failed == 1
+
+
+async def test_what_cannot_be_identified_again_is_refused(stored: Archive) -> None:
+    plan = stored.store.add_plan(stored.store.campaign(stored.campaigns[0]).robot_id, {})
+    campaign = stored.store.add_campaign(plan.id, [])
+    with pytest.raises(BadInput, match="has not ended, or has no identified sweep"):
+        stored.batches.add([campaign.id], "Ada")

@@ -15,8 +15,8 @@ from service.planning.campaigns.live import EventFeed, LiveBlock, LiveHub, thin
 from service.store.database import open_database
 from service.store.guards import StopLatch
 from service.store.store import Store
-from service.web.api.machine.live import message
-from service.web.api.machine.live import text as json_text
+from service.web.api.live import message
+from service.web.api.live import text as json_text
 from tests.unit.service.campaigns.conftest import until
 
 TIMEOUT = 60.0  # s
@@ -128,7 +128,7 @@ async def test_the_feed_goes_on_after_an_id(tmp_path: Path) -> None:
 async def test_who_follows_loses_no_event_to_a_database_that_does_not_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.planning.campaigns.live.RETRY", 0.02)
+    monkeypatch.setattr("service.planning.campaigns.live.EventFeed.retry", 0.02)
     with open_database(f"sqlite:///{tmp_path / 'x.sqlite'}") as database:
 
         def rename(table: str, name: str) -> None:

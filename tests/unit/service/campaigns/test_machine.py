@@ -16,15 +16,13 @@ from structlog.testing import capture_logs
 from drivers.errors import Cause, CauseCode, DriveFault, StopNotConfirmed
 from drivers.ports import AxisState
 from service.machine.execution import sweep_executor
-from service.machine.execution.external_stops import watching
-from service.machine.execution.state.latched_stops import MOST
-from service.machine.execution.state.stop_sequences import HALTED
+from service.machine.execution.machine import watching
+from service.machine.execution.stops import LatchedStops, StopSequences
 from service.model.errors import Conflict, NotFound, NotNow
 from service.store.documents import CampaignState, SweepState
 from service.store.guards import LeaseLost, MachineLease, StopLatch
-from service.store.people.audit import AuditStore
-from service.store.people.keys import KeyStore
-from service.store.people.writer import AuditWriter
+from service.store.people.audit import AuditStore, AuditWriter
+from service.store.people.users import KeyStore
 from service.web.application import tell_own_stop
 from tests.unit.service.campaigns.conftest import LEASE_TIME, TIMEOUT, Bench, keeping, refusing, until
 
@@ -113,7 +111,7 @@ async def test_a_release_frees_neither_a_stop_under_way_nor_one_of_another(bench
 
 
 async def test_one_press_that_comes_by_two_ways_is_one_stop(bench: Bench) -> None:
-    hold = bench.machine.seize("anna", "smoke", "press 1")  # by the stop process
+    hold = bench.machine.latch("anna", "smoke", "press 1")  # by the stop process
     await asyncio.gather(bench.machine.confirm(hold), bench.machine.stop("anna", "smoke", "press 1"))
     assert len(bench.machine.stops) == 1
     await bench.machine.stop("anna", "smoke", "press 2")
@@ -124,13 +122,13 @@ async def test_a_flood_of_stops_is_one_stop_of_its_source_and_delays_nobody(benc
     halts: list[float] = []
     bench.drive.halt = lambda: halts.append(time.monotonic())
     begun = time.monotonic()
-    flood = [bench.machine.seize("nobody", "flood", f"press {k}", "10.0.0.7 nobody") for k in range(1000)]
+    flood = [bench.machine.latch("nobody", "flood", f"press {k}", "10.0.0.7 nobody") for k in range(1000)]
     confirming = [asyncio.create_task(bench.machine.confirm_logged(hold)) for hold in flood]
     stop = await bench.machine.stop("anna", "smoke", source="10.0.0.8 anna")
     assert [each.by for each in bench.machine.stops] == ["nobody", "anna"]
     await asyncio.gather(*confirming)
     assert bench.drive.trace.count("stop") <= 3  # the drives go through few stop sequences
-    assert len(halts) <= (time.monotonic() - begun) / HALTED + 2
+    assert len(halts) <= (time.monotonic() - begun) / StopSequences.halted + 2
     await bench.machine.reset_stop("anna", [each.id for each in bench.machine.stops])
     assert stop.by == "anna"
     again = await bench.machine.stop("nobody", "flood", source="10.0.0.7 nobody")  # released: it is a new stop
@@ -153,10 +151,10 @@ async def test_a_release_of_what_was_seen_does_not_release_its_repetition(bench:
 
 
 async def test_a_flood_from_everywhere_keeps_a_bounded_number_of_stops(bench: Bench) -> None:
-    for number in range(3 * MOST):
-        hold = bench.machine.seize(f"nobody {number}", "flood", "", f"10.0.0.7 nobody {number}")
+    for number in range(3 * LatchedStops.most):
+        hold = bench.machine.latch(f"nobody {number}", "flood", "", f"10.0.0.7 nobody {number}")
         hold.under_way -= 1
-    assert len(bench.machine.stops) == MOST
+    assert len(bench.machine.stops) == LatchedStops.most
     assert bench.machine.held.startswith("stopped by nobody 0")
 
 
@@ -310,7 +308,7 @@ async def test_a_stop_that_the_database_does_not_take_is_seen_and_released_once_
 async def test_what_the_database_did_not_take_is_noted_once_it_does(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.machine.execution.state.latched_stops.AGAIN", 0.02)
+    monkeypatch.setattr("service.machine.execution.stops.LatchedStops.again", 0.02)
     await bench.machine.connect()
     with refusing(bench, "INSERT ON stop"), capture_logs() as logs:
         told = [await bench.machine.stop(by, "smoke") for by in ("ada", "berta")]

@@ -1,23 +1,40 @@
 """Robot and cell of a machine by settings and files; what a start moves, and when it is not what was shown."""
 
 import dataclasses
+from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from drivers.registry import load_profile
-from service.model.configuration import read_robot
+from service.model.configuration import read_cell, read_robot
 from service.model.errors import BadInput, Conflict
-from service.planning.ahead import Range, check_seen, with_approach
-from service.planning.campaigns.plan_subject import MadeFor
-from service.planning.machine_setup import MachineSetup, NeedsConfirmation, machine_setup
+from service.model.robot import Robot, build_robot
+from service.planning.campaigns.stored_plan import MadeFor
+from service.planning.compiled_plan import Range, check_seen, compile_plan, planned_sweeps, with_approach
+from service.planning.documents import PlanRequest
+from service.planning.machine_setup import (
+    DriveAxis,
+    DriveProfile,
+    MachineSetup,
+    NeedsConfirmation,
+    differences,
+    machine_setup,
+    narrowed,
+    on_machine,
+)
+from service.planning.plan import build_plan
+from service.planning.safety.envelope import EnvelopeViolation
 from service.process.settings import Settings
-from service.store.documents import CampaignState, RobotDocument
+from service.store.database import open_database
+from service.store.documents import CampaignDocument, CampaignState, RobotDocument
 from service.store.store import Store
 from tests.unit.service.campaigns.conftest import REACHED, ROOT, Bench
 
 PROFILE = ROOT / "config" / "drives" / "virtual-max100.yaml"
-JOINTS = tuple(f"joint_{number}" for number in range(1, 7))
+JOINTS = tuple(f"joint_{k}" for k in range(1, 7))
 
 
 @pytest.fixture
@@ -126,3 +143,177 @@ def test_the_approach_itself_stays_in_what_was_shown(bench: Bench) -> None:
         check_seen(shown | {"joint_1": (0.0, 0.3)}, compiled, pose, here)
     with pytest.raises(Conflict, match=r"joint_1 would move from 0.0000 to 0.4000 rad, which was not shown"):
         check_seen({"joint_2": (0.0, 0.0)}, compiled, pose, here)
+
+
+CONFIG = Path(__file__).parents[4] / "config"
+PROFILES = sorted((CONFIG / "drives").glob("*.yaml"))
+
+
+def axes_of(path: Path) -> tuple[DriveAxis, ...]:
+    return DriveProfile.model_validate(load_profile(path)).of(JOINTS)
+
+
+def told(robot: Robot, axes: tuple[DriveAxis, ...], *moved: str) -> str:
+    return differences(robot, "robot r", axes, "profile p", moved)
+
+
+@pytest.mark.parametrize("path", PROFILES, ids=lambda path: path.stem)
+def test_the_profiles_that_are_shipped_fit_their_robot(path: Path, robot: Robot) -> None:
+    axes = axes_of(path)
+    assert told(robot, axes, *JOINTS) == ""
+    assert all(axis.gear_ratio and axis.rated_torque and axis.position_limits for axis in axes)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"gear_ratio": 60.0, "rated_torque": 350 / 60}, "joint_6 gear ratio: robot r has 101, profile p has 60"),
+        ({"gear_ratio": -101.0}, "joint_6 gear ratio: robot r has 101, profile p has -101"),
+        ({"rated_torque": 1.0}, "joint_6 rated effort: robot r has 350 N m, profile p has 101 N m"),
+        ({"position_limits": (-6.3, 6.28)}, "joint_6 lower limit: robot r has -6.28 rad, profile p has -6.3 rad"),
+        ({"position_limits": (-6.28, 7.0)}, "joint_6 upper limit: robot r has 6.28 rad, profile p has 7 rad"),
+        ({"velocity_limit": 4.0}, "joint_6 velocity limit: robot r has 3.6 rad/s, profile p has 4 rad/s"),
+        ({"effort_limit": 800.0}, "joint_6 effort limit: robot r has 700 N m, profile p has 800 N m"),
+        ({"unit": "m"}, "joint_6 unit: robot r has rad, profile p has m"),
+    ],
+)
+def test_a_difference_names_both_places_and_both_values(robot: Robot, change: dict[str, object], sentence: str) -> None:
+    axes = axes_of(PROFILES[0])
+    assert told(robot, (*axes[:-1], axes[-1].model_copy(update=change))) == sentence
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"gear_ratio": 101.05}, {"rated_torque": 3.44}, {"velocity_limit": 0.2}, {"effort_limit": 90.0}, {"unit": None}]
+    + [{"position_limits": (-3.0, 6.28)}, {"position_limits": (-6.28, 1.0)}]
+    + [{name: None} for name in DriveAxis.model_fields if name != "joint"],
+)
+def test_rounded_values_lower_limits_and_what_a_profile_lacks_are_no_difference(
+    robot: Robot, change: dict[str, object]
+) -> None:
+    axes = axes_of(PROFILES[0])
+    assert told(robot, (*axes[:-1], axes[-1].model_copy(update=change))) == ""
+
+
+def test_joints_go_by_name_and_order(robot: Robot) -> None:
+    axes = axes_of(PROFILES[0])
+    swapped = (axes[1], axes[0], *axes[2:])
+    assert told(robot, swapped).startswith("joints: robot r has joint_1, joint_2")
+    assert "profile p has joint_2, joint_1" in told(robot, swapped)
+    other = tuple(axis.model_copy(update={"joint": f"axis_{k}"}) for k, axis in enumerate(axes))
+    assert "profile p has axis_0" in told(robot, other)
+
+
+def test_a_joint_that_does_not_move_needs_no_drive(robot: Robot) -> None:
+    axes = axes_of(PROFILES[0])[:3]
+    assert told(robot, axes, "joint_1", "joint_3") == ""
+    assert told(robot, axes, "joint_4").startswith("joints:")
+    assert told(robot, axes, "no_joint_of_it") == ""  # what the request says of it tells that
+
+
+def test_every_axis_that_differs_is_told_and_a_long_list_is_cut(robot: Robot) -> None:
+    axes = tuple(axis.model_copy(update={"gear_ratio": 1.0, "effort_limit": 1e9}) for axis in axes_of(PROFILES[0]))
+    sentence = told(robot, axes)
+    assert sentence.endswith("and 10 more")
+
+
+def test_a_profile_with_other_words_is_compared_by_its_joints() -> None:
+    def axes(profile: dict[str, object], *joints: str) -> tuple[DriveAxis, ...]:
+        return DriveProfile.model_validate(profile).of(joints)
+
+    assert axes({"adapter": "other"}, "a", "b") == (DriveAxis(joint="a"), DriveAxis(joint="b"))
+    assert axes({"axes": {"a": {"joint": "a"}}}, "a") == (DriveAxis(joint="a"),)
+    assert axes({"axes": [{"joint": "a", "gear_ratio": "many"}, 3, {"joint": "b", "unit": "m"}]}, "a", "b") == (
+        DriveAxis(joint="a"),
+        DriveAxis(joint="b", unit="m"),
+    )
+
+
+@pytest.fixture
+def planned(tmp_path: Path, robot: Robot) -> Iterator[tuple[Store, Settings, CampaignDocument]]:
+    """A campaign of a plan for a robot whose axis 6 has a gear of 60."""
+    axes = (*robot.axes[:-1], robot.axes[-1].model_copy(update={"gear_ratio": 60.0}))
+    other = build_robot(robot.description.model_copy(update={"axes": axes}), robot.urdf_text)
+    settings = Settings(cells_dir=CONFIG / "cells", drive=PROFILES[0])
+    with open_database(f"sqlite:///{tmp_path / 'sweepid.sqlite'}") as database:
+        store = Store(database)
+        robot_id = store.add_robot(other).id
+        request = PlanRequest(
+            robot_id=robot_id, axes=("joint_2",), varied=("joint_3",), step=30.0, poses=1, cell="workshop"
+        )
+        document = build_plan(other, request, read_cell(CONFIG / "cells/workshop.yaml"))
+        plan = store.add_plan(robot_id, document.model_dump(mode="json"))
+        yield store, settings, store.add_campaign(plan.id, planned_sweeps(plan))
+
+
+def setup(store: Store, axes: tuple[DriveAxis, ...]) -> MachineSetup:
+    """A machine of these drives, with the stored robot in the workshop."""
+    return MachineSetup("machine", axes, robot=store.robots()[0], cell="workshop")
+
+
+def test_a_campaign_for_another_machine_has_no_course(planned: tuple[Store, Settings, CampaignDocument]) -> None:
+    """`compile_plan` is asked at every start and resume."""
+    store, settings, campaign = planned
+    with pytest.raises(Conflict) as refusal:
+        compile_plan(store, settings, setup(store, axes_of(PROFILES[0])), campaign)
+    said = str(refusal.value)
+    assert said.startswith(f"campaign {campaign.id} is for another machine: joint_6 gear ratio: robot max100-class")
+    assert f"has 60, drive profile {PROFILES[0]} has 101" in said
+    assert "joint_1" in compile_plan(store, settings, setup(store, axes_of(PROFILES[0])[:3]), campaign).joints
+
+
+def lowered(axes: tuple[DriveAxis, ...]) -> tuple[DriveAxis, ...]:
+    """Axis 2 may give less than the robot's 7000 N m and 1.5 rad/s."""
+    return (axes[0], axes[1].model_copy(update={"effort_limit": 6000.0, "velocity_limit": 0.05}), *axes[2:])
+
+
+def test_limits_of_the_drives_below_the_robots_are_the_limits(robot: Robot) -> None:
+    axes = lowered(axes_of(PROFILES[0]))
+    limited = on_machine(robot, (*axes[:-1], DriveAxis(joint="joint_6", effort_limit=1e9)))
+    joint = limited.chain.joints[1]
+    assert (joint.effort, joint.velocity) == (6000.0, 0.05)
+    assert limited.chain.joints[5].effort == robot.chain.joints[5].effort  # never more than the robot's
+    assert np.array_equal(limited.chain.inertial, robot.chain.inertial)
+    assert (joint.lower, joint.upper) == (robot.chain.joints[1].lower, robot.chain.joints[1].upper)
+
+
+def test_narrower_position_limits_of_a_profile_are_the_limits_and_are_told(robot: Robot) -> None:
+    axes = (*axes_of(PROFILES[0])[:-1], DriveAxis(joint="joint_6", position_limits=(-3.0, 7.0)))
+    joint = on_machine(robot, axes).chain.joints[5]
+    assert (joint.lower, joint.upper) == (-3.0, robot.chain.joints[5].upper)
+    one = DriveAxis(joint="joint_6", position_limits=(-3.0, 6.28), effort_limit=90.0)
+    assert narrowed(robot, [one]) == (
+        "joint_6 lower limit -3 instead of -6.28 rad; joint_6 effort limit 90 instead of 700 N m"
+    )
+    assert narrowed(robot, [DriveAxis(joint="joint_6", position_limits=(-6.28, 6.28))]) == ""
+
+
+def test_a_profile_wider_than_the_soft_limits_of_the_robot_is_refused(robot: Robot) -> None:
+    hard = 'upper="6.28"'
+    assert hard in robot.urdf_text.rpartition('name="joint_6"')[2]
+    head, name, tail = robot.urdf_text.rpartition('<joint name="joint_6"')
+    begin, bracket, rest = tail.partition(">")
+    soft = '<safety_controller soft_lower_limit="-1.5" soft_upper_limit="7" k_velocity="10"/>'
+    gentle = build_robot(robot.description, head + name + begin + bracket + soft + rest)
+    assert (gentle.chain.joints[5].lower, gentle.chain.joints[5].upper) == (-1.5, robot.chain.joints[5].upper)
+    assert told(gentle, axes_of(PROFILES[0])) == "joint_6 lower limit: robot r has -1.5 rad, profile p has -6.28 rad"
+
+
+def test_a_plan_for_weaker_drives_keeps_their_limits(tmp_path: Path, robot: Robot) -> None:
+    """And one that was made for stronger drives is refused before anything moves."""
+    axes, cell = lowered(axes_of(PROFILES[0])), read_cell(CONFIG / "cells/workshop.yaml")
+    settings = Settings(cells_dir=CONFIG / "cells", drive=PROFILES[0])
+    with open_database(f"sqlite:///{tmp_path / 'sweepid.sqlite'}") as database:
+        store = Store(database)
+        robot_id = store.add_robot(robot).id
+        request = PlanRequest(
+            robot_id=robot_id, axes=("joint_2",), varied=("joint_3",), step=30.0, poses=1, cell="workshop"
+        )
+        for machine, allowed in ((on_machine(robot, axes), True), (robot, False)):
+            plan = store.add_plan(robot_id, build_plan(machine, request, cell).model_dump(mode="json"))
+            campaign = store.add_campaign(plan.id, planned_sweeps(plan))
+            compiled = compile_plan(store, settings, setup(store, axes), campaign)
+            (sweep,), (command,) = planned_sweeps(plan), compiled.commands.values()
+            with nullcontext() if allowed else pytest.raises(EnvelopeViolation, match=r"joint_2: .* limit"):
+                compiled.envelope.check_sweep(command, sweep.spec.pose)
+            assert (command.effort_limit <= 6000.0) is allowed

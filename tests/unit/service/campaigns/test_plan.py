@@ -9,11 +9,12 @@ from drivers.ports import SweepMode
 from service.identification.design.pose_selection import Criterion
 from service.identification.model.base_parameters import base_parameters, condition_number
 from service.identification.model.regressor import inertia_rows, lock
-from service.model.configuration import read_robot
+from service.model.configuration import Box, Cell, read_cell, read_robot
 from service.model.errors import BadInput
-from service.model.geometry.cell import Box, Cell, read_cell
 from service.model.robot import Robot, build_robot
-from service.planning.plan import PlanDocument, PlanRequest, build_plan, workspace_grid
+from service.planning.documents import PlanDocument, PlanRequest
+from service.planning.plan import build_plan
+from service.planning.pose_choice import workspace_grid
 from service.planning.safety.envelope import Envelope
 from service.planning.safety.travel import order_poses
 from tests.unit.service.campaigns.small_arm import small_arm

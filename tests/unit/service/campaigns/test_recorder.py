@@ -19,21 +19,14 @@ import psutil
 import pytest
 
 from drivers.ports import ChannelTiming, SampleBlock, Sine, SweepCommand, SweepMode
-from service.machine.execution.recording import incoming
-from service.machine.execution.recording.incoming import BegunSweep, Incoming
-from service.machine.execution.recording.plausibility import ImplausibleChannels
-from service.machine.execution.recording.recorder import (
-    Recorder,
-    SamplesMissing,
-    finish,
-    read_stream,
-    salvage,
-)
+from service.machine.execution import incoming
+from service.machine.execution.incoming import BegunSweep, Incoming
+from service.machine.execution.plausibility import ImplausibleChannels
+from service.machine.execution.recording import Recorder, SamplesMissing, finish, read_stream, salvage
 from service.model.recording import SweepSpec
 from service.store.documents import RecordingState
-from service.store.files.columns import read_columns
+from service.store.files.columns import UnreadableStream, read_columns
 from service.store.files.recordings import RecordingFiles, Run
-from service.store.files.stream import UnreadableStream
 
 pytestmark = pytest.mark.slow
 
@@ -242,8 +235,8 @@ WRITER = """
 import sys
 from pathlib import Path
 from tests.unit.service.campaigns.test_recorder import COMMAND, block
-from service.machine.execution.recording.plausibility import ImplausibleChannels
-from service.machine.execution.recording.recorder import Recorder
+from service.machine.execution.plausibility import ImplausibleChannels
+from service.machine.execution.recording import Recorder
 recorder = Recorder(Path(sys.argv[1]), COMMAND)
 for n in range(10**6):
     recorder.write(block(50 * n, 50 * n + 50))

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import Cause, CauseCode
-from service.machine.execution.recording.recorder import Recorder
-from service.machine.execution.recording.recovery import recover
+from service.machine.execution.recording import Recorder, recover
 from service.model.robot import Robot
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.planning.safety.envelope import Envelope

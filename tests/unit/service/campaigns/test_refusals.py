@@ -11,7 +11,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from structlog.testing import capture_logs
 
 from drivers.errors import DriveFault
-from service.machine.execution import runner as runner_module
+from service.machine.execution.runner import Runner
 from service.model.errors import Conflict
 from service.store.documents import CampaignState, RecordingState, SweepState
 from service.store.files.columns import read_columns
@@ -25,7 +25,7 @@ OVER_CURRENT = "DriveFault: joint_1: over-current"
 @pytest.fixture
 async def faulted(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Bench:
     """A campaign in its first sweep, of which the next block is a fault of the drive."""
-    monkeypatch.setattr(runner_module, "RETRY", 0.05)
+    monkeypatch.setattr(Runner, "retry", 0.05)
     bench.drive.hold, bench.drive.fail[3] = 2, DriveFault("joint_1: over-current")
     await bench.start()
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
@@ -148,7 +148,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
         disk.go.wait(TIMEOUT)
         sync(file)
 
-    monkeypatch.setattr("service.store.files.stream.os.fsync", stall)
+    monkeypatch.setattr("service.store.files.columns.os.fsync", stall)
     yield disk
     disk.go.set()
 

@@ -10,11 +10,10 @@ from service.jobs.reporting import CONVERGENCE, Reporting, spread
 from service.model.errors import Conflict, NotFound
 from service.model.robot import Robot
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move
-from service.store.checks import CheckStore
-from service.store.diagnosis.diagnoses import DiagnosisStore
-from service.store.diagnosis_documents import BoltedMass, NewDiagnosis
-from service.store.documents import NewSweep, SweepState
-from service.store.files.exchange import campaign_bundle
+from service.store.diagnoses import DiagnosisStore
+from service.store.documents import BoltedMass, NewDiagnosis, NewSweep, SweepState
+from service.store.files.data_folder import campaign_bundle
+from service.store.store import CheckStore
 from tests.stored.documents import diagnosis, diagnosis_document, stored
 from tests.unit.service.campaigns.conftest import POSES, SPECTRUM, Bench, spec
 

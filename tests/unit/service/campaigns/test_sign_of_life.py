@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from drivers.errors import Cause
-from service.machine.execution.sign_of_life import SignOfLife
+from service.machine.execution.permission import SignOfLife
 from service.model.errors import Conflict
 from service.store.documents import CampaignState, SweepState
 from tests.unit.service.campaigns.conftest import Bench, until, until_cancelled

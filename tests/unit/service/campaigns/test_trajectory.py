@@ -12,16 +12,15 @@ from drivers.errors import Cause, CauseCode, DriveFault
 from drivers.ports import Sine, SweepCommand, SweepMode
 from service.machine.execution.runner import Runner
 from service.machine.execution.sweep_executor import SweepExecutor
+from service.model.configuration import Box, Cell
 from service.model.errors import BadInput, EnvelopeViolation
-from service.model.geometry.cell import Box, Cell
 from service.model.recording import SweepSpec
 from service.model.robot import Robot
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move
 from service.planning.compiled_plan import CompiledPlan
-from service.planning.safety.envelope import Envelope
-from service.planning.safety.trajectory_motion import commanded_motion, path_of
-from service.planning.trajectories.documents import TrajectoryPlan, TrajectoryRequest
-from service.planning.trajectories.plan import build_trajectory_plan
+from service.planning.documents import TrajectoryPlan, TrajectoryRequest
+from service.planning.safety.envelope import Envelope, commanded_motion, path_of
+from service.planning.trajectories import build_trajectory_plan
 from service.store.documents import CampaignDocument, CampaignState, NewSweep, RecordingState, SweepState
 from tests.unit.service.campaigns.conftest import SPECTRUM, TIMEOUT, Bench, Taken, nobody_needed
 from tests.unit.service.campaigns.formula_drive import FormulaDrive

@@ -155,7 +155,7 @@ def full_disk(bench: Bench, patch: pytest.MonkeyPatch) -> None:
             raise OSError(28, "No space left on device")
         sync(file)
 
-    patch.setattr("service.store.files.stream.os.fsync", refuse)
+    patch.setattr("service.store.files.columns.os.fsync", refuse)
 
 
 FAR = "distance from the planned pose {} rad is above the limit 0.002 rad"

@@ -5,10 +5,11 @@ from pydantic import ValidationError
 
 from drivers.ports import SweepMode
 from service.identification.design.excitation import Excitation
-from service.model.geometry.cell import Cell
+from service.model.configuration import Cell
 from service.model.recording import SweepPurpose
-from service.planning.plan import PlanDocument, PlanRequest, build_plan
-from service.planning.sweep_sequence import least_duration
+from service.planning.documents import PlanDocument, PlanRequest
+from service.planning.plan import build_plan
+from service.planning.pose_choice import least_duration
 from tests.unit.service.campaigns.small_arm import small_arm
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from service.cli.campaign.measure import plan_number
+from service.cli.commands.campaigns import plan_number
 from service.model.errors import BadInput
 from service.model.results.estimate import Estimate
 from sweepid.files import read_document

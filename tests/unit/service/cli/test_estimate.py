@@ -7,10 +7,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from service.cli.commands.estimate import torque_gain
-from service.cli.recordings.channels import as_document, profile_lines
+from service.cli.commands.estimate import as_document, profile_lines, torque_gain
 from service.identification.axis.channel_timing import ChannelLags, Lag
-from service.identification.spectra.axis_inertia import DriveTrain
+from service.identification.axis.drive_train import TwoMassTrain
 from service.model.errors import BadInput
 from service.report.benefit import Benefit
 from service.store.files.bundle import write_bundle
@@ -112,14 +111,14 @@ def test_an_axis_without_sweeps_is_bad_input(calibration: Path) -> None:
 
 def test_what_cannot_be_told_apart_is_said() -> None:
     lag = Lag(5e-4, 1e-5, 0.0, 2e-4, 5e-4, 1e-5, apart=False)
-    text = profile_lines("joint_1", ChannelLags(lag, lag, DriveTrain(58.0, 140.0, 60.0, 1e-6, 1e-3), 21.3))
+    text = profile_lines("joint_1", ChannelLags(lag, lag, TwoMassTrain(58.0, 140.0, 60.0, 1e-6, 1e-3), 21.3))
     assert "effort_delay: 0.0005000 # s, +- 1e-05, delay and smoothing together: they cannot be separated" in text
     assert yaml.safe_load(text)["channels"]["effort_smoothing"] == 0.0
 
 
 def test_a_stiff_train_has_no_free_resonance() -> None:
     lag = Lag(5e-4, 1e-5, 0.0, 2e-4, 5e-4, 1e-5, apart=False)
-    lags = ChannelLags(lag, lag, DriveTrain(58.0, 140.0, 60.0, 0.0, 1e-3), math.inf)
+    lags = ChannelLags(lag, lag, TwoMassTrain(58.0, 140.0, 60.0, 0.0, 1e-3), math.inf)
     assert profile_lines("joint_1", lags).startswith("# joint_1: no free resonance found\nchannels:\n")
     assert as_document(lags).free_resonance is None
 

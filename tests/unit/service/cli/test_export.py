@@ -10,14 +10,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from service.formats.export.sheets.load import Load, load_of
+from service.formats.export.sheets.inertias import LoadData, load_of
 from service.formats.export.sheets.making import check_sheet, fingerprint, sheet
 from service.formats.export.sheets.text import as_markdown
 from service.model.configuration import read_robot
 from service.model.errors import BadInput
 from service.model.results.estimate import Estimate
-from service.model.results.identified.payload import Payload
-from service.model.results.identified.sheet import Sheet
+from service.model.results.payload import Payload
+from service.model.results.sheet import Sheet
 from service.store.files.bundle import read_bundle
 from tests.command import carried_out, refused, sweepid
 from tests.stored.documents import payload, stored
@@ -141,7 +141,7 @@ def test_a_load_is_not_made_of_an_estimate(made: tuple[Sheet, str]) -> None:
 
 def test_a_load_that_was_measured_stands_in_the_words_of_kuka_and_abb(made: tuple[Sheet, str]) -> None:
     text = as_markdown(made[0], load(payload()))
-    assert "| 12 ± 0.3 | 10, 0, 150 | " in text
+    assert "| 12.00 ± 0.30 | 10, 0, 150 | " in text
     inertia = re.search(r"loaddata measured := \[12,\[10,0,150\],\[(.*?)\],(.*?)\];", text)
     assert inertia
     w, x, y, z = (float(number) for number in inertia[1].split(","))
@@ -159,7 +159,7 @@ def test_a_load_that_was_measured_stands_in_the_words_of_kuka_and_abb(made: tupl
 TENSOR = np.array([[0.3, 0.02, 0.0], [0.02, 0.25, 0.01], [0.0, 0.01, 0.2]])
 
 
-def load(document: dict) -> Load:
+def load(document: dict) -> LoadData:
     return load_of(Payload.read(document, "--payload"))
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from service.cli.tables import print_result
-from service.identification.estimates.analysis_document import analyses_document
+from service.cli.terminal import print_result
+from service.identification.estimates.initial_analysis import analyses_document
 from service.model.results.estimate import Estimate
 from service.model.robot import Axis, RobotDescription, build_robot
 from service.store.files.bundle import write_bundle

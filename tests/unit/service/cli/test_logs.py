@@ -7,8 +7,8 @@ import pytest
 
 START = """
 import logging
-from service.cli.logs import HeldBack
-from service.process.logs.lines import configure_logs
+from service.cli.server import HeldBack
+from service.process.logs import configure_logs
 configure_logs("INFO")
 held = HeldBack()
 log = logging.getLogger("start")

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 import yaml
 
-from service.model.configuration import read_robot
+from service.model.collision import CollisionChecker
+from service.model.configuration import read_cell, read_robot
 from service.model.errors import BadInput
-from service.model.geometry.cell import read_cell
-from service.model.geometry.collision import CollisionChecker
 from tests.command import carried_out, refused, sweepid
 from tests.makers_robots import MAKERS, Maker, share, told_of
 

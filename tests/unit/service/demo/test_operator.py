@@ -5,8 +5,8 @@ from typing import Any, cast
 
 import pytest
 
-from service.cli.demo.hidden import Found
-from service.cli.demo.operator import CampaignFailed, Operator
+from service.cli.demo import Found
+from service.cli.virtual_cell import CampaignFailed, Operator
 from service.web.client import HOST_WATCH, Json, ServiceClient, ServiceProblem
 from tests.stored.documents import axis_document, diagnosis_document
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from rich.console import Console
 
-from service.cli.tables import print_result
+from service.cli.terminal import print_result
 from service.diagnosis import axis_document, diagnose_axis, model_document
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.patch import Inexpressible

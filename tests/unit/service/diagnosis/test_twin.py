@@ -11,7 +11,7 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from service.cli.recordings.scenario_file import write_scenario
+from service.cli.commands.identify import write_scenario
 from service.diagnosis import model_document
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Model
@@ -26,8 +26,7 @@ from service.model.recording import Recording, Sweep
 from service.model.results.diagnosis import DiagnosedModel
 from service.model.robot import Robot
 from simulator import Measurement, Motion, SweepRun, load_scenario, replay, run_sweeps
-from simulator.moving_axis import moving_axis
-from simulator.rigid_body import RigidBody
+from simulator.rigid_body import RigidBody, moving_axis
 from tests.numeric import campaign
 from tests.numeric.campaign import max100, scenario_named
 

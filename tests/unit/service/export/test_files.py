@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from service.formats.export import identified_model, model_files, write_model
-from service.formats.export.mjcf import quaternion
-from service.identification.estimates.worth import AxisWorth, Worth
+from service.formats.export.files import quaternion
+from service.identification.estimates.standard_parameters import AxisWorth, Worth
 from service.identification.model.physical_consistency import is_physical
 from service.model.configuration import read_robot
 from service.model.errors import BadInput
@@ -156,6 +156,22 @@ def test_a_continuous_joint_has_no_range() -> None:
         model_files(identified_model(robot, estimate_of(robot, link, np.array([0.2]))))["model.xml"]
     )
     assert not loaded.jnt_limited[0]
+
+
+def test_a_shape_of_a_fixed_link_is_placed_and_has_half_its_length() -> None:
+    """A bracket turned by 90 degrees about z: its x is y of the table, and the cylinder 0.4 m long."""
+    shape = '<collision><origin xyz="0.5 0 0"/><geometry><cylinder radius="0.1" length="0.4"/></geometry></collision>'
+    text = f"""<robot name="r"><link name="base"/><link name="table"/><link name="bracket">{shape}</link>
+    <joint name="c" type="continuous"><parent link="base"/><child link="table"/><axis xyz="0 0 1"/></joint>
+    <joint name="f" type="fixed"><parent link="table"/><child link="bracket"/>
+    <origin xyz="0 0 1" rpy="0 0 1.5707963267948966"/></joint></robot>"""
+    axes = (Axis(joint="c", gear_ratio=50.0, rated_effort=10.0),)
+    robot = build_robot(RobotDescription(name="table", urdf="r.urdf", axes=axes), text)
+    link = np.array([[4.0, 0, 0, 0, 1.0, 0, 1.0, 0, 0, 1.5]])
+    made = identified_model(robot, estimate_of(robot, link, np.array([0.2])))
+    loaded = _mujoco.MjModel.from_xml_string(model_files(made)["model.xml"])
+    np.testing.assert_allclose(loaded.geom_pos, [[0.0, 0.5, 1.0]], atol=1e-12)
+    np.testing.assert_allclose(loaded.geom_size[0, :2], [0.1, 0.2])
 
 
 def test_quaternions_at_every_angle() -> None:

@@ -1,7 +1,6 @@
 """The exported robot, loaded in MuJoCo and in Pinocchio, turns as the estimate says."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, cast
 
 import mujoco
@@ -9,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from service.formats.export import IdentifiedModel, identified_model, model_files, write_model
+from service.formats.export import IdentifiedModel, identified_model, model_files
 from service.identification.model.regressor import axis_rows
 from service.model.robot import Robot
 from tests.unit.service.export.conftest import estimate_of
@@ -86,11 +85,3 @@ def test_gravity_is_that_of_pinocchio(model: IdentifiedModel) -> None:
         _mujoco.mj_forward(loaded, state)
         held = pin.computeGeneralizedGravity(urdf, data, pose)
         np.testing.assert_allclose(state.qfrc_bias, held, rtol=1e-6, atol=1e-6 * np.abs(held).max())
-
-
-def test_all_files_from_a_folder(model: IdentifiedModel, tmp_path: Path) -> None:
-    write_model(tmp_path / "robot", model)
-    names = {path.name for path in (tmp_path / "robot").iterdir()}
-    assert names == {"model.urdf", "model.xml", "model.yaml", "robot.yaml"}
-    loaded = _mujoco.MjModel.from_xml_path(str(tmp_path / "robot/model.xml"))
-    assert loaded.nv == len(model.robot.axes)

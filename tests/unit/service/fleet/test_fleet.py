@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from service.identification.fleet.chart import FEWEST, AlarmRate, looks
-from service.identification.fleet.history import History, Measurement, between_campaigns
-from service.identification.fleet.siblings import outliers
+from service.identification.fleet.statistics import (
+    FEWEST,
+    AlarmRate,
+    CampaignValue,
+    History,
+    between_campaigns,
+    looks,
+    outliers,
+)
 from service.model.errors import BadInput
 
 pytestmark = pytest.mark.slow
@@ -20,7 +26,7 @@ FOUND = 0.01  # the planted change
 
 
 def history(robot: str, values: list[float] | np.ndarray, std: float = OWN, calibration: float = 1.0) -> History:
-    return History(robot, tuple(Measurement(n, float(v), std, calibration) for n, v in enumerate(values, 1)))
+    return History(robot, tuple(CampaignValue(n, float(v), std, calibration) for n, v in enumerate(values, 1)))
 
 
 def plant(random: np.random.Generator) -> np.ndarray:
@@ -110,7 +116,7 @@ def test_a_new_torque_gain_begins_a_new_series() -> None:
 @pytest.mark.parametrize(("value", "std"), [(float("nan"), 1.0), (1.0, 0.0), (1.0, float("inf"))])
 def test_what_is_no_number_is_refused(value: float, std: float) -> None:
     with pytest.raises(BadInput, match=r"robot a campaign 7: value .* must be finite and std above 0"):
-        looks([History("a", (Measurement(7, value, std),))], RATE)
+        looks([History("a", (CampaignValue(7, value, std),))], RATE)
 
 
 def test_bad_rates_are_refused() -> None:

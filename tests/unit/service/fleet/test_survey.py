@@ -4,11 +4,20 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from service.identification.fleet.series import AxisMeasured, CampaignMeasured, in_pose, newest_ratio, pose_key, series
-from service.identification.fleet.survey import RobotMeasured, Rules, survey
+from service.identification.fleet.survey import (
+    AxisMeasured,
+    CampaignMeasured,
+    FleetRules,
+    RobotMeasured,
+    in_pose,
+    newest_ratio,
+    pose_key,
+    series,
+    survey,
+)
 
 START = datetime(2026, 1, 1, tzinfo=UTC)
-RULES = Rules(probability=0.01, campaigns=12, remeasure_days=31)
+RULES = FleetRules(probability=0.01, campaigns=12, remeasure_days=31)
 A, B, C, D = (pose_key((0.0, position)) for position in (0.0, 0.5, 1.0, 1.5))
 
 

@@ -12,9 +12,10 @@ from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.experiments import FULL_DESIGN, MORE_POSES, TEST_MASS, WARM_UP
 from service.identification.design.diagnosis_sweeps import BLOCKS
 from service.model.results.diagnosis import Verdict
-from service.store.access.permissions import PERMISSIONS, Role
-from service.store.diagnosis_documents import DiagnosisState
-from service.store.documents import CampaignState
+from service.process.settings import Settings
+from service.store.access.permissions import Role
+from service.store.documents import CampaignState, DiagnosisState
+from service.web.app import create_app
 from service.web.hmi.pages import texts
 from tests.unit.service.hmi.page_words import DOCUMENTS, SCRIPTS, literals, named, read, words
 
@@ -87,6 +88,9 @@ def test_a_text_that_counts_has_one_and_many() -> None:
 @pytest.mark.parametrize("family", FAMILIES)
 def test_each_code_of_the_service_has_its_word(family: str) -> None:
     assert {key.removeprefix(f"{family}.") for key in KEYS if key.startswith(f"{family}.")} == FAMILIES[family]
+
+
+PERMISSIONS = create_app(Settings()).state.permissions.roles
 
 
 def test_what_was_done_is_a_command_of_the_api() -> None:

@@ -3,7 +3,7 @@
 from typing import Any
 
 from service.identification.axis.known_effects import KnownEffects, known_effects
-from service.model.results.revision import KnownModel, StoredModel
+from service.model.results.effect import KnownModel, StoredModel
 
 Parameters = dict[str, tuple[float, float]]  # parameter: value, std
 

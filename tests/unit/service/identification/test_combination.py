@@ -5,18 +5,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.identification.design.exciting_trajectory import Shape, TrajectoryLimits, design_trajectory, steady_motion
+from service.identification.design.exciting_trajectory import (
+    TrajectoryLimits,
+    TrajectoryShape,
+    design_trajectory,
+    steady_motion,
+)
 from service.identification.estimates.combination import (
     AxisInertias,
-    Combination,
+    JointEstimate,
     Source,
+    combination_document,
     combine,
 )
-from service.identification.estimates.combination_document import combination_document
-from service.identification.model.inverse_dynamics import Motion, dynamics_rows
-from service.identification.model.parameter_prior import nominal_parameters
+from service.identification.model.inverse_dynamics import (
+    JointMotion,
+    dynamic_base,
+    dynamics_rows,
+    nominal_parameters,
+)
 from service.identification.model.regressor import axis_rows
-from service.identification.model.whole_base import dynamic_base
 from service.identification.motion.trajectory_record import AxisTrack, TrajectoryRecord
 from service.model.errors import BadInput
 from service.model.recording import SweepSpec
@@ -25,7 +33,7 @@ from tests.random_chain import random_arm
 
 pytestmark = pytest.mark.slow
 
-SHAPE = Shape(period=4.0, harmonics=4)
+SHAPE = TrajectoryShape(period=4.0, harmonics=4)
 SAMPLES = 8000  # the same instants at which the combination forms friction, so that signs agree
 BINS, NOISE = 41, 1e-3  # up to 10 Hz; N m of a harmonic's real and imaginary part
 
@@ -49,7 +57,7 @@ def record(r: Robot, seed: int, standing: tuple[int, ...] = (), noise: float = 0
     run = design_trajectory(r, base.columns, limits, SHAPE, lambda path: True, seed=seed, restarts=4, steps=0)
     moved = steady_motion(run, np.linspace(0, SHAPE.period, SAMPLES, endpoint=False))
     still = np.isin(np.arange(3), standing)
-    moved = Motion(
+    moved = JointMotion(
         np.where(still, run.center, moved.position),
         np.where(still, 0.0, moved.velocity),
         np.where(still, 0.0, moved.acceleration),
@@ -85,7 +93,7 @@ def sweeps(r: Robot, poses: int = 20, percent: float = 0.1) -> list[AxisInertias
     return result
 
 
-def z(result: Combination) -> np.ndarray:
+def z(result: JointEstimate) -> np.ndarray:
     return (result.solution.values - result.base.combination @ truth(result.robot)) / result.solution.std
 
 

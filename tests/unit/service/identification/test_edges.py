@@ -6,7 +6,6 @@ import pytest
 from service.identification.estimates.estimate import identify
 from service.identification.estimation import estimate_document
 from service.identification.model.base_parameters import joint_ranges
-from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.identification.spectra.time_domain import fit_record
 from service.model.errors import BadInput
@@ -84,10 +83,6 @@ def test_bins_too_few_to_show_the_noise_do_not_promise_precision(count: int) -> 
     for sweep in axis.sweeps:
         assert sweep.std > bound
         assert abs(sweep.value - 310) < 4 * sweep.std
-
-
-def test_a_load_that_noise_made_vanish_has_no_resonance() -> None:
-    assert DriveTrain(5.0, 1.0, 1.0, 1e-5, 1e-3).locked_rotor_frequency(-0.2) == np.inf
 
 
 def test_a_motion_that_leaves_the_inertia_open_is_refused() -> None:

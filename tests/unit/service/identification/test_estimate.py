@@ -2,22 +2,26 @@
 
 import json
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from service.identification.axis import joint_fit
+from service.identification.axis.axis_estimate import AxisEstimate
 from service.identification.design.excitation import design_sweep, velocity_setpoint
 from service.identification.estimates import estimate as estimates
 from service.identification.estimates.document import as_document
-from service.identification.estimates.estimate import identify
+from service.identification.estimates.estimate import KEPT, Judged, WeightingEnded, identify, judge, unchanged_or
+from service.identification.estimation import estimate_document
 from service.identification.model import physical_consistency
+from service.identification.model.least_squares import Array
 from service.identification.model.regressor import gravity_terms, inertia_rows
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.model.errors import BadInput
-from service.model.recording import Recording, Sweep
+from service.model.recording import Recording, Sine, Sweep
 from service.model.robot import Robot
+from tests.formula_sweep import Turning, by_formula
 from tests.numeric.campaign import spec_of
 
 
@@ -126,3 +130,124 @@ def test_an_inertia_that_is_no_number_is_refused_with_its_sweep(robot: Robot, mo
         BadInput, match=r"^sweep 0001 of swing: its inertia nan with variance .* is not a finite number"
     ):
         identify(robot, _spectra(robot, POSES))
+
+
+STD, PARAMETERS = 0.1, np.array([10.0, 1.0, 2.0, 3.0])
+
+
+def campaign(seed: int, spoiled: int, size: float) -> tuple[Array, Array]:
+    """Rows (n, 4) and inertias (n,) of 5 to 19 poses, one to three sweeps each; `spoiled` of them off by `size`."""
+    rng = np.random.default_rng(seed)
+    poses, repeats = rng.integers(5, 20), rng.integers(1, 4)
+    rows = np.repeat(rng.standard_normal((poses, 4)), repeats, axis=0)
+    rows[:, 0] += 5
+    values = rows @ PARAMETERS + STD * rng.standard_normal(len(rows))
+    bad = rng.choice(len(rows), min(spoiled, len(rows)), replace=False)
+    values[bad] += size * rng.choice([-1, 1], len(bad))
+    return rows, values
+
+
+def judged(seed: int, spoiled: int, size: float, rounds: int = 40) -> Judged:
+    rows, values = campaign(seed, spoiled, size)
+    return judge(rows, values, [STD**2 * np.eye(len(values))], rounds)
+
+
+def test_one_bad_sweep_settles_at_once() -> None:
+    ended = [judged(seed, 1, 3.0).ended for seed in range(100)]
+    assert ended.count(WeightingEnded.SETTLED) >= 97
+
+
+@pytest.mark.parametrize(("seed", "spoiled", "size"), [(29, 5, 3.0), (43, 5, 3.0), (27, 2, 10.0)])
+def test_sweeps_that_contradict_each_other_are_all_suspected(seed: int, spoiled: int, size: float) -> None:
+    """They used to be suspected in turns, and an even and an odd number of rounds named different ones."""
+    found = judged(seed, spoiled, size)
+    assert found.ended is WeightingEnded.CONTRADICTION
+    assert np.count_nonzero(found.extra > STD**2) >= 1
+    again = judged(seed, spoiled, size, 39)
+    assert np.flatnonzero(again.extra > STD**2).tolist() == np.flatnonzero(found.extra > STD**2).tolist()
+
+
+def test_what_does_not_settle_says_so() -> None:
+    assert judged(3, 1, 10.0, 1).ended is WeightingEnded.UNFINISHED
+
+
+@pytest.mark.slow
+def test_nearly_all_campaigns_settle() -> None:
+    """Up to five bad sweeps of 5 to 57: the share that contradicts itself, and that does not settle at all."""
+    ended = [judged(seed, spoiled, size).ended for seed in range(60) for spoiled in (1, 2, 3, 5) for size in (1, 3, 10)]
+    settled, contradiction = (
+        ended.count(kind) / len(ended) for kind in (WeightingEnded.SETTLED, WeightingEnded.CONTRADICTION)
+    )
+    print(f"settled {100 * settled:.1f} %, contradiction {100 * contradiction:.1f} %")
+    assert settled > 0.95
+    assert settled + contradiction > 0.995
+
+
+class Fits:
+    """Counts what is computed; a result of its own each time. What is kept outlives a test: each has its own inputs."""
+
+    def __init__(self) -> None:
+        self.inputs: list[tuple[float, ...]] = []
+
+    def __call__(self, effort: np.ndarray, gain: float) -> AxisEstimate:
+        self.inputs.append((*effort.tolist(), gain))
+        return cast(AxisEstimate, object())
+
+
+def test_equal_inputs_are_computed_once() -> None:
+    fits = Fits()
+    first = unchanged_or(fits.__call__, np.array([10.0, 20.0]), 3.0)
+    assert unchanged_or(fits.__call__, np.array([10.0, 20.0]), 3.0) is first
+    assert len(fits.inputs) == 1
+
+
+def test_the_last_bit_of_an_input_counts() -> None:
+    fits = Fits()
+    first = unchanged_or(fits.__call__, np.array([1.0, 2.0]), 3.0)
+    other = unchanged_or(fits.__call__, np.array([1.0, np.nextafter(2.0, 3.0)]), 3.0)
+    third = unchanged_or(fits.__call__, np.array([1.0, 2.0]), np.nextafter(3.0, 4.0))
+    assert len({id(first), id(other), id(third)}) == 3
+
+
+def test_few_are_kept() -> None:
+    fits = Fits()
+    for number in range(KEPT + 1):
+        unchanged_or(fits.__call__, np.array([float(number)]), 0.0)
+    unchanged_or(fits.__call__, np.array([float(KEPT)]), 0.0)  # kept
+    assert len(fits.inputs) == KEPT + 1
+    unchanged_or(fits.__call__, np.array([0.0]), 0.0)  # the oldest is not
+    assert len(fits.inputs) == KEPT + 2
+
+
+def free(robot: Robot, axis: str, **fields: Any) -> Spectrum:
+    """8 s to and fro, for which J = 250 kg m^2."""
+    sines = (Sine(frequency=0.4, amplitude=0.3), Sine(frequency=1.1, amplitude=0.1))
+
+    def effort(m: Turning) -> np.ndarray:
+        return 250.0 * m.acceleration + 90 * m.velocity + np.random.default_rng(1).normal(0, 2.0, len(m.time))
+
+    told: dict[str, Any] = {"id": axis, "axis": axis, "pose": (0.0, 0.0), "excitation": "trajectory", "period": None}
+    return spectrum(robot, by_formula(effort, 8.0, sines, **told | fields))
+
+
+def test_records_of_two_axes_at_once_are_refused(robot: Robot) -> None:
+    both = [free(robot, "lift", started_at=20.0), free(robot, "swing", started_at=20.0)]
+    with pytest.raises(BadInput, match="sweep swing: swing moved while lift did in sweep lift"):
+        identify(robot, both)
+    with pytest.raises(BadInput, match="correct started_at"):
+        estimate_document(robot, both)
+
+
+def test_an_overlap_is_enough_and_one_after_the_other_is_none(robot: Robot) -> None:
+    lift = free(robot, "lift", started_at=20.0)
+    with pytest.raises(BadInput, match="started_at 27 and 20 s"):
+        identify(robot, [lift, free(robot, "swing", started_at=27.0)])
+    for told in ({"started_at": 28.0}, {"started_at": 20.0, "pose": (0.0, 0.5)}):
+        assert len(identify(robot, [lift, free(robot, "swing", **told)]).axes) == 2
+
+
+def test_a_block_that_says_how_many_axes_it_moved_is_believed(robot: Robot) -> None:
+    """The other axis may be missing from the bundle."""
+    with pytest.raises(BadInput, match="sweep swing: its block 'trajectory 3 of 2 axes' moved several axes at once"):
+        identify(robot, [free(robot, "swing", block="trajectory 3 of 2 axes")])
+    assert identify(robot, [free(robot, "swing", block="trajectory 3 of 1 axes")]).axes

@@ -5,21 +5,21 @@ import pytest
 
 from service.identification.design.excitation import velocity_setpoint
 from service.identification.design.exciting_trajectory import (
-    Shape,
     Trajectory,
     TrajectoryLimits,
+    TrajectoryShape,
     design_trajectory,
     nominal_effort,
     steady_motion,
 )
-from service.identification.model.whole_base import dynamic_base
+from service.identification.model.inverse_dynamics import dynamic_base
 from service.model.errors import BadInput
 from service.model.robot import Robot
 from tests.random_chain import random_arm
 
 pytestmark = pytest.mark.slow
 
-SHAPE = Shape(period=4.0, harmonics=3, periods=2, ramp=1.0, settle=0.5)
+SHAPE = TrajectoryShape(period=4.0, harmonics=3, periods=2, ramp=1.0, settle=0.5)
 
 
 def robot() -> Robot:

@@ -6,13 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from service.identification.axis.drive_train import TwoMassTrain
 from service.identification.estimates.combination import combine
 from service.identification.estimation import estimate_document, sweep_spectrum
 from service.identification.motion.equations import mean_sign
-from service.identification.motion.free_motion import at_once, calibrated, free_motions, with_loads
-from service.identification.motion.noise import Colour, stretches
-from service.identification.spectra.axis_inertia import DriveTrain
-from service.identification.spectra.low_pass import low_pass, memory
+from service.identification.motion.fit import Colour, stretches
+from service.identification.motion.free_motion import at_once, calibrated, free_motions, low_pass, memory, with_loads
 from service.model.errors import BadInput
 from service.model.recording import Recording, Sweep, SweepSpec
 from service.model.robot import Robot
@@ -89,7 +88,7 @@ def test_a_record_in_which_nothing_moves_is_refused() -> None:
 def test_gains_and_springs() -> None:
     (record,) = free_motions(robot(), [sweep("joint_1", samples=2000), sweep("joint_2", samples=2000)])
     assert calibrated(record, {"joint_2": 2.0}).effort[7] == pytest.approx(record.effort[7] / [1, 2])
-    train = DriveTrain(3.0, 0.0, 0.0, 1e-3, 0.0)
+    train = TwoMassTrain(3.0, 0.0, 0.0, 1e-3, 0.0)
     loads = with_loads(record, {"joint_1": train}).load_position
     # effort 5 sin t, acceleration -sin t: the spring carries 8 sin t
     inner = slice(100, -100)

@@ -6,17 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.identification.axis.ideal_frequency import AxisAnalysis, analyse_axis, nearest_line
+from service.identification.axis.drive_train import TwoMassTrain, impedance
+from service.identification.axis.ideal_frequency import InitialAnalysis, analyse_axis, nearest_line
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
-from service.identification.estimates.analysis_document import analyses_document, analyses_from
-from service.identification.spectra.axis_inertia import DriveTrain, impedance
-from service.identification.spectra.noise_response import Response
+from service.identification.estimates.initial_analysis import analyses_document, analyses_from
+from service.identification.spectra.noise_response import FrequencyResponse
 from service.model.errors import BadInput
-from service.model.results import analysis as results
+from service.model.results import estimate as results
 
 pytestmark = pytest.mark.slow
 
-TRAIN = DriveTrain(58.0, 300.0, 150.0, 1 / 7.4e5, 1.2e-3)
+TRAIN = TwoMassTrain(58.0, 300.0, 150.0, 1 / 7.4e5, 1.2e-3)
 LOADS = (140.0, 200.0, 330.0, 600.0)
 FREQUENCY = np.arange(2, 63) / 1.6
 PRIOR = SharedPrior(
@@ -27,18 +27,18 @@ PRIOR = SharedPrior(
 STIFF = replace(TRAIN, compliance=0.0)
 
 
-def response(load: float, noise: float, rng: np.random.Generator, train: DriveTrain = TRAIN) -> Response:
+def response(load: float, noise: float, rng: np.random.Generator, train: TwoMassTrain = TRAIN) -> FrequencyResponse:
     z = impedance(FREQUENCY, train, load, 0.0).total
     velocity = 1 / (z + 5000.0)
     error = noise * (rng.standard_normal(len(z)) + 1j * rng.standard_normal(len(z))) / np.sqrt(2)
     covariance = np.zeros((len(z), 2, 2), dtype=complex)
     covariance[:, 0, 0] = max(noise, 1e-9) ** 2
-    return Response(FREQUENCY, z * velocity + error, velocity, covariance, np.ones(len(z)))
+    return FrequencyResponse(FREQUENCY, z * velocity + error, velocity, covariance, np.ones(len(z)))
 
 
 def analysis(
-    noise: float = 0.01, seed: int = 1, loads: tuple[float, ...] = LOADS, train: DriveTrain = TRAIN
-) -> AxisAnalysis:
+    noise: float = 0.01, seed: int = 1, loads: tuple[float, ...] = LOADS, train: TwoMassTrain = TRAIN
+) -> InitialAnalysis:
     rng = np.random.default_rng(seed)
     priors = [PosePrior(np.array([1.2 * load, 0.0, 0.0]), np.array([0.6 * load, 1.0, 1.0])) for load in loads]
     poses = [(0.0, float(k)) for k in range(len(loads))]
@@ -119,12 +119,14 @@ def test_documents_keep_the_prior_exactly() -> None:
     assert again.re == document["swing"].poses[0].frequency_response[5].re
 
 
-def few(full: Response) -> Response:
+def few(full: FrequencyResponse) -> FrequencyResponse:
     """Of three lines."""
-    return Response(full.frequency[:3], full.effort[:3], full.velocity[:3], full.covariance[:3], full.coherence[:3])
+    return FrequencyResponse(
+        full.frequency[:3], full.effort[:3], full.velocity[:3], full.covariance[:3], full.coherence[:3]
+    )
 
 
-def spoilt(full: Response, value: float) -> Response:
+def spoilt(full: FrequencyResponse, value: float) -> FrequencyResponse:
     return replace(full, effort=np.where(np.arange(len(full.effort)) == 7, value, full.effort))
 
 
@@ -143,7 +145,9 @@ GOOD = response(140.0, 0.01, np.random.default_rng(1))
         ),
     ],
 )
-def test_responses_that_tell_nothing_are_refused_with_their_pose(responses: list[Response], message: str) -> None:
+def test_responses_that_tell_nothing_are_refused_with_their_pose(
+    responses: list[FrequencyResponse], message: str
+) -> None:
     priors = [PosePrior(np.array([140.0, 0.0, 0.0]), np.array([70.0, 1.0, 1.0]))] * len(responses)
     with pytest.raises(BadInput, match=message):
         analyse_axis("swing", [(float(k),) for k in range(len(responses))], responses, PRIOR, priors)

@@ -9,11 +9,10 @@ from scipy.optimize import least_squares
 from scipy.signal import lsim
 
 from service.identification.axis import joint_fit
-from service.identification.axis.joint_fit import Ended, complete_prior, fit_axis
+from service.identification.axis.drive_train import SHARED, TwoMassTrain, direct_terms, effort_residual
+from service.identification.axis.joint_fit import FitEnded, complete_prior, fit_axis
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
-from service.identification.axis.sweep_model import SHARED, direct_terms, effort_residual
 from service.identification.design.excitation import design_sweep, velocity_setpoint
-from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.model.errors import BadInput
 from service.model.recording import Recording, Sweep
@@ -23,7 +22,7 @@ from tests.numeric.campaign import spec_of
 
 pytestmark = pytest.mark.slow
 
-TRAIN = DriveTrain(60.0, 130.0, 80.0, 1 / 6e5, 1e-3)
+TRAIN = TwoMassTrain(60.0, 130.0, 80.0, 1 / 6e5, 1e-3)
 LOADS = np.linspace(110.0, 560.0, 8)
 NOMINAL_MOTOR = 57.0
 
@@ -211,7 +210,7 @@ def test_what_is_no_number_is_refused_with_its_sweep(robot: Robot) -> None:
 def test_a_fit_that_does_not_converge_tells_nothing(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     spectra = _measured(robot, 2)
     shared, poses = _priors()
-    assert fit_axis(spectra, shared, poses, 6.0).ended in (Ended.CONVERGED, Ended.AT_REST)
+    assert fit_axis(spectra, shared, poses, 6.0).ended in (FitEnded.CONVERGED, FitEnded.AT_REST)
     monkeypatch.setattr(joint_fit, "ITERATIONS", 1)
     monkeypatch.setattr(joint_fit, "ROUNDS", 1)
     with pytest.raises(BadInput, match=r"^lift: its fit over 8 sweeps did not converge: the cost still falls after"):

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.identification.spectra.axis_inertia import DriveTrain, impedance
+from service.identification.axis.drive_train import TwoMassTrain, impedance
 from service.identification.spectra.noise_response import NoiseSpectrum, noise_response, noise_spectrum
 from service.model.errors import BadInput
 from service.model.recording import Recording, Sweep, SweepSpec
 from service.model.robot import Robot
 
-TRAIN = DriveTrain(58.0, 140.0, 60.0, 1 / 7.4e5, 1.2e-3)
+TRAIN = TwoMassTrain(58.0, 140.0, 60.0, 1 / 7.4e5, 1.2e-3)
 FREQUENCY = np.arange(2, 60) / 1.6
 Z = impedance(FREQUENCY, TRAIN, 250.0, 0.0).total
 CONTROL = 6000.0 * (1 + 1 / (2j * np.pi * FREQUENCY * 0.25))  # softened PI

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from service.identification.model.base_parameters import base_parameters
 from service.identification.model.physical_consistency import (
-    Ended,
-    Physical,
-    _Problem,  # pyright: ignore[reportPrivateUsage]  what it does at the end of the numbers is seen nowhere else
+    NearestPhysical,
+    SearchEnded,
+    _Constraints,  # pyright: ignore[reportPrivateUsage]  what it does at the end of the numbers is seen nowhere else
     is_physical,
     nearest_physical,
     pseudo_inertia,
@@ -44,7 +44,7 @@ def robot(seed: int) -> tuple[np.random.Generator, Chain, np.ndarray, np.ndarray
     return rng, chain, base_parameters(chain, tuple(range(count))).combination, nominal
 
 
-def nearest(nominal: np.ndarray, rows: np.ndarray, values: np.ndarray, covariance: np.ndarray) -> Physical:
+def nearest(nominal: np.ndarray, rows: np.ndarray, values: np.ndarray, covariance: np.ndarray) -> NearestPhysical:
     return nearest_physical(nominal, (0.3, np.full(len(nominal) // 11, 0.1)), rows, values, covariance)
 
 
@@ -202,7 +202,7 @@ def test_a_nominal_centre_of_mass_may_lie_anywhere(distance: float) -> None:
 def test_a_step_that_leaves_the_numbers_leaves_the_domain() -> None:
     """Newton's method tries steps of any length."""
     nominal = np.array([2.0, 0.1, 0, 0, 1, 0, 1, 0, 0, 1, 1.0])
-    problem = _Problem.of(nominal, (0.3, np.array([0.1])), 1e200 * np.eye(11)[:2], np.array([2e200, 1e199]))
+    problem = _Constraints.of(nominal, (0.3, np.array([0.1])), 1e200 * np.eye(11)[:2], np.array([2e200, 1e199]))
     assert problem.inside(np.zeros(2))
     assert not problem.inside(np.array([1e200, -1e200]))
 
@@ -210,16 +210,16 @@ def test_a_step_that_leaves_the_numbers_leaves_the_domain() -> None:
 @pytest.mark.slow
 def test_how_the_search_ended_is_told() -> None:
     """Effort of the wrong sign: all links of negative mass, a thousand standard deviations from possible."""
-    ended: list[Ended] = []
+    ended: list[SearchEnded] = []
     for seed in range(12):
         _, _, combination, nominal = robot(seed)
         spread = np.diag((1e-3 * np.abs(combination @ nominal) + 1e-9) ** 2)
         exact = nearest(nominal, combination, combination @ nominal, spread)
-        assert (exact.ended, exact.deviation) == (Ended.EXACT, 0.0)
+        assert (exact.ended, exact.deviation) == (SearchEnded.EXACT, 0.0)
         far = nearest(nominal, combination, -1e4 * combination @ nominal, spread)
         assert buildable(far.parameters)
         ended.append(far.ended)
-    assert set(ended) == {Ended.MOST_PROBABLE, Ended.UNFINISHED}
+    assert set(ended) == {SearchEnded.MOST_PROBABLE, SearchEnded.UNFINISHED}
 
 
 @pytest.mark.parametrize("name", ["nominal model", "rows", "values", "covariance"])

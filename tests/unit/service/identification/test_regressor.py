@@ -3,8 +3,15 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.stats import qmc
 
-from service.identification.model.base_parameters import base_parameters, condition_number, reduce_columns
+from service.identification.model.base_parameters import (
+    base_parameters,
+    condition_number,
+    reduce_columns,
+    spread_evenly,
+)
+from service.identification.model.inverse_dynamics import JointMotion, dynamics_names, dynamics_rows, link_rows
 from service.identification.model.regressor import (
     axis_rows,
     fold,
@@ -125,3 +132,57 @@ def test_folding_is_what_locking_does() -> None:
     motors = rng.uniform(1, 2, 5)
     folded = fold(chain, fixed) @ np.concatenate([chain.inertial.ravel(), motors])
     np.testing.assert_allclose(folded, [*lock(chain, fixed).inertial.ravel(), *motors[[1, 3]]], atol=1e-12)
+
+
+OBLIQUE = np.array([0.3, -1.2, -9.81])
+
+
+def motion(rng: np.random.Generator, samples: int, joints: int) -> JointMotion:
+    return JointMotion(*rng.uniform(-2.5, 2.5, (3, samples, joints)))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_link_rows_are_pinocchios(seed: int) -> None:
+    rng = np.random.default_rng(300 + seed)
+    text = random_urdf(rng, int(rng.integers(1, 8)))
+    chain, model = read_chain(text), pin.buildModelFromXML(text)
+    model.gravity.linear = OBLIQUE
+    data = model.createData()
+    moved = motion(rng, 4, model.nv)
+    rows = link_rows(chain, OBLIQUE, moved)
+    effort = rows @ chain.inertial.ravel()
+    for k, (q, v, a) in enumerate(zip(moved.position, moved.velocity, moved.acceleration, strict=True)):
+        expected = np.atleast_2d(pin.computeJointTorqueRegressor(model, data, q, v, a))
+        np.testing.assert_allclose(rows[k], expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+        torque = pin.rnea(model, data, q, v, a)
+        np.testing.assert_allclose(effort[k], torque, rtol=1e-9, atol=1e-9 * np.abs(torque).max())
+
+
+def test_one_axis_from_standstill_without_gravity_is_the_inertia_row() -> None:
+    rng = np.random.default_rng(1)
+    chain = read_chain(random_urdf(rng, 5))
+    pose = rng.uniform(-2, 2, (1, 5))
+    for k in range(5):
+        unit = JointMotion(pose, np.zeros((1, 5)), np.eye(5)[[k]])
+        rows = dynamics_rows(chain, np.zeros(3), unit)[0, k, :55]
+        np.testing.assert_allclose(rows, axis_rows(chain, k, pose)[0], atol=1e-12)
+
+
+def test_the_drive_by_hand() -> None:
+    chain = read_chain(random_urdf(np.random.default_rng(2), 2))
+    still = JointMotion(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 2)))
+    motor = JointMotion(np.zeros((1, 2)), np.array([[0.5, -2.0]]), np.array([[3.0, 0.0]]))
+    names = dynamics_names(chain)
+    values = np.zeros(28)
+    for name, value in (("Jm(joint_1)", 2.0), ("Fv(joint_2)", 10.0), ("Fc(joint_2)", 7.0), ("offset(joint_1)", 1.0)):
+        values[names.index(name)] = value
+    # joint 1: 2 * 3 + 1; joint 2: 10 * -2 - 7
+    assert dynamics_rows(chain, OBLIQUE, still, motor)[0] @ values == pytest.approx([7.0, -27.0])
+
+
+@pytest.mark.parametrize("dimensions", [1, 2, 6, 12])
+def test_the_points_are_those_of_scipy_to_the_last_digit(dimensions: int) -> None:
+    lower = -np.linspace(0.5, 3.0, dimensions)
+    upper = np.linspace(1.0, 2.0, dimensions)
+    expected = qmc.scale(qmc.Halton(dimensions, scramble=False).random(1000), lower, upper)
+    np.testing.assert_array_equal(spread_evenly(1000, lower, upper), expected)

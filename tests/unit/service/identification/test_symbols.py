@@ -7,9 +7,16 @@ import numpy as np
 import pytest
 
 from service.identification.model.base_parameters import BaseParameters, base_parameters, combination_of
-from service.identification.model.expressions import Search, Term, products
 from service.identification.model.regressor import lock, parameter_names
-from service.identification.model.symbols import Dimension, dimensions, symbolic_names, with_dimensions
+from service.identification.model.symbols import (
+    Dimension,
+    Product,
+    Search,
+    dimensions,
+    products,
+    symbolic_names,
+    with_dimensions,
+)
 from service.model.urdf import Chain, read_chain
 from tests.random_chain import random_urdf
 
@@ -118,7 +125,7 @@ def test_dimensions_can_be_put_back() -> None:
 
 
 def test_the_simplest_expression_is_found() -> None:
-    a, b = Term("a", np.array([2.0, 3.0, 7.0])), Term("b", np.array([2.0, 5.0, 1.5]))
+    a, b = Product("a", np.array([2.0, 3.0, 7.0])), Product("b", np.array([2.0, 5.0, 1.5]))
     search = Search(products([a, b], 2, 3))
     for wanted, factor, text in (
         (a.value**2, 1.0, "a^2"),

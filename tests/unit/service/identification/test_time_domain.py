@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from service.formats.traces.trace_import import import_trace
 from service.identification.estimates.estimate import identify
 from service.identification.spectra.frequency_response import spectrum
-from service.identification.spectra.time_domain import FreeFit, fit_record
+from service.identification.spectra.time_domain import RecordFit, fit_record
 from service.model.errors import BadInput
 from service.model.recording import Recording, Sweep, SweepSpec
 from service.model.robot import Axis, Robot, RobotDescription, build_robot
@@ -48,11 +48,11 @@ def run_up(seed: int, noise: float = 0.02, memory: float = 0.0, drag: float = 0.
     return Sweep(spec, Recording(time, effort, speed, angle))
 
 
-def fits(bench: Robot, **kind: float) -> list[FreeFit]:
+def fits(bench: Robot, **kind: float) -> list[RecordFit]:
     return [fit_record(spectrum(bench, run_up(seed, **kind))) for seed in range(SEEDS)]
 
 
-def covered(found: list[FreeFit]) -> float:
+def covered(found: list[RecordFit]) -> float:
     """Share of the fits whose J is within two standard deviations of the truth."""
     return float(np.mean([abs(fit.inertia - INERTIA) < 2 * fit.inertia_std for fit in found]))
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service.identification.axis.drive_train import TwoMassTrain
 from service.identification.motion.trajectory_record import (
     AxisTrack,
     TrajectoryRecord,
@@ -16,7 +17,6 @@ from service.identification.motion.trajectory_record import (
     trajectory,
     with_loads,
 )
-from service.identification.spectra.axis_inertia import DriveTrain
 from service.model.errors import BadInput
 from service.model.recording import Recording, Sine, Sweep, SweepSpec
 from service.model.robot import Robot
@@ -83,7 +83,7 @@ def test_a_track_survives_json() -> None:
 
 
 def test_a_load_without_encoder_hangs_on_its_spring() -> None:
-    train = DriveTrain(motor_inertia=2.0, motor_friction=0, load_friction=0, compliance=1e-3, damping_time=0)
+    train = TwoMassTrain(motor_inertia=2.0, motor_friction=0, load_friction=0, compliance=1e-3, damping_time=0)
     own = with_loads(record(), {"joint_2": train})
     loads, motors = (own.motion(robot(), 400, load=of_load) for of_load in (True, False))
     effort = in_time(own.tracks[0].effort, 400)

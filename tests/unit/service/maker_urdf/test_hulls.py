@@ -10,12 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from service.formats.maker_urdf.hulls import FINEST, MOST_VERTICES, convex_hull, embed_hulls, solid
-from service.formats.maker_urdf.inertials import DENSITY, check_inertials
+from service.formats.maker_urdf.inertials import (
+    FINEST,
+    MOST_VERTICES,
+    PLAUSIBLE,
+    check_inertials,
+    convex_hull,
+    embed_hulls,
+    solid,
+)
 from service.formats.maker_urdf.packages import Packages
 from service.model.errors import BadInput
-from service.model.geometry.hull import read_hull, write_hull
-from service.model.urdf import read_chain
+from service.model.urdf import read_chain, read_hull, write_hull
 
 ARM = """<robot name="arm"><link name="base"/><joint name="j" type="revolute"><parent link="base"/><child link="tip"/>
 <axis xyz="0 0 1"/>
@@ -131,7 +137,7 @@ def test_a_link_without_inertial_is_completed_and_told() -> None:
     (told,) = check_inertials(root, "x")[0]
     assert (told.kind, told.place) == ("changed", "b")
     assert "a guess" in told.sentence
-    mass = DENSITY * 0.008
+    mass = PLAUSIBLE.density * 0.008
     inertial = read_chain(ET.tostring(root, encoding="unicode")).inertial[0]
     np.testing.assert_allclose(inertial[:4], mass * np.array([1, 0.2, 0, 0.05]), rtol=1e-5, atol=1e-9)
     assert inertial[9] == pytest.approx(mass * ((0.04 + 0.16) / 12 + 0.04), rel=1e-5)

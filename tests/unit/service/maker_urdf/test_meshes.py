@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.formats.maker_urdf import collada, meshes, packages
-from service.formats.maker_urdf.meshes import mesh_points
-from service.formats.maker_urdf.packages import Packages
+from service.formats.maker_urdf import packages
+from service.formats.maker_urdf.packages import MeshLimits, Packages, mesh_points
 from service.model.errors import BadInput
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]])
@@ -94,7 +93,7 @@ def test_nodes_that_show_each_other_are_counted() -> None:
 def test_a_geometry_that_is_shown_often_is_read_once_and_its_points_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = nodes(5, '<instance_geometry url="#g"/>')
     assert len(np.unique(mesh_points(shown, "a.dae", "x"), axis=0)) == 3
-    monkeypatch.setattr(collada, "MOST_POINTS", 20)
+    monkeypatch.setattr(packages, "LIMITS", MeshLimits(shown=20))
     with pytest.raises(BadInput, match="shows more than 20 points"):
         mesh_points(shown, "a.dae", "x")
 
@@ -102,7 +101,7 @@ def test_a_geometry_that_is_shown_often_is_read_once_and_its_points_counted(monk
 def test_xml_that_unfolds_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(BadInput, match="declares a DOCTYPE; entities are not expanded"):
         mesh_points(b'<!DOCTYPE r [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]>' + dae("&b;"), "a.dae", "x")
-    monkeypatch.setattr(collada, "MOST_ELEMENTS", 10)
+    monkeypatch.setattr(packages, "LIMITS", MeshLimits(elements=10))
     with pytest.raises(BadInput, match="has more than 10 elements"):
         mesh_points(dae(""), "a.dae", "x")
 
@@ -126,7 +125,7 @@ def test_text_meshes_take_no_more_memory_than_some_copies_of_the_file() -> None:
 
 
 def test_too_many_points_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(meshes, "MOST_POINTS", 2)
+    monkeypatch.setattr(packages, "LIMITS", MeshLimits(points=2))
     assert len(mesh_points(b"v 1 2 3\nv 0 0 0\n" * 2, "a.obj", "x")) == 2
     with pytest.raises(BadInput, match="has 3 different points, limit 2; make it coarser"):
         mesh_points(OBJ, "a.obj", "x")
@@ -172,7 +171,7 @@ def test_nothing_outside_of_the_packages_is_read(share: Path, name: str, told: s
 
 
 def test_a_mesh_larger_than_the_limit_is_refused(share: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(packages, "LARGEST_MESH", len(OBJ) - 1)
+    monkeypatch.setattr(packages, "LIMITS", MeshLimits(size=len(OBJ) - 1))
     with pytest.raises(BadInput, match="is larger than"):
         Packages([share], share).read("package://arm/meshes/a.obj", "x")
 

@@ -9,10 +9,9 @@ from drivers.canopen.profile import parse_profile
 from drivers.registry import load_profile
 from service.formats.maker_urdf import side_file_text
 from service.formats.maker_urdf.virtual import DraftedRobot, virtual_machine
-from service.model.configuration import read_robot
+from service.model.configuration import read_cell, read_robot
 from service.model.errors import BadInput
-from service.model.geometry.cell import read_cell
-from service.planning.safety.robot_and_machine import DriveProfile, differences
+from service.planning.machine_setup import DriveProfile, differences
 from simulator import load_scenario
 from tests.unit.service.maker_urdf.test_kinds import LIMIT, arm, checked, inertial, joint, limit, link
 

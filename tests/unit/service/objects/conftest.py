@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from service.process.settings.object_store import StoreAddress, store_address
+from service.process.settings import StoreAddress, store_address
 from tests.object_store_server import BUCKET, S3Server, Wire, key_file, running_s3, wire_to
-from tests.unit.service.backup.conftest import data, measured
+from tests.unit.service.backup.conftest import data, measured, recording
 
-__all__ = ["data", "measured"]
+__all__ = ["data", "measured", "recording"]
 
 WAIT = 1.0  # s that a store may say nothing
 
@@ -46,9 +46,3 @@ def address(request: pytest.FixtureRequest, tmp_path: Path) -> StoreAddress:
     folder = tmp_path / "share"
     folder.mkdir()
     return store_address(folder.as_uri(), None, None, WAIT)
-
-
-@pytest.fixture
-def recording(data: Path) -> Path:
-    """One of the recordings of `data`."""
-    return sorted(data.glob("recordings/*/*.parquet"))[0]

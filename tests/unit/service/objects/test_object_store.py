@@ -12,13 +12,11 @@ import numpy as np
 import pytest
 
 from service.model.errors import BadInput
-from service.process.settings import Settings
-from service.process.settings.object_store import StoreAddress, store_address
+from service.process.settings import Settings, StoreAddress, store_address
 from service.store.files.columns import read_columns
 from service.store.files.recordings import RecordingFile, file_sha256
-from service.store.objects.cache import make_room
-from service.store.objects.object_store import MissingObject, ObjectStore, StoreAway, WrongObject, check_usable
-from service.store.objects.reading import read_recording
+from service.store.objects import MissingObject, ObjectStore, StoreAway, WrongObject, check_usable, read_recording
+from service.store.retention import make_room
 from tests.object_store_server import BUCKET, S3Server, Wire, key_file
 from tests.unit.service.objects.conftest import WAIT
 
@@ -154,7 +152,7 @@ def test_no_bucket_and_no_key_are_no_missing_object(s3: S3Server, tmp_path: Path
 )
 def test_what_cannot_be_a_store_is_told(given: dict[str, str], place: str, reason: str) -> None:
     with pytest.raises(BadInput, match=reason) as told:
-        Settings.model_validate(given).check_recordings()
+        Settings.model_validate(given).check()
     assert told.value.place == place
     assert "secret" not in str(told.value)
 

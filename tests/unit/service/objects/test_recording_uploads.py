@@ -1,29 +1,31 @@
 """Recordings move by themselves, wait for a store that is gone, and come back to whoever wants them."""
 
 import asyncio
+import json
 import os
+import time
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import httpx
 import pytest
 
-from service.jobs.recording_uploads import RecordingUploads
-from service.jobs.worker.transfers import Transfers
+from service.jobs.recording_uploads import RecordingUploads, Transfers
 from service.model.errors import BadInput, NotNow
-from service.process.settings import Settings
-from service.process.settings.object_store import StoreAddress
-from service.process.tasks.background import Background
-from service.store.backup.examination import examine
-from service.store.backup.making import make_backup
-from service.store.backup.restoring import restore
+from service.process.settings import Settings, StoreAddress
+from service.process.tasks import Background
+from service.store.backup import make_backup, restore
 from service.store.database import open_database
 from service.store.documents import RecordingDocument
+from service.store.examination import examine
 from service.store.files.recordings import RecordingFiles
-from service.store.objects.moves import MoveStore
+from service.store.retention import MoveStore
 from service.store.store import Store
-from tests.object_store_server import BUCKET, S3Server, Wire
+from tests.object_store_server import BUCKET, S3Server, Wire, key_file, without_keys
+from tests.unit.service.api.conftest import profile, started
+from tests.unit.service.hosting import settings_of
 
 pytestmark = pytest.mark.slow
 
@@ -164,3 +166,46 @@ async def test_backup_restore_and_doctor_know_them(
     wire.cut()
     (away,) = examine(database, data, 0, through_wire)
     assert "Could not connect" in away.place
+
+
+__all__ = ["profile"]
+
+
+def metric(http: httpx.Client, name: str) -> float:
+    text = http.get("/metrics").text
+    return next(float(line.split()[1]) for line in text.splitlines() if line.startswith(f"{name} "))
+
+
+def test_what_was_on_its_way_arrives_once(data: Path, s3: S3Server, wire: Wire, tmp_path: Path, profile: Path) -> None:
+    paths = sorted(data.glob("recordings/*/*.parquet"))
+    before = [path.read_bytes() for path in paths]
+    settings = tmp_path / "service.yaml"
+    store = {"recordings_url": f"s3://{BUCKET}/lab", "recordings_endpoint": wire.endpoint, "recordings_retry": 0.2}
+    store |= {"recordings_key_file": str(key_file(tmp_path)), "data_dir": str(data)}
+    settings.write_text(json.dumps(settings_of(tmp_path, profile, **store)), "utf-8")
+    wire.hold_after(100_000)  # in the middle of a recording
+    with started(settings, without_keys()) as (url, service), httpx.Client(base_url=url, timeout=PATIENCE) as http:
+        assert wire.held.wait(PATIENCE)
+        told = http.get("/api/v1/health/ready").json()["recordings"]
+        assert told["waiting"] == metric(http, "sweepid_recordings_waiting") == 2
+        assert told["since"] is not None
+        service.kill()
+        service.wait()
+    assert s3.keys() == []
+    assert [path.read_bytes() for path in paths] == before
+    wire.hold_after(None)
+    with started(settings, without_keys()) as (url, service), httpx.Client(base_url=url, timeout=PATIENCE) as http:
+        deadline = time.monotonic() + PATIENCE
+        while metric(http, "sweepid_recordings_waiting"):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        for path in paths:
+            path.unlink()  # as if the cache had no room for them
+        found = [http.get(f"/api/v1/campaigns/1/sweeps/{number}/recording/file") for number in (1, 2)]
+        assert [each.content for each in found] == before
+        hashes = [each.headers["X-Content-SHA256"] for each in found]
+        service.terminate()
+        assert service.wait(PATIENCE) == 0
+    assert s3.keys() == sorted(f"lab/{sha256[:2]}/{sha256}.parquet" for sha256 in hashes)
+    assert [s3.read(f"lab/{sha256[:2]}/{sha256}.parquet") for sha256 in hashes] == before
+    assert "not-for-logs" not in settings.with_suffix(".log").read_text("utf-8")

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from service.machine.paths.control import Control, read_control
-from service.model.configuration import read_robot
-from service.model.geometry.cell import Cell, read_cell
+from service.machine.paths.sweep_paths import CncControl, read_control
+from service.model.configuration import Cell, read_cell, read_robot
 from service.model.robot import Robot
-from service.planning.plan import PlanDocument, PlanRequest, build_plan
+from service.planning.documents import PlanDocument, PlanRequest
+from service.planning.plan import build_plan
 
 ROOT = Path(__file__).parents[4]
 ROBOT, CELL = ROOT / "config/robots/max100-class.yaml", ROOT / "config/cells/workshop.yaml"
@@ -27,7 +27,7 @@ def cell() -> Cell:
 
 
 @pytest.fixture(scope="session")
-def control(robot: Robot) -> Control:
+def control(robot: Robot) -> CncControl:
     return read_control(CONTROL, robot)
 
 

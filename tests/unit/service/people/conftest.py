@@ -13,7 +13,7 @@ import pytest
 from service.store.access.permissions import Role
 from service.store.database import Database, open_database
 from service.store.people.audit import AuditStore
-from service.store.people.keys import KeyStore
+from service.store.people.users import KeyStore
 from tests.unit.service.api.conftest import profile
 from tests.unit.service.hosting import HERE, From, hosting
 

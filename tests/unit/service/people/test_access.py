@@ -12,12 +12,15 @@ import httpx
 import pytest
 from sqlalchemy import text
 
+from service.process.settings import Settings
 from service.store.access.audit_chain import verify
-from service.store.access.keys import new_key
-from service.store.access.permissions import PERMISSIONS, SOCKET, Role
+from service.store.access.credentials import new_key
+from service.store.access.permissions import Role
 from service.store.database import Database, open_database
 from service.store.people.audit import AuditDocument, AuditStore, AuditUnreadable
-from service.store.people.keys import KeyStore
+from service.store.people.users import KeyStore
+from service.web.api.permissions import SOCKET
+from service.web.app import create_app
 from service.web.client import ServiceClient, ServiceProblem
 from tests.unit.service.hosting import opened
 from tests.unit.service.people.conftest import calling, stored_in
@@ -43,7 +46,7 @@ def status_of(http: httpx.Client, url: str, method: str, path: str, key: str | N
 def test_each_route_lets_in_who_may(url: str, keys: dict[str, str], role: Role | None) -> None:
     key = None if role is None else keys[role.word]
     with calling(url, key) as http:
-        for (method, template), needed in PERMISSIONS.items():
+        for (method, template), needed in create_app(Settings()).state.permissions.roles.items():
             status = status_of(http, url, method, re.sub(r"\{\w+\}", NOBODY_THERE, template), key)
             if needed is None or (role is not None and role >= needed):
                 assert status not in (401, 403), (method, template)

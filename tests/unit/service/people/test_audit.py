@@ -10,16 +10,13 @@ from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError
 from structlog.testing import capture_logs
 
-from service.cli.commands.audit import export_audit
-from service.cli.commands.people import add_key, list_people
+from service.cli.commands.people import add_key, export_audit, list_people
 from service.model.errors import BadInput, Conflict
 from service.store.access.audit_chain import FIRST, AuditBroken, canonical, heads_in, read_head, sha256, verify
 from service.store.access.permissions import LOCAL
 from service.store.database import Database, open_database
-from service.store.people.audit import AuditStore
-from service.store.people.audit_heads import AuditHeads
-from service.store.people.keys import KeyStore
-from service.store.people.writer import AuditWriter, NotAudited
+from service.store.people.audit import AuditHeads, AuditStore, AuditWriter, NotAudited
+from service.store.people.users import KeyStore
 from tests.command import sweepid
 from tests.unit.service.api.conftest import serving
 from tests.unit.service.people.conftest import calling

@@ -1,46 +1,57 @@
-"""The table of permissions is that of the routes, and the page that of the table; keys are masked."""
+"""Each route has its least role, and the page is that of the routes; keys are masked."""
 
-from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
+from fastapi import FastAPI
 
 from service.process.settings import Settings
-from service.store.access.keys import key_sha256, masked, new_key
-from service.store.access.permissions import LOGINS, PERMISSIONS, SOCKET, STOP, Permissions, Role, Route
-from service.store.access.scopes import SCOPES, lacking, scope_of
-from service.web.api.people.permissions_page import page
+from service.store.access.credentials import key_sha256, masked, new_key
+from service.store.access.permissions import SCOPES, Role
+from service.web.api.permissions import LOGINS, SOCKET, STOP, Permissions, RouteKey, allow, page
 from service.web.app import create_app
 
 PAGE = Path("docs/reference/permissions.md")
 
 
-def routes_of(routes: Iterable[Any]) -> Iterator[Route]:
-    """Of an application, those of included routers too."""
-    for route in routes:
-        if hasattr(route, "effective_candidates"):
-            yield from routes_of(route.effective_candidates())
-            continue
-        route = getattr(route, "starlette_route", None) or route
-        yield from ((method, route.path) for method in getattr(route, "methods", {SOCKET}) if method != "HEAD")
+@pytest.fixture(scope="module")
+def app() -> FastAPI:
+    return create_app(Settings())
+
+
+@pytest.fixture(scope="module")
+def permissions(app: FastAPI) -> Permissions:
+    return app.state.permissions
 
 
 @pytest.mark.slow
-def test_each_route_has_an_entry_and_each_entry_a_route() -> None:
-    app = create_app(Settings())
-    found = sorted(routes_of(app.routes))
-    assert ("GET", "/api/v1/audit") in found
-    assert len(found) == len(set(found))
-    assert set(found) == set(PERMISSIONS)
+def test_each_route_has_a_role(app: FastAPI, permissions: Permissions) -> None:
+    assert permissions.roles["GET", "/api/v1/audit"] is Role.ADMIN
+    assert permissions.roles["GET", "/metrics"] is Role.VIEWER
     declared = {(method.upper(), path) for path, ways in app.openapi()["paths"].items() for method in ways}
-    assert declared < set(found)
+    assert declared < set(permissions.roles)
 
 
-def test_stop_login_and_health_need_nobody() -> None:
-    assert PERMISSIONS[STOP] is None
-    assert {PERMISSIONS["GET", f"/api/v1/health/{word}"] for word in ("live", "ready")} == {None}
-    free = {path for (method, path), role in PERMISSIONS.items() if role is None and method != "GET"}
+def test_a_route_without_a_role_is_refused_at_the_start() -> None:
+    app = FastAPI(openapi_url="/api/v1/openapi.json", docs_url=None, redoc_url=None)
+
+    @app.get("/known")
+    @allow(Role.VIEWER)
+    def known() -> None: ...
+
+    assert Permissions(app.routes).roles["GET", "/known"] is Role.VIEWER
+
+    @app.post("/new")
+    def new() -> None: ...
+
+    with pytest.raises(LookupError, match="POST /new has no role"):
+        Permissions(app.routes)
+
+
+def test_stop_login_and_health_need_nobody(permissions: Permissions) -> None:
+    assert permissions.roles[STOP] is None
+    assert {permissions.roles["GET", f"/api/v1/health/{word}"] for word in ("live", "ready")} == {None}
+    free = {path for (method, path), role in permissions.roles.items() if role is None and method != "GET"}
     assert free == {STOP[1], *(path for _, path in LOGINS)}
 
 
@@ -57,19 +68,19 @@ def test_stop_login_and_health_need_nobody() -> None:
         (SOCKET, "/api/v1/campaigns/7/live", Role.VIEWER),
     ],
 )
-def test_what_a_request_needs(method: str, path: str, role: Role | None) -> None:
-    entry = Permissions().entry(method, path)
-    assert (Role.VIEWER if entry is None else PERMISSIONS[entry]) is role
+def test_what_a_request_needs(permissions: Permissions, method: str, path: str, role: Role | None) -> None:
+    entry = permissions.entry(method, path)
+    assert (Role.VIEWER if entry is None else permissions.roles[entry]) is role
 
 
-def test_each_route_that_needs_somebody_has_a_scope() -> None:
-    found = {route: scope_of(route) for route in PERMISSIONS}
+def test_each_route_that_needs_somebody_has_a_scope(permissions: Permissions) -> None:
+    found = {route: permissions.scope(route) for route in permissions.roles}
     assert {scope for scope in found.values() if scope} == set(SCOPES)
-    assert {route for route, scope in found.items() if scope is None and PERMISSIONS[route] is not None} == {
+    assert {route for route, scope in found.items() if scope is None and permissions.roles[route] is not None} == {
         ("GET", "/api/v1/me"),
         ("POST", "/api/v1/logout"),
     }
-    assert scope_of(STOP) is None
+    assert permissions.scope(STOP) is None
 
 
 @pytest.mark.parametrize(
@@ -86,13 +97,15 @@ def test_each_route_that_needs_somebody_has_a_scope() -> None:
         (None, Role.VIEWER, ("metrics",), "scope read"),
     ],
 )
-def test_what_a_key_lacks(route: Route | None, role: Role, scopes: tuple[str, ...] | None, needed: str) -> None:
-    assert lacking(role, scopes, route) == needed
+def test_what_a_key_lacks(
+    permissions: Permissions, route: RouteKey | None, role: Role, scopes: tuple[str, ...] | None, needed: str
+) -> None:
+    assert permissions.lacking(role, scopes, route) == needed
 
 
-def test_the_page_is_fresh(root: Path) -> None:
-    told = "run: python -m service.web.api.people.permissions_page > docs/reference/permissions.md"
-    assert (root / PAGE).read_text("utf-8") == page(), told
+def test_the_page_is_fresh(root: Path, permissions: Permissions) -> None:
+    told = "run: python -m service.web.api.permissions > docs/reference/permissions.md"
+    assert (root / PAGE).read_text("utf-8") == page(permissions), told
 
 
 KEY = f"sweepid-{'0123456789abcdef' * 4}"  # a fixed one: the processes of a run must agree on the names of tests

@@ -1,6 +1,7 @@
 """Wrong keys are limited by address, and what counts them does not grow."""
 
 import sqlite3
+from collections.abc import Iterator
 from contextlib import closing
 from datetime import timedelta
 from pathlib import Path
@@ -8,12 +9,14 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.store.access.keys import new_key
+from service.process.settings import Settings
+from service.store.access.credentials import new_key
 from service.store.access.permissions import Role
 from service.store.database import open_database
 from service.store.people.audit import AuditStore
-from service.store.people.keys import KeyStore
-from service.web.api.people.rate_limit import MOST, WINDOW, Guesses
+from service.store.people.users import KeyStore
+from service.web.api.access import MOST, WINDOW, Guesses
+from tests.unit.service.api.conftest import serving
 from tests.unit.service.hosting import hosting
 from tests.unit.service.people.conftest import calling
 
@@ -104,3 +107,32 @@ def test_who_guesses_is_refused_and_told_once(tmp_path: Path, profile: Path) -> 
 
 def get(http: httpx.Client, key: str) -> httpx.Response:
     return http.get("/api/v1/robots", headers={"Authorization": f"Bearer {key}"})
+
+
+CLAIMED, HERE, PROXY = "203.0.113.9", "127.0.0.1", "127.0.0.2"
+BEHIND: dict[str, dict[str, object]] = {
+    "no": {"trusted_proxies": [PROXY]},  # without `behind_proxy` the list means nothing
+    "yes": {"behind_proxy": True, "trusted_proxies": [f"{PROXY}/32", "10.0.0.0/8"]},
+}
+
+
+@pytest.fixture(scope="module", params=BEHIND)
+def service(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, profile: Path) -> Iterator[str]:
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("FORWARDED_ALLOW_IPS", "*")  # which uvicorn reads where nobody tells it
+        with serving(tmp_path_factory.mktemp("proxy"), profile, **BEHIND[request.param]) as url:
+            yield url
+
+
+def test_only_a_trusted_proxy_tells_who_asks(service: str, request: pytest.FixtureRequest) -> None:
+    for caller in (HERE, PROXY):
+        with calling(service, None, caller) as http:
+            answer = http.post("/api/v1/campaigns", json={"plan_id": 5}, headers={"X-Forwarded-For": CLAIMED})
+            assert answer.status_code == 404
+            newest = http.get("/api/v1/audit", params={"newest": True, "limit": 2}).json()["items"]
+        trusted = caller == PROXY and "[yes]" in request.node.name
+        assert [one["entry"]["address"] for one in newest] == [CLAIMED if trusted else caller] * 2
+
+
+def test_by_default_the_proxy_is_on_this_computer() -> None:
+    assert {str(network) for network in Settings(behind_proxy=True).trusted_proxies} == {f"{HERE}/32", "::1/128"}

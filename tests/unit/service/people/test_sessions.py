@@ -1,9 +1,11 @@
 """A person logs in with a password, has a session in a cookie, and loses it: without a machine."""
 
 import sqlite3
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
-from datetime import timedelta
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -14,10 +16,10 @@ from sqlalchemy import text
 
 from service.cli.commands.people import revoke_session, sessions
 from service.store.access.permissions import Role
-from service.store.database import Database, open_database
+from service.store.database import Database, SteadyClock, open_database
 from service.store.people.audit import AuditStore
-from service.store.people.sessions import SessionStore
-from service.store.people.users import UserStore
+from service.store.people.sessions import SessionStore, begin_time, keep_time
+from service.store.people.users import KeyStore, UserDocument, UserStore
 from tests.unit.service.hosting import hosting
 from tests.unit.service.people.conftest import Since, calling, stored_in
 
@@ -27,7 +29,7 @@ WHO = {"actor": "test", "address": "test"}
 PASSWORD = "a horse and a battery"
 WRONG = "not the horse of anna"
 START = "/api/v1/campaigns/987654/start"
-DAY = 24 * 3600.0
+LONGEST = 24 * 3600.0
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +61,7 @@ def test_a_session_from_login_to_logout(url: str, person: str, since: Since, fol
         assert cookie.name == f"sweepid-{httpx.URL(url).port}"
         assert logged_in.headers["set-cookie"].partition(";")[2].lower().replace(" ", "").split(";") == [
             "httponly",
-            f"max-age={int(DAY)}",
+            f"max-age={int(LONGEST)}",
             "path=/",
             "samesite=strict",
         ]
@@ -137,7 +139,7 @@ def test_who_is_disabled_or_gets_another_password_is_out(url: str, person: str, 
 
 
 def test_the_limits_of_a_session(database: Database, users: UserStore) -> None:
-    store = SessionStore(database, idle=3600, longest=DAY)
+    store = SessionStore(database, idle=3600, longest=LONGEST)
     user = users.all()[0]
     session, token = store.open(user, WHO)
     assert session.expires_at - session.created_at == timedelta(seconds=3600)
@@ -280,3 +282,122 @@ def test_who_cannot_be_audited_is_not_logged_in(url: str, person: str, folder: P
         assert beside.execute(
             "SELECT count(*) FROM user_session JOIN user_account u ON u.id = user_id WHERE u.name = ?", (person,)
         ).fetchone() == (0,)
+
+
+HOUR, DAY = timedelta(hours=1), timedelta(days=1)
+MONTH = 30 * DAY
+
+
+@dataclass
+class Computer:
+    """A computer whose clock can be set while its monotonic clock runs on."""
+
+    folder: Path
+    wall: datetime = datetime(2026, 3, 1, tzinfo=UTC)
+    running: float = 0.0
+    began: list[Database] = field(default_factory=list)
+
+    def passes(self, time: timedelta) -> None:
+        self.wall += time
+        self.running += time.total_seconds()
+
+    def set(self, by: timedelta) -> None:
+        self.wall += by
+
+    @contextmanager
+    def service(self) -> Iterator[tuple[SessionStore, KeyStore, UserDocument]]:
+        """A service from its start to its end, or until it is killed: nothing is stored at the end."""
+        clock = SteadyClock(lambda: self.wall, lambda: self.running)
+        with open_database(f"sqlite:///{self.folder / 'sweepid.sqlite'}", clock=clock) as database:
+            begin_time(database)
+            self.began.append(database)
+            users = UserStore(database)
+            user = next(iter(users.all()), None) or users.add("anna", Role.OPERATOR, "a horse and a battery", WHO)
+            yield SessionStore(database, idle=8 * 3600, longest=DAY.total_seconds()), KeyStore(database), user
+
+    def minute(self) -> None:
+        """What a running service does each minute."""
+        keep_time(self.began[-1])
+
+
+@pytest.fixture
+def computer(tmp_path: Path) -> Computer:
+    return Computer(tmp_path)
+
+
+def valid(store: SessionStore | KeyStore, secret: str) -> bool:
+    found = store.find(secret)
+    assert found is not None
+    return not found.trouble(store.now())
+
+
+Step = str | tuple[str, timedelta]
+BOTH, NONE, KEY_ALONE = "both", "none", "the key alone"  # of session and key are valid
+RESTART = ("end", "start")
+CASES: dict[str, list[Step]] = {
+    "what has expired does not revive when the clock is set back": [
+        *("log in", BOTH, ("pass", 25 * HOUR), NONE, ("set", -20 * HOUR), NONE, "minute", *RESTART, NONE),
+    ],
+    "a clock that is set back extends nothing": [
+        *("log in", ("set", -MONTH)),
+        *(step for _ in range(23) for step in (("pass", HOUR), BOTH)),
+        *(("pass", 2 * HOUR), NONE),
+    ],
+    "a login while the clock stood ahead keeps its limit": [
+        *(("set", MONTH), "log in", ("set", -MONTH), ("pass", HOUR), BOTH, ("pass", 24 * HOUR), NONE),
+    ],
+    "a restart after the clock was set back ends the session": [
+        *(("set", MONTH), "log in", "end", ("set", -MONTH), "start", KEY_ALONE, "told", ("pass", 25 * HOUR), NONE),
+        *("log in again", "again"),  # a person can, meanwhile
+    ],
+    "what was expired when the service was killed stays so": [
+        *("log in", ("pass", 9 * HOUR), "minute", "end", ("set", -4 * HOUR), "start", KEY_ALONE),
+    ],
+    "a small correction ends nothing": [
+        *("log in", "end", ("set", timedelta(seconds=-30)), "start", BOTH, "end", ("pass", HOUR), "start", BOTH),
+    ],
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_nothing_that_expired_is_valid_again(computer: Computer, case: str) -> None:
+    held: dict[str, str] = {}
+    with ExitStack() as running:
+        sessions, keys, user = running.enter_context(computer.service())
+        for step in CASES[case]:
+            match step:
+                case "start":
+                    sessions, keys, user = running.enter_context(computer.service())
+                case "end":
+                    running.close()
+                case "log in":
+                    held |= {"session": sessions.open(user, WHO)[1], "key": keys.add("line", Role.VIEWER, DAY, WHO)[1]}
+                case "log in again":
+                    held["again"] = sessions.open(user, WHO)[1]
+                case "again":
+                    assert valid(sessions, held["again"])
+                case "minute":
+                    computer.minute()
+                case "told":
+                    entry = AuditStore(computer.began[-1]).newest(1)[0].entry
+                    told = (entry["event"], entry["seconds"], entry["sessions"])
+                    assert told == ("clock set back", 30 * 86400, 1)
+                case ("pass", timedelta() as time):
+                    computer.passes(time)
+                case ("set", timedelta() as by):
+                    computer.set(by)
+                case _:
+                    found = valid(sessions, held["session"]), valid(keys, held["key"])
+                    assert found == {BOTH: (True, True), NONE: (False, False), KEY_ALONE: (False, True)}[str(step)]
+                    assert found[0] or sessions.all() == ()
+
+
+def test_two_services_with_different_clocks_share_one_time(computer: Computer) -> None:
+    late = SteadyClock(lambda: computer.wall - HOUR, lambda: computer.running)
+    with computer.service() as (sessions, _, user):
+        _, session = sessions.open(user, WHO)
+        with open_database(f"sqlite:///{computer.folder / 'sweepid.sqlite'}", clock=late) as other:
+            there = SessionStore(other, idle=8 * 3600, longest=DAY.total_seconds())
+            assert valid(there, session)
+            computer.passes(25 * HOUR)
+            assert not valid(there, session)

@@ -17,8 +17,7 @@ from service.model.errors import BadInput
 from service.process.settings import Settings
 from service.store.access.permissions import Role
 from service.store.database import open_database
-from service.store.people.keys import KeyStore
-from service.store.people.users import UserStore
+from service.store.people.users import KeyStore, UserStore
 from service.web.client import ServiceClient, ServiceUnreachable
 from tests.programs import needs
 from tests.system.rest_bench import until

@@ -14,12 +14,10 @@ from sqlalchemy import select, text
 
 from service.model.errors import BadInput, Conflict, NotFound
 from service.store import tables as t
-from service.store.access.passwords import LEAST, fits, outdated, password_hash
 from service.store.access.permissions import Role
 from service.store.database import Database, open_database
 from service.store.people.audit import AuditStore
-from service.store.people.keys import KeyStore
-from service.store.people.users import UserStore
+from service.store.people.users import LEAST, KeyStore, UserStore, fits, outdated, password_hash
 from tests.command import SWEEPID, sweepid
 
 pytestmark = pytest.mark.slow

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from service.planning.campaigns.stored_results import AxisEstimateQuality
 from service.publishing.state import (
-    AxisQuality,
-    Body,
     CampaignProgress,
     LatestEstimate,
+    LinkParameters,
     MachineState,
-    State,
+    PublishedState,
 )
 from service.store.documents import CampaignState
 
@@ -26,8 +26,8 @@ def links(root: Path) -> dict[str, dict[str, float]]:
 
 
 @pytest.fixture
-def state(links: dict[str, dict[str, float]]) -> State:
-    return State(
+def state(links: dict[str, dict[str, float]]) -> PublishedState:
+    return PublishedState(
         machine=MachineState(
             name="cell 7", connected=True, may_move=True, state="stands", stopped=False, stops=(), reason=""
         ),
@@ -40,13 +40,13 @@ def state(links: dict[str, dict[str, float]]) -> State:
             revision=1,
             made=MADE,
             condition=None,
-            axes={"joint_1": AxisQuality(sweeps=1, gap=0.1, left=0.01, std=None)},
-            links={link: Body(parameters=parameters) for link, parameters in links.items()},
+            axes={"joint_1": AxisEstimateQuality(sweeps=1, gap=0.1, left=0.01, std=None)},
+            links={link: LinkParameters(parameters=parameters) for link, parameters in links.items()},
         ),
     )
 
 
-def progressed(state: State, done: int, revision: int = 1) -> State:
+def progressed(state: PublishedState, done: int, revision: int = 1) -> PublishedState:
     """Later in the same campaign."""
     assert state.campaign is not None
     assert state.estimate is not None

@@ -14,10 +14,10 @@ from asyncua.client.client import Client
 from asyncua.ua.status_codes import StatusCodes
 
 from service.model.errors import BadInput
-from service.process.settings.publishing import OpcUa
-from service.publishing.opcua.load_type import load_of
-from service.publishing.opcua.server import Server
-from service.publishing.state import FromPublisher, State
+from service.process.settings import OpcUa
+from service.publishing.opcua.nodes import load_of
+from service.publishing.opcua.server import OpcUaServer
+from service.publishing.state import FromPublisher, PublishedState
 from tests.node_opcua import NodeClient, node_client
 from tests.node_opcua.certificates import certificate
 from tests.unit.service.publishing.conftest import progressed
@@ -34,9 +34,9 @@ def client() -> NodeClient:
 
 
 @asynccontextmanager
-async def serving(settings: OpcUa, state: State) -> AsyncGenerator[tuple[Server, str]]:
+async def serving(settings: OpcUa, state: PublishedState) -> AsyncGenerator[tuple[OpcUaServer, str]]:
     reports: asyncio.Queue[FromPublisher] = asyncio.Queue()
-    server = Server(settings, "cell 7", reports.put_nowait)
+    server = OpcUaServer(settings, "cell 7", reports.put_nowait)
     server.state(state)
     running = asyncio.create_task(server.run(), name="opcua")
     try:
@@ -49,7 +49,7 @@ async def serving(settings: OpcUa, state: State) -> AsyncGenerator[tuple[Server,
 
 
 async def test_a_foreign_client_reads_machine_campaign_estimate_and_loads(
-    client: NodeClient, state: State, links: dict[str, dict[str, float]]
+    client: NodeClient, state: PublishedState, links: dict[str, dict[str, float]]
 ) -> None:
     load = load_of(links["link_2"])
     assert load is not None
@@ -94,7 +94,7 @@ async def test_a_foreign_client_reads_machine_campaign_estimate_and_loads(
 
 
 @pytest.mark.slow
-async def test_a_foreign_client_gets_every_change(client: NodeClient, state: State) -> None:
+async def test_a_foreign_client_gets_every_change(client: NodeClient, state: PublishedState) -> None:
     nodes = ["ns=2;s=Campaign.SweepsDone", "ns=2;s=Estimate.Revision"]
     async with serving(OpcUa(port=0), state) as (server, url):
         until = {"node": nodes[1], "value": 4}
@@ -112,7 +112,7 @@ async def test_a_foreign_client_gets_every_change(client: NodeClient, state: Sta
 
 
 @pytest.mark.slow
-async def test_nobody_writes_or_calls(client: NodeClient, state: State) -> None:
+async def test_nobody_writes_or_calls(client: NodeClient, state: PublishedState) -> None:
     nodes = ["ns=2;s=Machine.Name", "ns=2;s=Loads.link_2.Mass"]
     async with serving(OpcUa(port=0), state) as (_, url):
         found = await asyncio.to_thread(client.ask, url=url, write=nodes, read=nodes[:1])
@@ -125,7 +125,9 @@ async def test_nobody_writes_or_calls(client: NodeClient, state: State) -> None:
 
 
 @pytest.mark.slow
-async def test_with_certificates_only_trusted_clients_read(client: NodeClient, state: State, tmp_path: Path) -> None:
+async def test_with_certificates_only_trusted_clients_read(
+    client: NodeClient, state: PublishedState, tmp_path: Path
+) -> None:
     own, friend, stranger = (certificate(tmp_path, name) for name in ("server", "friend", "stranger"))
     old = certificate(tmp_path, "old", timedelta(days=-1))
     trusted = tmp_path / "trusted"

@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.identification.model.certainty import not_for_use
-from service.model.results.check import DataCheck, Finding
-from service.model.results.diagnosis import Diagnosis
-from service.model.results.estimate import BaseParameter, Estimate
+from service.model.results.diagnosis import DataCheck, Diagnosis, Finding
+from service.model.results.estimate import BaseParameter, Estimate, not_for_use
 from service.model.robot import Robot
 from service.report import CampaignReport, Content, Drive, campaign_page, content_of
-from service.report.verdict import CONFIRMED, CONTRADICTED, OPEN, verdict
+from service.report.campaign import CONFIRMED, CONTRADICTED, OPEN, verdict
 from tests.stored import documents
 from tests.stored.documents import axis_document, stored
 from tests.unit.service.report.test_report import content, sweep

@@ -209,10 +209,11 @@ PAGES: dict[str, tuple[dict[str, Any], tuple[str, ...], tuple[str, ...]]] = {
             "falls from 30 N m",
             "Robot &lt;1&gt;",
             "tau = Fc sign(v) &lt;/script&gt;",
-            "<td>50</td><td>0.5</td><td>N m</td>",
+            "<td>50.00</td><td>0.50</td><td>N m</td>",
             "inertia at +0.50",
             "Friction temperature drift</td><td>revisit forward slow, revisit backward slow</td>",
-            *("The rigid model", "Izz2 + 0.3 m3", ">60<", ">61.25<", ">0.5<", "left by the simulator", "<th>CAD</th>"),
+            *("The rigid model", "Izz2 + 0.3 m3", ">60.00<", ">61.25<", ">0.50<"),
+            *("left by the simulator", "<th>CAD</th>"),
         ),
         ("Check of the data", "Known in part"),
     ),
@@ -244,7 +245,7 @@ PAGES: dict[str, tuple[dict[str, Any], tuple[str, ...], tuple[str, ...]]] = {
     "changed": (
         {"verdict": "none", "effects": [], "known": [KNOWN], "changes": [CHANGE]},
         (
-            "Coulomb friction</td><td>Coulomb</td><td>50</td><td>0.5</td><td>N m</td><td>40 ± 0.4</td>",
+            "Coulomb friction</td><td>Coulomb</td><td>50.00</td><td>0.50</td><td>N m</td><td>40.00 ± 0.40</td>",
             "lacks no effect, but Coulomb friction has changed: coulomb is 50 ± 0.5, not 40 N m",
         ),
         (),

@@ -3,10 +3,17 @@
 import json
 from datetime import UTC, datetime, timedelta
 
-from service.cli.plant.lines import fleet_lines
+from service.cli.commands.plant import fleet_lines
 from service.identification.fleet.document import Fleet
-from service.identification.fleet.series import AxisMeasured, CampaignMeasured, in_pose, pose_key
-from service.identification.fleet.survey import RobotMeasured, Rules, survey
+from service.identification.fleet.survey import (
+    AxisMeasured,
+    CampaignMeasured,
+    FleetRules,
+    RobotMeasured,
+    in_pose,
+    pose_key,
+    survey,
+)
 from service.report import fleet_page
 
 START = datetime(2026, 1, 5, tzinfo=UTC)
@@ -28,7 +35,7 @@ def fleet() -> Fleet:
         )
         robots.append(RobotMeasured(f"R{k}", f"cell {k}", 6, campaigns))
     robots.append(RobotMeasured("R9", None, 0, ()))
-    return Fleet(made_at=AT, types=(survey("arm & hand", robots, Rules(0.01, 12, 31.0), AT),))
+    return Fleet(made_at=AT, types=(survey("arm & hand", robots, FleetRules(0.01, 12, 31.0), AT),))
 
 
 def test_tables_tell_who_changed_and_who_is_due() -> None:

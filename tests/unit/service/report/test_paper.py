@@ -16,7 +16,7 @@ from service.model.errors import NoPdf
 from service.model.results.diagnosis import Diagnosis
 from service.model.robot import Robot
 from service.report import campaign_page, diagnosis_figures, estimate_page
-from service.report.drawing import Figure, Part, figure, line, points, scale
+from service.report.drawing import DrawnFigure, Part, figure, line, points, scale
 from service.report.initial_analysis import amplitude_responses, ideal_frequencies
 from service.report.plotting import PAPER, WIDTH, drawn, svg
 from tests.programs import needs
@@ -74,7 +74,7 @@ def test_tables_alone(max100: Robot) -> None:
     assert page.written("html") == page.html()
 
 
-def every_figure(max100: Robot) -> Iterator[Figure]:
+def every_figure(max100: Robot) -> Iterator[DrawnFigure]:
     pages = [estimate_page(content(max100, example=sweep()))]
     yield from (part for page in pages for part in figures(page))
     for name in ("diagnosis-named", "diagnosis-open"):
@@ -104,6 +104,14 @@ def test_every_figure_is_drawn_whole_with_all_its_words(max100: Robot, width: fl
 
 AXES = {"height": 300, "xaxis": scale("x"), "yaxis": scale("y")}
 POINTS = points("one", [1.0], np.array([0.5]), "#000000")
+
+
+@pytest.mark.parametrize(("width", "size"), [(960.0, (960.0, 300.0)), (240.0, (240.0, 150.0))])
+def test_a_figure_is_as_large_as_its_description_says(width: float, size: tuple[float, float]) -> None:
+    """Its height is that of a page's width; on paper it is flatter. Words keep their size: one point is one px."""
+    described = figure([POINTS], AXES)
+    assert tuple(drawn(described, width).bbox.size) == pytest.approx(size)
+    assert f'viewBox="0 0 {size[0]:.0f} {size[1]:.0f}"' in svg(described, "", width)
 
 
 def test_lines_of_one_panel_differ_by_more_than_colour() -> None:

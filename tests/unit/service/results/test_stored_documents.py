@@ -9,15 +9,12 @@ from pydantic import BaseModel
 
 from service.diagnosis import experiments, verdict
 from service.model.errors import BadInput
-from service.model.results.cell import Bin, Cell
-from service.model.results.check import DataCheck
-from service.model.results.diagnosis import AxisDiagnosis, Diagnosis, Verdict
+from service.model.results.diagnosis import TEST_MASS, AxisDiagnosis, Bin, Cell, DataCheck, Diagnosis, Verdict
+from service.model.results.effect import ModelRevision
 from service.model.results.estimate import Estimate
-from service.model.results.experiment import TEST_MASS
-from service.model.results.identified.payload import Payload
-from service.model.results.identified.sheet import Sheet
 from service.model.results.part import Document
-from service.model.results.revision import ModelRevision
+from service.model.results.payload import Payload
+from service.model.results.sheet import Sheet
 from tests.stored.documents import stored
 
 KINDS: dict[str, type[Document]] = {

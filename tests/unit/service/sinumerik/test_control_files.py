@@ -9,27 +9,37 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.cli.commands.imports import import_trace
-from service.cli.recordings.control_file import import_control_file
-from service.formats.sinumerik.base85 import decode
-from service.formats.sinumerik.document import Given, measurement_document, response_table, tuning_document
-from service.formats.sinumerik.measurement import Measurement, read_measurement
-from service.formats.sinumerik.members import LARGEST
-from service.formats.sinumerik.models import LoopInertia, Size, SpeedController
-from service.formats.sinumerik.tuning import read_tuning
+from service.cli.commands.imports import import_control_file, import_trace
+from service.formats.sinumerik.document import (
+    Given,
+    LoopInertia,
+    Size,
+    measurement_document,
+    response_table,
+    tuning_document,
+)
+from service.formats.sinumerik.measurement import (
+    LoopMeasurement,
+    SpeedController,
+    measurement_of,
+    tuning_of,
+)
+from service.formats.sinumerik.members import LARGEST, decode, read_members
 from service.model.errors import BadInput
 from tests.control_file import DELAY, GAIN, INERTIA, TOTAL, Loop, array, base85, tuning_xml
 
 REAL = "data/sinumerik/frequency-response-trace.xml"
 
 
-def read(folder: Path, text: str) -> Measurement:
+def read(folder: Path, text: str) -> LoopMeasurement:
     path = folder / "loop.xml"
     path.write_text(text, encoding="latin-1")
-    return read_measurement(path)
+    return measurement_of(read_members(path))
 
 
-def inertia(found: Measurement, gain: float | None = None, reset_time: float | None = None) -> dict[str, LoopInertia]:
+def inertia(
+    found: LoopMeasurement, gain: float | None = None, reset_time: float | None = None
+) -> dict[str, LoopInertia]:
     return measurement_document(found, Given(gain, reset_time), "loop.xml").inertia
 
 
@@ -104,7 +114,7 @@ def test_a_tuning_file_gives_the_inertia_of_rotor_and_load(tmp_path: Path) -> No
     path = tmp_path / "AST_AX7.xml"
     for seed in range(5):
         path.write_text(tuning_xml(seed=seed), encoding="latin-1")
-        found = read_tuning(path)
+        found = tuning_of(read_members(path))
         document = tuning_document(found, Given(), str(path))
         one = known(document.inertia["response"].motor_side)
         assert abs(one.value - TOTAL) < 3 * one.std
@@ -178,7 +188,7 @@ def test_a_file_of_100_megabytes_is_refused_by_its_size(tmp_path: Path) -> None:
     with path.open("wb") as file:
         file.truncate(100_000_000)
     with pytest.raises(BadInput, match=f"large.xml: is larger than {LARGEST} bytes"):
-        read_measurement(path)
+        measurement_of(read_members(path))
 
 
 @pytest.mark.slow
@@ -227,7 +237,7 @@ def test_mutated_files_are_read_or_refused_in_a_sentence(tmp_path: Path) -> None
 
 
 def test_the_real_measurement_tells_the_same_by_series_and_spectrum(shared: Path) -> None:
-    found = read_measurement(shared / REAL)
+    found = measurement_of(read_members(shared / REAL))
     document = measurement_document(found, Given(gain=0.8), REAL)
     series, spectrum = (known(document.inertia[way].motor_side) for way in ("time_series", "spectrum"))
     print(f"J at K = 0.8: {series.value:.6f} +- {series.std:.6f}, {spectrum.value:.6f} +- {spectrum.std:.6f}")
@@ -241,7 +251,7 @@ def test_the_real_measurement_tells_the_same_by_series_and_spectrum(shared: Path
 
 def test_the_spectra_of_the_control_are_those_of_its_series(shared: Path) -> None:
     """To rounding, if the lines lie at multiples of 1/(n T): the frequencies in the file are 0.15 % too high."""
-    found = read_measurement(shared / REAL)
+    found = measurement_of(read_members(shared / REAL))
     count, lines = len(found.output.series[0]), len(found.spectra.cross)
     pairs = zip(found.input.series, found.output.series, strict=True)
     crossed = [np.conj(np.fft.rfft(outward)) * np.fft.rfft(inward) for inward, outward in pairs]

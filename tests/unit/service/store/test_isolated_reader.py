@@ -17,8 +17,7 @@ import pytest
 from service.model.errors import BadInput
 from service.model.recording import Recording, Sweep, SweepSpec
 from service.model.robot import Robot
-from service.store.files.bundle import write_bundle
-from service.store.files.intake import take_in
+from service.store.files.bundle import take_in, write_bundle
 from service.store.files.isolated_reader import Limits, read_isolated
 
 pytestmark = [
@@ -110,7 +109,7 @@ def test_a_reader_ends_with_the_process_that_asked(bundle: Path, work: Path) -> 
     pipe = stuck(bundle)
     code = f"""
 import asyncio; from pathlib import Path
-from service.store.files.isolated_reader import read_isolated; from service.store.files.intake import take_in
+from service.store.files.isolated_reader import read_isolated; from service.store.files.bundle import take_in
 asyncio.run(read_isolated(take_in, (Path({str(bundle)!r}), Path({str(work)!r})), 'bundle'))"""
     with subprocess.Popen([sys.executable, "-c", code]) as asking, pipe.open("wb"):
         (reader,) = readers(asking.pid)
@@ -132,4 +131,8 @@ def readers(parent: int | str = "self") -> list[int]:
     """Children of a process that read."""
     found = Path(f"/proc/{parent}/task").glob("*/children")
     children = [int(child) for path in found for child in path.read_text().split()]
-    return [child for child in children if b"service.store.files.reader" in Path(f"/proc/{child}/cmdline").read_bytes()]
+    return [
+        child
+        for child in children
+        if b"service.store.files.isolated_reader" in Path(f"/proc/{child}/cmdline").read_bytes()
+    ]

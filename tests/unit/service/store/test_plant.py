@@ -11,14 +11,11 @@ from service.model.errors import NotFound
 from service.model.recording import SweepSpec
 from service.model.robot import Robot
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
-from service.store.approvals import ApprovalStore
 from service.store.database import Database, open_database
-from service.store.diagnosis.diagnoses import DiagnosisStore
-from service.store.diagnosis_documents import NewDiagnosis
-from service.store.documents import CampaignDocument, CampaignState, NewSweep, SweepState
+from service.store.diagnoses import DiagnosisStore
+from service.store.documents import CampaignDocument, CampaignState, NewDiagnosis, NewSweep, SweepState
 from service.store.files.data_folder import ForeignFolder, claim_folder
-from service.store.guards import MachineLease, MachineTaken, StopLatch
-from service.store.requests import IdempotencyKeys
+from service.store.guards import ApprovalStore, IdempotencyKeys, MachineLease, MachineTaken, StopLatch
 from service.store.rows import NoMachine, OtherMachine
 from service.store.store import Store
 

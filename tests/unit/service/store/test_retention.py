@@ -16,23 +16,28 @@ from service.model.robot import Robot
 from service.store import tables as t
 from service.store.access.audit_chain import Entry
 from service.store.database import Database, open_database
-from service.store.diagnosis.diagnoses import DiagnosisStore
-from service.store.diagnosis.model_revisions import ModelStore
-from service.store.diagnosis_documents import EstimateOf, NewDiagnosis
-from service.store.documents import CampaignState, NewRecording, NewSweep, RecordingState, SweepState
+from service.store.diagnoses import DiagnosisStore, ModelStore
+from service.store.documents import (
+    CampaignState,
+    EstimateOf,
+    NewDiagnosis,
+    NewRecording,
+    NewSweep,
+    RecordingState,
+    SweepState,
+)
 from service.store.files.data_folder import claim_folder
 from service.store.files.recordings import RecordingFiles
-from service.store.objects.object_store import ObjectStore
+from service.store.objects import ObjectStore
 from service.store.people.audit import AuditStore
-from service.store.plant.batches import BatchStore
-from service.store.plant.pruning import Pruned, prune
-from service.store.plant.retention import RetentionStore, Rules
+from service.store.plant import BatchStore
+from service.store.retention import Pruned, RetentionRules, RetentionStore, prune
 from service.store.store import Store
 from tests.command import sweepid
 
 pytestmark = pytest.mark.slow
 
-ALL = Rules(samples=30, spectra=30, estimates=30)
+ALL = RetentionRules(samples=30, spectra=30, estimates=30)
 ENTRY: Entry = {"actor": "ada (shell)", "address": "shell"}
 LATER = timedelta(days=31)
 
@@ -67,7 +72,7 @@ class Plant:
         self.store.move_campaign(campaign.id, lambda _: state)
         return campaign.id
 
-    def prune(self, rules: Rules = ALL, dry: bool = False, objects: ObjectStore | None = None) -> Pruned:
+    def prune(self, rules: RetentionRules = ALL, dry: bool = False, objects: ObjectStore | None = None) -> Pruned:
         return prune(self.retention, self.data, objects, rules, datetime.now(UTC) + LATER, None if dry else ENTRY)
 
     def on_disk(self, kind: str = "*-1.parquet") -> int:
@@ -117,14 +122,14 @@ def test_what_is_old_goes_and_the_newest_estimate_stays(plant: Plant, specs: tup
 @pytest.mark.parametrize(
     ("rules", "left"),
     [
-        (Rules(30, None, None), (0, 3, 3)),
-        (Rules(None, 30, None), (3, 0, 3)),
-        (Rules(None, None, 30), (3, 3, 1)),
-        (Rules(32, 32, 32), (3, 3, 3)),  # nothing is so old
+        (RetentionRules(30, None, None), (0, 3, 3)),
+        (RetentionRules(None, 30, None), (3, 0, 3)),
+        (RetentionRules(None, None, 30), (3, 3, 1)),
+        (RetentionRules(32, 32, 32), (3, 3, 3)),  # nothing is so old
     ],
 )
 def test_each_rule_is_for_itself(
-    plant: Plant, specs: tuple[SweepSpec, ...], rules: Rules, left: tuple[int, int, int]
+    plant: Plant, specs: tuple[SweepSpec, ...], rules: RetentionRules, left: tuple[int, int, int]
 ) -> None:
     number = plant.campaign(specs)
     assert plant.prune(rules).campaigns == (left != (3, 3, 3))
@@ -216,7 +221,7 @@ def test_an_interrupted_run_is_finished_by_the_next(
 
 
 def test_objects_go_with_their_last_recording(plant: Plant, specs: tuple[SweepSpec, ...], tmp_path: Path) -> None:
-    from service.process.settings.object_store import store_address
+    from service.process.settings import store_address
 
     shared = tmp_path / "shared"
     shared.mkdir()

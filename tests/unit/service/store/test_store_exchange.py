@@ -9,9 +9,8 @@ from service.model.errors import BadInput, Conflict
 from service.model.recording import Recording, Sweep, SweepSpec
 from service.model.robot import Robot
 from service.store.documents import CampaignState, NewSweep, SweepState
-from service.store.files.bundle import Bundle
-from service.store.files.exchange import campaign_bundle, import_campaign
-from service.store.files.intake import save_bundle
+from service.store.files.bundle import Bundle, save_bundle
+from service.store.files.data_folder import campaign_bundle, import_campaign
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
 

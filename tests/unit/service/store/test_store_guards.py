@@ -10,8 +10,7 @@ import pytest
 from service.model.errors import Conflict, NotFound
 from service.store.database import Database, open_database
 from service.store.documents import StoredAnswer
-from service.store.guards import LeaseLost, MachineLease, MachineTaken, StopLatch
-from service.store.requests import IdempotencyKeys
+from service.store.guards import IdempotencyKeys, LeaseLost, MachineLease, MachineTaken, StopLatch
 from service.store.store import Store
 
 pytestmark = pytest.mark.slow

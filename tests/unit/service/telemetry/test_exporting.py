@@ -7,16 +7,15 @@ import time
 import pytest
 
 from service.model.errors import BadInput
-from service.process.settings.telemetry import Telemetry
-from service.process.telemetry import exporting as sending
-from service.process.telemetry.exporting import exporting
-from service.process.telemetry.spans import TRACING
+from service.process.settings import Telemetry
+from service.process.span_export import SpanExport
+from service.process.telemetry import TRACING, traced
 from tests.otlp_collector import collecting
 
 
 async def test_spans_nest_across_tasks_threads_and_processes() -> None:
     with collecting() as collector:
-        with exporting(Telemetry(endpoint=collector.endpoint), "cell 7", "service"):
+        with traced(Telemetry(endpoint=collector.endpoint), "cell 7"):
 
             async def later() -> str:
                 with TRACING.span("task"):
@@ -48,22 +47,21 @@ async def test_spans_nest_across_tasks_threads_and_processes() -> None:
     assert {(span.machine, span.part) for span in spans.values()} == {("cell 7", "service")}
 
 
-def test_without_a_collector_spans_are_dropped_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sending, "WAITING", 10)
-    monkeypatch.setattr(sending, "_ANSWER", 0.5)
+def test_without_a_collector_spans_are_dropped_and_counted() -> None:
     with socket.create_server(("127.0.0.1", 0)) as deaf:  # takes connections and never answers
         endpoint = f"http://127.0.0.1:{deaf.getsockname()[1]}"
-        with exporting(Telemetry(endpoint=endpoint), "cell 7", "service") as sender:
-            began = time.monotonic()
-            for _ in range(1000):
-                with TRACING.span("sweep"):
-                    pass
-            assert time.monotonic() - began < 5.0  # s; none waited for an answer
-        assert sender.dropped == 1000
+        export = SpanExport(Telemetry(endpoint=endpoint), "cell 7", "service", waiting=10, answer=0.5)
+        began = time.monotonic()
+        for _ in range(1000):
+            with export.span("sweep", "", {}):
+                pass
+        assert time.monotonic() - began < 5.0  # s; none waited for an answer
+        export.close()
+        assert export.dropped == 1000
 
 
 def test_nothing_is_made_where_nothing_is_wanted() -> None:
-    assert TRACING.exporting is None
+    assert TRACING.export is None
     with TRACING.span("sweep", campaign=1) as span:
         span.note("a", 1)
         assert TRACING.traceparent == ""

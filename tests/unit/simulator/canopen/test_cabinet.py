@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import structlog.testing
 
 from simulator import Scenario
-from simulator.canopen.cabinet import Cabinet
-from simulator.canopen.node import Frame
-from simulator.fault_orders import Plant, carry_out
-from simulator.machine import Machine
+from simulator.canopen.cabinet import CanopenCabinet
+from simulator.canopen.pdo import Frame
+from simulator.control import OrderTarget, carry_out
+from simulator.machine import LiveMachine
 
 EDS = Path(__file__).parents[4] / "config/eds/virtual-axis.eds"
 TRACE = np.dtype(
@@ -25,11 +26,11 @@ GEAR = 171.0  # of joint_1
 class Bench:
     """A cabinet with a clock in the test's hand."""
 
-    def __init__(self, machine: Machine, speed_factor: float) -> None:
+    def __init__(self, machine: LiveMachine, speed_factor: float) -> None:
         self.sent: list[Frame] = []
         self.now = 1000.0
         self.machine = machine
-        self.cabinet = Cabinet(machine, EDS, speed_factor, self.sent.append)
+        self.cabinet = CanopenCabinet(machine, EDS, speed_factor, self.sent.append)
         self.cabinet.boot()
         self.booted = self.take()
 
@@ -73,7 +74,7 @@ class Bench:
 
     def order(self, order: str, joint: str | None = "joint_1", **fields: object) -> None:
         request = {"order": order, **fields} | ({} if joint is None else {"joint": joint})
-        assert carry_out(Plant(self.cabinet, None), json.dumps(request).encode()) == {"ok": True}
+        assert carry_out(OrderTarget(self.cabinet, None), json.dumps(request).encode()) == {"ok": True}
 
     def move(self, node: int, revolutions: float) -> None:
         self.write(node, 0x607A, 0, "i", round(revolutions * 2**20))
@@ -115,7 +116,7 @@ class Bench:
 
 @pytest.fixture
 def bench(scenario: Callable[[str], Scenario]) -> Bench:
-    return Bench(Machine(scenario("rigid"), 1), speed_factor=5.0)
+    return Bench(LiveMachine(scenario("rigid"), 1), speed_factor=5.0)
 
 
 def test_boots_six_nodes_that_stand(bench: Bench) -> None:
@@ -174,6 +175,29 @@ def test_moves_run_faster_than_real_time_and_standing_does_not(bench: Bench) -> 
     bench.write(2, 0x6040, 0, "H", 0x1F)
     bench.wait(0.1)
     assert bench.cabinet.status()["plant_time"] == pytest.approx(0.7, abs=0.03)
+
+
+def test_a_slow_computer_slows_the_clock_of_the_machine_and_says_so_once(bench: Bench) -> None:
+    bench.enable(2, 1)
+    bench.wait(0.2)
+    bench.move(2, 10.0)
+    with structlog.testing.capture_logs() as logs:
+        bench.wait(30.0, step=0.2)  # of which 0.004 s a step can be computed: not even real time
+    assert [log["event"] for log in logs] == ["too slow: the machine's clock runs slower than asked"]
+    assert bench.cabinet.cycles < 2000  # ms
+    assert bench.axis("joint_2")["state"] == "operation_enabled"
+    bench.wait(1.0)
+    assert bench.held(0x6064, joint="joint_2") / 2**20 == pytest.approx(10.0, abs=0.01)
+
+
+def test_an_rpdo_that_is_too_short_is_ignored(bench: Bench) -> None:
+    bench.frame(0, b"\x01\x01")
+    bench.frame(0x201, b"\x06\x00")
+    bench.frame(0x80)
+    assert bench.axis()["state"] == "switch_on_disabled"
+    bench.frame(0x201, struct.pack("<Hi", 0x06, 0))
+    bench.frame(0x80)
+    assert bench.axis()["state"] == "ready_to_switch_on"
 
 
 def test_leaving_operational_is_a_quick_stop(bench: Bench) -> None:

@@ -8,30 +8,31 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulator.drive.axis import Axis
-from simulator.drive.dictionary import Abort, AbortCode, Dictionary
-from simulator.drive.errors import ErrorCode
+from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
+from simulator.drive.power_drive import ENERGISED, Command, DriveState, FaultCode
 from simulator.drive.profile import brake, travel
-from simulator.drive.states import ENERGISED, Command, State
+from simulator.drive.virtual_axis import VirtualAxis
 
 REV = 1 << 20
 Turn = Callable[..., np.ndarray]
 Enable = Callable[[int], None]
 
 
-def target(dictionary: Dictionary, axis: Axis, revolutions: float) -> None:
+def target(dictionary: ObjectDictionary, axis: VirtualAxis, revolutions: float) -> None:
     dictionary[0x607A, 0] = round(revolutions * REV)
     axis.control(0x0F)
     axis.control(0x1F)
 
 
-def stream(dictionary: Dictionary, axis: Axis, speed: float, now: float) -> None:
+def stream(dictionary: ObjectDictionary, axis: VirtualAxis, speed: float, now: float) -> None:
     """A set-point in rev/s and the SYNC after it."""
     dictionary.download(0x60FF, 0, struct.pack("<i", round(speed * 60_000)))
     axis.sync(now)
 
 
-def test_positioning_and_its_handshake(dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
+def test_positioning_and_its_handshake(
+    dictionary: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable
+) -> None:
     enable(1)
     target(dictionary, axis, 3.0)
     assert dictionary[0x6041, 0] & 0x1400 == 0x1000  # acknowledged, not there
@@ -49,7 +50,9 @@ def test_positioning_and_its_handshake(dictionary: Dictionary, axis: Axis, turn:
     assert axis.position == pytest.approx(6.0, abs=1e-3)
 
 
-def test_a_new_target_is_taken_at_once(dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
+def test_a_new_target_is_taken_at_once(
+    dictionary: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable
+) -> None:
     enable(1)
     target(dictionary, axis, 50.0)
     turn(400)
@@ -58,13 +61,15 @@ def test_a_new_target_is_taken_at_once(dictionary: Dictionary, axis: Axis, turn:
     assert axis.position == pytest.approx(-1.0, abs=1e-3)
 
 
-def test_halt_stops_and_keeps_the_axis_enabled(dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
+def test_halt_stops_and_keeps_the_axis_enabled(
+    dictionary: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable
+) -> None:
     enable(1)
     target(dictionary, axis, 50.0)
     turn(400)
     axis.control(0x11F)
     turn(2000)
-    assert axis.state is State.OPERATION_ENABLED
+    assert axis.state is DriveState.OPERATION_ENABLED
     assert turn(80) == pytest.approx(np.zeros(80), abs=1e-9)
     assert axis.position < 40
 
@@ -72,15 +77,21 @@ def test_halt_stops_and_keeps_the_axis_enabled(dictionary: Dictionary, axis: Axi
 @pytest.mark.parametrize(
     ("option", "seconds", "end"),
     [
-        (0, 0.0, State.SWITCH_ON_DISABLED),
-        (1, 0.6, State.SWITCH_ON_DISABLED),
-        (2, 0.12, State.SWITCH_ON_DISABLED),
-        (5, 0.6, State.QUICK_STOP_ACTIVE),
-        (6, 0.12, State.QUICK_STOP_ACTIVE),
+        (0, 0.0, DriveState.SWITCH_ON_DISABLED),
+        (1, 0.6, DriveState.SWITCH_ON_DISABLED),
+        (2, 0.12, DriveState.SWITCH_ON_DISABLED),
+        (5, 0.6, DriveState.QUICK_STOP_ACTIVE),
+        (6, 0.12, DriveState.QUICK_STOP_ACTIVE),
     ],
 )
 def test_quick_stop_by_its_option(
-    dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable, option: int, seconds: float, end: State
+    dictionary: ObjectDictionary,
+    axis: VirtualAxis,
+    turn: Turn,
+    enable: Enable,
+    option: int,
+    seconds: float,
+    end: DriveState,
 ) -> None:
     dictionary[0x605A, 0] = option
     enable(1)
@@ -89,36 +100,38 @@ def test_quick_stop_by_its_option(
     assert axis.speed == pytest.approx(10.0, rel=1e-3)
     axis.control(0x02)
     if seconds:
-        assert axis.state is State.QUICK_STOP_ACTIVE
+        assert axis.state is DriveState.QUICK_STOP_ACTIVE
         speeds = turn(round(seconds * 1000) - 8, 4)
         assert axis.energised
         assert np.all(np.diff(speeds) < 0)
         turn(24, 4)
     assert axis.state is end
     assert turn(80) == pytest.approx(np.zeros(80))
-    if end is State.QUICK_STOP_ACTIVE:
+    if end is DriveState.QUICK_STOP_ACTIVE:
         assert dictionary[0x6041, 0] & 0x400
         axis.control(0x0F)
-        assert axis.state is State.OPERATION_ENABLED
+        assert axis.state is DriveState.OPERATION_ENABLED
 
 
-@pytest.mark.parametrize(("controlword", "end"), [(0x06, State.READY_TO_SWITCH_ON), (0x07, State.SWITCHED_ON)])
+@pytest.mark.parametrize(
+    ("controlword", "end"), [(0x06, DriveState.READY_TO_SWITCH_ON), (0x07, DriveState.SWITCHED_ON)]
+)
 def test_shutdown_and_disable_operation_ramp_first(
-    dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable, controlword: int, end: State
+    dictionary: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable, controlword: int, end: DriveState
 ) -> None:
     enable(1)
     target(dictionary, axis, 90.0)
     turn(1000)
     axis.control(controlword)
     turn(400)
-    assert axis.state is State.OPERATION_ENABLED
+    assert axis.state is DriveState.OPERATION_ENABLED
     turn(400)
     assert axis.state is end
     assert not axis.energised
 
 
 def test_cyclic_velocity_is_interpolated_between_syncs(
-    dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable
+    dictionary: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable
 ) -> None:
     enable(9)
     assert not axis.interpolating
@@ -127,62 +140,66 @@ def test_cyclic_velocity_is_interpolated_between_syncs(
     assert turn(4, 4) == pytest.approx([0.25, 0.5, 0.75, 1.0])
     stream(dictionary, axis, -1.0, 0.004)
     assert turn(4, 4) == pytest.approx([0.5, 0.0, -0.5, -1.0])
-    with pytest.raises(Abort) as refused:
+    with pytest.raises(SdoAbort) as refused:
         dictionary.download(0x6060, 0, b"\x01")
     assert refused.value.code is AbortCode.STATE  # it moves
 
 
 def test_missing_syncs_and_set_points_are_faults(
-    dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable
+    dictionary: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable
 ) -> None:
     enable(9)
     axis.watch(100.0)
-    assert axis.state is State.OPERATION_ENABLED  # no SYNC yet: nothing to monitor
+    assert axis.state is DriveState.OPERATION_ENABLED  # no SYNC yet: nothing to monitor
     stream(dictionary, axis, 1.0, 100.0)
     turn(4, 4)
     axis.watch(100.09)
-    assert axis.state is State.OPERATION_ENABLED
+    assert axis.state is DriveState.OPERATION_ENABLED
     axis.watch(100.11)
-    assert axis.state is State.FAULT_REACTION_ACTIVE
-    assert dictionary[0x603F, 0] == ErrorCode.SYNC_MISSING
+    assert axis.state is DriveState.FAULT_REACTION_ACTIVE
+    assert dictionary[0x603F, 0] == FaultCode.SYNC_MISSING
     turn(100, 4)
-    assert axis.state is State.FAULT
+    assert axis.state is DriveState.FAULT
 
     axis.control(0x80)
     enable(9)
     stream(dictionary, axis, 1.0, 200.0)
     for cycle in range(10):
         axis.sync(200.0 + 0.004 * cycle)
-    assert axis.state is State.OPERATION_ENABLED
+    assert axis.state is DriveState.OPERATION_ENABLED
     axis.sync(200.1)
-    assert dictionary[0x603F, 0] == ErrorCode.SET_POINT_MISSING
+    assert dictionary[0x603F, 0] == FaultCode.SET_POINT_MISSING
 
 
-def test_mode_9_needs_its_interpolation_period(dictionary: Dictionary, axis: Axis, enable: Enable) -> None:
+def test_mode_9_needs_its_interpolation_period(dictionary: ObjectDictionary, axis: VirtualAxis, enable: Enable) -> None:
     dictionary[0x1006, 0] = 10_000
     enable(9)
-    assert dictionary[0x603F, 0] == ErrorCode.PARAMETER
+    assert dictionary[0x603F, 0] == FaultCode.PARAMETER
 
 
-def test_no_set_point_survives_enabling(dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
+def test_no_set_point_survives_enabling(
+    dictionary: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable
+) -> None:
     dictionary.download(0x60FF, 0, struct.pack("<i", 60_000))
     enable(9)
     axis.sync(0.0)
     assert turn(4, 4) == pytest.approx(np.zeros(4))
 
 
-def test_limits_are_kept_in_the_drive(dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
+def test_limits_are_kept_in_the_drive(
+    dictionary: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable
+) -> None:
     enable(1)
     target(dictionary, axis, 100.5)
-    assert dictionary[0x603F, 0] == ErrorCode.POSITION_LIMIT
-    assert axis.state is State.FAULT_REACTION_ACTIVE
+    assert dictionary[0x603F, 0] == FaultCode.POSITION_LIMIT
+    assert axis.state is DriveState.FAULT_REACTION_ACTIVE
     turn(16)
-    assert axis.state is State.FAULT
+    assert axis.state is DriveState.FAULT
 
     axis.control(0x80)
     enable(9)
     stream(dictionary, axis, 50.1, 0.0)
-    assert dictionary[0x603F, 0] == ErrorCode.SPEED_LIMIT
+    assert dictionary[0x603F, 0] == FaultCode.SPEED_LIMIT
     turn(16)
 
     axis.control(0x00)
@@ -192,12 +209,14 @@ def test_limits_are_kept_in_the_drive(dictionary: Dictionary, axis: Axis, turn: 
     for cycle in range(500):
         stream(dictionary, axis, 2.0, 0.004 * cycle)
         turn(4, 4)
-    assert dictionary[0x603F, 0] == ErrorCode.POSITION_LIMIT
-    assert axis.state is State.FAULT
+    assert dictionary[0x603F, 0] == FaultCode.POSITION_LIMIT
+    assert axis.state is DriveState.FAULT
     assert 0.45 < axis.position < 0.51
 
 
-def test_staying_at_the_torque_limit_is_a_fault(dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
+def test_staying_at_the_torque_limit_is_a_fault(
+    dictionary: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable
+) -> None:
     dictionary[0x60E1, 0] = 250
     assert axis.torque_limit == 0.25
     enable(1)
@@ -205,13 +224,13 @@ def test_staying_at_the_torque_limit_is_a_fault(dictionary: Dictionary, axis: Ax
     assert dictionary[0x6077, 0] == 250
     assert dictionary[0x6041, 0] & 0x800
     turn(16, torque=5.0, limited=True)
-    assert dictionary[0x603F, 0] == ErrorCode.TORQUE_LIMIT
+    assert dictionary[0x603F, 0] == FaultCode.TORQUE_LIMIT
 
 
-@pytest.mark.parametrize("state", list(State))
+@pytest.mark.parametrize("state", list(DriveState))
 @pytest.mark.parametrize("rotating", [False, True])
 def test_safe_torque_off_in_every_state(
-    dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable, state: State, rotating: bool
+    dictionary: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable, state: DriveState, rotating: bool
 ) -> None:
     if rotating:
         enable(1)
@@ -219,23 +238,23 @@ def test_safe_torque_off_in_every_state(
         turn(400)
     axis.state = state
     axis.stop_safely(on=True)
-    assert (axis.state, axis.energised, axis.moving) == (State.FAULT, False, False)
+    assert (axis.state, axis.energised, axis.moving) == (DriveState.FAULT, False, False)
     assert dictionary[0x6041, 0] & 0x5F == 0x08  # FAULT, no voltage
-    assert dictionary[0x603F, 0] == ErrorCode.EMERGENCY_STOP
+    assert dictionary[0x603F, 0] == FaultCode.EMERGENCY_STOP
     for controlword in (0x80, 0x00, 0x80, 0x06, 0x07, 0x0F, 0x1F):
         axis.control(controlword)
-        assert axis.state is State.FAULT
+        assert axis.state is DriveState.FAULT
         assert turn(16) == pytest.approx(np.zeros(16))
     axis.reset()
-    assert (axis.state, dictionary[0x2130, 1]) == (State.FAULT, 1)
+    assert (axis.state, dictionary[0x2130, 1]) == (DriveState.FAULT, 1)
     axis.stop_safely(on=False)
-    assert axis.state is State.FAULT
+    assert axis.state is DriveState.FAULT
     axis.control(0x00)
     axis.control(0x80)
-    assert axis.state is State.SWITCH_ON_DISABLED
+    assert axis.state is DriveState.SWITCH_ON_DISABLED
 
 
-def test_errors_are_told_and_remembered(dictionary: Dictionary, axis: Axis) -> None:
+def test_errors_are_told_and_remembered(dictionary: ObjectDictionary, axis: VirtualAxis) -> None:
     axis.fail(0x7305)
     axis.fail(0x2310)
     assert axis.errors.take_messages() == [struct.pack("<HB5x", 0x7305, 0x21), struct.pack("<HB5x", 0x2310, 0x23)]
@@ -277,7 +296,7 @@ def test_arrives_within_its_limits(distance: float, start: float, limit: float, 
     assert np.all(steps <= np.array(motion.durations) * max(up, down) * (1 + 1e-6) + 1e-9)
 
 
-S = State
+S = DriveState
 BY_BITS = {  # bits 3..0 of the controlword with bit 7 = 0 -> command, from the standard's table
     **dict.fromkeys((0, 1, 4, 5, 8, 9, 12, 13), Command.DISABLE_VOLTAGE),
     **dict.fromkeys((2, 3, 10, 11), Command.QUICK_STOP),
@@ -304,8 +323,8 @@ NUMBERED = {
 }
 
 
-@pytest.mark.parametrize("state", list(State))
-def test_every_controlword_in_every_state(dictionary: Dictionary, axis: Axis, state: State) -> None:
+@pytest.mark.parametrize("state", list(DriveState))
+def test_every_controlword_in_every_state(dictionary: ObjectDictionary, axis: VirtualAxis, state: DriveState) -> None:
     for index in (0x605B, 0x605C, 0x605E):
         dictionary[index, 0] = 0  # no ramps: the state follows at once
     dictionary[0x605A, 0] = 6  # stay in QUICK STOP ACTIVE
@@ -323,34 +342,36 @@ def test_every_controlword_in_every_state(dictionary: Dictionary, axis: Axis, st
         assert axis.energised == (end in ENERGISED)
 
 
-def test_a_fault_is_reset_by_the_rising_edge_only(axis: Axis) -> None:
+def test_a_fault_is_reset_by_the_rising_edge_only(axis: VirtualAxis) -> None:
     axis.control(0x80)
     axis.fail(0x7305)
     axis.control(0x8F)
-    assert axis.state is State.FAULT
+    assert axis.state is DriveState.FAULT
     axis.control(0x0F)
-    assert axis.state is State.FAULT
+    assert axis.state is DriveState.FAULT
     axis.control(0x8F)
-    assert axis.state is State.SWITCH_ON_DISABLED
+    assert axis.state is DriveState.SWITCH_ON_DISABLED
     axis.control(0x8F)
-    assert axis.state is State.SWITCH_ON_DISABLED
+    assert axis.state is DriveState.SWITCH_ON_DISABLED
 
 
 @pytest.mark.parametrize(
     ("state", "mask", "code"),
     [
-        (State.NOT_READY_TO_SWITCH_ON, 0x4F, 0x00),
-        (State.SWITCH_ON_DISABLED, 0x4F, 0x40),
-        (State.READY_TO_SWITCH_ON, 0x6F, 0x21),
-        (State.SWITCHED_ON, 0x6F, 0x23),
-        (State.OPERATION_ENABLED, 0x6F, 0x27),
-        (State.QUICK_STOP_ACTIVE, 0x6F, 0x07),
-        (State.FAULT_REACTION_ACTIVE, 0x4F, 0x0F),
-        (State.FAULT, 0x4F, 0x08),
+        (DriveState.NOT_READY_TO_SWITCH_ON, 0x4F, 0x00),
+        (DriveState.SWITCH_ON_DISABLED, 0x4F, 0x40),
+        (DriveState.READY_TO_SWITCH_ON, 0x6F, 0x21),
+        (DriveState.SWITCHED_ON, 0x6F, 0x23),
+        (DriveState.OPERATION_ENABLED, 0x6F, 0x27),
+        (DriveState.QUICK_STOP_ACTIVE, 0x6F, 0x07),
+        (DriveState.FAULT_REACTION_ACTIVE, 0x4F, 0x0F),
+        (DriveState.FAULT, 0x4F, 0x08),
     ],
 )
-def test_the_statusword_of_every_state(dictionary: Dictionary, axis: Axis, state: State, mask: int, code: int) -> None:
+def test_the_statusword_of_every_state(
+    dictionary: ObjectDictionary, axis: VirtualAxis, state: DriveState, mask: int, code: int
+) -> None:
     axis.state = state
     axis.control(0x80)
-    if state is not State.FAULT:  # that was a reset
+    if state is not DriveState.FAULT:  # that was a reset
         assert dictionary[0x6041, 0] & mask == code

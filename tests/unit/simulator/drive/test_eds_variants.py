@@ -9,24 +9,23 @@ import numpy as np
 import pytest
 
 from simulator import Scenario, ScenarioError
-from simulator.canopen.cabinet import Cabinet
-from simulator.canopen.node import Frame
+from simulator.canopen.cabinet import CanopenCabinet
+from simulator.canopen.pdo import Frame
 from simulator.canopen.sdo import SdoServer
-from simulator.drive.axis import Axis
-from simulator.drive.defaults import ABSENT
-from simulator.drive.dictionary import Abort, AbortCode, Dictionary
-from simulator.drive.errors import ErrorCode
-from simulator.drive.measuring import Samples
-from simulator.drive.states import State
-from simulator.drive.units import speed_unit
-from simulator.machine import Machine
+from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
+from simulator.drive.limits import speed_unit
+from simulator.drive.makers import VIRTUAL
+from simulator.drive.measuring import DriveSamples
+from simulator.drive.power_drive import DriveState, FaultCode
+from simulator.drive.virtual_axis import VirtualAxis
+from simulator.machine import LiveMachine
 
 EDS = Path(__file__).parents[4] / "config/eds"
 MINIMAL = "[DeviceInfo]\nVendorNumber=1\n\n[6040]\nParameterName=Controlword\nObjectType=7\nDataType=6\nAccessType=rw\n"
 
 
-def load(name: str) -> Dictionary:
-    return Dictionary(EDS / f"{name}.eds", 3)
+def load(name: str) -> ObjectDictionary:
+    return ObjectDictionary(EDS / f"{name}.eds", 3)
 
 
 def sections(name: str) -> dict[str, dict[str, str]]:
@@ -39,20 +38,20 @@ def objects(name: str) -> set[str]:
     return {section for section in sections(name) if section[0] in "126" and "sub" not in section}
 
 
-def step(axis: Axis, cycles: int) -> np.ndarray:
+def step(axis: VirtualAxis, cycles: int) -> np.ndarray:
     """A motor that follows exactly; the speeds, rev/s."""
     command = axis.setpoints(cycles)
     position = axis.position + np.cumsum(command) * 0.001
     zero = np.zeros(cycles)
-    axis.observe(Samples(zero, zero > 0, command, command, position, np.full(cycles, 0.5), zero))
+    axis.observe(DriveSamples(zero, zero > 0, command, command, position, np.full(cycles, 0.5), zero))
     return command
 
 
-def enable(dictionary: Dictionary, axis: Axis, mode: int) -> None:
+def enable(dictionary: ObjectDictionary, axis: VirtualAxis, mode: int) -> None:
     dictionary.download(0x6060, 0, bytes([mode]))
     for controlword in (0x06, 0x07, 0x0F):
         axis.control(controlword)
-    assert axis.state is State.OPERATION_ENABLED
+    assert axis.state is DriveState.OPERATION_ENABLED
 
 
 def test_the_variants_differ_in_what_they_are_about_alone() -> None:
@@ -75,9 +74,10 @@ def test_the_variants_differ_in_what_they_are_about_alone() -> None:
 @pytest.mark.slow
 def test_absent_limits_are_abort_06020000_and_hold_inside(scenario: Callable[[str], Scenario]) -> None:
     sent: list[Frame] = []
-    machine = Machine(scenario("rigid"), 1)
+    machine = LiveMachine(scenario("rigid"), 1)
     bare, full = (
-        Cabinet(machine, EDS / f"{name}.eds", 1.0, sent.append) for name in ("virtual-axis-no-limits", "virtual-axis")
+        CanopenCabinet(machine, EDS / f"{name}.eds", 1.0, sent.append)
+        for name in ("virtual-axis-no-limits", "virtual-axis")
     )
     bare.boot()
     full.boot()
@@ -100,9 +100,9 @@ def test_rev_per_min_everywhere() -> None:
     assert speed_unit(d) == 60.0
     d[0x6076, 0], d[0x6080, 0], d[0x607F, 0], d[0x6081, 0] = 20_000, 3000, 3000, 600
     d[0x607D, 1], d[0x607D, 2] = -100 << 20, 100 << 20
-    axis = Axis(d, 0.001, can_move=True)
+    axis = VirtualAxis(d, 0.001, can_move=True)
     assert axis.limits.speed == 50.0
-    assert axis.limits.acceleration == pytest.approx(1000 / 60)  # as the other EDS' default
+    assert axis.limits.ramp(0x6083) == pytest.approx(1000 / 60)  # as the other EDS' default
     enable(d, axis, 9)
     d.download(0x60FF, 0, struct.pack("<i", 120))
     axis.sync(0.0)
@@ -113,23 +113,23 @@ def test_rev_per_min_everywhere() -> None:
     assert d[0x606C, 0] == 120
     d.download(0x60FF, 0, struct.pack("<i", 3001))
     axis.sync(0.008)
-    assert d[0x603F, 0] == ErrorCode.SPEED_LIMIT
+    assert d[0x603F, 0] == FaultCode.SPEED_LIMIT
 
 
 def test_its_quick_stop_always_stays() -> None:
     d = load("virtual-axis-rpm")
     for option in range(5):
-        with pytest.raises(Abort) as refused:
+        with pytest.raises(SdoAbort) as refused:
             d.download(0x605A, 0, struct.pack("<h", option))
         assert refused.value.code is AbortCode.TOO_LOW
-    axis = Axis(d, 0.001, can_move=True)
+    axis = VirtualAxis(d, 0.001, can_move=True)
     enable(d, axis, 1)
     axis.control(0x02)
     step(axis, 8)
-    assert axis.state is State.QUICK_STOP_ACTIVE
+    assert axis.state is DriveState.QUICK_STOP_ACTIVE
     assert d[0x6041, 0] & 0x400
     axis.control(0x00)
-    assert axis.state is State.SWITCH_ON_DISABLED
+    assert axis.state is DriveState.SWITCH_ON_DISABLED
 
 
 def test_no_block_upload_and_no_load_encoder() -> None:
@@ -139,7 +139,7 @@ def test_no_block_upload_and_no_load_encoder() -> None:
     assert SdoServer(load("virtual-axis")).handle(request)[0][0] == 0xC6
     d[0x6076, 0], d[0x6080, 0] = 20_000, 3000
     d[0x607D, 1], d[0x607D, 2] = -100 << 20, 100 << 20
-    axis = Axis(d, 0.001, can_move=True)
+    axis = VirtualAxis(d, 0.001, can_move=True)
     enable(d, axis, 1)
     d[0x2100, 4], d[0x2100, 5], d[0x2100, 7], d[0x2100, 8] = 60.0, 0.1, 0.1, 1
     d.download(0x2100, 1, b"\1\0")
@@ -150,19 +150,19 @@ def test_no_block_upload_and_no_load_encoder() -> None:
 def test_a_dictionary_of_one_object_drives_an_axis_by_the_defaults(tmp_path: Path) -> None:
     path = tmp_path / "minimal.eds"
     path.write_text(MINIMAL)
-    d = Dictionary(path, 1)
-    axis = Axis(d, 0.001, can_move=True)
+    d = ObjectDictionary(path, 1)
+    axis = VirtualAxis(d, 0.001, can_move=True)
     for controlword in (0x06, 0x07, 0x0F):
         d.download(0x6040, 0, struct.pack("<H", controlword))
     step(axis, 8)
-    assert axis.state is State.OPERATION_ENABLED
-    assert all(d[key] is not None for key in ABSENT)
-    with pytest.raises(Abort) as refused:
+    assert axis.state is DriveState.OPERATION_ENABLED
+    assert all(d[key] is not None for key in VIRTUAL.absent)
+    with pytest.raises(SdoAbort) as refused:
         d.upload(0x6041, 0)
     assert refused.value.code is AbortCode.NO_OBJECT
     axis.fail(0x7305)
     step(axis, 8)
-    assert axis.state is State.FAULT
+    assert axis.state is DriveState.FAULT
 
 
 @pytest.mark.parametrize(
@@ -181,7 +181,7 @@ def test_what_is_no_eds_for_this_drive_is_refused(tmp_path: Path, text: str, nam
     path = tmp_path / "bad.eds"
     path.write_text(text)
     with pytest.raises(ScenarioError, match=named):
-        Axis(Dictionary(path, 1), 0.001, can_move=True)
+        VirtualAxis(ObjectDictionary(path, 1), 0.001, can_move=True)
 
 
 @pytest.mark.parametrize(
@@ -201,17 +201,17 @@ def test_what_is_no_eds_for_this_drive_is_refused(tmp_path: Path, text: str, nam
     ],
 )
 def test_refuses_with_the_code_of_the_standard_and_keeps_the_value(
-    dictionary: Dictionary, key: tuple[int, int], data: bytes, code: AbortCode
+    dictionary: ObjectDictionary, key: tuple[int, int], data: bytes, code: AbortCode
 ) -> None:
     known = key in dictionary
     before = dictionary[key] if known else None
-    with pytest.raises(Abort) as refused:
+    with pytest.raises(SdoAbort) as refused:
         dictionary.download(*key, data)
     assert refused.value.code is code
     assert not known or dictionary[key] == before
 
 
-def test_values_go_in_and_out_as_they_lie_on_the_wire(dictionary: Dictionary) -> None:
+def test_values_go_in_and_out_as_they_lie_on_the_wire(dictionary: ObjectDictionary) -> None:
     dictionary.download(0x607A, 0, struct.pack("<i", -123456))
     assert dictionary[0x607A, 0] == -123456
     assert dictionary.upload(0x607A, 0) == struct.pack("<i", -123456)
@@ -222,14 +222,14 @@ def test_values_go_in_and_out_as_they_lie_on_the_wire(dictionary: Dictionary) ->
     assert dictionary[0x60A9, 0] == 0xFDB44700
 
 
-def test_a_hook_may_refuse(dictionary: Dictionary) -> None:
+def test_a_hook_may_refuse(dictionary: ObjectDictionary) -> None:
     def refuse(value: int) -> None:
         if value > 5:
-            raise Abort(AbortCode.VALUE)
+            raise SdoAbort(AbortCode.VALUE)
 
     dictionary.on_download((0x1017, 0), refuse)
     dictionary.download(0x1017, 0, b"\5\0")
-    with pytest.raises(Abort):
+    with pytest.raises(SdoAbort):
         dictionary.download(0x1017, 0, b"\6\0")
     assert dictionary[0x1017, 0] == 5
     dictionary.restore()

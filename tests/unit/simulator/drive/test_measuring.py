@@ -8,56 +8,47 @@ import numpy as np
 import pytest
 
 from simulator import Scenario
-from simulator.canopen.cabinet import Cabinet
-from simulator.canopen.node import Frame
-from simulator.drive.axis import Axis
-from simulator.drive.dictionary import Abort, AbortCode, Dictionary
-from simulator.drive.excitation import Sweep
-from simulator.drive.host_loss import lose_host
-from simulator.drive.measuring import Rejection, Run, Samples, Trace
-from simulator.drive.states import State
-from simulator.machine import Machine
-from simulator.torque_noise import torque_noise
+from simulator.canopen.cabinet import CanopenCabinet
+from simulator.canopen.pdo import Frame
+from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
+from simulator.drive.measuring import DriveSamples, DriveTrace, MeasuringState, Rejection
+from simulator.drive.power_drive import DriveState
+from simulator.drive.virtual_axis import VirtualAxis
+from simulator.machine import LiveMachine
+from simulator.waveform import torque_noise
 
 Turn = Callable[..., np.ndarray]
 Enable = Callable[[int], None]
-SWEEP = Sweep(offset=60.0, ramp=0.5, settle=1.0, period=1.0, periods=2, sines=((2.0, 6.0, 0.3), (5.0, 12.0, -1.0)))
+SINES = ((2.0, 6.0, 0.3), (5.0, 12.0, -1.0))  # Hz, rev/min, rad
 RECORD = struct.Struct("<Ifffdd")
 
 
-def parameters(dictionary: Dictionary, **changed: float) -> None:
+def parameters(dictionary: ObjectDictionary, **changed: float) -> None:
     d = dictionary
     d[0x2100, 4], d[0x2100, 5], d[0x2100, 6], d[0x2100, 7] = 60.0, 0.5, 1.0, 1.0
     d[0x2100, 8], d[0x2100, 9], d[0x2100, 0x0A] = 2, 2, 4
-    for sub, sine in enumerate(SWEEP.sines, 1):
+    for sub, sine in enumerate(SINES, 1):
         for index, value in zip((0x2101, 0x2102, 0x2103), sine, strict=True):
             d[index, sub] = value
     for name, value in changed.items():
         d[0x2100, {"offset": 4, "ramp": 5, "period": 7}[name]] = value
 
 
-def command(dictionary: Dictionary, value: int) -> None:
+def command(dictionary: ObjectDictionary, value: int) -> None:
     dictionary.download(0x2100, 1, struct.pack("<H", value))
 
 
-def test_set_points_by_the_formula() -> None:
-    speed = SWEEP.setpoints(0.001)
-    assert len(speed) == 4000
-    t = 2.345 - 1.5
-    by_hand = 60 + 6 * np.sin(2 * np.pi * 2 * t + 0.3) + 12 * np.sin(2 * np.pi * 5 * t - 1)
-    assert speed[2344] * 60 == pytest.approx(by_hand)
-    assert speed[-1] == 0.0
-    t = 0.25 - 1.5
-    by_hand = 60 + 6 * np.sin(2 * np.pi * 2 * t + 0.3) + 12 * np.sin(2 * np.pi * 5 * t - 1)
-    assert speed[249] * 60 == pytest.approx(by_hand / 2)  # half-way up the raised cosine
-    assert np.abs(speed).max() * 60 <= SWEEP.peak
+def by_hand(time: float) -> float:
+    """The set-point in rev/min without its envelope, s after the start."""
+    t = time - 1.5
+    return 60 + 6 * np.sin(2 * np.pi * 2 * t + 0.3) + 12 * np.sin(2 * np.pi * 5 * t - 1)
 
 
 def test_the_trace_keeps_block_means() -> None:
-    trace = Trace(stride=4, capacity=3, cycle=0.001)
+    trace = DriveTrace(stride=4, capacity=3, cycle=0.001)
     rows = np.arange(14.0)
     for part in (rows[:3], rows[3:9], rows[9:]):
-        trace.extend(Samples(part, part > 99, part / 60, -part / 60, 2 * part, np.full_like(part, np.nan), part))
+        trace.extend(DriveSamples(part, part > 99, part / 60, -part / 60, 2 * part, np.full_like(part, np.nan), part))
     assert trace.count == 3  # the last two rows are no whole block, and it is full
     page = trace.page(1, 512)
     assert [RECORD.unpack_from(page, at)[:5] for at in (0, 32)] == [
@@ -69,27 +60,28 @@ def test_the_trace_keeps_block_means() -> None:
     assert trace.page(3, 5) == b""
 
 
-def test_a_run_from_start_to_page(dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
+def test_a_run_from_start_to_page(dictionary: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable) -> None:
     parameters(dictionary)
     enable(1)
     command(dictionary, 1)
-    assert dictionary[0x2100, 2] == Run.RUNNING
-    with pytest.raises(Abort) as twice:
+    assert dictionary[0x2100, 2] == MeasuringState.RUNNING
+    with pytest.raises(SdoAbort) as twice:
         command(dictionary, 1)
     assert twice.value.code is AbortCode.STATE
     speeds = turn(2000, 10)
-    assert speeds == pytest.approx(SWEEP.setpoints(0.001)[:2000])
+    assert speeds[1999] * 60 == pytest.approx(by_hand(2.0))
+    assert speeds[249] * 60 == pytest.approx(by_hand(0.25) / 2)  # half-way up the raised cosine
     assert dictionary[0x2100, 0x0B] == 500
     assert len(dictionary.upload(0x2110, 3)) == 500 * 32  # while it runs
     turn(2000, 10)
-    assert dictionary[0x2100, 2] == Run.DONE
+    assert dictionary[0x2100, 2] == MeasuringState.DONE
     assert dictionary[0x2100, 0x0B] == 1000
     assert not axis.moving
     dictionary[0x2110, 1], dictionary[0x2110, 2] = 998, 512
     page = dictionary.upload(0x2110, 3)
     assert [RECORD.unpack_from(page, at)[0] for at in (0, 32)] == [998, 999]
     dictionary[0x2110, 1] = 1000
-    with pytest.raises(Abort) as empty:
+    with pytest.raises(SdoAbort) as empty:
         dictionary.upload(0x2110, 3)
     assert empty.value.code is AbortCode.NO_DATA
 
@@ -106,19 +98,24 @@ def test_a_run_from_start_to_page(dictionary: Dictionary, axis: Axis, turn: Turn
     ],
 )
 def test_rejections(
-    dictionary: Dictionary, axis: Axis, enable: Enable, changed: dict[str, float], enabled: bool, reason: Rejection
+    dictionary: ObjectDictionary,
+    axis: VirtualAxis,
+    enable: Enable,
+    changed: dict[str, float],
+    enabled: bool,
+    reason: Rejection,
 ) -> None:
     parameters(dictionary, **changed)
     if enabled:
         enable(1)
     command(dictionary, 1)
-    assert dictionary[0x2100, 2] == Run.REJECTED
+    assert dictionary[0x2100, 2] == MeasuringState.REJECTED
     assert dictionary[0x2100, 3] == reason
     assert axis.setpoints(8) == pytest.approx(np.zeros(8))
 
 
 def test_abort_brings_it_to_standstill_and_keeps_the_trace(
-    dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable
+    dictionary: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable
 ) -> None:
     parameters(dictionary)
     enable(1)
@@ -129,11 +126,11 @@ def test_abort_brings_it_to_standstill_and_keeps_the_trace(
     speeds = turn(80)
     assert np.all(np.diff(np.abs(speeds)) <= 1e-12)
     assert speeds[-1] == pytest.approx(0.0)
-    assert dictionary[0x2100, 2] == Run.ABORTED
-    assert axis.state is State.OPERATION_ENABLED
+    assert dictionary[0x2100, 2] == MeasuringState.ABORTED
+    assert axis.state is DriveState.OPERATION_ENABLED
     assert dictionary.upload(0x2110, 3) == before
     command(dictionary, 1)
-    assert dictionary[0x2100, 2] == Run.RUNNING
+    assert dictionary[0x2100, 2] == MeasuringState.RUNNING
 
 
 NOISE_RECORD = struct.Struct("<Ifffddf")
@@ -141,7 +138,7 @@ EDS = Path(__file__).parents[4] / "config/eds/virtual-axis.eds"
 
 
 @pytest.fixture
-def ready(dictionary: Dictionary) -> Dictionary:
+def ready(dictionary: ObjectDictionary) -> ObjectDictionary:
     """Parameters of 0.2 N m (1 % of rated torque) from 1 to 40 Hz, two periods of 1 s; a commissioned control."""
     d = dictionary
     d[0x2100, 4], d[0x2100, 5], d[0x2100, 6], d[0x2100, 7] = 17.0, 0.5, 1.0, 1.0
@@ -151,11 +148,11 @@ def ready(dictionary: Dictionary) -> Dictionary:
     return d
 
 
-def start(dictionary: Dictionary) -> None:
+def start(dictionary: ObjectDictionary) -> None:
     dictionary.download(0x2100, 1, struct.pack("<H", 1))
 
 
-def write(dictionary: Dictionary, sub: int, value: float) -> None:
+def write(dictionary: ObjectDictionary, sub: int, value: float) -> None:
     dictionary.download(0x2140, sub, struct.pack("<d", value))
 
 
@@ -168,12 +165,12 @@ def test_one_period_by_the_formula() -> None:
     assert torque[344] == pytest.approx(by_hand)
 
 
-def test_a_noise_run_from_start_to_page(ready: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
+def test_a_noise_run_from_start_to_page(ready: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable) -> None:
     enable(1)
     start(ready)
-    assert ready[0x2100, 2] == Run.RUNNING
+    assert ready[0x2100, 2] == MeasuringState.RUNNING
     speeds = turn(4000, 10)
-    assert ready[0x2100, 2] == Run.DONE
+    assert ready[0x2100, 2] == MeasuringState.DONE
     assert speeds[1500:3500] == pytest.approx(np.full(2000, 17 / 60))
     samples = []
     for first in (0, 500):
@@ -202,16 +199,16 @@ def test_a_noise_run_from_start_to_page(ready: Dictionary, axis: Axis, turn: Tur
     ],
 )
 def test_rejections_of_noise(
-    ready: Dictionary, axis: Axis, enable: Enable, key: tuple[int, int], value: float, reason: Rejection
+    ready: ObjectDictionary, axis: VirtualAxis, enable: Enable, key: tuple[int, int], value: float, reason: Rejection
 ) -> None:
     ready[key] = value
     enable(1)
     start(ready)
-    assert (ready[0x2100, 2], ready[0x2100, 3]) == (Run.REJECTED, reason)
+    assert (ready[0x2100, 2], ready[0x2100, 3]) == (MeasuringState.REJECTED, reason)
     assert axis.measuring.injection(8) == pytest.approx(np.zeros(8))
 
 
-def test_a_sweep_after_it_has_no_noise(ready: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
+def test_a_sweep_after_it_has_no_noise(ready: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable) -> None:
     enable(1)
     start(ready)
     turn(4000, 10)
@@ -224,7 +221,7 @@ def test_a_sweep_after_it_has_no_noise(ready: Dictionary, axis: Axis, turn: Turn
 
 @pytest.mark.parametrize("end", ["abort", "quick stop", "fault", "emergency stop", "torque off"])
 def test_whatever_ends_the_run_ends_the_injection(
-    ready: Dictionary, axis: Axis, turn: Turn, enable: Enable, end: str
+    ready: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable, end: str
 ) -> None:
     enable(1)
     start(ready)
@@ -238,7 +235,7 @@ def test_whatever_ends_the_run_ends_the_injection(
     }[end]()
     assert axis.measuring.injection(80) == pytest.approx(np.zeros(80))
     turn(400)
-    assert ready[0x2100, 2] == Run.ABORTED
+    assert ready[0x2100, 2] == MeasuringState.ABORTED
     assert axis.energised is (end == "abort")
     assert turn(80) == pytest.approx(np.zeros(80))
 
@@ -257,12 +254,12 @@ def test_whatever_ends_the_run_ends_the_injection(
     ],
 )
 def test_the_speed_control_becomes_softer_only(
-    ready: Dictionary, axis: Axis, sub: int, value: float, code: AbortCode
+    ready: ObjectDictionary, axis: VirtualAxis, sub: int, value: float, code: AbortCode
 ) -> None:
     write(ready, 1, 0.25)
     write(ready, 2, 0.2)
     assert axis.speed_control.softened
-    with pytest.raises(Abort) as refused:
+    with pytest.raises(SdoAbort) as refused:
         write(ready, sub, value)
     assert refused.value.code is code
     assert axis.speed_control.active == (0.25, 0.2)
@@ -271,7 +268,7 @@ def test_the_speed_control_becomes_softer_only(
 @pytest.mark.parametrize("end", ["fault", "emergency stop", "host lost", "host lost, no reaction"])
 @pytest.mark.parametrize("enabled", [True, False])
 def test_the_drive_itself_restores_the_commissioned_control(
-    ready: Dictionary, axis: Axis, enable: Enable, end: str, enabled: bool
+    ready: ObjectDictionary, axis: VirtualAxis, enable: Enable, end: str, enabled: bool
 ) -> None:
     if enabled:
         enable(1)
@@ -283,12 +280,12 @@ def test_the_drive_itself_restores_the_commissioned_control(
         axis.stop_safely(on=True)
     else:
         ready[0x6007, 0] = 0 if "no" in end else 3
-        lose_host(axis, ready)
+        axis.lose_host()
     assert axis.speed_control.active == (0.5, 0.1)
     assert not axis.speed_control.softened
 
 
-def test_a_command_does_not(ready: Dictionary, axis: Axis, enable: Enable) -> None:
+def test_a_command_does_not(ready: ObjectDictionary, axis: VirtualAxis, enable: Enable) -> None:
     enable(1)
     write(ready, 1, 0.25)
     axis.disable_voltage()
@@ -297,8 +294,8 @@ def test_a_command_does_not(ready: Dictionary, axis: Axis, enable: Enable) -> No
 
 def test_the_machine_follows_and_a_reboot_restores(scenario: Callable[[str], Scenario]) -> None:
     """The same step of the set-point under commissioned, softened and restored control."""
-    machine = Machine(scenario("rigid"), 1)
-    cabinet = Cabinet(machine, EDS, 1.0, lambda _: None)
+    machine = LiveMachine(scenario("rigid"), 1)
+    cabinet = CanopenCabinet(machine, EDS, 1.0, lambda _: None)
     cabinet.boot()
     node = cabinet.nodes["joint_1"]
     commissioned = machine.scenario.axes["joint_1"].control
@@ -314,7 +311,7 @@ def test_the_machine_follows_and_a_reboot_restores(scenario: Callable[[str], Sce
         node.dictionary[0x2100, 5] = 1e-3  # s, ramp
         node.dictionary[0x2100, 4] = 10.0
         node.receive(Frame(0x601, struct.pack("<BHBH2x", 0x2B, 0x2100, 1, 1)), 0.0)
-        assert node.axis.measuring.run is Run.RUNNING
+        assert node.axis.measuring.run is MeasuringState.RUNNING
         cabinet.advance(4)
         effort = float(node.dictionary[0x6077, 0])
         node.axis.disable_voltage()

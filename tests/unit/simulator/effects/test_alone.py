@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from simulator import Gravity, MovingAxis
-from simulator.drive_train import FEW, DriveTrains
+from simulator.drive_train import DriveTrains
 from simulator.plant import Samples
 from simulator.scenario import STEP
 
@@ -30,7 +30,7 @@ def test_alone_it_moves_as_in_company(
 ) -> None:
     one = axis(Gravity(cosine=300.0, sine=-90.0, constant=5.0), **train)
     swing = 4.0 * np.sin(2 * np.pi * 40.0 * np.arange(300) * 1e-3)[:, None]  # hard enough to reach the torque limit
-    alone, together = (turned([one] * rows, np.tile(swing, rows)) for rows in (1, FEW + 1))
+    alone, together = (turned([one] * rows, np.tile(swing, rows)) for rows in (1, DriveTrains.few + 1))
     assert together.torque_limited.any()
     for field in fields(Samples):
         assert np.array_equal(getattr(alone, field.name)[:, 0], getattr(together, field.name)[:, -1]), field.name

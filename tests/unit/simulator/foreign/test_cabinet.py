@@ -12,10 +12,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from simulator.canopen.node import Frame
-from simulator.fault_orders import Plant, carry_out
-from simulator.foreign.cabinet import ForeignCabinet
-from simulator.machine import Machine
+from simulator.canopen.cabinet import ForeignCabinet
+from simulator.canopen.pdo import Frame
+from simulator.control import OrderTarget, carry_out
+from simulator.machine import LiveMachine
 from simulator.scenario import ScenarioError, load_scenario
 from tests.command import sweepid
 from tests.foreign_bench import PLAIN, ROOT, Foreign, bench, file_of
@@ -30,7 +30,7 @@ OBJECTS = (0x1003, 0x1005, 0x1014, 0x1016, 0x1400, 0x1600, 0x1800, 0x1A00, 0x606
 
 @pytest.fixture
 def cabinet() -> ForeignCabinet:
-    machine = Machine(load_scenario(RIGID), 0)
+    machine = LiveMachine(load_scenario(RIGID), 0)
     cabinet = ForeignCabinet(machine, dict.fromkeys(machine.joints, file_of(PLAIN)), 1.0, lambda _: None)
     cabinet.boot()
     return cabinet
@@ -69,7 +69,7 @@ def test_orders_reach_the_drives(master: Master) -> None:
     ids=lambda order: order["order"],
 )
 def test_what_only_the_virtual_drive_has_cannot_be_ordered(cabinet: ForeignCabinet, order: dict[str, object]) -> None:
-    reply = carry_out(Plant(cabinet, None), json.dumps(order).encode())
+    reply = carry_out(OrderTarget(cabinet, None), json.dumps(order).encode())
     assert reply == {"ok": False, "error": "not with this drive: it has neither trace nor sample counter"}
 
 
@@ -110,7 +110,7 @@ def test_lost_and_doubled_frames(master: Master) -> None:
 
 
 def test_a_joint_without_a_dictionary_is_told() -> None:
-    machine = Machine(load_scenario(RIGID), 0)
+    machine = LiveMachine(load_scenario(RIGID), 0)
     with pytest.raises(ScenarioError, match=r"joint joint_1: no dictionary for its drive"):
         ForeignCabinet(machine, {}, 1.0, lambda _: None)
     with pytest.raises(ScenarioError, match=r"max100-rigid\.yaml: not an EDS or DCF"):

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 
 import pytest
 
-from simulator.modbus.pty_pair import PtyPair
+from simulator.modbus.line import PtyPair
 
 pytestmark = pytest.mark.slow
 

@@ -11,7 +11,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulator.modbus.register_map import (
+from simulator.modbus.registers import (
     Page,
     RegisterMap,
     RegisterMapError,
@@ -20,8 +20,8 @@ from simulator.modbus.register_map import (
     Wire,
     WordOrder,
     load_register_map,
+    page_registers,
 )
-from simulator.modbus.trace_page import page_registers
 
 REGISTERS = Path(__file__).parents[4] / "config/registers"
 NAMES = ("virtual-high-first", "virtual-low-first")

@@ -17,10 +17,9 @@ from pymodbus.pdu.register_message import (
 )
 
 from simulator import load_scenario
-from simulator.machine import Machine
-from simulator.modbus.cabinet import ModbusCabinet
-from simulator.modbus.register_map import RegisterMap, load_register_map
-from simulator.modbus.unit import Refusal, Unit
+from simulator.machine import LiveMachine
+from simulator.modbus.cabinet import ModbusCabinet, ModbusUnit, Refusal
+from simulator.modbus.registers import RegisterMap, load_register_map
 
 CONFIG = Path(__file__).parents[4] / "config"
 ADDRESS, VALUE, STATE = ExcCodes.ILLEGAL_ADDRESS, ExcCodes.ILLEGAL_VALUE, ExcCodes.DEVICE_FAILURE
@@ -29,12 +28,12 @@ ADDRESS, VALUE, STATE = ExcCodes.ILLEGAL_ADDRESS, ExcCodes.ILLEGAL_VALUE, ExcCod
 class Bench:
     """A cabinet on a Modbus line, without the line."""
 
-    def __init__(self, machine: Machine, registers: RegisterMap) -> None:
+    def __init__(self, machine: LiveMachine, registers: RegisterMap) -> None:
         self.registers = registers
         self.now = 1000.0
         self.cabinet = ModbusCabinet(machine, CONFIG / "eds/virtual-axis.eds", registers, 5.0)
         self.cabinet.boot()
-        self.unit: Unit = self.cabinet.nodes["joint_1"]
+        self.unit: ModbusUnit = self.cabinet.nodes["joint_1"]
 
     def put(self, name: str, value: float) -> None:
         signal = self.registers.signals[name]
@@ -68,7 +67,7 @@ class Bench:
 def shared(request: pytest.FixtureRequest) -> Bench:
     """One for the module: reading six EDS takes long."""
     registers = load_register_map(CONFIG / f"registers/virtual-{request.param}-first.yaml")
-    return Bench(Machine(load_scenario(CONFIG / "scenarios/max100-rigid.yaml"), 1), registers)
+    return Bench(LiveMachine(load_scenario(CONFIG / "scenarios/max100-rigid.yaml"), 1), registers)
 
 
 @pytest.fixture

@@ -1,1 +1,0 @@
-"""The command that reports the benefit of an estimate."""

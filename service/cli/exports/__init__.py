@@ -1,1 +1,0 @@
-"""Commands that write results for other programs and controls."""

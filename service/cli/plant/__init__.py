@@ -1,1 +1,0 @@
-"""Commands on a plant as a whole: many machines, robots and campaigns."""

@@ -1,1 +1,0 @@
-"""Commands that read bundles and traces; no service needed."""

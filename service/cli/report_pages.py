@@ -1,0 +1,89 @@
+"""The report of what lies in files: a bundle, or what another command wrote with `--json`."""
+
+import hashlib
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+from pydantic import Field, JsonValue
+
+import sweepid
+from service.data_check import check, findings_document
+from service.model.errors import BadInput
+from service.model.results.diagnosis import DataCheck, Diagnosis
+from service.model.results.estimate import Estimate
+from service.model.results.part import Document, Part
+from service.report import CampaignReport, ReportPage, campaign_page, content_of, diagnosis_page, used_sweeps
+from service.store.files.bundle import Bundle
+from sweepid.files import read_document
+
+
+def result_page(path: Path) -> ReportPage:
+    """Of a bundle (then identified and checked), an estimate, an initial analysis or a diagnosis; BadInput if none."""
+    if path.is_dir():
+        bundle = sweepid.read_bundle(path)
+        return bundle_page(bundle, sweepid.identify(bundle), str(path))
+    some = read_document(path, _Some)
+    if any(axis.verdict is not None for axis in some.axes.values()):
+        found = read_document(path, Diagnosis)
+        robot = found.model.robot
+        return diagnosis_page(found, f"Diagnosis of the robot {robot}", str(path), (("robot", robot), *_origin(path)))
+    if not (some.axes or some.analysis or some.combination):
+        raise BadInput(str(path), "is not a result of `sweepid identify --json` or `sweepid diagnose --json`")
+    return _estimate_page(read_document(path, Estimate), path)
+
+
+class _SomeAxis(Part):
+    verdict: JsonValue = None
+
+
+class _Some(Document):
+    """What tells which kind of result a file has."""
+
+    axes: Mapping[str, _SomeAxis] = Field(default={})
+    analysis: JsonValue = None
+    combination: JsonValue = None
+
+
+def _estimate_page(found: Estimate, path: Path) -> ReportPage:
+    """Tables alone: what the figures are drawn of are the sweeps, which a result does not have."""
+    report = CampaignReport(
+        title="Estimate" if found.axes or found.combination else "Initial analysis",
+        subtitle=f"Of the file {path.name}, without its sweeps.",
+        origin=tuple(_origin(path)),
+        drives=(),
+        check=None,
+        diagnosis=None,
+    )
+    return campaign_page(report, sorted(found.analysis), found, None)
+
+
+def _origin(path: Path) -> list[tuple[str, str]]:
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return [("file", str(path)), ("content", f"SHA-256 {digest}"), ("report", made_now())]
+
+
+def bundle_page(bundle: Bundle, found: Estimate, place: str) -> ReportPage:
+    """Of an estimate that was made of the bundle; BadInput if it holds nothing to report."""
+    if not (found.axes or found.analysis or found.combination):
+        raise BadInput(place, "has neither sweeps of one axis nor an initial analysis to report")
+    sweeps = {sweep.spec.id: sweep for sweep in bundle.sweeps}
+    specs = used_sweeps(found, [sweep.spec for sweep in bundle.sweeps])
+    subtitle = f"Identified from {len(specs) or len(sweeps)} sweeps of the bundle {place}."
+    findings = check(bundle.robot, bundle.sweeps)
+    report = CampaignReport(
+        title=f"Inertias of the robot {bundle.robot.name}",
+        subtitle=subtitle,
+        origin=(("robot", bundle.robot.name), ("bundle", place), ("report", made_now())),
+        drives=(),
+        check=DataCheck.read(findings_document(bundle.robot, bundle.sweeps, findings), place),
+        diagnosis=None,
+    )
+    content = content_of(bundle.robot, found, specs, lambda spec: sweeps[spec.id], subtitle) if specs else None
+    return campaign_page(report, bundle.robot.joints, found, content)
+
+
+def made_now() -> str:
+    """When, and by which version."""
+    return f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC, sweepid {version('sweepid')}"

@@ -1,0 +1,130 @@
+"""Results as files, and as JSON on stdout."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+import sys
+from collections.abc import Generator, Iterable, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import typer
+
+from service.model.errors import writing
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    from service.model.results.diagnosis import DataCheck, Diagnosis
+    from service.model.results.estimate import Estimate
+    from service.model.results.part import Part
+    from service.model.results.payload import Payload
+    from service.model.results.table import Shown, Table
+
+
+def put_json(document: Part, json_to: str | None) -> bool:
+    """Write a result to a file (None: to none) or, for -, to stdout: True, and nothing else may be written there."""
+    if json_to == "-":
+        typer.echo(document.to_json())
+    elif json_to is not None:
+        write_file(Path(json_to), document.to_json())
+    return json_to == "-"
+
+
+def show(found: DataCheck | Diagnosis | Estimate | Payload, json_to: str | None) -> None:
+    """Write a result as JSON where that is asked for, and print its tables unless stdout has the JSON."""
+    if not put_json(found, json_to):
+        print_result(found)
+
+
+def write_file(path: Path, content: str | bytes) -> None:
+    """Write a result where a person asked for it, text with an end of line; BadInput if that cannot be."""
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content if isinstance(content, bytes) else f"{content}\n".encode())
+
+
+Item = TypeVar("Item")
+
+_shown: ContextVar[bool] = ContextVar("shown", default=False)
+
+
+@contextmanager
+def waiting(for_what: str) -> Generator[None]:
+    """While the block runs, a line shows the current work and the elapsed time; it is removed afterwards.
+
+    In the block of another, the line of the other stays.
+    """
+    if _shown.get() or not sys.stderr.isatty():
+        yield
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(
+        *columns,
+        console=Console(stderr=True),
+        transient=True,
+        redirect_stdout=False,  # results go there
+        redirect_stderr=False,
+    ) as bars:
+        bars.add_task(for_what, total=None)
+        token = _shown.set(True)
+        try:
+            yield
+        finally:
+            _shown.reset(token)
+
+
+def counted(items: Sequence[Item], of_what: str) -> Iterable[Item]:
+    """The items; while they are gone through, a bar shows how many are done."""
+    if not sys.stderr.isatty():
+        return items
+    from rich.console import Console
+    from rich.progress import track
+
+    return track(items, of_what, console=Console(stderr=True), transient=True)
+
+
+def print_result(found: Shown, console: Console | None = None) -> None:
+    """Its tables, fitted to the terminal, and its sentences. `console` None: stdout."""
+    from rich.console import Console
+
+    from service.model.results.table import Table
+
+    console = console or Console()
+    for part in found.shown():
+        if isinstance(part, Table):
+            console.print(_table(part))
+        else:
+            console.print(part, highlight=False, markup=False, soft_wrap=True)
+
+
+def _table(table: Table) -> RichTable:
+    from rich.table import Table as RichTable
+
+    wide = any(len(text) > 60 for column in table.columns for text in column.texts)  # sentences, of several lines
+    shown = RichTable(title=table.title, show_lines=wide)
+    for column in table.columns:
+        side = "right" if column.numeric else "left"
+        shown.add_column(column.name, justify=side, overflow="fold", no_wrap=column.whole)
+    for row in zip(*(column.texts for column in table.columns), strict=True):
+        shown.add_row(*row)
+    return shown
+
+
+def write_tables(folder: Path, content: str | bytes) -> None:
+    """`content`: the report's JSON form. BadInput if they cannot be written."""
+    write_file(folder / "tables.json", content)
+    for number, table in enumerate(json.loads(content)["tables"], start=1):
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows([table["head"], *table["rows"]])
+        words = re.sub(r"[^a-z0-9]+", "-", table["section"].lower()).strip("-")
+        write_file(folder / f"{number:02d}-{words[:60]}.csv", text.getvalue().rstrip("\n"))

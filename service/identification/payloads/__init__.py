@@ -1,1 +1,0 @@
-"""Mass, centre and inertia of a payload from equal motions with and without it."""

@@ -1,1 +1,0 @@
-"""The diagnosis loop: diagnosis, approved experiment, next diagnosis, accepted model revision."""

@@ -1,0 +1,264 @@
+"""The recording of a sweep: samples on disk as they arrive, converted afterwards, recovered if that was interrupted.
+
+The stream is Arrow IPC: after any failure all blocks on disk can be read back. Missing samples end the sweep; the
+samples before are kept and marked partial. The stream has the samples of the drive; in a complete recording the
+channels are corrected (`service.model.channels`), in a partial one they are not.
+
+After a restart, and when the database refused the data at the end of a sweep, sweeps are interrupted, campaigns paused,
+and incomplete streams become partial recordings. That moves nothing.
+"""
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import structlog
+from structlog.contextvars import bound_contextvars
+
+from drivers.errors import Cause, CauseCode
+from drivers.ports import ChannelTiming, SampleBlock
+from service.machine.execution.motion import Command
+from service.machine.execution.plausibility import check_channels
+from service.model.channels import align, noise_gain
+from service.model.errors import BadInput, MotionFailed, NotFound
+from service.model.recording import Recording, SweepSpec
+from service.model.results.spectrum import ChannelCorrection, Facts
+from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
+from service.store.documents import CampaignState, NewRecording, RecordingState, SweepState
+from service.store.files.columns import SampleStream, UnreadableStream, damaged, read_blocks
+from service.store.files.recordings import RecordingFiles, Run
+from service.store.store import Store
+
+_COLUMNS = ("time", "effort", "velocity", "position", "velocity_setpoint")
+
+
+class SamplesMissing(MotionFailed, code=CauseCode.SAMPLES_MISSING):
+    """The samples of the drive have a gap, are not finite, or end before the measured window."""
+
+
+class Gapless:
+    """Checks that the blocks of one sweep are consecutive."""
+
+    def __init__(self) -> None:
+        self.samples = 0
+        self.last_time = -np.inf  # s, drive clock
+
+    def check(self, block: SampleBlock) -> None:
+        """Raises SamplesMissing if the block does not continue the previous ones, or contains NaN."""
+        joint, expected = block.joint, np.arange(self.samples, self.samples + len(block.index))
+        wrong = np.flatnonzero(block.index != expected)
+        if wrong.size:
+            at = wrong[0]
+            raise SamplesMissing(joint, f"sample {block.index[at]} received instead of {expected[at]}")
+        if not (np.diff(block.time, prepend=self.last_time) > 0).all():
+            raise SamplesMissing(joint, f"time does not increase near sample {self.samples}")
+        injected = () if block.excitation_effort is None else ("excitation_effort",)
+        for name in (*_COLUMNS, *injected):
+            if not np.isfinite(getattr(block, name)).all():
+                raise SamplesMissing(joint, f"{name} is not a number near sample {self.samples}")
+
+    def add(self, block: SampleBlock) -> None:
+        """Count the block as received."""
+        if len(block.index):
+            self.samples, self.last_time = int(block.index[-1]) + 1, float(block.time[-1])
+
+
+class Recorder:
+    """The stream of one sweep. Methods block until the data is on disk. Raises OSError if it cannot be written."""
+
+    def __init__(self, path: Path, command: Command) -> None:
+        self._command = command
+        self._stream = SampleStream(path)
+        self._written = Gapless()
+
+    def write(self, block: SampleBlock) -> None:
+        """Append a block. Raises SamplesMissing, and writes nothing, if it does not continue the last one."""
+        if not len(block.index):
+            return
+        self._written.check(block)
+        names = (
+            *_COLUMNS,
+            *(name for name in ("load_position", "excitation_effort") if getattr(block, name) is not None),
+        )
+        self._stream.write({"index": block.index, **{name: getattr(block, name) for name in names}})
+        self._written.add(block)
+
+    def check_complete(self) -> None:
+        """Raises SamplesMissing if the samples end before the measured window."""
+        last = self._written.last_time
+        _check_window(self._command, last, last / max(self._written.samples - 1, 1))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stream.close()
+
+
+def read_stream(path: Path) -> tuple[Recording, float] | None:
+    """Samples of a stream up to its truncated end: with time from 0, and the drive's time of the first sample, s.
+
+    None if there are fewer than two samples; raises UnreadableStream if the content is no samples.
+    """
+    columns = read_blocks(path)
+    if columns is None:
+        return None
+    try:
+        start = float(columns["time"][0])
+        columns["time"] = columns["time"] - start
+        load = columns.get("load_position")
+        if load is not None and not np.isfinite(load).all():
+            del columns["load_position"]
+        return Recording(**columns), start
+    except (LookupError, TypeError, ValueError) as error:
+        raise damaged(path, error) from error
+
+
+def finish(
+    files: RecordingFiles, run: Run, planned: SweepSpec, command: Command, timing: ChannelTiming, facts: Facts
+) -> tuple[SweepSpec, NewRecording]:
+    """Make the recording of a complete stream, and the planned sweep with its measured clock.
+
+    Raises ImplausibleChannels, and saves nothing, if the channels contradict each other. Otherwise they are
+    corrected by `timing`, which is recorded in the facts.
+    """
+    path = files.stream(run)
+    found = read_stream(path)
+    if found is None:
+        raise SamplesMissing(command.joint, "the sweep returned no samples")
+    recording, start = found
+    rate = (len(recording.time) - 1) / float(recording.time[-1])
+    spec = planned.model_copy(update={"sample_rate": round(rate, 6), "measure_from": command.measure_from - start})
+    check_channels(spec, recording)
+    recording = align(recording, timing)
+    cut = float(recording.time[0])
+    if cut:
+        _check_window(command, start + float(recording.time[-1]), 1 / rate)
+        spec = spec.model_copy(update={"measure_from": spec.measure_from - cut})
+        recording = replace(recording, time=recording.time - cut)
+    known: Facts = {**facts, "spec": spec.model_dump(mode="json"), "channels": _correction(timing, rate)}
+    return spec, files.save(path.with_suffix(".parquet"), recording, RecordingState.COMPLETE, known)
+
+
+def salvage(files: RecordingFiles, run: Run, facts: Facts) -> NewRecording | None:
+    """Make a partial recording of the content of a stream, truncated or not; None if it is empty.
+
+    Raises OSError if it cannot be written, UnreadableStream if the stream is damaged.
+    """
+    path = files.stream(run)
+    found = read_stream(path) if path.exists() else None
+    if found is None:
+        return None
+    known: Facts = {**facts, "channels": {"corrected": False}}
+    return files.save(path.with_suffix(".parquet"), found[0], RecordingState.PARTIAL, known)
+
+
+def _check_window(command: Command, last: float, period: float) -> None:
+    end = command.duration - command.ramp
+    if last < end - 1.5 * period:
+        raise SamplesMissing(command.joint, f"samples end at {last:.4f} s, window at {end:.4f} s")
+
+
+def _correction(timing: ChannelTiming, rate: float) -> ChannelCorrection:
+    """Correction applied to the channels: s, and the growth of their white noise."""
+    if timing == ChannelTiming():
+        return {"corrected": False}
+    return {
+        "corrected": True,
+        "timing": asdict(timing),
+        "noise_gain": {
+            "effort": noise_gain(timing.effort_delay, timing.effort_smoothing, rate),
+            "velocity": noise_gain(timing.velocity_delay, timing.velocity_smoothing, rate),
+        },
+    }
+
+
+_log = structlog.get_logger(__name__)
+
+
+def recover(store: Store, files: RecordingFiles) -> tuple[int, ...]:
+    """Make store and files consistent before anything is started. Call it while holding the machine's lease.
+
+    Returns the campaigns that the last process left running.
+    """
+    cause = Cause(CauseCode.SERVICE_ENDED, detail="the service ended during the sweep")
+    left = end_runs(store, files, cause, Cause(CauseCode.SERVICE_ENDED, detail="the service was restarted"))
+    store_streams(store, files, str(cause))
+    return left
+
+
+def store_streams(store: Store, files: RecordingFiles, cause: str) -> None:
+    """Make partial recordings of the streams of ended sweeps. Call it while nothing runs.
+
+    `cause`: why they were not stored when their sweeps ended. A stream that cannot be stored now stays.
+    """
+    for run, path in files.streams().items():
+        with bound_contextvars(campaign=run.campaign_id, sweep=run.number):
+            _look_at(store, files, run, path, cause)
+
+
+def _look_at(store: Store, files: RecordingFiles, run: Run, path: Path, cause: str) -> None:
+    """Process one remaining stream."""
+    if not _known(store, run):
+        # of a campaign, sweep or attempt that is missing in a database restored from a backup
+        _log.error("unknown_stream", path=str(files.put_aside(path, "unknown")))
+        return
+    _store_stream(store, files, run, path, cause)
+
+
+def end_runs(store: Store, files: RecordingFiles, sweep_cause: Cause, campaign_cause: Cause) -> tuple[int, ...]:
+    """Store that nothing runs; call it while nothing does. Returns the campaigns that ran."""
+    for sweep in store.sweeps_in(SweepState.RUNNING):
+        run = Run(sweep.campaign_id, sweep.number, sweep.attempt)
+        break_off(store, files, run, SweepEvent.INTERRUPT, sweep_cause, _facts(run))
+        _log.warning("recovered", campaign=run.campaign_id, sweep=run.number)
+    ran = store.campaigns_in(CampaignState.RUNNING, CampaignState.PAUSING)
+    for campaign in ran:
+        store.move_campaign(campaign.id, campaign_move(CampaignEvent.TROUBLE), campaign_cause)
+        _log.info("campaign", campaign=campaign.id, happened=CampaignEvent.TROUBLE.value, cause=str(campaign_cause))
+    return tuple(campaign.id for campaign in ran)
+
+
+def break_off(store: Store, files: RecordingFiles, run: Run, event: SweepEvent, cause: Cause, facts: Facts) -> None:
+    """End an unfinished run; its samples are kept as a partial recording."""
+    try:
+        recording = salvage(files, run, {**facts, "cause": str(cause)})
+    except (OSError, UnreadableStream, BadInput) as error:  # the stream stays until the next start or resume
+        cause = replace(cause, detail=f"{cause.detail}; partial recording not written: {error}")
+        recording = None
+    store.end_sweep(run.campaign_id, run.number, sweep_move(event), cause, None, recording)
+    if recording is not None:
+        files.stream(run).unlink()
+
+
+def _store_stream(store: Store, files: RecordingFiles, run: Run, path: Path, cause: str) -> None:
+    """Make a recording of a remaining stream if its run has none. The stream is removed, a damaged one renamed."""
+    if not _has_recording(store, run):
+        try:
+            recording = salvage(files, run, {**_facts(run), "cause": cause})
+        except (UnreadableStream, BadInput) as error:
+            aside = files.put_aside(path, "unreadable")
+            _log.error("unreadable_stream", path=str(aside), reason=str(error))
+            return
+        except OSError as error:  # e.g. a full disk: the stream stays until the next start or resume
+            _log.error("stream_left", path=str(path), reason=str(error))
+            return
+        if recording is not None:
+            store.add_recording(run.campaign_id, run.number, run.attempt, recording)
+    path.unlink()
+
+
+def _facts(run: Run) -> Facts:
+    return {"campaign": run.campaign_id, "sweep": run.number}
+
+
+def _known(store: Store, run: Run) -> bool:
+    try:
+        return run.attempt <= store.sweep(run.campaign_id, run.number).attempt
+    except NotFound:
+        return False
+
+
+def _has_recording(store: Store, run: Run) -> bool:
+    try:
+        return store.recording(run.campaign_id, run.number).attempt >= run.attempt
+    except NotFound:
+        return False

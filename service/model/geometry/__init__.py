@@ -1,1 +1,0 @@
-"""Geometry of the robot in its cell: hulls, collisions, obstacles."""

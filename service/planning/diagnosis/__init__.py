@@ -1,1 +1,0 @@
-"""Plans of the experiments that a diagnosis requests."""

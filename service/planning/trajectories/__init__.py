@@ -1,1 +1,0 @@
-"""Plans of trajectories of several axes."""

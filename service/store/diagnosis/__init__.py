@@ -1,1 +1,0 @@
-"""Diagnoses and model revisions."""

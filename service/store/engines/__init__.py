@@ -1,1 +1,0 @@
-"""Differences between the supported databases: one file for each, and nowhere else."""

@@ -1,1 +1,0 @@
-"""Recordings that are, or will be, in a shared folder or an object store."""

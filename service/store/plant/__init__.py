@@ -1,1 +1,0 @@
-"""Queries over all machines of a plant."""

@@ -1,1 +1,0 @@
-"""Plans, campaigns, their sweeps and bundles."""

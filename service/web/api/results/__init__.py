@@ -1,1 +1,0 @@
-"""Estimates, diagnoses, model revisions and model files."""

@@ -1,1 +1,0 @@
-"""Physics of a drive train beyond inertia, spring, and viscous and Coulomb friction: one small module per effect."""
