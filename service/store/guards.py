@@ -128,6 +128,13 @@ class StopLatch(rows.Transactions):
             _emit(session, [row.id], True, by, why)
             return rows.document(StopDocument, row)
 
+    def repeat(self, stop: int) -> None:
+        """It was pressed again: approvals that were given since it was stored end as well."""
+        with self._database.write(patience=PATIENCE) as session:
+            mine = t.ApprovalRow.machine_id == rows.own_id(session)
+            given_since = update(t.ApprovalRow).where(mine, t.ApprovalRow.last_stop >= stop)
+            session.execute(given_since.values(last_stop=stop - 1))
+
     def reset(self, by: str, stops: Sequence[int]) -> tuple[StopDocument, ...]:
         """Release these stops and no other. A released one stays so. Raises NotFound if one does not exist."""
         with self._database.write(patience=PATIENCE) as session:

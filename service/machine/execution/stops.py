@@ -47,6 +47,7 @@ class Hold:
     source: str = ""
     last: float = 0.0  # time of its last repetition, s on the monotonic clock
     repeated: bool = False
+    renewed: bool = False  # repeated since the database stored it, which does not know that yet
     reported: bool = False  # to the audit, by the port of the stop process
     under_way: int = 0  # number of callers that wait for confirmation by the drives
 
@@ -142,8 +143,7 @@ class LatchedStops:
                     raise NotFound(f"stop {number}")
             try:
                 for number, hold in named.items():
-                    if hold.row is None:  # a stop that is not stored would end no approval
-                        await self._store(hold)
+                    await self._settle(hold)  # a stop that is not stored would end no approval
                     rows[number] = hold.row or number
                 released = await apart(self._latch.reset, by, [rows[number] for number in stops])
             except SQLAlchemyError as error:
@@ -162,7 +162,9 @@ class LatchedStops:
         return released
 
     async def _note(self) -> None:
-        while (hold := next((each for each in tuple(self._holds) if each.row is None), None)) is not None:
+        while (
+            hold := next((each for each in tuple(self._holds) if each.row is None or each.renewed), None)
+        ) is not None:
             if await self._noted(hold):
                 continue
             if self._ending.is_set():
@@ -174,14 +176,26 @@ class LatchedStops:
     async def _noted(self, hold: Hold) -> bool:
         async with self._writing:
             document = hold.document
-            if hold not in self._holds or hold.row is not None:  # released or stored meanwhile
+            if hold not in self._holds:  # released meanwhile
                 return True
             try:
-                await self._store(hold)
+                await self._settle(hold)
             except SQLAlchemyError as error:
                 _log.error("stop_not_noted_yet", by=document.by, why=document.why, reason=refusal(error))
                 return False
             return True
+
+    async def _settle(self, hold: Hold) -> None:
+        """The database knows the stop and its repetitions: approvals that are older have ended."""
+        if hold.row is None:
+            await self._store(hold)
+        elif hold.renewed:
+            hold.renewed = False
+            try:
+                await apart(self._latch.repeat, hold.row)
+            except SQLAlchemyError:
+                hold.renewed = True
+                raise
 
     async def _store(self, hold: Hold) -> None:
         document = hold.document
@@ -193,6 +207,7 @@ class LatchedStops:
                 hold.document = stored
                 hold.names.add(stored.id)
             else:  # repeated meanwhile
+                hold.renewed = True
                 self._remember(hold.document.id, stored.id)
 
     def _rename(self, hold: Hold) -> None:
@@ -200,6 +215,7 @@ class LatchedStops:
         hold.document = hold.document.model_copy(update={"id": next(self._names)})
         hold.names = {hold.document.id}
         if hold.row is not None:
+            hold.renewed = True
             self._remember(hold.document.id, hold.row)
 
     def _remember(self, name: int, row: int) -> None:

@@ -98,6 +98,19 @@ async def test_a_stop_ends_the_approvals_before_it_and_no_later_one(bench: Bench
     assert bench.machine.held == ""
     assert "was ended by stop" in approvals.missing(plan, HASH)
 
+    approvals.add(plan, HASH, HASH, "ada", still)
+    third = await bench.machine.stop("carla", "fire", source="port")
+    await bench.machine.noted()
+    approvals.add(plan, HASH, HASH, "ada", still)
+    assert approvals.missing(plan, HASH) == ""
+    again = await bench.machine.stop("carla", "fire", source="port")
+    assert again.id != third.id  # pressed again, the same stop: what was approved between the two is over
+    await bench.machine.noted()
+    assert "was ended by stop" in approvals.missing(plan, HASH)
+    approvals.add(plan, HASH, HASH, "ada", still)
+    await bench.machine.reset_stop("carla", [again.id])
+    assert approvals.missing(plan, HASH) == ""
+
     def stopped() -> None:
         StopLatch(bench.database).latch("berta", "smoke")
 
