@@ -74,6 +74,22 @@ _GROUPS = {
     "plant": "Compare many robots; identify stored campaigns again.",
     "robot": "Robots as their manufacturers describe them.",
 }
+_FORMER = {
+    **{f"export-{name}": f"export {name}" for name in ("model", "path", "recording", "sheet")},
+    **{name: f"estimate {name}" for name in ("benefit", "channels", "payload", "torque-gain")},
+    **{name: f"data {name}" for name in ("backup", "doctor", "restore")},
+    **{name: f"drive {name}" for name in ("follow", "truth")},
+    "check-sheet": "check sheet",
+    "db": "data",
+    "fleet": "plant fleet",
+    "import-trace": "import trace",
+    "jobs": "plant jobs",
+    "jobs cancel": "plant cancel",
+    "jobs reidentify": "plant reidentify",
+    "jobs show": "plant job",
+    "plan-trajectories": "plan trajectories",
+}
+"""Names of earlier versions. Nothing runs under them: scripts are to be changed once."""
 
 
 def main() -> None:
@@ -108,6 +124,7 @@ def build() -> Commands:
     return Commands(
         places=places,
         groups=_GROUPS,
+        former=_FORMER,
         help=options.help,
         params=options.params,
         callback=options.callback,

@@ -7,6 +7,8 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from service.model.errors import BadInput
+
 Places = Mapping[str, str]
 """Where a command is, as ``module:function`` or ``module:Typer``, by its name: one word, or two for one in a group."""
 
@@ -19,12 +21,16 @@ class Commands(TyperGroup):
         *,
         places: Places,
         groups: Mapping[str, str] | None = None,
+        former: Mapping[str, str] | None = None,
         **settings: Any,
     ) -> None:
-        """`groups`: what the commands of a group are for, by its word, of words that are no command themselves."""
+        """`groups`: what the commands of a group are for, by its word, of words that are no command themselves.
+
+        `former`: the present names of commands by those that they had.
+        """
         loaded: Any = _Loaded(places, groups or {})  # a mapping, of which TyperGroup only reads
         super().__init__(commands=loaded, no_args_is_help=True, rich_markup_mode=None, **settings)
-        self._places = places
+        self._places, self.former = places, former or {}
 
     def list_commands(self, ctx: Any) -> list[str]:
         return list(self.commands)
@@ -33,6 +39,9 @@ class Commands(TyperGroup):
         two = " ".join(args[:2])
         if len(args) > 1 and two in self._places:
             return two, load(two, self._places[two]), args[2:]
+        former = next((name for name in (two, args[0]) if name in self.former), None)
+        if former is not None and not ctx.resilient_parsing:
+            raise BadInput(former, f"is now `sweepid {self.former[former]}`")
         name, command, rest = super().resolve_command(ctx, args)
         if ctx.resilient_parsing and not rest and isinstance(command, _Command) and command.members is not None:
             return name, command.members, rest  # a shell asks what may follow: a member, or an option of the command

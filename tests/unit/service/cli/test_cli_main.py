@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from service.cli import build
 from service.cli.terminal import waiting
 from service.model.configuration import read_cell
 from service.model.errors import BadInput
@@ -93,6 +94,32 @@ def test_the_version_and_the_overview_of_own_and_installed_commands_are_told() -
         assert f"  {name} " in done.stdout
     for name in ("export", "drive"):  # commands that are the first word of others
         assert "Commands:" in carried_out(name, "--help")
+
+
+@pytest.mark.parametrize(
+    ("former", "now"),
+    [
+        ("export-sheet", "export sheet"),
+        ("import-trace", "import trace"),
+        ("payload", "estimate payload"),
+        ("jobs show", "plant job"),
+        ("jobs list", "plant jobs"),
+        ("db prune", "data"),
+        ("truth", "drive truth"),
+    ],
+)
+def test_a_former_name_tells_the_present_one_and_runs_nothing(former: str, now: str, tmp_path: Path) -> None:
+    done = sweepid(*former.split(), str(tmp_path / "none"))
+    assert (done.returncode, done.stdout) == (2, "")
+    (line,) = done.stderr.splitlines()
+    assert line.endswith(f": is now `sweepid {now}`")
+
+
+def test_each_former_name_leads_to_a_command() -> None:
+    commands, former = build(), build().former
+    names = {name for name, _ in commands.every()}
+    assert set(former.values()) <= names | {name.partition(" ")[0] for name in names}
+    assert not set(former) & names
 
 
 def test_algebra_runs_on_one_thread() -> None:
