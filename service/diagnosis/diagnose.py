@@ -238,7 +238,9 @@ def _explained(
     other, said = with_ripples(robot, joint, ripples(found.selection.given, left))
     if other is robot:
         return found
-    again = _tried(other, joint, sweeps, known, calibrated=calibrated, trusted=trusted, twin=twin)
+    again = _tried(
+        other, joint, sweeps, known, calibrated=calibrated, trusted=trusted, twin=twin, before=found.selection.given
+    )
     return found if again.verdict is Verdict.UNKNOWN else replace(again, said=said)
 
 
@@ -258,8 +260,17 @@ def _sticking(given: Equations, sweeps: Sequence[Sweep]) -> Equations:
 
 
 def _tried(
-    robot: Robot, joint: str, sweeps: Sequence[Sweep], known: Known, *, calibrated: bool, trusted: bool, twin: bool
+    robot: Robot,
+    joint: str,
+    sweeps: Sequence[Sweep],
+    known: Known,
+    *,
+    calibrated: bool,
+    trusted: bool,
+    twin: bool,
+    before: Equations | None = None,
 ) -> _Explained:
+    """`before`: equations of another attempt on these sweeps, whose searches need not be repeated."""
     motion = tracks(robot, joint, sweeps)
     groups = grouped(motion)
     unseen = held_back(motion, groups)
@@ -267,6 +278,8 @@ def _tried(
     given = equations(motion, seen)
     if not given.pairs.rows:
         raise BadInput(joint, "its sweeps have no sample off standstill and the first way from there: record longer")
+    if before is not None:
+        given = replace(given, ends_of_steps=before.ends_of_steps)
     naming = _sticking(given, sweeps)
     possible = [name for name in CATALOGUE if applies(naming, name) and not (calibrated and name == GAIN)]
     modelled = [name for name in known if name in possible]

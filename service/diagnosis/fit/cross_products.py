@@ -87,9 +87,8 @@ class Pairing:
         return np.array([float(sum(block.size for block in fold if len(block) == 1)) for fold in self.blocks])
 
     def gathered(self, columns: Array) -> Gathered:
-        """The usable rows of columns (sweeps, rows, k), by fold (k, rows); `crossed` computes their products."""
-        n, rows, count = columns.shape
-        flat = np.ascontiguousarray(columns.reshape(n * rows, count).T)
+        """The usable rows of columns (k, sweeps, rows), by fold (k, rows); `crossed` computes their products."""
+        flat = columns.reshape(len(columns), columns.shape[1] * columns.shape[2])
         none = np.empty((len(flat), 0))
         return tuple(np.concatenate([none, *(_summed(flat, block) for block in fold)], axis=1) for fold in self.blocks)
 
@@ -99,8 +98,8 @@ class Pairing:
 
     def products(self, columns: Array, others: Array | None = None) -> Array:
         """(folds, k, l): cross-repeat products of columns (sweeps, rows, k), with `others` or with themselves."""
-        left = self.gathered(columns)
-        return self.crossed(left, left if others is None else self.gathered(others))
+        left = self.gathered(np.moveaxis(columns, -1, 0))
+        return self.crossed(left, left if others is None else self.gathered(np.moveaxis(others, -1, 0)))
 
     @cached_property
     def _signs(self) -> tuple[Array, ...]:

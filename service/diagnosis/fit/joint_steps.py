@@ -15,13 +15,14 @@ from service.diagnosis.fit.ended import Ended
 from service.diagnosis.fit.equations import Equations, Term, remodelled, reshaped, with_base
 from service.diagnosis.fit.gap import over_floor
 from service.diagnosis.fit.search import LITTLE, LONGEST, CurrentModel, Explanation, derivatives, from_vector, to_vector
-from service.diagnosis.fit.solving import solve, symmetric
+from service.diagnosis.fit.solving import solve
 
 Array = NDArray[np.float64]
 
 STEPS = 15
 DAMPING = (0.0, 0.03, 0.3, 3.0, 30.0)  # times the diagonal product of a derivative
 ELSEWHERE = (0.5, 2.0, 0.25, 4.0)
+GROWTH = 3.0  # of the gains of the steps still left over that of the last one, at most
 NEAR_FLOOR = 1.3  # times the noise floor: below, the fit is good
 
 
@@ -30,30 +31,46 @@ def bends(terms: Sequence[Term]) -> list[int]:
     return [k for k, term in enumerate(terms) if CATALOGUE[term.effect].parts is not None]
 
 
-def together(given: Equations, start: Explanation, steps: int = STEPS) -> tuple[Equations, Explanation]:
+def together(
+    given: Equations, start: Explanation, steps: int = STEPS, *, again: bool = False
+) -> tuple[Equations, Explanation]:
     """Minimise the cost over the load and the shape of the term that changes its effect, together. `Term.ended` of that
     term says how it ended.
 
     With a load that is too light, the cost may have several minima in stiffness. Unless the residual is near the noise
-    floor, the steps start again from other stiffnesses (the first entry of the shape).
+    floor, the steps start again from other stiffnesses (the first entry of the shape). `again`: that was done before
+    the others were refined, and is only repeated where the first steps do not settle. With the same
+    columns from the same point, as when ripples were added to the robot file and do not matter, the end is known.
     """
+    system = given.system_with(start.terms)
+    point = (start.terms, given.coefficients.tobytes(), given.late, steps, again, system.tobytes())
+    if point not in given.ends_of_steps:
+        given.ends_of_steps[point] = _best(given, start, steps, again=again)
+    there, best = given.ends_of_steps[point]
+    return (there if there.tracks is given.tracks else replace(there, tracks=given.tracks)), best
+
+
+def _best(given: Equations, start: Explanation, steps: int, *, again: bool) -> tuple[Equations, Explanation]:
     best = _from(given, start, steps)
-    for factor in ELSEWHERE:
+    settled = best[1].terms[bends(start.terms)[0]].ended is Ended.SETTLED
+    for factor in () if again and settled else ELSEWHERE:
         if over_floor(best[0], best[1].terms) < NEAR_FLOOR:
             break
         term = start.terms[(number := bends(start.terms)[0])]
         plain = [entry.grid[0] for entry in CATALOGUE[term.effect].shape(given.tracks, given.model)]
-        other = replace(term, shape=(factor * term.shape[0], *plain[1:]))
-        terms = (*start.terms[:number], other, *start.terms[number + 1 :])
-        best = min(best, _from(given, CurrentModel(given, terms).alone(), steps), key=lambda found: found[1].cost)
+        moved = replace(term, shape=(factor * term.shape[0], *plain[1:]))
+        terms = (*start.terms[:number], moved, *start.terms[number + 1 :])
+        other = _from(given, CurrentModel(given, terms).alone(), steps, below=best[1].cost)
+        best = min(best, other, key=lambda found: found[1].cost)
     return best
 
 
-def _from(given: Equations, start: Explanation, steps: int) -> tuple[Equations, Explanation]:
+def _from(given: Equations, start: Explanation, steps: int, below: float = np.inf) -> tuple[Equations, Explanation]:
+    """Steps from a point until they gain little; given up if the cost will stay above `below`."""
     number = bends(start.terms)[0]
     given = remodelled(given, start.terms)
     best, ended = CurrentModel(given, start.terms).alone(), Ended.UNFINISHED
-    for _ in range(steps):
+    for count in range(1, steps + 1):
         further = _step(given, best, number)
         if further is None:
             ended = Ended.AT_REST
@@ -62,6 +79,8 @@ def _from(given: Equations, start: Explanation, steps: int) -> tuple[Equations, 
         given, best = further
         if gain < LITTLE:
             ended = Ended.SETTLED
+            break
+        if count > steps / 2 and best.cost - GROWTH * gain * (steps - count) > below:
             break
     return given, best.searched(number, ended)
 
@@ -75,8 +94,8 @@ def _step(given: Equations, best: Explanation, number: int) -> tuple[Equations, 
     values = solve(given.system_with(best.terms).sum(axis=0), given.precision(best.terms))[0]
     first = given.width_of_base + sum(given.width(other) for other in best.terms[:number])
     bent = derivatives(given, term, shapes, values[first : first + given.width(term)])
-    columns = given.together(best.terms[:number] + best.terms[number + 1 :], given.gathered(term, keep=False), bent)
-    system = symmetric(given.pairs.crossed(columns, columns)).sum(axis=0)
+    others = best.terms[:number] + best.terms[number + 1 :]
+    system = given.system_with(others, given.gathered(term, keep=False), bent).sum(axis=0)
     for damping in DAMPING:
         found, step = _solved(system, given.precision(best.terms), damping, at, low, high)
         moved = replace(term, shape=from_vector(shapes, at + step))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
+from service.diagnosis.fit.cross_products import Gathered
 from service.diagnosis.fit.equations import Equations, Term
 from service.diagnosis.fit.solving import covariance, solve
 
@@ -37,17 +38,14 @@ class Parameter:
 
 def parameters(given: Equations, terms: Sequence[Term]) -> list[tuple[dict[str, Parameter], Array]]:
     """Coefficients and shapes of each term by name, and their correlation (k, k) in the same order."""
-    columns, precision = [given.rows(term) for term in terms], given.precision(terms)
-    system = given.system(np.concatenate(columns, axis=-1))
-    values = solve(system.sum(axis=0), precision)[0]
-    bends: list[Array] = []
+    columns, precision = [given.gathered(term) for term in terms], given.precision(terms)
+    values = solve(given.system_with(terms).sum(axis=0), precision)[0]
+    bends: list[Gathered] = []
     start = given.width_of_base
     for term, rows in zip(terms, columns, strict=True):
-        own = values[start : start + rows.shape[-1]]
-        bends.extend(slopes(given, term, rows @ own, own))
-        start += rows.shape[-1]
-    extended = np.concatenate([*columns, *(slope[..., None] for slope in bends)], axis=-1)
-    full = given.system(extended)
+        bends.extend(slopes(given, term, values[start : start + len(rows[0])]))
+        start += len(rows[0])
+    full = given.system_with(terms, *bends)
     whole = full.sum(axis=0)
     spreads = covariance(whole, precision)
     spread = np.sqrt(np.maximum(np.diag(spreads), 0.0))
@@ -59,7 +57,7 @@ def parameters(given: Equations, terms: Sequence[Term]) -> list[tuple[dict[str, 
     std = np.maximum(spread * np.sqrt(1 + ABSORBED * left), scatter)
     result: list[tuple[dict[str, Parameter], Array]] = []
     linear = given.width_of_base
-    shape = linear + sum(rows.shape[-1] for rows in columns)
+    shape = linear + sum(len(rows[0]) for rows in columns)
     for term in terms:
         found: dict[str, Parameter] = {}
         first, bent = linear, shape
@@ -106,11 +104,12 @@ def by_name(given: Equations, term: Term, values: Array) -> dict[str, float]:
     return dict(zip(names, [*values.tolist(), *term.shape], strict=True))
 
 
-def slopes(given: Equations, term: Term, at: Array, coefficients: Array) -> list[Array]:
-    """Derivative of a term's torque by each of its shape parameters, whitened rows (n, rows)."""
-    result: list[Array] = []
+def slopes(given: Equations, term: Term, coefficients: Array) -> list[Gathered]:
+    """Derivative of a term's torque by each of its shape parameters, gathered."""
+    result: list[Gathered] = []
     for k, value in enumerate(term.shape):
         step = (NUDGE if CATALOGUE[term.effect].scan is None else ROUGH) * (abs(value) or 1.0)
-        moved = Term(term.effect, (*term.shape[:k], value + step, *term.shape[k + 1 :]))
-        result.append((given.rows(moved) @ coefficients - at) / step)
+        moved = given.gathered(Term(term.effect, (*term.shape[:k], value + step, *term.shape[k + 1 :])), keep=False)
+        at = given.gathered(term)
+        result.append(tuple(coefficients[None] @ (there - here) / step for there, here in zip(moved, at, strict=True)))
     return result

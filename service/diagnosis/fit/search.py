@@ -51,7 +51,7 @@ class CurrentModel:
     def __init__(self, given: Equations, terms: Sequence[Term]) -> None:
         self._given, self._terms = given, tuple(terms)
         self._fixed = given.together(terms)
-        self._products = given.pairs.crossed(self._fixed, self._fixed)
+        self._products = given.crossed(self._fixed)
 
     def alone(self) -> Explanation:
         """The explanation without a further term."""
@@ -129,7 +129,7 @@ class CurrentModel:
 
     def _with(self, columns: Gathered) -> Array:
         """Products with columns inserted before the right side, which stays last."""
-        across = self._given.pairs.crossed(columns, self._fixed)
+        across = self._given.unfolded(self._given.pairs.crossed(columns, self._fixed))
         within = self._given.pairs.crossed(columns, columns)
         old, new = self._products, across.transpose(0, 2, 1)
         top = np.concatenate([old[:, :-1, :-1], new[:, :-1], old[:, :-1, -1:]], axis=2)

@@ -87,7 +87,7 @@ def select(given: Equations, known: Sequence[str], candidates: Sequence[str]) ->
         if step is None:
             tried = tried or table
             break
-        given, chosen, ended = _consistent(*step, len(fixed))
+        given, chosen, ended = _consistent(*step, len(fixed), again=_of_model(step[1]))
         chosen = _without_needless(given, chosen, rigid.cost, chance, len(fixed))
         tried = _exchanges(given, chosen, candidates, len(fixed))
         if (better := _exchange(given, chosen, tried, rigid.cost, len(fixed))) is not chosen:
@@ -271,17 +271,17 @@ def _of_model(explanation: Explanation) -> bool:
 
 
 def _consistent(
-    given: Equations, chosen: Explanation, fixed: int, rounds: int = ROUNDS
+    given: Equations, chosen: Explanation, fixed: int, rounds: int = ROUNDS, *, again: bool = False
 ) -> tuple[Equations, Explanation, Ended]:
     """Load and shapes fitted in turn until both converge; together if the load is behind a spring, with one round of
-    the shapes of the other effects.
+    the shapes of the other effects. `again`: see `together`.
     """
     if any(number >= fixed for number in bends(chosen.terms)):
-        given, chosen = together(given, chosen)
+        given, chosen = together(given, chosen, again=again)
         if len(chosen.terms) - fixed == 1:
             return given, chosen, Ended.SETTLED
         cost = chosen.cost
-        given, chosen = together(given, _settled(given, chosen, fixed, anew=False))
+        given, chosen = together(given, _settled(given, chosen, fixed, anew=False), again=True)
         return given, chosen, Ended.SETTLED if cost - chosen.cost < LITTLE else Ended.UNFINISHED
     for count in range(rounds):
         before, given = given, remodelled(given, chosen.terms)

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from service.diagnosis.fit.equations import Equations
 from service.diagnosis.fit.fitted import Point, expressible
-from service.diagnosis.fit.gap import rows_of
 from service.diagnosis.fit.solving import solve
 from service.diagnosis.model.link_deviations import gravity_of_fit
 from service.diagnosis.model.scenario import axis_entry
@@ -48,4 +47,4 @@ def simulated(given: Equations, sweeps: Sequence[Sweep], point: Point) -> Simula
     left = tracks.rows(tracks.effort - laid_out(tracks, needed))
     system = given.system_of(np.concatenate([given.base, given.whitening(left)[..., None]], axis=-1)).sum(axis=0)
     values = solve(system, given.precision(point.terms))[0]
-    return Simulated(left - np.stack(rows_of(given, ()), axis=-1) @ values, entry.held)
+    return Simulated(left - given.plain_base @ values, entry.held)

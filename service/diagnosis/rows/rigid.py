@@ -49,6 +49,10 @@ class Rigid:
         """(3, m) for coefficients (k,)."""
         return self.nominal + np.tensordot(coefficients, self.basis, axes=1)
 
+    def along(self, pose_index: NDArray[np.int_], parts: Array) -> Array:
+        """The columns of the load (n, t, k) for signals (3, n, t) that multiply it, each sweep in its pose."""
+        return np.einsum("bkn,knt->ntb", self.basis[:, :, pose_index], parts, optimize=True)
+
     def precision_without(self, effects: Sequence[str]) -> Array:
         """(k, k): the prior without the directions that these effects free."""
         free = [self.freed[name] for name in effects if name in self.freed]

@@ -6,7 +6,7 @@ so linear relations between them are preserved. Samples are first averaged down 
 would look like a delay or a spring.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from service.diagnosis.rows.responses import Complex, back, derivative_spectrum, in_frequency
+from service.diagnosis.rows.responses import Complex, Spectrum, back, bins, derivative_spectrum, in_frequency, spectrum
 from service.identification.model.convergence import finite
 from service.identification.model.regressor import gravity_rows
 from service.identification.motion.trajectory_record import runs_at_once
@@ -40,6 +40,7 @@ COARSE = 400.0  # Hz: below this rate, friction may reverse within a sample, inv
 PARTS = 8  # parts into which such a sample is divided
 SHORT = 2e-6  # rad (m): reversal distance for friction without presliding
 SHORTEST = 2.5e-8  # rad (m): the same for slow recordings, where a sample is much longer
+REMEMBERED = 8  # signals of `Tracks.remember`
 STICKING = 3.0  # times the encoder noise, which must not reverse the friction
 ONE_POSE = 1e-3  # rad (m): largest difference of the joints within one pose
 
@@ -134,12 +135,36 @@ class Tracks:
         return np.where(small, 1.0, np.sin(block * half) / (block * np.where(small, 1.0, np.sin(half))))
 
     @cached_property
-    def _spectrum(self) -> Complex:
+    def laplace(self) -> Complex:
+        """(1, bins): s = j omega, rad/s, of the bins of filters."""
+        return np.asarray(2j * np.pi * bins(self.velocity.shape[1], self.rate)[None], dtype=np.complex128)
+
+    @cached_property
+    def turned_over(self) -> Complex:
+        """Transform (n, bins) of the acceleration as the derivative of the velocity."""
         return derivative_spectrum(self.velocity, self.rate)
+
+    @cached_property
+    def spectra(self) -> dict[str, Spectrum]:
+        """Spectra of the signals that filters of effects use again and again, by the names of their fields."""
+        return {name: spectrum(getattr(self, name), self.rate) for name in ("effort", "velocity", "acceleration")}
+
+    @cached_property
+    def remembered(self) -> dict[tuple[float, ...], Array]:
+        """The latest results of `remember`."""
+        return {}
+
+    def remember(self, key: tuple[float, ...], make: Callable[[], Array]) -> Array:
+        """A signal that depends on these numbers and on the tracks alone; of some, it is computed only once."""
+        if key not in self.remembered:
+            while len(self.remembered) >= REMEMBERED:
+                del self.remembered[next(iter(self.remembered))]
+            self.remembered[key] = make()
+        return self.remembered[key]
 
     def accelerated(self, response: Complex) -> Array:
         """The acceleration (n, t) filtered by a response (n or 1, bins) of `bins(t, rate)`."""
-        return back(self.velocity.shape[1], self._spectrum, response)
+        return back(self.velocity.shape[1], self.turned_over * response)
 
     def rows(self, signal: Array) -> Array:
         """A signal (n, t) after the filter: (n, rows)."""
@@ -266,15 +291,19 @@ def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
 
 def bristle(position: Array, way: float) -> Array:
     """State of Dahl's model (n, t), -1 to 1: dz/dx = (1 - z sign(v)) / way, exact for each step of positions (n, t)."""
-    steps = np.diff(position, axis=1, prepend=position[:, :1])
-    keep, sign = np.exp(-np.abs(steps) / way), np.sign(steps)
-    gained = sign * (1 - keep)
-    state = np.zeros_like(steps)
-    now = np.zeros(len(steps))
-    for n in range(1, steps.shape[1]):
-        now = gained[:, n] + now * keep[:, n]
-        state[:, n] = now
-    return state
+    return bristles(position, [way])[0]
+
+
+def bristles(position: Array, ways: Sequence[float]) -> Array:
+    """States (ways, n, t) of Dahl's model for several ways, see `bristle`."""
+    steps = np.ascontiguousarray(np.diff(position, axis=1, prepend=position[:, :1]).T)
+    keep = np.exp(-np.abs(steps)[:, None] / np.array(ways)[:, None])
+    gained = np.sign(steps)[:, None] * (1 - keep)
+    state = np.zeros_like(keep)
+    for before, now, kept, more in zip(state[:-1], state[1:], keep[1:], gained[1:], strict=True):
+        np.multiply(before, kept, out=now)
+        now += more
+    return np.moveaxis(state, 0, -1)
 
 
 def _directions(sweeps: Sequence[Sweep], way: float, block: int, most: int) -> Array:

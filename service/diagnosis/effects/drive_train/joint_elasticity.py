@@ -1,14 +1,14 @@
 """Joint elasticity: the load does not follow the motor exactly."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import Effect, Model, Shape, ShapeParameter, named
 from service.diagnosis.effects.patch import Patch, positive
-from service.diagnosis.rows.responses import Complex, bins, through
+from service.diagnosis.rows.responses import Complex, back, spectrum, through
 from service.diagnosis.rows.signals import Tracks
 
 Array = NDArray[np.float64]
@@ -40,42 +40,53 @@ class _TwoMasses:
 
 def _two_masses(tracks: Tracks, model: Model, shape: Shape) -> _TwoMasses:
     compliance, damping, on_load, hardening, motor = shape
-    s = 2j * np.pi * bins(tracks.velocity.shape[1], tracks.rate)[None]
+    s = tracks.laplace
     load_inertia = np.maximum(model.inertia - motor, LEAST_LOAD * model.inertia)[:, None]
     viscous = on_load * model.viscous
     spring = np.asarray(1 / (1 + s * damping), dtype=np.complex128)
-    impedance = s * s * load_inertia + s * viscous + model.slope[:, None]
-    on_motor = motor * tracks.acceleration + (model.viscous - viscous) * tracks.velocity
-    torque = through(tracks.effort - on_motor, tracks.rate, spring)
+    impedance = ((s * s).real * load_inertia + model.slope[:, None]) + s * viscous
+    on_motor = model.viscous - viscous
+
+    def transmitted() -> Array:
+        known = tracks.spectra
+        through_gear = known["effort"] + known["acceleration"] * -motor + known["velocity"] * -on_motor
+        return (through_gear * spring).signal(tracks.velocity.shape[1])
+
+    torque = tracks.remember((damping, motor, on_motor), transmitted)
     linear = twist = compliance * torque
     if hardening > 0:
         rated = tracks.robot.axis(tracks.joint).rated_effort
-        stiffer = torque - rated * softened(torque / rated, hardening)
-        torque = torque + damping * through(
-            stiffer, tracks.rate, s * spring
-        )  # the damping also acts on the smaller twist
-        twist = compliance * rated * softened(torque / rated, hardening)
+
+        def damped() -> Array:
+            """The damping also acts on the smaller twist."""
+            stiffer = torque - rated * softened(torque / rated, hardening)
+            return torque + damping * through(stiffer, tracks.rate, s * spring)
+
+        more = tracks.remember((damping, motor, on_motor, hardening), damped)
+        twist = compliance * rated * softened(more / rated, hardening)
     return _TwoMasses(impedance, 1 / (1 + compliance * spring * impedance), load_inertia, viscous, linear, twist)
 
 
 def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
     two = _two_masses(tracks, model, shape)
-    away = tracks.away - two.twist
     weight = model.gravity
     if not tracks.prismatic:
+        away = tracks.away - two.twist
         weight = model.torque[:, None] * np.cos(away) + model.slope[:, None] * np.sin(away)
         weight = weight + model.slope[:, None] * two.twist  # the gravity stiffness is in the impedance
-    shaken = two.load_inertia * tracks.accelerated(two.follows - 1) - model.gravity - two.viscous * tracks.velocity
-    shaken += through(two.viscous * tracks.velocity + weight, tracks.rate, two.follows)
+    moved = tracks.spectra["velocity"] * two.viscous + spectrum(weight, tracks.rate)
     if shape[3] > 0:
-        shaken += through(two.linear_twist - two.twist, tracks.rate, two.impedance * two.follows)
-    return [shaken]
+        moved += spectrum(two.linear_twist - two.twist, tracks.rate) * two.impedance
+    moved *= two.follows
+    shaken = replace(moved, away=moved.away + two.load_inertia * tracks.turned_over * (two.follows - 1))
+    return [shaken.signal(tracks.velocity.shape[1]) - model.gravity - two.viscous * tracks.velocity]
 
 
 def _parts(tracks: Tracks, model: Model, shape: Shape) -> Array:
-    two = _two_masses(tracks, model, shape)
-    s = 2j * np.pi * bins(tracks.velocity.shape[1], tracks.rate)[None]
-    shaken = tracks.accelerated(two.follows) - through(two.twist, tracks.rate, s * s * two.follows)
+    two, count = _two_masses(tracks, model, shape), tracks.velocity.shape[1]
+    s = tracks.laplace
+    twisted = spectrum(two.twist, tracks.rate).away * (s * s)  # of zero at frequency 0
+    shaken = back(count, (tracks.turned_over - twisted) * two.follows)
     if tracks.prismatic:
         return np.stack([shaken, *tracks.parts[1:]])
     away = tracks.away - two.twist

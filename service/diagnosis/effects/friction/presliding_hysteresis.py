@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import Effect, Model, Shape, ShapeParameter, named, spread
 from service.diagnosis.effects.patch import Inexpressible, Patch
-from service.diagnosis.rows.signals import Tracks, bristle
+from service.diagnosis.rows.signals import Tracks, bristles
 
 Array = NDArray[np.float64]
 
@@ -16,8 +16,7 @@ SHOWS = 1.0  # times the distance within which sticking friction reverses: short
 
 
 def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
-    state = bristle(tracks.position, shape[0])
-    spread = [bristle(tracks.position, shape[0] * factor) for factor in SPREAD]
+    state, *spread = bristles(tracks.position, [shape[0] * factor for factor in (1.0, *SPREAD)])
     return [state, np.gradient(state, axis=1) * tracks.rate * shape[0], *spread]
 
 

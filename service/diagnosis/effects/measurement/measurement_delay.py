@@ -7,20 +7,19 @@ from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import Effect, Model, Shape, ShapeParameter, named
 from service.diagnosis.effects.patch import Patch
-from service.diagnosis.rows.responses import bins, through
+from service.diagnosis.rows.responses import Spectrum, spectrum
 from service.diagnosis.rows.signals import Tracks
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
     """Columns per second of delay, so that the coefficient is the delay."""
     delay = shape[0]
-    s: Complex = np.multiply(2j * np.pi, bins(tracks.velocity.shape[1], tracks.rate)[None], dtype=np.complex128)
-    late = np.divide(np.exp(-s * delay) - 1, delay, dtype=np.complex128)
-    of_motion = model.inertia[:, None] * tracks.accelerated(late)
-    return [of_motion + through(model.viscous * tracks.velocity + model.gravity, tracks.rate, late)]
+    late = np.divide(np.exp(-tracks.laplace * delay) - 1, delay, dtype=np.complex128)
+    turning = model.inertia[:, None] * tracks.turned_over
+    total = tracks.spectra["velocity"] * model.viscous + spectrum(model.gravity, tracks.rate)
+    return [(Spectrum(total.first, total.away + turning) * late).signal(tracks.velocity.shape[1])]
 
 
 def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
