@@ -73,6 +73,7 @@ class Equations:
     pairs: Pairing
     whitening: Whitening
     rigid: Rigid
+    beyond_nominal: Array  # (n, t), see `nominal_right`
     model: Model
     coefficients: Array  # (b,) of the base columns; they define the model
     load: Array  # (3, m), of the model
@@ -85,6 +86,7 @@ class Equations:
     late: float = 0.0  # s, delay of the whole torque, which also delays the columns of effects
     ends_of_steps: dict[tuple[object, ...], Any] = field(repr=False, compare=False, default_factory=dict)
     kept: dict[Term, Gathered] = field(init=False, repr=False, compare=False, default_factory=dict[Term, Gathered])
+    systems: dict[tuple[Term, ...], Array] = field(init=False, repr=False, compare=False, default_factory=dict)
     recent: dict[Term, Gathered] = field(init=False, repr=False, compare=False, default_factory=dict[Term, Gathered])
 
     @property
@@ -128,9 +130,7 @@ class Equations:
 
     def target(self) -> Array:
         """The signal (n, t) that base and effects fit: effort minus that of CAD and data sheet; see `reshaped`."""
-        return nominal_right(self.tracks) + self.tracks.summed(
-            self.load - self.rigid.nominal, self.parts - self.tracks.parts
-        )
+        return self.beyond_nominal + self.tracks.summed(self.load - self.rigid.nominal, self.parts - self.tracks.parts)
 
     def columns(self, term: Term) -> Sequence[Array]:
         """Signals of an effect, (n, t) each."""
@@ -226,8 +226,13 @@ class Equations:
         return joined(driving, *(self.gathered(term) for term in terms), *more, right)
 
     def system_with(self, terms: Sequence[Term], *more: Gathered) -> Array:
-        """(folds, k, k) products of [base, terms, more, right side]."""
-        return symmetric(self.crossed(self.together(terms, *more)))
+        """(folds, k, k) products of [base, terms, more, right side]; those without `more` are cached."""
+        known = None if more else self.systems.get(tuple(terms))
+        if known is None:
+            known = symmetric(self.crossed(self.together(terms, *more)))
+            if not more:
+                self.systems[tuple(terms)] = known
+        return known
 
     def system_against(self, right: Gathered, terms: Sequence[Term]) -> Array:
         """(k, k) products of [base, terms, right] for another right side, summed over folds."""
@@ -255,7 +260,8 @@ def equations(tracks: Tracks, groups: Sequence[Group], whitening: Whitening | No
     BadInput with sweep and axis if squares of the effort overflow.
     """
     axis, prior = tracks.robot.axis(tracks.joint), tracks.robot.prior
-    remaining = tracks.rows(nominal_right(tracks))
+    beyond = nominal_right(tracks)
+    remaining = tracks.rows(beyond)
     for spec, own in zip(tracks.specs, remaining, strict=True):
         # as a sum over all rows may be
         finite(remaining.size * np.square(own), f"sweep {spec.id} of {tracks.joint}", "the squares of its effort")
@@ -273,6 +279,7 @@ def equations(tracks: Tracks, groups: Sequence[Group], whitening: Whitening | No
         pairs=pairing(tracks.usable, groups, ORDER, 1 + max(group.fold for group in groups)),
         whitening=whitening,
         rigid=model,
+        beyond_nominal=beyond,
         model=_model(
             tracks,
             model.nominal,

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -50,8 +51,11 @@ class CurrentModel:
 
     def __init__(self, given: Equations, terms: Sequence[Term]) -> None:
         self._given, self._terms = given, tuple(terms)
-        self._fixed = given.together(terms)
-        self._products = given.crossed(self._fixed)
+        self._products = given.system_with(terms)
+
+    @cached_property
+    def _fixed(self) -> Gathered:
+        return self._given.together(self._terms)
 
     def alone(self) -> Explanation:
         """The explanation without a further term."""
