@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from service.identification.model.regressor import axis_rows, gravity_rows
 from service.model.robot import Knowledge, Robot
@@ -135,6 +136,18 @@ def parameter_spread(robot: Robot, index: int, poses: Array) -> Array:
         for u in (axis.reflected_motor_inertia for axis in robot.axes)
     ]
     return _informed(np.concatenate([sigma.ravel(), motors]), robot.knowledge)
+
+
+def deviations_left(root: Array, rows: Array, covariance: Array, floor: float) -> Array:
+    """Standard deviations (p,) of parameters with prior `root @ root.T` (p, p) after `rows` (m, p) were measured
+    with `covariance` (m, m), and each with an error `floor` of its own.
+
+    From (I + R' N^-1 R)^-1: prior minus gain leaves rounding alone of parameters far better known than before.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    seen = (vectors / np.sqrt(np.maximum(values, 0.0) + floor**2)).T @ rows @ root
+    left = np.linalg.cholesky(np.eye(root.shape[1]) + seen.T @ seen)
+    return np.linalg.norm(solve_triangular(left, root.T, lower=True), axis=0)
 
 
 def _informed(sigma: Array, knowledge: Knowledge | None) -> Array:

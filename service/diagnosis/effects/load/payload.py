@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import Effect, Readout
-from service.diagnosis.rows.rigid import load_rows
+from service.diagnosis.rows.rigid import deviations_left, load_rows
 from service.diagnosis.rows.signals import Tracks
 
 Array = NDArray[np.float64]
@@ -22,11 +22,10 @@ def _readout(tracks: Tracks, change: Array, covariance: Array) -> Readout:
     sigma = mass * np.repeat([1.0, FARTHEST, FARTHEST**2], (1, 3, 6))
     weight = np.repeat(tracks.sizes, len(tracks.poses))
     rows = weight[:, None] * load_rows(robot, index, tracks.poses)[:, last - 10 : last] * sigma
-    noise = covariance * np.outer(weight, weight)
-    noise += np.eye(len(noise)) * (1e-4 * float(np.abs(weight * change.ravel()).max())) ** 2
-    gain = rows.T @ np.linalg.inv(rows @ rows.T + noise)
+    noise, slack = covariance * np.outer(weight, weight), 1e-4 * float(np.abs(weight * change.ravel()).max())
+    gain = rows.T @ np.linalg.inv(rows @ rows.T + noise + slack**2 * np.eye(len(noise)))
     values = sigma * (gain @ (weight * change.ravel()))
-    spread = np.sqrt(np.maximum(np.diag(np.eye(10) - gain @ rows), 0.0)) * sigma
+    spread = deviations_left(np.eye(10), rows, noise, slack) * sigma
     names = (("mass", "kg"), ("moment_x", "kg m"), ("moment_y", "kg m"), ("moment_z", "kg m"))
     return {name: (float(values[k]), float(spread[k]), unit) for k, (name, unit) in enumerate(names)}
 
