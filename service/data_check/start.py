@@ -5,8 +5,6 @@ import numpy as np
 from service.data_check.finding import Finding, named
 from service.data_check.record import AxisRecords, Record
 
-NEAR = 0.02  # rad (m): possible difference by zero offsets and rounding of poses
-
 
 def start(axis: AxisRecords) -> list[Finding]:
     """Recordings that start at the position of another joint (wrong axis), or at an unknown position (wrong pose)."""
@@ -51,4 +49,5 @@ def _first(record: Record) -> float:
 
 def _room(record: Record) -> float:
     """Tolerance, rad (m): a record may start with its window, after a run-up of about the same duration."""
-    return NEAR + float(np.ptp(record.sweep.recording.position)) * (record.spec.excitation != "standstill")
+    # 0.02 rad (m): possible difference by zero offsets and rounding of poses
+    return 0.02 + float(np.ptp(record.sweep.recording.position)) * (record.spec.excitation != "standstill")

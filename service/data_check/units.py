@@ -4,16 +4,16 @@ import numpy as np
 
 from service.data_check.record import AxisRecords
 
-CLOSE = 0.04  # relative: a wrong unit gives an exact factor
 TURN = 2 * np.pi
 
 
 def motion_unit(axis: AxisRecords, gain: float, *, velocity: bool) -> str | None:
     """The unit in which a position (or velocity) is `gain` times the SI value; None if there is none."""
+    close = 0.04  # relative: a wrong unit gives an exact factor
     if gain == 0:
         return None
     ratio = abs(axis.axis.gear_ratio)
-    side = {"": 1.0} | ({" on the motor side": ratio} if abs(ratio - 1) > CLOSE else {})
+    side = {"": 1.0} | ({" on the motor side": ratio} if abs(ratio - 1) > close else {})
     turning = {"rad": 1.0, "degrees": 360 / TURN, "turns": 1 / TURN}
     # a control that treats a linear axis as a rotary one gives degrees
     own = {"mm": 1e3, "degrees": 360 / TURN} if axis.prismatic else turning
@@ -24,9 +24,9 @@ def motion_unit(axis: AxisRecords, gain: float, *, velocity: bool) -> str | None
         for unit, factor in (turning if where else own).items()
         for rate, per in rates.items()
     }
-    near = {name: abs(np.log(abs(gain) / factor)) for name, factor in names.items() if abs(factor - 1) > CLOSE}
+    near = {name: abs(np.log(abs(gain) / factor)) for name, factor in names.items() if abs(factor - 1) > close}
     best = min(near, key=lambda name: near[name], default=None)
-    return best if best is not None and near[best] < CLOSE else None
+    return best if best is not None and near[best] < close else None
 
 
 def effort_units(axis: AxisRecords) -> dict[str, float]:

@@ -44,7 +44,6 @@ Array = NDArray[np.float64]
 Known = Mapping[str, Mapping[str, Parameter]]
 
 NOTHING: Known = {}
-LONGER = 2.0  # factor between the reversal distances of dry friction that are tried
 CHANGED = 4.0  # standard deviations: above, a parameter of the model has changed
 GAIN, GAIN_ERROR = "torque_constant_error", "gain_error"
 HEAVIER = "The mass that was weighed is too light to decide it: take a heavier one, or bolt it further out."
@@ -246,9 +245,10 @@ def _explained(
 
 def _sticking(given: Equations, sweeps: Sequence[Sweep]) -> Equations:
     """The equations with the best of several reversal distances of dry friction, all too short for presliding."""
+    longer = 2.0  # factor between the reversal distances of dry friction that are tried
     ways = [given.tracks.sticking]
-    while LONGER * ways[-1] <= given.tracks.turning:
-        ways.append(LONGER * ways[-1])
+    while longer * ways[-1] <= given.tracks.turning:
+        ways.append(longer * ways[-1])
     ways += [SHORTEST] if ways[0] > SHORTEST else []  # an encoder without noise may show immediate friction reversal
     best, least = given, np.inf
     for way in ways:

@@ -19,7 +19,6 @@ from service.model.recording import Array
 
 OFF = 2.5  # largest factor of a correct axis, above or below CAD
 SURE = 4.0  # standard errors
-MODEL = 0.1  # of CAD: normal difference between records
 UNIT = np.log(2.2)  # ln of the largest ratio between a unit's factor and the measured one: CAD is no more accurate
 RESISTS = 0.15  # of viscous friction in the robot file (prior: 50 %), without dry friction: each axis has more
 
@@ -56,7 +55,8 @@ def seen(axis: AxisRecords, found: Sequence[Response]) -> Seen | None:
         return None
     ratios = np.array([one.inertia for one in found]) / nominal
     errors = np.array([one.inertia_error for one in found]) / nominal
-    weight = 1 / (errors**2 + (MODEL * np.maximum(np.abs(np.median(ratios)), 1e-6)) ** 2)
+    # 0.1 of CAD: normal difference between records
+    weight = 1 / (errors**2 + (0.1 * np.maximum(np.abs(np.median(ratios)), 1e-6)) ** 2)
     resistance = np.array([one.resistance for one in found])
     by_error = 1 / np.maximum(np.array([one.resistance_error for one in found]), 0.05 * np.abs(resistance) + 1e-12) ** 2
     return Seen(

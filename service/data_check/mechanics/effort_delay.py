@@ -15,16 +15,14 @@ from service.data_check.record import AxisRecords
 from service.identification.spectra.frequency_response import Complex
 from service.model.recording import Array
 
-LIMIT = 5e-3  # s
 DELAYS = np.arange(-30e-3, 30.25e-3, 0.25e-3)  # s
 SPRINGS = np.geomspace(4.0, 60.0, 60)  # Hz
 DAMPING = (0.02, 0.1)
-MODEL = 0.02  # of Z: other errors of the rigid model
-EXPLAINS = 0.25  # of the misfit without delay: a smaller misfit confirms the delay
 
 
 def effort_delay(axis: AxisRecords, found: Sequence[Response]) -> list[Finding]:
     """At most one finding, from all records with at least two lines."""
+    limit = 5e-3  # s
     some = [one for one in found if len(one.frequency) > 1]
     if not some:
         return []
@@ -32,7 +30,8 @@ def effort_delay(axis: AxisRecords, found: Sequence[Response]) -> list[Finding]:
     delays = np.sum([_misfit(one, turn, turn) for one, turn in zip(some, late, strict=True)], axis=0)
     best = int(np.argmin(delays))
     value = float(DELAYS[best])
-    if abs(value) < LIMIT or delays[best] > EXPLAINS * float(delays[np.argmin(np.abs(DELAYS))]):
+    # 0.25 of the misfit without delay: a smaller misfit confirms the delay
+    if abs(value) < limit or delays[best] > 0.25 * float(delays[np.argmin(np.abs(DELAYS))]):
         return []
     sprung = [_springs(one.frequency) for one in some]
     springs = np.sum([_misfit(one, turn, np.ones_like(turn)) for one, turn in zip(some, sprung, strict=True)], axis=0)
@@ -42,9 +41,9 @@ def effort_delay(axis: AxisRecords, found: Sequence[Response]) -> list[Finding]:
     word = "late against" if value > 0 else "ahead of"
     return [
         Finding(
-            "channel_delay", "wrong", axis.joint, ids, value, LIMIT,
+            "channel_delay", "wrong", axis.joint, ids, value, limit,
             f"{axis.joint}, {named(ids)}: effort is {1e3 * abs(value):.3g} ms {word} velocity at all lines, limit "
-            f"{1e3 * LIMIT:.3g} ms.",
+            f"{1e3 * limit:.3g} ms.",
             "Record effort and velocity at one instant, or take the filters' delay out (`sweepid channels`).",
         )
     ]  # fmt: skip
@@ -59,7 +58,8 @@ def _springs(frequency: Array) -> Complex:
 
 def _misfit(one: Response, on_inertia: Complex, on_friction: Complex) -> Array:
     """Weighted sum of squares (m,) of the fit of J and mu to each record; their columns are i w and 1, times (m, l)."""
-    weight = 1 / np.hypot(one.error, MODEL * np.abs(one.impedance))
+    # 0.02 of Z: other errors of the rigid model
+    weight = 1 / np.hypot(one.error, 0.02 * np.abs(one.impedance))
     a, b = 2j * np.pi * one.frequency * on_inertia * weight, on_friction * weight
     wanted = one.impedance * weight
     aa, bb, ab = np.sum(np.abs(a) ** 2, -1), np.sum(np.abs(b) ** 2, -1), np.sum((a.conj() * b).real, -1)

@@ -15,9 +15,6 @@ import numpy as np
 from service.data_check.record import AxisRecords, Record
 from service.model.recording import Array
 
-TRAVEL = 20.0  # steps of the position: minimum travel in a window
-VARIES = 0.02  # of the maximum: with less variation of velocity, a delay is invisible
-
 
 @dataclass(frozen=True)
 class Slope:
@@ -38,7 +35,8 @@ def slopes(axis: AxisRecords) -> tuple[Slope, ...]:
 
 def _slope(record: Record) -> Slope | None:
     velocity, position = record.velocity, record.position - record.position[0]
-    if np.ptp(velocity) == 0 or np.ptp(position) <= TRAVEL * record.steps["position"] or np.ptp(position) == 0:
+    # 20.0 steps of the position: minimum travel in a window
+    if np.ptp(velocity) == 0 or np.ptp(position) <= 20.0 * record.steps["position"] or np.ptp(position) == 0:
         return None
     way = np.concatenate([[0.0], np.cumsum(velocity[1:] + velocity[:-1]) / 2]) / record.rate
     columns = np.stack([way, velocity, np.ones_like(way)], -1)
@@ -51,7 +49,8 @@ def _slope(record: Record) -> Slope | None:
     rounding = record.steps["velocity"] / 2 / steady if steady else 0.0
     fastest = float(np.abs(velocity).max())
     gain = float(values[0])
-    shows_delay = gain != 0 and float(np.std(velocity)) > VARIES * fastest
+    # 0.02 of the maximum: with less variation of velocity, a delay is invisible
+    shows_delay = gain != 0 and float(np.std(velocity)) > 0.02 * fastest
     return Slope(
         record,
         gain,

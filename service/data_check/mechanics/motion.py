@@ -19,7 +19,6 @@ GAIN = 0.005  # both channels come from one sensor: except for rounding they agr
 FOLLOWS = 0.06  # of the commanded speed: a soft loop settles within it, and ripple changes the mean
 SURE = 5.0  # standard errors
 DELAY = 0.5e-3  # s; a speed computed from differences of positions is half a sample late
-SAMPLES = 0.75
 
 Channel = Literal["position", "velocity", "both"]
 
@@ -117,16 +116,17 @@ def _finding(
 
 def _delay(axis: AxisRecords, slopes: Sequence[Slope]) -> list[Finding]:
     """Delay (or advance) of velocity with respect to position, if several records, or one clearly, show it."""
+    samples = 0.75
     shown = [(slope, slope.delay) for slope in slopes if slope.delay is not None and slope.gain > 0]
     late = [
         (slope.record.id, delay)
         for slope, delay in shown
-        if abs(delay) > max(DELAY, SAMPLES / slope.record.rate) + SURE * slope.delay_error
+        if abs(delay) > max(DELAY, samples / slope.record.rate) + SURE * slope.delay_error
     ]
     if 2 * len(late) <= len(shown):
         return []
     ids, value = tuple(name for name, _ in late), float(np.median([delay for _, delay in late]))
-    limit = max(DELAY, SAMPLES / shown[0][0].record.rate)
+    limit = max(DELAY, samples / shown[0][0].record.rate)
     word = "late against" if value > 0 else "ahead of"
     return [
         Finding(

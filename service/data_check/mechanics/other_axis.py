@@ -16,11 +16,6 @@ from service.data_check.units import effort_units
 from service.identification.model.regressor import gravity_rows
 from service.model.recording import Array
 
-SURE = 4.0  # standard errors: minimum significance of the inertia
-INERTIA = 0.2  # of that in CAD, standard deviation, common to all poses
-SHAPE = 0.1  # standard deviation between poses
-WEIGHT = 0.2  # of the larger of both values
-FRICTION = 0.5  # of that in the robot file, as in the prior
 FITS = float(chdtri(3, 0.01))  # of three numbers
 BETTER = 9.2  # difference of -2 ln likelihood: a hundred times as likely
 REFUSED = 25.0  # the same for SI units of this axis: five standard deviations, because loads and springs are not errors
@@ -38,7 +33,8 @@ class Origin:
 
 def origins(axis: AxisRecords, found: Sequence[Response]) -> list[Origin]:
     """All origins, the most likely first; empty if no pose determines inertia and weight."""
-    clear = [one for one in found if one.inertia > SURE * one.inertia_error]
+    # 4.0 standard errors: minimum significance of the inertia
+    clear = [one for one in found if one.inertia > 4.0 * one.inertia_error]
     if not clear:
         return []
     inertia = np.array([one.inertia for one in clear])
@@ -51,10 +47,13 @@ def origins(axis: AxisRecords, found: Sequence[Response]) -> list[Origin]:
         if not (nominal > 0).all():
             continue
         off = np.log(inertia / (factor * nominal))
-        misfit = (float(off.mean()) / INERTIA) ** 2 + (float(off.std()) / SHAPE) ** 2
+        # 0.2 of that in CAD, standard deviation, common to all poses
+        # 0.1 standard deviation between poses
+        misfit = (float(off.mean()) / 0.2) ** 2 + (float(off.std()) / 0.1) ** 2
         viscous = axis.robot.axes[joint].viscous_friction
         if viscous and resistance > 0:
-            misfit += (np.log(resistance / (factor * viscous)) / FRICTION) ** 2
+            # 0.5 of that in the robot file, as in the prior
+            misfit += (np.log(resistance / (factor * viscous)) / 0.5) ** 2
         if weight is not None:
             misfit += _of_weight(axis, joint, weight, factor, swapped=swapped)
         origins.append(Origin(name, joint, factor != 1.0, float(misfit)))
@@ -96,7 +95,8 @@ def _of_weight(axis: AxisRecords, joint: int, held: "Weighed", factor: float, *,
     poses = _stood(axis, held.poses, joint, swapped=swapped)
     rows = gravity_rows(axis.robot.chain, axis.robot.gravity, joint, poses)[:, 0]
     weight = factor * (rows @ axis.robot.chain.inertial.ravel())
-    size = WEIGHT**2 * float(np.mean(np.maximum(held.effort**2, weight**2))) + held.friction**2
+    # 0.2 of the larger of both values
+    size = 0.2**2 * float(np.mean(np.maximum(held.effort**2, weight**2))) + held.friction**2
     return float(np.mean((held.effort - weight) ** 2)) / size if size else 0.0
 
 

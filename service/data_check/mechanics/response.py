@@ -18,9 +18,6 @@ from service.identification.spectra.time_domain import fit_record
 from service.model.errors import BadInput
 from service.model.recording import Array
 
-LOWEST = 4.5  # Hz: below it, with locked-rotor frequencies of 5 Hz and more, a line shows the inertia, not the spring
-ABOVE = 3.0  # Hz above the last line: upper end of the noise band
-
 
 @dataclass(frozen=True)
 class Response:
@@ -54,7 +51,8 @@ def _at_lines(axis: AxisRecords, record: Record, followed: Commanded | None) -> 
     step = record.rate / count
     frequency = np.sort([sine.frequency for sine in spec.sines])
     lines = np.round(frequency / step).astype(int)
-    if frequency[0] > LOWEST or np.any(np.abs(frequency / step - lines) > 0.01) or lines[-1] >= count // 2:
+    # Hz: below it, with locked-rotor frequencies of 5 Hz and more, a line shows the inertia, not the spring
+    if frequency[0] > 4.5 or np.any(np.abs(frequency / step - lines) > 0.01) or lines[-1] >= count // 2:
         return None
     transform: Complex = np.fft.rfft(_without_ripple(axis, record, frequency)) / count
     velocity = np.fft.rfft(record.velocity)[lines] / count
@@ -62,7 +60,8 @@ def _at_lines(axis: AxisRecords, record: Record, followed: Commanded | None) -> 
         velocity = velocity / followed.gain
     if not np.all(np.abs(velocity) > 0):
         return None
-    bins = np.arange(1, min(int(lines[-1]) + round(ABOVE / step), count // 2))
+    # Hz above the last line: upper end of the noise band
+    bins = np.arange(1, min(int(lines[-1]) + round(3.0 / step), count // 2))
     between = bins[~np.isin(bins, lines)]
     noise = float(np.sqrt(np.mean(np.abs(transform[between]) ** 2))) if between.size else 0.0
     impedance, error = transform[lines] / velocity, noise / np.abs(velocity)

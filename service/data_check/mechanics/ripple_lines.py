@@ -27,14 +27,10 @@ from service.model.recording import Array
 
 RATE = 400.0  # Hz, minimum rate of effort after decimation: a ripple of 200 Hz moves no axis
 HIGHEST = 100.0  # order
-SLOWEST = 3.0  # periods in the slowest sweep: minimum for a line
 CHANCE = 1e-6  # probability of such phases without ripple, over all tried orders
 PLACES = 3  # minimum number of places with the same sweep
 ABOVE = 8.0  # times the median power over the orders: a line
 SAME = 0.01  # relative difference up to which an order of the robot file is the same order
-MOST = 3  # largest number of lines
-HIDDEN = 0.1  # of a ripple that nearly coincides with the periods
-FINE = 0.1  # of the order resolution of all sweeps together
 
 
 @dataclass(frozen=True)
@@ -118,7 +114,8 @@ def ripple_lines(axis: AxisRecords) -> list[Line]:
     every = [one for record in axis.records if (one := _turning(axis, record)) is not None]
     turning = [one for one in every if _places(every, one) >= PLACES]
     found: list[Line] = []
-    for _ in range(MOST if turning else 0):
+    # 3 largest number of lines
+    for _ in range(3 if turning else 0):
         spectra = _Spectra.of(turning)
         line = spectra.strongest(axis)
         if line is None:
@@ -155,7 +152,8 @@ class _Spectra:
         every = np.arange(size // 2 + 1, dtype=np.float64) * (2 * np.pi / (size * step))
         order = every[every <= HIGHEST]
         amplitude = np.empty((len(turning), len(order)), dtype=np.complex128)
-        lowest_order = SLOWEST * 2 * np.pi / min(one.span for one in turning)
+        # 3.0 periods in the slowest sweep: minimum for a line
+        lowest_order = 3.0 * 2 * np.pi / min(one.span for one in turning)
         for k, one in enumerate(turning):
             way = 1.0 if one.angle[-1] > one.angle[0] else -1.0
             lowest = float(one.angle.min())
@@ -221,7 +219,8 @@ class _Spectra:
         reach = 2 * np.pi / min(one.span for one in self.turning)
         near = np.flatnonzero(np.abs(self.order - self.order[grid]) <= reach)
         step = float(self.order[1] - self.order[0])
-        count = min(int(step * everywhere / (FINE * 2 * np.pi)) + 1, 400)
+        # 0.1 of the order resolution of all sweeps together
+        count = min(int(step * everywhere / (0.1 * 2 * np.pi)) + 1, 400)
         off = step * ((np.arange(count) + 0.5) / count - 0.5)
         turn = np.exp(-1j * off[:, None] * middle)  # (f, m)
         gained, size, agree = np.zeros((3, len(near), count))
@@ -230,7 +229,8 @@ class _Spectra:
             rest = float(np.mean([np.mean(self.turning[k].left ** 2) for k in members]))
             one = self.turning[members[0]]
             wave = _beside_periods(np.exp(1j * np.outer(one.angle, self.order[near])), one.period)
-            kept = np.maximum(np.mean(np.abs(wave) ** 2, axis=0), HIDDEN)[:, None]
+            # 0.1 of a ripple that nearly coincides with the periods
+            kept = np.maximum(np.mean(np.abs(wave) ** 2, axis=0), 0.1)[:, None]
             places = np.array([turn[:, p] @ self.amplitude[list(p)][:, near] / len(p) for p in map(list, group)])
             places = np.nan_to_num(np.swapaxes(places, 1, 2))  # (p, n, f)
             mean, power = np.abs(places.mean(axis=0)) ** 2, np.mean(np.abs(places) ** 2, axis=0)

@@ -12,13 +12,7 @@ from service.data_check.mechanics.ripple_lines import CHANCE, SAME, Line, ripple
 from service.data_check.record import AxisRecords
 from service.identification.spectra.frequency_response import ripple_orders
 
-LEAST = 0.001  # of rated effort, RMS: one step of typical drives
-RATIO = 5e-4  # of the gear ratio: a larger difference is reported
-WHOLE = 0.02  # tolerance: orders of a motor are whole numbers (magnets, teeth)
 SIDE = (1.0, 2.0)  # an eccentric rotor gives weaker lines at this distance from a line of order o
-TRANSMISSION = 5.0  # order: below, transmission error of the gear; above, cogging of the motor
-APART = 0.25  # of the order resolution over the range of the axis
-WEAKER = 0.25  # of the strongest line: a weaker one may be caused by the drive from that one
 
 
 def ripples(axis: AxisRecords) -> list[Finding]:
@@ -49,25 +43,31 @@ def _scale(lines: Sequence[Line]) -> float | None:
     if line is None or line.known is None:
         return None
     scale, off = line.order / line.known, abs(line.order - line.known)
-    clear = off > APART * line.resolved and line.as_known - line.chance > -np.log(CHANCE)
-    return scale if abs(scale - 1) > RATIO and clear else None
+    # 0.25 of the order resolution over the range of the axis
+    clear = off > 0.25 * line.resolved and line.as_known - line.chance > -np.log(CHANCE)
+    # 5e-4 of the gear ratio: a larger difference is reported
+    return scale if abs(scale - 1) > 5e-4 and clear else None
 
 
 def _unknown(axis: AxisRecords, lines: Sequence[Line]) -> list[Finding]:
     """Lines that are neither in the robot file nor side lines of a stronger one."""
+    whole = 0.02  # tolerance: orders of a motor are whole numbers (magnets, teeth)
     scale, findings = _scale(lines) or 1.0, list[Finding]()
     known = list(ripple_orders(axis.axis))
     for line in lines:
         order = line.order / scale
         near = [one for one in known if abs(order / one - 1) < SAME]
-        beside = [one for one in known for side in SIDE if abs(abs(order - one) - side) < WHOLE * max(1.0, one / 20)]
-        if near or beside or line.rms < max(LEAST * axis.axis.rated_effort, WEAKER * lines[0].rms):
+        beside = [one for one in known for side in SIDE if abs(abs(order - one) - side) < whole * max(1.0, one / 20)]
+        # 0.001 of rated effort, RMS: one step of typical drives
+        # 0.25 of the strongest line: a weaker one may be caused by the drive from that one
+        if near or beside or line.rms < max(0.001 * axis.axis.rated_effort, 0.25 * lines[0].rms):
             continue
-        if abs(order - round(order)) > WHOLE * max(1.0, order / 20):
+        if abs(order - round(order)) > whole * max(1.0, order / 20):
             continue
         order = float(round(order))
         known.append(order)
-        kind = "transmission" if order < TRANSMISSION else "cogging"
+        # 5.0 order: below, transmission error of the gear; above, cogging of the motor
+        kind = "transmission" if order < 5.0 else "cogging"
         findings.append(
             Finding(
                 "ripple_order", "warning", axis.joint, (), order, None,

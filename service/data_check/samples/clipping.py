@@ -12,12 +12,8 @@ from service.data_check.probabilities import poisson_quantile
 from service.data_check.record import AxisRecords
 from service.model.recording import Array
 
-PILE = 10  # samples on the extreme value
 SHARE = 0.003  # of the window
-ALONE = 0.02  # of the window, in a single sweep
-CREST = 3.0  # times the mean of the next three steps: last step of a parabola, 1 against (sqrt(4) - 1) / 3
 CHANCE = 1e-6  # probability that the last step of a parabola has so many samples
-OVER = 4.0  # times the number on the neighbouring step, or within the same distance
 
 
 def clipping(axis: AxisRecords) -> list[Finding]:
@@ -31,7 +27,8 @@ def clipping(axis: AxisRecords) -> list[Finding]:
                 if share > 0:
                     found.append((record.id, share, sign * float((sign * values).max())))
         # a limit applies to all sweeps: a few samples of one sweep may be there by chance
-        if len({sweep for sweep, _, _ in found}) > 1 or any(share > ALONE for _, share, _ in found):
+        # 0.02 of the window, in a single sweep
+        if len({sweep for sweep, _, _ in found}) > 1 or any(share > 0.02 for _, share, _ in found):
             ids = tuple(dict.fromkeys(sweep for sweep, _, _ in found))
             _, share, limit = max(found, key=lambda one: one[1])
             of_rated = f", {100 * abs(limit) / axis.axis.rated_effort:.3g} % of rated effort" * (name == "effort")
@@ -58,6 +55,9 @@ def _on_limit(values: Array, step: float) -> float:
     if step > 0.02 * width:  # few steps: a sine stays on its last one
         beside = max(beside, on // 2)
     near = np.count_nonzero((values > top - 3.5 * grain) & (values <= top - 0.5 * grain)) / 3
-    by_chance = poisson_quantile(1 - CHANCE, CREST * max(float(near), 1.0))
-    enough = on > max(PILE, SHARE * len(values), by_chance)
-    return on / len(values) if enough and on > OVER * beside else 0.0
+    # 3.0 times the mean of the next three steps: last step of a parabola, 1 against (sqrt(4) - 1) / 3
+    by_chance = poisson_quantile(1 - CHANCE, 3.0 * max(float(near), 1.0))
+    # 10 samples on the extreme value
+    enough = on > max(10, SHARE * len(values), by_chance)
+    # 4.0 times the number on the neighbouring step, or within the same distance
+    return on / len(values) if enough and on > 4.0 * beside else 0.0

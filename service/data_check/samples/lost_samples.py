@@ -11,10 +11,7 @@ from service.data_check.finding import Code, Finding, named
 from service.data_check.record import AxisRecords, Record, spread
 from service.model.recording import Array
 
-FAR = 15.0  # robust standard deviations
 LEAST = 0.7  # samples
-LONGER = 1.5  # times the jump at the velocity next to it: largest delay of the sines that is tried
-BETTER = 0.5  # of the residual of velocity without a jump
 
 
 def lost_samples(axis: AxisRecords) -> list[Finding]:
@@ -51,7 +48,8 @@ def _lost(record: Record) -> tuple[float, int]:
     off = steps - explained
     off = off - np.median(off)
     rounding = 3 * record.steps["position"] + record.steps["velocity"] / record.rate
-    allowed = np.abs(np.diff(velocity)) / record.rate + FAR * spread(off) + rounding
+    # 15.0 robust standard deviations
+    allowed = np.abs(np.diff(velocity)) / record.rate + 15.0 * spread(off) + rounding
     jumps = np.flatnonzero(np.abs(off) > allowed)
     stays = [int(k) for k in jumps if abs(off[max(k - 2, 0) : k + 3].sum()) > allowed[k]]  # a spike returns
     sizes = [(abs(float(off[k] / explained[k])), k) for k in stays]
@@ -60,15 +58,17 @@ def _lost(record: Record) -> tuple[float, int]:
 
 def _phases_jump(record: Record, at: int, lost: float) -> bool:
     """Whether velocity after the jump has a later phase; if there are no lines, yes."""
+    longer = 1.5  # times the jump at the velocity next to it: largest delay of the sines that is tried
     lines = [sine.frequency for sine in record.spec.sines]
     if not lines:
         return True
     time = np.arange(record.count) / record.rate
     before, after = time <= time[at], time > time[at]
-    tried = np.linspace(-LONGER * lost, LONGER * lost, 61) / record.rate  # counts may also be lost backwards
+    tried = np.linspace(-longer * lost, longer * lost, 61) / record.rate  # counts may also be lost backwards
     left = [_left(record.velocity, lines, time + late * after) for late in (0.0, *tried)]
     enough = min(np.count_nonzero(before), np.count_nonzero(after)) > 4 * len(lines)
-    return not enough or min(left[1:]) < BETTER * left[0]
+    # 0.5 of the residual of velocity without a jump
+    return not enough or min(left[1:]) < 0.5 * left[0]
 
 
 def _left(velocity: Array, lines: list[float], time: Array) -> float:

@@ -9,18 +9,17 @@ import numpy as np
 from service.data_check.finding import Finding, named
 from service.data_check.record import AxisRecords, Record
 
-EFFORT = 0.0025  # of rated effort
-VELOCITY = 0.05  # of the largest commanded speed
-POSITION = 0.02  # of the travel in the window
-
 
 def quantisation(axis: AxisRecords) -> list[Finding]:
     """One finding per channel."""
     findings: list[Finding] = []
+    # 0.0025 of rated effort
+    # 0.05 of the largest commanded speed
+    # 0.02 of the travel in the window
     for name, limit, of in (
-        ("effort", EFFORT, "rated effort"),
-        ("velocity", VELOCITY, "the fastest commanded velocity"),
-        ("position", POSITION, "the way of a sweep"),
+        ("effort", 0.0025, "rated effort"),
+        ("velocity", 0.05, "the fastest commanded velocity"),
+        ("position", 0.02, "the way of a sweep"),
     ):
         found: list[tuple[str, float]] = []
         for record in axis.those(lambda record: record.spec.moves):

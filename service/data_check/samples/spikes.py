@@ -16,14 +16,9 @@ from service.model.recording import Array
 Indices = NDArray[np.intp]
 
 WIDTH = 7  # samples of the median
-FAR = 12.0  # robust standard deviations: noise and impacts in backlash stay below
-EFFORT = 0.02  # of rated effort: smaller spikes do not change the result
-VELOCITY = 0.1  # of the largest commanded speed
 NEAR = 3  # samples within which a pulse of motion is visible in effort and velocity
-PULSE = 8.0  # robust standard deviations
 SINGLE = float(np.finfo(np.float32).eps)  # values may have been stored in 32 bits
 LONGEST = 3  # consecutive samples
-BESIDE = 3.0  # times the largest other deviation within 20 samples
 
 
 def spikes(axis: AxisRecords) -> list[Finding]:
@@ -34,7 +29,8 @@ def spikes(axis: AxisRecords) -> list[Finding]:
         for record, values in samples:
             floor = _floor(axis, record, name, values)
             off = _off(values)
-            single = _single(values, off, max(FAR * _noise(values, off), 3 * record.steps[name], floor))
+            # 12.0 robust standard deviations: noise and impacts in backlash stay below
+            single = _single(values, off, max(12.0 * _noise(values, off), 3 * record.steps[name], floor))
             if single.size and name != "position":
                 single = single[~_moved(record, name, single)]
             if single.size:
@@ -75,15 +71,16 @@ def _moved(record: Record, name: str, single: Indices) -> NDArray[np.bool_]:
     """Where the other of effort and velocity also has the pulse, or velocity has a kink: backlash closes, or a load
     breaks loose.
     """
+    pulse = 8.0  # robust standard deviations
     other = "velocity" if name == "effort" else "effort"
     off = np.abs(_off(getattr(record, other)))
     beside = np.asarray(maximum_filter(off, 2 * NEAR + 1, mode="nearest"), dtype=float)[single]
-    shown = beside > max(PULSE * spread(off), 2 * record.steps[other])
+    shown = beside > max(pulse * spread(off), 2 * record.steps[other])
     if name == "velocity":
         return shown | _way(record, single)
     bent = np.abs(np.diff(record.velocity, 2, prepend=record.velocity[0], append=record.velocity[-1]))
     kinked = np.asarray(maximum_filter(bent, 2 * NEAR + 1, mode="nearest"), dtype=float)[single]
-    return shown | (kinked > max(PULSE * spread(bent), 4 * record.steps["velocity"]))
+    return shown | (kinked > max(pulse * spread(bent), 4 * record.steps["velocity"]))
 
 
 def _way(record: Record, single: Indices) -> NDArray[np.bool_]:
@@ -100,10 +97,12 @@ def _way(record: Record, single: Indices) -> NDArray[np.bool_]:
 def _floor(axis: AxisRecords, record: Record, name: str, values: Array) -> float:
     """Deviation below which a spike changes nothing."""
     if name == "effort":
-        return EFFORT * axis.axis.rated_effort
+        # 0.02 of rated effort: smaller spikes do not change the result
+        return 0.02 * axis.axis.rated_effort
     fastest = axis.fastest or 3 * float(np.std(record.velocity))
     rounding = 3 * SINGLE * float(np.abs(values).max())
-    return max(VELOCITY * fastest if name == "velocity" else 5 * fastest / record.rate, rounding)
+    # 0.1 of the largest commanded speed
+    return max(0.1 * fastest if name == "velocity" else 5 * fastest / record.rate, rounding)
 
 
 def _single(values: Array, off: Array, limit: float) -> Indices:
@@ -120,6 +119,7 @@ def _single(values: Array, off: Array, limit: float) -> Indices:
         before, after = values[max(first - 2, 0)], values[min(last + 2, len(values) - 1)]
         returns = abs(after - before) < size[group].max() / 2
         alone = last - first < LONGEST and _off_course(values, first, last) > limit
-        if returns and alone and (not near.size or size[group].max() > BESIDE * near.max()):
+        # 3.0 times the largest other deviation within 20 samples
+        if returns and alone and (not near.size or size[group].max() > 3.0 * near.max()):
             kept.extend(range(first, last + 1))
     return np.array(kept, dtype=np.intp)

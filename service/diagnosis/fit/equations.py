@@ -38,14 +38,7 @@ from service.identification.model.convergence import finite
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SAME = 1e-3  # relative change of the model below which it counts as unchanged
-SAME_TIME = 2e-6  # s
-UNKNOWN_MOTOR = 0.1  # of the axis' inertia: assumed motor inertia if the robot file does not contain it
-LEAST_INERTIA = 0.05  # of the inertia in CAD
-RECENT = 8  # columns of shapes that a search has just tried
-ENOUGH_POSES = 4  # with so many poses, one may be held back
 COLOURED = 3.0  # times the RMS of white sensor noise: flicker noise and drift give about 2
-REPEATED = 0.2  # of the velocity, RMS: largest difference between repeats
 
 
 @dataclass(frozen=True)
@@ -168,7 +161,8 @@ class Equations:
         """The usable rows of these columns; the result is cached, if not `keep`, only until others are asked for."""
         found = self.kept.get(term) or self.recent.get(term) or self._gathered(term.effect, self.columns(term))
         (self.kept if keep else self.recent)[term] = found
-        while len(self.recent) > RECENT:
+        # 8 columns of shapes that a search has just tried
+        while len(self.recent) > 8:
             del self.recent[next(iter(self.recent))]
         return found
 
@@ -273,6 +267,7 @@ def equations(tracks: Tracks, groups: Sequence[Group], whitening: Whitening | No
     periods = None if any(len(group.pieces) > 1 for group in groups) else _between_periods(tracks, left, alone)
     if whitening is None:
         whitening = noise_model(left, tracks.usable, groups, alone if periods is None else periods)
+    # 0.1 of the axis' inertia: assumed motor inertia if the robot file does not contain it
     given = Equations(
         tracks=tracks,
         groups=tuple(groups),
@@ -283,7 +278,7 @@ def equations(tracks: Tracks, groups: Sequence[Group], whitening: Whitening | No
         model=_model(
             tracks,
             model.nominal,
-            axis.reflected_motor_inertia or UNKNOWN_MOTOR * float(model.nominal[0].mean()),
+            axis.reflected_motor_inertia or 0.1 * float(model.nominal[0].mean()),
             viscous,
         ),
         coefficients=np.zeros(len(model.basis) + 1),
@@ -352,7 +347,8 @@ def grouped(tracks: Tracks) -> tuple[Group, ...]:
 def held_back(tracks: Tracks, groups: Sequence[Group]) -> int | None:
     """Index of the pose that is not used to select effects: the one of median weight; None if too few poses."""
     folds = sorted({group.fold for group in groups})
-    if len(folds) < ENOUGH_POSES:
+    # 4 with so many poses, one may be held back
+    if len(folds) < 4:
         return None
     weight = {fold: float(tracks.gravity[tracks.pose_index == fold].mean()) for fold in folds}
     return sorted(folds, key=lambda fold: weight[fold])[len(folds) // 2]
@@ -368,7 +364,8 @@ def _same_motion(motion: Array, usable: Mask, one: int, other: int) -> bool:
     """Whether two sweeps have the same motion where both are usable; names may be missing or wrong."""
     both = usable[one] & usable[other]
     first, second = motion[one][both], motion[other][both]
-    return bool(both.any() and np.sum((first - second) ** 2) < REPEATED**2 * np.sum(first**2))
+    # 0.2 of the velocity, RMS: largest difference between repeats
+    return bool(both.any() and np.sum((first - second) ** 2) < 0.2**2 * np.sum(first**2))
 
 
 def remodelled(given: Equations, terms: Sequence[Term]) -> Equations:
@@ -383,7 +380,8 @@ def _delayed(given: Equations, terms: Sequence[Term], values: Array) -> Equation
     for term in terms:
         late += float(values[first]) if CATALOGUE[term.effect].late else 0.0
         first += given.width(term)
-    if abs(late - given.late) < SAME_TIME:
+    # 2e-6 s
+    if abs(late - given.late) < 2e-6:
         return given
     moved = replace(given, late=late)
     moved.kept.update({term: rows for term, rows in given.kept.items() if CATALOGUE[term.effect].late})
@@ -417,7 +415,8 @@ def with_base(given: Equations, values: Array) -> Equations:
     tracks = given.tracks
     viscous = (tracks.robot.axis(tracks.joint).viscous_friction or 0.0) + float(values[-1])
     load = given.rigid.load(values[:-1])
-    load[0] = np.maximum(load[0], LEAST_INERTIA * given.rigid.nominal[0])
+    # 0.05 of the inertia in CAD
+    load[0] = np.maximum(load[0], 0.05 * given.rigid.nominal[0])
     model = _model(tracks, load, given.model.motor_inertia, max(viscous, 0.0))
     if _alike(model, given.model, tracks.robot.axis(tracks.joint).rated_effort):
         return given
@@ -427,6 +426,7 @@ def with_base(given: Equations, values: Array) -> Equations:
 
 
 def _alike(one: Model, other: Model, rated: float) -> bool:
-    inertia = np.allclose(one.inertia, other.inertia, rtol=SAME, atol=0.0)
-    torque = np.allclose(one.torque, other.torque, rtol=0.0, atol=SAME * rated)
-    return bool(inertia and torque and np.isclose(one.viscous, other.viscous, rtol=SAME, atol=0.0))
+    same = 1e-3  # relative change of the model below which it counts as unchanged
+    inertia = np.allclose(one.inertia, other.inertia, rtol=same, atol=0.0)
+    torque = np.allclose(one.torque, other.torque, rtol=0.0, atol=same * rated)
+    return bool(inertia and torque and np.isclose(one.viscous, other.viscous, rtol=same, atol=0.0))

@@ -17,10 +17,7 @@ from service.diagnosis.fit.solving import given_rest, solve, symmetric
 
 Array = NDArray[np.float64]
 
-ALIKE = 4  # neighbouring rows that count as one independent value, because the filter correlates them
 CERTAIN = 3.0  # standard deviations: above, an improvement is significant
-HELD = 1e12  # times the product of a column: prior that keeps a coefficient at zero
-RIDGE = 1e-6  # times the product of a column: regularisation of coefficients that the data do not determine
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +77,8 @@ def improves(given: Equations, before: Array, after: Array) -> bool:
     """Whether the residual decreases significantly with respect to the noise of the same rows."""
     usable = given.tracks.usable
     old, new = before[usable], after[usable]
-    chance = 2 * noise(given, after) * _rms(old - new) * np.sqrt(ALIKE / len(old))
+    # 4 neighbouring rows that count as one independent value, because the filter correlates them
+    chance = 2 * noise(given, after) * _rms(old - new) * np.sqrt(4 / len(old))
     return float(np.mean(old**2) - np.mean(new**2)) > CERTAIN * chance
 
 
@@ -106,9 +104,11 @@ def residual(given: Equations, terms: Sequence[Term], *, by_repeat: bool = False
     precision, system = given.precision(terms), given.system_with(terms)
     total = system.sum(axis=0)
     if as_cad:
-        precision[range(b - 1), range(b - 1)] += HELD * np.abs(np.diag(total)[: b - 1])
+        # 1e12 times the product of a column: prior that keeps a coefficient at zero
+        precision[range(b - 1), range(b - 1)] += 1e12 * np.abs(np.diag(total)[: b - 1])
     ridge = np.zeros(len(total) - 1)
-    ridge[b:] = RIDGE * np.abs(np.diag(total)[b:-1])
+    # 1e-6 times the product of a column: regularisation of coefficients that the data do not determine
+    ridge[b:] = 1e-6 * np.abs(np.diag(total)[b:-1])
     by_repeat = by_repeat or len({group.fold for group in given.groups}) == 1
     whitened = np.concatenate(
         [given.driving, *(np.moveaxis(given.rows(term), -1, 0) for term in terms), given.right[None]]

@@ -22,7 +22,6 @@ Array = NDArray[np.float64]
 STEPS = 15
 DAMPING = (0.0, 0.03, 0.3, 3.0, 30.0)  # times the diagonal product of a derivative
 ELSEWHERE = (0.5, 2.0, 0.25, 4.0)
-GROWTH = 3.0  # of the gains of the steps still left over that of the last one, at most
 NEAR_FLOOR = 1.3  # times the noise floor: below, the fit is good
 
 
@@ -80,7 +79,8 @@ def _from(given: Equations, start: Explanation, steps: int, below: float = np.in
         if gain < LITTLE:
             ended = Ended.SETTLED
             break
-        if count > steps / 2 and best.cost - GROWTH * gain * (steps - count) > below:
+        # 3.0 of the gains of the steps still left over that of the last one, at most
+        if count > steps / 2 and best.cost - 3.0 * gain * (steps - count) > below:
             break
     return given, best.searched(number, ended)
 

@@ -22,8 +22,6 @@ from service.diagnosis.fit.solving import covariance, solve
 
 Array = NDArray[np.float64]
 
-NUDGE = 1e-3  # of a shape parameter: step of its numerical derivative
-ROUGH = 3e-2  # the same for costs that are not smooth
 ABSORBED = 0.01  # part of the residual that counts as an additional parameter error
 
 
@@ -108,7 +106,9 @@ def slopes(given: Equations, term: Term, coefficients: Array) -> list[Gathered]:
     """Derivative of a term's torque by each of its shape parameters, gathered."""
     result: list[Gathered] = []
     for k, value in enumerate(term.shape):
-        step = (NUDGE if CATALOGUE[term.effect].scan is None else ROUGH) * (abs(value) or 1.0)
+        # 1e-3 of a shape parameter: step of its numerical derivative
+        # 3e-2 the same for costs that are not smooth
+        step = (1e-3 if CATALOGUE[term.effect].scan is None else 3e-2) * (abs(value) or 1.0)
         moved = given.gathered(Term(term.effect, (*term.shape[:k], value + step, *term.shape[k + 1 :])), keep=False)
         at = given.gathered(term)
         result.append(tuple(coefficients[None] @ (there - here) / step for there, here in zip(moved, at, strict=True)))

@@ -18,12 +18,9 @@ from service.diagnosis.fit.solving import solve, symmetric
 Array = NDArray[np.float64]
 
 STEPS = 4  # largest number of steps of one refinement
-HALVINGS = 3  # largest number of times that a step is halved
 LONGEST = 0.7  # largest step of the logarithm of a shape parameter
 NUDGE = 1e-3  # step for numerical derivatives
 WIDTHS = (1.0, 0.3)  # of the step of the grid, for costs that are not smooth
-POINTS = 7  # grid points within it, on each side
-REACH = 0.4  # half width if the grid has one point
 LITTLE = 0.5  # decrease of the cost below which refinement ends
 
 
@@ -96,8 +93,10 @@ class CurrentModel:
             for k, shape in enumerate(shapes):
                 at = to_vector(shapes, best.terms[-1].shape)
                 grid = to_vector([shape] * len(shape.grid), shape.grid)
-                reach = width * (float(np.ptp(grid)) / (len(grid) - 1) if len(grid) > 1 else REACH)
-                moved = at + np.linspace(-reach, reach, POINTS)[:, None] * np.eye(len(at))[k]
+                # 0.4 half width if the grid has one point
+                reach = width * (float(np.ptp(grid)) / (len(grid) - 1) if len(grid) > 1 else 0.4)
+                # 7 grid points within it, on each side
+                moved = at + np.linspace(-reach, reach, 7)[:, None] * np.eye(len(at))[k]
                 name = best.terms[-1].effect
                 found = self._at(name, [from_vector(shapes, vector) for vector in moved], keep=False)
                 best = min([best, *found], key=lambda one: one.cost)
@@ -111,7 +110,8 @@ class CurrentModel:
         for _ in range(steps):
             at = to_vector(shapes, best.terms[-1].shape)
             step = self._step(best.terms[-1], shapes, at)
-            for _ in range(HALVINGS):
+            # 3 largest number of times that a step is halved
+            for _ in range(3):
                 tried = self.explanation(Term(name, from_vector(shapes, at + step)))
                 if tried.cost < best.cost:
                     break

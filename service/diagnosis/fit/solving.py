@@ -7,7 +7,6 @@ from service.model.errors import SweepidError
 
 Array = NDArray[np.float64]
 
-SMALLEST = 1e-60  # product below which a column counts as zero
 FLAT = 1e-12  # of a column's own product: below, it is a linear combination of the others
 
 
@@ -60,7 +59,8 @@ def _scaled(system: Array, precision: Array) -> tuple[Array, Array, Array]:
     matrix[: len(precision), : len(precision)] += precision
     diagonal = np.diag(matrix)
     # a column without effect has a product of zero, or of noise
-    there = diagonal > SMALLEST
+    # 1e-60 product below which a column counts as zero
+    there = diagonal > 1e-60
     scale = np.where(there, np.sqrt(np.where(there, diagonal, 1.0)), 1.0)
     matrix = np.where(np.outer(there, there), matrix, 0.0) / np.outer(scale, scale)
     values, vectors = np.linalg.eigh(matrix)

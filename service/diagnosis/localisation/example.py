@@ -10,8 +10,6 @@ from service.diagnosis.rows.signals import row_samples
 
 Array = NDArray[np.float64]
 
-MOST = 500  # points
-
 
 @dataclass(frozen=True)
 class Example:
@@ -31,7 +29,8 @@ def example(given: Equations, before: Array, after: Array) -> Example:
     most = int(np.argmax(np.sum(np.where(tracks.usable, before, 0.0) ** 2, axis=1)))
     recorded = row_samples(tracks.effort.shape[1], tracks.rate)
     recorded = np.flatnonzero(tracks.inside[most][recorded])
-    at = recorded[:: -(-len(recorded) // MOST)]
+    # 500 points
+    at = recorded[:: -(-len(recorded) // 500)]
     measured = tracks.rows(tracks.effort[most : most + 1])[0, at]
     time = tracks.time[most, row_samples(tracks.effort.shape[1], tracks.rate)[at]]
     spec = tracks.specs[most]

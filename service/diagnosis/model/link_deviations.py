@@ -20,8 +20,6 @@ Array = NDArray[np.float64]
 Links = Mapping[str, Mapping[str, Any]]
 """The links of a scenario, by name."""
 
-TRUE = 1e-4  # of the largest torque: accuracy with which the links give gravity
-CLOSE = 0.01  # relative accuracy with which they give inertias
 FACTORS = (0.1, 10.0)
 
 
@@ -81,7 +79,8 @@ def joined(robot: Robot, wanted: Sequence[tuple[int, Array, Array]]) -> Array:
         columns.append(np.concatenate([gravity_of(robot, unit, joint, poses).ravel() for joint, poses, _ in wanted]))
     if columns:
         right = np.concatenate([change.ravel() for _, _, change in wanted])
-        scale = TRUE * max(float(np.abs(right).max(initial=0.0)), 1e-12)
+        # 1e-4 of the largest torque: accuracy with which the links give gravity
+        scale = 1e-4 * max(float(np.abs(right).max(initial=0.0)), 1e-12)
         matrix = np.vstack([np.stack(columns, axis=-1) / scale, np.eye(len(columns))])
         solution = np.linalg.lstsq(matrix, np.append(right / scale, np.zeros(len(columns))), rcond=None)[0]
         for (link, part), value in zip(places, solution, strict=True):
@@ -108,14 +107,15 @@ def inertia_factors(
     (m, n), and inertias (m,) without motor, kg m^2. A part that such links cannot represent is ignored.
     Inexpressible if the fit is not finite or does not converge within `steps` (None: SciPy's limit).
     """
+    close = 0.01  # relative accuracy with which they give inertias
     count = len(robot.chain.joints)
     bare = _inertial(robot, links, np.zeros(count))
     own = np.stack([_inertial(robot, links, unit) - bare for unit in np.eye(count)])
     rows = [inertia_rows(robot.chain, joint, poses) / inertia[:, None] for joint, poses, inertia in wanted]
     if not rows:
         return {}
-    matrix = np.vstack([row @ own.reshape(count, -1).T for row in rows]) / CLOSE
-    right = np.concatenate([1 - row @ bare.ravel() for row in rows]) / CLOSE
+    matrix = np.vstack([row @ own.reshape(count, -1).T for row in rows]) / close
+    right = np.concatenate([1 - row @ bare.ravel() for row in rows]) / close
     prior = np.eye(count) / robot.prior.inertia
     if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
         raise Inexpressible("inertias of the links: those of the axes are not finite")

@@ -16,9 +16,6 @@ from service.model.robot import Robot
 Documents = Mapping[str, Mapping[str, Any]]
 
 ROBOT_FILE = "robot.yaml"
-BAND = 8.0  # Hz, bandwidth of an assumed speed control, which a diagnosis cannot identify
-RESET = 0.1  # s
-PEAK = 3.0  # times the rated effort
 
 
 def model_document(
@@ -75,6 +72,9 @@ def _scenario(robot: Robot, axes: Documents) -> dict[str, Any]:
             measurement[name] = float(np.mean(delays))
         if len(delays) > 1:
             notes.append(f"{name} is the mean of {', '.join(f'{delay:.3g} s' for delay in delays)}")
+    # Hz, bandwidth of an assumed speed control, which a diagnosis cannot identify
+    # 0.1 s
+    # 3.0 times the rated effort
     scenario = {
         "name": f"{robot.name}-model",
         "robot": ROBOT_FILE,
@@ -83,9 +83,9 @@ def _scenario(robot: Robot, axes: Documents) -> dict[str, Any]:
             joint: {
                 "train": entry.train,
                 "control": {
-                    "gain": 2 * np.pi * BAND * _inertia(axes[joint]),
-                    "reset_time": RESET,
-                    "effort_limit": PEAK * robot.axis(joint).rated_effort,
+                    "gain": 2 * np.pi * 8.0 * _inertia(axes[joint]),
+                    "reset_time": 0.1,
+                    "effort_limit": 3.0 * robot.axis(joint).rated_effort,
                 },
                 "load_encoder": False,
             }

@@ -14,7 +14,6 @@ from service.identification.model.regressor import parameter_names
 Array = NDArray[np.float64]
 
 VISCOUS = "viscous_friction"
-SAMPLES = 60  # poses that represent the workspace
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +34,8 @@ def rigid_model(given: Equations, fit: Fit) -> tuple[RigidParameter, ...]:
     robot, joint, poses = tracks.robot, tracks.joint, tracks.poses
     index = robot.index(joint)
     lower, upper = joint_ranges(robot.chain)
-    anywhere = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, len(lower)))
+    # 60 poses that represent the workspace
+    anywhere = np.random.default_rng(0).uniform(lower, upper, (60, len(lower)))
     base = reduce_columns(load_rows(robot, index, anywhere), parameter_names(robot.chain))
     nominal = base.combination @ nominal_parameters(robot)
     spread = base.combination @ parameter_spread(robot, index, poses)

@@ -11,10 +11,6 @@ from service.diagnosis.effects.patch import Inexpressible, Patch, merged
 from service.model.robot import Robot
 
 UNKNOWN_MOTOR = 0.1  # of the axis' inertia: assumed motor inertia if the robot file has none
-STIFF = 350.0  # Hz, locked rotor, for a gear with backlash or transmission error but no known elasticity
-FASTEST = 1000.0  # Hz, resonance of motor against load: limit of the time step of the simulator
-DAMPING = 0.3  # damping ratio of such a gear
-LEAST_MOTOR = 0.1  # of the value in the robot file
 NOT_NEGATIVE = (
     "motor_friction.viscous", "motor_friction.backward_viscous", "motor_friction.coulomb",
     "motor_friction.backward_coulomb", "warming.viscous_loss", "lugre.damping", "spring.damping", "spring.backlash",
@@ -53,7 +49,8 @@ def axis_entry(
     train = whole["train"]
     if train["effort_gain"] <= 0:
         raise Inexpressible(f"effort_gain = {train['effort_gain']:.3g} is not above 0")
-    held = _held(train, LEAST_MOTOR * motor)
+    # 0.1 of the value in the robot file
+    held = _held(train, 0.1 * motor)
     scale = 1.0 if true else train["effort_gain"]
     for path in TORQUES:
         _scale(train, path.split("."), 1 / scale)
@@ -104,8 +101,11 @@ def _sprung(train: Patch, inertia: float, ratio: float) -> None:
     motor = train["motor_inertia"] * ratio**2
     load = max(inertia - motor, UNKNOWN_MOTOR * inertia)
     swing = motor * load / (motor + load)
-    spring["stiffness"] = min(load * (2 * np.pi * STIFF) ** 2, swing * (2 * np.pi * FASTEST) ** 2)
-    spring["damping"] = DAMPING * float(np.sqrt(spring["stiffness"] * load))
+    # Hz, locked rotor, for a gear with backlash or transmission error but no known elasticity
+    # Hz, resonance of motor against load: limit of the time step of the simulator
+    spring["stiffness"] = min(load * (2 * np.pi * 350.0) ** 2, swing * (2 * np.pi * 1000.0) ** 2)
+    # 0.3 damping ratio of such a gear
+    spring["damping"] = 0.3 * float(np.sqrt(spring["stiffness"] * load))
 
 
 def _tidied(train: Patch) -> None:

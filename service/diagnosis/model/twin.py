@@ -17,8 +17,6 @@ from simulator import DriveTrain, Gravity, Measurement, Motion, MovingAxis, Turn
 Array = NDArray[np.float64]
 Part = TypeVar("Part", DriveTrain, Measurement)
 
-LEAST_LOAD = 0.02  # of the axis' inertia: minimum inertia of the load
-
 
 @dataclass(frozen=True)
 class Run:
@@ -62,7 +60,8 @@ def torques(robot: Robot, joint: str, ways: Sequence[Way], runs: Sequence[Run]) 
     axes: list[MovingAxis] = []
     for run in runs:
         train, inertia = trains[id(run.entry)], run.inertia / run.entry.scale
-        load = max(inertia - train.motor_inertia * ratio**2, LEAST_LOAD * inertia)
+        # 0.02 of the axis' inertia: minimum inertia of the load
+        load = max(inertia - train.motor_inertia * ratio**2, 0.02 * inertia)
         # the total inertia is the measured one, whatever motor inertia the entry has
         exact = train.model_copy(update={"motor_inertia": (inertia - load) / ratio**2})
         axes.append(MovingAxis(exact, ratio, load, Gravity(*run.gravity), float(warm[id(run.entry)][run.sweep])))

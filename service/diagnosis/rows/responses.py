@@ -11,7 +11,6 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 ENDING = 0.05  # s, in which the slope at the end of a record decreases to zero
-PADDED = 3  # times the record: padding, so that the response after the end does not wrap around to the start
 
 
 @dataclass(frozen=True)
@@ -85,4 +84,5 @@ def bins(samples: int, rate: float) -> Array:
 
 
 def _padded(samples: int) -> int:
-    return next_fast_len(PADDED * samples, real=True)
+    # 3 times the record: padding, so that the response after the end does not wrap around to the start
+    return next_fast_len(3 * samples, real=True)

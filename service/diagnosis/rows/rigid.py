@@ -26,10 +26,7 @@ from service.model.robot import Knowledge, Robot
 
 Array = NDArray[np.float64]
 
-TILT = 1e-3  # rad, inclination of the base, one sigma
 SLACK = 1e-5  # of the rated effort, one sigma: elastic links, inexact lengths in CAD
-TELLING = 1e-3  # of the largest singular value of an effect: smaller directions hardly change the torque
-UNKNOWN_MOTOR = 0.5  # of the axis' inertia: assumed motor inertia if the robot file has none
 LEAST_MOMENT = 0.05  # m times the mass: smallest first moment to which the relative prior applies
 PAYLOAD = (1.0, 0.3, 0.1)  # kg, kg m, kg m^2: relative sizes of mass, first moment and inertia of a payload
 
@@ -76,7 +73,8 @@ def rigid(robot: Robot, joint: str, poses: Array, sizes: Array) -> Rigid:
     weight = np.repeat(sizes, len(poses))[:, None] / np.sqrt(len(poses))
     nominal = nominal_load(robot, joint, poses)
     gravity_alone = np.repeat([0.0, 1.0, 1.0], len(poses))[:, None]
-    prior = np.column_stack([rows @ parameter_spread(robot, index, poses), TILT * _tilts(robot, index, poses)])
+    # 1e-3 rad, inclination of the base, one sigma
+    prior = np.column_stack([rows @ parameter_spread(robot, index, poses), 1e-3 * _tilts(robot, index, poses)])
     moved = {
         "gravity_error": gravity_alone
         * np.column_stack(
@@ -131,8 +129,9 @@ def parameter_spread(robot: Robot, index: int, poses: Array) -> Array:
         [prior.gravity * mass, prior.gravity * np.repeat(moment, 3, 1), prior.inertia * np.repeat(inertia, 6, 1)]
     )
     typical = float(np.max(axis_rows(robot.chain, index, poses)[:, : inertial.size] @ inertial.ravel()))
+    # 0.5 of the axis' inertia: assumed motor inertia if the robot file has none
     motors = [
-        UNKNOWN_MOTOR * typical if u is None else prior.motor_inertia * u
+        0.5 * typical if u is None else prior.motor_inertia * u
         for u in (axis.reflected_motor_inertia for axis in robot.axes)
     ]
     return _informed(np.concatenate([sigma.ravel(), motors]), robot.knowledge)
@@ -204,7 +203,8 @@ def _unit(columns: Array, size: float) -> float:
 def _telling(columns: Array) -> Array:
     """Orthonormal directions (k, r) of columns, without those that hardly change the torque."""
     vectors, values, _ = np.linalg.svd(columns, full_matrices=False)
-    return vectors[:, (values > TELLING * values.max(initial=0.0)) & (values > 0)]
+    # 1e-3 of the largest singular value of an effect: smaller directions hardly change the torque
+    return vectors[:, (values > 1e-3 * values.max(initial=0.0)) & (values > 0)]
 
 
 def _inverse(covariance: Array, slack: float) -> Array:

@@ -29,20 +29,10 @@ RATE = 250.0  # Hz, of the columns
 BAND = 20.0  # Hz, of the Gaussian
 BLOCK = 32  # rows filtered in one operation
 EVERY = 2  # samples per row of the equations
-TOP = 0.36  # of the rate: above this frequency there is only noise
-REACH = 4.0  # standard deviations: half width of the Gaussian
-STUCK = 0.03  # of the peak speed of the slowest sweep: below, friction may have any value (sticking)
-REVERSES = 0.3  # of the peak speed: speed in the other direction from which a sweep counts as reversing
-SETTLED = 3e-4  # rad (m) from the start: within it, dry friction depends on the previous motion
-SETTLED_PART = 0.05  # of the travel at most
 STUCK_TIME = 0.016  # s below the speed limit that count as standstill; a zero crossing is shorter
 COARSE = 400.0  # Hz: below this rate, friction may reverse within a sample, invisible in the positions
 PARTS = 8  # parts into which such a sample is divided
-SHORT = 2e-6  # rad (m): reversal distance for friction without presliding
 SHORTEST = 2.5e-8  # rad (m): the same for slow recordings, where a sample is much longer
-REMEMBERED = 8  # signals of `Tracks.remember`
-STICKING = 3.0  # times the encoder noise, which must not reverse the friction
-ONE_POSE = 1e-3  # rad (m): largest difference of the joints within one pose
 
 
 @dataclass(frozen=True)
@@ -111,7 +101,8 @@ class Tracks:
     def turning(self) -> float:
         """Distance, rad (m), within `STUCK_TIME` after a reversal: friction that reverses within it sticks."""
         low, high = self.velocity.min(axis=1), self.velocity.max(axis=1)
-        reverses = np.minimum(-low, high) > REVERSES * np.maximum(-low, high)
+        # 0.3 of the peak speed: speed in the other direction from which a sweep counts as reversing
+        reverses = np.minimum(-low, high) > 0.3 * np.maximum(-low, high)
         if not reverses.any():
             return 0.0
         moved = self.acceleration[reverses][self.inside[reverses]]
@@ -157,7 +148,8 @@ class Tracks:
     def remember(self, key: tuple[float, ...], make: Callable[[], Array]) -> Array:
         """A signal that depends on these numbers and on the tracks alone; of some, it is computed only once."""
         if key not in self.remembered:
-            while len(self.remembered) >= REMEMBERED:
+            # 8 signals of `Tracks.remember`
+            while len(self.remembered) >= 8:
                 del self.remembered[next(iter(self.remembered))]
             self.remembered[key] = make()
         return self.remembered[key]
@@ -206,7 +198,8 @@ def white_covariance(signal: Array, inside: Mask, rate: float, lags: int) -> Arr
         part = np.diff(row[good], 2)  # removes drift, so that no edge leaks into the top band; gain 16 at the top
         transform = np.abs(np.fft.rfft(part)) ** 2 / len(part)
         frequency = np.fft.rfftfreq(len(part))
-        top = frequency > TOP
+        # 0.36 of the rate: above this frequency there is only noise
+        top = frequency > 0.36
         powers.append(float(np.median(transform[top] / (2 * np.sin(np.pi * frequency[top])) ** 4)) / np.log(2))
     kernel = _kernel(rate)
     every = np.pad(kernel, (0, lags * EVERY))
@@ -265,7 +258,9 @@ def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
     position = stacked("position")
     poses, pose_index = _poses(own)
     coarse = own[0].spec.sample_rate < COARSE
-    sticking = max(SHORTEST if coarse else SHORT, STICKING * _jitter(own))
+    # 2e-6 rad (m): reversal distance for friction without presliding
+    # 3.0 times the encoder noise, which must not reverse the friction
+    sticking = max(SHORTEST if coarse else 2e-6, 3.0 * _jitter(own))
     found = Tracks(
         robot=robot,
         joint=joint,
@@ -346,7 +341,8 @@ def _jitter(sweeps: Sequence[Sweep]) -> float:
 def _poses(sweeps: Sequence[Sweep]) -> tuple[Array, NDArray[np.int_]]:
     """The poses (m, all joints), and for each sweep the number of its pose (n,)."""
     commanded = np.array([sweep.spec.pose for sweep in sweeps])
-    _, first, pose_index = np.unique(np.round(commanded / ONE_POSE), axis=0, return_index=True, return_inverse=True)
+    # 1e-3 rad (m): largest difference of the joints within one pose
+    _, first, pose_index = np.unique(np.round(commanded / 1e-3), axis=0, return_index=True, return_inverse=True)
     return commanded[first], pose_index.reshape(-1)
 
 
@@ -360,8 +356,11 @@ def laid_out(tracks: Tracks, signals: Sequence[Array]) -> Array:
 def _usable(velocity: Array, position: Array, inside: Mask, rate: float) -> Mask:
     """Rows (n, rows) whose kernel is inside the record and contains no standstill, nor the first distance after one."""
     away = np.maximum.accumulate(np.abs(position - position[:, :1]), axis=1)
-    early = away < np.minimum(SETTLED, SETTLED_PART * away[:, -1:])
-    stuck = _long(np.abs(velocity) < STUCK * slowest(velocity), round(STUCK_TIME * rate))
+    # 3e-4 rad (m) from the start: within it, dry friction depends on the previous motion
+    # 0.05 of the travel at most
+    early = away < np.minimum(3e-4, 0.05 * away[:, -1:])
+    # 0.03 of the peak speed of the slowest sweep: below, friction may have any value (sticking)
+    stuck = _long(np.abs(velocity) < 0.03 * slowest(velocity), round(STUCK_TIME * rate))
     spoilt = (stuck | early | ~inside).astype(float)
     return lowpass(spoilt, rate) < 1e-9
 
@@ -383,6 +382,7 @@ def _averaged(signal: Array, block: int) -> Array:
 
 def _kernel(rate: float) -> Array:
     width = rate / (2 * np.pi * BAND)
-    reach = int(np.ceil(REACH * width))
+    # 4.0 standard deviations: half width of the Gaussian
+    reach = int(np.ceil(4.0 * width))
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
     return kernel / kernel.sum()

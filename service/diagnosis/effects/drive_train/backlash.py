@@ -11,10 +11,6 @@ from service.diagnosis.rows.signals import Tracks
 
 Array = NDArray[np.float64]
 
-CONTACT = 60.0  # Hz, resonance of the load on the contact stiffness in the twin
-DAMPING = 0.7  # of critical damping
-WEIGHT = 2.0  # times the largest inertia torque: with more gravity, the contact flank never changes
-
 
 def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
     return _scan(tracks, model, [shape])[0]
@@ -24,7 +20,8 @@ def _scan(tracks: Tracks, model: Model, shapes: Sequence[Shape]) -> Sequence[Seq
     """Difference of the motor torque with and without backlash, in sweeps where the contact flank may change."""
     result: Array = np.zeros((len(shapes), *tracks.position.shape))
     shaken = np.abs(model.load_inertia * tracks.acceleration).max(axis=1)
-    rows = np.flatnonzero(np.abs(model.gravity).min(axis=1) < WEIGHT * shaken)
+    # 2.0 times the largest inertia torque: with more gravity, the contact flank never changes
+    rows = np.flatnonzero(np.abs(model.gravity).min(axis=1) < 2.0 * shaken)
     if rows.size:
         plays, shares = np.array(shapes).T
         result[:, rows] = missing(
@@ -75,8 +72,10 @@ def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> 
 
     The play is a shape parameter of its own, so there is no ratio.
     """
-    load, swing = float(model.load_inertia.mean()), 2 * np.pi * CONTACT
-    flanks = {"stiffness": load * swing**2, "damping": 2 * DAMPING * load * swing, "backlash": parameters["play"]}
+    # Hz, resonance of the load on the contact stiffness in the twin
+    load, swing = float(model.load_inertia.mean()), 2 * np.pi * 60.0
+    # 0.7 of critical damping
+    flanks = {"stiffness": load * swing**2, "damping": 2 * 0.7 * load * swing, "backlash": parameters["play"]}
     on_load = parameters["load_friction_share"] * model.viscous
     friction = {"viscous": -on_load, "backward_viscous": -on_load}
     return {"train": {"spring": flanks, "motor_friction": friction, "load_friction": {"viscous": on_load}}}

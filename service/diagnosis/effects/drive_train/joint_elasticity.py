@@ -13,10 +13,6 @@ from service.diagnosis.rows.signals import Tracks
 
 Array = NDArray[np.float64]
 
-SHARES = 3.0  # standard deviations of the prior: limit of the difference between motor inertia and data sheet
-LEAST_LOAD = 0.1  # of the axis' inertia
-LEAST_MOTOR = 0.02  # of the axis' inertia, for a motor that the robot file does not contain
-MOST_HARDENING = 20.0  # ratio: added stiffness at the twist of the rated effort over the linear stiffness
 RATIO = (0.8, 1.25)  # limits, relative to the value for two masses
 
 
@@ -41,7 +37,8 @@ class _TwoMasses:
 def _two_masses(tracks: Tracks, model: Model, shape: Shape) -> _TwoMasses:
     compliance, damping, on_load, hardening, motor = shape
     s = tracks.laplace
-    load_inertia = np.maximum(model.inertia - motor, LEAST_LOAD * model.inertia)[:, None]
+    # 0.1 of the axis' inertia
+    load_inertia = np.maximum(model.inertia - motor, 0.1 * model.inertia)[:, None]
     viscous = on_load * model.viscous
     spring = np.asarray(1 / (1 + s * damping), dtype=np.complex128)
     impedance = ((s * s).real * load_inertia + model.slope[:, None]) + s * viscous
@@ -105,8 +102,10 @@ def _motors(tracks: Tracks, model: Model) -> tuple[float, float, float]:
     axis = tracks.robot.axis(tracks.joint)
     sheet = axis.reflected_motor_inertia
     if not sheet:
-        return model.motor_inertia, LEAST_MOTOR * float(model.inertia.min()), float(model.inertia.min()) / 2
-    reach = SHARES * tracks.robot.prior.motor_inertia
+        # 0.02 of the axis' inertia, for a motor that the robot file does not contain
+        return model.motor_inertia, 0.02 * float(model.inertia.min()), float(model.inertia.min()) / 2
+    # 3.0 standard deviations of the prior: limit of the difference between motor inertia and data sheet
+    reach = 3.0 * tracks.robot.prior.motor_inertia
     return sheet, sheet * max(1 - reach, 0.1), sheet * (1 + reach)
 
 
@@ -115,11 +114,12 @@ def _shape(tracks: Tracks, model: Model) -> tuple[ShapeParameter, ...]:
     locked = np.array([60.0, 40.0, 28.0, 22.0, 18.0, 15.0, 12.5, 10.5, 9.0, 7.5, 6.0, 5.0, 4.0, 3.2])
     grid = 1 / (heaviest * (2 * np.pi * locked) ** 2)
     motor, lightest, largest = _motors(tracks, model)
+    # 20.0 ratio: added stiffness at the twist of the rated effort over the linear stiffness
     return (
         ShapeParameter("compliance", "rad/(N m)", tuple(grid.tolist()), grid[0] / 4, grid[-1] * 2),
         ShapeParameter("damping_time", "s", (5e-4, 2e-3), 1e-5, 1e-2),
         ShapeParameter("load_friction_share", "", (0.5,), 0.0, 1.0),
-        ShapeParameter("hardening", "", (0.0,), 0.0, MOST_HARDENING),
+        ShapeParameter("hardening", "", (0.0,), 0.0, 20.0),
         ShapeParameter("motor_inertia", "kg m^2", (motor,), lightest, largest),
     )
 

@@ -11,8 +11,6 @@ from service.diagnosis.rows.signals import Tracks
 
 Array = NDArray[np.float64]
 
-NOTHING = 0.003  # of the rated effort: dry friction this little below 0 counts as zero
-
 
 def warmth(tracks: Tracks, time_constant: float, exponent: float = 1.0) -> Array:
     """Temperature (n, t) of a gear that is heated by a power of its speed and cools with a time constant. Unit: rad (m)
@@ -69,7 +67,8 @@ def _shape(tracks: Tracks, model: Model) -> tuple[ShapeParameter, ...]:
 def _possible(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> bool:
     """Whether dry friction is positive (against the motion), cold and warm."""
     warm = float(warmth(tracks, parameters["time_constant"], parameters["heating_exponent"]).max())
-    least = -NOTHING * tracks.robot.axis(tracks.joint).rated_effort
+    # 0.003 of the rated effort: dry friction this little below 0 counts as zero
+    least = -0.003 * tracks.robot.axis(tracks.joint).rated_effort
     return min(parameters["coulomb"], parameters["coulomb"] + parameters["coulomb_change"] * warm) > least
 
 

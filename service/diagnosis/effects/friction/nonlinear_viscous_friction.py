@@ -11,9 +11,6 @@ from service.diagnosis.rows.signals import Tracks
 
 Array = NDArray[np.float64]
 
-STEP = 0.8  # torque at a tenth of the slowest speed over that at the slowest speed: above, the law is a step
-BEND = 0.05  # of the slowest speed: below, the law is a pure power of the speed
-
 
 def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
     velocity, exponent = shape
@@ -27,9 +24,10 @@ def law(speed: Array, velocity: float, exponent: float) -> Array:
 
 
 def _shape(tracks: Tracks, model: Model) -> tuple[ShapeParameter, ...]:
+    bend = 0.05  # of the slowest speed: below, the law is a pure power of the speed
     slow, fast = tracks.speed, float(np.abs(tracks.velocity).max())
     return (
-        ShapeParameter("velocity", "rad/s", spread(BEND * slow, fast, 5), 0.02 * BEND * slow, 2 * fast),
+        ShapeParameter("velocity", "rad/s", spread(bend * slow, fast, 5), 0.02 * bend * slow, 2 * fast),
         ShapeParameter("exponent", "", (0.0, 0.4, 0.7, 1.5, 2.0), -0.5, 3.0),
     )
 
@@ -38,7 +36,8 @@ def _possible(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> 
     """Whether friction is positive at all measured speeds, and the law is not a step (that would be dry friction)."""
     slow = tracks.speed
     near, at = law(np.array([slow / 10, slow]), parameters["velocity"], parameters["exponent"])
-    if near > STEP * at:
+    # 0.8 torque at a tenth of the slowest speed over that at the slowest speed: above, the law is a step
+    if near > 0.8 * at:
         return False
     speed = np.linspace(0.0, float(np.abs(tracks.velocity).max()), 20)[1:]
     torque = parameters["coefficient"] * law(speed, parameters["velocity"], parameters["exponent"])

@@ -12,7 +12,6 @@ from service.diagnosis.rows.signals import Tracks, bristles
 Array = NDArray[np.float64]
 
 SPREAD = (0.25, 0.5, 2.0, 4.0)  # times the distance: bristles of different stiffness, as in the Iwan model
-SHOWS = 1.0  # times the distance within which sticking friction reverses: shorter is no presliding
 
 
 def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
@@ -22,7 +21,8 @@ def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
 
 def _shape(tracks: Tracks, model: Model) -> tuple[ShapeParameter, ...]:
     way = tracks.speed / (2 * np.pi)
-    least = max(2e-3 * way, SHOWS * tracks.turning)
+    # 1.0 times the distance within which sticking friction reverses: shorter is no presliding
+    least = max(2e-3 * way, 1.0 * tracks.turning)
     return (ShapeParameter("way", "rad", spread(least, max(way, 3 * least), 8), least, max(3 * way, 9 * least)),)
 
 

@@ -9,17 +9,17 @@ from service.diagnosis.rows.signals import Tracks
 
 Array = NDArray[np.float64]
 
-FARTHEST = 1.0  # m from the origin of the last joint to the centre of mass, one sigma
-MOST = 0.3  # of the mass of the links of the robot, one sigma
 CERTAIN = 3.0  # standard deviations: a mass more negative than that is impossible
 
 
 def _readout(tracks: Tracks, change: Array, covariance: Array) -> Readout:
     """Mass and first moments of a payload on the last link: the most likely values for this change of the load."""
+    farthest = 1.0  # m from the origin of the last joint to the centre of mass, one sigma
     robot, index = tracks.robot, tracks.robot.index(tracks.joint)
     last = robot.chain.inertial.size
-    mass = MOST * float(np.abs(robot.chain.inertial[:, 0]).sum())
-    sigma = mass * np.repeat([1.0, FARTHEST, FARTHEST**2], (1, 3, 6))
+    # 0.3 of the mass of the links of the robot, one sigma
+    mass = 0.3 * float(np.abs(robot.chain.inertial[:, 0]).sum())
+    sigma = mass * np.repeat([1.0, farthest, farthest**2], (1, 3, 6))
     weight = np.repeat(tracks.sizes, len(tracks.poses))
     rows = weight[:, None] * load_rows(robot, index, tracks.poses)[:, last - 10 : last] * sigma
     noise, slack = covariance * np.outer(weight, weight), 1e-4 * float(np.abs(weight * change.ravel()).max())
