@@ -14,24 +14,23 @@ from numpy.typing import NDArray
 
 from service.data_check import Finding, check, untrustworthy
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.effects.patch import Patch
+from service.diagnosis.effects.effect import Patch
 from service.diagnosis.experiments import TEST_MASS, NextExperiment, next_experiment
 from service.diagnosis.fit.calibration import Weighed, corrected, is_decided, is_wrong, weighed_gain
+from service.diagnosis.fit.cross_products import NotFinite
 from service.diagnosis.fit.equations import Equations, Term, applies, equations, grouped, held_back
+from service.diagnosis.fit.fitted import Parameter
 from service.diagnosis.fit.gap import Gap, gap, noise, noise_floor, residual
-from service.diagnosis.fit.parameters import Parameter
 from service.diagnosis.fit.search import CurrentModel
 from service.diagnosis.fit.select import Selection, allowed_by_physics, select, settled, with_groups
-from service.diagnosis.fit.solving import NotFinite
-from service.diagnosis.localisation.example import Example, example
-from service.diagnosis.localisation.locate import Cell, cells, lines, sentences
+from service.diagnosis.localisation.locate import Cell, Example, cells, example, lines, sentences
 from service.diagnosis.localisation.repeatability import unrepeated
 from service.diagnosis.localisation.ripple_search import ripples, with_ripples
 from service.diagnosis.model.held_out_check import Fit, Fitted, HeldOutCheck, check_held_out
 from service.diagnosis.model.rigid_model import RigidParameter, rigid_model
 from service.diagnosis.rows.periods import in_periods
 from service.diagnosis.rows.signals import SHORTEST, finite_samples, sticking_within, tracks
-from service.diagnosis.sensitivity.visibility import Hidden, untestable
+from service.diagnosis.sensitivity import Hidden, untestable
 from service.diagnosis.unfinished import Unfinished, unfinished
 from service.diagnosis.verdict import Verdict, at_floor, judge, of_one_record, share, tie_sets, without
 from service.identification.axis.nominal_priors import TorqueGain

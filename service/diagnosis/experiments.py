@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from service.diagnosis.fit.equations import Term
 from service.diagnosis.fit.select import RIVAL, TOLERANCE, Selection
-from service.diagnosis.sensitivity.predicted_sweeps import PredictedSweeps, predict_sweeps
-from service.diagnosis.sensitivity.visibility import Hidden
+from service.diagnosis.sensitivity import Hidden, PredictedSweeps, predict_sweeps
 from service.diagnosis.summary import in_words
 from service.diagnosis.verdict import Verdict
 from service.identification.design.diagnosis_sweeps import (

@@ -19,6 +19,7 @@ from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Model, Shape
 from service.diagnosis.fit.cross_products import (
     ORDER,
+    Ended,
     Gathered,
     Group,
     Pairing,
@@ -27,12 +28,11 @@ from service.diagnosis.fit.cross_products import (
     between_periods,
     noise_model,
     pairing,
+    solve,
+    symmetric,
 )
-from service.diagnosis.fit.ended import Ended
-from service.diagnosis.fit.solving import solve, symmetric
-from service.diagnosis.rows.responses import Complex, bins, through
 from service.diagnosis.rows.rigid import Rigid, nominal_load, rigid
-from service.diagnosis.rows.signals import EVERY, Tracks, white_covariance
+from service.diagnosis.rows.signals import EVERY, Complex, Tracks, bins, through, white_covariance
 from service.identification.model.convergence import finite
 
 Array = NDArray[np.float64]

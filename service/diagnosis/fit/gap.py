@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.fit.cross_products import ORDER, Group, pairing
+from service.diagnosis.fit.cross_products import ORDER, Group, given_rest, pairing, solve, symmetric
 from service.diagnosis.fit.equations import Equations, Term, reshaped
-from service.diagnosis.fit.solving import given_rest, solve, symmetric
 
 Array = NDArray[np.float64]
 

@@ -20,14 +20,11 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.fit.cross_products import ORDER, Group, pairing
-from service.diagnosis.fit.ended import Ended
+from service.diagnosis.fit.cross_products import ORDER, Ended, Group, given_rest, pairing, solve
 from service.diagnosis.fit.equations import Equations, Term, remodelled, with_base
+from service.diagnosis.fit.fitted import by_name, of_load
 from service.diagnosis.fit.gap import over_floor
-from service.diagnosis.fit.joint_steps import NEAR_FLOOR, bends, together
-from service.diagnosis.fit.parameters import by_name, of_load
-from service.diagnosis.fit.search import LITTLE, CurrentModel, Explanation
-from service.diagnosis.fit.solving import given_rest, solve
+from service.diagnosis.fit.search import LITTLE, NEAR_FLOOR, CurrentModel, Explanation, bends, together
 
 Array = NDArray[np.float64]
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc, ndtri
 
 from service.diagnosis.fit.cross_products import Group
+from service.diagnosis.fit.equations import Equations
 from service.diagnosis.rows.signals import EVERY, Tracks, row_samples
 
 Array = NDArray[np.float64]
@@ -208,3 +209,29 @@ def _binned(values: Array, unit: str) -> NDArray[np.str_]:
     edges = [low + (high - low) * k / bins for k in range(bins + 1)]
     number = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, bins - 1)
     return np.array([f"{low:.3g} to {high:.3g} {unit}" for low, high in pairwise(edges)])[number]
+
+
+@dataclass(frozen=True)
+class Example:
+    """Torques (n,) N m (N) over time (n,) s, all with the same filter."""
+
+    sweep: str
+    block: str
+    time: Array
+    measured: Array
+    before: Array
+    after: Array
+
+
+def example(given: Equations, before: Array, after: Array) -> Example:
+    """The sweep with the largest residual (n, rows) before."""
+    tracks = given.tracks
+    most = int(np.argmax(np.sum(np.where(tracks.usable, before, 0.0) ** 2, axis=1)))
+    recorded = row_samples(tracks.effort.shape[1], tracks.rate)
+    recorded = np.flatnonzero(tracks.inside[most][recorded])
+    # 500 points
+    at = recorded[:: -(-len(recorded) // 500)]
+    measured = tracks.rows(tracks.effort[most : most + 1])[0, at]
+    time = tracks.time[most, row_samples(tracks.effort.shape[1], tracks.rate)[at]]
+    spec = tracks.specs[most]
+    return Example(spec.id, spec.block, time, measured, measured - before[most, at], measured - after[most, at])

@@ -8,9 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from service.diagnosis.effects.patch import Inexpressible, merged
-from service.diagnosis.model.link_deviations import deviations, gravity, gravity_of_fit, inertia_factors, joined
-from service.diagnosis.model.scenario import AxisEntry, axis_entry, stiffened
+from service.diagnosis.effects.effect import Inexpressible, merged
+from service.diagnosis.model.scenario import (
+    AxisEntry,
+    axis_entry,
+    deviations,
+    gravity,
+    gravity_of_fit,
+    inertia_factors,
+    joined,
+    stiffened,
+)
 from service.model.robot import Robot
 
 Documents = Mapping[str, Mapping[str, Any]]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from service.diagnosis.effects.patch import Inexpressible, Patch
+from service.diagnosis.effects.effect import Inexpressible, Patch
 from service.diagnosis.model.scenario import AxisEntry
 from service.model.recording import Sweep
 from service.model.robot import Robot

@@ -15,7 +15,7 @@ from functools import partial
 import structlog
 
 from service.diagnosis import compose
-from service.diagnosis.fit.parameters import Parameter
+from service.diagnosis.fit.fitted import Parameter
 from service.identification.estimates.torque_gain import KnownMass
 from service.jobs.diagnosis_loop.evidence import campaigns_of, recorded_sweeps, swept_axes
 from service.jobs.diagnosis_loop.starting import Start, latest_estimate

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from service.diagnosis.effects.friction.nonlinear_viscous_friction import law
+from service.diagnosis.effects.friction import law
 from service.diagnosis.fit.cross_products import PLAIN, Group, Piece, between_periods, noise_model, pairing
 from service.diagnosis.rows.periods import in_periods
-from service.diagnosis.rows.responses import back, bins, derivative_spectrum, in_frequency
-from service.diagnosis.rows.signals import lowpass, row_samples
+from service.diagnosis.rows.signals import back, bins, derivative_spectrum, in_frequency, lowpass, row_samples
 from service.model.recording import Recording, Sweep, SweepSpec
 
 RATE = 250.0

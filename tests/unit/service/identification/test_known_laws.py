@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.diagnosis.effects.friction.nonlinear_viscous_friction import law
+from service.diagnosis.effects.friction import law
 from service.identification.axis.known_torque import LAWS, Motion
 
 SPEED = np.linspace(-0.1, 0.1, 41)
