@@ -152,18 +152,18 @@ async def _releases_all(self: Any, by: str, _: Sequence[int]) -> Any:
 
 
 ONCE = 1, 1
-PENDING = (s.change_of_mind,)
+PENDING = (s.approved_again,)
 
 SERVICE: dict[str, Fault] = {
     "the gate forgets lease, latch and epoch": Fault(
         _set(MotionAccess, "_may_move", _nothing), (s.start, s.stop_by_port, s.abort), 20.0
     ),
     "the machine never refuses": Fault(_set(Machine, "check_may_move", _nothing), (s.start, s.stop_by_port), 20.0),
-    "no epoch is ever checked": Fault(_set(Epochs, "check", _nothing), PENDING, 10.0),
+    "no epoch is ever checked": Fault(_set(Epochs, "check", _nothing), PENDING, 10.0, ONCE),
     "a command takes the epoch of its execution": Fault(
-        _set(Runner, "_check_machine", _takes_the_present_epoch), PENDING, 10.0
+        _set(Runner, "_check_machine", _takes_the_present_epoch), PENDING, 10.0, ONCE
     ),
-    "a stop begins no epoch": Fault(_set(Epochs, "begin", _nothing), PENDING, 10.0),
+    "a stop begins no epoch": Fault(_set(Epochs, "begin", _nothing), PENDING, 10.0, ONCE),
     "stops are not latched": Fault(_set(LatchedStops, "latch", _not_latched), (s.start, s.stop_by_port), 10.0),
     "a gap of the host is not noticed": Fault(
         _all(_set(HostWatch, "look", _nothing), _set(HostWatch, "reason", "")), (s.start, s.connect, s.host_gap), 20.0

@@ -58,7 +58,7 @@ class Session:
         self.chance = Random(f"sequence {seed}")
         self.oracle = Oracle(service, machine, approved={campaigns[0]: -1})
         self._steps = steps
-        self._actions = [(each, weight) for each, weight in ACTIONS if each in only or not only]
+        self._actions = [(each, weight or float(bool(only))) for each, weight in ACTIONS if each in only or not only]
         self.awake = self.mended = self.clock.now  # s, when the host is awake and the bus whole again
         self._blocking: threading.Thread | None = None
         self.stolen = False
@@ -222,9 +222,9 @@ def attended(it: Session) -> None:
     it.clock.sleep(within + RAMPED)
 
 
-def change_of_mind(it: Session) -> None:
+def change_of_mind(it: Session, then: Action = lambda _: None) -> None:
     """A person starts, stops before the answer came, and releases; the start may wait for drives that connect, or for
-    the database.
+    the database. `then`: at once after the release.
     """
     wire, what = it.machine.wire, it.chance.random()
     if what < 0.4 and not wire.gone:
@@ -237,7 +237,13 @@ def change_of_mind(it: Session) -> None:
     it.chance.choice((stop_by_api, stop_by_port))(it)
     it.clock.sleep(it.draw((0.01, 1.0)))
     release(it)
+    then(it)
     it.clock.sleep(it.draw((0.1, 2.0)))
+
+
+def approved_again(it: Session) -> None:
+    """As before, and the plan is approved again while the start waits: nothing but its age refuses it."""
+    change_of_mind(it, approve)
 
 
 def broken_off(it: Session) -> None:
@@ -491,10 +497,12 @@ ACTIONS: list[tuple[Action, float]] = [
     (blocked_database, 1.5),
     (second_service, 0.3),
     (kill, 0.5),
+    (approved_again, 0.0),  # only where it is asked for
 ]
 FIRST = (
     start,
     change_of_mind,
+    approved_again,
     broken_off,
     attended,
     late_release,

@@ -69,7 +69,7 @@ async def test_what_the_disk_refused_is_stored_when_the_campaign_goes_on(
 
     bench.drive.fail[3] = DriveFault("over-current")
     with monkeypatch.context() as read_only:
-        read_only.setattr("service.store.files.recordings.write_columns", refuse)
+        read_only.setattr("service.store.files.columns.write_columns", refuse)
         await bench.start()
         await bench.over()
     assert "partial recording not written: [Errno 30] Read-only file system" in bench.store.sweep(1, 1).cause
