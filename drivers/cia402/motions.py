@@ -154,7 +154,7 @@ async def move(
         now, distance = clock(), abs(position - reading.position)
         # a host that was suspended has not seen the axis stand
         waited, before = waited + min(now - before, margin / 10), now
-        if distance < nearest - min(least, 0.1 * nearest):  # near the target a slow drive comes nearer in small steps
+        if distance < nearest - min(least, nearest / 2):  # near the target, half of what is left: who creeps is stuck
             nearest, waited = distance, 0.0
         reached = bool(reading.statusword & Statusword.TARGET_REACHED)
         arrived = min(arrived, now) if reached and axis.stands(reading) and distance <= tolerance else math.inf

@@ -90,6 +90,12 @@ async def test_a_drive_that_leaves_again_has_not_come_nearer() -> None:
         await moved(Drive("joint_1"), [0.01, 0.05, *([0.03, 0.05] * 10)])
 
 
+async def test_a_drive_that_creeps_near_its_target_is_stuck() -> None:
+    """A fifth of what is left in 5 s is no progress: the axis would have energy for a minute more."""
+    with pytest.raises(DriveError, match=r"-0\.03\d rad from its target 0\.1 rad, no nearer for 5\.0 s"):
+        await moved(Drive("joint_1"), [0.1 - 0.04 * 0.98**k for k in range(1000)])
+
+
 async def test_a_host_that_was_suspended_near_the_end_finds_the_axis_arrived() -> None:
     drive = Drive("joint_1")
     drive.gap = 3600.0
