@@ -116,7 +116,7 @@ class Following:
 
     def _tell(self) -> None:
         stops = self._machine.stops
-        if {stop.id for stop in stops} != {stop.id for stop in self._stops}:
+        if {stop.at for stop in stops} != {stop.at for stop in self._stops}:  # its id changes as the database stores it
             self._publisher.notice(_of_stops(stops))
         self._stops = stops
         state = PublishedState(machine=self._machine_state(stops), campaign=self._progress(), estimate=self._estimate)
