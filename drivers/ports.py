@@ -157,7 +157,7 @@ class Fault:
 
 
 @dataclass(frozen=True, slots=True)
-class Sine:
+class SineCommand:
     """``amplitude * sin(2 pi frequency (t - t0) + phase)``; Hz, rad/s (m/s), rad; t0 = start of the window."""
 
     frequency: float
@@ -178,7 +178,7 @@ class SweepCommand:
     joint: str
     mode: SweepMode
     offset_velocity: float  # rad/s (m/s), signed
-    sines: tuple[Sine, ...]
+    sines: tuple[SineCommand, ...]
     period: float  # s
     periods: int
     ramp: float  # s

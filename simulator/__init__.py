@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from simulator.rigid_body import MovingAxis as MovingAxis
     from simulator.rigid_body import true_inertia as true_inertia
     from simulator.scenario import Appendage as Appendage
+    from simulator.scenario import Cogging as Cogging
     from simulator.scenario import DrivenAxis as DrivenAxis
     from simulator.scenario import DriveTrain as DriveTrain
     from simulator.scenario import Friction as Friction
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from simulator.scenario import Measurement as Measurement
     from simulator.scenario import Patch as Patch
     from simulator.scenario import PowerLaw as PowerLaw
-    from simulator.scenario import Ripple as Ripple
     from simulator.scenario import Scenario as Scenario
     from simulator.scenario import ScenarioError as ScenarioError
     from simulator.scenario import SpeedControl as SpeedControl
@@ -47,7 +47,7 @@ _PAGES = {
     "replaying": "Motion replay",
     "rigid_body": "Gravity MovingAxis true_inertia",
     "scenario": "Appendage DriveTrain DrivenAxis Friction GearError Hose LinkDeviation LuGre Measurement Patch "
-    "PowerLaw Ripple Scenario ScenarioError SpeedControl Spring Stribeck Warming load_scenario",
+    "PowerLaw Cogging Scenario ScenarioError SpeedControl Spring Stribeck Warming load_scenario",
     "sweeps": "NoiseRun SweepRun run_sweeps run_trajectories",
     "waveform": "Waveform",
 }

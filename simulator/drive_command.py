@@ -43,13 +43,13 @@ def drive(
     start_pose: Annotated[str, typer.Option(help="Joint positions, rad, comma separated.")] = "",
 ) -> None:
     """Run a virtual machine: one CiA 402 drive per axis on CAN or Modbus. Ends on SIGTERM or Ctrl-C."""
-    from simulator.virtual_drive import Fieldbus, run_drive
+    from simulator.virtual_drive import FieldbusKind, run_drive
 
     run_drive(
         scenario,
         eds,
         foreign,
-        Fieldbus(fieldbus),
+        FieldbusKind(fieldbus),
         bus=bus,
         channel=channel,
         registers=registers,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.rigid_body import MovingAxis
-from simulator.scenario import Appendage, DriveTrain, Friction, GearError, LuGre, Ripple
+from simulator.scenario import Appendage, Cogging, DriveTrain, Friction, GearError, LuGre
 
 Array = NDArray[np.float64]
 
@@ -176,7 +176,7 @@ class Appendages:
 class Ripples:
     """One sum per row, as a function of the motor position (rows,) on the joint side, rad."""
 
-    def __init__(self, axes: Sequence[MovingAxis], sums: Sequence[Sequence[Ripple | GearError]]) -> None:
+    def __init__(self, axes: Sequence[MovingAxis], sums: Sequence[Sequence[Cogging | GearError]]) -> None:
         most = max(map(len, sums))
         self._order, self._amplitude, self._phase = np.zeros((3, most, len(axes)))
         for row, (axis, terms) in enumerate(zip(axes, sums, strict=True)):

@@ -20,7 +20,7 @@ SLOW = 0.0105
 
 
 @dataclass(frozen=True)
-class Hidden:
+class HiddenEffect:
     """The hidden effect: parameters with the names used by a diagnosis, SI on the joint side."""
 
     joint: str
@@ -29,7 +29,7 @@ class Hidden:
 
 
 @dataclass
-class _Machine:
+class _ScenarioDraft:
     """A scenario as nested data that can be changed; `size` in N m."""
 
     random: np.random.Generator
@@ -50,7 +50,7 @@ class _Machine:
         return _weight(self.scenario, self.joint)
 
 
-def hide(scenario: Scenario, seed: int) -> tuple[Scenario, Hidden]:
+def hide(scenario: Scenario, seed: int) -> tuple[Scenario, HiddenEffect]:
     """The scenario with one additional effect, and the effect. Raises ScenarioError if no axis carries weight."""
     random = np.random.default_rng(seed)
     joints = [  # whose gravity torque is above a tenth of the rated effort
@@ -61,35 +61,35 @@ def hide(scenario: Scenario, seed: int) -> tuple[Scenario, Hidden]:
     joint = joints[random.integers(len(joints))]
     effect = list(EFFECTS)[random.integers(len(EFFECTS))]
     size = float(random.uniform(0.02, 0.05)) * scenario.nominal(joint).rated_effort
-    machine = _Machine(random, scenario, joint, size, scenario.model_dump())
+    machine = _ScenarioDraft(random, scenario, joint, size, scenario.model_dump())
     parameters = EFFECTS[effect](machine)
-    return Scenario.model_validate(machine.data), Hidden(joint, effect, parameters)
+    return Scenario.model_validate(machine.data), HiddenEffect(joint, effect, parameters)
 
 
-def _coulomb_friction(machine: _Machine) -> dict[str, float]:
+def _coulomb_friction(machine: _ScenarioDraft) -> dict[str, float]:
     machine.rub(coulomb=machine.size)
     return {"coulomb": machine.size}
 
 
-def _asymmetric_friction(machine: _Machine) -> dict[str, float]:
+def _asymmetric_friction(machine: _ScenarioDraft) -> dict[str, float]:
     half = machine.size / 2 * machine.random.choice([-1.0, 1.0])
     machine.rub(coulomb=machine.size + half, backward_coulomb=machine.size - half)
     return {"coulomb": machine.size, "coulomb_difference": float(half)}
 
 
-def _stribeck_friction(machine: _Machine) -> dict[str, float]:
+def _stribeck_friction(machine: _ScenarioDraft) -> dict[str, float]:
     velocity = SLOW * machine.random.uniform(0.5, 1.5)
     machine.rub(coulomb=machine.size, stribeck={"extra": machine.size, "velocity": velocity})
     return {"coulomb": machine.size, "extra": machine.size, "velocity": velocity}
 
 
-def _load_dependent_friction(machine: _Machine) -> dict[str, float]:
+def _load_dependent_friction(machine: _ScenarioDraft) -> dict[str, float]:
     dependence = machine.size / machine.weight()
     machine.rub(coulomb=machine.size / 2, load_dependence=dependence)
     return {"coulomb": machine.size / 2, "load_dependence": dependence}
 
 
-def _gravity_error(machine: _Machine) -> dict[str, float]:
+def _gravity_error(machine: _ScenarioDraft) -> dict[str, float]:
     """The centre of mass of the link after the axis is further out, or nearer, than in CAD."""
     link = f"link_{machine.scenario.joints.index(machine.joint) + 1}"
     entry = machine.data["links"].setdefault(link, {})
@@ -101,26 +101,26 @@ def _gravity_error(machine: _Machine) -> dict[str, float]:
     return {}
 
 
-def _hose_spring(machine: _Machine) -> dict[str, float]:
+def _hose_spring(machine: _ScenarioDraft) -> dict[str, float]:
     rest = machine.random.uniform(-0.5, 0.5)
     machine.train["hose"] = {"stiffness": machine.size, "rest": rest}
     return {"stiffness": machine.size, "torque_at_zero": -machine.size * rest}
 
 
-def _measurement_delay(machine: _Machine) -> dict[str, float]:
+def _measurement_delay(machine: _ScenarioDraft) -> dict[str, float]:
     delay = machine.random.uniform(0.8e-3, 2.5e-3)
     machine.data["measurement"]["effort_delay"] = delay
     return {"delay": delay}
 
 
-def _cogging_torque(machine: _Machine) -> dict[str, float]:
+def _cogging_torque(machine: _ScenarioDraft) -> dict[str, float]:
     order = machine.scenario.nominal(machine.joint).cogging_orders[0]
     phase = machine.random.uniform(0, 2 * np.pi)
     machine.train["cogging"] = ({"order": order, "amplitude": machine.size, "phase": phase},)
     return {f"sine_{order:g}": machine.size * np.cos(phase), f"cosine_{order:g}": machine.size * np.sin(phase)}
 
 
-def _presliding_hysteresis(machine: _Machine) -> dict[str, float]:
+def _presliding_hysteresis(machine: _ScenarioDraft) -> dict[str, float]:
     way = SLOW / (2 * np.pi) * machine.random.uniform(0.05, 0.2)
     stiffness = machine.size / way
     ratio = machine.scenario.nominal(machine.joint).gear_ratio
@@ -135,7 +135,7 @@ def _presliding_hysteresis(machine: _Machine) -> dict[str, float]:
     return {"coulomb": machine.size}
 
 
-def _joint_elasticity(machine: _Machine) -> dict[str, float]:
+def _joint_elasticity(machine: _ScenarioDraft) -> dict[str, float]:
     """Locked rotor at 9 to 13 Hz, speed control of 6 Hz; the other axes get springs that are not visible: 350 Hz."""
     body, zero = RigidBody(machine.scenario), np.zeros(len(machine.scenario.joints))
     found = 0.0
@@ -154,7 +154,7 @@ def _joint_elasticity(machine: _Machine) -> dict[str, float]:
     return {"compliance": found}
 
 
-def _effort_offset(machine: _Machine) -> dict[str, float]:
+def _effort_offset(machine: _ScenarioDraft) -> dict[str, float]:
     offset = machine.size * machine.random.choice([-1.0, 1.0])
     machine.train["effort_offset"] = offset
     return {"offset": offset}
@@ -171,7 +171,7 @@ def _weight(scenario: Scenario, joint: str) -> float:
     return float(np.hypot(*_pull(scenario, joint)))
 
 
-EFFECTS: dict[str, Callable[[_Machine], dict[str, float]]] = {
+EFFECTS: dict[str, Callable[[_ScenarioDraft], dict[str, float]]] = {
     "coulomb_friction": _coulomb_friction,
     "asymmetric_friction": _asymmetric_friction,
     "stribeck_friction": _stribeck_friction,

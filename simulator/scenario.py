@@ -50,11 +50,11 @@ class ScenarioError(ValueError):
     """A scenario or robot file cannot be used; the text names file, field and reason."""
 
 
-class _Data(BaseModel):
+class FileModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class Stribeck(_Data):
+class Stribeck(FileModel):
     """Additional dry friction at low speed: ``extra exp(-|v / velocity|^exponent)``; N m, rad/s."""
 
     extra: Positive
@@ -62,14 +62,14 @@ class Stribeck(_Data):
     exponent: Positive = 2.0
 
 
-class PowerLaw(_Data):
+class PowerLaw(FileModel):
     """``coefficient |v|^exponent`` against the motion; N m (s/rad)^exponent."""
 
     coefficient: Positive
     exponent: Positive
 
 
-class Patch(_Data):
+class Patch(FileModel):
     """Additional dry friction about one load position: ``coulomb`` N m at the centre, a raised cosine of `width` on
     each side.
     """
@@ -79,7 +79,7 @@ class Patch(_Data):
     coulomb: Positive
 
 
-class Friction(_Data):
+class Friction(FileModel):
     """``viscous v + (coulomb + further dry friction) sign(v)``; N m s/rad, N m. Dry friction sticks at v = 0."""
 
     viscous: NotNegative = 0.0
@@ -97,7 +97,7 @@ class Friction(_Data):
         return self == Friction(viscous=self.viscous, coulomb=self.coulomb)
 
 
-class Warming(_Data):
+class Warming(FileModel):
     """The gear is heated by its friction, ``C T' = P - C T / time_constant``; friction is exp(-loss T) of the cold
     value.
     """
@@ -108,7 +108,7 @@ class Warming(_Data):
     viscous_loss: NotNegative = 0.0  # 1/K
 
 
-class LuGre(_Data):
+class LuGre(FileModel):
     """Bristle friction (Canudas de Wit et al. 1995) with g(v) = coulomb + (breakaway - coulomb) exp(-(v/vs)^2)."""
 
     stiffness: Positive  # sigma0, N m/rad
@@ -118,7 +118,7 @@ class LuGre(_Data):
     stribeck_velocity: Positive  # rad/s
 
 
-class Spring(_Data):
+class Spring(FileModel):
     """Between motor and load: ``stiffness e + hardening e^3 + damping e'``; N m/rad, N m/rad^3, N m s/rad.
 
     With `backlash`, rad from flank to flank, e is what is left beyond half of it, and the damping acts only there.
@@ -130,7 +130,7 @@ class Spring(_Data):
     backlash: NotNegative = 0.0
 
 
-class Ripple(_Data):
+class Cogging(FileModel):
     """Cogging: ``amplitude sin(order * motor angle + phase)`` N m against the motor; periods per motor revolution."""
 
     order: Positive
@@ -138,7 +138,7 @@ class Ripple(_Data):
     phase: float = 0.0
 
 
-class GearError(_Data):
+class GearError(FileModel):
     """The gear turns ahead by ``amplitude sin(order * motor angle + phase)``, rad; periods per motor turn."""
 
     order: Positive
@@ -146,7 +146,7 @@ class GearError(_Data):
     phase: float = 0.0
 
 
-class Hose(_Data):
+class Hose(FileModel):
     """From the base to the load: ``stiffness (q - rest) + damping v``; N m/rad, rad, N m s/rad."""
 
     stiffness: Positive
@@ -154,7 +154,7 @@ class Hose(_Data):
     damping: NotNegative = 0.0
 
 
-class Appendage(_Data):
+class Appendage(FileModel):
     """A second body on the load, behind a spring of its own; kg m^2, N m/rad, N m s/rad. Gravity does not see it."""
 
     inertia: Positive
@@ -162,7 +162,7 @@ class Appendage(_Data):
     damping: NotNegative = 0.0
 
 
-class DriveTrain(_Data):
+class DriveTrain(FileModel):
     """The components between torque-forming current and load of one joint. Without a spring: one rigid mass."""
 
     motor_inertia: Positive  # kg m^2 on the motor side
@@ -171,7 +171,7 @@ class DriveTrain(_Data):
     warming: Warming | None = None  # of motor and load friction, but not of lugre
     spring: Spring | None = None
     gear_error: tuple[GearError, ...] = ()
-    cogging: tuple[Ripple, ...] = ()
+    cogging: tuple[Cogging, ...] = ()
     lugre: LuGre | None = None  # on the motor side, instead of motor_friction.coulomb
     hose: Hose | None = None
     appendage: Appendage | None = None
@@ -187,7 +187,7 @@ class DriveTrain(_Data):
         return self
 
 
-class SpeedControl(_Data):
+class SpeedControl(FileModel):
     """PI speed controller as commissioned in the drive: N m s/rad, s; `effort_limit` in N m."""
 
     gain: Positive
@@ -199,7 +199,7 @@ class SpeedControl(_Data):
         return self.model_copy(update={"gain": self.gain * softening, "reset_time": self.reset_time / softening})
 
 
-class DrivenAxis(_Data):
+class DrivenAxis(FileModel):
     """A joint with a drive."""
 
     train: DriveTrain
@@ -207,7 +207,7 @@ class DrivenAxis(_Data):
     load_encoder: bool = True
 
 
-class AddedBody(_Data):
+class AddedBody(FileModel):
     """A solid round bar that CAD lacks (hose, duct, payload), from `start` to `end` in the link's frame; m, kg."""
 
     name: str
@@ -217,7 +217,7 @@ class AddedBody(_Data):
     radius: Positive
 
 
-class LinkDeviation(_Data):
+class LinkDeviation(FileModel):
     """A real link relative to CAD: factors on mass and on inertia about the centre of mass, shift of that centre
     (m).
     """
@@ -228,7 +228,7 @@ class LinkDeviation(_Data):
     added: tuple[AddedBody, ...] = ()
 
 
-class Measurement(_Data):
+class Measurement(FileModel):
     """Measurement errors, as RMS of each 1 ms sample; effort relative to the rated effort."""
 
     effort_noise: NotNegative = 0.0
@@ -264,7 +264,7 @@ class NominalRobot(BaseModel):
     axes: tuple[NominalAxis, ...] = Field(min_length=1)
 
 
-class Scenario(_Data):
+class Scenario(FileModel):
     """A virtual machine. Joints that are not in `axes` are locked by their brakes."""
 
     name: str

@@ -25,7 +25,7 @@ from simulator.canopen.line import CanLine
 from simulator.control import ControlServer
 from simulator.hidden import hide as hidden_in
 from simulator.machine import LiveMachine
-from simulator.modbus.registers import RegisterMap, RegisterMapError, load_register_map
+from simulator.modbus.registers import RegisterLayout, RegisterMapError, load_register_map
 from simulator.scenario import Scenario, ScenarioError, load_scenario
 
 # isort: split
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from simulator.modbus.line import ModbusLine
 
 
-class Fieldbus(Enum):
-    """Fieldbus of the virtual machine."""
+class FieldbusKind(Enum):
+    """FieldbusKind of the virtual machine."""
 
     CANOPEN = "canopen"
     MODBUS_TCP = "modbus-tcp"
@@ -57,10 +57,10 @@ class VirtualDrive:
         machine: LiveMachine,
         eds: Path | Mapping[str, Path],
         *,
-        fieldbus: Fieldbus = Fieldbus.CANOPEN,
+        fieldbus: FieldbusKind = FieldbusKind.CANOPEN,
         bus: str = "socketcand",
         channel: str = "can0",
-        registers: RegisterMap | None = None,
+        registers: RegisterLayout | None = None,
         device: str = "pty",
         host: str = "127.0.0.1",
         port: int = 0,
@@ -73,14 +73,14 @@ class VirtualDrive:
         self._stopping = False
         self._selector.register(self._woken, selectors.EVENT_READ, self._awake)
         self._line: CanLine | ModbusLine
-        if fieldbus is Fieldbus.CANOPEN:
+        if fieldbus is FieldbusKind.CANOPEN:
             self._line = CanLine(
                 self._selector, machine, eds, speed_factor, bus=bus, channel=channel, host=host, port=port
             )
         elif registers is None or not isinstance(eds, Path):
             raise ValueError("registers, eds: Modbus needs a register map and the virtual drive's own EDS")
         else:
-            where = device if fieldbus is Fieldbus.MODBUS_RTU else (host, port)
+            where = device if fieldbus is FieldbusKind.MODBUS_RTU else (host, port)
             self._line = _modbus_line(self._selector, machine, eds, speed_factor, registers, where)
         self.cabinet = self._line.cabinet
         self._control = ControlServer(self._selector, host, control_port, self.cabinet, self._line.bus)
@@ -132,7 +132,7 @@ def _modbus_line(
     machine: LiveMachine,
     eds: Path,
     speed_factor: float,
-    registers: RegisterMap,
+    registers: RegisterLayout,
     where: str | tuple[str, int],
 ) -> "ModbusLine":
     """On a serial device, or at a host and port. Imported here: pymodbus imports aiohttp, which CAN does not need."""
@@ -149,7 +149,7 @@ def run_drive(
     scenario: Path,
     eds: Path,
     foreign: Sequence[str] | None,
-    fieldbus: Fieldbus,
+    fieldbus: FieldbusKind,
     *,
     bus: str,
     channel: str,
@@ -180,7 +180,7 @@ def run_drive(
             fieldbus=fieldbus,
             bus=bus,
             channel=channel,
-            registers=None if fieldbus is Fieldbus.CANOPEN else load_register_map(registers),
+            registers=None if fieldbus is FieldbusKind.CANOPEN else load_register_map(registers),
             device=device,
             host=host,
             port=port,

@@ -12,7 +12,7 @@ import numpy as np
 from drivers.canopen.profile import CanopenAxis
 from drivers.commission.drive import CheckRow, CheckVerdict
 from drivers.errors import NotReady
-from drivers.ports import Array, AxisStatus, ChannelTiming, DrivePort, SampleBlock, Sine, SweepCommand, SweepMode
+from drivers.ports import Array, AxisStatus, ChannelTiming, DrivePort, SampleBlock, SineCommand, SweepCommand, SweepMode
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ def _command(axis: CanopenAxis, start: float, mode: SweepMode) -> SweepCommand:
         joint=axis.joint,
         mode=mode,
         offset_velocity=speed,
-        sines=(Sine(FREQUENCY, 0.6 * speed, 0.0),),
+        sines=(SineCommand(FREQUENCY, 0.6 * speed, 0.0),),
         period=1.0,
         periods=PERIODS,
         ramp=0.5,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.ports import DrivePort, NoiseCommand, SampleBlock, Sine, SweepCommand, SweepMode
+from drivers.ports import DrivePort, NoiseCommand, SampleBlock, SineCommand, SweepCommand, SweepMode
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +56,7 @@ class Bench:
             joint=self.axis,
             mode=mode,
             offset_velocity=0.0105,
-            sines=(Sine(2.0, self.amplitude, 0.3), Sine(4.0, self.amplitude, 1.1)),
+            sines=(SineCommand(2.0, self.amplitude, 0.3), SineCommand(4.0, self.amplitude, 1.1)),
             period=0.5,
             periods=periods,
             ramp=0.2,

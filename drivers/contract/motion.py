@@ -10,7 +10,7 @@ import pytest
 
 from drivers.contract.bench import Bench, MachineUnderTest, Suite, closing, column, consume, eventually, needs
 from drivers.errors import ConnectionFailed, LimitExceeded, NotReady, SweepInterrupted, WrongIdentity
-from drivers.ports import AxisState, DrivePort, SampleBlock, Sine, SweepCommand, SweepMode
+from drivers.ports import AxisState, DrivePort, SampleBlock, SineCommand, SweepCommand, SweepMode
 
 # interrupted at its beginning: 100 s of slow motion, 5 s of a machine at 20 times real time
 LONG: dict[str, Any] = {"periods": 200, "offset_velocity": 0.0045}
@@ -197,7 +197,9 @@ class DrivePortSuite(Suite):
     ) -> None:
         """About standstill, holding still, and backwards with many lines; larger ones where the drive needs them."""
         amplitudes = [max(0.001, 2 * np.pi * line * virtual.bench.least_sine) for line in lines]
-        sines = tuple(Sine(line, amplitude, 1.3 * line) for line, amplitude in zip(lines, amplitudes, strict=True))
+        sines = tuple(
+            SineCommand(line, amplitude, 1.3 * line) for line, amplitude in zip(lines, amplitudes, strict=True)
+        )
         await port.enable(axis)
         before = (await port.status())[axis].position
         command = await virtual.bench.sweep(port, mode, 1, offset_velocity=offset, sines=sines, period=1.0)

@@ -5,8 +5,7 @@ from typing import Literal, cast
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from drivers.ports import NoiseCommand, SweepCommand, SweepMode
-from drivers.ports import Sine as PortSine
+from drivers.ports import NoiseCommand, SineCommand, SweepCommand, SweepMode
 from service.identification.design.diagnosis_sweeps import BLOCKS, FAST, SLOW, WIDE, WIDE_LINES
 from service.identification.design.excitation import HIGHEST, LINES
 from service.identification.design.pose_selection import Criterion
@@ -121,7 +120,7 @@ class PlannedSweep(_PlanModel):
             joint=spec.axis,
             mode=self.mode,
             offset_velocity=spec.offset_velocity,
-            sines=tuple(PortSine(sine.frequency, sine.amplitude, sine.phase) for sine in spec.sines),
+            sines=tuple(SineCommand(sine.frequency, sine.amplitude, sine.phase) for sine in spec.sines),
             period=spec.period or 0.0,
             periods=spec.periods or 0,
             ramp=self.ramp,

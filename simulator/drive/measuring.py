@@ -18,14 +18,14 @@ from simulator.waveform import Waveform, torque_noise
 Array = NDArray[np.float64]
 
 
-class Excitation(IntEnum):
-    """Excitation of excitation, 2100h:0C."""
+class ExcitationKind(IntEnum):
+    """ExcitationKind of excitation, 2100h:0C."""
 
     MULTI_SINE = 0
     TORQUE_NOISE = 1
 
 
-class MeasuringState(IntEnum):
+class FunctionState(IntEnum):
     """State of the function, 2100h:02."""
 
     IDLE = 0
@@ -62,11 +62,13 @@ class DriveSamples:
 class DriveTrace:
     """Block means over `stride` drive cycles, at most `capacity` samples; for torque noise with the injected torque."""
 
-    def __init__(self, stride: int, capacity: int, cycle: float, kind: Excitation = Excitation.MULTI_SINE) -> None:
+    def __init__(
+        self, stride: int, capacity: int, cycle: float, kind: ExcitationKind = ExcitationKind.MULTI_SINE
+    ) -> None:
         self.period = stride * cycle  # sample interval, s
         self._stride = stride
         kinds = {"torque": "<f4", "command": "<f4", "speed": "<f4", "position": "<f8", "load": "<f8"}
-        kinds |= {"injected": "<f4"} if kind is Excitation.TORQUE_NOISE else {}
+        kinds |= {"injected": "<f4"} if kind is ExcitationKind.TORQUE_NOISE else {}
         self._fields = tuple(kinds)
         self._records = np.zeros(capacity, np.dtype([("cycle", "<u4"), *kinds.items()]))
         self._rest = np.empty((len(self._fields), 0))
@@ -122,9 +124,9 @@ class MeasuringFunction:
         dictionary.on_upload((0x2110, 3), self._page)
 
     @property
-    def run(self) -> MeasuringState:
+    def run(self) -> FunctionState:
         """State, 2100h:02."""
-        return MeasuringState(self._dictionary[0x2100, 2])
+        return FunctionState(self._dictionary[0x2100, 2])
 
     @property
     def driving(self) -> bool:
@@ -153,7 +155,7 @@ class MeasuringFunction:
         sweep, reason = self._sweep(), Rejection.NOT_ENABLED
         if ready:
             reason = Rejection.PARAMETERS if sweep is None else self._begin(sweep, position)
-        self._dictionary[0x2100, 2] = MeasuringState.RUNNING if reason is Rejection.NONE else MeasuringState.REJECTED
+        self._dictionary[0x2100, 2] = FunctionState.RUNNING if reason is Rejection.NONE else FunctionState.REJECTED
         self._dictionary[0x2100, 3] = reason
 
     def injection(self, cycles: int) -> Array:
@@ -173,7 +175,7 @@ class MeasuringFunction:
         self._trace.extend(samples)
         self._dictionary[0x2100, 0x0B] = self._trace.count
         if not self.driving:
-            self._dictionary[0x2100, 2] = MeasuringState.DONE
+            self._dictionary[0x2100, 2] = FunctionState.DONE
 
     def falsify(self, sample: int, revolutions: float) -> None:
         """Shift the motor encoder of a sample that is already recorded."""
@@ -185,15 +187,15 @@ class MeasuringFunction:
 
     def aborted(self) -> None:
         """The axis stands after a stop."""
-        if self.run is MeasuringState.RUNNING:
-            self._dictionary[0x2100, 2] = MeasuringState.ABORTED
+        if self.run is FunctionState.RUNNING:
+            self._dictionary[0x2100, 2] = FunctionState.ABORTED
 
     def _begin(self, sweep: Waveform, position: float) -> Rejection:
         d, limits = self._dictionary, self._limits
-        kind = Excitation(d[0x2100, 0x0C])
+        kind = ExcitationKind(d[0x2100, 0x0C])
         end_of_cycle = np.arange(1, round(sweep.duration / self._cycle) + 1, dtype=np.float64) * self._cycle
         setpoints, injected = sweep.velocity(end_of_cycle), np.empty(0)
-        if kind is Excitation.TORQUE_NOISE:
+        if kind is ExcitationKind.TORQUE_NOISE:
             rms, lowest, highest, seed = d[0x2104, 1], d[0x2104, 2], d[0x2104, 3], d[0x2104, 4]
             if not (math.isfinite(rms) and rms >= 0 and 0 <= lowest <= highest <= self.highest):
                 return Rejection.PARAMETERS
@@ -220,7 +222,7 @@ class MeasuringFunction:
     def _sines(self) -> list[tuple[float, float, float]]:
         """(Hz, rev/min, rad); with noise, the set-point has only the offset."""
         d = self._dictionary
-        number = d[0x2100, 9] if d[0x2100, 0x0C] == Excitation.MULTI_SINE else 0
+        number = d[0x2100, 9] if d[0x2100, 0x0C] == ExcitationKind.MULTI_SINE else 0
         return [(d[0x2101, k], d[0x2102, k], d[0x2103, k]) for k in range(1, number + 1)]
 
     def _sweep(self) -> Waveform | None:

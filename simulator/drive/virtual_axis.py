@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
 from simulator.drive.limits import INCREMENTS, PER_MILLE, DriveLimits
-from simulator.drive.measuring import DriveSamples, MeasuringFunction, MeasuringState
+from simulator.drive.measuring import DriveSamples, FunctionState, MeasuringFunction
 from simulator.drive.power_drive import DriveState, FaultCode, Mode, PowerDrive
 from simulator.drive.profile import RampProfile, brake, travel
 
@@ -257,7 +257,7 @@ class VirtualAxis(PowerDrive):
             d, torque = self._dictionary, float(samples.torque.mean())
             d.set_actual(0x6077, round(torque * PER_MILLE * PER_MILLE / max(d[0x6076, 0], 1)))
             self._show(float(samples.position.mean()), float(samples.speed.mean()))
-            recording = self.measuring.run is MeasuringState.RUNNING and not self._ramping
+            recording = self.measuring.run is FunctionState.RUNNING and not self._ramping
             if recording:
                 self.measuring.record(samples)
                 if not self.measuring.driving:
@@ -397,7 +397,7 @@ class VirtualAxis(PowerDrive):
 
     def _measure(self, command: int) -> None:
         if command == 1:
-            if self.measuring.run is MeasuringState.RUNNING:
+            if self.measuring.run is FunctionState.RUNNING:
                 raise SdoAbort(AbortCode.STATE)
             enabled = self.state is DriveState.OPERATION_ENABLED
             ready = enabled and not self.moving and self.mode is not Mode.CYCLIC_VELOCITY

@@ -26,7 +26,7 @@ from simulator.drive.makers import Key
 from simulator.drive.power_drive import Mode
 from simulator.drive.virtual_axis import VirtualAxis
 from simulator.machine import LiveMachine
-from simulator.modbus.registers import OWNER, SIGNALS, WATCHDOG, MappedSignal, RegisterMap, factor, page_registers
+from simulator.modbus.registers import OWNER, SIGNALS, WATCHDOG, MappedSignal, RegisterLayout, factor, page_registers
 
 _EXCEPTIONS = {
     AbortCode.NO_OBJECT: ExcCodes.ILLEGAL_ADDRESS,
@@ -57,7 +57,7 @@ class _Element(NamedTuple):
 class ModbusUnit:
     """The node of an axis. All calls are made in the owner's thread."""
 
-    def __init__(self, number: int, eds: Path, registers: RegisterMap, cycle: float, *, can_move: bool) -> None:
+    def __init__(self, number: int, eds: Path, registers: RegisterLayout, cycle: float, *, can_move: bool) -> None:
         self.number = number
         self.dictionary = ObjectDictionary(eds, number)
         self.dictionary.nameplate[0x2110, 2] = min(registers.trace.capacity, self.dictionary[0x2110, 2])
@@ -214,7 +214,7 @@ def _key(element: _Element) -> Key | None:
 class ModbusCabinet(VirtualDriveCabinet[ModbusUnit]):
     """Unit ids 1, 2, ... in the order of the machine's joints."""
 
-    def __init__(self, machine: LiveMachine, eds: Path, registers: RegisterMap, speed_factor: float) -> None:
+    def __init__(self, machine: LiveMachine, eds: Path, registers: RegisterLayout, speed_factor: float) -> None:
         units = {
             info.joint: ModbusUnit(number, eds, registers, machine.cycle, can_move=not info.locked)
             for number, info in enumerate(machine.axes, 1)

@@ -24,7 +24,7 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 
 from simulator.machine import LiveMachine
 from simulator.modbus.cabinet import ModbusCabinet
-from simulator.modbus.registers import RegisterMap
+from simulator.modbus.registers import RegisterLayout
 
 
 class PtyPair:
@@ -185,7 +185,7 @@ class ModbusLine:
         eds: Path,
         speed_factor: float,
         *,
-        registers: RegisterMap,
+        registers: RegisterLayout,
         line: TcpLine | SerialLine,
     ) -> None:
         self.cabinet = ModbusCabinet(machine, eds, registers, speed_factor)

@@ -10,12 +10,12 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from simulator.drive.dictionary import ObjectDictionary
 from simulator.drive.limits import INCREMENTS, speed_unit
 from simulator.drive.makers import Key
-from simulator.scenario import parse_yaml, read_text
+from simulator.scenario import FileModel, parse_yaml, read_text
 
 ELEMENTS = 16
 """Number of elements of the signals in `ARRAYS`."""
@@ -122,11 +122,7 @@ class RegisterMapError(ValueError):
     """A register map cannot be used; the text names file, place and reason."""
 
 
-class _Data(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class Wire(_Data):
+class Wire(FileModel):
     """Format of one number in registers."""
 
     type: WireType
@@ -175,17 +171,17 @@ class SampleField(Wire):
     signal: str
 
 
-class Page(_Data):
+class TracePage(FileModel):
     """The registers from which the trace is read."""
 
     address: int = Field(ge=0, le=0xFFFF)
     registers: int = Field(ge=1, le=0x10000)
 
 
-class TraceMap(_Data):
+class TraceMap(FileModel):
     """The page and one sample in it: fields in this order, packed."""
 
-    page: Page
+    page: TracePage
     sample: Annotated[tuple[SampleField, ...], Field(min_length=1)]
 
     @property
@@ -198,7 +194,7 @@ class TraceMap(_Data):
         return self.page.registers // self.sample_registers
 
 
-class RegisterMap(_Data):
+class RegisterLayout(FileModel):
     """A checked map: every signal once, no overlap, units of the signals."""
 
     word_order: WordOrder
@@ -207,7 +203,7 @@ class RegisterMap(_Data):
     trace: TraceMap
 
     @model_validator(mode="after")
-    def _complete(self) -> "RegisterMap":
+    def _complete(self) -> "RegisterLayout":
         missing, unknown = sorted(SIGNALS.keys() - self.signals.keys()), sorted(self.signals.keys() - SIGNALS.keys())
         if missing or unknown:
             raise ValueError(f"signals: missing {missing}, unknown {unknown}")
@@ -233,14 +229,14 @@ class RegisterMap(_Data):
             raise ValueError(f"{places[-1][2]}: reaches beyond register 65535")
 
 
-def load_register_map(path: Path) -> RegisterMap:
+def load_register_map(path: Path) -> RegisterLayout:
     """Read a map. Raises RegisterMapError."""
     try:
         content = parse_yaml(read_text(path))
     except (OSError, ValueError) as error:
         raise RegisterMapError(f"{path}: cannot be read: {error}") from None
     try:
-        return RegisterMap.model_validate(content)
+        return RegisterLayout.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "map"

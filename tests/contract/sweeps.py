@@ -10,11 +10,10 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from drivers.ports import DrivePort, SampleBlock, Sine, SweepCommand, SweepMode
+from drivers.ports import DrivePort, SampleBlock, SineCommand, SweepCommand, SweepMode
 from service.identification.estimates.estimate import identify
 from service.identification.spectra.frequency_response import spectrum
-from service.model.recording import Recording, Sweep, SweepSpec
-from service.model.recording import Sine as RecordedSine
+from service.model.recording import Recording, Sine, Sweep, SweepSpec
 from service.model.robot import Robot, RobotDescription, build_robot
 
 ROBOT = Path(__file__).parents[2] / "config" / "robots" / "max100-class.yaml"
@@ -135,9 +134,9 @@ def _index(blocks: Sequence[SampleBlock]) -> NDArray[np.integer]:
     return np.concatenate([block.index for block in blocks])
 
 
-def _sines(joint: str, offset: float) -> tuple[Sine, ...]:
+def _sines(joint: str, offset: float) -> tuple[SineCommand, ...]:
     phases = (0.0, -np.pi / 2)
-    return tuple(Sine(f, SHARE * offset, phase) for f, phase in zip(LINES[joint], phases, strict=True))
+    return tuple(SineCommand(f, SHARE * offset, phase) for f, phase in zip(LINES[joint], phases, strict=True))
 
 
 def _offset(robot: Robot, joint: str, travel: float) -> float:
@@ -159,7 +158,7 @@ def _sweep(
         axis=command.joint,
         pose=tuple(start if joint == command.joint else pose.get(joint, 0.0) for joint in robot.joints),
         offset_velocity=command.offset_velocity,
-        sines=tuple(RecordedSine(frequency=s.frequency, amplitude=s.amplitude, phase=s.phase) for s in command.sines),
+        sines=tuple(Sine(frequency=s.frequency, amplitude=s.amplitude, phase=s.phase) for s in command.sines),
         period=command.period,
         periods=command.periods,
         measure_from=command.measure_from,

@@ -22,7 +22,7 @@ from tests.contract.bench import AXIS, DRIVES, ROOT, Virtual
 HOST = """
 import asyncio, json, sys
 from pathlib import Path
-from drivers.ports import NoiseCommand, Sine, SweepCommand, SweepMode
+from drivers.ports import NoiseCommand, SineCommand, SweepCommand, SweepMode
 from drivers.registry import open_drive
 
 async def main() -> None:
@@ -36,7 +36,7 @@ async def main() -> None:
     if sys.argv[3] == "noise":
         run = port.run_noise(NoiseCommand(effort=30.0, lowest=1.0, highest=40.0, seed=3, softening=0.5, **turn))
     else:
-        run = port.run_sweep(SweepCommand(mode=SweepMode(sys.argv[3]), sines=(Sine(2.0, 0.001, 0.0),), **turn))
+        run = port.run_sweep(SweepCommand(mode=SweepMode(sys.argv[3]), sines=(SineCommand(2.0, 0.001, 0.0),), **turn))
     async for block in run:
         print("moving", flush=True)
 

@@ -18,7 +18,7 @@ import drivers.modbus.line
 import drivers.modbus.stop_sender
 from simulator.machine import LiveMachine
 from simulator.modbus.cabinet import ModbusCabinet
-from simulator.modbus.registers import RegisterMap
+from simulator.modbus.registers import RegisterLayout
 from tests.virtual_time import primitives
 from tests.virtual_time.cabinets import EventDriven, Powered
 from tests.virtual_time.scheduler import SimThread
@@ -37,7 +37,9 @@ class EventDrivenModbusCabinet(EventDriven, ModbusCabinet):
 class Gateway(Powered[EventDrivenModbusCabinet]):
     """Accepts any number of clients; answers a request after the other of each."""
 
-    def __init__(self, address: Address, machine: LiveMachine, eds: Path, registers: RegisterMap, speed: float) -> None:
+    def __init__(
+        self, address: Address, machine: LiveMachine, eds: Path, registers: RegisterLayout, speed: float
+    ) -> None:
         self.gone = ""
         """"refused": what is open fails, nothing can be opened; "silent": nothing is answered, nothing fails."""
         self.lost: Callable[[bytes, bool], bool] = lambda _adu, _command: False

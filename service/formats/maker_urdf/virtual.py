@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class _Machine:
+class _VirtualMachine:
     """The virtual machine, where the side file says nothing; mass, inertia and motor are relative to its model."""
 
     friction: float = 0.05
@@ -37,7 +37,7 @@ class _Machine:
     motor: float = 1.05
 
 
-_MACHINE = _Machine()
+_MACHINE = _VirtualMachine()
 
 
 class _DraftedAxis(BaseModel):

@@ -164,7 +164,7 @@ class Csv(_MappingPart):
     skip_rows: int = Field(default=0, ge=0, le=10**6)
 
 
-class SweepMotion(_MappingPart):
+class SweepTimes(_MappingPart):
     """Data for the path of the sweep in addition to its fields, s; `measure_from` is then found in the trace."""
 
     ramp: float = Field(gt=0)
@@ -184,7 +184,7 @@ class TraceSweep(SweepSpec):
     source: Path
     group: Group | None = None  # of its channels in an MDF4 or HDF5 file; the session of a control's trace
     file_axis: str | int | None = None  # number or name of the axis in a file of several
-    path: SweepMotion | None = None
+    path: SweepTimes | None = None
 
     @model_validator(mode="after")
     def _known_path(self) -> "TraceSweep":

@@ -19,7 +19,7 @@ from service.planning.compiled_plan import CompiledPlan
 from service.process.logs import in_executor
 from service.process.tasks import run_to_end
 from service.store.documents import SweepDocument
-from service.store.files.recordings import RecordingFiles, Run
+from service.store.files.recordings import RecordingFiles, SweepAttempt
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class BegunSweep:
     """A sweep in progress."""
 
     sweep: SweepDocument
-    run: Run
+    run: SweepAttempt
     command: Command
     facts: Facts
 

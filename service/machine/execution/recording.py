@@ -26,7 +26,7 @@ from service.model.results.spectrum import ChannelCorrection, Facts
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.store.documents import CampaignState, NewRecording, RecordingState, SweepState
 from service.store.files.columns import SampleStream, UnreadableStream, damaged, read_blocks
-from service.store.files.recordings import RecordingFiles, Run
+from service.store.files.recordings import RecordingFiles, SweepAttempt
 from service.store.store import Store
 
 _COLUMNS = ("time", "effort", "velocity", "position", "velocity_setpoint")
@@ -113,7 +113,7 @@ def read_stream(path: Path) -> tuple[Recording, float] | None:
 
 
 def finish(
-    files: RecordingFiles, run: Run, planned: SweepSpec, command: Command, timing: ChannelTiming, facts: Facts
+    files: RecordingFiles, run: SweepAttempt, planned: SweepSpec, command: Command, timing: ChannelTiming, facts: Facts
 ) -> tuple[SweepSpec, NewRecording]:
     """Make the recording of a complete stream, and the planned sweep with its measured clock.
 
@@ -138,7 +138,7 @@ def finish(
     return spec, files.save(path.with_suffix(".parquet"), recording, RecordingState.COMPLETE, known)
 
 
-def salvage(files: RecordingFiles, run: Run, facts: Facts) -> NewRecording | None:
+def salvage(files: RecordingFiles, run: SweepAttempt, facts: Facts) -> NewRecording | None:
     """Make a partial recording of the content of a stream, truncated or not; None if it is empty.
 
     Raises OSError if it cannot be written, UnreadableStream if the stream is damaged.
@@ -195,7 +195,7 @@ def store_streams(store: Store, files: RecordingFiles, cause: str) -> None:
             _look_at(store, files, run, path, cause)
 
 
-def _look_at(store: Store, files: RecordingFiles, run: Run, path: Path, cause: str) -> None:
+def _look_at(store: Store, files: RecordingFiles, run: SweepAttempt, path: Path, cause: str) -> None:
     """Process one remaining stream."""
     if not _known(store, run):
         # of a campaign, sweep or attempt that is missing in a database restored from a backup
@@ -207,7 +207,7 @@ def _look_at(store: Store, files: RecordingFiles, run: Run, path: Path, cause: s
 def end_runs(store: Store, files: RecordingFiles, sweep_cause: Cause, campaign_cause: Cause) -> tuple[int, ...]:
     """Store that nothing runs; call it while nothing does. Returns the campaigns that ran."""
     for sweep in store.sweeps_in(SweepState.RUNNING):
-        run = Run(sweep.campaign_id, sweep.number, sweep.attempt)
+        run = SweepAttempt(sweep.campaign_id, sweep.number, sweep.attempt)
         break_off(store, files, run, SweepEvent.INTERRUPT, sweep_cause, _facts(run))
         _log.warning("recovered", campaign=run.campaign_id, sweep=run.number)
     ran = store.campaigns_in(CampaignState.RUNNING, CampaignState.PAUSING)
@@ -217,7 +217,9 @@ def end_runs(store: Store, files: RecordingFiles, sweep_cause: Cause, campaign_c
     return tuple(campaign.id for campaign in ran)
 
 
-def break_off(store: Store, files: RecordingFiles, run: Run, event: SweepEvent, cause: Cause, facts: Facts) -> None:
+def break_off(
+    store: Store, files: RecordingFiles, run: SweepAttempt, event: SweepEvent, cause: Cause, facts: Facts
+) -> None:
     """End an unfinished run; its samples are kept as a partial recording."""
     try:
         recording = salvage(files, run, {**facts, "cause": str(cause)})
@@ -229,7 +231,7 @@ def break_off(store: Store, files: RecordingFiles, run: Run, event: SweepEvent, 
         files.stream(run).unlink()
 
 
-def _store_stream(store: Store, files: RecordingFiles, run: Run, path: Path, cause: str) -> None:
+def _store_stream(store: Store, files: RecordingFiles, run: SweepAttempt, path: Path, cause: str) -> None:
     """Make a recording of a remaining stream if its run has none. The stream is removed, a damaged one renamed."""
     if not _has_recording(store, run):
         try:
@@ -246,18 +248,18 @@ def _store_stream(store: Store, files: RecordingFiles, run: Run, path: Path, cau
     path.unlink()
 
 
-def _facts(run: Run) -> Facts:
+def _facts(run: SweepAttempt) -> Facts:
     return {"campaign": run.campaign_id, "sweep": run.number}
 
 
-def _known(store: Store, run: Run) -> bool:
+def _known(store: Store, run: SweepAttempt) -> bool:
     try:
         return run.attempt <= store.sweep(run.campaign_id, run.number).attempt
     except NotFound:
         return False
 
 
-def _has_recording(store: Store, run: Run) -> bool:
+def _has_recording(store: Store, run: SweepAttempt) -> bool:
     try:
         return store.recording(run.campaign_id, run.number).attempt >= run.attempt
     except NotFound:

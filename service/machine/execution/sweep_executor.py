@@ -38,7 +38,7 @@ from service.process.tasks import run_to_end
 from service.process.telemetry import TRACING
 from service.store.database import refusal
 from service.store.documents import NewRecording, SweepDocument
-from service.store.files.recordings import RecordingFiles, Run
+from service.store.files.recordings import RecordingFiles, SweepAttempt
 from service.store.store import Store
 
 
@@ -257,7 +257,7 @@ class SweepExecutor:
             command = compiled.commands[planned.number]
             last = self._files.last_attempt(planned.campaign_id, planned.number)
             sweep = self._store.begin_sweep(planned.campaign_id, planned.number, sweep_move(SweepEvent.BEGIN), last)
-            run = Run(sweep.campaign_id, sweep.number, sweep.attempt)
+            run = SweepAttempt(sweep.campaign_id, sweep.number, sweep.attempt)
             facts: Facts = {
                 "campaign_id": run.campaign_id,
                 "number": run.number,

@@ -20,7 +20,7 @@ from uuid import uuid4
 import yaml
 from pydantic import BaseModel
 
-from service.formats.traces.mapping import Mapping, SweepMotion, TraceSweep
+from service.formats.traces.mapping import Mapping, SweepTimes, TraceSweep
 from service.identification.design.excitation import peak_jerk
 from service.machine.paths.sweep_paths import CncControl, PathSweep, path_sweeps
 from service.model.configuration import Cell
@@ -238,7 +238,7 @@ def _write_mapping(folder: Path, robot: Robot, control: CncControl, sweeps: Sequ
 def _trace_sweep(sweep: PathSweep, sample_rate: float) -> TraceSweep:
     planned = sweep.planned
     spec = planned.spec.model_copy(update={"sample_rate": sample_rate})
-    motion = SweepMotion(ramp=planned.ramp, settle=planned.settle)
+    motion = SweepTimes(ramp=planned.ramp, settle=planned.settle)
     return TraceSweep(**spec.model_dump(), source=Path("traces") / f"{sweep.name}.csv", path=motion)
 
 

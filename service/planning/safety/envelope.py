@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.errors import CauseCode, Measured, distinct
-from drivers.ports import NoiseCommand, SampleBlock, Sine, SweepCommand
+from drivers.ports import NoiseCommand, SampleBlock, SineCommand, SweepCommand
 from service.identification.design.excitation import TRAVEL, Excitation, velocity_setpoint, way
 from service.identification.design.exciting_trajectory import BREAKAWAY, nominal_effort
 from service.identification.estimates.torque_gain import KnownMass
@@ -35,7 +35,7 @@ from service.identification.model.regressor import gravity_terms, inertia_rows
 from service.model.collision import CollisionChecker
 from service.model.configuration import Cell
 from service.model.errors import EnvelopeViolation
-from service.model.recording import Sine as SpecSine
+from service.model.recording import Sine
 from service.model.robot import Robot
 from service.planning.safety.travel import Leg, route
 
@@ -340,7 +340,7 @@ def peak_acceleration(command: Command) -> float:
     return sines + peak_velocity(command) * math.pi / (2 * command.ramp)
 
 
-def _sines(command: Command) -> tuple[Sine, ...]:
+def _sines(command: Command) -> tuple[SineCommand, ...]:
     return command.sines if isinstance(command, SweepCommand) else ()
 
 
@@ -406,9 +406,7 @@ def path_of(command: SweepCommand, time: Array) -> Array:
 
 
 def _excitation(command: SweepCommand) -> Excitation:
-    sines = tuple(
-        SpecSine(frequency=sine.frequency, amplitude=sine.amplitude, phase=sine.phase) for sine in command.sines
-    )
+    sines = tuple(Sine(frequency=sine.frequency, amplitude=sine.amplitude, phase=sine.phase) for sine in command.sines)
     return Excitation(command.offset_velocity, sines, command.period, command.periods, command.ramp, command.settle)
 
 

@@ -99,7 +99,7 @@ def read_spectrum(file: SpectrumFile) -> AnySpectrum:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class SweepAttempt:
     """One attempt at one sweep."""
 
     campaign_id: int
@@ -151,7 +151,7 @@ class RecordingFiles:
             return f"data folder {self._root} cannot be written"
         return f"{free} bytes free in {self._root}, limit {least} bytes" if free < least else ""
 
-    def stream(self, run: Run) -> Path:
+    def stream(self, run: SweepAttempt) -> Path:
         """Path for the samples of a run as they arrive; creates the folder."""
         folder = self._root / "recordings" / f"campaign-{run.campaign_id:06d}"
         folder.mkdir(parents=True, exist_ok=True)
@@ -160,7 +160,7 @@ class RecordingFiles:
     def last_attempt(self, campaign_id: int, number: int) -> int:
         """The highest attempt at a sweep with a file in the folder, also if the database lacks it; 0 if none."""
         name = re.compile(rf"{number:04d}-(\d+)\.")
-        found = map(name.match, os.listdir(self.stream(Run(campaign_id, number, 0)).parent))
+        found = map(name.match, os.listdir(self.stream(SweepAttempt(campaign_id, number, 0)).parent))
         return max((int(match.group(1)) for match in found if match), default=0)
 
     def put_aside(self, stream: Path, why: str) -> Path:
@@ -172,14 +172,14 @@ class RecordingFiles:
             aside = stream.with_name(f"{stream.name}.{why}.{number}")
         return stream.rename(aside)
 
-    def streams(self) -> dict[Run, Path]:
+    def streams(self) -> dict[SweepAttempt, Path]:
         """Existing streams: that of the running sweep, or those left by a crash."""
-        found: dict[Run, Path] = {}
+        found: dict[SweepAttempt, Path] = {}
         for path in sorted((self._root / "recordings").glob("campaign-*/*.arrows")):
             match = re.fullmatch(r"campaign-(\d+)/(\d+)-(\d+)\.arrows", f"{path.parent.name}/{path.name}")
             if match:
                 campaign_id, number, attempt = (int(group) for group in match.groups())
-                found[Run(campaign_id, number, attempt)] = path
+                found[SweepAttempt(campaign_id, number, attempt)] = path
         return found
 
     def transfer(self) -> Path:

@@ -4,7 +4,7 @@ from typing import Any
 
 from drivers.canopen.profile import CanopenAxis
 from drivers.cia402.profile import IdentityProfile
-from drivers.ports import Sine, SweepCommand, SweepMode
+from drivers.ports import SineCommand, SweepCommand, SweepMode
 
 
 def axis(**changes: Any) -> CanopenAxis:
@@ -24,12 +24,12 @@ def axis(**changes: Any) -> CanopenAxis:
     return CanopenAxis(**(fields | changes))
 
 
-def sweep(*sines: Sine, **changes: Any) -> SweepCommand:
+def sweep(*sines: SineCommand, **changes: Any) -> SweepCommand:
     fields: dict[str, Any] = {
         "joint": "joint_1",
         "mode": SweepMode.DRIVE_SIDE,
         "offset_velocity": 0.0,
-        "sines": sines or (Sine(2.0, 0.1, 0.0),),
+        "sines": sines or (SineCommand(2.0, 0.1, 0.0),),
         "period": 1.0,
         "periods": 2,
         "ramp": 0.2,

@@ -17,7 +17,7 @@ from drivers.canopen.profile import BusProfile
 from drivers.canopen.streamed_axis import StreamRequest
 from drivers.canopen.units import Codec
 from drivers.cia402.checks import DriveEnvelope
-from drivers.ports import SampleBlock, Sine, SweepMode
+from drivers.ports import SampleBlock, SineCommand, SweepMode
 from tests.unit.drivers import given
 
 ENABLED, SWITCHED_ON, OFF = 0x27, 0x23, 0x40
@@ -142,7 +142,7 @@ class Bench:
             "velocity_limit": 5.0,
             "position_window": (-50.0, 50.0),
         }
-        command = given.sweep(Sine(5.0, 0.1, 0.3), **(fields | changes))
+        command = given.sweep(SineCommand(5.0, 0.1, 0.3), **(fields | changes))
         envelope = DriveEnvelope(command.velocity_limit, command.effort_limit, command.position_window, "rad", "N m")
         drive = self.cabinet.drives.get(node)
         counter = COUNTER if drive is None or drive.counts else None

@@ -12,14 +12,14 @@ from drivers.cia402.machine import Cia402Machine
 from drivers.cia402.states import Controlword, PowerState
 from drivers.contract.bench import eventually
 from drivers.errors import MotionForbidden
-from drivers.ports import Sine
+from drivers.ports import SineCommand
 from tests.unit.drivers.given import sweep
 from tests.unit.drivers.small_servo import Servo, connected, machine
 
 LIMIT = 0.05  # s
 LOST = r"joint_1 \(small\) is 'switch on disabled', but this service did not disable it: find out what did"
 STEPS = ("control 06", "control 07", "control 0F", "control 1F")
-COMMAND = sweep(Sine(2.0, 0.01, 0.0), offset_velocity=0.02, periods=2)
+COMMAND = sweep(SineCommand(2.0, 0.01, 0.0), offset_velocity=0.02, periods=2)
 
 
 def miss(watch: HostWatch) -> None:

@@ -29,7 +29,7 @@ from drivers.modbus.device import ModbusDevice
 from drivers.modbus.line import MasterLine
 from drivers.modbus.profile import RtuProfile
 from drivers.modbus.registers import RegisterMap, load_registers
-from drivers.ports import AxisState, Sine
+from drivers.ports import AxisState, SineCommand
 from tests.unit.drivers.given import sweep
 from tests.unit.drivers.modbus_bank import (
     HIGH,
@@ -47,8 +47,8 @@ from tests.unit.drivers.modbus_bank import (
 )
 
 SWEEP = sweep(
-    Sine(2.0, 0.002, 0.3),
-    Sine(4.0, 0.002, 1.1),
+    SineCommand(2.0, 0.002, 0.3),
+    SineCommand(4.0, 0.002, 1.1),
     offset_velocity=0.0105,
     periods=5,
     ramp=0.5,
@@ -214,10 +214,10 @@ def test_mode_that_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"sines": (Sine(2.0, 1e-6, 0.0),)}, r"amplitude 1 \(0820h\): .* in the drive's steps"),
-        ({"sines": (Sine(2.0000004, 0.002, 0.0),), "periods": 3000}, r"frequency 1 \(0800h\)"),
+        ({"sines": (SineCommand(2.0, 1e-6, 0.0),)}, r"amplitude 1 \(0820h\): .* in the drive's steps"),
+        ({"sines": (SineCommand(2.0000004, 0.002, 0.0),), "periods": 3000}, r"frequency 1 \(0800h\)"),
         ({"period": 1e9}, r"period \(0709h\): 1e\+09 does not fit u32"),
-        ({"sines": (Sine(2.0, 0.002, 1e6),)}, r"phase 1 \(0840h\): 1e\+06 does not fit i32"),
+        ({"sines": (SineCommand(2.0, 0.002, 1e6),)}, r"phase 1 \(0840h\): 1e\+06 does not fit i32"),
     ],
 )
 def test_what_the_registers_cannot_hold_well_enough_is_refused(change: dict[str, Any], message: str) -> None:

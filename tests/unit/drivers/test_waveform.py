@@ -13,11 +13,11 @@ from drivers.canopen.streamed_axis import Positions, Velocities
 from drivers.canopen.units import Codec
 from drivers.cia402.checks import DriveEnvelope, check_move, check_sweep, envelope, set_point, travel
 from drivers.errors import LimitExceeded, distinct
-from drivers.ports import Sine, SweepCommand, SweepMode
+from drivers.ports import SineCommand, SweepCommand, SweepMode
 from tests.unit.drivers.given import axis, sweep
 
 
-def command(*sines: Sine, offset: float = 0.1) -> SweepCommand:
+def command(*sines: SineCommand, offset: float = 0.1) -> SweepCommand:
     return replace(sweep(), sines=sines, offset_velocity=offset, ramp=0.5, settle=0.25)
 
 
@@ -28,7 +28,7 @@ def test_envelope_by_hand() -> None:
 
 
 def test_phase_counts_from_the_window() -> None:
-    sweep = command(Sine(2.0, 0.03, 0.0), Sine(5.0, 0.01, math.pi / 2))
+    sweep = command(SineCommand(2.0, 0.03, 0.0), SineCommand(5.0, 0.01, math.pi / 2))
     # t0 = 0.75 s; an eighth of a second later the 2 Hz sine is at its peak, the 5 Hz one at 90 + 225 degrees
     value = set_point(sweep, np.array([0.75, 0.875, 1.0]))
     root = math.sqrt(0.5)
@@ -41,7 +41,7 @@ def test_negative_offset_mirrors() -> None:
 
 
 def test_standstill_at_both_ends() -> None:
-    sweep = command(Sine(3.0, 0.05, 1.0))
+    sweep = command(SineCommand(3.0, 0.05, 1.0))
     assert set_point(sweep, np.array([0.0, sweep.duration])) == pytest.approx([0.0, 0.0])
 
 
@@ -57,7 +57,13 @@ STEP = 2 * np.pi / (100.0 * 1e6)  # rad, one increment
 
 
 def slow(**changes: Any) -> SweepCommand:
-    slow = {"offset_velocity": 0.05, "sines": (Sine(5.0, 0.02, 0.3),), "period": 0.4, "ramp": 0.15, "settle": 0.1}
+    slow = {
+        "offset_velocity": 0.05,
+        "sines": (SineCommand(5.0, 0.02, 0.3),),
+        "period": 0.4,
+        "ramp": 0.15,
+        "settle": 0.1,
+    }
     return sweep(**(slow | changes))
 
 
@@ -111,7 +117,7 @@ ENVELOPE = DriveEnvelope(0.1, 200.0, (-1.0, 1.0), "rad", "N m")
 AXIS = axis(gear_ratio=-100.0, position_limits=(-2.0, 2.0), velocity_limit=0.5)
 
 SWEEP = sweep(
-    Sine(2.0, 0.02, 0.0),
+    SineCommand(2.0, 0.02, 0.0),
     offset_velocity=0.05,
     periods=5,
     ramp=0.5,
@@ -159,9 +165,9 @@ def test_a_good_sweep_passes() -> None:
     ("change", "start", "message"),
     [
         ({"velocity_limit": 0.06}, 0.0, "peak velocity 0.07 rad/s is beyond the limit of 0.06 rad/s"),
-        ({"sines": (Sine(2.0, math.nan, 0.0),)}, 0.0, "peak velocity nan rad/s"),
-        ({"sines": (Sine(126.0, 0.001, 0.0),)}, 0.0, "126 Hz is not below half the sample rate of 250 Hz"),
-        ({"sines": (Sine(1.0, 0.001, 0.0),) * 17}, 0.0, "17 sines are more than the drive's 16"),
+        ({"sines": (SineCommand(2.0, math.nan, 0.0),)}, 0.0, "peak velocity nan rad/s"),
+        ({"sines": (SineCommand(126.0, 0.001, 0.0),)}, 0.0, "126 Hz is not below half the sample rate of 250 Hz"),
+        ({"sines": (SineCommand(1.0, 0.001, 0.0),) * 17}, 0.0, "17 sines are more than the drive's 16"),
         ({}, 0.3, "highest position .* rad of the sweep is outside its window -0.5 to 0.5 rad"),
         ({"offset_velocity": -0.05}, -0.3, "lowest position"),
         ({}, -0.6, "start -0.6 rad"),
@@ -177,7 +183,7 @@ def test_sweeps_that_are_refused(change: dict[str, object], start: float, messag
 
 
 def test_more_sines_than_the_drive_takes_can_be_streamed() -> None:
-    many = replace(SWEEP, mode=SweepMode.HOST_STREAMED, sines=(Sine(1.0, 0.001, 0.0),) * 17)
+    many = replace(SWEEP, mode=SweepMode.HOST_STREAMED, sines=(SineCommand(1.0, 0.001, 0.0),) * 17)
     check_sweep(AXIS, many, 0.0, 0.004)
 
 

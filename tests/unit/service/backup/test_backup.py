@@ -17,7 +17,7 @@ from service.store.database import open_database
 from service.store.examination import examine
 from service.store.files.data_folder import FILE as OWNER
 from service.store.files.data_folder import claim_folder
-from service.store.files.recordings import RecordingFiles, Run, file_sha256
+from service.store.files.recordings import RecordingFiles, SweepAttempt, file_sha256
 from service.store.guards import MachineLease
 from service.store.store import Store
 from tests.command import sweepid
@@ -67,7 +67,7 @@ def test_what_is_committed_beside_is_in_it_or_not_at_all(data: Path, tmp_path: P
 
 
 def test_streams_under_way_are_left_out_and_told(data: Path, tmp_path: Path, forks: Forks) -> None:
-    RecordingFiles(data).stream(Run(2, 1, 1)).write_bytes(b"samples")
+    RecordingFiles(data).stream(SweepAttempt(2, 1, 1)).write_bytes(b"samples")
     settings = tmp_path / "settings.yaml"
     settings.write_text(json.dumps({"data_dir": str(data)}), "utf-8")
     done = forks({"words": ["data", "backup", str(tmp_path / "backup"), "--config", str(settings)]})
@@ -242,7 +242,7 @@ def test_an_audit_without_its_protection_is_found(data: Path, findings: Findings
 
 
 def test_what_nobody_names_is_found(data: Path, findings: Findings) -> None:
-    stream = RecordingFiles(data).stream(Run(2, 1, 1))
+    stream = RecordingFiles(data).stream(SweepAttempt(2, 1, 1))
     stream.write_bytes(b"samples")
     stream.with_name("0002-1.arrows.unknown").touch()
     stream.with_name(".0003-1.partial.parquet").touch()

@@ -12,7 +12,7 @@ import pytest
 from sqlalchemy import text
 
 from drivers.errors import Cause
-from drivers.ports import Sine, SweepCommand, SweepMode
+from drivers.ports import SineCommand, SweepCommand, SweepMode
 from service.jobs.dask_workers import DaskWorkers
 from service.jobs.jobs import Jobs
 from service.jobs.work import Worker
@@ -21,8 +21,7 @@ from service.machine.execution.permission import Approvals, Intention
 from service.machine.execution.runner import Runner
 from service.machine.execution.sweep_executor import SweepExecutor
 from service.model.configuration import Cell, read_robot
-from service.model.recording import Sine as SpecSine
-from service.model.recording import SweepSpec
+from service.model.recording import Sine, SweepSpec
 from service.model.robot import Robot
 from service.planning.campaigns.live import LiveHub
 from service.planning.compiled_plan import CompiledPlan
@@ -115,7 +114,7 @@ def spec(number: int, pose: Sequence[float]) -> SweepSpec:
         axis="joint_1",
         pose=(*pose, 0.0, 0.0, 0.0),
         offset_velocity=OFFSET,
-        sines=tuple(SpecSine(frequency=f, amplitude=a, phase=p) for f, a, p in SINES),
+        sines=tuple(Sine(frequency=f, amplitude=a, phase=p) for f, a, p in SINES),
         period=1.0,
         periods=PERIODS,
         measure_from=RAMP + SETTLE,
@@ -129,7 +128,7 @@ def command(sweep: SweepDocument) -> SweepCommand:
         joint="joint_1",
         mode=SweepMode.DRIVE_SIDE,
         offset_velocity=OFFSET,
-        sines=tuple(Sine(f, a, p) for f, a, p in SINES),
+        sines=tuple(SineCommand(f, a, p) for f, a, p in SINES),
         period=1.0,
         periods=PERIODS,
         ramp=RAMP,

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.ports import SampleBlock, Sine, SweepCommand, SweepMode
+from drivers.ports import SampleBlock, SineCommand, SweepCommand, SweepMode
 from service.identification.estimates.torque_gain import KnownMass
 from service.model.configuration import Box, Cell
 from service.model.errors import EnvelopeViolation
@@ -21,7 +21,7 @@ COMMAND = SweepCommand(
     joint="j1",
     mode=SweepMode.DRIVE_SIDE,
     offset_velocity=0.012,
-    sines=(Sine(2.0, 0.003, 0.1), Sine(5.0, 0.003, 2.0)),
+    sines=(SineCommand(2.0, 0.003, 0.1), SineCommand(5.0, 0.003, 2.0)),
     period=1.0,
     periods=3,
     ramp=0.5,
@@ -159,11 +159,11 @@ def test_no_way_is_said(envelope: Envelope) -> None:
 
 
 amplitudes = st.floats(0.0, 0.02)
-sines = st.lists(st.builds(Sine, st.floats(0.5, 20.0), amplitudes, st.floats(0, 2 * pi)), max_size=4)
+sines = st.lists(st.builds(SineCommand, st.floats(0.5, 20.0), amplitudes, st.floats(0, 2 * pi)), max_size=4)
 
 
 @given(st.floats(-0.05, 0.05), sines, st.floats(0.1, 2.0), st.floats(0.0, 1.0))
-def test_bounds_hold_at_every_instant(offset: float, lines: list[Sine], ramp: float, settle: float) -> None:
+def test_bounds_hold_at_every_instant(offset: float, lines: list[SineCommand], ramp: float, settle: float) -> None:
     command = replace(COMMAND, offset_velocity=offset, sines=tuple(lines), ramp=ramp, settle=settle)
     time = np.linspace(0.0, command.duration, 20_001)
     step = time[1]

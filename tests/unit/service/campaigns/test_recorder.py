@@ -18,7 +18,7 @@ import numpy as np
 import psutil
 import pytest
 
-from drivers.ports import ChannelTiming, SampleBlock, Sine, SweepCommand, SweepMode
+from drivers.ports import ChannelTiming, SampleBlock, SineCommand, SweepCommand, SweepMode
 from service.machine.execution import incoming
 from service.machine.execution.incoming import BegunSweep, Incoming
 from service.machine.execution.plausibility import ImplausibleChannels
@@ -26,18 +26,18 @@ from service.machine.execution.recording import Recorder, SamplesMissing, finish
 from service.model.recording import SweepSpec
 from service.store.documents import RecordingState
 from service.store.files.columns import UnreadableStream, read_columns
-from service.store.files.recordings import RecordingFiles, Run
+from service.store.files.recordings import RecordingFiles, SweepAttempt
 
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[4]
-RUN = Run(campaign_id=1, number=3, attempt=1)
+RUN = SweepAttempt(campaign_id=1, number=3, attempt=1)
 RATE = 1000.0
 COMMAND = SweepCommand(
     joint="joint_1",
     mode=SweepMode.DRIVE_SIDE,
     offset_velocity=0.01,
-    sines=(Sine(2.0, 0.002, 0.0),),
+    sines=(SineCommand(2.0, 0.002, 0.0),),
     period=1.0,
     periods=1,
     ramp=0.1,

@@ -12,14 +12,14 @@ from service.model.robot import Robot
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.planning.safety.envelope import Envelope
 from service.store.documents import CampaignState, RecordingState, SweepState
-from service.store.files.recordings import Run
+from service.store.files.recordings import SweepAttempt
 from tests.unit.service.campaigns.conftest import POSES, Bench, command, open_bench
 from tests.unit.service.campaigns.test_recorder import block
 
 pytestmark = pytest.mark.slow
 
 
-def streamed(bench: Bench, run: Run, samples: int = 100) -> None:
+def streamed(bench: Bench, run: SweepAttempt, samples: int = 100) -> None:
     """A stream that a service has left."""
     recorder = Recorder(bench.files.stream(run), command(bench.store.sweep(1, 1)))
     if samples:
@@ -34,7 +34,7 @@ async def test_after_a_kill_nothing_moves_and_the_samples_so_far_are_kept(
     async with open_bench(tmp_path, robot, envelope) as bench:
         bench.store.move_campaign(1, campaign_move(CampaignEvent.START))
         bench.store.begin_sweep(1, 1, sweep_move(SweepEvent.BEGIN))
-        streamed(bench, Run(1, 1, 1), 750)
+        streamed(bench, SweepAttempt(1, 1, 1), 750)
     async with open_bench(tmp_path, robot, envelope) as bench:
         recover(bench.store, bench.files)
         campaign = bench.now
@@ -57,16 +57,16 @@ async def test_a_stream_whose_recording_is_stored_goes(tmp_path: Path, robot: Ro
         await bench.start()
         await bench.over()
         # killed between the commit and the removal of the stream
-        streamed(bench, Run(1, 2, 1))
+        streamed(bench, SweepAttempt(1, 2, 1))
         recover(bench.store, bench.files)
         assert bench.files.streams() == {}
         assert bench.store.recording(1, 2).state is RecordingState.COMPLETE
 
 
 @pytest.mark.parametrize("samples", [100, 0])
-@pytest.mark.parametrize("run", [Run(99, 1, 1), Run(1, 99, 1), Run(1, 1, 1)])
+@pytest.mark.parametrize("run", [SweepAttempt(99, 1, 1), SweepAttempt(1, 99, 1), SweepAttempt(1, 1, 1)])
 async def test_a_stream_of_a_run_that_the_database_does_not_know_is_put_aside(
-    tmp_path: Path, robot: Robot, envelope: Envelope, samples: int, run: Run
+    tmp_path: Path, robot: Robot, envelope: Envelope, samples: int, run: SweepAttempt
 ) -> None:
     async with open_bench(tmp_path, robot, envelope) as bench:
         streamed(bench, run, samples)
@@ -96,7 +96,7 @@ async def test_a_database_from_a_backup_measures_on_and_loses_no_recording(
         await bench.start()
         await bench.over()
         measured = [bench.files.path(bench.store.recording(1, sweep.number)) for sweep in bench.store.sweeps(1)]
-        streamed(bench, Run(1, 2, 1))
+        streamed(bench, SweepAttempt(1, 2, 1))
     restore(tmp_path, backup)
     before = {path: path.read_bytes() for path in measured}
     async with open_bench(tmp_path, robot, envelope) as bench:
@@ -116,7 +116,7 @@ async def test_a_damaged_stream_is_put_aside_and_the_service_starts(
     async with open_bench(tmp_path, robot, envelope) as bench:
         for number in (1, 2, 3):
             begun = bench.store.begin_sweep(1, number, sweep_move(SweepEvent.BEGIN))
-            streamed(bench, Run(1, number, begun.attempt))
+            streamed(bench, SweepAttempt(1, number, begun.attempt))
             if number == 2:
                 left = Cause(CauseCode.NOT_STORED)
                 bench.store.move_sweep(1, number, sweep_move(SweepEvent.FAIL), left)

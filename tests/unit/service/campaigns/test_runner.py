@@ -11,7 +11,7 @@ from drivers.errors import CommunicationLost, DriveFault
 from service.model.errors import Conflict
 from service.model.recording import Recording
 from service.store.documents import CampaignState, RecordingState, SweepState
-from service.store.files.recordings import Run
+from service.store.files.recordings import SweepAttempt
 from service.store.store import StaleVersion
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, Taken, until, until_cancelled
 
@@ -73,7 +73,7 @@ async def test_what_the_disk_refused_is_stored_when_the_campaign_goes_on(
         await bench.start()
         await bench.over()
     assert "partial recording not written: [Errno 30] Read-only file system" in bench.store.sweep(1, 1).cause
-    assert list(bench.files.streams()) == [Run(1, 1, 1)]
+    assert list(bench.files.streams()) == [SweepAttempt(1, 1, 1)]
     bench.drive.fail.clear()
     await bench.resume()
     await bench.over()

@@ -9,7 +9,7 @@ import pytest
 from sqlalchemy import text
 
 from drivers.errors import Cause, CauseCode, DriveFault
-from drivers.ports import Sine, SweepCommand, SweepMode
+from drivers.ports import SineCommand, SweepCommand, SweepMode
 from service.machine.execution.runner import Runner
 from service.machine.execution.sweep_executor import SweepExecutor
 from service.model.configuration import Box, Cell
@@ -33,7 +33,7 @@ FIRST = SweepCommand(
     joint="j1",
     mode=SweepMode.HOST_STREAMED,
     offset_velocity=0.0,
-    sines=(Sine(0.25, 0.3, 0.5), Sine(0.5, 0.1, 2.0)),
+    sines=(SineCommand(0.25, 0.3, 0.5), SineCommand(0.5, 0.1, 2.0)),
     period=4.0,
     periods=2,
     ramp=1.0,
@@ -149,7 +149,7 @@ def test_a_request_that_cannot_be_met_names_its_field(change: dict[str, object],
 
 
 JOINTS = ("joint_1", "joint_2")
-SINES = (Sine(0.5, 0.01, 0.3),)
+SINES = (SineCommand(0.5, 0.01, 0.3),)
 
 
 def command(joint: str) -> SweepCommand:

@@ -11,7 +11,7 @@ from service.model.robot import Robot
 from service.store.database import open_database
 from service.store.documents import NewRecording, NewSweep, RecordingState
 from service.store.files.data_folder import FILE, ForeignFolder, claim_folder
-from service.store.files.recordings import RecordingFiles, Run
+from service.store.files.recordings import RecordingFiles, SweepAttempt
 from service.store.store import Store
 
 TIME = np.arange(100) / 100.0
@@ -103,7 +103,7 @@ def test_a_recording_is_never_overwritten(tmp_path: Path) -> None:
 def test_what_is_put_aside_takes_no_other_place(tmp_path: Path) -> None:
     files = RecordingFiles(tmp_path)
     for number in (1, 2):
-        stream = files.stream(Run(1, 1, 4))
+        stream = files.stream(SweepAttempt(1, 1, 4))
         stream.write_bytes(b"%d" % number)
         files.put_aside(stream, "unknown")
     assert files.streams() == {}

@@ -11,7 +11,7 @@ from simulator import Scenario
 from simulator.canopen.cabinet import CanopenCabinet
 from simulator.canopen.pdo import Frame
 from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
-from simulator.drive.measuring import DriveSamples, DriveTrace, MeasuringState, Rejection
+from simulator.drive.measuring import DriveSamples, DriveTrace, FunctionState, Rejection
 from simulator.drive.power_drive import DriveState
 from simulator.drive.virtual_axis import VirtualAxis
 from simulator.machine import LiveMachine
@@ -64,7 +64,7 @@ def test_a_run_from_start_to_page(dictionary: ObjectDictionary, axis: VirtualAxi
     parameters(dictionary)
     enable(1)
     command(dictionary, 1)
-    assert dictionary[0x2100, 2] == MeasuringState.RUNNING
+    assert dictionary[0x2100, 2] == FunctionState.RUNNING
     with pytest.raises(SdoAbort) as twice:
         command(dictionary, 1)
     assert twice.value.code is AbortCode.STATE
@@ -74,7 +74,7 @@ def test_a_run_from_start_to_page(dictionary: ObjectDictionary, axis: VirtualAxi
     assert dictionary[0x2100, 0x0B] == 500
     assert len(dictionary.upload(0x2110, 3)) == 500 * 32  # while it runs
     turn(2000, 10)
-    assert dictionary[0x2100, 2] == MeasuringState.DONE
+    assert dictionary[0x2100, 2] == FunctionState.DONE
     assert dictionary[0x2100, 0x0B] == 1000
     assert not axis.moving
     dictionary[0x2110, 1], dictionary[0x2110, 2] = 998, 512
@@ -109,7 +109,7 @@ def test_rejections(
     if enabled:
         enable(1)
     command(dictionary, 1)
-    assert dictionary[0x2100, 2] == MeasuringState.REJECTED
+    assert dictionary[0x2100, 2] == FunctionState.REJECTED
     assert dictionary[0x2100, 3] == reason
     assert axis.setpoints(8) == pytest.approx(np.zeros(8))
 
@@ -126,11 +126,11 @@ def test_abort_brings_it_to_standstill_and_keeps_the_trace(
     speeds = turn(80)
     assert np.all(np.diff(np.abs(speeds)) <= 1e-12)
     assert speeds[-1] == pytest.approx(0.0)
-    assert dictionary[0x2100, 2] == MeasuringState.ABORTED
+    assert dictionary[0x2100, 2] == FunctionState.ABORTED
     assert axis.state is DriveState.OPERATION_ENABLED
     assert dictionary.upload(0x2110, 3) == before
     command(dictionary, 1)
-    assert dictionary[0x2100, 2] == MeasuringState.RUNNING
+    assert dictionary[0x2100, 2] == FunctionState.RUNNING
 
 
 NOISE_RECORD = struct.Struct("<Ifffddf")
@@ -168,9 +168,9 @@ def test_one_period_by_the_formula() -> None:
 def test_a_noise_run_from_start_to_page(ready: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable) -> None:
     enable(1)
     start(ready)
-    assert ready[0x2100, 2] == MeasuringState.RUNNING
+    assert ready[0x2100, 2] == FunctionState.RUNNING
     speeds = turn(4000, 10)
-    assert ready[0x2100, 2] == MeasuringState.DONE
+    assert ready[0x2100, 2] == FunctionState.DONE
     assert speeds[1500:3500] == pytest.approx(np.full(2000, 17 / 60))
     samples = []
     for first in (0, 500):
@@ -204,7 +204,7 @@ def test_rejections_of_noise(
     ready[key] = value
     enable(1)
     start(ready)
-    assert (ready[0x2100, 2], ready[0x2100, 3]) == (MeasuringState.REJECTED, reason)
+    assert (ready[0x2100, 2], ready[0x2100, 3]) == (FunctionState.REJECTED, reason)
     assert axis.measuring.injection(8) == pytest.approx(np.zeros(8))
 
 
@@ -235,7 +235,7 @@ def test_whatever_ends_the_run_ends_the_injection(
     }[end]()
     assert axis.measuring.injection(80) == pytest.approx(np.zeros(80))
     turn(400)
-    assert ready[0x2100, 2] == MeasuringState.ABORTED
+    assert ready[0x2100, 2] == FunctionState.ABORTED
     assert axis.energised is (end == "abort")
     assert turn(80) == pytest.approx(np.zeros(80))
 
@@ -311,7 +311,7 @@ def test_the_machine_follows_and_a_reboot_restores(scenario: Callable[[str], Sce
         node.dictionary[0x2100, 5] = 1e-3  # s, ramp
         node.dictionary[0x2100, 4] = 10.0
         node.receive(Frame(0x601, struct.pack("<BHBH2x", 0x2B, 0x2100, 1, 1)), 0.0)
-        assert node.axis.measuring.run is MeasuringState.RUNNING
+        assert node.axis.measuring.run is FunctionState.RUNNING
         cabinet.advance(4)
         effort = float(node.dictionary[0x6077, 0])
         node.axis.disable_voltage()

@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulator.modbus.registers import (
-    Page,
-    RegisterMap,
+    RegisterLayout,
     RegisterMapError,
     SampleField,
     TraceMap,
+    TracePage,
     Wire,
     WordOrder,
     load_register_map,
@@ -27,7 +27,7 @@ REGISTERS = Path(__file__).parents[4] / "config/registers"
 NAMES = ("virtual-high-first", "virtual-low-first")
 
 
-def load(name: str) -> RegisterMap:
+def load(name: str) -> RegisterLayout:
     return load_register_map(REGISTERS / f"{name}.yaml")
 
 
@@ -110,7 +110,7 @@ def test_a_bad_map_is_told_with_its_place(tmp_path: Path, change: Change, reason
 
 
 TRACE = TraceMap(
-    page=Page(address=0, registers=20),
+    page=TracePage(address=0, registers=20),
     sample=(
         SampleField(signal="torque", type="i16", scale=0.5, unit="N m"),
         SampleField(signal="cycle", type="u32"),

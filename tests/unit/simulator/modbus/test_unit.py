@@ -19,7 +19,7 @@ from pymodbus.pdu.register_message import (
 from simulator import load_scenario
 from simulator.machine import LiveMachine
 from simulator.modbus.cabinet import ModbusCabinet, ModbusUnit, Refusal
-from simulator.modbus.registers import RegisterMap, load_register_map
+from simulator.modbus.registers import RegisterLayout, load_register_map
 
 CONFIG = Path(__file__).parents[4] / "config"
 ADDRESS, VALUE, STATE = ExcCodes.ILLEGAL_ADDRESS, ExcCodes.ILLEGAL_VALUE, ExcCodes.DEVICE_FAILURE
@@ -28,7 +28,7 @@ ADDRESS, VALUE, STATE = ExcCodes.ILLEGAL_ADDRESS, ExcCodes.ILLEGAL_VALUE, ExcCod
 class Bench:
     """A cabinet on a Modbus line, without the line."""
 
-    def __init__(self, machine: LiveMachine, registers: RegisterMap) -> None:
+    def __init__(self, machine: LiveMachine, registers: RegisterLayout) -> None:
         self.registers = registers
         self.now = 1000.0
         self.cabinet = ModbusCabinet(machine, CONFIG / "eds/virtual-axis.eds", registers, 5.0)
