@@ -27,24 +27,8 @@ MOST_ENTRIES = 254  # maximum number of sub-indices of an object
 MOST_OBJECTS = 50_000  # a compact object of two lines has up to 255
 
 DOMAIN, VAR, ARRAY, RECORD = 2, 7, 8, 9  # object types
-_LAST_DUMMY = 7  # indices of basic types; those between are types of a manufacturer's tool
-_MAKER = range(0x2000, 0x6000)  # objects of the manufacturer: their type is needed only where a device map names them
-_ACCESS = ("ro", "wo", "rw", "rwr", "rww", "const")
 
-_NODE = (b"$nodeid", b"devicecom")  # content that depends on the node: ids, or section DeviceComissioning
 _OBJECT = re.compile(r"(?:0x)?([0-9A-F]{2,4})(?:\s*sub\s*([0-9A-F]{1,2})|\s*(name|value))?", re.I)
-# decimal, 0x1F or 1Fh; a unit may follow
-_NUMBER = re.compile(r"([+-]?)(?:0x([0-9A-F]+)|([0-9][0-9A-F]*)h|([0-9]+))(?:\s*[\[(%°µ].*|\s+[A-Za-z/].*)?", re.I)
-_OF_NODE = re.compile(r"\$NODEID(?:\s*\+\s*(\S.*))?|(\S.*?)\s*\+\s*\$NODEID", re.I)
-_COMPARED = ("objecttype", "datatype", "accesstype", "defaultvalue", "parametervalue", "vendornumber", "productnumber")
-_TEXTS = ("ParameterName", "StorageLocation", "Factor", "Description", "Unit")
-_VALUES = ("LowLimit", "HighLimit", "DefaultValue", "ParameterValue")
-_ABOUT_TEXTS = ("VendorName", "ProductName", "OrderCode")
-_ABOUT_NUMBERS = (
-    *(f"BaudRate_{rate}" for rate in (10, 20, 50, 125, 250, 500, 800, 1000)),
-    "VendorNumber", "ProductNumber", "RevisionNumber", "SimpleBootUpMaster", "SimpleBootUpSlave", "Granularity",
-    "DynamicChannelsSupported", "GroupMessaging", "NrOfRXPDO", "NrOfTXPDO", "LSS_Supported",
-)  # fmt: skip
 
 
 @dataclass(slots=True)
@@ -69,8 +53,9 @@ def object_dictionary(path: Path, node: int) -> Any:
 
     Raises OSError, or ValueError with section, line, value and what to write instead.
     """
+    marks = (b"$nodeid", b"devicecom")  # content that depends on the node: ids, or section DeviceComissioning
     content = _read(path)
-    own = any(word in content.replace(b"\0", b"").lower() for word in _NODE)
+    own = any(word in content.replace(b"\0", b"").lower() for word in marks)
     return pickle.loads(_parsed(content, path.name, node if own else 1))
 
 
@@ -133,13 +118,22 @@ def _sections(content: bytes) -> dict[str, Section]:
 
 def _add(section: Section, name: str, value: str, line: int) -> None:
     """The first value counts, as for Windows. Raises ValueError if a second one contradicts it."""
+    compared = {
+        "objecttype",
+        "datatype",
+        "accesstype",
+        "defaultvalue",
+        "parametervalue",
+        "vendornumber",
+        "productnumber",
+    }
     key = name.lower()
     before, at = section.values.get(key, ("", 0))
     number = _number(value)
     if not before:
         section.values[key] = (value, line)
     elif (
-        key in _COMPARED and value and value.lower() != before.lower() and (number is None or number != _number(before))
+        key in compared and value and value.lower() != before.lower() and (number is None or number != _number(before))
     ):
         raise ValueError(
             f"[{section.name}] line {line}: {name}={value[:40]} contradicts {before[:40]} in line {at}: delete one"
@@ -147,7 +141,9 @@ def _add(section: Section, name: str, value: str, line: int) -> None:
 
 
 def _number(text: str) -> int | None:
-    match = _NUMBER.fullmatch(text.split(";")[0].strip())
+    # decimal, 0x1F or 1Fh; a unit may follow
+    pattern = re.compile(r"([+-]?)(?:0x([0-9A-F]+)|([0-9][0-9A-F]*)h|([0-9]+))(?:\s*[\[(%°µ].*|\s+[A-Za-z/].*)?", re.I)
+    match = pattern.fullmatch(text.split(";")[0].strip())
     if match is None or len(match[0]) > 40:
         return None
     sign, _, _, plain = match.groups()
@@ -158,7 +154,8 @@ def _number(text: str) -> int | None:
 
 def _value(text: str) -> str:
     """An integer as canopen reads it, "" if it is none."""
-    match = _OF_NODE.fullmatch(text)
+    pattern = re.compile(r"\$NODEID(?:\s*\+\s*(\S.*))?|(\S.*?)\s*\+\s*\$NODEID", re.I)
+    match = pattern.fullmatch(text)
     part = (match[1] or match[2] or "0") if match else text
     number = _number(part)
     if number is None:
@@ -177,7 +174,8 @@ def _cleaned(sections: Mapping[str, Section]) -> Iterator[str]:
     yield from _about(sections)
     count = 0
     for index, parts in sorted(objects.items()):
-        for sub, lines in _object(index, parts, objects) if index >= 0x1000 or index <= _LAST_DUMMY else ():
+        # up to 7: basic types; those between are types of a manufacturer's tool
+        for sub, lines in _object(index, parts, objects) if index >= 0x1000 or index <= 7 else ():
             count += 1
             if count > MOST_OBJECTS:
                 raise ValueError(f"has more than {MOST_OBJECTS} objects")
@@ -186,9 +184,14 @@ def _cleaned(sections: Mapping[str, Section]) -> Iterator[str]:
 
 
 def _about(sections: Mapping[str, Section]) -> Iterator[str]:
+    about_numbers = (
+        *(f"BaudRate_{rate}" for rate in (10, 20, 50, 125, 250, 500, 800, 1000)),
+        "VendorNumber", "ProductNumber", "RevisionNumber", "SimpleBootUpMaster", "SimpleBootUpSlave", "Granularity",
+        "DynamicChannelsSupported", "GroupMessaging", "NrOfRXPDO", "NrOfTXPDO", "LSS_Supported",
+    )  # fmt: skip
     about = sections.get("deviceinfo", Section("DeviceInfo", 0))
     yield "[DeviceInfo]"
-    for keys, read in ((_ABOUT_TEXTS, str), (_ABOUT_NUMBERS, _value)):
+    for keys, read in ((("VendorName", "ProductName", "OrderCode"), str), (about_numbers, _value)):
         yield from (f"{key}={value}" for key in keys if (value := read(about.text(key))))
     for name in ("devicecomissioning", "devicecommissioning"):  # CiA 306 has one m
         if name in sections:
@@ -240,15 +243,17 @@ def _variable(
     kind: int,
     objects: Mapping[int, Mapping[int | str, Section]],
 ) -> list[str]:
+    names = ("LowLimit", "HighLimit", "DefaultValue", "ParameterValue")
+    accesses = ("ro", "wo", "rw", "rwr", "rww", "const")
     data_type = _data_type(index, sub, section, kind, objects)
     access = section.text("AccessType").lower().split(";")[0].strip()
     numeric = data_type in datatypes.INTEGER_TYPES or data_type == datatypes.BOOLEAN
-    values = {key: _value(section.text(key)) if numeric else section.text(key) for key in _VALUES}
-    texts = {key: section.text(key) for key in _TEXTS}
+    values = {key: _value(section.text(key)) if numeric else section.text(key) for key in names}
+    texts = {key: section.text(key) for key in ("ParameterName", "StorageLocation", "Factor", "Description", "Unit")}
     texts["ParameterName"] = texts["ParameterName"] or f"{index:04X}h:{sub or 0:02X}"
     return [
         f"DataType={data_type}",
-        f"AccessType={access if access in _ACCESS else 'ro' if sub == 0 else 'rw'}",
+        f"AccessType={access if access in accesses else 'ro' if sub == 0 else 'rw'}",
         f"PDOMapping={int(bool(_number(section.text('PDOMapping'))))}",
         *(f"{key}={value}" for key, value in {**texts, **values}.items() if value),
     ]
@@ -267,7 +272,8 @@ def _data_type(
         return number
     if sub == 0:
         return datatypes.UNSIGNED8
-    if kind == DOMAIN or index in _MAKER:
+    # the type of a manufacturer's object is needed only where a device map names it
+    if kind == DOMAIN or 0x2000 <= index < 0x6000:
         return datatypes.DOMAIN
     what = f"DataType={text[:40]} is not a number" if text else "DataType is missing"
     raise ValueError(

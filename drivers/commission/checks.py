@@ -118,20 +118,6 @@ def _hex(value: int | None) -> str:
     return "nothing" if value is None else f"{value:08X}h"
 
 
-_INSTEAD = {  # replacement if the drive has no such object
-    "max_torque": "host: the envelope of each motion watches the effort",
-    "max_speed": "host: the envelope of each motion watches the speed",
-    "max_profile_velocity": "host: no move is commanded faster than velocity_limit",
-    "position_min": "host: the envelope of each motion watches the position",
-    "position_max": "host: the envelope of each motion watches the position",
-    "connection_loss": "not monitored: a person must stay at the emergency stop while the machine moves",
-    "heartbeat consumer": "not monitored: a person must stay at the emergency stop while the machine moves",
-    "error_code": "reported by EMCY",
-    "supported_modes": "the first excitation mode of the map is used",
-    "rated_torque": "profile: rated_torque",
-}
-
-
 def present(node: CheckedNode) -> Iterator[CheckRow]:
     """Every object of the map and the heartbeats."""
     needed = NEEDED | _used(node) | set(node.map.streaming_needs) | {"rated_torque"}
@@ -170,6 +156,18 @@ def _wanted(node: CheckedNode, name: str) -> bool:
 
 
 def _there(node: CheckedNode, name: str, entry: Entry, needed: bool) -> CheckRow:
+    instead_of = {  # replacement if the drive has no such object
+        "max_torque": "host: the envelope of each motion watches the effort",
+        "max_speed": "host: the envelope of each motion watches the speed",
+        "max_profile_velocity": "host: no move is commanded faster than velocity_limit",
+        "position_min": "host: the envelope of each motion watches the position",
+        "position_max": "host: the envelope of each motion watches the position",
+        "connection_loss": "not monitored: a person must stay at the emergency stop while the machine moves",
+        "heartbeat consumer": "not monitored: a person must stay at the emergency stop while the machine moves",
+        "error_code": "reported by EMCY",
+        "supported_modes": "the first excitation mode of the map is used",
+        "rated_torque": "profile: rated_torque",
+    }
     listed = node.dictionary.objects.get((entry.index, entry.sub))
     found = node.answer(entry)
     if isinstance(found, OtherType):
@@ -181,7 +179,7 @@ def _there(node: CheckedNode, name: str, entry: Entry, needed: bool) -> CheckRow
             return node.row(
                 "eds-differs", False, f"{entry}: in the EDS and not in the drive: the EDS is of another firmware"
             )
-        instead = _INSTEAD.get(name, "the drive has its own method: see the maker's manual")
+        instead = instead_of.get(name, "the drive has its own method: see the maker's manual")
         return node.host(f"object {name}", f"{entry}: missing: {instead}")
     if isinstance(found, WrongConfiguration):
         return node.row("refused-object", False, f"{entry}: the drive does not report its value: {found}")

@@ -17,12 +17,6 @@ from drivers.cia402.profile import FILL_IN
 from drivers.commission.drive import DriveDictionary
 
 WITHOUT_EFFORT = "without 6077h or 6078h the drive cannot be used"
-_NEEDLESS = {  # object: (object that makes it unnecessary, reason)
-    "torque": ("current", "6078h gives the current"),
-    "current": ("torque", "6077h gives the torque"),
-    "rated_current": ("torque", "6077h gives the torque"),
-    "sync_period": ("cycle_value", "not needed: 60C2h has the cycle"),
-}
 
 
 def profile_text(
@@ -201,13 +195,19 @@ def _missing(dictionary: DriveDictionary) -> Iterator[str]:
 
 
 def _instead(dictionary: DriveDictionary, name: str, entry: Entry, able: set[str], targets: set[str]) -> str:
+    needless = {  # object: (object that makes it unnecessary, reason)
+        "torque": ("current", "6078h gives the current"),
+        "current": ("torque", "6077h gives the torque"),
+        "rated_current": ("torque", "6077h gives the torque"),
+        "sync_period": ("cycle_value", "not needed: 60C2h has the cycle"),
+    }
     if name in NEEDED:
         return _open(f"{entry} is not in the file: without it the drive cannot be used")
     if name in targets and able:
         return json.dumps(f"the set-points go into {', '.join(sorted(able))}")
     if name in ("torque", "current") and not _efforts(dictionary):
         return _open(f"{WITHOUT_EFFORT}; an object of its own goes into `objects`, and this line away")
-    other, why = _NEEDLESS.get(name, ("", ""))
+    other, why = needless.get(name, ("", ""))
     return (
         json.dumps(why) if other and _has(dictionary, other) else _open(f"what replaces it: {entry} is not in the file")
     )

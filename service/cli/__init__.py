@@ -66,30 +66,6 @@ _OWN = {
     "audit export": "people:export_audit",
 }
 """By name: module below `service.cli.commands`, and function. A command may be the first word of others."""
-_GROUPS = {
-    "audit": "Who asked the service for what.",
-    "data": "Back up, restore, examine, prune and copy stored data.",
-    "estimate": "Payload, torque constants, delays, and the benefit.",
-    "people": "Users and keys for the setting `login: true`.",
-    "plant": "Compare many robots; identify stored campaigns again.",
-    "robot": "Robots as their manufacturers describe them.",
-}
-_FORMER = {
-    **{f"export-{name}": f"export {name}" for name in ("model", "path", "recording", "sheet")},
-    **{name: f"estimate {name}" for name in ("benefit", "channels", "payload", "torque-gain")},
-    **{name: f"data {name}" for name in ("backup", "doctor", "restore")},
-    **{name: f"drive {name}" for name in ("follow", "truth")},
-    "check-sheet": "check sheet",
-    "db": "data",
-    "fleet": "plant fleet",
-    "import-trace": "import trace",
-    "jobs": "plant jobs",
-    "jobs cancel": "plant cancel",
-    "jobs reidentify": "plant reidentify",
-    "jobs show": "plant job",
-    "plan-trajectories": "plan trajectories",
-}
-"""Names of earlier versions. Nothing runs under them: scripts are to be changed once."""
 
 
 def main() -> None:
@@ -116,6 +92,30 @@ def build() -> Commands:
 
     The name of an entry point is that of the command; `drive.truth` is `sweepid drive truth`.
     """
+    # Names of earlier versions. Nothing runs under them: scripts are to be changed once.
+    former = {
+        **{f"export-{name}": f"export {name}" for name in ("model", "path", "recording", "sheet")},
+        **{name: f"estimate {name}" for name in ("benefit", "channels", "payload", "torque-gain")},
+        **{name: f"data {name}" for name in ("backup", "doctor", "restore")},
+        **{name: f"drive {name}" for name in ("follow", "truth")},
+        "check-sheet": "check sheet",
+        "db": "data",
+        "fleet": "plant fleet",
+        "import-trace": "import trace",
+        "jobs": "plant jobs",
+        "jobs cancel": "plant cancel",
+        "jobs reidentify": "plant reidentify",
+        "jobs show": "plant job",
+        "plan-trajectories": "plan trajectories",
+    }
+    groups = {
+        "audit": "Who asked the service for what.",
+        "data": "Back up, restore, examine, prune and copy stored data.",
+        "estimate": "Payload, torque constants, delays, and the benefit.",
+        "people": "Users and keys for the setting `login: true`.",
+        "plant": "Compare many robots; identify stored campaigns again.",
+        "robot": "Robots as their manufacturers describe them.",
+    }
     places = {name: f"service.cli.commands.{place}" for name, place in _OWN.items()}
     places |= {entry.name.replace(".", " "): entry.value for entry in entry_points(group=GROUP)}
     overview = typer.Typer(add_completion=False)
@@ -123,8 +123,8 @@ def build() -> Commands:
     options = typer.main.get_group(overview)
     return Commands(
         places=places,
-        groups=_GROUPS,
-        former=_FORMER,
+        groups=groups,
+        former=former,
         help=options.help,
         params=options.params,
         callback=options.callback,

@@ -184,13 +184,21 @@ def _detail(campaign: Json) -> str:
 
 def run_demo(out: Path, seed: int, poses: int, screen: Screen) -> DemoOutcome:
     """Run the demo in the folder `out`. In any case, the machine is stopped and the processes are ended."""
+    request: Json = {
+        "cell": CELL.stem,
+        "axes": ["joint_1", "joint_2", "joint_3"],
+        "varied": ["joint_2", "joint_3"],
+        "modes": "one_host_streamed",
+        # known from a frequency-response measurement of the CNC before a campaign (the paper's section 4.2), Hz
+        "locked_rotor": {"joint_1": 5.0, "joint_2": 9.5, "joint_3": 13.0},
+        "poses": poses,
+    }
     for path in (SCENARIO, HIDING, ROBOT, CELL, PROFILE):
         if not path.is_file():
             raise BadInput(str(path), "not found; the demo runs in the folder that holds config/")
     out = out.absolute()
     _clear(out)
     robot, cell = read_robot(ROBOT), read_cell(CELL)
-    request = _REQUEST | {"poses": poses}
     screen.doing("starting the virtual machine and the service")
     with virtual_cell(out, robot, SCENARIO, "--seed", str(seed)) as machine:
         client = machine.client
@@ -273,16 +281,6 @@ def find_hidden(folder: Path, robot: Robot, cell: Cell, seed: int, screen: Scree
     return Found(joint, diagnosis["document"], experiments, model, hidden)
 
 
-_REQUEST: Json = {
-    "cell": CELL.stem,
-    "axes": ["joint_1", "joint_2", "joint_3"],
-    "varied": ["joint_2", "joint_3"],
-    "modes": "one_host_streamed",
-    # known from a frequency-response measurement of the CNC before a campaign (the paper's section 4.2), Hz
-    "locked_rotor": {"joint_1": 5.0, "joint_2": 9.5, "joint_3": 13.0},
-}
-
-
 def _print_estimate(outcome: DemoOutcome, console: Console) -> None:
     print_result(outcome.content.estimate, console)
     table = Table(title="Errors against the truth in percent: median (95th percentile)")
@@ -317,13 +315,6 @@ def _print_diagnosis(found: Found, console: Console) -> None:
     console.print(f"[bold]{found.judgement}[/bold]", highlight=False)
 
 
-_HIDDEN_REQUEST: Json = {
-    "kind": "diagnosis",
-    "varied": ["joint_2", "joint_3"],
-    "poses": 3,
-    "blocks": ["forward_slow", "wide"],  # other blocks are measured when the diagnosis proposes them
-    "move_velocity": 0.5,
-}
 PERSON = "operator of the demo"
 
 
@@ -339,9 +330,19 @@ def plain(name: str) -> str:
 
 def _diagnosed(machine: VirtualCell, joint: str, cell: Cell, screen: Screen) -> tuple[Json, tuple[str, ...]]:
     """The last diagnosis, and the experiments that it proposed and that were run."""
+    request = {
+        "kind": "diagnosis",
+        "varied": ["joint_2", "joint_3"],
+        "poses": 3,
+        "blocks": ["forward_slow", "wide"],  # other blocks are measured when the diagnosis proposes them
+        "move_velocity": 0.5,
+        "robot_id": machine.robot_id,
+        "cell": cell.name,
+        "axes": [joint],
+    }
     client, operator = machine.client, Operator(machine.client, screen.progress, screen.say)
     screen.doing(f"measuring {joint} for its diagnosis")
-    plan = client.add_plan(_HIDDEN_REQUEST | {"robot_id": machine.robot_id, "cell": cell.name, "axes": [joint]})
+    plan = client.add_plan(request)
     campaign = int(client.add_campaign(plan["id"])["id"])
     operator.run(campaign)
     screen.doing("diagnosing")

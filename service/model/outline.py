@@ -15,8 +15,6 @@ from service.model.collision import MjModel, compiled, engine
 from service.model.configuration import Cell
 from service.model.robot import Robot
 
-_ROUND = 20  # points of a circle
-
 
 @dataclass(frozen=True, slots=True)
 class Outline:
@@ -80,28 +78,15 @@ def _points(model: MjModel, geom: int) -> Array:
         first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
         return model.mesh_vert[first : first + count].astype(np.float64)
     if kind == kinds.mjGEOM_BOX:
-        return _BOX * size
+        return np.array([(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]) * size
+    angle = np.linspace(0, 2 * np.pi, 20, endpoint=False)
+    circle = np.column_stack([np.cos(angle), np.sin(angle)])
     if kind == kinds.mjGEOM_CYLINDER:
-        return _DRUM * (size[0], size[0], size[1])
-    ball = _BALL * (size if kind == kinds.mjGEOM_ELLIPSOID else size[0])
+        return np.array([(x, y, z) for x, y in circle for z in (-1.0, 1.0)]) * (size[0], size[0], size[1])
+    heights = np.sin(np.linspace(-np.pi / 2, np.pi / 2, len(circle) // 2 + 1))
+    unit_ball = np.array([(r * x, r * y, h) for h in heights for r in (float(np.sqrt(1 - h * h)),) for x, y in circle])
+    ball = unit_ball * (size if kind == kinds.mjGEOM_ELLIPSOID else size[0])
     if kind == kinds.mjGEOM_CAPSULE:
         end = np.array([0.0, 0.0, size[1]])
         return np.vstack([ball + end, ball - end])
     return ball
-
-
-def _circle(count: int) -> Array:
-    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
-    return np.column_stack([np.cos(angle), np.sin(angle)])
-
-
-_BOX = np.array([(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-_DRUM = np.array([(x, y, z) for x, y in _circle(_ROUND) for z in (-1.0, 1.0)])
-_BALL = np.array(
-    [
-        (r * x, r * y, h)
-        for h in np.sin(np.linspace(-np.pi / 2, np.pi / 2, _ROUND // 2 + 1))
-        for r in (float(np.sqrt(1 - h * h)),)
-        for x, y in _circle(_ROUND)
-    ]
-)

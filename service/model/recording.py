@@ -32,9 +32,6 @@ def together(number: int, axes: int) -> str:
     return f"trajectory {number} of {axes} axes"
 
 
-_TOGETHER = re.compile(r"trajectory \d+ of (\d+) axes")
-
-
 class Sine(BaseModel):
     """``amplitude * sin(2 pi frequency (t - measure_from) + phase)``; Hz, rad/s (m/s), rad."""
 
@@ -82,7 +79,8 @@ class SweepSpec(BaseModel):
     @property
     def axes_at_once(self) -> int:
         """Number of axes of the trajectory that contains this sweep, from its block; 1 for other sweeps."""
-        found = _TOGETHER.fullmatch(self.block)
+        together = re.compile(r"trajectory \d+ of (\d+) axes")
+        found = together.fullmatch(self.block)
         return int(found[1]) if found else 1
 
     @property

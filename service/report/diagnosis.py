@@ -11,15 +11,6 @@ from service.report.drawing import DrawnFigure
 from service.report.gap_figures import plain
 from service.report.html import ReportPage
 
-_BUILDERS = {
-    "map": drawn.gap_map,
-    "gap_by_pose": drawn.gap_by_pose,
-    "example": drawn.example,
-    "evidence": drawn.evidence,
-    "parameters": drawn.parameters,
-}
-"""Figures by name, in the order of a page; a builder returns None if there is nothing to draw."""
-
 
 def diagnosis_figures(document: Diagnosis) -> dict[str, dict[str, DrawnFigure]]:
     """All figures by joint and name (`map`, `gap_by_pose`, `example`, `evidence`, `parameters`)."""
@@ -28,7 +19,15 @@ def diagnosis_figures(document: Diagnosis) -> dict[str, dict[str, DrawnFigure]]:
 
 def figures_of(axis: AxisDiagnosis) -> dict[str, DrawnFigure]:
     """The figures of one axis."""
-    made = {name: build(axis) for name, build in _BUILDERS.items()}
+    # Figures by name, in the order of a page; a builder returns None if there is nothing to draw.
+    builders = {
+        "map": drawn.gap_map,
+        "gap_by_pose": drawn.gap_by_pose,
+        "example": drawn.example,
+        "evidence": drawn.evidence,
+        "parameters": drawn.parameters,
+    }
+    made = {name: build(axis) for name, build in builders.items()}
     return {name: figure for name, figure in made.items() if figure is not None}
 
 

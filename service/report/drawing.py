@@ -17,7 +17,6 @@ Part = Mapping[str, Drawn]  # a trace, a scale, an annotation
 
 MEASURED, IDENTIFIED, REFERENCE, PAPER = "#c2410c", "#1d4ed8", "#94a3b8", "#7c3aed"
 _COLOURS = ("#1d4ed8", "#0f766e", "#b45309", "#7c3aed", "#be123c", "#475569")
-_SYMBOLS = ("circle", "square", "triangle-up", "diamond", "star", "hexagon2")
 GRID = "#e2e8f0"
 DECADES = {"type": "log", "dtick": 1, "exponentformat": "power"}
 
@@ -87,7 +86,8 @@ def looks(things: Iterable[T]) -> Iterator[tuple[T, str, str]]:
     """Each axis or robot with its colour and marker: colours alone cannot be distinguished in grey print or by
     colour-blind readers.
     """
-    return zip(things, cycle(_COLOURS), cycle(_SYMBOLS), strict=False)
+    symbols = ("circle", "square", "triangle-up", "diamond", "star", "hexagon2")
+    return zip(things, cycle(_COLOURS), cycle(symbols), strict=False)
 
 
 def note(text: str, left: float, top: float, **more: Drawn) -> Part:

@@ -51,18 +51,7 @@ _LOOK: Any = {
     "svg.fonttype": "none",  # words are searched, and read aloud
     "svg.hashsalt": "sweepid",  # equal figures give equal files
 }
-_MARKERS = {
-    "circle": "o",
-    "square": "s",
-    "triangle-up": "^",
-    "diamond": "D",
-    "star": "*",
-    "hexagon2": "h",
-    "x-thin": "x",
-    "line-ew": "_",
-}
 _DASHES = {"dash": (0, (6, 4)), "dot": (0, (1.5, 3))}
-_PATTERNS = ("-", (0, (7, 3)), (0, (2, 2.5)), (0, (9, 3, 2, 3)), (0, (4, 2)), (0, (1.5, 4)))
 
 Words = Mapping[str, Any]
 
@@ -339,12 +328,13 @@ def _is_named(trace: Words, layout: Words) -> bool:
 
 def _patterns(traces: Sequence[Words]) -> Iterator[tuple[str, Any]]:
     """A pattern for each colour of solid lines that share a panel: colours alone are lost in grey print."""
+    patterns = ("-", (0, (7, 3)), (0, (2, 2.5)), (0, (9, 3, 2, 3)), (0, (4, 2)), (0, (1.5, 4)))
     panels: dict[tuple[str, str], dict[str, None]] = {}
     for trace in traces:
         if trace.get("mode") == "lines" and trace["line"]["width"] > 0 and _is_solid(trace["line"]):
             panels.setdefault(_pair(trace), {})[trace["line"]["color"]] = None
     for colours in panels.values():
-        yield from zip(colours, _PATTERNS, strict=False)
+        yield from zip(colours, patterns, strict=False)
 
 
 def _dash(line: Words, patterns: Mapping[str, Any]) -> Any:
@@ -356,10 +346,20 @@ def _is_solid(line: Words) -> bool:
 
 
 def _marker(marker: Words) -> dict[str, Any]:
+    markers = {
+        "circle": "o",
+        "square": "s",
+        "triangle-up": "^",
+        "diamond": "D",
+        "star": "*",
+        "hexagon2": "h",
+        "x-thin": "x",
+        "line-ew": "_",
+    }
     symbol, is_open, _ = marker.get("symbol", "circle").partition("-open")
     edge = marker.get("line") or {"color": marker["color"], "width": 0.0}
     return {
-        "marker": _MARKERS[symbol],
+        "marker": markers[symbol],
         "markersize": marker["size"],
         "markerfacecolor": "none" if is_open else marker["color"],
         "markeredgecolor": edge["color"],

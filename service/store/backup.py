@@ -144,11 +144,6 @@ def copy_file(source: Path, target: Path) -> StoredFile:
     return StoredFile(size=size, sha256=digest.hexdigest())
 
 
-_OF_MACHINE = (
-    "SELECT file.path, campaign.machine_id FROM {table} AS file JOIN sweep ON sweep.id = file.sweep_id "
-    "JOIN campaign ON campaign.id = sweep.campaign_id WHERE campaign.machine_id <> 1"
-)
-
 Result = TypeVar("Result")
 
 
@@ -238,7 +233,11 @@ def contents_of(tables: set[str], rows: Callable[[str], Iterable[tuple[str, ...]
     files.update((path, sha256) for path, sha256 in rows("SELECT path, sha256 FROM spectrum_file ORDER BY path"))
     machines: dict[str, int] = {}
     for table in ("recording", "spectrum_file"):
-        for path, machine in rows(_OF_MACHINE.format(table=table)):
+        query = (
+            f"SELECT file.path, campaign.machine_id FROM {table} AS file JOIN sweep ON sweep.id = file.sweep_id "
+            "JOIN campaign ON campaign.id = sweep.campaign_id WHERE campaign.machine_id <> 1"
+        )
+        for path, machine in rows(query):
             machines[path] = machines[str(PurePosixPath(path).with_suffix(".json"))] = int(machine)
     ((identity,),) = rows("SELECT id FROM identity")
     held_by = ", ".join(owner for (owner,) in rows("SELECT owner FROM lease"))

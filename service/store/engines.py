@@ -101,18 +101,6 @@ def _begin_sqlite(connection: Connection) -> None:
     connection.exec_driver_sql("BEGIN IMMEDIATE" if options.get(WRITE, False) else "BEGIN")
 
 
-_CONNECTING: dict[str, str | int] = {
-    "connect_timeout": 5,  # s
-    "target_session_attrs": "read-write",  # no standby
-    "application_name": "sweepid",
-    # a server whose computer has failed does not answer: detected within about 15 s
-    "keepalives_idle": 5,
-    "keepalives_interval": 3,
-    "keepalives_count": 3,
-    "tcp_user_timeout": 15_000,
-}
-
-
 class NotReached(SweepidError):
     """The server of the database does not answer or refuses the login (exit code 1)."""
 
@@ -125,10 +113,20 @@ class Postgresql:
         self._url, self._password = url, password
 
     def engine(self) -> Engine:
+        connecting: dict[str, str | int] = {
+            "connect_timeout": 5,  # s
+            "target_session_attrs": "read-write",  # no standby
+            "application_name": "sweepid",
+            # a server whose computer has failed does not answer: detected within about 15 s
+            "keepalives_idle": 5,
+            "keepalives_interval": 3,
+            "keepalives_count": 3,
+            "tcp_user_timeout": 15_000,
+        }
         secret: dict[str, Any] = {} if self._password is None else {"password": self._password}
         try:
             # pre_ping: a connection that the server closed meanwhile is opened again before use
-            engine = create_engine(self._url, pool_pre_ping=True, connect_args={**_CONNECTING, **secret})
+            engine = create_engine(self._url, pool_pre_ping=True, connect_args={**connecting, **secret})
         except ModuleNotFoundError as error:
             reason = f"PostgreSQL needs {error.name}: install sweepid with its extra, `sweepid[postgresql]`"
             raise BadInput("database_url", reason) from None

@@ -37,40 +37,39 @@ from service.web.api.problem import Problem, install_problem_handlers
 from service.web.application import Application, open_application
 from service.web.hmi.pages import add_pages
 
-_ROUTERS = (
-    plans.robot_routes,
-    plans.plan_routes,
-    preview.picture_routes,
-    plans.approval_routes,
-    campaigns.campaign_routes,
-    preview.ahead_routes,
-    campaigns.sweep_routes,
-    results.estimate_routes,
-    results.report_routes,
-    results.model_file_routes,
-    diagnoses.diagnosis_routes,
-    results.fleet_routes,
-    results.job_routes,
-    diagnoses.model_routes,
-    bundles.router,
-    live.event_routes,
-    live.live_routes,
-    drives.drive_routes,
-    drives.machine_routes,
-    stop.router,
-    login.audit_routes,
-    login.me_routes,
-    login.login_routes,
-    oidc.router,
-    health.health_routes,
-)
-
 
 def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: StopProcess | None = None) -> FastAPI:
     """The FastAPI application; its lifespan owns the `Application`. `hosts`: accepted host names, empty: any.
 
     `stop_process` is already running and belongs to the caller.
     """
+    routers = (
+        plans.robot_routes,
+        plans.plan_routes,
+        preview.picture_routes,
+        plans.approval_routes,
+        campaigns.campaign_routes,
+        preview.ahead_routes,
+        campaigns.sweep_routes,
+        results.estimate_routes,
+        results.report_routes,
+        results.model_file_routes,
+        diagnoses.diagnosis_routes,
+        results.fleet_routes,
+        results.job_routes,
+        diagnoses.model_routes,
+        bundles.router,
+        live.event_routes,
+        live.live_routes,
+        drives.drive_routes,
+        drives.machine_routes,
+        stop.router,
+        login.audit_routes,
+        login.me_routes,
+        login.login_routes,
+        oidc.router,
+        health.health_routes,
+    )
     app = DeclaredApi(
         title="sweepid",
         version=version("sweepid"),
@@ -85,7 +84,7 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
     app.state.settings = settings
     app.state.stop_process = stop_process
     api = APIRouter(prefix=API)
-    for router in _ROUTERS:
+    for router in routers:
         api.include_router(router)
     app.include_router(api)
     app.include_router(metrics.metric_routes)

@@ -17,9 +17,6 @@ from simulator.drive.limits import INCREMENTS, speed_unit
 from simulator.drive.makers import Key
 from simulator.scenario import FileModel, parse_yaml, read_text
 
-ELEMENTS = 16
-"""Number of elements of the signals in `ARRAYS`."""
-
 CONSTANT = "constant"
 WATCHDOG = "watchdog"
 OWNER = "control_owner"
@@ -246,7 +243,7 @@ def load_register_map(path: Path) -> RegisterLayout:
 def _check(name: str, signal: MappedSignal) -> None:
     if signal.unit != SIGNALS[name].unit:
         raise ValueError(f"signals.{name}: unit {signal.unit} must be {SIGNALS[name].unit}")
-    elements = ELEMENTS if name in ARRAYS else 1
+    elements = 16 if name in ARRAYS else 1  # Number of elements of the signals in `ARRAYS`.
     if signal.count != elements:
         raise ValueError(f"signals.{name}: count {signal.count} must be {elements}")
     if (signal.value is not None) != (name == CONSTANT):

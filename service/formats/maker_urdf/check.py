@@ -23,7 +23,6 @@ from service.model.urdf import MOST_LINKS, Chain, Joint, look_over, read_chain
 
 Array = NDArray[np.float64]
 
-_HIDDEN = re.compile("counter_?(balance|weight)|balancer|gas_?spring|spring_?(cyl|rod)|parallel|linkage", re.I)
 Pair = tuple[str, str]
 CLEARANCE, MARGIN = 0.03, 0.02  # m; rad (m)
 POSES = 200  # random poses to find shapes that overlap by construction
@@ -116,8 +115,9 @@ def _extent(root: ET.Element, link: str, place: str) -> float:
 
 
 def _hidden(root: ET.Element) -> list[UrdfFinding]:
+    hiding = re.compile("counter_?(balance|weight)|balancer|gas_?spring|spring_?(cyl|rod)|parallel|linkage", re.I)
     names = [one.get("name", "") for one in root if one.tag in ("link", "joint")]
-    shown = ", ".join(name for name in names if _HIDDEN.search(name))
+    shown = ", ".join(name for name in names if hiding.search(name))
     what = (
         "named like a counterbalance or a parallel linkage, whose force is not in a URDF: sweepid takes it for gravity"
     )

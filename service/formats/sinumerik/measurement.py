@@ -40,7 +40,6 @@ PARAMETERS = {
 }
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-RESPONSE = "ResponseTestCustom"
 TUNING = "DynamicModelAxisController"
 
 
@@ -147,7 +146,7 @@ def _check_family(root: Member, kind: str) -> None:
 
 def measurement_of(root: Member) -> LoopMeasurement:
     """The measurement in a file; BadInput names file and member if something is missing, unknown or inconsistent."""
-    _check_family(root, RESPONSE)
+    _check_family(root, "ResponseTestCustom")
     for name, code, words in (
         ("m_eControlLoopType", 2, "of the speed control loop"),
         ("m_eWaveformType", 4, "with pseudo-random noise"),

@@ -26,22 +26,6 @@ from service.store.files.isolated_reader import LIMITS, Limits, read_isolated
 Array = NDArray[np.float64]
 
 
-_MARKS = (
-    (b"\x89HDF\r\n", "hdf5"),
-    (b"MATLAB 7.3", "hdf5"),
-    (b"MATLAB 5", "mat"),
-    (b"MDF ", "mdf4"),
-    (b"UnFinMF", "mdf4"),
-    (b"\x89MCAP", "ros"),
-    (b"SQLite format 3", "ros"),
-    (b"#ROSBAG", "ros"),
-    (b"PAR1", "parquet"),
-)
-_SUFFIXES = {".mat": "mat", ".mf4": "mdf4", ".h5": "hdf5", ".hdf5": "hdf5", ".parquet": "parquet"}
-_FOREIGN = {
-    b"PK\x03\x04": "is a zip file, as Excel writes it: export it as CSV",
-    b"\xd0\xcf\x11\xe0": "is a file of Office: export it as CSV",
-}
 # exceptions of the libraries for truncated or malicious files; memory and disk errors are not caught
 _TORN = (
     ArithmeticError, AssertionError, AttributeError, BufferError, EOFError, LookupError, NameError, RuntimeError,
@@ -170,6 +154,22 @@ def check_numbers(rows: int, columns: int, most: int, place: str) -> None:
 
 def format_of(path: Path) -> str:
     """By content; `text` if it has no mark. BadInput if it cannot be read, or is known to be of another kind."""
+    marks = (
+        (b"\x89HDF\r\n", "hdf5"),
+        (b"MATLAB 7.3", "hdf5"),
+        (b"MATLAB 5", "mat"),
+        (b"MDF ", "mdf4"),
+        (b"UnFinMF", "mdf4"),
+        (b"\x89MCAP", "ros"),
+        (b"SQLite format 3", "ros"),
+        (b"#ROSBAG", "ros"),
+        (b"PAR1", "parquet"),
+    )
+    foreign = {
+        b"PK\x03\x04": "is a zip file, as Excel writes it: export it as CSV",
+        b"\xd0\xcf\x11\xe0": "is a file of Office: export it as CSV",
+    }
+    by_suffix = {".mat": "mat", ".mf4": "mdf4", ".h5": "hdf5", ".hdf5": "hdf5", ".parquet": "parquet"}
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
             return "ros"
@@ -181,14 +181,14 @@ def format_of(path: Path) -> str:
         raise BadInput(str(path), "file does not exist") from None
     except (OSError, ValueError) as error:
         raise BadInput(str(path), f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
-    kind = next((kind for mark, kind in _MARKS if head.startswith(mark)), None)
+    kind = next((kind for mark, kind in marks if head.startswith(mark)), None)
     if kind is None and b"\x89HDF\r\n" in head[512:520]:
         kind = "hdf5"
-    kind = kind or _SUFFIXES.get(path.suffix.lower())
+    kind = kind or by_suffix.get(path.suffix.lower())
     bare = head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \r\n")
     if kind is None and bare.startswith(b"<") and any(mark in bare for mark in (b"<?xml", b"<traceSession")):
         return "xml"
-    for mark, what in _FOREIGN.items():
+    for mark, what in foreign.items():
         if kind is None and head.startswith(mark):
             known = "CSV and other text, MATLAB, Parquet, MDF4, HDF5, ROS bags (SQLite, MCAP), XML of a Sinumerik"
             raise BadInput(str(path), f"{what}; read are {known}")

@@ -25,14 +25,6 @@ from service.store.files.columns import LARGEST_CSV, MOST_NUMBERS
 Array = NDArray[np.float64]
 
 _UNITS = {"posn": "posn", "velo": "velo", "torque": "motor Nm", "force": "N", "current": "A", "percent": "%"}
-_BY_ROLE = {
-    "effort": "motor Nm",
-    "current": "A",
-    "load": "%",
-    "position": "posn",
-    "set_position": "posn",
-    "load_position": "posn",
-}
 _NAMES = (
     (r"ActPos1stEnc", "position"), (r"ActPos2ndEnc", "load_position"), (r"(Cmd|Des|Set)Pos", "set_position"),
     (r"ActVelMot", "velocity"), (r"ActVel1stEnc", "velocity 1"), (r"ActVel2ndEnc", "load_velocity"),
@@ -106,9 +98,17 @@ class LineTrace:
         ]
 
     def _unit(self, signal: _Signal, role: str) -> str:
+        by_role = {
+            "effort": "motor Nm",
+            "current": "A",
+            "load": "%",
+            "position": "posn",
+            "set_position": "posn",
+            "load_position": "posn",
+        }
         if role == "velocity" and re.search("VelMot", signal.name):
             return "velo motor"
-        return _UNITS.get(signal.units) or _UNITS.get(self._set_up.get(signal.name, "")) or _BY_ROLE.get(role, "")
+        return _UNITS.get(signal.units) or _UNITS.get(self._set_up.get(signal.name, "")) or by_role.get(role, "")
 
     def read(self, channels: Sequence[ChannelName]) -> Taken:
         """The signals of one session, on the grid of the shortest interval of them."""

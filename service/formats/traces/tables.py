@@ -33,23 +33,8 @@ _STAMP = re.compile(
 )
 _UNITS = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
 _arrow, _csv = cast(Any, pa), cast(Any, pa_csv)  # without types
-_BOMS = (
-    (b"\xef\xbb\xbf", "utf-8-sig"),
-    (b"\xff\xfe\x00\x00", "utf-32"),
-    (b"\x00\x00\xfe\xff", "utf-32"),
-    (b"\xff\xfe", "utf-16"),
-    (b"\xfe\xff", "utf-16"),
-)
 _MISSING = frozenset(("", "-", "--", "nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "n/a", "#n/a", "null", "none"))
 _TYPE = re.compile(r"(?i)(l?real|u?[sdl]?int|bool|byte|d?word|double|single|float|string|dt_\w+)\d*|-")
-_INTERVAL = re.compile(
-    r"(?i)(?:sampl\w*[ _-]?(?:time|period|interval)|abtast(?:zeit|intervall|periode)|cycle[ _-]?time|zykluszeit"
-    r"|interval|dt)"
-    r"\W*?(?:[\[(]?(ms|us|µs|ns|s)[\])]?)?[\s:=;,\t]+([\d.,]+(?:e-?\d+)?)\s*(n?sec|ms|us|µs|ns|s)?\b"
-)
-_RATE = re.compile(
-    r"(?i)(?:sampl\w*[ _-]?(?:rate|freq\w*)|abtast(?:rate|frequenz))\W*?(?:\[?k?hz\]?)?[\s:=;,\t]+([\d.,]+)\s*(k?)hz?"
-)
 
 
 def timelike(cell: str) -> bool:
@@ -298,6 +283,13 @@ def _numbers(column: Any) -> Array:
 
 def decoded(path: Path) -> tuple[str, str]:
     """Text and encoding: by byte order mark, NUL bytes of UTF-16, else UTF-8, else the Windows code page 1252."""
+    boms = (
+        (b"\xef\xbb\xbf", "utf-8-sig"),
+        (b"\xff\xfe\x00\x00", "utf-32"),
+        (b"\x00\x00\xfe\xff", "utf-32"),
+        (b"\xff\xfe", "utf-16"),
+        (b"\xfe\xff", "utf-16"),
+    )
     try:
         size = path.stat().st_size
         if size > LARGEST_CSV:
@@ -308,7 +300,7 @@ def decoded(path: Path) -> tuple[str, str]:
     except (OSError, ValueError) as error:
         raise BadInput(str(path), f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
     head = content[:4096]
-    encoding = next((name for mark, name in _BOMS if content.startswith(mark)), "utf-8")
+    encoding = next((name for mark, name in boms if content.startswith(mark)), "utf-8")
     if encoding == "utf-8" and b"\0" in head:
         odd, even = head[1::2].count(0), head[::2].count(0)
         encoding = "utf-16-le" if odd > even else "utf-16-be"
@@ -475,10 +467,19 @@ def _are_units(row: Sequence[str]) -> bool:
 
 def _stated_interval(lines: Sequence[str]) -> float | None:
     """s, of the heading's interval or rate of sampling."""
+    rate = re.compile(
+        r"(?i)(?:sampl\w*[ _-]?(?:rate|freq\w*)|abtast(?:rate|frequenz))\W*?(?:\[?k?hz\]?)?"
+        r"[\s:=;,\t]+([\d.,]+)\s*(k?)hz?"
+    )
+    interval = re.compile(
+        r"(?i)(?:sampl\w*[ _-]?(?:time|period|interval)|abtast(?:zeit|intervall|periode)|cycle[ _-]?time|zykluszeit"
+        r"|interval|dt)"
+        r"\W*?(?:[\[(]?(ms|us|µs|ns|s)[\])]?)?[\s:=;,\t]+([\d.,]+(?:e-?\d+)?)\s*(n?sec|ms|us|µs|ns|s)?\b"
+    )
     for line in lines:
-        if found := _INTERVAL.search(line):
+        if found := interval.search(line):
             unit = (found[3] or found[1] or "s").lower().replace("sec", "s").replace("µ", "u")
             return float(found[2].replace(",", ".").rstrip(".")) * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
-        if found := _RATE.search(line):
+        if found := rate.search(line):
             return 1 / (float(found[1].replace(",", ".").rstrip(".")) * (1e3 if found[2] else 1.0))
     return None

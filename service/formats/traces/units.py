@@ -64,13 +64,6 @@ _FOLDED = {
     for name, factor in units.items()
     if len(name) > 2 and name not in ("mNm", "kNm")
 }
-_BRACKETS = re.compile(
-    r"^(?P<name>.*?)[\s_]*(?:[\[(<{]\s*(?P<unit>[^\])>}]+?)\s*[\])>}]|\s(?:in|/)\s+(?P<bare>\S+)|,\s*(?P<after>\S+))$"
-)
-_SUFFIX = re.compile(
-    r"^(?P<name>.+?)_(?P<unit>rad_?p?s|deg_?p?s|mm_?p?s|m_?p?s|rad|deg|mm|nm|rpm|ms|us|ns|sec|pct|percent|amps?|s|a)$",
-    re.IGNORECASE,
-)
 
 _SAID: Mapping[Unit, tuple[str, float | None]] = {
     "deg": ("angle", _DEGREE),
@@ -107,13 +100,20 @@ def known_unit(unit: str) -> str | None:
 
 def unit_in(heading: str) -> tuple[str, str]:
     """Name and unit of a heading, as ``M [Nm]``, ``n / rpm``, ``position_deg``; "" if it has none."""
-    if found := _BRACKETS.match(heading):
+    suffix = re.compile(
+        r"^(?P<name>.+?)_(?P<unit>rad_?p?s|deg_?p?s|mm_?p?s|m_?p?s|rad|deg|mm|nm|rpm|ms|us|ns|sec|pct|percent|amps?|s|a)$",
+        re.IGNORECASE,
+    )
+    brackets = re.compile(
+        r"^(?P<name>.*?)[\s_]*(?:[\[(<{]\s*(?P<unit>[^\])>}]+?)\s*[\])>}]|\s(?:in|/)\s+(?P<bare>\S+)|,\s*(?P<after>\S+))$"
+    )
+    if found := brackets.match(heading):
         unit = (found["unit"] or found["bare"] or found["after"]).strip()
         if found["name"] and (
             known_unit(unit) or (found["unit"] and not re.fullmatch(r"[A-Za-z]?\d[\d, ]*|[xyzXYZ]|u\d+,.*", unit))
         ):
             return found["name"].strip(), unit
-    if found := _SUFFIX.match(heading):
+    if found := suffix.match(heading):
         unit = found["unit"].lower()
         per = (
             unit.replace("_", "").replace("ps", "/s")
@@ -193,22 +193,12 @@ _BY_QUANTITY = {
     "angular speed": "velocity", "speed": "velocity", "turns per time": "velocity", "angle": "position",
     "length": "position", "turns": "position",
 }  # fmt: skip
-_SET = re.compile(
-    r"^(set\w*|soll\w*|\w*soll|cmd\w*|command\w*|demand\w*|target\w*|ref\w*|desired|des|sp|nom\w*|\w*setpoint|\w*sollwert)$"
-)
-_ACTUAL = re.compile(r"^(act\w*|ist\w*|\w*ist|\w*istwert|real|meas\w*|fb|fbk|feedback|\w*actual\w*)$")
-_OTHER = re.compile(
-    r"^(err\w*|\w*fehler\w*|\w*err(or)?|dev\w*|\w*abweichung\w*|schlepp\w*|following|diff\w*|limit\w*|max\w*|min\w*|acc\w*|"
-    r"beschl\w*|jerk|ruck|qdd|ddq|ddphi|tcp|cart\w*|pose|volt\w*|spannung|status\w*|state|mode|control|ff|feedforward|"
-    r"friction|gravity|coriolis|model)$"
-)
 _SECOND = re.compile(r"^(2nd\w*|enc2|encoder2|load|abtrieb\w*|direct|ext\w*|link|secondary|ms2|messsystem2)$")
 _AXIS = re.compile(
     r"\[(?:u\d+,\s*)?(\d+)\]|(?:axis|achse|joint|gelenk|drive|antrieb|robax|ax|[aj])[ _.]?(\d+)(?!\d)"
     r"|[A-Za-z_ .](\d{1,2})$",
     re.IGNORECASE,
 )
-_CAMEL = re.compile(r"(?<=[a-zäöü])(?=[A-ZÄÖÜ])|(?<=[A-ZÄÖÜ])(?=[A-ZÄÖÜ][a-zäöü])")
 
 
 def axis_of(channel: ListedChannel) -> str:
@@ -221,13 +211,23 @@ def axis_of(channel: ListedChannel) -> str:
 
 def role_of(channel: ListedChannel) -> tuple[str, int]:
     """Role and rank, the smallest of the best; "" if it is of no use."""
+    camel = re.compile(r"(?<=[a-zäöü])(?=[A-ZÄÖÜ])|(?<=[A-ZÄÖÜ])(?=[A-ZÄÖÜ][a-zäöü])")
+    different = re.compile(
+        r"^(err\w*|\w*fehler\w*|\w*err(or)?|dev\w*|\w*abweichung\w*|schlepp\w*|following|diff\w*|limit\w*|max\w*|min\w*|acc\w*|"
+        r"beschl\w*|jerk|ruck|qdd|ddq|ddphi|tcp|cart\w*|pose|volt\w*|spannung|status\w*|state|mode|control|ff|feedforward|"
+        r"friction|gravity|coriolis|model)$"
+    )
+    actual = re.compile(r"^(act\w*|ist\w*|\w*ist|\w*istwert|real|meas\w*|fb|fbk|feedback|\w*actual\w*)$")
+    commanded = re.compile(
+        r"^(set\w*|soll\w*|\w*soll|cmd\w*|command\w*|demand\w*|target\w*|ref\w*|desired|des|sp|nom\w*|\w*setpoint|\w*sollwert)$"
+    )
     if channel.role:
         return channel.role, 0
     name = _AXIS.sub(lambda found: found[0][0] if found[3] else " ", channel.name)
-    words = [word for word in re.split(r"[^0-9a-zäöüß]+", _CAMEL.sub("_", name).lower()) if word]
+    words = [word for word in re.split(r"[^0-9a-zäöüß]+", camel.sub("_", name).lower()) if word]
     words += [f"{one}_{other}" for one, other in pairwise(words)]
     quantity = known_unit(channel.unit)
-    if any(_OTHER.match(word) for word in words):
+    if any(different.match(word) for word in words):
         return "", 0
     role = next(
         (
@@ -238,8 +238,8 @@ def role_of(channel: ListedChannel) -> tuple[str, int]:
         ),
         _BY_QUANTITY.get(quantity or "", ""),
     )
-    rank = 0 if any(_ACTUAL.match(word) for word in words) else 1
-    if any(_SET.match(word) for word in words):
+    rank = 0 if any(actual.match(word) for word in words) else 1
+    if any(commanded.match(word) for word in words):
         # a torque set-point is nearly what the drive does, but a target (of a Universal Robot) is that of a model
         wanted = {"position": "set_position", "velocity": "velocity_setpoint"}
         role, rank = ("" if "target" in words and role in ("effort", "current") else wanted.get(role, role)), 2

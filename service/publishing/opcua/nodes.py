@@ -37,22 +37,6 @@ _MACHINE: Shown[MachineState] = {
     "StopsHeld": (VariantType.UInt32, lambda of: len(of.stops)),
     "Reason": (VariantType.String, lambda of: of.reason),
 }
-_CAMPAIGN: Shown[CampaignProgress] = {
-    "Number": (VariantType.UInt32, lambda of: of.id),
-    "State": (VariantType.String, lambda of: of.state.value),
-    "Cause": (VariantType.String, lambda of: of.cause),
-    "SweepsDone": (VariantType.UInt32, lambda of: of.done),
-    "SweepsTotal": (VariantType.UInt32, lambda of: of.total),
-    "CurrentSweeps": (VariantType.UInt32, lambda of: of.sweeps),
-    "CurrentAxes": (VariantType.String, lambda of: of.axes),
-}
-_ESTIMATE: Shown[LatestEstimate] = {  # the revision is written last: a client that sees the new one finds its values
-    "Robot": (VariantType.String, lambda of: of.robot),
-    "Campaign": (VariantType.UInt32, lambda of: of.campaign),
-    "Made": (VariantType.DateTime, lambda of: of.made),
-    "ConditionNumber": (VariantType.Double, lambda of: of.condition),
-    "Revision": (VariantType.UInt32, lambda of: of.revision),
-}
 _AXIS: Shown[AxisEstimateQuality] = {
     "Sweeps": (VariantType.UInt32, lambda of: of.sweeps),
     "GapRatio": (VariantType.Double, lambda of: of.gap),
@@ -123,12 +107,29 @@ class Nodes:
 
     @classmethod
     async def added(cls, server: Node) -> "Nodes":
+        # the revision is written last: a client that sees the new one finds its values
+        estimate_values: Shown[LatestEstimate] = {
+            "Robot": (VariantType.String, lambda of: of.robot),
+            "Campaign": (VariantType.UInt32, lambda of: of.campaign),
+            "Made": (VariantType.DateTime, lambda of: of.made),
+            "ConditionNumber": (VariantType.Double, lambda of: of.condition),
+            "Revision": (VariantType.UInt32, lambda of: of.revision),
+        }
+        campaign_values: Shown[CampaignProgress] = {
+            "Number": (VariantType.UInt32, lambda of: of.id),
+            "State": (VariantType.String, lambda of: of.state.value),
+            "Cause": (VariantType.String, lambda of: of.cause),
+            "SweepsDone": (VariantType.UInt32, lambda of: of.done),
+            "SweepsTotal": (VariantType.UInt32, lambda of: of.total),
+            "CurrentSweeps": (VariantType.UInt32, lambda of: of.sweeps),
+            "CurrentAxes": (VariantType.String, lambda of: of.axes),
+        }
         space = await server.register_namespace("urn:sweepid:machine")
         load_type = await _add_load_type(server)
         objects = server.nodes.objects
         machine = await _group(objects, "Machine", _MACHINE, space)
-        campaign = await _group(objects, "Campaign", _CAMPAIGN, space)
-        estimate = await _group(objects, "Estimate", _ESTIMATE, space)
+        campaign = await _group(objects, "Campaign", campaign_values, space)
+        estimate = await _group(objects, "Estimate", estimate_values, space)
         for parent, name, number in ((estimate.node, "Axes", "Estimate.Axes"), (objects, "Loads", "Loads")):
             await parent.add_folder(ua.NodeId(number, space), ua.QualifiedName(name, space))
         return cls(server, space, load_type, (machine, campaign, estimate))

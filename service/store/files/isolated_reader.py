@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -19,13 +19,6 @@ from typing import Any
 
 from service.model.errors import BadInput
 from service.process.tasks import give_way
-
-_ENVIRONMENT: Mapping[str, str] = {
-    # address space is limited: no pools and stacks for as many threads as there are cores
-    **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
-    "ARROW_DEFAULT_MEMORY_POOL": "system",
-    "MALLOC_ARENA_MAX": "2",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +44,12 @@ async def read_isolated(
     Raises BadInput: that of the task, or one at `place` that names the exceeded limit or the crash; OSError: that of
     the task, e.g. a full disk. The reader ends on cancellation and when this process dies.
     """
+    environment = {
+        # address space is limited: no pools and stacks for as many threads as there are cores
+        **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
+        "ARROW_DEFAULT_MEMORY_POOL": "system",
+        "MALLOC_ARENA_MAX": "2",
+    }
     named = f"{task.__module__}:{task.__qualname__}"
     process = await asyncio.create_subprocess_exec(
         *(
@@ -64,7 +63,7 @@ async def read_isolated(
         ),
         stdin=subprocess.PIPE,  # closed when this process dies
         stdout=subprocess.PIPE,
-        env={**os.environ, **_ENVIRONMENT},
+        env={**os.environ, **environment},
     )
     try:
         async with asyncio.timeout(limits.time):

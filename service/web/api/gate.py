@@ -110,10 +110,6 @@ def _limited(receive: Receive, limit: int) -> Receive:
     return counted
 
 
-_PATH = re.compile(r"/campaigns/(?P<campaign>[0-9]{1,10})(?:/sweeps/(?P<sweep>[0-9]{1,10}))?(?:/|$)")
-_CHANGES = ("POST", "PUT", "PATCH", "DELETE")  # no spans of reads: they are many, and no estimate results from them
-
-
 class Logged:
     """ASGI middleware."""
 
@@ -121,10 +117,12 @@ class Logged:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        found = _PATH.search(scope["path"]) if scope["type"] in ("http", "websocket") else None
+        of_campaign = re.compile(r"/campaigns/(?P<campaign>[0-9]{1,10})(?:/sweeps/(?P<sweep>[0-9]{1,10}))?(?:/|$)")
+        found = of_campaign.search(scope["path"]) if scope["type"] in ("http", "websocket") else None
         about = {} if found is None else {name: int(number) for name, number in found.groupdict().items() if number}
         with bound_contextvars(**about):
-            if scope["type"] == "http" and scope["method"] in _CHANGES:
+            # no spans of reads: they are many, and no estimate results from them
+            if scope["type"] == "http" and scope["method"] in ("POST", "PUT", "PATCH", "DELETE"):
                 await self._traced(scope, receive, send)
             else:
                 await self._app(scope, receive, send)

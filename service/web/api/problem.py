@@ -28,23 +28,6 @@ from service.store.store import StaleVersion
 MEDIA_TYPE = "application/problem+json"
 TAG = "kind:"  # prefix of the tags of a body of several kinds: a tag is no field of the body
 
-# From the special to the general; the first match is used.
-_STATUS: tuple[tuple[type[Exception], HTTPStatus], ...] = (
-    (BadInput, HTTPStatus.UNPROCESSABLE_ENTITY),
-    (EnvelopeViolation, HTTPStatus.UNPROCESSABLE_ENTITY),
-    (KeyReused, HTTPStatus.UNPROCESSABLE_ENTITY),
-    (NotFound, HTTPStatus.NOT_FOUND),
-    (StaleVersion, HTTPStatus.PRECONDITION_FAILED),
-    (Conflict, HTTPStatus.CONFLICT),
-    (ConnectionFailed, HTTPStatus.SERVICE_UNAVAILABLE),
-    (CommunicationLost, HTTPStatus.SERVICE_UNAVAILABLE),
-    (NotReady, HTTPStatus.SERVICE_UNAVAILABLE),
-    (NotNow, HTTPStatus.SERVICE_UNAVAILABLE),
-    (NotAudited, HTTPStatus.SERVICE_UNAVAILABLE),
-    (AuditUnreadable, HTTPStatus.SERVICE_UNAVAILABLE),
-    (DriveError, HTTPStatus.BAD_GATEWAY),
-    (NoPdf, HTTPStatus.NOT_IMPLEMENTED),
-)
 AGAIN = {"Retry-After": "5"}  # s, for a request that can be repeated unchanged
 _LONGEST_VALUE = 200
 
@@ -118,7 +101,24 @@ def install_problem_handlers(app: FastAPI) -> None:
 
 
 def _on_known_error(request: Request, error: Exception) -> Response:
-    status = next((status for kind, status in _STATUS if isinstance(error, kind)), HTTPStatus.INTERNAL_SERVER_ERROR)
+    # From the special to the general; the first match is used.
+    statuses = (
+        (BadInput, HTTPStatus.UNPROCESSABLE_ENTITY),
+        (EnvelopeViolation, HTTPStatus.UNPROCESSABLE_ENTITY),
+        (KeyReused, HTTPStatus.UNPROCESSABLE_ENTITY),
+        (NotFound, HTTPStatus.NOT_FOUND),
+        (StaleVersion, HTTPStatus.PRECONDITION_FAILED),
+        (Conflict, HTTPStatus.CONFLICT),
+        (ConnectionFailed, HTTPStatus.SERVICE_UNAVAILABLE),
+        (CommunicationLost, HTTPStatus.SERVICE_UNAVAILABLE),
+        (NotReady, HTTPStatus.SERVICE_UNAVAILABLE),
+        (NotNow, HTTPStatus.SERVICE_UNAVAILABLE),
+        (NotAudited, HTTPStatus.SERVICE_UNAVAILABLE),
+        (AuditUnreadable, HTTPStatus.SERVICE_UNAVAILABLE),
+        (DriveError, HTTPStatus.BAD_GATEWAY),
+        (NoPdf, HTTPStatus.NOT_IMPLEMENTED),
+    )
+    status = next((status for kind, status in statuses if isinstance(error, kind)), HTTPStatus.INTERNAL_SERVER_ERROR)
     errors = (FieldProblem(pointer=error.place, reason=error.reason),) if isinstance(error, BadInput) else ()
     headers = AGAIN if isinstance(error, NotNow | NotAudited) else None
     additional = {"confirm": error.confirm} if isinstance(error, NeedsConfirmation) else None

@@ -45,12 +45,6 @@ _NOT_CONFIRMED: dict[int | str, dict[str, Any]] = {
 }
 
 
-_NOTHING_STOPPED = (
-    "nothing was stopped: this service has no machine (`--no-machine`); press STOP on the page of the machine's own "
-    "service, or the emergency stop at the machine"
-)
-
-
 class StopView(BaseModel):
     """Whether the machine is held (`latched`), and the stops that hold it (`stops`, the oldest 100).
 
@@ -122,12 +116,16 @@ async def stop(
     the stop sequence goes on in this case too. A service without a machine stops nothing and answers 503
     (`no-machine`).
     """
+    nothing_stopped = (
+        "nothing was stopped: this service has no machine (`--no-machine`); press STOP on the page of the machine's "
+        "own service, or the emergency stop at the machine"
+    )
     client = "unknown" if request.client is None else request.client.host
     by, why = by[:100] or client, why[:500] or "stop requested"
     audit_trail_of(request.scope).facts = {"by": masked(by), "reason": masked(why)}
     if application.cell is None:
         # no database query for its machines: a stop must not wait
-        return problem_response(request, HTTPStatus.SERVICE_UNAVAILABLE, "no-machine", _NOTHING_STOPPED)
+        return problem_response(request, HTTPStatus.SERVICE_UNAVAILABLE, "no-machine", nothing_stopped)
     machine = application.machine
     sent = machine.joints if machine.connected else ()
     try:

@@ -20,11 +20,6 @@ _PAGES = {
     "/fleet": "fleet.html",
 }
 _STATIC = Path(__file__).parent / "static"
-# nothing is loaded from elsewhere, no inline script runs; plotly writes style attributes
-_POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; worker-src 'self'; "
-    "base-uri 'none'; form-action 'self'; frame-ancestors 'none'; connect-src 'self'"
-)
 
 
 def add_pages(app: FastAPI, stop_port: int | None, behind_proxy: bool = False) -> None:
@@ -32,12 +27,17 @@ def add_pages(app: FastAPI, stop_port: int | None, behind_proxy: bool = False) -
 
     `behind_proxy`: they also send a stop to `stop` at their own origin, which the proxy forwards to that port.
     """
+    # nothing is loaded from elsewhere, no inline script runs; plotly writes style attributes
+    policy = (
+        "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
+        "worker-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'; connect-src 'self'"
+    )
     stop = "" if stop_port is None else f" http://*:{stop_port} https://*:{stop_port}"
     headers = {
         "X-Content-Type-Options": "nosniff",
         "Referrer-Policy": "no-referrer",
         "Cache-Control": "no-cache",
-        "Content-Security-Policy": f"{_POLICY}{stop}",
+        "Content-Security-Policy": f"{policy}{stop}",
     }
     plotly = str(files("plotly").joinpath("package_data", "plotly.min.js"))
     app.add_api_route("/plotly.min.js", _file(plotly, headers), response_class=FileResponse, include_in_schema=False)
