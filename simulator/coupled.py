@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 from simulator.drive_train import DriveTrains, TrainAlone
 from simulator.rigid_body import MovingAxis, RigidBody, moving_axis
 from simulator.scenario import Scenario
-
-Array = NDArray[np.float64]
+from simulator.waveform import Array
 
 _mujoco = cast(Any, mujoco)  # a binary module without type stubs
 

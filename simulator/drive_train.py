@@ -15,12 +15,11 @@ from dataclasses import dataclass, fields
 from typing import Any, Generic, Protocol, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.effects import Appendages, Bristles, KnownRipples, Ripples, cogging, friction_law, gear_error, viscous
 from simulator.rigid_body import MovingAxis
+from simulator.waveform import Array
 
-Array = NDArray[np.float64]
 Value = TypeVar("Value", float, Array)
 Each = TypeVar("Each", float, Array, covariant=True)
 

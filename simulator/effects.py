@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from math import sin
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.rigid_body import MovingAxis
 from simulator.scenario import Appendage, Cogging, DriveTrain, Friction, GearError, LuGre
-
-Array = NDArray[np.float64]
+from simulator.waveform import Array
 
 
 def viscous(friction: Friction) -> float:

@@ -10,14 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path as File
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from simulator.coupled import CoupledTrains
 from simulator.plant import Plant
 from simulator.scenario import STEP, Scenario, ScenarioError, load_scenario
-
-Array = NDArray[np.float64]
+from simulator.waveform import Array
 
 
 @dataclass(frozen=True)

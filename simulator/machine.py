@@ -6,13 +6,11 @@ While more than one brake is open, the axes are coupled (`coupled`).
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.coupled import CoupledTrains
 from simulator.plant import Plant, Samples, measure
 from simulator.scenario import CYCLE, STEP, Scenario, ScenarioError
-
-Array = NDArray[np.float64]
+from simulator.waveform import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,18 +12,16 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.drive_train import DriveTrains
 from simulator.effects import Bristles, FrictionLaw, KnownRipples, Ripples, cogging
 from simulator.plant import Channel
 from simulator.rigid_body import MovingAxis
 from simulator.scenario import CYCLE, STEP, Measurement
+from simulator.waveform import Array
 
 if TYPE_CHECKING:  # otherwise a virtual machine would load SciPy without using it
     from scipy.interpolate import CubicSpline, PPoly
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,10 @@ from typing import Any, cast
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.scenario import AddedBody, DriveTrain, LinkDeviation, Scenario, ScenarioError, load_scenario
-
-Array = NDArray[np.float64]
+from simulator.waveform import Array
 
 _mujoco = cast(Any, mujoco)  # a binary module without type stubs
 

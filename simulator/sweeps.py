@@ -4,16 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.coupled import CoupledTrains
 from simulator.effects import Turn, warmth
 from simulator.plant import Plant, Samples, measure
 from simulator.rigid_body import MovingAxis, RigidBody, moving_axis
 from simulator.scenario import CYCLE, STEP, Scenario, ScenarioError, SpeedControl
-from simulator.waveform import Waveform, torque_noise
-
-Array = NDArray[np.float64]
+from simulator.waveform import Array, Waveform, torque_noise
 
 
 @dataclass(frozen=True, slots=True)

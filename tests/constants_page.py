@@ -19,6 +19,7 @@ def in_code() -> dict[str, str]:
     """Value of every constant by `folder name`, as source text.
 
     A constant is an assignment of a module to names in capitals with a number in it, `file.NAME`; tuples stay together.
+    So is a field of a class whose fields all have a value, `file.Class.field`.
     Other numbers with a decimal point or an exponent are listed by function, `file.function()`, in their order. Fields
     of requests have their defaults and limits in the HTTP reference.
     """
@@ -59,12 +60,23 @@ def _of_module(tree: ast.Module) -> Iterator[Row]:
             yield ", ".join(names), _written(value)
         elif target is not None and value is not None:
             numbers.setdefault(f"{ast.unparse(target)}()", []).extend(_numbers(value))
+        elif isinstance(statement, ast.ClassDef) and (fields := _settings(statement)):
+            yield from ((f"{statement.name}.{name}", _written(value)) for name, value in fields)
         else:
             for name, number in _in_definitions(statement, ""):
                 numbers.setdefault(f"{name}()", []).append(number)
     for name, found in numbers.items():
         if found:
             yield name, ", ".join(dict.fromkeys(found))
+
+
+def _settings(statement: ast.ClassDef) -> list[tuple[str, ast.expr]]:
+    """Fields with a number of a dataclass in which every field has a value."""
+    fields = [one for one in statement.body if isinstance(one, ast.AnnAssign)]
+    if statement.bases or not statement.decorator_list or not all(one.value for one in fields):
+        return []
+    valued = [(ast.unparse(one.target), one.value) for one in fields if one.value]
+    return [(name, value) for name, value in valued if any(_is_number(part) for part in ast.walk(value))]
 
 
 def _assignment(statement: ast.stmt) -> tuple[ast.expr | None, ast.expr | None]:

@@ -42,11 +42,15 @@ def _comments(folder: str, file: str) -> Mapping[str, str]:
     """The comment at the end of each assignment, or the text below it, by the names that it assigns."""
     (path,) = (ROOT / folder).glob(f"{file}.py")
     lines, found = path.read_text("utf-8").splitlines(), dict[str, str]()
-    body = ast.parse(path.read_text("utf-8")).body
-    for statement, after in zip(body, [*body[1:], None], strict=True):
-        if isinstance(statement, ast.Assign | ast.AnnAssign):
-            target = statement.targets[0] if isinstance(statement, ast.Assign) else statement.target
-            comment = re.search(r"#\s*(.*)$", lines[(statement.end_lineno or 0) - 1])
-            text = after.value.value if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) else ""
-            found[ast.unparse(target).strip("()")] = comment[1] if comment else str(text)
+    tree = ast.parse(path.read_text("utf-8"))
+    of_classes = {f"{one.name}.": one.body for one in tree.body if isinstance(one, ast.ClassDef)}
+    for prefix, body in ({"": tree.body} | of_classes).items():
+        for statement, after in zip(body, [*body[1:], None], strict=True):
+            if isinstance(statement, ast.Assign | ast.AnnAssign):
+                target = statement.targets[0] if isinstance(statement, ast.Assign) else statement.target
+                comment = re.search(r"#\s*(.*)$", lines[(statement.end_lineno or 0) - 1])
+                text = (
+                    after.value.value if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) else ""
+                )
+                found[prefix + ast.unparse(target).strip("()")] = comment[1] if comment else str(text)
     return found

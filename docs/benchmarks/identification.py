@@ -15,7 +15,7 @@ from docs.benchmarks.plant import random_poses
 from service.diagnosis import diagnose_axis
 from service.identification.estimates.estimate import moving_chain
 from service.identification.estimation import SweepSpectrum, estimate_document, sweep_spectrum
-from service.identification.model.base_parameters import TOLERANCE, base_parameters, joint_ranges, reduce_columns
+from service.identification.model.base_parameters import Independence, base_parameters, joint_ranges, reduce_columns
 from service.identification.model.regressor import axis_rows, inertia_rows, parameter_names
 from service.identification.spectra.frequency_response import window
 from service.model.recording import Sweep
@@ -101,12 +101,12 @@ def by_pinocchio(robot: Robot, poses: Array) -> Array:
 
 
 def by_qr(rows: Array) -> tuple[list[int], Array]:
-    """Columns and regrouping by column-pivoted QR (Gautier 1991)."""
+    """Independence and regrouping by column-pivoted QR (Gautier 1991)."""
     length = np.linalg.norm(rows, axis=0)
-    scaled = rows / np.where(length > TOLERANCE * length.max(), length, 1.0)
+    scaled = rows / np.where(length > Independence.tolerance * length.max(), length, 1.0)
     triangle, order = qr(scaled, mode="r", pivoting=True)
     size = np.abs(np.diag(triangle))
-    rank = int(np.sum(size > 1e3 * TOLERANCE * size[0]))
+    rank = int(np.sum(size > 1e3 * Independence.tolerance * size[0]))
     return order[:rank].tolist(), solve_triangular(triangle[:rank, :rank], triangle[:rank, rank:])
 
 

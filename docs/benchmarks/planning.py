@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docs.benchmarks.measured import Measured, Timed, beside, timed
-from service.identification.design.pose_selection import RIDGE, TIE, Criterion, choices, condition_numbers
+from service.identification.design.pose_selection import Criterion, PoseLimits, choices, condition_numbers
 from service.identification.model.base_parameters import base_parameters, joint_ranges
 from service.model.configuration import Cell, read_cell, read_robot
 from service.model.robot import Robot
@@ -41,17 +41,17 @@ def batched_condition(rows: Array, count: int) -> list[int]:
     length = np.sqrt(np.sum(rows**2, axis=(0, 1)))
     scaled = rows / np.where(length > 0, length, 1.0)
     own = scaled.swapaxes(1, 2) @ scaled
-    ridge = RIDGE * float(np.sum(scaled**2)) / candidates / size
+    ridge = PoseLimits.ridge * float(np.sum(scaled**2)) / candidates / size
     gram, left, picks = np.zeros((size, size)), np.ones(candidates, dtype=bool), list[int]()
     for _ in range(count):
         eigenvalues = np.asarray(np.linalg.eigvalsh(gram + own), dtype=float)
         condition = np.where(left, condition_numbers(eigenvalues), np.inf)
         least = float(condition.min())
         if np.isfinite(least):
-            pick = int(np.flatnonzero(condition <= least * (1 + TIE))[0])
+            pick = int(np.flatnonzero(condition <= least * (1 + PoseLimits.tie))[0])
         else:
             volume = np.where(left, np.log(np.maximum(eigenvalues, 0.0) + ridge).sum(axis=1), -np.inf)
-            pick = int(np.flatnonzero(volume >= volume.max() - TIE)[0])
+            pick = int(np.flatnonzero(volume >= volume.max() - PoseLimits.tie)[0])
         left[pick] = False
         gram = gram + own[pick]
         picks.append(pick)

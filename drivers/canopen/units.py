@@ -5,14 +5,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.canopen.device_map import SPEEDS, DeviceUnits
 from drivers.canopen.profile import CanopenAxis
 from drivers.cia402.profile import Gear
 from drivers.errors import LimitExceeded, WrongConfiguration
-
-Array = NDArray[np.float64]
+from drivers.ports import Array
 
 
 @dataclass(frozen=True, slots=True)

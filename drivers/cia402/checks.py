@@ -4,11 +4,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.cia402.profile import AxisProfile
 from drivers.errors import LimitExceeded, Measured, distinct
-from drivers.ports import NoiseCommand, SweepCommand, SweepMode
+from drivers.ports import Array, NoiseCommand, SweepCommand, SweepMode
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,9 +133,6 @@ def _at_most(axis: AxisProfile, what: str, value: float, limit: float, unit: str
     if not 0 < value <= limit:
         shown, most = distinct(value, limit, digits=4)
         raise LimitExceeded(axis.joint, f"{what} {shown} {unit} must be above 0 and at most {most} {unit}")
-
-
-Array = NDArray[np.float64]
 
 
 def set_point(command: SweepCommand, time: Array) -> Array:

@@ -18,8 +18,8 @@ from pydantic import Field, model_validator
 from drivers.bounded_yaml import read_mapping
 from drivers.cia402.profile import Frozen, parse
 from drivers.errors import BadProfile, LimitExceeded
+from drivers.ports import Array
 
-Array = NDArray[np.float64]
 Rounding = Callable[[float], int]
 WireType = Literal["u16", "i16", "u32", "i32", "f32"]
 

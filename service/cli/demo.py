@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn
@@ -25,6 +24,7 @@ from service.cli.virtual_cell import CELL, PROFILE, ROBOT, Operator, VirtualCell
 from service.diagnosis.summary import judged_on
 from service.identification.model.base_parameters import base_parameters
 from service.identification.model.regressor import lock
+from service.model.arrays import Array
 from service.model.configuration import Cell, read_cell, read_robot
 from service.model.errors import BadInput, SweepidError
 from service.model.results.diagnosis import AxisDiagnosis, Diagnosis, RigidParameter
@@ -39,7 +39,6 @@ from service.web.client import Json, ServiceClient
 
 SCENARIO = Path("config/scenarios/max100-full.yaml")
 HIDING = Path("config/scenarios/max100-as-modelled.yaml")
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

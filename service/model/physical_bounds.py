@@ -7,6 +7,7 @@ wrong unit, a wrong digit or a damaged file. `sweepid check` and `sweepid robot 
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -16,34 +17,40 @@ from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.model.urdf import Chain, inertia_matrix, transform_inertial
 
-MOST_POSITION = 1e5  # rad (m): 16,000 turns; rails of cranes and telescopes are below 1 km
-MOST_VELOCITY = 1e4  # rad/s (m/s): 95,000 rpm without a gear; a fast spindle makes 60,000
-MOST_LIMIT = 1e6  # rad/s (m/s): makers who do not want to limit a velocity in a URDF write up to this
-MOST_EFFORT = 1e9  # N m (N): a thousand times the slewing drive of the largest excavator, about 1e6 N m
-MOST_FREQUENCY = 1e6  # Hz: current controllers switch at 1e5 Hz at most
-MOST_TIME = 1e10  # s: 300 years
-MOST_MASS = 1e7  # kg: a bucket-wheel excavator weighs 1.4e7 kg as a whole, its boom 1e6 kg
-MOST_LENGTH = 1e4  # m
-MOST_INERTIA = 1e13  # kg m^2: the largest mass at 1 km
-MOST_VISCOUS = 1e12  # N m s/rad (N s/m)
-MOST_GRAVITY = 1e5  # m/s^2: `check` tells gravity in mm/s^2, which is below this
-MOST_RATIO = 1e9  # motor revolutions per joint revolution; rad per m
 
-Position = Annotated[float, Field(ge=-MOST_POSITION, le=MOST_POSITION)]
-Velocity = Annotated[float, Field(ge=-MOST_VELOCITY, le=MOST_VELOCITY)]
+@dataclass(frozen=True)
+class Most:
+    """Largest magnitudes that are believed, SI on the joint side."""
 
-_COLUMNS = {"time": MOST_TIME, "position": MOST_POSITION, "velocity": MOST_VELOCITY, "effort": MOST_EFFORT}
+    position: float = 1e5  # rad (m): 16,000 turns; rails of cranes and telescopes are below 1 km
+    velocity: float = 1e4  # rad/s (m/s): 95,000 rpm without a gear; a fast spindle makes 60,000
+    limit: float = 1e6  # rad/s (m/s): makers who do not want to limit a velocity in a URDF write up to this
+    effort: float = 1e9  # N m (N): a thousand times the slewing drive of the largest excavator, about 1e6 N m
+    frequency: float = 1e6  # Hz: current controllers switch at 1e5 Hz at most
+    time: float = 1e10  # s: 300 years
+    mass: float = 1e7  # kg: a bucket-wheel excavator weighs 1.4e7 kg as a whole, its boom 1e6 kg
+    length: float = 1e4  # m
+    inertia: float = 1e13  # kg m^2: the largest mass at 1 km
+    viscous: float = 1e12  # N m s/rad (N s/m)
+    gravity: float = 1e5  # m/s^2: `check` tells gravity in mm/s^2, which is below this
+    ratio: float = 1e9  # motor revolutions per joint revolution; rad per m
+
+
+Position = Annotated[float, Field(ge=-Most.position, le=Most.position)]
+Velocity = Annotated[float, Field(ge=-Most.velocity, le=Most.velocity)]
+
+_COLUMNS = {"time": Most.time, "position": Most.position, "velocity": Most.velocity, "effort": Most.effort}
 _URDF: dict[str, dict[str, float]] = {
-    "origin": {"xyz": MOST_LENGTH, "rpy": MOST_POSITION},
-    "mass": {"value": MOST_MASS},
-    "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), MOST_INERTIA),
-    "axis": {"xyz": MOST_LENGTH},
-    "limit": {"lower": MOST_POSITION, "upper": MOST_POSITION, "velocity": MOST_LIMIT, "effort": MOST_EFFORT},
-    "dynamics": {"damping": MOST_VISCOUS, "friction": MOST_EFFORT},
-    "box": {"size": MOST_LENGTH},
-    "cylinder": {"radius": MOST_LENGTH, "length": MOST_LENGTH},
-    "capsule": {"radius": MOST_LENGTH, "length": MOST_LENGTH},
-    "sphere": {"radius": MOST_LENGTH},
+    "origin": {"xyz": Most.length, "rpy": Most.position},
+    "mass": {"value": Most.mass},
+    "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), Most.inertia),
+    "axis": {"xyz": Most.length},
+    "limit": {"lower": Most.position, "upper": Most.position, "velocity": Most.limit, "effort": Most.effort},
+    "dynamics": {"damping": Most.viscous, "friction": Most.effort},
+    "box": {"size": Most.length},
+    "cylinder": {"radius": Most.length, "length": Most.length},
+    "capsule": {"radius": Most.length, "length": Most.length},
+    "sphere": {"radius": Most.length},
 }
 """Largest absolute values of attributes."""
 

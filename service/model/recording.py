@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from service.model.arrays import Array
-from service.model.physical_bounds import MOST_FREQUENCY, MOST_TIME, MOST_VELOCITY, Position, Velocity
+from service.model.physical_bounds import Most, Position, Velocity
 
 _PRINTABLE = r"^[^\x00-\x1f\x7f-\x9f]*$"
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=_PRINTABLE)]
@@ -36,8 +36,8 @@ class Sine(BaseModel):
     """``amplitude * sin(2 pi frequency (t - measure_from) + phase)``; Hz, rad/s (m/s), rad."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    frequency: float = Field(gt=0, le=MOST_FREQUENCY)
-    amplitude: float = Field(ge=0, le=MOST_VELOCITY)
+    frequency: float = Field(gt=0, le=Most.frequency)
+    amplitude: float = Field(ge=0, le=Most.velocity)
     phase: Position = 0.0
 
 
@@ -51,11 +51,11 @@ class SweepSpec(BaseModel):
     offset_velocity: Velocity
     excitation: Literal["multisine", "noise", "trajectory", "standstill"] = "multisine"
     sines: tuple[Sine, ...] = ()
-    period: float | None = Field(default=None, gt=0, le=MOST_TIME)
+    period: float | None = Field(default=None, gt=0, le=Most.time)
     periods: int | None = Field(default=None, ge=1, le=10**9)  # a file may contain any integer; a float must hold it
-    measure_from: float = Field(default=0.0, ge=0, le=MOST_TIME)
-    sample_rate: float = Field(gt=0, le=MOST_FREQUENCY)
-    started_at: float = Field(default=0.0, ge=-MOST_TIME, le=MOST_TIME)
+    measure_from: float = Field(default=0.0, ge=0, le=Most.time)
+    sample_rate: float = Field(gt=0, le=Most.frequency)
+    started_at: float = Field(default=0.0, ge=-Most.time, le=Most.time)
     repeat: int = Field(default=0, ge=0, le=10**9)
     block: Label = ""
 

@@ -18,13 +18,13 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_vali
 
 from service.model.arrays import Array
 from service.model.errors import BadInput
-from service.model.physical_bounds import MOST_EFFORT, MOST_GRAVITY, MOST_INERTIA, MOST_RATIO, MOST_VISCOUS, check_urdf
+from service.model.physical_bounds import Most, check_urdf
 from service.model.recording import Name
 from service.model.urdf import Chain, read_chain
 
 INERTIAL_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
-_LEAST_RATIO, _LARGEST_RATIO = 1e-6, MOST_RATIO
-Gravity = Annotated[float, Field(ge=-MOST_GRAVITY, le=MOST_GRAVITY)]
+_LEAST_RATIO, _LARGEST_RATIO = 1e-6, Most.ratio
+Gravity = Annotated[float, Field(ge=-Most.gravity, le=Most.gravity)]
 Marking = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=100)]
 
 
@@ -38,9 +38,9 @@ class Axis(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     joint: Name
     gear_ratio: float  # motor revolutions per joint revolution; prismatic: rad per m; signed
-    motor_inertia: float | None = Field(default=None, ge=0, le=MOST_INERTIA)  # kg m^2 on the motor side
-    rated_effort: float = Field(ge=1e-9, le=MOST_EFFORT)  # N m (N)
-    viscous_friction: float | None = Field(default=None, ge=0, le=MOST_VISCOUS)  # N m s/rad (N s/m)
+    motor_inertia: float | None = Field(default=None, ge=0, le=Most.inertia)  # kg m^2 on the motor side
+    rated_effort: float = Field(ge=1e-9, le=Most.effort)  # N m (N)
+    viscous_friction: float | None = Field(default=None, ge=0, le=Most.viscous)  # N m s/rad (N s/m)
     cogging_orders: tuple[float, ...] = ()  # periods per motor revolution
     transmission_orders: tuple[float, ...] = ()
 

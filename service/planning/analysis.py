@@ -6,11 +6,11 @@ lines each, which together contain every integer frequency from 1 to 16 Hz.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.ports import SweepMode
 from service.identification.design.excitation import Excitation, NoiseExcitation, design_noise, design_sweep
 from service.identification.model.regressor import inertia_rows
+from service.model.arrays import Array
 from service.model.configuration import Cell
 from service.model.errors import BadInput, EnvelopeViolation
 from service.model.recording import SweepPurpose, SweepSpec
@@ -27,8 +27,6 @@ from service.planning.path import SweepPath
 from service.planning.pose_choice import TRAVEL_SHARE, grid, has_room, room
 from service.planning.safety.envelope import Envelope, noise_way
 from service.planning.safety.travel import order_poses
-
-Array = NDArray[np.float64]
 
 
 def build_analysis_plan(robot: Robot, request: AnalysisRequest, cell: Cell) -> AnalysisPlan:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from drivers.ports import SweepMode
 from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design
 from service.identification.model.regressor import gravity_terms
+from service.model.arrays import Array
 from service.model.configuration import Cell
 from service.model.errors import BadInput, EnvelopeViolation
 from service.model.robot import Robot
@@ -33,8 +34,6 @@ from service.planning.path import SweepPath
 from service.planning.pose_choice import grid, room
 from service.planning.safety.envelope import Envelope
 from service.planning.safety.travel import order_poses
-
-Array = NDArray[np.float64]
 
 
 def build_diagnosis_plan(robot: Robot, request: DiagnosisRequest, cell: Cell) -> DiagnosisPlan:

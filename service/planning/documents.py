@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from drivers.ports import NoiseCommand, SineCommand, SweepCommand, SweepMode
 from service.identification.design.diagnosis_sweeps import BLOCKS, FAST, SLOW, WIDE, WIDE_LINES
-from service.identification.design.excitation import HIGHEST, LINES
+from service.identification.design.excitation import Noise, Sines
 from service.identification.design.pose_selection import Criterion
 from service.identification.estimates.torque_gain import KnownMass
 from service.model.errors import BadInput
@@ -81,14 +81,16 @@ class PlanRequest(_PlanModel):
             if len(set(joints)) < len(joints):
                 raise BadInput(field, f"names a joint twice: {', '.join(joints)}")
         for joint, frequency in self.locked_rotor.items():
-            if not frequency > LINES[0]:
-                raise BadInput(f"locked_rotor.{joint}", f"{frequency} Hz is not above the lowest line of {LINES[0]} Hz")
+            if not frequency > Sines.lines[0]:
+                raise BadInput(
+                    f"locked_rotor.{joint}", f"{frequency} Hz is not above the lowest line of {Sines.lines[0]} Hz"
+                )
         for line in self.lines:
             if not (line >= 1 and line.is_integer()):
                 raise BadInput("lines", f"{line} Hz is not a whole number of Hz above 0: a sweep's period is 1 s")
         if len(set(self.lines)) < len(self.lines):
             raise BadInput("lines", "names a frequency twice")
-        least = 10 * max(self.lines or LINES)
+        least = 10 * max(self.lines or Sines.lines)
         if self.sample_rate < least:
             raise BadInput("sample_rate", f"{self.sample_rate} Hz is below {least} Hz, 10 times the highest line")
 
@@ -323,7 +325,7 @@ class AnalysisRequest(_PlanModel):
     repeats: int = Field(default=2, ge=1, le=10)  # of forward and backward noise in each pose
     # None: noise if the machine can inject torque; a stepped sine needs no torque injection
     excitation: Literal["noise", "stepped_sine"] | None = None
-    sample_rate: float = Field(default=SAMPLE_RATE, ge=4 * HIGHEST, le=20_000)  # Hz
+    sample_rate: float = Field(default=SAMPLE_RATE, ge=4 * Noise.band[1], le=20_000)  # Hz
     move_velocity: float = Field(default=MOVE_VELOCITY, ge=1e-5, le=100.0)  # rad/s (m/s)
 
 

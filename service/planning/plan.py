@@ -19,12 +19,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.ports import SweepMode
 from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.design.excitation import Excitation, realisations
 from service.identification.design.pose_selection import without_gain
+from service.model.arrays import Array
 from service.model.configuration import Cell
 from service.model.errors import BadInput, EnvelopeViolation
 from service.model.recording import SweepPurpose, SweepSpec
@@ -42,8 +42,6 @@ from service.planning.pose_choice import (
 )
 from service.planning.safety.envelope import Envelope
 from service.planning.safety.travel import order_poses
-
-Array = NDArray[np.float64]
 
 
 def build_plan(

@@ -25,14 +25,13 @@ from service.identification.design.pose_selection import (
 from service.identification.estimates.estimate import WORKSPACE
 from service.identification.model.base_parameters import base_parameters, joint_ranges, spread_evenly
 from service.identification.model.regressor import axis_rows, gravity_terms, inertia_rows, lock
+from service.model.arrays import Array
 from service.model.collision import reachable
 from service.model.configuration import Cell
 from service.model.errors import BadInput, EnvelopeViolation
 from service.model.robot import Robot
 from service.planning.documents import LARGEST_CHOICE, USUAL_CHOICE, DroppedPose, PlanRequest
 from service.planning.safety.envelope import Envelope
-
-Array = NDArray[np.float64]
 
 
 def workspace_grid(robot: Robot, request: PlanRequest, cell: Cell) -> Array:

@@ -1,7 +1,6 @@
 """Plans exciting trajectories: several axes move along Fourier series within limits; the whole path is checked."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.ports import SweepMode
 from service.identification.design.exciting_trajectory import (
@@ -12,6 +11,7 @@ from service.identification.design.exciting_trajectory import (
 )
 from service.identification.model.base_parameters import joint_ranges
 from service.identification.model.inverse_dynamics import dynamic_base
+from service.model.arrays import Array
 from service.model.configuration import Cell
 from service.model.errors import BadInput, EnvelopeViolation
 from service.model.recording import SweepSpec, together
@@ -19,8 +19,6 @@ from service.model.robot import Robot
 from service.planning.documents import PlannedSweep, TrajectoryPlan, TrajectoryRequest
 from service.planning.path import SweepPath
 from service.planning.safety.envelope import Envelope
-
-Array = NDArray[np.float64]
 
 
 def build_trajectory_plan(robot: Robot, request: TrajectoryRequest, cell: Cell) -> TrajectoryPlan:

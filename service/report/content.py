@@ -10,18 +10,16 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.ports import AxisIdentity
 from service.identification.model.regressor import axis_rows, lock
+from service.model.arrays import Array
 from service.model.collision import reachable
 from service.model.recording import Sweep, SweepSpec
 from service.model.results.diagnosis import DataCheck, Diagnosis
 from service.model.results.estimate import BaseParameter, Estimate
 from service.model.robot import INERTIAL_NAMES, Robot
 from service.report.drawing import slides
-
-Array = NDArray[np.float64]
 
 SAME_POSITION = 2e-3  # rad (m): joints that differ by less between poses are constant
 

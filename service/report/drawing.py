@@ -6,11 +6,10 @@ from itertools import cycle
 from typing import TypedDict, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.model.arrays import Array
 from service.model.robot import Robot
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 Drawn = str | float | None | Sequence["Drawn"] | Mapping[str, "Drawn"]  # accepted by plotly.js
 Part = Mapping[str, Drawn]  # a trace, a scale, an annotation

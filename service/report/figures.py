@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.model.arrays import Array
 from service.model.recording import Sweep
 from service.model.robot import Robot
 from service.report.content import ReportedAxis, Revision
@@ -27,8 +27,6 @@ from service.report.drawing import (
     rounded,
     scale,
 )
-
-Array = NDArray[np.float64]
 
 
 def inertia_map(robot: Robot, axis: ReportedAxis) -> DrawnFigure:

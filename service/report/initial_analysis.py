@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from service.identification.axis.drive_train import impedance
 from service.identification.axis.ideal_frequency import InitialAnalysis, PoseAnalysis
+from service.model.arrays import Array
 from service.model.results.digits import with_std
 from service.report.drawing import (
     DECADES,
@@ -26,7 +27,6 @@ from service.report.drawing import (
     upright,
 )
 
-Array = NDArray[np.float64]
 _LOG = {"type": "log", "tickvals": [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40]}
 
 

@@ -10,7 +10,6 @@ added to that of the speed controller, and actual values. Positions in rev, spee
 from math import copysign, inf
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
 from simulator.drive.foreign_units import DriveUnits, MotorPlate
@@ -18,8 +17,7 @@ from simulator.drive.limits import PER_MILLE
 from simulator.drive.measuring import DriveSamples
 from simulator.drive.power_drive import DriveState, FaultCode, Mode, PowerDrive
 from simulator.drive.profile import RampProfile, brake, travel
-
-Array = NDArray[np.float64]
+from simulator.waveform import Array
 
 CYCLIC = (Mode.INTERPOLATED_POSITION, Mode.CYCLIC_POSITION, Mode.CYCLIC_VELOCITY)
 """Modes in which a host sends set-points with SYNC."""

@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
 from simulator.drive.limits import PER_MILLE, DriveLimits
-from simulator.waveform import Waveform, torque_noise
-
-Array = NDArray[np.float64]
+from simulator.waveform import Array, Waveform, torque_noise
 
 
 class ExcitationKind(IntEnum):

@@ -7,15 +7,13 @@ Inputs: controlword and set-points (through the dictionary), orders, and the sam
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
 from simulator.drive.limits import INCREMENTS, PER_MILLE, DriveLimits
 from simulator.drive.measuring import DriveSamples, FunctionState, MeasuringFunction
 from simulator.drive.power_drive import DriveState, FaultCode, Mode, PowerDrive
 from simulator.drive.profile import RampProfile, brake, travel
-
-Array = NDArray[np.float64]
+from simulator.waveform import Array
 
 
 class ControlParameters:

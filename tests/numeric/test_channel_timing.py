@@ -9,7 +9,7 @@ import pytest
 from drivers.ports import ChannelTiming
 from service.identification.axis.channel_timing import ChannelLags, channel_lags
 from service.identification.design.diagnosis_sweeps import DesignedSweep
-from service.identification.design.excitation import LINES, design_sweep
+from service.identification.design.excitation import Sines, design_sweep
 from service.identification.estimates.estimate import identify
 from service.identification.model.regressor import inertia_rows, lock
 from service.identification.spectra.frequency_response import spectrum
@@ -97,7 +97,7 @@ def test_what_the_correction_does_to_the_inertia(joint: str) -> None:
         velocity_delay=lags.velocity.delay,
         velocity_smoothing=lags.velocity.smoothing,
     )
-    sweeps = swept(scenario, robot, joint, LINES[:3], poses=12, seed=11)
+    sweeps = swept(scenario, robot, joint, Sines.lines[:3], poses=12, seed=11)
     truth = true_inertia(scenario, joint, np.array([sweep.spec.pose for sweep in sweeps]))
 
     def errors(corrected: bool) -> tuple[np.ndarray, np.ndarray]:

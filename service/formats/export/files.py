@@ -19,16 +19,13 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from service.formats.export.model import IdentifiedModel, LinkBody, body_of
 from service.identification.model.physical_consistency import SearchEnded, nearest_physical
+from service.model.arrays import Array
 from service.model.errors import BadInput, writing
 from service.model.robot import INERTIAL_NAMES
 from service.model.urdf import read_inertial, read_origin, transform_inertial
-
-Array = NDArray[np.float64]
-
 
 Yaml = str | float | None | Sequence["Yaml"] | Mapping[str, "Yaml"]
 

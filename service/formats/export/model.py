@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.estimates.standard_parameters import AxisWorth, ObservedCombinations, worth
 from service.identification.model.base_parameters import base_parameters
 from service.identification.model.regressor import fold, lock
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.model.results.estimate import (
     BaseParameter,
@@ -23,8 +23,6 @@ from service.model.results.estimate import (
 from service.model.results.table import Column, Shown, Table
 from service.model.robot import INERTIAL_NAMES, Robot
 from service.model.urdf import inertia_matrix
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,19 +9,17 @@ from dataclasses import dataclass
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from service.formats.maker_urdf.chain import UrdfFinding, choose_chain
 from service.formats.maker_urdf.inertials import check_inertials, check_masses, embed_hulls, link_shapes
 from service.formats.maker_urdf.packages import Packages
+from service.model.arrays import Array
 from service.model.collision import CollisionChecker
 from service.model.configuration import Cell
 from service.model.errors import BadInput
-from service.model.physical_bounds import MOST_EFFORT, MOST_LIMIT, MOST_POSITION
+from service.model.physical_bounds import Most
 from service.model.robot import Axis, Robot, RobotDescription, build_robot
 from service.model.urdf import MOST_LINKS, Chain, Joint, look_over, read_chain
-
-Array = NDArray[np.float64]
 
 Pair = tuple[str, str]
 CLEARANCE, MARGIN = 0.03, 0.02  # m; rad (m)
@@ -137,14 +135,14 @@ def _complete_limits(root: ET.Element, place: str) -> tuple[list[UrdfFinding], l
             continue
         limit = joint.find("limit")
         limit = ET.SubElement(joint, "limit") if limit is None else limit
-        for key, most in (("velocity", MOST_LIMIT), ("effort", MOST_EFFORT)):
+        for key, most in (("velocity", Most.limit), ("effort", Most.effort)):
             text = limit.get(key, "none")
             if not 0 < _float(text) <= most:
                 limit.set(key, "0")
                 what = f"{key} limit: {text} is not a usable limit; the draft has 0, at which nothing moves"
                 found.append(UrdfFinding("missing", name, what))
         low, high = (_float(limit.get(key, "0")) for key in ("lower", "upper"))
-        if not -MOST_POSITION <= low < high <= MOST_POSITION:
+        if not -Most.position <= low < high <= Most.position:
             stated = f"{limit.get('lower', 'none')} to {limit.get('upper', 'none')}"
             reason = f"position limits {stated} leave no travel: enter those of the manufacturer in the URDF"
             errors.append(BadInput(f"{place} joint {name}", reason))

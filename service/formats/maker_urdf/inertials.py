@@ -14,13 +14,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from service.formats.maker_urdf.chain import UrdfFinding
 from service.formats.maker_urdf.packages import Packages, mesh_points
+from service.model.arrays import Array
 from service.model.errors import BadInput
-from service.model.physical_bounds import MOST_LENGTH
+from service.model.physical_bounds import Most
 from service.model.robot import link_frames
 from service.model.urdf import (
     Chain,
@@ -34,8 +34,6 @@ from service.model.urdf import (
     write_hull,
 )
 
-Array = NDArray[np.float64]
-
 FINEST = 1e-4  # m, edge of the grid's cells
 MOST_VERTICES = 250  # of a hull; with more, the cells are made larger
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
@@ -48,7 +46,7 @@ def convex_hull(points: Array) -> tuple[Array, float]:
 
     ValueError for points farther than `MOST_LENGTH` from the origin.
     """
-    if np.abs(points).max() > MOST_LENGTH:
+    if np.abs(points).max() > Most.length:
         raise ValueError(f"reaches {np.abs(points).max():.3g} m from its origin")
     with suppress(QhullError):  # flat: the cells give it a thickness
         points = points[ConvexHull(points).vertices]
@@ -114,8 +112,8 @@ def link_shapes(link: ET.Element, place: str) -> Iterator[Array]:
         if geometry is not None and len(geometry):
             vertices = _vertices(geometry[0], here) @ rotation.T + translation
             reach = np.abs(vertices).max()
-            if not reach <= MOST_LENGTH:
-                raise BadInput(here, f"collision <{geometry[0].tag}> reaches {reach:.3g} m, limit {MOST_LENGTH:g} m")
+            if not reach <= Most.length:
+                raise BadInput(here, f"collision <{geometry[0].tag}> reaches {reach:.3g} m, limit {Most.length:g} m")
             yield vertices
 
 
@@ -142,8 +140,8 @@ def _sizes(shape: ET.Element, name: str) -> list[float]:
     """The numbers of an attribute, m, at least one. ValueError if one is not a valid size of a body."""
     text = shape.get(name, "")
     sizes, smallest = [float(part) for part in text.split()] or [0.0], 1e-6  # a flat one has no volume
-    if not all(smallest <= size <= MOST_LENGTH for size in sizes):
-        raise ValueError(f"{name}={text[:60]!r} m: limits {smallest:g} and {MOST_LENGTH:g} m")
+    if not all(smallest <= size <= Most.length for size in sizes):
+        raise ValueError(f"{name}={text[:60]!r} m: limits {smallest:g} and {Most.length:g} m")
     return sizes
 
 

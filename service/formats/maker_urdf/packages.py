@@ -24,11 +24,10 @@ import numpy as np
 import xacro
 from numpy.typing import NDArray
 
+from service.model.arrays import Array
 from service.model.configuration import read_text
 from service.model.errors import BadInput
 from service.model.robot import rotation_about
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,16 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from service.formats.maker_urdf.check import cell_text
 from service.formats.maker_urdf.inertials import gravity_efforts, random_poses
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.model.robot import Robot, RobotDescription, link_frames, robot_from_outside
 from service.model.urdf import Chain, Joint, inertia_matrix, read_chain, transform_inertial
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ or the file contains as a parameter (p1460). Without the gain, the result is J/K
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.formats.sinumerik.measurement import (
     GAIN,
@@ -18,11 +17,10 @@ from service.formats.sinumerik.measurement import (
     Tuning,
 )
 from service.identification.spectra.speed_loop import LoopFit, fit_closed_loop, fit_torque_response
+from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
 from service.model.results.part import Part
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 COHERENT = 0.5  # minimum coherence of a line that is used, if the file has a coherence
 
 

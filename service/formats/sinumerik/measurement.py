@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.formats.sinumerik.members import Member
+from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
 from service.model.results.part import Part
 
@@ -38,8 +38,6 @@ PARAMETERS = {
     (CONTROL, 36030): "MD36030 standstill tolerance, mm or deg",
     (CONTROL, 36400): "MD36400 contour monitoring tolerance, mm or deg",
 }
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 TUNING = "DynamicModelAxisController"
 
 

@@ -10,11 +10,9 @@ from pathlib import Path
 from xml.parsers import expat
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.model.arrays import Array
 from service.model.errors import BadInput
-
-Array = NDArray[np.float64]
 
 LARGEST = 32_000_000  # bytes of a file; the control writes 0.2 to 0.3 MB
 

@@ -13,14 +13,12 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import fftconvolve
 
 from service.identification.design.excitation import Excitation, way
+from service.model.arrays import Array
 from service.model.errors import BadInput
-
-Array = NDArray[np.float64]
 
 RESIDUAL = 0.05  # of the sines' RMS amplitude
 START = 2e-3  # rad (m)

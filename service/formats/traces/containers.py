@@ -17,14 +17,11 @@ from pathlib import Path
 from typing import Any, Protocol, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.store.files.isolated_reader import LIMITS, Limits, read_isolated
-
-Array = NDArray[np.float64]
-
 
 # exceptions of the libraries for truncated or malicious files; memory and disk errors are not caught
 _TORN = (

@@ -15,14 +15,12 @@ from pathlib import Path
 from xml.parsers import expat
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.formats.traces.containers import ChannelName, ListedChannel, Taken, check_numbers, shown
 from service.formats.traces.units import axis_of, role_of
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.store.files.columns import LARGEST_CSV, MOST_NUMBERS
-
-Array = NDArray[np.float64]
 
 _UNITS = {"posn": "posn", "velo": "velo", "torque": "motor Nm", "force": "N", "current": "A", "percent": "%"}
 _NAMES = (

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 
-from service.model.physical_bounds import MOST_FREQUENCY, Position, Velocity
+from service.model.physical_bounds import Most, Position, Velocity
 from service.model.recording import Name, SweepSpec
 from service.model.robot import Axis, Prior
 
@@ -180,7 +180,7 @@ class TraceSweep(SweepSpec):
     axis: Name = "axis"
     pose: tuple[Position, ...] = ()
     offset_velocity: Velocity = 0.0
-    sample_rate: float = Field(default=1.0, gt=0, le=MOST_FREQUENCY)
+    sample_rate: float = Field(default=1.0, gt=0, le=Most.frequency)
     source: Path
     group: Group | None = None  # of its channels in an MDF4 or HDF5 file; the session of a control's trace
     file_axis: str | int | None = None  # number or name of the axis in a file of several

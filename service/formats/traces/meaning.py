@@ -10,13 +10,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.formats.traces.mapping import SourceColumn
 from service.formats.traces.units import QUANTITIES, measures, quantity_of, to_si
+from service.model.arrays import Array
 from service.model.errors import BadInput
-
-Array = NDArray[np.float64]
 
 FITS = math.log(1.15)  # a ratio of speeds may be off by 15 %; units differ by more
 _SHOWN = ("", "velo", "velo motor")  # no unit, or the one that a control shows

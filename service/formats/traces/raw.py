@@ -6,7 +6,6 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.formats.traces.containers import (
     ChannelName,
@@ -20,10 +19,9 @@ from service.formats.traces.line_trace import LineTrace
 from service.formats.traces.mapping import Columns, Csv, FromPosition, Mapping, SourceColumn, TraceSweep
 from service.formats.traces.tables import TextTable
 from service.formats.traces.units import find_roles
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.store.files.columns import read_table, table_names
-
-Array = NDArray[np.float64]
 
 GROUPED = ("mdf4", "hdf5", "ros", "xml")
 

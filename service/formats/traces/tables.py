@@ -17,15 +17,13 @@ from typing import Any, cast
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pa_csv
-from numpy.typing import NDArray
 
 from service.formats.traces.containers import ChannelName, ListedChannel, Taken, check_numbers, shown
 from service.formats.traces.mapping import Csv
 from service.formats.traces.units import known_unit, measures, unit_in
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.store.files.columns import LARGEST_CSV, MOST_NUMBERS
-
-Array = NDArray[np.float64]
 
 _STAMP = re.compile(
     r"(?:(?:(\d{4})[-./](\d\d?)[-./](\d\d?)|(\d\d?)([./-])(\d\d?)[./-](\d{4}))[T ,]*)?"

@@ -22,7 +22,6 @@ from typing import Any, cast
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 from pydantic import ValidationError
 from scipy.signal import butter, sosfiltfilt
 
@@ -35,13 +34,12 @@ from service.formats.traces.units import check_same, to_si
 from service.identification.design.excitation import Excitation, way
 from service.identification.estimates.estimate import identify
 from service.identification.spectra.frequency_response import spectrum
+from service.model.arrays import Array
 from service.model.configuration import bad_field, read_robot, read_yaml
 from service.model.errors import BadInput
 from service.model.recording import Recording, Sweep, SweepSpec
 from service.model.robot import Axis, Robot, RobotDescription, robot_from_outside
 from service.store.files.columns import check_samples
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from service.identification.axis.drive_train import OWN, SHARED, TwoMassTrain, effort_residual
-from service.identification.axis.joint_fit import STARTS, complete_prior, real_parts
+from service.identification.axis.joint_fit import FitLimits, complete_prior, real_parts
 from service.identification.axis.nominal_priors import NOISE_GUESS, PosePrior, SharedPrior, pose_prior, shared_prior
 from service.identification.model.least_squares import SearchResult, converged, finite, scaled_inverse
 from service.identification.model.regressor import axis_rows, gravity_terms, inertial_parameters
@@ -207,7 +207,7 @@ def _effort_lag(
     problem = _LagProblem(spectra, shared_prior(robot, number, reference, spectra), priors)
     noise = np.array([NOISE_GUESS * robot.axes[number].rated_effort / np.sqrt(2 * one.samples) for one in spectra])
     # a few evaluations tell which start leads to the lowest minimum
-    starts = [problem.search(problem.start(frequency), noise, 12).x for frequency in STARTS]
+    starts = [problem.search(problem.start(frequency), noise, 12).x for frequency in FitLimits.starts]
     values = min(starts, key=lambda candidate: float(np.sum(problem.rows(candidate, noise)[0] ** 2)))
     for _ in range(3):  # rounds of fitting and estimating the noise
         found = problem.search(values, noise, 100)

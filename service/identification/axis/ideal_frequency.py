@@ -29,9 +29,9 @@ import numpy as np
 from scipy import optimize
 
 from service.identification.axis.drive_train import TwoMassTrain, impedance
-from service.identification.axis.joint_fit import SHARED, STARTS
+from service.identification.axis.joint_fit import SHARED, FitLimits
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
-from service.identification.design.excitation import LINE_MARGIN, LINES
+from service.identification.design.excitation import Sines
 from service.identification.model.least_squares import SearchResult, converged, finite, scaled_inverse
 from service.identification.spectra.noise_response import FrequencyResponse
 from service.model.arrays import Array, Complex
@@ -128,18 +128,18 @@ class InitialAnalysis:
         """Sweep frequencies at a load inertia, Hz: the ideal one of its class, and those allowed by the resonance."""
         inertia = load_inertia + self.train.motor_inertia
         ideal = next(each for each in self.classes if inertia <= each.up_to).sweep_frequency
-        highest = LINE_MARGIN * self.locked_rotor(load_inertia)
-        return tuple(line for line in LINES if line <= highest or line == ideal)
+        highest = Sines.line_margin * self.locked_rotor(load_inertia)
+        return tuple(line for line in Sines.lines if line <= highest or line == ideal)
 
 
 def _class(name: str, up_to: float, fits: "Sequence[IdealFrequency]") -> InertiaClass:
-    ideal = float(np.exp(np.mean([np.log(max(fit.frequency.value, LINES[0])) for fit in fits])))
+    ideal = float(np.exp(np.mean([np.log(max(fit.frequency.value, Sines.lines[0])) for fit in fits])))
     return InertiaClass(name, up_to, min(fit.locked_rotor.value for fit in fits), nearest_line(ideal))
 
 
 def nearest_line(frequency: float) -> float:
     """Rounded to 2, 3, 4 or 5 Hz; 5 Hz for the infinite frequency of a stiff train."""
-    return min(LINES, key=lambda line: abs(line - min(frequency, LINES[-1])))
+    return min(Sines.lines, key=lambda line: abs(line - min(frequency, Sines.lines[-1])))
 
 
 def analyse_axis(
@@ -218,7 +218,7 @@ class _ResponseProblem:
         loads = np.array([prior.mean[0] for prior in self.pose_priors])
         peaks = np.array([_peak(response) for response in self.responses])
         found = float(np.median(1 / (loads * (2 * np.pi * peaks) ** 2)))
-        tried = [0.0 if np.isinf(f) else float(1 / (np.median(loads) * (2 * np.pi * f) ** 2)) for f in STARTS]
+        tried = [0.0 if np.isinf(f) else float(1 / (np.median(loads) * (2 * np.pi * f) ** 2)) for f in FitLimits.starts]
         starts: list[Array] = []
         for compliance in (found, *tried):
             start = self.mean

@@ -37,22 +37,27 @@ from service.identification.spectra.frequency_response import Spectrum
 from service.model.arrays import Array, Complex, Mask
 from service.model.errors import BadInput
 
-FREE = 10.0  # times the largest effort bin: one sigma of unknown parameters
-ITERATIONS = 60  # of Gauss-Newton, each with its damping
-GAINED = 1e-9  # of the cost: a step that gains less ends the search
-ROUNDS = 4  # of fitting and estimating the noise
-STARTS = (np.inf, 25.0, 16.0, 11.0, 8.0, 6.0)  # Hz, locked-rotor frequencies tried as start
-FEW_FREEDOM = 4.0  # degrees of freedom; with fewer, the noise cannot be estimated and the guess is used
-CHANCE = 0.01  # probability that any sweep of an axis is suspected although all are correct
-MATERIAL = 1e-3  # of the largest effort bin: smaller residuals are not tested
+
+@dataclass(frozen=True)
+class FitLimits:
+    """How the joint fit searches and judges."""
+
+    free: float = 10.0  # times the largest effort bin: one sigma of unknown parameters
+    iterations: int = 60  # of Gauss-Newton, each with its damping
+    gained: float = 1e-9  # of the cost: a step that gains less ends the search
+    rounds: int = 4  # of fitting and estimating the noise
+    starts: tuple[float, ...] = (np.inf, 25.0, 16.0, 11.0, 8.0, 6.0)  # Hz, locked-rotor frequencies tried as start
+    few_freedom: float = 4.0  # degrees of freedom; with fewer, the noise cannot be estimated and the guess is used
+    chance: float = 0.01  # probability that any sweep of an axis is suspected although all are correct
+    material: float = 1e-3  # of the largest effort bin: smaller residuals are not tested
 
 
 class FitEnded(Enum):
     """How a minimisation ended."""
 
-    CONVERGED = f"a further step gains less than {GAINED:g} of the cost"
+    CONVERGED = f"a further step gains less than {FitLimits.gained:g} of the cost"
     AT_REST = "no step, however short, lowers the cost"
-    UNFINISHED = f"the cost still falls after {ITERATIONS} steps"
+    UNFINISHED = f"the cost still falls after {FitLimits.iterations} steps"
     LOST = "the steps leave the range of numbers"
 
 
@@ -160,8 +165,8 @@ def fit_axis(
     rate = np.array([spectrum.spec.sample_rate for spectrum in spectra])
     noise = _Noise(sigma, np.ones(len(spectra)), np.ones(len(spectra)), 0.0)
     ended, before = FitEnded.UNFINISHED, noise
-    for _ in range(ROUNDS):
-        minimum = _minimise(parts, priors, noise.sigma, point, ITERATIONS)
+    for _ in range(FitLimits.rounds):
+        minimum = _minimise(parts, priors, noise.sigma, point, FitLimits.iterations)
         if minimum.ended is FitEnded.LOST or not np.isfinite(minimum.cost):
             what = "has no finite residual or derivative: effort, motion or prior overflow"
             raise BadInput(_not_finite(spectra, parts, point), what)
@@ -188,7 +193,7 @@ def complete_prior(spectrum: Spectrum, prior: PosePrior) -> PosePrior:
     """The prior with a wide one for the own parameters that no model predicts; it only matters if there are few
     bins.
     """
-    wide = FREE * float(np.abs(spectrum.effort).max())
+    wide = FitLimits.free * float(np.abs(spectrum.effort).max())
     slope = wide / (2 * np.pi * float(spectrum.frequency[-1]))
     unknown = np.array([wide, slope, *(wide for _ in direct_terms(spectrum))])
     return PosePrior(np.concatenate([prior.mean, np.zeros_like(unknown)]), np.concatenate([prior.sigma, unknown]))
@@ -208,7 +213,7 @@ def _priors(parts: Sequence[Stack], shared: SharedPrior, poses: Sequence[PosePri
 def _first_train(parts: Sequence[Stack], shared: SharedPrior, poses: Sequence[PosePrior], sigma: Array) -> Array:
     """The drive train (5,) of the best of several starts, used as start of the fit."""
     priors = _priors(parts, shared, poses)
-    starts = STARTS if any(stack.load_velocity is None for stack in parts) else STARTS[:1]
+    starts = FitLimits.starts if any(stack.load_velocity is None for stack in parts) else FitLimits.starts[:1]
     # few iterations show the lowest minimum
     tries = [_minimise(parts, priors, sigma, _start(priors, frequency), 8) for frequency in starts]
     finite = [one for one in tries if np.isfinite(one.cost)] or tries
@@ -271,7 +276,7 @@ def _minimise(parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Poi
             break
         gained, point, cost, normals = cost - trial_cost, trial, trial_cost, trial_normals
         damping = max(damping / 10, 1e-12)
-        if gained < GAINED * (1 + cost):
+        if gained < FitLimits.gained * (1 + cost):
             ended = FitEnded.CONVERGED
             break
     return _Minimum(point, cost, ended)
@@ -313,7 +318,7 @@ def _pooled_noise(
     for value in np.unique(rate):
         same = rate == value
         variance[same], sound[same] = _pool(
-            squares[same], freedom[same], samples[same] * (MATERIAL * largest[same]) ** 2, guess
+            squares[same], freedom[same], samples[same] * (FitLimits.material * largest[same]) ** 2, guess
         )
     # rounding, for simulations without noise
     sigma = np.maximum(np.sqrt(variance / samples), 1e-7 * largest)
@@ -325,10 +330,10 @@ def _pooled_noise(
 def _pool(squares: Array, freedom: Array, immaterial: Array, guess: float) -> tuple[float, Mask]:
     """Variance of the sweeps (n,) of one sample rate, and which of them are correct: not worse than by chance."""
     everyone = np.ones(len(squares), dtype=bool)
-    if freedom.sum() < FEW_FREEDOM:
+    if freedom.sum() < FitLimits.few_freedom:
         return guess**2 / 2, everyone
     each = squares / np.maximum(freedom, 1.0)
-    worst = chdtri(np.maximum(freedom, 1.0), CHANCE / len(squares)) / np.maximum(freedom, 1.0)
+    worst = chdtri(np.maximum(freedom, 1.0), FitLimits.chance / len(squares)) / np.maximum(freedom, 1.0)
     variance = float(np.median(each))  # half of the sweeps may be faulty
     sound = everyone
     for _ in range(10):  # rounds to select the sweeps that share the noise

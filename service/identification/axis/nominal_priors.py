@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.identification.axis.known_effects import ELASTICITY, GAIN, HOSE, KnownAxis
-from service.identification.design.pose_selection import SOFTEST
+from service.identification.design.pose_selection import Assumed
 from service.identification.model.inverse_dynamics import link_sizes
 from service.identification.spectra.frequency_response import Spectrum
 from service.model.arrays import Array
@@ -118,7 +118,7 @@ def shared_prior(robot: Robot, number: int, reference: Array, spectra: list[Spec
     total, spread = (friction, prior.viscous_friction) if friction else (2 * np.pi * 1.0 * typical, 1.0)
     half = total / 2
     half_sigma = max(2 * spread, 1.0) * half
-    softest = 1 / (typical * (2 * np.pi * SOFTEST) ** 2)
+    softest = 1 / (typical * (2 * np.pi * Assumed.softest) ** 2)
     return SharedPrior(
         mean=np.array([motor_mean, half, half, 0.0, 1e-3]),  # s, damping time of the spring
         covariance=np.diag(np.square([motor_sigma, half_sigma, half_sigma, softest, 2e-3])),

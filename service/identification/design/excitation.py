@@ -58,13 +58,20 @@ from service.model.errors import BadInput
 from service.model.recording import Sine
 from service.model.robot import Axis, Robot
 
-LINES = (2.0, 3.0, 4.0, 5.0)  # Hz, the paper's sweep frequencies
-TRAVEL = math.radians(4.0)  # rad (m), most that a sweep may turn
+
+@dataclass(frozen=True)
+class Sines:
+    """How a sweep of sines is laid out."""
+
+    lines: tuple[float, ...] = (2.0, 3.0, 4.0, 5.0)  # Hz, the paper's sweep frequencies
+    travel: float = math.radians(4.0)  # rad (m), most that a sweep may turn
+    settle: float = 0.5  # s
+    load_margin: float = 0.8  # of the offset that the sines may use on motor and load
+    crest: float = 2.4  # highest crest factor of a random realisation; 4 lines of any phases have at most 2.83
+    line_margin: float = 0.75  # of the locked-rotor frequency: no line above, but for the lowest
+
+
 RAMP = 0.5  # s
-SETTLE = 0.5  # s
-LOAD_MARGIN = 0.8  # of the offset that the sines may use on motor and load
-CREST = 2.4  # highest crest factor of a random realisation; 4 lines of any phases have at most 2.83
-LINE_MARGIN = 0.75  # of the locked-rotor frequency: no line above, but for the lowest
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +110,7 @@ def design_sweep(
     lines: Sequence[float] | None = None,
     locked_rotor_frequency: float | None = None,
     direction: int = 1,
-    travel: float = TRAVEL,
+    travel: float = Sines.travel,
     velocity_limit: float = np.inf,
     effort_limit: float = np.inf,
 ) -> Excitation:
@@ -117,20 +124,20 @@ def design_sweep(
     axis = robot.axis(joint)
     if not effort_limit > 0:
         raise BadInput(joint, f"effort limit {effort_limit:.4g} leaves no effort for the sines")
-    if locked_rotor_frequency is not None and not locked_rotor_frequency > LINES[0]:
-        raise BadInput(joint, f"locked rotor at {locked_rotor_frequency:.4g} Hz is not above {LINES[0]:.4g} Hz")
-    highest = np.inf if locked_rotor_frequency is None else LINE_MARGIN * locked_rotor_frequency
-    frequency = np.array(lines or [line for line in LINES if line <= highest] or LINES[:1])
+    if locked_rotor_frequency is not None and not locked_rotor_frequency > Sines.lines[0]:
+        raise BadInput(joint, f"locked rotor at {locked_rotor_frequency:.4g} Hz is not above {Sines.lines[0]:.4g} Hz")
+    highest = np.inf if locked_rotor_frequency is None else Sines.line_margin * locked_rotor_frequency
+    frequency = np.array(lines or [line for line in Sines.lines if line <= highest] or Sines.lines[:1])
     gain = np.ones_like(frequency)
     if locked_rotor_frequency is not None:
         gain = np.maximum(1.0, 1.0 / np.abs(1.0 - (frequency / locked_rotor_frequency) ** 2))
-    share = LOAD_MARGIN / len(frequency) / gain  # amplitude of each line relative to the offset
+    share = Sines.load_margin / len(frequency) / gain  # amplitude of each line relative to the offset
 
     speed_limit = velocity_limit / (1.0 + float(share.sum()))
     periods, offset = max(
         (
-            (periods, ripple_free_offset(axis, min(travel / (RAMP + SETTLE + periods), speed_limit), 1.0, periods))
-            for periods in (3, 5, 7)  # whole periods of 1 s; prime by the cogging rule
+            (n, ripple_free_offset(axis, min(travel / (RAMP + Sines.settle + n), speed_limit), 1.0, n))
+            for n in (3, 5, 7)  # whole periods of 1 s; prime by the cogging rule
         ),
         key=lambda choice: choice[1] ** 2 * choice[0],
     )
@@ -147,7 +154,7 @@ def design_sweep(
         Sine(frequency=float(f), amplitude=float(a), phase=float(p % (2 * np.pi)))
         for f, a, p in zip(frequency, amplitudes, phases, strict=True)
     )
-    return Excitation(direction * offset, sines, 1.0, periods, RAMP, SETTLE)
+    return Excitation(direction * offset, sines, 1.0, periods, RAMP, Sines.settle)
 
 
 def realisations(excitation: Excitation, count: int, seed: Sequence[int]) -> tuple[Excitation, ...]:
@@ -170,7 +177,7 @@ def _with_random_phases(excitation: Excitation, rng: np.random.Generator) -> Exc
     for _ in range(100):  # draws
         phases = rng.uniform(0.0, 2 * np.pi, len(frequency))
         shape = amplitude @ np.sin(2 * np.pi * frequency[:, None] * time + phases[:, None])
-        if np.abs(shape).max() <= CREST * np.sqrt(np.sum(amplitude**2) / 2):
+        if np.abs(shape).max() <= Sines.crest * np.sqrt(np.sum(amplitude**2) / 2):
             break
     sines = tuple(
         sine.model_copy(update={"phase": float(phase)}) for sine, phase in zip(excitation.sines, phases, strict=True)
@@ -248,11 +255,16 @@ def _integral(omega: float, phase: float, time: Array) -> Array:
     return time * np.sin(phase + omega * time / 2) * np.sinc(omega * time / (2 * np.pi))
 
 
-OFFSET = 0.1 * 2 * np.pi / 60  # rad/s (m/s)
-SHARE = 0.01  # of the rated effort
-LOWEST, HIGHEST = 1.0, 39.0  # Hz
-PERIOD, PERIODS = 1.6, 3  # s; prime by the cogging rule
-SOFTENING = 0.4
+@dataclass(frozen=True)
+class Noise:
+    """How a noise run is laid out."""
+
+    offset: float = 0.1 * 2 * np.pi / 60  # rad/s (m/s)
+    share: float = 0.01  # of the rated effort
+    band: tuple[float, float] = (1.0, 39.0)  # Hz
+    period: float = 1.6  # s; prime by the cogging rule
+    periods: int = 3
+    softening: float = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,13 +307,14 @@ def design_noise(
     """
     noise_ramp, noise_settle = 0.5, 1.0  # s
     axis = robot.axis(joint)
-    fastest = min(OFFSET, travel / (noise_ramp + noise_settle + PERIODS * PERIOD))
-    offset = ripple_free_offset(axis, fastest, PERIOD, PERIODS)
+    (lowest, highest), period, periods = Noise.band, Noise.period, Noise.periods
+    fastest = min(Noise.offset, travel / (noise_ramp + noise_settle + periods * period))
+    offset = ripple_free_offset(axis, fastest, period, periods)
     if offset <= 0:
         raise BadInput(joint, f"no offset up to {fastest:.4g} keeps the axis' cogging off the lines of its noise")
-    lines = np.arange(ceil(LOWEST * PERIOD), floor(HIGHEST * PERIOD) + 1, dtype=np.float64) / PERIOD
+    lines = np.arange(ceil(lowest * period), floor(highest * period) + 1, dtype=np.float64) / period
     sway = float(np.sqrt(np.mean(1 / lines**2))) / (2 * np.pi * inertia)  # per N m
-    effort = min(SHARE * axis.rated_effort, 0.2 * offset / sway)  # a fifth of the offset
+    effort = min(Noise.share * axis.rated_effort, 0.2 * offset / sway)  # a fifth of the offset
     return NoiseExcitation(
-        direction * offset, effort, LOWEST, HIGHEST, PERIOD, PERIODS, seed, SOFTENING, noise_ramp, noise_settle
+        direction * offset, effort, lowest, highest, period, periods, seed, Noise.softening, noise_ramp, noise_settle
     )

@@ -50,6 +50,7 @@ down to the requested rate, so that the noise at a line does not depend on that 
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from enum import Enum
 from itertools import pairwise
 
@@ -62,10 +63,15 @@ from service.model.recording import Sine
 
 Indices = NDArray[np.intp]
 
-RIDGE = 1e-6
-SINGULAR = 1e-12  # of the largest eigenvalue: below it G counts as rank deficient
-TIE = 1e-8
-SLACK = 1.05  # times the least condition number, allowed by condition_and_travel for a shorter path
+
+@dataclass(frozen=True)
+class PoseLimits:
+    """When information counts as singular, as equal, as good enough."""
+
+    ridge: float = 1e-6
+    singular: float = 1e-12  # of the largest eigenvalue: below it G counts as rank deficient
+    tie: float = 1e-8
+    slack: float = 1.05  # times the least condition number, allowed by condition_and_travel for a shorter path
 
 
 class Criterion(Enum):
@@ -95,7 +101,7 @@ def choices(
     if criterion is Criterion.CONDITION_AND_TRAVEL:
         if poses is None:
             raise ValueError("condition_and_travel needs the poses")
-        slack = SLACK
+        slack = PoseLimits.slack
     for _ in range(len(rows)):
         by_volume = criterion is Criterion.D_OPTIMAL
         pick = greedy.largest_volume() if by_volume else greedy.best_conditioned(slack, away)
@@ -115,7 +121,7 @@ def conditions(rows: Array, picks: Sequence[int]) -> list[float]:
 def condition_numbers(eigenvalues: Array) -> Array:
     """Condition numbers (m,) of matrices from the ascending eigenvalues (m, p) of their Gram matrices."""
     largest, smallest = eigenvalues[:, -1], eigenvalues[:, 0]
-    regular = smallest > SINGULAR * largest
+    regular = smallest > PoseLimits.singular * largest
     return np.sqrt(np.divide(largest, smallest, out=np.full_like(largest, np.inf), where=regular))
 
 
@@ -133,7 +139,7 @@ def condition_bounds(rows: Array, eigenvalues: Array, vectors: Array, width: int
         for part, own in zip(parts, (seen[..., :width], seen[..., width:]), strict=True)
     )
     large, small = highest[:, -1], lowest[:, 0]
-    return np.sqrt(large / np.maximum(small, SINGULAR**2 * large + np.finfo(float).tiny))
+    return np.sqrt(large / np.maximum(small, PoseLimits.singular**2 * large + np.finfo(float).tiny))
 
 
 class _Greedy:
@@ -143,7 +149,7 @@ class _Greedy:
         length = np.sqrt(np.sum(rows**2, axis=(0, 1)))
         self._rows = np.ascontiguousarray(rows / np.where(length > 0, length, 1.0))
         count, _, size = rows.shape
-        self._ridge = RIDGE * float(np.sum(self._rows**2)) / count / size
+        self._ridge = PoseLimits.ridge * float(np.sum(self._rows**2)) / count / size
         self._left: Indices = np.arange(count)
         self._gram = np.zeros((size, size))
 
@@ -163,17 +169,17 @@ class _Greedy:
         rows = self._rows[self._left]
         seen = (rows.reshape(-1, size) @ inverse).reshape(rows.shape) @ rows.swapaxes(1, 2)
         gain = np.asarray(np.linalg.slogdet(np.eye(rows.shape[1]) + seen)[1], dtype=float)
-        return self._first(self._left, -gain, TIE)
+        return self._first(self._left, -gain, PoseLimits.tie)
 
     def best_conditioned(self, slack: float, away: Array) -> int:
         """Among the candidates within `slack` of the least condition number the one with the smallest `away` (m,)."""
         eigenvalues, vectors = np.linalg.eigh(self._gram)
         spare = self._rows.shape[1]  # maximum increase of the rank by one candidate
-        if spare < len(eigenvalues) and eigenvalues[spare] <= SINGULAR * eigenvalues[-1]:
+        if spare < len(eigenvalues) and eigenvalues[spare] <= PoseLimits.singular * eigenvalues[-1]:
             return self.largest_volume()
         quick = condition_bounds(self._rows, eigenvalues, vectors, 1)[self._left]
         tried = self._left[np.argsort(quick, kind="stable")[:16]]  # evaluated first
-        limit = (1 + TIE) * min(float(self._condition(tried).min()), SINGULAR**-0.5)
+        limit = (1 + PoseLimits.tie) * min(float(self._condition(tried).min()), PoseLimits.singular**-0.5)
         within = self._left[quick <= slack * limit]  # candidates that may be within the slack of the best
         bound = condition_bounds(
             self._rows[within], eigenvalues, vectors, min(len(eigenvalues), max(2, len(eigenvalues) // 4))
@@ -185,12 +191,12 @@ class _Greedy:
         if not np.isfinite(least):
             return self.largest_volume()
         if slack > 1:
-            left, condition = self._nearest(np.union1d(within, tried), away, slack * (1 + TIE) * least)
-        return self._first(left, condition, TIE * least)
+            left, condition = self._nearest(np.union1d(within, tried), away, slack * (1 + PoseLimits.tie) * least)
+        return self._first(left, condition, PoseLimits.tie * least)
 
     def _nearest(self, candidates: Indices, away: Array, limit: float) -> tuple[Indices, Array]:
         """The candidates with a condition number up to `limit` that have the smallest `away`, with that number."""
-        level = np.round(away[candidates] / TIE)
+        level = np.round(away[candidates] / PoseLimits.tie)
         for nearest in np.unique(level):
             same = candidates[level == nearest]
             condition = self._condition(same)
@@ -218,9 +224,13 @@ def _way(poses: Array, pose: Array) -> Array:
     return np.abs(poses - pose).sum(axis=1)
 
 
-EFFORT_NOISE = 0.002  # of the rated effort, of one sample at NOISE_RATE
-NOISE_RATE = 1000.0  # Hz
-SOFTEST = 3.0  # Hz, locked-rotor frequency at one sigma of the compliance, if the spring is unknown
+@dataclass(frozen=True)
+class Assumed:
+    """What is assumed of a measurement that is not yet made."""
+
+    effort_noise: float = 0.002  # of the rated effort, of one sample at NOISE_RATE
+    noise_rate: float = 1000.0  # Hz
+    softest: float = 3.0  # Hz, locked-rotor frequency at one sigma of the compliance, if the spring is unknown
 
 
 def sweep_information(
@@ -239,7 +249,7 @@ def sweep_information(
     frequency = np.array([sine.frequency for sine in sines])
     omega = 2 * np.pi * frequency
     gain = np.ones_like(omega) if locked_rotor is None else (1 - (frequency / locked_rotor) ** 2) ** -2
-    noise = EFFORT_NOISE * rated_effort / np.sqrt(NOISE_RATE * duration / 2)
+    noise = Assumed.effort_noise * rated_effort / np.sqrt(Assumed.noise_rate * duration / 2)
     weight = gain * np.array([sine.amplitude for sine in sines]) / noise
     seen = weight[:, None] * np.stack([omega, omega**3 * load_inertia**2], -1)
     stiffness = -weight / omega * stiffness_sigma
@@ -258,7 +268,7 @@ class PredictedConfidence:
         self._axes, self._size, self._spread = axes, size, spread
         self._workspace = np.zeros((count * axes, size + axes))
         self._workspace[:, :size] = rows.reshape(-1, size) / inertia.reshape(-1, 1)
-        softest = 1 / (np.median(inertia, axis=0) * (2 * np.pi * SOFTEST) ** 2)
+        softest = 1 / (np.median(inertia, axis=0) * (2 * np.pi * Assumed.softest) ** 2)
         self._information = np.diag(np.concatenate([np.zeros(size), softest**-2]))
 
     def add(self, rows: Array, information: Array) -> None:
@@ -290,7 +300,7 @@ class PredictedConfidence:
         if not scale.all():
             return unknown
         eigenvalues, vectors = np.linalg.eigh(self._information / np.outer(scale, scale))
-        if eigenvalues[0] <= SINGULAR * eigenvalues[-1]:
+        if eigenvalues[0] <= PoseLimits.singular * eigenvalues[-1]:
             return unknown
         parts = (self._workspace / scale) @ (vectors / np.sqrt(eigenvalues))
         return 100 * np.sqrt(np.sum(parts**2, axis=1).reshape(-1, self._axes).max(axis=0))
@@ -299,7 +309,7 @@ class PredictedConfidence:
         """(a,) axes whose J depends on some of the base `parameters` (p,) in the workspace."""
         rows = self._workspace[:, : self._size] * self._spread  # of a size that can be compared
         size = np.abs(rows).reshape(-1, self._axes, self._size).max(axis=0)
-        return (size[:, parameters] > SINGULAR * size.max()).any(axis=1)
+        return (size[:, parameters] > PoseLimits.singular * size.max()).any(axis=1)
 
     def determined(self) -> Mask:
         """(p,) base parameters that the estimate of these sweeps will determine, if the noise is as assumed."""

@@ -63,7 +63,7 @@ from service.identification.motion.choice import (
     scales,
     wider,
 )
-from service.identification.motion.equations import LINK_RATE, STILL, cogging
+from service.identification.motion.equations import Sampling, cogging
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.trajectory_record import TrajectoryRecord, calibrated, with_loads
 from service.model.arrays import Array, Complex
@@ -277,7 +277,7 @@ class _Equations:
 
 def _equations(robot: Robot, base: BaseParameters, record: TrajectoryRecord) -> list[_Equations]:
     # Hz; sign and cogging extend far above the band
-    slow, fast = (round(rate * record.period) for rate in (LINK_RATE, 2000.0))
+    slow, fast = (round(rate * record.period) for rate in (Sampling.link_rate, 2000.0))
     motor, load = (record.motion(robot, fast, load=of_load) for of_load in (False, True))
     links = link_rows(robot.chain, robot.gravity, record.motion(robot, slow, load=True))
     count = len(record.frequency)
@@ -316,7 +316,7 @@ def _real(harmonics: Complex) -> Array:
 
 def _reversals(*velocities: Array) -> Array:
     """(n, 2 reversals): a step and a slope over every interval in which motor or load is near standstill."""
-    still = np.any([np.abs(velocity) < STILL * np.abs(velocity).max() for velocity in velocities], axis=0)
+    still = np.any([np.abs(velocity) < Sampling.still * np.abs(velocity).max() for velocity in velocities], axis=0)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]])))
     stretches = np.zeros((len(still), len(edges)))
     for column in range(0, len(edges), 2):

@@ -39,7 +39,7 @@ from scipy.special import chdtri, ndtri
 
 from service.identification.axis.axis_estimate import AxisEstimate, identify_axis
 from service.identification.axis.ideal_frequency import InitialAnalysis
-from service.identification.axis.joint_fit import CHANCE, FEW_FREEDOM, MATERIAL
+from service.identification.axis.joint_fit import FitLimits
 from service.identification.axis.known_effects import KnownEffects
 from service.identification.axis.nominal_priors import MeasuredInertias, TorqueGain, base_spread, torque_gain
 from service.identification.model.base_parameters import (
@@ -88,7 +88,7 @@ def judge(rows: Array, values: Array, covariances: Sequence[Array], rounds: int 
     """
     edges = accumulate((len(block) for block in covariances), initial=0)
     parts = [slice(a, b) for a, b in pairwise(edges)]
-    limit = -float(ndtri(CHANCE / 2 / len(values)))
+    limit = -float(ndtri(FitLimits.chance / 2 / len(values)))
     extra, errors = np.zeros((2, len(values)))
     left_out = LeftOut.of(rows, values, covariances)
     own = np.concatenate([np.diag(block) for block in covariances])
@@ -100,7 +100,7 @@ def judge(rows: Array, values: Array, covariances: Sequence[Array], rounds: int 
         scale = np.ones(len(values))
         for part in parts:
             scale[part] = max(1.0, float(np.median(np.abs(errors[part]))) / MEDIAN)
-        bad = (np.abs(errors) > limit * scale) & (np.abs(error) > MATERIAL * np.abs(values))
+        bad = (np.abs(errors) > limit * scale) & (np.abs(error) > FitLimits.material * np.abs(values))
         # until then a suspicion may be withdrawn; normal convergence takes about six rounds
         held = number >= 10
         suspected = suspected | bad if held else bad
@@ -333,7 +333,7 @@ def _judge(axes: Sequence[AxisEstimate], observation: Mapping[str, Array], poses
     for axis in axes:
         own = members[axis.joint]
         squares, freedom = chi_squared[axis.joint] = judged.left_out.chi_squared(own)
-        unexplained = freedom >= FEW_FREEDOM and squares > float(chdtri(freedom, CHANCE))
+        unexplained = freedom >= FitLimits.few_freedom and squares > float(chdtri(freedom, FitLimits.chance))
         covariance = axis.covariance + np.diag(judged.extra[own])
         enlarged.append(axis.with_covariance(covariance * (squares / freedom if unexplained else 1.0)))
         for sweep, error, extra in zip(axis.sweeps, judged.errors[own], judged.extra[own], strict=True):

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from service.identification.axis.joint_fit import CHANCE, JointFit, fit_axis
+from service.identification.axis.joint_fit import FitLimits, JointFit, fit_axis
 from service.identification.axis.nominal_priors import NOISE_GUESS, TorqueGain, pose_prior, shared_prior
 from service.identification.estimates.estimate import SAME_POSITION
 from service.identification.model.least_squares import Information, LeftOut
@@ -50,7 +50,7 @@ class PairedFit:
         squares, freedom = LeftOut.of(columns, self.fit.inertia, [self.fit.covariance]).chi_squared(
             np.arange(len(columns))
         )
-        worse = freedom >= 1 and squares > float(chdtri(freedom, CHANCE))
+        worse = freedom >= 1 and squares > float(chdtri(freedom, FitLimits.chance))
         return information, squares / freedom if worse else 1.0
 
 

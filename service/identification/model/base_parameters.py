@@ -21,9 +21,14 @@ from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.model.urdf import Chain
 
-TOLERANCE = 1e-9  # of a unit column: minimum of its part outside the span of the selected columns
-SAMPLES = 400  # random poses that represent the workspace
-CLEAR = 1e3  # times `TOLERANCE`: the residual of a dependent column over all samples is far below
+
+@dataclass(frozen=True)
+class Independence:
+    """When a column of the regressor is independent."""
+
+    tolerance: float = 1e-9  # of a unit column: minimum of its part outside the span of the selected columns
+    samples: int = 400  # random poses that represent the workspace
+    clear: float = 1e3  # times `TOLERANCE`: the residual of a dependent column over all samples is far below
 
 
 @dataclass(frozen=True)
@@ -44,7 +49,7 @@ class BaseParameters:
 
 def base_parameters(chain: Chain, axes: tuple[int, ...], seed: int = 0) -> BaseParameters:
     """The base parameters determined by the inertias about `axes`, over the chain's whole joint range."""
-    return reduce_columns(_sampled_rows(chain, axes, SAMPLES, seed), parameter_names(chain))
+    return reduce_columns(_sampled_rows(chain, axes, Independence.samples, seed), parameter_names(chain))
 
 
 def combination_of(chain: Chain, axes: tuple[int, ...], columns: tuple[int, ...]) -> Array | None:
@@ -53,7 +58,7 @@ def combination_of(chain: Chain, axes: tuple[int, ...], columns: tuple[int, ...]
     scale = _scale(rows)
     combination = _combination(rows / scale, scale, list(columns))
     left = (rows - rows[:, list(columns)] @ combination) / scale
-    return combination if np.abs(left).max() < CLEAR * TOLERANCE else None
+    return combination if np.abs(left).max() < Independence.clear * Independence.tolerance else None
 
 
 def joint_ranges(chain: Chain) -> tuple[Array, Array]:
@@ -74,7 +79,7 @@ def reduce_columns(rows: Array, names: tuple[str, ...]) -> BaseParameters:
         scaled = np.asarray(np.linalg.qr(scaled, mode="r"), dtype=float)
     chosen = _independent(scaled)
     singular = np.linalg.svd(scaled[:, chosen], compute_uv=False)
-    if singular[-1] < TOLERANCE:
+    if singular[-1] < Independence.tolerance:
         raise BadInput("base parameters", f"the chosen columns are dependent to {singular[-1]:.1e}")
     combination = _combination(scaled, scale, chosen)
     return BaseParameters(
@@ -90,7 +95,7 @@ def condition_number(rows: Array) -> float:
     if len(rows) < rows.shape[1] or not length.all():
         return float("inf")
     singular = np.linalg.svd(rows / length, compute_uv=False)
-    return float(singular[0] / singular[-1]) if singular[-1] > TOLERANCE * singular[0] else float("inf")
+    return float(singular[0] / singular[-1]) if singular[-1] > Independence.tolerance * singular[0] else float("inf")
 
 
 def _sampled_rows(chain: Chain, axes: tuple[int, ...], samples: int, seed: int) -> Array:
@@ -103,7 +108,7 @@ def _sampled_rows(chain: Chain, axes: tuple[int, ...], samples: int, seed: int) 
 def _scale(rows: Array) -> Array:
     """Lengths (p,) of the columns; 1 for those that are zero."""
     length = np.linalg.norm(rows, axis=0)
-    return np.where(length > TOLERANCE * length.max(initial=0.0), length, 1.0)
+    return np.where(length > Independence.tolerance * length.max(initial=0.0), length, 1.0)
 
 
 def _combination(scaled: Array, scale: Array, chosen: list[int]) -> Array:
@@ -123,7 +128,7 @@ def _independent(scaled: Array) -> list[int]:
         for _ in range(2):
             rest = rest - span @ (span.T @ rest)
         length = np.linalg.norm(rest)
-        if length > CLEAR * TOLERANCE:
+        if length > Independence.clear * Independence.tolerance:
             span = np.hstack([span, (rest / length)[:, None]])
             chosen.append(column)
     return chosen

@@ -24,9 +24,15 @@ from scipy.special import ndtri, stdtrit
 from service.model.arrays import Array, Complex, Mask
 from service.model.errors import BadInput
 
-RANK_TOLERANCE = 1e-12  # of the scaled information matrix's largest eigenvalue
-BETTER = 1.0  # times the start's precision: below, data do not determine a direction
-UNPREDICTED = 1e-8  # of a value's own precision: below, no other value predicts it
+
+@dataclass(frozen=True)
+class Rank:
+    """When data determine a direction."""
+
+    rank_tolerance: float = 1e-12  # of the scaled information matrix's largest eigenvalue
+    better: float = 1.0  # times the start's precision: below, data do not determine a direction
+    unpredicted: float = 1e-8  # of a value's own precision: below, no other value predicts it
+    unsettled: float = 0.05  # relative change of a noise estimate in the last round of reweighting: a warning above
 
 
 @dataclass(frozen=True)
@@ -65,8 +71,8 @@ class Information:
         """
         scale = 1 / np.sqrt(np.where(np.diag(self.matrix) > 0, np.diag(self.matrix), 1.0)) if spread is None else spread
         eigenvalues, vectors = np.linalg.eigh(self.matrix * np.outer(scale, scale))
-        rounding = RANK_TOLERANCE * max(eigenvalues[-1], 1e-300)
-        seen = eigenvalues > (rounding if spread is None else max(rounding, BETTER))
+        rounding = Rank.rank_tolerance * max(eigenvalues[-1], 1e-300)
+        seen = eigenvalues > (rounding if spread is None else max(rounding, Rank.better))
         inverse = (vectors[:, seen] / eigenvalues[seen]) @ vectors[:, seen].T
         step = inverse @ ((self.vector - self.matrix @ start) * scale) * scale
         unseen = np.linalg.norm(vectors[:, ~seen], axis=1)
@@ -122,7 +128,7 @@ class LeftOut:
         white_rows, white_values = white @ rows, white @ values
         length = np.linalg.norm(white_rows, axis=0)
         left, singular, _ = np.linalg.svd(white_rows / np.where(length > 0, length, 1.0), full_matrices=False)
-        span = left[:, singular > np.sqrt(RANK_TOLERANCE) * singular.max(initial=0.0)]
+        span = left[:, singular > np.sqrt(Rank.rank_tolerance) * singular.max(initial=0.0)]
         return cls(white, span, white_values - span @ (span.T @ white_values))
 
     def each(self) -> tuple[Array, Array]:
@@ -131,7 +137,7 @@ class LeftOut:
         """
         precision = np.sum(self.white**2, axis=0)
         left = precision - np.sum((self.span.T @ self.white) ** 2, axis=0)
-        predicted = left > UNPREDICTED * precision
+        predicted = left > Rank.unpredicted * precision
         left = np.where(predicted, left, 1.0)
         return np.where(predicted, self.white.T @ self.residual / left, 0.0), np.where(predicted, 1 / left, np.inf)
 
@@ -144,7 +150,7 @@ class LeftOut:
         precision = white.T @ white
         left = precision - spanned.T @ spanned
         scale = np.sqrt(np.diag(precision))
-        if np.linalg.eigvalsh(left / np.outer(scale, scale))[0] < UNPREDICTED:
+        if np.linalg.eigvalsh(left / np.outer(scale, scale))[0] < Rank.unpredicted:
             return None
         covariance = np.asarray(np.linalg.inv(left / np.outer(scale, scale)), dtype=float) / np.outer(scale, scale)
         return covariance @ (white.T @ self.residual), covariance
@@ -189,9 +195,6 @@ def scaled_inverse(matrix: Array) -> Array:
     return (vectors / eigenvalues[..., None, :]) @ turned / scale / np.swapaxes(scale, -1, -2)
 
 
-UNSETTLED = 0.05  # relative change of a noise estimate in the last round of reweighting: a warning above
-
-
 class SearchResult(Protocol):
     """Result of `scipy.optimize.least_squares`."""
 
@@ -216,9 +219,9 @@ def finite(values: Array | Complex, place: str, what: str) -> None:
 
 def unsettled(change: float) -> str | None:
     """The warning if a noise estimate still changes in the last round of reweighting; `change` is relative."""
-    if change <= UNSETTLED:
+    if change <= Rank.unsettled:
         return None
-    return f"its noise still changes by {100 * change:.0f} % in the last round; limit {100 * UNSETTLED:.0f} %"
+    return f"its noise still changes by {100 * change:.0f} % in the last round; limit {100 * Rank.unsettled:.0f} %"
 
 
 def converged(found: SearchResult, place: str, what: str) -> None:

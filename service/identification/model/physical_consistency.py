@@ -34,10 +34,15 @@ from service.identification.model.least_squares import finite
 from service.model.arrays import Array, Mask
 from service.model.urdf import inertia_matrix
 
-EXACT = 1e-10  # of a row's terms and nominal spread: A x - b below it counts as zero
-STEPS = 100  # of Newton's method, at most; about ten are used
-SMALL = 1e-12  # ratio of eigenvalues below which the smaller counts as zero
-THINNEST = 1e-4  # of a link's largest second moment about its centre of mass: least nominal one
+
+@dataclass(frozen=True)
+class Newton:
+    """When Newton's method ends and what counts as zero."""
+
+    exact: float = 1e-10  # of a row's terms and nominal spread: A x - b below it counts as zero
+    steps: int = 100  # of Newton's method, at most; about ten are used
+    small: float = 1e-12  # ratio of eigenvalues below which the smaller counts as zero
+    thinnest: float = 1e-4  # of a link's largest second moment about its centre of mass: least nominal one
 
 
 class SearchEnded(Enum):
@@ -82,7 +87,7 @@ def nearest_physical(
     parameters = _exactly(problem) if exactly else None
     if parameters is not None:
         size = np.abs(rows) @ np.abs(parameters) + np.abs(values) + np.sqrt(np.diag(problem.nominal_covariance()))
-        if np.all(np.abs(rows @ parameters - values) <= EXACT * size):
+        if np.all(np.abs(rows @ parameters - values) <= Newton.exact * size):
             return NearestPhysical(parameters, 0.0, SearchEnded.EXACT)
     noise = _whitening(covariance)
     white = problem.transformed(noise)
@@ -185,7 +190,7 @@ class _Constraints:
         if not np.isfinite(links).all():
             return False
         moments = np.linalg.eigvalsh(links)
-        return bool(np.all(moments[:, 0] > SMALL * moments[:, -1]) and motors.min(initial=1.0) > SMALL)
+        return bool(np.all(moments[:, 0] > Newton.small * moments[:, -1]) and motors.min(initial=1.0) > Newton.small)
 
     def impossible(self, multipliers: Array) -> bool:
         """Whether the multipliers prove that no physical x gives b: G(nu) >= 0 makes nu.Ax >= 0 for all of them, but
@@ -262,7 +267,7 @@ def _maximise(problem: _Constraints, softness: float, start: Array) -> Array | N
     Near the maximum full steps are made until rounding stops the progress.
     """
     multipliers, last = start, np.inf
-    for _ in range(STEPS):
+    for _ in range(Newton.steps):
         if softness == 0 and problem.impossible(multipliers):
             return None
         blocks = problem.blocks(multipliers)
@@ -303,7 +308,7 @@ def _whitening(covariance: Array) -> Array:
     """(k, k) that transforms values with this covariance into white noise of standard deviation 1."""
     scale = np.sqrt(np.diag(covariance))
     moments, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return (directions / np.sqrt(np.maximum(moments, SMALL * moments[-1]))).T / scale
+    return (directions / np.sqrt(np.maximum(moments, Newton.small * moments[-1]))).T / scale
 
 
 def _nominal_pseudo_inertia(links: Array) -> Array:
@@ -316,7 +321,7 @@ def _nominal_pseudo_inertia(links: Array) -> Array:
     # a smaller one is lost in rounding beside the centre's distance
     distant = 1e-9 * mass * (centre**2).sum(-1)
     # a radius of gyration of 1 mm at least
-    least = np.maximum(np.maximum(THINNEST * moments[:, -1], 1e-3**2 * mass), distant)
+    least = np.maximum(np.maximum(Newton.thinnest * moments[:, -1], 1e-3**2 * mass), distant)
     lifted = np.maximum(moments, least[:, None])
     second = (axes * lifted[:, None, :]) @ np.swapaxes(axes, -1, -2) + mass[:, None, None] * _outer(centre)
     pseudo[:, :3, :3] = np.where((moments[:, 0] < least)[:, None, None], second, pseudo[:, :3, :3])

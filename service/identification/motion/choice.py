@@ -34,7 +34,7 @@ import numpy as np
 from service.identification.model.base_parameters import BaseParameters
 from service.identification.model.inverse_dynamics import Scale, dynamic_base, nominal_parameters, prior_information
 from service.identification.model.least_squares import Information
-from service.identification.motion.equations import LOW_SPEEDS, AxisEquations, all_equations, friction_laws
+from service.identification.motion.equations import AxisEquations, Sampling, all_equations, friction_laws
 from service.identification.motion.fit import FOLDS, ORDER, FreeFit, fit_equations
 from service.identification.motion.free_motion import FreeMotion, low_pass
 from service.model.arrays import Array
@@ -158,9 +158,9 @@ class Chosen:
         laws: dict[str, IdentifiedFriction] = {}
         for joint in sorted(self.laws):
             index, reference = robot.index(joint), of[joint].speed or 1.0
-            first = len(base.columns) + index * len(LOW_SPEEDS)
+            first = len(base.columns) + index * len(Sampling.low_speeds)
             own = [base.columns.index(part * count + index) for part in (11, 12)]
-            own += range(first, first + len(LOW_SPEEDS))
+            own += range(first, first + len(Sampling.low_speeds))
             speeds = reference * np.array([*(-part for part in reversed(SPEEDS)), *SPEEDS])
             further = np.vstack([friction_laws(np.full(2, speed), reference)[:1] for speed in speeds])
             rows = np.column_stack([speeds, np.sign(speeds), further])
@@ -215,7 +215,7 @@ def choose(
     simple = held_out_errors(plain, open_prior, start)
     efforts = [of.get(joint, Scale()).effort or 1.0 for joint in robot.joints]
     # one sigma of a law's friction is 0.3 of the RMS effort
-    law_prior = np.repeat([(0.3 * effort) ** -2 for effort in efforts], len(LOW_SPEEDS))
+    law_prior = np.repeat([(0.3 * effort) ** -2 for effort in efforts], len(Sampling.low_speeds))
 
     def candidate(order: int, laws: frozenset[str], widened: float) -> Chosen:
         own, begin, equations = sweeps.plus(wider(prior, widened)), start, parts
@@ -267,9 +267,9 @@ def _with_laws(robot: Robot, parts: Sequence[AxisEquations], joints: frozenset[s
     """Rows (m, r + n len(LOW_SPEEDS)): each of the `joints` has its own laws, the others have none."""
     found: list[AxisEquations] = []
     for each in parts:
-        own = np.zeros((len(each.rows), len(robot.axes), len(LOW_SPEEDS)))
+        own = np.zeros((len(each.rows), len(robot.axes), len(Sampling.low_speeds)))
         if each.joint in joints:
-            own[:, robot.index(each.joint)] = each.lacks[:, : len(LOW_SPEEDS)]
+            own[:, robot.index(each.joint)] = each.lacks[:, : len(Sampling.low_speeds)]
         found.append(replace(each, rows=np.hstack([each.rows, own.reshape(len(own), -1)])))
     return found
 

@@ -19,12 +19,19 @@ from service.identification.motion.free_motion import FreeMotion, low_pass, memo
 from service.model.arrays import Array, Mask
 from service.model.robot import Robot
 
-STILL = 0.01  # of the largest velocity: below, an axis counts as at rest
-LINK_RATE = 200.0  # Hz, at which the links' rows are computed: products of a few smoothed motions
-LOW_SPEEDS = (0.05, 0.1, 0.2)  # of the largest velocity: where friction at low speed has fallen to 37 %
-ANGLES = (1.0, 2.0, 3.0)  # periods per revolution (per 2 pi m)
+
+@dataclass(frozen=True)
+class Sampling:
+    """Speeds and angles at which terms are tried."""
+
+    still: float = 0.01  # of the largest velocity: below, an axis counts as at rest
+    link_rate: float = 200.0  # Hz, at which the links' rows are computed: products of a few smoothed motions
+    low_speeds: tuple[float, ...] = (0.05, 0.1, 0.2)  # of the largest: where friction has fallen to 37 %
+    angles: tuple[float, ...] = (1.0, 2.0, 3.0)  # periods per revolution (per 2 pi m)
+
+
 OF_SPEED, OF_ANGLE = "friction of the speed", "a torque of the angle"
-LACKS = (*[OF_SPEED for _ in LOW_SPEEDS], OF_SPEED, OF_SPEED, *[OF_ANGLE for _ in (*ANGLES, *ANGLES)])
+LACKS = [OF_SPEED] * (len(Sampling.low_speeds) + 2) + [OF_ANGLE] * (2 * len(Sampling.angles))
 
 
 @dataclass(frozen=True)
@@ -74,7 +81,7 @@ def equations(
     """
     load, motor = load_and_motor(robot, record)
     rate, band = record.rate, record.band
-    coarse = max(1, int(rate / LINK_RATE))
+    coarse = max(1, int(rate / Sampling.link_rate))
     fine = max(1, int(rate / coarse / (2 * band)))
     kept = slice(0, None, coarse * fine)
     time = np.arange(len(load.position))[kept] / rate
@@ -140,14 +147,14 @@ def mean_sign(velocity: Array) -> Array:
 def friction_laws(velocity: Array, reference: float) -> Array:
     """(m, len(`LOW_SPEEDS`)) at `velocity` (m,), 1 or below: friction that falls with the speed."""
     speed = velocity / reference
-    return np.stack([mean_sign(velocity) * np.exp(-np.square(speed / width)) for width in LOW_SPEEDS], -1)
+    return np.stack([mean_sign(velocity) * np.exp(-np.square(speed / width)) for width in Sampling.low_speeds], -1)
 
 
 def _lacks(motor: JointMotion, index: int, reference: float) -> Array:
     """(m, t), in the order of `LACKS`: friction at low speed; friction that grows with the square of the speed, or with
     it in one direction more than in the other; what a cable, an eccentric wheel or a spring does over the angle.
     """
-    speed, angle = motor.velocity[:, index] / reference, np.outer(motor.position[:, index], ANGLES)
+    speed, angle = motor.velocity[:, index] / reference, np.outer(motor.position[:, index], Sampling.angles)
     low, turns = friction_laws(motor.velocity[:, index], reference), (np.cos(angle), np.sin(angle))
     return np.hstack([low, np.stack([speed * np.abs(speed), np.abs(speed)], -1), *turns])
 
@@ -162,7 +169,7 @@ def _smooth(record: FreeMotion, position: Array, order: int) -> Array:
 
 def _at_rest(velocity: Array, rate: float, band: float) -> Mask:
     """Where the low-pass covers samples at rest, (m,)."""
-    still = np.abs(velocity) < STILL * np.abs(velocity).max()
+    still = np.abs(velocity) < Sampling.still * np.abs(velocity).max()
     # of the filter's weight
     return low_pass(still.astype(float), rate, band) > 0.1
 

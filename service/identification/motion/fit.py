@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, stdtr, stdtrit
 
-from service.identification.model.least_squares import RANK_TOLERANCE, Information, finite, span
+from service.identification.model.least_squares import Information, Rank, finite, span
 from service.identification.motion.equations import LACKS, AxisEquations
 from service.identification.motion.free_motion import FreeMotion, memory
 from service.model.arrays import Array, Mask
@@ -247,7 +247,7 @@ def _coordinates(information: Information) -> tuple[Array, Array]:
     scale = np.sqrt(np.diag(information.matrix))
     scale = np.where(scale > 0, scale, 1.0)
     moments, vectors = np.linalg.eigh(information.matrix / np.outer(scale, scale))
-    seen = moments > RANK_TOLERANCE * max(moments[-1], 1e-300)
+    seen = moments > Rank.rank_tolerance * max(moments[-1], 1e-300)
     to_white = vectors[:, seen] / np.sqrt(moments[seen]) / scale[:, None]
     return to_white, (vectors[:, seen] * np.sqrt(moments[seen])).T * scale
 

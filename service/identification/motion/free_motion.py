@@ -27,13 +27,22 @@ from service.model.errors import BadInput
 from service.model.recording import Sweep, SweepSpec
 from service.model.robot import Robot
 
-ROLL_OFF = 0.2  # of the cut-off
+
+@dataclass(frozen=True)
+class MotionBand:
+    """Band of the equations, and which records are repeats."""
+
+    roll_off: float = 0.2  # of the cut-off
+    band: float = 10.0  # Hz, of the equations: below the springs of industrial robots
+    motion: float = 3.0  # times the band: cut-off of the smoothed motion, high enough to keep the whole band
+    same_path: float = 0.01  # maximum difference of the paths of repeats: relative, and rad (m)
+    same_place: float = 1e-3
 
 
 def memory(cut: float) -> float:
     """Length of the filter on either side, s."""
     # four standard deviations of the Gaussian
-    return 4.0 / (2 * np.pi * ROLL_OFF * cut)
+    return 4.0 / (2 * np.pi * MotionBand.roll_off * cut)
 
 
 def low_pass(signals: Array, rate: float, cut: float, derivative: int = 0) -> Array:
@@ -47,16 +56,11 @@ def low_pass(signals: Array, rate: float, cut: float, derivative: int = 0) -> Ar
     middle = (signals[:1] + signals[-1:]) / 2
     longer = np.concatenate([before, signals, after]) - middle
     frequency = np.fft.rfftfreq(len(longer), 1 / rate)
-    gain = cast(Array, erfc((frequency / cut - 1) / (np.sqrt(2) * ROLL_OFF))) / 2
+    gain = cast(Array, erfc((frequency / cut - 1) / (np.sqrt(2) * MotionBand.roll_off))) / 2
     response = ((2j * np.pi * frequency) ** derivative * gain).reshape(-1, *[1] * (signals.ndim - 1))
     spectrum: Complex = np.fft.rfft(longer, axis=0) * response
     smooth = np.fft.irfft(spectrum, len(longer), axis=0)[pad : pad + count]
     return smooth + middle if derivative == 0 else smooth
-
-
-BAND = 10.0  # Hz, of the equations: below the springs of industrial robots
-MOTION = 3.0  # times the band: cut-off of the smoothed motion, high enough to keep the whole band
-SAME_PATH, SAME_PLACE = 0.01, 1e-3  # maximum difference of the paths of repeats: relative, and rad (m)
 
 
 @dataclass(frozen=True)
@@ -84,14 +88,14 @@ class FreeMotion:
     @property
     def motion_cut(self) -> float:
         """Cut-off of the motion, Hz."""
-        return min(MOTION * BAND, 0.35 * self.rate)  # of the sample rate
+        return min(MotionBand.motion * MotionBand.band, 0.35 * self.rate)  # of the sample rate
 
     @property
     def band(self) -> float:
         """Cut-off of the equations, Hz."""
-        return self.motion_cut / MOTION
+        return self.motion_cut / MotionBand.motion
 
-    def same_motion(self, other: "FreeMotion", same_path: float = SAME_PATH) -> bool:
+    def same_motion(self, other: "FreeMotion", same_path: float = MotionBand.same_path) -> bool:
         """Whether it is a repeat: same axes, block, length and path. `same_path`: allowed RMS difference of paths,
         relative.
         """
@@ -103,7 +107,7 @@ class FreeMotion:
         ):
             return False
         apart = np.sqrt(np.mean((self.position - other.position) ** 2, axis=0))
-        return bool(np.all(apart <= same_path * np.std(self.position, axis=0) + SAME_PLACE))
+        return bool(np.all(apart <= same_path * np.std(self.position, axis=0) + MotionBand.same_place))
 
 
 def at_once(specs: Sequence[SweepSpec]) -> tuple[tuple[SweepSpec, ...], ...]:

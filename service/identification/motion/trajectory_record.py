@@ -14,7 +14,7 @@ import numpy as np
 
 from service.identification.axis.drive_train import TwoMassTrain
 from service.identification.model.inverse_dynamics import JointMotion
-from service.identification.motion.free_motion import BAND
+from service.identification.motion.free_motion import MotionBand
 from service.identification.spectra.frequency_response import check_numbers, from_pairs, pairs, window
 from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
@@ -105,7 +105,7 @@ def axis_track(sweep: Sweep) -> AxisTrack:
     part, periods = slice(first, first + count), spec.periods or 1
     # sticking before a reversal is only visible far above `BAND`
     of_motion = round(0.4 * spec.sample_rate * (spec.period or 0.0))
-    highest = min(round(BAND * (spec.period or 0.0)), of_motion)
+    highest = min(round(MotionBand.band * (spec.period or 0.0)), of_motion)
     effort: Complex = np.fft.rfft(record.effort[part])[: periods * (highest + 1)] / count
     between = np.arange(len(effort)) % periods != 0
     noise = float(np.sqrt(np.mean(np.abs(effort[between]) ** 2) / 2)) if periods > 1 else None

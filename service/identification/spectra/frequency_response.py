@@ -45,11 +45,17 @@ def from_pairs(values: Pairs) -> Complex:
 
 Bins = NDArray[np.int_]
 
-LOW = 1.0  # Hz: below, load- and position-dependent friction dominates
-MARGIN = 3.0  # Hz above the last line
-BELOW_NYQUIST = 0.4  # of the sample rate: above, filters against aliasing distort
-WHOLE = 1e-6  # relative, by which a number of samples or of periods may differ from a whole one
-REST, AT_REST = 0.1, 0.005  # s; of the highest velocity: longer and slower, an axis of a free record rests
+
+@dataclass(frozen=True)
+class Band:
+    """Bins and samples that are used."""
+
+    low: float = 1.0  # Hz: below, load- and position-dependent friction dominates
+    margin: float = 3.0  # Hz above the last line
+    below_nyquist: float = 0.4  # of the sample rate: above, filters against aliasing distort
+    whole: float = 1e-6  # relative, by which a number of samples or of periods may differ from a whole one
+    rest: float = 0.1  # s; of the highest velocity: longer and slower, an axis of a free record rests
+    at_rest: float = 0.005
 
 
 @dataclass(frozen=True)
@@ -173,7 +179,7 @@ def _free(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> Spect
     if len(time) < 8:
         raise BadInput(f"sweep {spec.id}", f"only {len(time)} samples after measure_from {spec.measure_from} s")
     length = float(time[-1])
-    bins = np.arange(int(min(20.0, BELOW_NYQUIST * spec.sample_rate) * length) + 1)  # Hz
+    bins = np.arange(int(min(20.0, Band.below_nyquist * spec.sample_rate) * length) + 1)  # Hz
     frequency = bins / length
     part = slice(first, None)
     names, signals = _signals(robot, index, spec, record, part)
@@ -207,7 +213,7 @@ def window(spec: SweepSpec, time: Array) -> tuple[int, int]:
         raise BadInput(f"sweep {spec.id}", "has no whole periods")
     wanted = spec.period * spec.periods * spec.sample_rate
     count = round(wanted)
-    if abs(wanted - count) > WHOLE * wanted:
+    if abs(wanted - count) > Band.whole * wanted:
         raise BadInput(
             f"sweep {spec.id}",
             f"{spec.periods} periods of {spec.period} s are not whole samples at {spec.sample_rate} Hz",
@@ -238,12 +244,12 @@ def _bins(spec: SweepSpec, count: int) -> tuple[Bins, Mask]:
     """Numbers of the bins in use and which of them are excited. BadInput for a line between two bins."""
     step = spec.sample_rate / count
     number = np.array([sine.frequency for sine in spec.sines]) / step
-    if np.any(np.abs(number - np.round(number)) > WHOLE * number):
+    if np.any(np.abs(number - np.round(number)) > Band.whole * number):
         raise BadInput(f"sweep {spec.id}", f"a sine is not a whole multiple of {step:.6g} Hz, the window's resolution")
     lines = np.round(number).astype(int)
     highest = int(lines.max())
-    last = max(highest, min(highest + round(MARGIN / step), int(BELOW_NYQUIST * count)))
-    first = max(1, min(round(LOW / step), int(lines.min())))
+    last = max(highest, min(highest + round(Band.margin / step), int(Band.below_nyquist * count)))
+    first = max(1, min(round(Band.low / step), int(lines.min())))
     bins = np.arange(first, last + 1)
     return bins, np.isin(bins, lines)
 
@@ -258,10 +264,10 @@ def _vertical(robot: Robot, index: int, spec: SweepSpec) -> bool:
 
 def _rests(velocity: Array, rate: float) -> Array:
     """(2 k, n): a step and a slope over every stretch in which the axis rests: friction then balances any torque."""
-    still = np.abs(velocity) < AT_REST * np.abs(velocity).max()
+    still = np.abs(velocity) < Band.at_rest * np.abs(velocity).max()
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]))).reshape(-1, 2)
     rows: list[Array] = []
-    for first, last in edges[(edges[:, 1] - edges[:, 0]) > REST * rate]:
+    for first, last in edges[(edges[:, 1] - edges[:, 0]) > Band.rest * rate]:
         for value in (1.0, np.linspace(-1.0, 1.0, last - first)):
             row = np.zeros(len(velocity))
             row[first:last] = value

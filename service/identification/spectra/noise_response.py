@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.spectra.frequency_response import (
-    BELOW_NYQUIST,
+    Band,
     Spectrum,
     check_numbers,
     from_pairs,
@@ -135,7 +135,7 @@ def noise_spectrum(robot: Robot, sweep: Sweep) -> NoiseSpectrum:
     reference, effort, velocity = (
         _without_drift(column[part], periods) for column in (record.excitation_effort, record.effort, record.velocity)
     )
-    strength = np.abs(np.fft.rfft(reference)[::periods])[: int(BELOW_NYQUIST * length) + 1]
+    strength = np.abs(np.fft.rfft(reference)[::periods])[: int(Band.below_nyquist * length) + 1]
     # weaker lines count as not excited
     lines = np.flatnonzero(strength > 0.1 * strength[1:].max(initial=0.0))
     lines = lines[lines > 0]

@@ -28,10 +28,15 @@ from service.identification.model.least_squares import finite, jackknife_factor
 from service.model.arrays import Array, Complex, Mask
 from service.model.errors import BadInput
 
-FOLLOWS = 0.5  # |v/r| down to which the loop is used: beyond, structural modes and delays dominate
-PARTS = 5
-FEWEST = 12  # lines
-DELAY = 1e-3  # s, at which the fit starts
+
+@dataclass(frozen=True)
+class Loop:
+    """What of the speed loop is fitted."""
+
+    follows: float = 0.5  # |v/r| down to which the loop is used: beyond, structural modes and delays dominate
+    parts: int = 5
+    fewest: int = 12  # lines
+    delay: float = 1e-3  # s, at which the fit starts
 
 
 @dataclass(frozen=True)
@@ -75,11 +80,11 @@ def fit_closed_loop(frequency: Array, response: Complex, place: str, reset_time:
     f, measured = frequency[inside], response[inside]
     s: Complex = np.multiply(2j * np.pi, f, dtype=np.complex128)
     integral: Complex = np.ones_like(s) if reset_time is None else reset_time * s / (1 + reset_time * s)
-    first = float(np.median(((1 / measured - 1) / integral / s).real[:FEWEST]))
+    first = float(np.median(((1 / measured - 1) / integral / s).real[: Loop.fewest]))
 
     def solve(used: NDArray[np.int_]) -> _Solution:
         def error(x: Array) -> Array:
-            train = (x[0] * first * s[used] + x[2]) * np.exp(s[used] * x[1] * DELAY)
+            train = (x[0] * first * s[used] + x[2]) * np.exp(s[used] * x[1] * Loop.delay)
             left = 1 / (1 + train * integral[used]) - measured[used]
             return np.concatenate([left.real, left.imag])
 
@@ -92,7 +97,7 @@ def fit_closed_loop(frequency: Array, response: Complex, place: str, reset_time:
     if not whole.converged or not whole.values[0] * first > 0:
         raise BadInput(place, f"shows no inertia from {f[0]:.3g} to {f[-1]:.3g} Hz: {whole.ended}")
     inertia, std[0] = float(whole.values[0] * first), std[0] * abs(first)
-    return _loop_fit(f, whole, std, inertia, friction=2, delay=float(whole.values[1] * DELAY))
+    return _loop_fit(f, whole, std, inertia, friction=2, delay=float(whole.values[1] * Loop.delay))
 
 
 def fit_torque_response(
@@ -145,15 +150,17 @@ def _loop_fit(
 
 def _follows(response: Complex) -> Mask:
     """Lines (b,) up to where the loop stops following: two neighbours below `FOLLOWS`."""
-    weak = np.abs(response) < FOLLOWS
+    weak = np.abs(response) < Loop.follows
     stop = np.flatnonzero(weak[:-1] & weak[1:])
     return np.arange(len(response)) < (stop[0] if len(stop) else len(response))
 
 
 def _band(frequency: Array, wanted: Mask, place: str) -> NDArray[np.int_]:
     inside = np.flatnonzero(wanted & (frequency > 0))
-    if len(inside) < FEWEST:
-        raise BadInput(place, f"has {len(inside)} lines where the train is rigid and the loop follows, needs {FEWEST}")
+    if len(inside) < Loop.fewest:
+        raise BadInput(
+            place, f"has {len(inside)} lines where the train is rigid and the loop follows, needs {Loop.fewest}"
+        )
     return inside
 
 
@@ -174,12 +181,12 @@ def _with_parts(
     lines = np.arange(len(frequency))
     whole = solve(lines)
     without: list[Array] = []
-    for part in range(PARTS):
-        inside = lines * PARTS // len(lines) != part
+    for part in range(Loop.parts):
+        inside = lines * Loop.parts // len(lines) != part
         found = solve(lines[inside])
         if whole.converged and not found.converged:
             first, last = frequency[~inside][[0, -1]]
             raise BadInput(place, f"the fit without its lines from {first:.3g} to {last:.3g} Hz ended: {found.ended}")
         without.append(found.values)
-    by_parts = jackknife_factor(PARTS) ** 2 * (PARTS - 1) * np.var(np.array(without), axis=0)
+    by_parts = jackknife_factor(Loop.parts) ** 2 * (Loop.parts - 1) * np.var(np.array(without), axis=0)
     return whole, np.sqrt(np.maximum(by_parts, np.diag(whole.covariance)))

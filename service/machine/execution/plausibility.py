@@ -15,13 +15,11 @@ Applied to the samples as reported by the drive: a delay of milliseconds does no
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.errors import CauseCode
+from service.model.arrays import Array
 from service.model.errors import MotionFailed
 from service.model.recording import Recording, SweepSpec
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

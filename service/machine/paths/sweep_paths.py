@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.formats.traces.mapping import CncAxis, Columns, Csv
 from service.identification.design.excitation import Excitation, velocity_setpoint, way
+from service.model.arrays import Array
 from service.model.configuration import Cell, read_yaml
 from service.model.errors import BadInput, EnvelopeViolation
 from service.model.robot import Robot
@@ -54,9 +54,6 @@ def read_control(path: Path, robot: Robot) -> CncControl:
     if control.trace.columns.set_position is None:
         raise BadInput(f"{path} trace.columns", "set_position is missing: it tells where a trace's motion starts")
     return control
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

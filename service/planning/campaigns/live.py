@@ -11,17 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import structlog
-from numpy.typing import NDArray
 from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.ports import SampleBlock
+from service.model.arrays import Array
 from service.store.database import Database, refusal
 from service.store.documents import EventDocument
 from service.store.store import Store
 
 _log = structlog.get_logger(__name__)
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

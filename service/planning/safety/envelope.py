@@ -22,16 +22,16 @@ import math
 from collections.abc import Collection, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.errors import CauseCode, Measured, distinct
 from drivers.ports import NoiseCommand, SampleBlock, SineCommand, SweepCommand
-from service.identification.design.excitation import TRAVEL, Excitation, velocity_setpoint, way
+from service.identification.design.excitation import Excitation, Sines, velocity_setpoint, way
 from service.identification.design.exciting_trajectory import BREAKAWAY, nominal_effort
 from service.identification.estimates.torque_gain import KnownMass
 from service.identification.model.inverse_dynamics import JointMotion
 from service.identification.model.regressor import gravity_terms, inertia_rows
+from service.model.arrays import Array
 from service.model.collision import CollisionChecker
 from service.model.configuration import Cell
 from service.model.errors import EnvelopeViolation
@@ -39,7 +39,6 @@ from service.model.recording import Sine
 from service.model.robot import Robot
 from service.planning.safety.travel import Leg, route
 
-Array = NDArray[np.float64]
 Command = SweepCommand | NoiseCommand
 
 
@@ -47,7 +46,7 @@ class MethodLimits(BaseModel):
     """Limits of the method; the limits of the robot's joints and of the cell apply in addition."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    travel: float = Field(default=TRAVEL, gt=0)  # rad (m), maximum travel of a sweep, including settling
+    travel: float = Field(default=Sines.travel, gt=0)  # rad (m), maximum travel of a sweep, including settling
     window_margin: float = Field(default=math.radians(0.25), gt=0)  # rad (m), additional margin for the control error
     sweep_velocity: float = Field(default=0.1, gt=0)  # rad/s (m/s), at any instant of a sweep
     trajectory_velocity: float = Field(default=0.8, gt=0)  # rad/s (m/s), amplitudes of several axes' sweeps summed up

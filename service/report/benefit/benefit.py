@@ -26,7 +26,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
@@ -36,6 +35,7 @@ from service.identification.estimates.estimate import RobotEstimate, identify
 from service.identification.estimates.standard_parameters import standard_parameters
 from service.identification.model.regressor import axis_rows, gravity_terms
 from service.identification.spectra.frequency_response import Spectrum, spectrum
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.model.recording import Sweep, SweepSpec
 from service.model.results.effect import Number, Value
@@ -52,7 +52,6 @@ from service.report.benefit.prediction import (
     without_friction,
 )
 
-Array = NDArray[np.float64]
 QUIET_HOURS = 8.0  # one shift
 ON_THE_AXIS = 0.01  # m: if nearer, a force at the end has no torque about the axis
 EVERY = 4

@@ -33,11 +33,10 @@ from service.identification.estimates.standard_parameters import standard_parame
 from service.identification.model.inverse_dynamics import JointMotion, dynamics_rows
 from service.identification.model.regressor import axis_rows, gravity_terms
 from service.identification.spectra.frequency_response import Spectrum, spectrum, window
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.model.recording import Sweep
 from service.model.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

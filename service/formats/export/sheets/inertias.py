@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
@@ -29,14 +28,13 @@ from service.identification.model.base_parameters import BaseParameters, base_pa
 from service.identification.model.least_squares import converged
 from service.identification.model.physical_consistency import pseudo_inertia
 from service.identification.model.regressor import fold, lock
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.model.results.estimate import Base, BaseParameter, Estimate, StandardParameters
 from service.model.results.payload import Payload
 from service.model.results.sheet import Sheet, SheetParameter, Supplementary, SupplementaryLoad
 from service.model.robot import INERTIAL_NAMES, Robot, link_frames
 from service.model.urdf import LARGEST, Chain, inertia_vector, transform_inertial
-
-Array = NDArray[np.float64]
 
 STILL = 2e-3  # rad (m): smaller differences count as no motion
 

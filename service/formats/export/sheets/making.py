@@ -16,13 +16,13 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import JsonValue, ValidationError
 from scipy.stats import chi2
 
 from service.formats.export.model import IdentifiedModel, model_of
 from service.formats.export.sheets.inertias import UPRIGHT, Inertias, of_estimate, of_sheet, supplementary
 from service.identification.model.physical_consistency import is_physical
+from service.model.arrays import Array
 from service.model.configuration import bad_field
 from service.model.errors import BadInput
 from service.model.results.estimate import UNSURE, Estimate, EstimatedAxis, StandardParameters, share_of_value
@@ -37,8 +37,6 @@ from service.model.results.sheet import (
     SheetVerdict,
 )
 from service.model.robot import INERTIAL_NAMES, Robot
-
-Array = NDArray[np.float64]
 
 
 def sheet(

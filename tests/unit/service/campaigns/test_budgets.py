@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from drivers.ports import SweepCommand
-from service.identification.design.pose_selection import SLACK, Criterion
+from service.identification.design.pose_selection import Criterion, PoseLimits
 from service.model.configuration import Cell, read_cell, read_robot
 from service.model.errors import BadInput, EnvelopeViolation
 from service.model.robot import Robot, build_robot
@@ -186,4 +186,4 @@ def test_travel_buys_a_shorter_way_with_a_little_condition() -> None:
     assert way(near) < 0.85 * way(best)
     assert near.condition[-1] is not None
     assert best.condition[-1] is not None
-    assert near.condition[-1] < SLACK**4 * best.condition[-1]
+    assert near.condition[-1] < PoseLimits.slack**4 * best.condition[-1]

@@ -15,7 +15,13 @@ import numpy as np
 import pytest
 
 from service.identification.axis.axis_estimate import AxisEstimate
-from service.identification.design.excitation import CREST, Excitation, design_sweep, realisations, velocity_setpoint
+from service.identification.design.excitation import (
+    Excitation,
+    Sines,
+    design_sweep,
+    realisations,
+    velocity_setpoint,
+)
 from service.identification.estimates.document import as_document
 from service.identification.estimates.estimate import identify
 from service.identification.spectra.frequency_response import Spectrum, spectrum
@@ -84,7 +90,7 @@ def test_realisations_differ_in_their_phases_alone(robot: Robot) -> None:
         )
         assert replace(one, sines=same) == designed
         shape = sum(s.amplitude * np.sin(2 * np.pi * s.frequency * time + s.phase) for s in one.sines)
-        assert np.abs(shape).max() < 1.02 * CREST * np.sqrt(np.mean(shape**2))
+        assert np.abs(shape).max() < 1.02 * Sines.crest * np.sqrt(np.mean(shape**2))
         assert velocity_setpoint(one, np.linspace(1.0, 4.0, 3000)).min() > 0  # never reverses, whatever the phases
 
 

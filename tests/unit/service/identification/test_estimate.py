@@ -107,14 +107,14 @@ def test_a_search_of_the_nearest_robot_that_did_not_converge_is_in_the_document(
 ) -> None:
     spectra = _spectra(robot, POSES)
     assert "warning" not in _document(robot, spectra)["physical"]
-    monkeypatch.setattr(physical_consistency, "STEPS", 1)
+    monkeypatch.setattr(physical_consistency.Newton, "steps", 1)
     assert "did not reach" in _document(robot, spectra)["physical"]["warning"]
 
 
 def test_noise_that_has_not_settled_is_a_warning_of_each_inertia(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     spectra = _spectra(robot, POSES)
     assert all("warning" not in one for one in _document(robot, spectra)["axes"]["lift"]["inertia"])
-    monkeypatch.setattr(joint_fit, "ROUNDS", 1)
+    monkeypatch.setattr(joint_fit.FitLimits, "rounds", 1)
     warnings = [one["warning"] for one in _document(robot, spectra[:-1])["axes"]["lift"]["inertia"]]
     assert all("its noise still changes by" in warning for warning in warnings)
 

@@ -5,7 +5,14 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from service.identification.design.excitation import LINES, Excitation, design_sweep, peak_jerk, velocity_setpoint, way
+from service.identification.design.excitation import (
+    Excitation,
+    Sines,
+    design_sweep,
+    peak_jerk,
+    velocity_setpoint,
+    way,
+)
 from service.model.errors import BadInput
 from service.model.recording import Sine
 from service.model.robot import Axis, Robot, RobotDescription, build_robot
@@ -51,7 +58,7 @@ def test_neither_motor_nor_load_reverses(robot: Robot) -> None:
     sweep = design_sweep(robot, "swing", POSE, load_inertia=300.0, locked_rotor_frequency=resonance)
     lines = np.array([sine.frequency for sine in sweep.sines])
     amplitudes = np.array([sine.amplitude for sine in sweep.sines])
-    assert set(lines) < set(LINES)
+    assert set(lines) < set(Sines.lines)
     assert lines.max() <= 0.75 * resonance
     load_gain = 1 / (1 - (lines / resonance) ** 2)
     assert np.sum(amplitudes * load_gain) < sweep.offset_velocity

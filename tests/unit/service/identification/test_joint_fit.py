@@ -211,8 +211,8 @@ def test_a_fit_that_does_not_converge_tells_nothing(robot: Robot, monkeypatch: p
     spectra = _measured(robot, 2)
     shared, poses = _priors()
     assert fit_axis(spectra, shared, poses, 6.0).ended in (FitEnded.CONVERGED, FitEnded.AT_REST)
-    monkeypatch.setattr(joint_fit, "ITERATIONS", 1)
-    monkeypatch.setattr(joint_fit, "ROUNDS", 1)
+    monkeypatch.setattr(joint_fit.FitLimits, "iterations", 1)
+    monkeypatch.setattr(joint_fit.FitLimits, "rounds", 1)
     with pytest.raises(BadInput, match=r"^lift: its fit over 8 sweeps did not converge: the cost still falls after"):
         fit_axis(spectra, shared, poses, 6.0)
 

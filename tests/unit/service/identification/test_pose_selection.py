@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 
 from service.identification.design.pose_selection import (
-    EFFORT_NOISE,
-    NOISE_RATE,
-    RIDGE,
-    SLACK,
-    SOFTEST,
+    Assumed,
     Criterion,
+    PoseLimits,
     PredictedConfidence,
     choices,
     condition_bounds,
@@ -104,7 +101,7 @@ def test_d_optimal_takes_the_largest_determinant() -> None:
     rows = candidates(80, 2, 6)
     picks, _ = selected(rows, 20, Criterion.D_OPTIMAL)
     scaled = rows / np.sqrt(np.sum(rows**2, axis=(0, 1)))
-    ridge = RIDGE * np.sum(scaled**2) / 80 / 6 * np.eye(6)
+    ridge = PoseLimits.ridge * np.sum(scaled**2) / 80 / 6 * np.eye(6)
     for k in range(20):
         before = picks[:k]
 
@@ -127,7 +124,7 @@ def test_travel_takes_the_nearest_of_the_well_conditioned() -> None:
         been = np.vstack([home, poses[list(before)]])
         condition = {i: svd_condition(rows, (*before, i)) for i in range(100) if i not in before}
         away = {i: float(np.abs(been - poses[i]).sum(axis=1).min()) for i in condition}
-        near = [i for i in condition if condition[i] <= SLACK * min(condition.values())]
+        near = [i for i in condition if condition[i] <= PoseLimits.slack * min(condition.values())]
         assert picks[k] in near
         assert away[picks[k]] == pytest.approx(min(away[i] for i in near))
         assert chosen[k][1] == pytest.approx(condition[picks[k]], rel=1e-6)
@@ -157,8 +154,8 @@ def rows_of_lines(stiffness_sigma: float) -> np.ndarray:
     """Whitened rows of Im Z in [J, c, k_g], and the prior of k_g as one row more."""
     omega = 2 * np.pi * np.array([sine.frequency for sine in SINES])
     amplitude = np.array([sine.amplitude for sine in SINES])
-    samples = NOISE_RATE * DURATION
-    std = EFFORT_NOISE * RATED * np.sqrt(2 / samples) / amplitude
+    samples = Assumed.noise_rate * DURATION
+    std = Assumed.effort_noise * RATED * np.sqrt(2 / samples) / amplitude
     rows = np.stack([omega, omega**3 * LOAD**2, -1 / omega], -1) / std[:, None]
     return np.vstack([rows, [0, 0, 1 / stiffness_sigma]])
 
@@ -166,8 +163,8 @@ def rows_of_lines(stiffness_sigma: float) -> np.ndarray:
 def test_with_inertia_alone_unknown_it_is_the_cramer_rao_bound() -> None:
     information = sweep_information(SINES, DURATION, RATED, LOAD, 1e-9)
     squares = sum((2 * np.pi * sine.frequency * sine.amplitude) ** 2 for sine in SINES)
-    noise = EFFORT_NOISE * RATED
-    assert 1 / information[0, 0] == pytest.approx(2 * noise**2 / (NOISE_RATE * DURATION * squares))
+    noise = Assumed.effort_noise * RATED
+    assert 1 / information[0, 0] == pytest.approx(2 * noise**2 / (Assumed.noise_rate * DURATION * squares))
 
 
 def test_an_unknown_gravity_stiffness_costs_what_it_costs_in_least_squares() -> None:
@@ -195,7 +192,7 @@ def test_confidence_is_that_of_the_whole_least_squares() -> None:
     for row, own in zip(rows, information, strict=True):
         predicted.add(row, own)
         percent.append(predicted.percent())
-    prior = np.median(inertia, axis=0) * (2 * np.pi * SOFTEST) ** 2
+    prior = np.median(inertia, axis=0) * (2 * np.pi * Assumed.softest) ** 2
     stacked = [np.concatenate([np.zeros(3), one]) for one in np.diag(prior)]
     for pose in range(6):
         for axis in range(2):
@@ -250,7 +247,7 @@ def test_poses_that_a_confidence_does_not_need_are_found_from_the_last() -> None
 
 def test_a_compliance_that_the_sweeps_must_find_costs_precision() -> None:
     """With correlation 0.8 of J and c, and c free, the variance of J is 1 / (1 - 0.64) of the one with c known."""
-    softest = 1 / (100.0 * (2 * np.pi * SOFTEST) ** 2)
+    softest = 1 / (100.0 * (2 * np.pi * Assumed.softest) ** 2)
     scale = np.diag([1.0, 1e6 / softest])  # c is found much better than its prior
     about = scale @ np.array([[1.0, 0.8], [0.8, 1.0]]) @ scale
     for spread, determined in ((1.6, False), (1.7, True)):  # 1 / 0.6 = 1.67
