@@ -23,8 +23,6 @@ import canopen
 from canopen.objectdictionary import datatypes
 
 LARGEST = 2**22  # bytes; typical files of manufacturers have 0.1 MB
-MOST_ENTRIES = 254  # maximum number of sub-indices of an object
-MOST_OBJECTS = 50_000  # a compact object of two lines has up to 255
 
 DOMAIN, VAR, ARRAY, RECORD = 2, 7, 8, 9  # object types
 
@@ -166,6 +164,7 @@ def _value(text: str) -> str:
 
 def _cleaned(sections: Mapping[str, Section]) -> Iterator[str]:
     """Lines of an EDS that canopen reads."""
+    most_objects = 50_000  # a compact object of two lines has up to 255
     objects: dict[int, dict[int | str, Section]] = {}
     for section in sections.values():
         if match := _OBJECT.fullmatch(section.name):
@@ -177,8 +176,8 @@ def _cleaned(sections: Mapping[str, Section]) -> Iterator[str]:
         # up to 7: basic types; those between are types of a manufacturer's tool
         for sub, lines in _object(index, parts, objects) if index >= 0x1000 or index <= 7 else ():
             count += 1
-            if count > MOST_OBJECTS:
-                raise ValueError(f"has more than {MOST_OBJECTS} objects")
+            if count > most_objects:
+                raise ValueError(f"has more than {most_objects} objects")
             yield f"[{index:04X}{'' if sub is None else f'sub{sub:X}'}]"
             yield from lines
 
@@ -206,12 +205,13 @@ def _object(
     index: int, parts: Mapping[int | str, Section], objects: Mapping[int, Mapping[int | str, Section]]
 ) -> Iterator[tuple[int | None, list[str]]]:
     """The sections of an object: itself (None) and its sub-indices."""
+    most_entries = 254  # maximum number of sub-indices of an object
     own = parts.get("", Section(f"{index:04X}", next(iter(parts.values())).line))
     subs = {sub: section for sub, section in parts.items() if isinstance(sub, int)}
     for section, key in ((own, "CompactSubObj"), *((parts[k], "NrOfEntries") for k in ("name", "value") if k in parts)):
-        if (_number(section.text(key)) or 0) > MOST_ENTRIES:
+        if (_number(section.text(key)) or 0) > most_entries:
             stated = section.text(key)[:20]
-            raise ValueError(f"{section.where(key)}: {key} is {stated}, limit {MOST_ENTRIES}")
+            raise ValueError(f"{section.where(key)}: {key} is {stated}, limit {most_entries}")
     compact = _number(own.text("CompactSubObj")) or 0
     kind = _number(own.text("ObjectType")) or VAR
     if own.text("ObjectType") and _number(own.text("ObjectType")) is None:

@@ -204,13 +204,15 @@ class VirtualDriveCabinet(DriveCabinet[AnyVirtualNode]):
     """A cabinet of virtual drives. Raises ScenarioError for an EDS with unsupported units."""
 
     def __init__(self, machine: LiveMachine, nodes: Mapping[str, AnyVirtualNode], speed_factor: float) -> None:
+        # Used even if the EDS has no such object.
+        inside = frozenset({(0x6072, 0), (0x6076, 0), (0x6080, 0), *((0x2140, sub) for sub in range(1, 5))})
         super().__init__(machine, nodes, speed_factor)
         limits = joint_limits(machine.scenario.robot.urdf)
         self._controls: dict[str, tuple[float, float]] = {}
         for info in machine.axes:
             d = self.nodes[info.joint].dictionary
             plate = _nameplate(info, limits[info.joint], speed_unit(d))
-            d.nameplate |= {key: value for key, value in plate.items() if key in _INSIDE or key in d}
+            d.nameplate |= {key: value for key, value in plate.items() if key in inside or key in d}
             self._controls[info.joint] = info.gain / info.gear_ratio**2, info.reset_time
 
     def axis_status(self, info: AxisInfo, axis: VirtualAxis) -> dict[str, object]:
@@ -237,10 +239,6 @@ class VirtualDriveCabinet(DriveCabinet[AnyVirtualNode]):
         if control != self._controls[info.joint]:
             self._controls[info.joint] = control
             self._machine.tune(info.joint, control[0] * info.gear_ratio**2, control[1])
-
-
-_INSIDE = frozenset({(0x6072, 0), (0x6076, 0), (0x6080, 0), *((0x2140, sub) for sub in range(1, 5))})
-"""Used even if the EDS has no such object."""
 
 
 def _nameplate(info: AxisInfo, limits: Mapping[str, float], speed: float) -> dict[Key, Value]:

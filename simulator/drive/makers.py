@@ -106,26 +106,25 @@ _OPTIONS: dict[Key, int | float] = {
     (0x6502, 0): 0x0000_0105,  # pp, pv, csv
 }
 
-_MAXON_EPOS4 = Maker(
-    name="maxon EPOS4",
-    scaling=Scaling.ENCODER,
-    torque_unit=1e-6,
-    motor_speed_in_rpm=False,
-    acceleration_in_rpm=True,
-    position_limit_code=0x8A82,
-    remaps_operational=False,
-    absent=_OPTIONS,
-)
-_ELMO_GOLD = Maker(name="Elmo Gold", scaling=Scaling.FEED, increments=65536, absent=_OPTIONS | {(0x6502, 0): 0x3ED})
-_ELMO_SIMPLIQ = Maker(name="Elmo SimplIQ", scaling=Scaling.FACTORS, increments=8192, absent=_OPTIONS)
-_SCHUNK_POWERBALL = Maker(name="SCHUNK Powerball", scaling=Scaling.JOINT, refuses_modes=False, absent=_OPTIONS)
-_PLAIN = Maker(name="plain CiA 402", refuses_modes=False, absent=_OPTIONS)
-
 
 def maker_of(vendor: int, vendor_name: str, product_name: str) -> Maker:
     """By vendor id (1018h:01 or [DeviceInfo]) and the names in [DeviceInfo]; the standard drive for all others."""
     if vendor == 0xFB:
-        return _MAXON_EPOS4
+        return Maker(
+            name="maxon EPOS4",
+            scaling=Scaling.ENCODER,
+            torque_unit=1e-6,
+            motor_speed_in_rpm=False,
+            acceleration_in_rpm=True,
+            position_limit_code=0x8A82,
+            remaps_operational=False,
+            absent=_OPTIONS,
+        )
+    if vendor == 0x9A and product_name.startswith("Gold"):
+        absent = _OPTIONS | {(0x6502, 0): 0x3ED}
+        return Maker(name="Elmo Gold", scaling=Scaling.FEED, increments=65536, absent=absent)
     if vendor == 0x9A:
-        return _ELMO_GOLD if product_name.startswith("Gold") else _ELMO_SIMPLIQ
-    return _SCHUNK_POWERBALL if vendor_name.startswith("SCHUNK") else _PLAIN
+        return Maker(name="Elmo SimplIQ", scaling=Scaling.FACTORS, increments=8192, absent=_OPTIONS)
+    if vendor_name.startswith("SCHUNK"):
+        return Maker(name="SCHUNK Powerball", scaling=Scaling.JOINT, refuses_modes=False, absent=_OPTIONS)
+    return Maker(name="plain CiA 402", refuses_modes=False, absent=_OPTIONS)

@@ -107,12 +107,6 @@ WordOrder = Literal["high_first", "low_first"]
 WireType = Literal["u16", "i16", "u32", "i32", "f32"]
 
 FORMATS: dict[WireType, str] = {"u16": ">H", "i16": ">h", "u32": ">I", "i32": ">i", "f32": ">f"}
-_RANGES: dict[WireType, tuple[int, int]] = {
-    "u16": (0, 0xFFFF),
-    "i16": (-0x8000, 0x7FFF),
-    "u32": (0, 0xFFFFFFFF),
-    "i32": (-0x80000000, 0x7FFFFFFF),
-}
 
 
 class RegisterMapError(ValueError):
@@ -134,9 +128,15 @@ class Wire(FileModel):
         """Registers of a physical value. An integer type uses the nearest value it can hold; its lowest value means
         NaN.
         """
+        ranges = {
+            "u16": (0, 0xFFFF),
+            "i16": (-0x8000, 0x7FFF),
+            "u32": (0, 0xFFFFFFFF),
+            "i32": (-0x80000000, 0x7FFFFFFF),
+        }
         raw = value / self.scale
-        if self.type in _RANGES:
-            low, high = _RANGES[self.type]
+        if self.type in ranges:
+            low, high = ranges[self.type]
             raw = low if math.isnan(raw) else round(max(low, min(high, raw)))
         words = [int(word) for word in struct.unpack(f">{self.registers}H", struct.pack(FORMATS[self.type], raw))]
         return words if order == "high_first" else words[::-1]

@@ -193,7 +193,6 @@ _BY_QUANTITY = {
     "angular speed": "velocity", "speed": "velocity", "turns per time": "velocity", "angle": "position",
     "length": "position", "turns": "position",
 }  # fmt: skip
-_SECOND = re.compile(r"^(2nd\w*|enc2|encoder2|load|abtrieb\w*|direct|ext\w*|link|secondary|ms2|messsystem2)$")
 _AXIS = re.compile(
     r"\[(?:u\d+,\s*)?(\d+)\]|(?:axis|achse|joint|gelenk|drive|antrieb|robax|ax|[aj])[ _.]?(\d+)(?!\d)"
     r"|[A-Za-z_ .](\d{1,2})$",
@@ -211,6 +210,7 @@ def axis_of(channel: ListedChannel) -> str:
 
 def role_of(channel: ListedChannel) -> tuple[str, int]:
     """Role and rank, the smallest of the best; "" if it is of no use."""
+    second = re.compile(r"^(2nd\w*|enc2|encoder2|load|abtrieb\w*|direct|ext\w*|link|secondary|ms2|messsystem2)$")
     camel = re.compile(r"(?<=[a-zäöü])(?=[A-ZÄÖÜ])|(?<=[A-ZÄÖÜ])(?=[A-ZÄÖÜ][a-zäöü])")
     different = re.compile(
         r"^(err\w*|\w*fehler\w*|\w*err(or)?|dev\w*|\w*abweichung\w*|schlepp\w*|following|diff\w*|limit\w*|max\w*|min\w*|acc\w*|"
@@ -234,7 +234,7 @@ def role_of(channel: ListedChannel) -> tuple[str, int]:
             role
             for role, pattern in _WORDS.items()
             if (quantity is None or quantity in _QUANTITY[role])
-            and any(re.fullmatch(pattern, word) for word in words if role == "load" or not _SECOND.match(word))
+            and any(re.fullmatch(pattern, word) for word in words if role == "load" or not second.match(word))
         ),
         _BY_QUANTITY.get(quantity or "", ""),
     )
@@ -243,7 +243,7 @@ def role_of(channel: ListedChannel) -> tuple[str, int]:
         # a torque set-point is nearly what the drive does, but a target (of a Universal Robot) is that of a model
         wanted = {"position": "set_position", "velocity": "velocity_setpoint"}
         role, rank = ("" if "target" in words and role in ("effort", "current") else wanted.get(role, role)), 2
-    elif role in ("position", "velocity") and any(_SECOND.match(word) for word in words):
+    elif role in ("position", "velocity") and any(second.match(word) for word in words):
         role = f"load_{role}"
     return role, rank
 

@@ -26,13 +26,6 @@ ENTERS = {
     GAIN: "effort is divided by the gain",
     **dict.fromkeys(LAWS, "its torque at the measured velocity is taken out of the effort"),
 }
-STAYS_OUT = {
-    "effort_offset": "a constant torque has no component at the lines, and records without lines fit it anyway",
-    "cogging_torque": "ripple of known orders is fitted in every sweep",
-    "transmission_error": "ripple of known orders is fitted in every sweep",
-    "gravity_error": "gravity is fitted in every sweep",
-    "payload": "the inertias hold whatever the robot carries",
-}
 
 
 def rmse_percent(a: Array, b: Array) -> float:
@@ -185,6 +178,13 @@ def _used(effect: KnownEffect, axis: AxisEstimate) -> results.UsedEffect:
 
 def _role(effect: KnownEffect, axis: AxisEstimate) -> tuple[bool, str]:
     """Whether it is used, and how or why not."""
+    stays_out = {
+        "effort_offset": "a constant torque has no component at the lines, and records without lines fit it anyway",
+        "cogging_torque": "ripple of known orders is fitted in every sweep",
+        "transmission_error": "ripple of known orders is fitted in every sweep",
+        "gravity_error": "gravity is fitted in every sweep",
+        "payload": "the inertias hold whatever the robot carries",
+    }
     other = "is not described for sweeps with lines"
     if effect.unusable:
         return False, effect.unusable
@@ -195,7 +195,7 @@ def _role(effect: KnownEffect, axis: AxisEstimate) -> tuple[bool, str]:
         if axis.fit is None:
             return False, "the axis has no sweep with lines"
         return True, ENTERS[effect.name]
-    return False, STAYS_OUT.get(effect.name, other)
+    return False, stays_out.get(effect.name, other)
 
 
 def as_document(estimate: RobotEstimate, workspace: Array) -> results.Estimate:

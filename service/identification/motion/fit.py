@@ -108,7 +108,6 @@ def _levinson(lags: Array) -> tuple[Array, Array]:
     return coefficients, np.sqrt(variance)
 
 
-TESTS = (*LACKS, "elasticity of the gear")
 OPEN = 1e-4  # of the square of a column: least part outside the span of the rows with which it is tested
 FOLDS = 5  # every fifth block is held out together
 
@@ -369,4 +368,4 @@ def _lacking(
         certain = 2 * cast(float, stdtr(count - 1, -abs(total) / noise**0.5))
         # probability by chance below which it widens the spread
         if certain < 0.01:
-            yield TESTS[k], along[:, k] * (total**2 - noise) ** 0.5 / power[k], certain
+            yield (*LACKS, "elasticity of the gear")[k], along[:, k] * (total**2 - noise) ** 0.5 / power[k], certain

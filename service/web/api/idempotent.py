@@ -20,25 +20,25 @@ from service.store.guards import IdempotencyKeys
 Handler = Callable[[Request], Coroutine[Any, Any, Response]]
 
 LONGEST_KEY = 255
-OPENAPI_PARAMETER: dict[str, Any] = {
-    "parameters": [
-        {
-            "name": "Idempotency-Key",
-            "in": "header",
-            "required": False,
-            "description": "makes sending the request again safe",
-            "schema": {"type": "string", "minLength": 1, "maxLength": LONGEST_KEY},
-        }
-    ]
-}
 
 
 class IdempotentRoute(APIRoute):
     """A route whose POST requests support `Idempotency-Key`."""
 
     def __init__(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:
+        parameter = {
+            "parameters": [
+                {
+                    "name": "Idempotency-Key",
+                    "in": "header",
+                    "required": False,
+                    "description": "makes sending the request again safe",
+                    "schema": {"type": "string", "minLength": 1, "maxLength": LONGEST_KEY},
+                }
+            ]
+        }
         if "POST" in (options.get("methods") or ()):
-            options["openapi_extra"] = OPENAPI_PARAMETER | (options.get("openapi_extra") or {})
+            options["openapi_extra"] = parameter | (options.get("openapi_extra") or {})
         super().__init__(path, endpoint, **options)
 
     def get_route_handler(self) -> Handler:

@@ -38,16 +38,7 @@ from service.model.urdf import LARGEST, Chain, inertia_vector, transform_inertia
 
 STILL = 2e-3  # rad (m): smaller differences count as no motion
 
-_PLACE = "--payload"
 UPRIGHT = -90.0  # deg: position of the second axis that defines the frame of its load
-# FLANGE of the load of A3: Beckhoff TF5120, function block KRC_LDDconfig (M_A3, X_A3 ...). ROBROOT of those of A1 and
-# A2, and moments about the centre of mass: KUKA's class CRobot, setLoadA1 to setLoadA3. No public source gives the axis
-# positions at which a frame is fixed to its link: the sheet says that they must be checked.
-_FRAMES: tuple[tuple[Literal["A1", "A2", "A3"], str], ...] = (
-    ("A1", "ROBROOT (base frame of the URDF) with A1 = 0 deg"),
-    ("A2", "ROBROOT (base frame of the URDF) with A1 = 0 deg and A2 = -90 deg"),
-    ("A3", "FLANGE (in the URDF: frame of {last}) with A4 = A5 = A6 = 0 deg"),
-)
 
 
 @dataclass(frozen=True)
@@ -148,18 +139,19 @@ class LoadData:
 
 def load_of(found: Payload) -> LoadData:
     """BadInput if a value that a control needs is missing, or no body can have these values."""
+    place = "--payload"
     figures = {"mass": found.mass, **found.center, **found.inertia}
     open_ = [name for name, part in figures.items() if part.value is None]
     if open_:
-        raise BadInput(_PLACE, f"lacks {', '.join(open_)}: its motions did not excite them")
+        raise BadInput(place, f"lacks {', '.join(open_)}: its motions did not excite them")
     if found.mass.std_total is None:
-        raise BadInput(f"{_PLACE} mass.std_total", "is missing")
+        raise BadInput(f"{place} mass.std_total", "is missing")
     near = found.physical.nearest
     if set(near.inertia) != set(INERTIAL_NAMES[4:]):
-        raise BadInput(f"{_PLACE} physical.nearest.inertia", f"lacks {', '.join(INERTIAL_NAMES[4:])}")
+        raise BadInput(f"{place} physical.nearest.inertia", f"lacks {', '.join(INERTIAL_NAMES[4:])}")
     for value in (found.mass.std_total, near.mass, *near.center, *near.inertia.values()):
         if not abs(value) <= LARGEST:
-            raise BadInput(_PLACE, f"has {value}, must be a number of at most {LARGEST:g}")
+            raise BadInput(place, f"has {value}, must be a number of at most {LARGEST:g}")
     of = near.inertia
     tensor = np.array(
         [[of["Ixx"], of["Ixy"], of["Ixz"]], [of["Ixy"], of["Iyy"], of["Iyz"]], [of["Ixz"], of["Iyz"], of["Izz"]]]
@@ -168,7 +160,7 @@ def load_of(found: Payload) -> LoadData:
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1
     if not moments[0] > 0 or moments[2] > moments[0] + moments[1] + 1e-9:
-        raise BadInput(_PLACE, "has moments of inertia that are not physically possible")
+        raise BadInput(place, "has moments of inertia that are not physically possible")
     least, middle, most = moments.tolist()
     return LoadData(found.frame, near.mass, found.mass.std_total, near.center, (least, middle, most), axes)
 
@@ -265,6 +257,14 @@ def _fit(parts: Array, wanted: Array, links: list[int], size: _Size) -> tuple[di
 
 def _load(robot: Robot, link: int, parameters: Array, upright: float) -> SupplementaryLoad:
     """A body in the frame that the control requires."""
+    # FLANGE of the load of A3: Beckhoff TF5120, function block KRC_LDDconfig (M_A3, X_A3 ...). ROBROOT of those of A1
+    # and A2, and moments about the centre of mass: KUKA's class CRobot, setLoadA1 to setLoadA3. No public source gives
+    # the axis positions at which a frame is fixed to its link: the sheet says that they must be checked.
+    frames: tuple[tuple[Literal["A1", "A2", "A3"], str], ...] = (
+        ("A1", "ROBROOT (base frame of the URDF) with A1 = 0 deg"),
+        ("A2", "ROBROOT (base frame of the URDF) with A1 = 0 deg and A2 = -90 deg"),
+        ("A3", "FLANGE (in the URDF: frame of {last}) with A4 = A5 = A6 = 0 deg"),
+    )
     pose = np.zeros(len(robot.joints))
     pose[1] = upright if link == 1 else 0.0
     rotations, origins = (part[0] for part in link_frames(robot.chain, pose[None]))
@@ -282,9 +282,9 @@ def _load(robot: Robot, link: int, parameters: Array, upright: float) -> Supplem
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1
     return SupplementaryLoad(
-        axis=_FRAMES[link][0],
+        axis=frames[link][0],
         link=robot.chain.joints[link].link,
-        frame=_FRAMES[link][1].format(last=robot.joints[-1]),
+        frame=frames[link][1].format(last=robot.joints[-1]),
         mass=mass,
         centre=(float(centre[0]), float(centre[1]), float(centre[2])),
         orientation=zyx(axes),

@@ -7,15 +7,14 @@ from service.formats.export.sheets.inertias import LoadData, zyx
 from service.model.results.digits import with_std
 from service.model.results.sheet import AxisSheet, Sheet, SheetBody, Supplementary, SupplementaryLoad
 
-_NO_LOAD = (
-    "Payload: left out. An estimate of the robot contains only combinations of the parameters of its links, "
-    "not the mass, centre and inertia of a body on it. Measure the load with `sweepid estimate payload` and "
-    "give its file with `--payload`."
-)
-
 
 def as_markdown(sheet: Sheet, load: LoadData | None = None) -> str:
     """The page; `load`: the payload on the last link, if it was measured."""
+    no_load = (
+        "Payload: left out. An estimate of the robot contains only combinations of the parameters of its links, "
+        "not the mass, centre and inertia of a body on it. Measure the load with `sweepid estimate payload` and "
+        "give its file with `--payload`."
+    )
     parts = [
         f"# Dynamics of {sheet.robot} for its control",
         f"Source: {sheet.source}. Fingerprint: `{sheet.fingerprint}`. All standard deviations include that of "
@@ -46,9 +45,9 @@ def as_markdown(sheet: Sheet, load: LoadData | None = None) -> str:
         _beckhoff(sheet),
         "## KUKA",
         _supplementary(sheet.supplementary),
-        _NO_LOAD if load is None else _kuka(load),
+        no_load if load is None else _kuka(load),
         "## ABB",
-        _NO_LOAD if load is None else _abb(load),
+        no_load if load is None else _abb(load),
         "## ros2_control and MoveIt",
         "Both read the URDF: `sweepid export model` writes `model.urdf` with these parameters, and the motors' "
         "inertia, for which URDF has no place, into `robot.yaml`.",
