@@ -21,10 +21,10 @@ from typing import Any, cast
 
 import canopen
 from canopen.objectdictionary import datatypes
+from canopen.objectdictionary.eds import ARR, DOMAIN, RECORD, VAR
 
 LARGEST = 2**22  # bytes; typical files of manufacturers have 0.1 MB
 
-DOMAIN, VAR, ARRAY, RECORD = 2, 7, 8, 9  # object types
 
 _OBJECT = re.compile(r"(?:0x)?([0-9A-F]{2,4})(?:\s*sub\s*([0-9A-F]{1,2})|\s*(name|value))?", re.I)
 
@@ -218,11 +218,11 @@ def _object(
         raise ValueError(
             f"{own.where('ObjectType')}: ObjectType={own.text('ObjectType')[:40]} is not a number: 7 is VAR"
         )
-    if kind not in (ARRAY, RECORD) and not compact and not any(subs):
+    if kind not in (ARR, RECORD) and not compact and not any(subs):
         yield None, [f"ObjectType={kind}", *_variable(index, None, own, kind, objects)]
         return
     name = own.text("ParameterName") or f"{index:04X}h"
-    yield None, [f"ObjectType={kind if kind in (ARRAY, RECORD) else RECORD}", f"ParameterName={name}"]
+    yield None, [f"ObjectType={kind if kind in (ARR, RECORD) else RECORD}", f"ParameterName={name}"]
     if compact and 0 not in subs:
         yield 0, ["ParameterName=Number of entries", "DataType=5", "AccessType=ro", f"DefaultValue={compact}"]
     for sub in range(1, compact + 1):

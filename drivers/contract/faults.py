@@ -2,17 +2,16 @@
 
 import asyncio
 import time
-from typing import Any
 
 import numpy as np
 import pytest
 
 from drivers.contract.bench import MachineUnderTest, Suite, column, consume, eventually, needs
+from drivers.contract.motion import LONG
 from drivers.errors import CommunicationLost, DriveError, DriveFault, EmergencyStop, EnvelopeLeft
 from drivers.ports import AxisState, DrivePort, SampleBlock, SweepMode
 
 # interrupted in motion: 100 s of slow motion, 5 s of a machine at 20 times real time
-LONG: dict[str, Any] = {"periods": 200, "offset_velocity": 0.0045}
 
 
 class FaultSuite(Suite):

@@ -31,6 +31,7 @@ from service.model.configuration import Cell
 from service.model.errors import BadInput, EnvelopeViolation
 from service.model.robot import Robot
 from service.planning.documents import LARGEST_CHOICE, USUAL_CHOICE, DroppedPose, PlanRequest
+from service.planning.path import LEG_OVERHEAD
 from service.planning.safety.envelope import Envelope
 
 
@@ -219,9 +220,6 @@ class SweepDesign:
         if self._request.lines or joint not in self._analyses:
             return sorted(self._request.lines)
         return list(self._analyses[joint].lines(load))
-
-
-LEG_OVERHEAD = 1.0  # s to switch an axis on, settle and switch it off
 
 
 @dataclass(frozen=True)
