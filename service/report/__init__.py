@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from service.report.diagnosis import diagnosis_figures, diagnosis_page
     from service.report.fleet import fleet_page
     from service.report.html import Form, ReportPage
-    from service.report.page import analysis_page, estimate_page
+    from service.report.page import analysis_page
 
 _HOMES = {
     "campaign": ("campaign_page",),
@@ -33,7 +33,7 @@ _HOMES = {
     "diagnosis": ("diagnosis_figures", "diagnosis_page"),
     "fleet": ("fleet_page",),
     "html": ("Form", "ReportPage"),
-    "page": ("analysis_page", "estimate_page"),
+    "page": ("analysis_page",),
 }
 
 __all__ = [
@@ -50,7 +50,6 @@ __all__ = [
     "content_of",
     "diagnosis_figures",
     "diagnosis_page",
-    "estimate_page",
     "example_of",
     "fleet_page",
     "used_sweeps",
