@@ -9,6 +9,7 @@ import secrets
 import shutil
 import signal
 import zipfile
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn
 from rich.table import Table
 
+from service.cli.report_pages import bundle_report
 from service.cli.terminal import print_result
 from service.cli.virtual_cell import CELL, PROFILE, ROBOT, Operator, VirtualCell, answer_of_drive, virtual_cell
 from service.diagnosis.summary import judged_on
@@ -32,8 +34,9 @@ from service.model.results.estimate import Estimate
 from service.model.robot import Robot
 from service.planning.documents import PlanRequest
 from service.planning.pose_choice import workspace_grid
-from service.report import Content, ReportedAxis, TruthRow, axes_of, content_of, estimate_page
+from service.report import Content, Drive, ReportedAxis, TruthRow, axes_of, campaign_page, content_of
 from service.report.benefit import Benefit, FollowingError, Tracking, benefit, benefit_section, feed_forward, sentence
+from service.report.diagnosis import diagnosis_section
 from service.store.files.bundle import Bundle, read_bundle
 from service.web.client import Json, ServiceClient
 
@@ -210,6 +213,7 @@ def run_demo(out: Path, seed: int, poses: int, screen: Screen) -> DemoOutcome:
         screen.doing("collecting estimates and recordings")
         revisions = client.estimates(campaign_id)
         client.export_bundle(campaign_id, out / "bundle.zip")
+        identities = {axis["joint"]: axis["identity"] for axis in client.drives()["axes"] if axis["identity"]}
     with zipfile.ZipFile(out / "bundle.zip") as archive:
         archive.extractall(out / "bundle")
     (out / "bundle.zip").unlink()
@@ -225,16 +229,23 @@ def run_demo(out: Path, seed: int, poses: int, screen: Screen) -> DemoOutcome:
     worth = worth.model_copy(update={"tracking": tracking})
     content = _content(measured, revisions, workspace, seed)
     axes = axes_of(content)
+    measures = Counter(spec.axis for spec in content.specs)
+    drives = tuple(Drive(joint, **identities[joint], sweeps=measures[joint]) for joint in identities if measures[joint])
     truth = compare(content, axes, SCENARIO, out / "poses.json")
-    columns = tuple(axis.joint for axis in axes)
-    subtitle = (
-        f"{content.subtitle} Then a second machine with a hidden effect in {found.joint}, revealed "
-        f"after its diagnosis: {found.description}. {found.judgement} Last, the benefit of the estimate of "
-        "the first machine."
-    )
-    content = replace(content, subtitle=subtitle, truth=truth, truth_columns=columns, diagnosis=found.diagnosis)
+    content = replace(content, truth=truth, truth_columns=tuple(axis.joint for axis in axes))
     report = out / "report.html"
-    page = estimate_page(content)
+    page = campaign_page(
+        replace(bundle_report(measured, str(out / "bundle"), content.subtitle), drives=drives),
+        measured.robot.joints,
+        content.estimate,
+        content,
+    )
+    diagnosis_section(
+        page,
+        found.diagnosis,
+        f"Not the machine of the estimate above, but a second virtual one ({HIDING.stem}) that hides an effect in "
+        f"{found.joint}. After its diagnosis it was revealed: {found.description}. {found.judgement}",
+    )
     benefit_section(page, worth)
     report.write_text(page.html(), encoding="utf-8")
     (out / "estimate.json").write_text(json.dumps(revisions[-1]["document"], indent=2) + "\n", encoding="utf-8")
@@ -430,6 +441,15 @@ def read_truth(scenario: Path, poses: Array, scratch: Path) -> dict[str, Array]:
     return {joint: np.array(values, dtype=float) for joint, values in found.items()}
 
 
+ERRORS = (
+    "formula of the paper, measured sweeps",
+    "sweepid estimate, measured sweeps",
+    "CAD model, whole workspace",
+    "formula of the paper, whole workspace",
+    "sweepid model, whole workspace",
+)
+
+
 def compare(content: Content, axes: Sequence[ReportedAxis], scenario: Path, scratch: Path) -> tuple[TruthRow, ...]:
     """Errors in percent, one column per axis: median and, in brackets, the 95th percentile of their absolute values.
 
@@ -440,13 +460,13 @@ def compare(content: Content, axes: Sequence[ReportedAxis], scenario: Path, scra
     in_sweeps = {axis.joint: read_truth(scenario, axis.poses, scratch)[axis.joint] for axis in axes}
     from_paper = _paper_model(content, axes)
     lines = (
-        ("paper's formula, sweeps", [(axis.paper, in_sweeps[axis.joint]) for axis in axes]),
-        ("our estimate, sweeps", [(axis.measured, in_sweeps[axis.joint]) for axis in axes]),
-        ("CAD model, workspace", [(axis.reference_workspace, workspace[axis.joint]) for axis in axes]),
-        ("paper's formula, workspace", [(from_paper[a.joint], workspace[a.joint]) for a in axes]),
-        ("our model, workspace", [(a.identified_workspace, workspace[a.joint]) for a in axes]),
+        (ERRORS[0], [(axis.paper, in_sweeps[axis.joint]) for axis in axes]),
+        (ERRORS[1], [(axis.measured, in_sweeps[axis.joint]) for axis in axes]),
+        (ERRORS[2], [(axis.reference_workspace, workspace[axis.joint]) for axis in axes]),
+        (ERRORS[3], [(from_paper[a.joint], workspace[a.joint]) for a in axes]),
+        (ERRORS[4], [(a.identified_workspace, workspace[a.joint]) for a in axes]),
     )
-    return tuple(TruthRow(label, tuple(_error(found, true) for found, true in pairs)) for label, pairs in lines)
+    return tuple(TruthRow(label, tuple(error(found, true) for found, true in pairs)) for label, pairs in lines)
 
 
 def _paper_model(content: Content, axes: Sequence[ReportedAxis]) -> dict[str, Array]:
@@ -466,6 +486,6 @@ def _paper_model(content: Content, axes: Sequence[ReportedAxis]) -> dict[str, Ar
     }
 
 
-def _error(found: Array, true: Array) -> str:
+def error(found: Array, true: Array) -> str:
     error = 100 * np.abs(found / true - 1)
     return f"{np.median(error):.2f} ({np.percentile(error, 95):.2f})"

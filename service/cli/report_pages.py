@@ -71,17 +71,35 @@ def bundle_page(bundle: Bundle, found: Estimate, place: str) -> ReportPage:
     sweeps = {sweep.spec.id: sweep for sweep in bundle.sweeps}
     specs = used_sweeps(found, [sweep.spec for sweep in bundle.sweeps])
     subtitle = f"Identified from {len(specs) or len(sweeps)} sweeps of the bundle {place}."
+    report = bundle_report(bundle, place, subtitle)
+    content = content_of(bundle.robot, found, specs, lambda spec: sweeps[spec.id], subtitle) if specs else None
+    return campaign_page(report, bundle.robot.joints, found, content)
+
+
+def bundle_report(bundle: Bundle, place: str, subtitle: str) -> CampaignReport:
+    """Origin and data check of a bundle that lies in the folder `place`."""
+    files = sorted(path for path in Path(place).rglob("*") if path.is_file())
+    listing = "".join(
+        f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.relative_to(place).as_posix()}\n" for file in files
+    )
     findings = check(bundle.robot, bundle.sweeps)
-    report = CampaignReport(
+    return CampaignReport(
         title=f"Inertias of the robot {bundle.robot.name}",
         subtitle=subtitle,
-        origin=(("robot", bundle.robot.name), ("bundle", place), ("report", made_now())),
+        origin=(
+            ("robot", bundle.robot.name),
+            ("bundle", place),
+            (
+                "files",
+                f"{len(files)}, SHA-256 {hashlib.sha256(listing.encode()).hexdigest()} of their list as sha256sum "
+                "writes it",
+            ),
+            ("report", made_now()),
+        ),
         drives=(),
         check=DataCheck.read(findings_document(bundle.robot, bundle.sweeps, findings), place),
         diagnosis=None,
     )
-    content = content_of(bundle.robot, found, specs, lambda spec: sweeps[spec.id], subtitle) if specs else None
-    return campaign_page(report, bundle.robot.joints, found, content)
 
 
 def made_now() -> str:

@@ -8,22 +8,24 @@ import asyncio
 import hashlib
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from enum import Enum
 from functools import partial
 
 import structlog
+from pydantic import JsonValue
 
 from service.diagnosis import compose, is_evidence
 from service.diagnosis.fit.parameters import Parameter
+from service.diagnosis.summary import summary
 from service.formats.export.started_robot import started_from
 from service.identification.estimates.torque_gain import KnownMass
 from service.jobs.jobs import OpenJobs
 from service.jobs.work import DiagnosisJob, JobFailed, RecordedSweep, Worker
 from service.model.errors import BadInput, Conflict, NotFound
 from service.model.recording import SweepSpec
-from service.model.results.diagnosis import Diagnosis
+from service.model.results.diagnosis import Diagnosis, Experiment
 from service.model.results.effect import Value
 from service.model.results.estimate import Estimate
 from service.planning.campaigns.stored_results import campaign_beside
@@ -167,9 +169,17 @@ class Diagnosing(OpenJobs):
     """Submits axes to the worker and stores their results."""
 
     def __init__(
-        self, store: Store, diagnoses: DiagnosisStore, models: ModelStore, files: RecordingFiles, worker: Worker
+        self,
+        store: Store,
+        diagnoses: DiagnosisStore,
+        models: ModelStore,
+        files: RecordingFiles,
+        worker: Worker,
+        refusal: Callable[[int, Experiment], str],
     ) -> None:
+        """`refusal`: why an experiment for a robot cannot be run, or ""; blocks."""
         super().__init__()
+        self._refusal = refusal
         self._store, self._diagnoses, self._models = store, diagnoses, models
         self._files, self._worker = files, worker
 
@@ -243,7 +253,7 @@ class Diagnosing(OpenJobs):
             results = await asyncio.to_thread(self._diagnoses.results, diagnosis.id)
             jobs = [await asyncio.to_thread(self._job, diagnosis, one) for one in diagnosis.axes if one not in results]
             await asyncio.to_thread(self._diagnoses.begin, diagnosis.id)
-            done = await asyncio.gather(*(self._axis(diagnosis.id, job) for job in jobs), return_exceptions=True)
+            done = await asyncio.gather(*(self._axis(diagnosis, job) for job in jobs), return_exceptions=True)
             failed = [error for error in done if isinstance(error, JobFailed)]
             for error in done:
                 if error is not None and error not in failed:
@@ -263,13 +273,24 @@ class Diagnosing(OpenJobs):
         kept = None if document is None else document.as_json()
         await asyncio.to_thread(self._diagnoses.fail, diagnosis.id, cause, kept)
 
-    async def _axis(self, diagnosis_id: int, job: DiagnosisJob) -> None:
+    async def _axis(self, diagnosis: DiagnosisEntry, job: DiagnosisJob) -> None:
         try:
             document = await self._worker.run_patiently(job)
         except JobFailed as error:
             raise JobFailed(f"{job.joint}: {error}") from None
+        document = await asyncio.to_thread(self._runnable, diagnosis.robot_id, job.joint, document)
         verdict = str(document["verdict"])
-        await asyncio.to_thread(self._diagnoses.add_result, diagnosis_id, job.joint, verdict, document)
+        await asyncio.to_thread(self._diagnoses.add_result, diagnosis.id, job.joint, verdict, document)
+
+    def _runnable(self, robot_id: int, joint: str, document: dict[str, JsonValue]) -> dict[str, JsonValue]:
+        """The result of an axis, without an experiment that the machine cannot run; then it says why."""
+        proposed = document["next_experiment"]
+        reason = "" if proposed is None else self._refusal(robot_id, Experiment.model_validate(proposed))
+        if not reason:
+            return document
+        document = document | {"next_experiment": None}
+        ended = f"This machine cannot be diagnosed further, because of the next {reason}."
+        return document | {"summary": f"{summary(joint, document)} {ended}"}
 
     def _job(self, diagnosis: DiagnosisEntry, joint: str) -> DiagnosisJob:
         robot = self._store.robot(diagnosis.robot_id)

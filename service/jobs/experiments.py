@@ -14,19 +14,16 @@ import structlog
 from drivers.errors import DriveError
 from service.diagnosis import model_document
 from service.diagnosis.verdict import Verdict
-from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.jobs.diagnosing import Diagnosing
+from service.jobs.rehearsal import Rehearsal
 from service.machine.execution.permission import Intention
 from service.machine.execution.runner import Runner
-from service.model.configuration import read_cell
 from service.model.errors import BadInput, Conflict, SweepidError
 from service.model.results.diagnosis import AxisDiagnosis, Experiment
 from service.model.results.effect import RevisedAxis
 from service.planning.campaigns.live import EventFeed
 from service.planning.compiled_plan import Range
-from service.planning.diagnosis import build_experiment_plan
-from service.planning.documents import ExperimentPlan, ExperimentRequest
-from service.planning.machine_setup import MachineSetup, on_machine
+from service.planning.documents import ExperimentPlan
 from service.process.settings import Settings
 from service.process.tasks import Background
 from service.store.diagnoses import DiagnosisStore, ModelStore, check_free
@@ -62,10 +59,10 @@ class Experiments:
         diagnoses: DiagnosisStore,
         runner: Runner,
         diagnosing: Diagnosing,
-        setup: MachineSetup,
+        rehearsal: Rehearsal,
     ) -> None:
-        """`setup`: of the machine that runs the experiments."""
-        self._setup = setup
+        """`rehearsal`: for the machine that runs the experiments."""
+        self._rehearsal = rehearsal
         self._settings, self._store, self._diagnoses = settings, store, diagnoses
         self._runner, self._diagnosing = runner, diagnosing
         self._approving = asyncio.Lock()
@@ -81,20 +78,9 @@ class Experiments:
         by: str,
         test_mass: BoltedMass | None = None,
     ) -> ExperimentPlan:
-        """The plan of the next experiment of an axis (blocking). Conflict if there is none; BadInput if it cannot run.
-
-        `cell`: None means that of the machine. `typed`, `by`: as in `MachineSetup.confirmed`. `test_mass`: its weight
-        adds effort.
-        """
+        """The plan of the next experiment of an axis (blocking), as `Rehearsal.plan`. Conflict if there is none."""
         diagnosis = self._diagnoses.diagnosis(diagnosis_id)
-        experiment = proposed(diagnosis, axis)
-        designed = [DesignedSweep(sweep.spec, sweep.ramp, sweep.settle) for sweep in experiment.sweeps]
-        origin, name = self._store.robot(diagnosis.robot_id), self._setup.own_cell(cell)
-        made_for = self._setup.confirmed(origin, name, typed, by)
-        request = ExperimentRequest(robot_id=diagnosis.robot_id, cell=name, test_mass=test_mass)
-        robot = on_machine(origin.build(), self._setup.axes)
-        plan = build_experiment_plan(robot, request, designed, read_cell(self._settings.cells_dir / f"{name}.yaml"))
-        return plan.model_copy(update={"made_for": made_for})
+        return self._rehearsal.plan(diagnosis.robot_id, proposed(diagnosis, axis), cell, typed, by, test_mass)
 
     def permit(self, diagnosis_id: int, intention: Intention) -> None:
         """The experiments of an unattended diagnosis and of those that follow from it are wanted."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from service.report.diagnosis import diagnosis_figures, diagnosis_page
     from service.report.fleet import fleet_page
     from service.report.html import Form, ReportPage
-    from service.report.page import analysis_page, estimate_page
+    from service.report.page import analysis_page
 
 
 __all__ = [
@@ -39,7 +39,6 @@ __all__ = [
     "content_of",
     "diagnosis_figures",
     "diagnosis_page",
-    "estimate_page",
     "example_of",
     "fleet_page",
     "used_sweeps",
@@ -56,7 +55,7 @@ def __getattr__(name: str) -> object:
         "diagnosis": ("diagnosis_figures", "diagnosis_page"),
         "fleet": ("fleet_page",),
         "html": ("Form", "ReportPage"),
-        "page": ("analysis_page", "estimate_page"),
+        "page": ("analysis_page",),
     }
     for module, names in homes.items():
         if name in names:

@@ -7,13 +7,13 @@ from html import escape
 
 from service.model.results.combination import Combination
 from service.model.results.diagnosis import DataCheck, Diagnosis, standing_of
-from service.model.results.digits import with_std
-from service.model.results.estimate import UNSURE, Estimate, Suspect, share_of_value
+from service.model.results.digits import two_digits, with_std
+from service.model.results.estimate import CONFIDENCE, UNSURE, Estimate, Suspect, share_of_sweeps, share_of_value
 from service.report.content import CampaignReport, Content
 from service.report.diagnosis import diagnosis_section, findings, not_looked_at
 from service.report.gap_figures import plain
 from service.report.html import ReportPage
-from service.report.page import analysis_section, estimate_sections, parameters_section
+from service.report.page import analysis_section, estimate_sections, main_values, parameters_section
 
 CONFIRMED, OPEN, CONTRADICTED = "Confirmed", "Not confirmed", "Contradicted"
 
@@ -49,11 +49,15 @@ def _of_estimate(estimate: Estimate) -> tuple[str, str]:
     sure = [joint for joint in shares if joint not in unsure]
     sentences: list[str] = []
     if sure:
-        worst = max(sure, key=lambda joint: shares[joint])
+        swept = {joint: share_of_sweeps(estimate.axes[joint]) for joint in sure}
+        worst = max(sure, key=lambda joint: swept[joint])
+        stated = estimate.axes[worst].confidence_percent is not None
+        total = two_digits(100 * max(shares[joint] for joint in sure))
         sentences.append(
-            f"{_inertias(sure)} known to {100 * shares[worst]:.2g} % or better"
-            " (one standard deviation, with that of the torque constants"
-            f"{f'; {worst} is the least accurate' if len(sure) > 1 else ''})"
+            f"{_inertias(sure)} known to {two_digits(100 * swept[worst])} % or better"
+            f" ({f'confidence: {CONFIDENCE}' if stated else 'median standard deviation of the sweeps'}"
+            f"{f'; {worst} is the least accurate' if len(sure) > 1 else ''}), to {total} % with the uncertainty of the "
+            "torque constants"
         )
     if unsure:
         sentences.append(f"{_inertias(unsure)} too uncertain to use")
@@ -138,6 +142,7 @@ def campaign_page(
         f'<div class="card {_LOOK[found.standing]}"><p class="verdict"><b>{found.standing}.</b> '
         f"{escape(found.sentence)}</p></div>"
     )
+    main_values(page, estimate, content)
     page.add(*_not_looked_at(report, estimate))
     _origin(page, report)
     page.first_page_ends()
@@ -213,7 +218,7 @@ def _tables(page: ReportPage, estimate: Estimate) -> None:
     ]
     head = ["axis", "reference − measurement", "identified − measurement", "reference − identified, workspace"]
     page.table(head, fits)
-    parameters_section(page, estimate)
+    parameters_section(page, estimate, {})
 
 
 def _combination(page: ReportPage, combination: Combination) -> None:

@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from html import escape
 
+import numpy as np
+
 from service.model.results.diagnosis import AxisDiagnosis, Diagnosis, Finding, Gap, RigidParameter, standing_of
 from service.model.results.digits import with_std
 from service.model.results.effect import AxisFit, Effect, Value
@@ -57,10 +59,11 @@ def not_looked_at(axes: Mapping[str, AxisDiagnosis]) -> list[str]:
     return ["<h3>What was not looked at</h3>", "<ul>", *lines, "</ul>"] if lines else []
 
 
-def diagnosis_section(page: ReportPage, document: Diagnosis) -> None:
-    """The diagnosis as a section at the end of another report."""
+def diagnosis_section(page: ReportPage, document: Diagnosis, of: str = "") -> None:
+    """The diagnosis as a section at the end of another report. `of`: a sentence, if that is of another machine."""
     page.add(
-        "<h2>Where model and measurement disagree</h2>",
+        f"<h2>Where model and measurement disagree{': another machine' if of else ''}</h2>",
+        *([f"<p><b>{escape(of)}</b></p>"] if of else []),
         "<p>The effort of the rigid model is computed along every recorded motion. The repeatable "
         "difference to the measured effort is the gap. The effects of a catalogue are fitted to it "
         "and verified on sweeps that were not used for the fit.</p>",
@@ -101,10 +104,21 @@ def _axis(page: ReportPage, joint: str, axis: AxisDiagnosis) -> None:
     page.add(
         "<h3>Example</h3>",
         f"<p>Sweep {escape(sweep)}{escape(f' ({plain(block)})') if block else ''}, the sweep with the "
-        "largest gap before. Above: the effort; below: the residual of the model.</p>",
+        f"largest gap before. Above: the effort; below: the residual of the model, {_residuals(axis)}. "
+        "The gap is that of all sweeps.</p>",
     )
     page.figure(figures["example"])
     _open_questions(page, joint, axis)
+
+
+def _residuals(axis: AxisDiagnosis) -> str:
+    """Of the example, as it is drawn."""
+    models = {"before": axis.example.before} | ({"after": axis.example.after} if axis.explained else {})
+    left = {name: np.array(axis.example.measured) - np.array(model) for name, model in models.items()}
+    return " and ".join(
+        f"{name} {np.sqrt(np.mean(rest**2)):.3g} {axis.unit} RMS (at most {np.abs(rest).max():.3g} {axis.unit})"
+        for name, rest in left.items()
+    )
 
 
 def _gap(page: ReportPage, axis: AxisDiagnosis) -> None:

@@ -200,6 +200,6 @@ class _Typesetting:
         from service.report.plotting import PAPER, WIDTH, svg  # matplotlib
 
         self._figures += 1
-        caption = f"Figure {self._figures}. {self._section}{self._part}"
+        caption = f"Figure {self._figures}. {f'{self._section}{self._part}'.removeprefix(': ')}"
         drawn = svg(figure, unescape(caption), PAPER if self._paper else WIDTH)
         return f"<figure>{drawn}<figcaption>{caption}</figcaption></figure>"

@@ -1,39 +1,67 @@
 """Content and order of the report."""
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from html import escape
 
 from service.identification.estimates.initial_analysis import analyses_from
-from service.model.results.digits import with_std
-from service.model.results.estimate import UNSURE, Analyses, Estimate, not_for_use
+from service.model.results.digits import two_digits, with_std
+from service.model.results.estimate import (
+    CONFIDENCE,
+    UNSURE,
+    Analyses,
+    Estimate,
+    EstimatedAxis,
+    axis_figures,
+    not_for_use,
+)
 from service.model.robot import Robot
 from service.report import figures, initial_analysis
-from service.report.content import Content, ReportedAxis, axes_of
-from service.report.diagnosis import diagnosis_section
+from service.report.content import Content, ReportedAxis, axes_of, nominal_parameters
 from service.report.drawing import slides
 from service.report.html import ReportPage
 
 
-def estimate_page(content: Content) -> ReportPage:
-    """The complete report; deterministic for equal content."""
-    page = ReportPage(content.title, content.subtitle)
-    estimate_sections(page, content)
-    if content.diagnosis is not None:
-        diagnosis_section(page, content.diagnosis)
-    return page
+def main_values(page: ReportPage, estimate: Estimate, content: Content | None) -> None:
+    """J of each axis with its interval, and where it differs from CAD: a picture, if the sweeps are known."""
+    linear = frozenset[str]() if content is None else _linear(content.robot)
+    page.facts(_main_value(joint, axis, "kg" if joint in linear else "kg m²") for joint, axis in estimate.axes.items())
+    if estimate.axes:
+        page.add(
+            '<p class="note">J: medians over the measured poses, and their range; ± one standard deviation, with that '
+            f"of the torque constant. Differences in percent of the identified. Confidence: {CONFIDENCE}.</p>"
+        )
+    axes = () if content is None else axes_of(content)
+    first = next((axis for axis in axes if len(axis.varied) > 1), axes[0] if axes else None)
+    if content is None or first is None:
+        return
+    page.add(f"<h3>{escape(first.joint)} against CAD</h3>")
+    if len(first.varied) > 1:
+        page.add("<p>Over the free poses: identified − CAD, in % of the identified. White: not free.</p>")
+        page.figure(figures.deviation_map(content.robot, first))
+    else:
+        page.figure(figures.curve(content.robot, first))
+
+
+def _main_value(joint: str, axis: EstimatedAxis, unit: str) -> tuple[str, str]:
+    found = axis_figures(axis)
+    value, std = with_std(found.identified, found.std)
+    low, high, cad = (with_std(one, found.std)[0] for one in (found.lowest, found.highest, found.cad))
+    differs = "" if math.isnan(found.percent) else f", {found.percent:+.1f} %"
+    stated = axis.confidence_percent
+    confidence = "no confidence stated" if stated is None else f"confidence {two_digits(stated)} %"
+    return f"{value} ± {std} {unit}", f"J of {joint}, {low} to {high}; CAD {cad}{differs}; {confidence}"
 
 
 def estimate_sections(page: ReportPage, content: Content) -> None:
-    """All sections of an estimate, from the main values to the base parameters."""
+    """The details of an estimate, from the initial analysis to the base parameters."""
     axes = axes_of(content)
-    _facts(page, content, axes)
     analysis_section(page, content.robot.joints, content.estimate.analysis, _linear(content.robot))
     _inertias(page, content, axes)
     _accuracy(page, content, axes)
     _convergence(page, content)
     _example(page, content)
-    parameters_section(page, content.estimate)
+    parameters_section(page, content.estimate, nominal_parameters(content))
 
 
 def analysis_page(robot: Robot, analysis: Analyses) -> ReportPage:
@@ -76,21 +104,13 @@ def analysis_section(
     page.table(*initial_analysis.table(analyses, joints, linear))
 
 
-def _facts(page: ReportPage, content: Content, axes: Sequence[ReportedAxis]) -> None:
-    condition = content.estimate.condition_number
-    poses = len({spec.pose for spec in content.specs})
-    facts = [
-        (str(sum(len(axis.measured) for axis in axes)), "sweeps"),
-        (str(poses), "poses"),
-        (str(len(axes)), "axes"),
-        (str(len(content.estimate.base_parameters)), "base parameters"),
-        ("–" if condition is None else f"{condition:.1f}", "condition number"),
-    ]
-    page.facts(facts)
-
-
 def _inertias(page: ReportPage, content: Content, axes: Sequence[ReportedAxis]) -> None:
-    page.add("<h2>Inertia of the axes over the poses</h2>")
+    poses = len({spec.pose for spec in content.specs})
+    page.add(
+        "<h2>Inertia of the axes over the poses</h2>",
+        f"<p>{sum(len(axis.measured) for axis in axes)} sweeps of {len(axes)} axes in {poses} poses.</p>",
+    )
+    shown = next((axis.joint for axis in axes if len(axis.varied) > 1), "")
     for axis in axes:
         beyond = " and ".join(content.robot.joints[k] for k in axis.varied[:2])
         page.add(f"<h3>{escape(axis.joint)}{escape(f' over {beyond}') if beyond else ''}</h3>")
@@ -102,6 +122,8 @@ def _inertias(page: ReportPage, content: Content, axes: Sequence[ReportedAxis]) 
             "colours. White: not free.</p>"
         )
         page.figure(figures.inertia_map(content.robot, axis))
+        if axis.joint == shown:  # its difference from CAD is on the first page
+            continue
         page.add(
             "<p>Where the robot differs from its CAD model: identified − reference, in % of the identified. White: not "
             "free.</p>"
@@ -174,22 +196,25 @@ def _place(position: float, linear: bool) -> str:
     return f"{1e3 * position:.0f} mm" if linear else f"{math.degrees(position):.0f}°"
 
 
-def parameters_section(page: ReportPage, estimate: Estimate) -> None:
-    """The base parameters, and which of them must not be used."""
+def parameters_section(page: ReportPage, estimate: Estimate, nominal: Mapping[str, float]) -> None:
+    """The base parameters beside those of CAD (`nominal`, where known), and which of them must not be used."""
+    condition = estimate.condition_number
     page.add(
         "<h2>Base parameters</h2>",
-        "<p>The combinations of inertial parameters that the inertias determine; each about its joint's frame.</p>",
+        "<p>The combinations of inertial parameters that the inertias determine; each about its joint's frame."
+        f"{'' if condition is None else f' Condition number of the sweeps: {condition:.3g}.'}</p>",
     )
     rows = [
         [
             entry.name if entry.symbolic is None else entry.symbolic,
+            with_std(nominal[entry.name], entry.std)[0] if entry.name in nominal else "–",
             *with_std(entry.value, entry.std),
             figures.parameter_unit(entry.name),
             not_for_use(entry),
         ]
         for entry in estimate.base_parameters
     ]
-    page.table(["parameter", "value", "± std", "unit", "not for use"], rows, "name")
+    page.table(["parameter", "CAD", "identified", "± std", "unit", "not for use"], rows, "name")
     if any(row[-1] for row in rows):
         page.add(
             f"<p>Do not use: a value whose standard deviation is more than {100 * UNSURE:.0f} % of it, "

@@ -19,6 +19,7 @@ from service.jobs.diagnosing import Diagnosing
 from service.jobs.experiments import Experiments
 from service.jobs.jobs import Batches, Checking, Jobs
 from service.jobs.recording_uploads import RecordingUploads, Transfers
+from service.jobs.rehearsal import Rehearsal
 from service.jobs.worker import Worker, open_worker
 from service.machine.execution.machine import Machine, listening, watching
 from service.machine.execution.permission import Approvals
@@ -359,9 +360,10 @@ async def _open_cell(
     runner = Runner(store, machine, executor, jobs, partial(compile_plan, store, settings, setup), approvals)
     stack.push_async_callback(runner.close)
 
-    diagnosing = Diagnosing(store, app.diagnoses, app.models, files, worker)
+    rehearsal = Rehearsal(settings, store, setup)
+    diagnosing = Diagnosing(store, app.diagnoses, app.models, files, worker, rehearsal.refusal)
     stack.push_async_callback(diagnosing.close)
-    experiments = Experiments(settings, store, app.diagnoses, runner, diagnosing, setup)
+    experiments = Experiments(settings, store, app.diagnoses, runner, diagnosing, rehearsal)
     stack.push_async_callback(experiments.close)
     last_event = await asyncio.to_thread(store.last_event_id)
     await diagnosing.recover()

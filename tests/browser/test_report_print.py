@@ -3,11 +3,10 @@
 from pathlib import Path
 
 from service.model.configuration import read_robot
-from service.report import estimate_page
 from tests.browser.accessible import both_schemes
 from tests.browser.browsing import browsing
 from tests.programs import needs
-from tests.unit.service.report.test_report import content, sweep
+from tests.unit.service.report.test_report import content, estimate_page, sweep
 
 pytestmark = needs("chromium")
 

@@ -94,7 +94,7 @@ def test_demo_from_end_to_end(root: Path, tmp_path: Path) -> None:
     assert ">The same path with either model</h3>" in report
     assert "a torque feed-forward leaves" in words
 
-    ours, paper = error("our model, workspace"), error("paper's formula, workspace")
+    ours, paper = error("sweepid model, whole workspace"), error("formula of the paper, whole workspace")
     assert len(ours) == len(paper) == 3
     assert max(ours) < 2.0
     assert all(own < theirs for own, theirs in zip(ours, paper, strict=True))

@@ -180,11 +180,13 @@ def _tell_plan(document: Json, seconds: float) -> None:
     if document["request"].get("kind") in ("analysis", "diagnosis"):
         sys.stderr.write(f"{len(document['sweeps'])} runs, {seconds / 60:.0f} min\n")
         return
+    from service.model.results.digits import two_digits
+
     confidence, spare = document["confidence"], document["spare"]
-    known = "may not be known" if confidence[-1] is None else f"should be known to {confidence[-1]:.2g} % or better"
+    stated = "none is expected everywhere" if confidence[-1] is None else f"expected {two_digits(confidence[-1])} %"
     sys.stderr.write(
         f"{len(confidence)} poses, {len(document['sweeps'])} sweeps, {seconds / 60:.0f} min; "
-        f"J {known} everywhere in the workspace\n"
+        f"confidence of J: {stated} in the workspace\n"
     )
     if document["undetermined"]:
         enough = document["enough_poses"]

@@ -114,16 +114,17 @@ class Combination(Shown, Part):
         runs, motions = len(self.trajectories), len(self.free_motions)
         all_of = self.base_parameters
         became = set(self.became_identifiable)
+        std = tuple(one.std for one in all_of)
         by = tuple(one.reason or one.source + (", only now" if one.name in became else "") for one in all_of)
         return Table(
             f"Sweeps, {runs} trajectories and {motions} free motions together, SI",
             (
                 Column("parameter", tuple(one.name for one in all_of)),
-                Column("value", tuple(one.value for one in all_of)),
-                Column("std", tuple(one.std for one in all_of), ".3g"),
-                Column("std by sweeps", tuple(one.std_sweeps for one in all_of), ".3g"),
-                Column("by trajectories", tuple(one.std_trajectories for one in all_of), ".3g"),
-                Column("of the model", tuple(one.std_nominal for one in all_of), ".3g"),
+                Column("value", tuple(one.value for one in all_of), std=std),
+                Column("std", std, std=std),
+                Column("std by sweeps", tuple(one.std_sweeps for one in all_of), ".2g"),
+                Column("by trajectories", tuple(one.std_trajectories for one in all_of), ".2g"),
+                Column("of the model", tuple(one.std_nominal for one in all_of), ".2g"),
                 Column("determined by", by),
             ),
         )

@@ -332,11 +332,12 @@ def _axis_shown(joint: str, axis: AxisDiagnosis) -> Sequence[Table | str]:
         parts += _effect_lines(effect, "If it is that: " if effect.effect in axis.candidates else "")
     for effect in axis.part:
         parts += _effect_lines(effect, "Part of it, in addition to an unknown effect: ")
+    std = tuple(one.std for one in axis.rigid_model)
     columns = (
         Column("parameter", tuple(one.name for one in axis.rigid_model)),
-        Column("CAD" if from_cad else "estimate", tuple(one.nominal for one in axis.rigid_model), ".4g"),
-        Column("found", tuple(one.value for one in axis.rigid_model), ".4g"),
-        Column("± std", tuple(one.std for one in axis.rigid_model), ".2g"),
+        Column("CAD" if from_cad else "estimate", tuple(one.nominal for one in axis.rigid_model), std=std),
+        Column("found", tuple(one.value for one in axis.rigid_model), std=std),
+        Column("± std", std, std=std),
     )
     parts.append(Table(f"{joint}: rigid model, base parameters", columns))
     if axis.next_experiment is not None:

@@ -18,3 +18,8 @@ def with_std(value: float, std: float | None, sign: str = "") -> tuple[str, str]
         return f"{value:{sign}.{digits}e}", f"{std:.1e}"
     shown = max(decimals, 0)
     return f"{round(value, decimals) + 0.0:{sign}.{shown}f}", f"{round(std, decimals):.{shown}f}"
+
+
+def two_digits(value: float) -> str:
+    """A confidence, or another standard deviation in percent: ``"0.42"``, ``"12"``, ``"130"``."""
+    return f"{float(f'{value:.2g}'):.7g}"

@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from pydantic import Field
 
 from service.model.results.combination import Bounded, Combination, Physical, StandardParameters
+from service.model.results.digits import two_digits
 from service.model.results.effect import ModelSource, Value
 from service.model.results.part import Document, Part
 from service.model.results.table import Column, Shown, Table
@@ -212,15 +214,16 @@ class EstimatedAxis(Shown, Part):
     def table(self) -> Table:
         """Total inertia about the axis in the pose of each sweep."""
         sweeps = self.inertia
+        std = tuple(one.std for one in sweeps)
         return Table(
             "Inertia about the axis, kg m^2 (kg)",
             (
                 Column("sweep", tuple(one.sweep for one in sweeps)),
-                Column("measured", tuple(one.value for one in sweeps)),
-                Column("std", tuple(one.std for one in sweeps), ".3g"),
-                Column("std_total", tuple(one.std_total for one in sweeps), ".3g"),
-                Column("reference", tuple(one.reference for one in sweeps)),
-                Column("identified", tuple(one.identified for one in sweeps)),
+                Column("measured", tuple(one.value for one in sweeps), std=std),
+                Column("std", std, std=std),
+                Column("std_total", tuple(one.std_total for one in sweeps), ".2g"),
+                Column("reference", tuple(one.reference for one in sweeps), std=std),
+                Column("identified", tuple(one.identified for one in sweeps), std=std),
             ),
         )
 
@@ -290,12 +293,13 @@ class Estimate(Shown, Document):
 
     def table(self) -> Table:
         """The base parameters."""
+        std = tuple(one.std for one in self.base_parameters)
         return Table(
             "Base parameters, SI, about the joints' axes",
             (
                 Column("parameter", tuple(one.symbolic or one.name for one in self.base_parameters)),
-                Column("value", tuple(one.value for one in self.base_parameters)),
-                Column("std", tuple(one.std for one in self.base_parameters), ".3g"),
+                Column("value", tuple(one.value for one in self.base_parameters), std=std),
+                Column("std", std, std=std),
             ),
         )
 
@@ -306,7 +310,7 @@ class Estimate(Shown, Document):
             parts += self.combination.shown()
         if not self.axes:
             return parts
-        parts += [self._rmse_table(), self.table()]
+        parts += [self._rmse_table(), f"Confidence of J ({CONFIDENCE}): {self._confidence()}", self.table()]
         for one in self.base_parameters:
             if one.reason:
                 parts.append(f"Not identified: {one.symbolic or one.name}: {one.reason}")
@@ -336,6 +340,10 @@ class Estimate(Shown, Document):
         ]
         return Table("RMSE of the axis inertias in percent", (Column("", rows), *columns))
 
+    def _confidence(self) -> str:
+        stated = {joint: axis.confidence_percent for joint, axis in self.axes.items()}
+        return ", ".join(f"{joint} {'–' if one is None else f'{two_digits(one)} %'}" for joint, one in stated.items())
+
     def _terms_table(self) -> Table:
         """What else was found in records without lines, which are fitted one by one."""
         rows = [
@@ -351,27 +359,61 @@ class Estimate(Shown, Document):
                 Column("axis", tuple(row[0] for row in rows)),
                 Column("sweep", tuple(row[1] for row in rows)),
                 Column("term", tuple(row[2] for row in rows)),
-                Column("value", tuple(row[3] for row in rows)),
-                Column("std", tuple(row[4] for row in rows), ".3g"),
+                Column("value", tuple(row[3] for row in rows), std=tuple(row[4] for row in rows)),
+                Column("std", tuple(row[4] for row in rows), std=tuple(row[4] for row in rows)),
             ),
         )
 
 
+CONFIDENCE = "one standard deviation in the worst pose, with a correct torque constant"
 UNSURE = 0.25  # of the value: a value with a larger standard deviation should not be used
 
 
-def share_of_value(axis: EstimatedAxis) -> float:
-    """Standard deviation of an axis' inertia relative to its value, including the torque constant; inf for a value of
-    0.
+@dataclass(frozen=True, slots=True)
+class AxisFigures:
+    """An axis as sheet, report and page tell it: medians over the poses of its sweeps, kg m^2 (kg).
 
-    That of the model over the workspace if it is known, otherwise the median of the sweeps.
+    `std` includes the uncertainty of the torque constant. `percent`: difference from CAD in percent of the identified,
+    NaN where one of them is not above 0.
     """
+
+    identified: float
+    std: float
+    cad: float
+    lowest: float
+    highest: float
+    percent: float
+
+
+def axis_figures(axis: EstimatedAxis) -> AxisFigures:
+    """`axis` has at least one sweep."""
+    identified = [sweep.identified for sweep in axis.inertia]
+    value, cad = float(np.median(identified)), float(np.median([sweep.reference for sweep in axis.inertia]))
+    return AxisFigures(
+        value,
+        share_of_value(axis) * abs(value),
+        cad,
+        min(identified),
+        max(identified),
+        100 * (1 - cad / value) if cad > 0 and value > 0 else math.nan,
+    )
+
+
+def share_of_value(axis: EstimatedAxis) -> float:
+    """`share_of_sweeps`, and the uncertainty of the torque constant."""
+    return math.hypot(share_of_sweeps(axis), share_of_gain(axis))
+
+
+def share_of_sweeps(axis: EstimatedAxis) -> float:
+    """The confidence, relative to J; while the estimate states none, the median of the sweeps. inf for a J of 0."""
     if axis.confidence_percent is not None:
-        share = axis.confidence_percent / 100
-    else:
-        share = float(np.median([_share(sweep.std, sweep.value) for sweep in axis.inertia]))
-    gain = axis.torque_gain
-    return math.hypot(share, _share(gain.std, gain.value))
+        return axis.confidence_percent / 100
+    return float(np.median([_share(sweep.std, sweep.value) for sweep in axis.inertia]))
+
+
+def share_of_gain(axis: EstimatedAxis) -> float:
+    """Standard deviation of the torque constant relative to its value: it scales J, and no sweep shows it."""
+    return _share(axis.torque_gain.std, axis.torque_gain.value)
 
 
 def _share(std: float, value: float) -> float:

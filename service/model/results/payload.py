@@ -70,13 +70,14 @@ class Payload(Shown, Document):
         rows = {"mass": self.mass}
         rows |= {f"center {name}": figure for name, figure in self.center.items()}
         rows |= {f"{name} about the center": figure for name, figure in self.inertia.items()}
+        std = tuple(one.std for one in rows.values())
         return Table(
             f"Payload on {self.link}, in the frame of {self.frame}, SI",
             (
                 Column("", tuple(rows)),
-                Column("value", tuple(one.value for one in rows.values()), ".4g"),
-                Column("std", tuple(one.std for one in rows.values()), ".4g"),
-                Column("std with torque constants", tuple(one.std_total for one in rows.values()), ".4g"),
+                Column("value", tuple(one.value for one in rows.values()), std=std),
+                Column("std", std, std=std),
+                Column("std with torque constants", tuple(one.std_total for one in rows.values()), ".2g"),
             ),
         )
 

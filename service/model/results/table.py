@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.model.recording import SweepSpec
+from service.model.results.digits import with_std
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -19,12 +20,16 @@ Value = str | int | float | None
 
 @dataclass(frozen=True)
 class Column:
-    """Name and values; `form` is the format of its numbers, `whole`: never break a text. None: there is no value."""
+    """Name and values; `form` is the format of its numbers, `whole`: never break a text. None: there is no value.
+
+    `std`: standard deviations that decide the digits instead of `form`.
+    """
 
     name: str
     values: tuple[Value, ...]
     form: str = ".5g"
     whole: bool = False
+    std: tuple[float | None, ...] = ()
 
     @property
     def numeric(self) -> bool:
@@ -35,8 +40,14 @@ class Column:
     def texts(self) -> tuple[str, ...]:
         """The values as a person reads them."""
         return tuple(
-            "–" if value is None else f"{value:{self.form}}" if isinstance(value, float) else str(value)
-            for value in self.values
+            "–"
+            if value is None
+            else str(value)
+            if not isinstance(value, float)
+            else with_std(value, std)[0]
+            if std is not None
+            else f"{value:{self.form}}"
+            for value, std in zip_longest(self.values, self.std)
         )
 
 

@@ -25,7 +25,14 @@ from service.identification.model.physical_consistency import is_physical
 from service.model.arrays import Array
 from service.model.configuration import bad_field
 from service.model.errors import BadInput
-from service.model.results.estimate import UNSURE, Estimate, EstimatedAxis, StandardParameters, share_of_value
+from service.model.results.estimate import (
+    UNSURE,
+    Estimate,
+    EstimatedAxis,
+    StandardParameters,
+    axis_figures,
+    share_of_value,
+)
 from service.model.results.sheet import (
     AxisCheck,
     AxisSheet,
@@ -122,13 +129,11 @@ def _bodies(model: IdentifiedModel) -> Iterator[SheetBody]:
 def _axis(robot: Robot, joint: str, axis: EstimatedAxis) -> AxisSheet:
     index = robot.index(joint)
     ratio = robot.axes[index].gear_ratio
-    identified = np.array([sweep.identified for sweep in axis.inertia])
-    value, cad = float(np.median(identified)), float(np.median([sweep.reference for sweep in axis.inertia]))
+    found = axis_figures(axis)
     share = share_of_value(axis)
-    std = share * abs(value)
     left_out = ""
-    if not identified.min() > 0:
-        left_out = f"the model has an inertia of {identified.min():.3g} in a measured pose, limit above 0"
+    if not found.lowest > 0:
+        left_out = f"the model has an inertia of {found.lowest:.3g} in a measured pose, limit above 0"
     elif share > UNSURE:
         left_out = f"uncertainty {100 * share:.0f} %, limit {100 * UNSURE:.0f} %"
     factor = 1 / ratio**2
@@ -136,16 +141,16 @@ def _axis(robot: Robot, joint: str, axis: EstimatedAxis) -> AxisSheet:
         joint=joint,
         kind="prismatic" if robot.chain.joints[index].kind == "prismatic" else "revolute",
         gear_ratio=ratio,
-        cad=cad,
-        identified=value,
-        std=std,
-        lowest=float(identified.min()),
-        highest=float(identified.max()),
-        motor=value * factor,
-        motor_std=std * factor,
-        motor_lowest=float(identified.min()) * factor,
-        motor_highest=float(identified.max()) * factor,
-        differs_in_std=(value - cad) / std if std > 0 else 0.0,
+        cad=found.cad,
+        identified=found.identified,
+        std=found.std,
+        lowest=found.lowest,
+        highest=found.highest,
+        motor=found.identified * factor,
+        motor_std=found.std * factor,
+        motor_lowest=found.lowest * factor,
+        motor_highest=found.highest * factor,
+        differs_in_std=(found.identified - found.cad) / found.std if found.std > 0 else 0.0,
         left_out=left_out,
     )
 

@@ -26,7 +26,7 @@ def as_markdown(sheet: Sheet, load: LoadData | None = None) -> str:
                 (
                     axis.joint,
                     *(f"{size} {_unit(axis)}" for size in _sizes(axis)),
-                    f"{axis.lowest:.4g} ... {axis.highest:.4g}",
+                    " ... ".join(with_std(size, axis.std)[0] for size in (axis.lowest, axis.highest)),
                     f"{100 * (1 - axis.cad / axis.identified):+.1f} %, {axis.differs_in_std:+.1f} std"
                     if axis.cad > 0 and axis.identified > 0
                     else "-",

@@ -42,6 +42,10 @@ export const number = (value, unit = "") => (value === null || value === undefin
 // three significant digits
 export const figure = (value) => (value === null || value === undefined ? EMPTY : figures(value, 3));
 
+// a standard deviation in percent: two figures, as everywhere
+/** @param {number | null} percent */
+export const confidence = (percent) => (percent === null ? EMPTY : `${figures(percent, 2)} %`);
+
 /** @param {number | null} value @param {number} digits */
 export function fixed(value, digits) {
   if (value === null) return EMPTY;

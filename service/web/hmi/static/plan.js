@@ -1,7 +1,7 @@
 // The planning page: the requested measurement, its motion, and a campaign of it. Nothing moves here.
 
 import { all, call, get } from "./api.js";
-import { byId, choices, complain, element, link, tell } from "./elements.js";
+import { byId, choices, complain, confidence, element, link, tell } from "./elements.js";
 import { held } from "./intent.js";
 import { watchMachine } from "./machine.js";
 import { showMotion, unitsOf } from "./motion.js";
@@ -103,8 +103,8 @@ async function showPlan() {
   const { document: content, id } = plan;
   byId("planned").hidden = false;
   tell("planned-title", text("plan.number", { id }));
-  const confidence = content.confidence.at(-1);
-  tell("promise", confidence === null ? openPromise(content) : text("plan.promise", { percent: Number(confidence.toPrecision(2)) }));
+  const expected = content.confidence.at(-1);
+  tell("promise", expected === null ? openPromise(content) : text("plan.promise", { confidence: confidence(expected) }));
   const shown = `${id}/${language()}`;
   if (byId("motion").dataset.shown === shown) return;
   showMotion(byId("motion"), { ...content, duration: plan.expected_time }, units, await get("/drives"), await aheadOf(`/plans/${id}/ahead`));

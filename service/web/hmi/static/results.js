@@ -2,7 +2,7 @@
 
 import { address, all, get, Refused } from "./api.js";
 import { clear } from "./drawing.js";
-import { byId, choices, complain, element, EMPTY, estimateTold, fixed, link, measured, number, row, tell } from "./elements.js";
+import { byId, choices, complain, confidence, element, EMPTY, estimateTold, fixed, link, measured, number, row, tell } from "./elements.js";
 import { campaignName, first, held, noCampaign } from "./intent.js";
 import { identified } from "./login.js";
 import { watchMachine } from "./machine.js";
@@ -82,9 +82,9 @@ const percent = (value) => (value === null ? EMPTY : `${fixed(value, 2)} %`);
 
 function showTable() {
   table("table", [["axis"], ["results.sweeps", "number"], ["results.cad-measured", "number"], ["results.identified-measured", "number"], ["results.cad-identified", "number"], ["results.confidence", "number"]],
-    Object.entries(found?.axes ?? {}).map(([joint, { inertia, rmse_percent: rmse, confidence_percent: confidence }]) => row([
+    Object.entries(found?.axes ?? {}).map(([joint, { inertia, rmse_percent: rmse, confidence_percent: own }]) => row([
       [joint], [inertia.length, "number"], [percent(rmse.reference_measured), "number"], [percent(rmse.identified_measured), "number"],
-      [percent(rmse.reference_identified), "number"], [percent(confidence), "number"],
+      [percent(rmse.reference_identified), "number"], [confidence(own), "number"],
     ])));
 }
 
@@ -100,7 +100,7 @@ async function showConvergence(id) {
   const known = lines.flatMap((one) => one.y).filter((value) => value !== null);
   const far = Math.max(...known) / Math.min(...known);
   if (wanted !== null) lines.push({ type: "scatter", mode: "lines", name: text("results.limit"), x: [x[0], x.at(-1)], y: [wanted, wanted], line: { dash: "dash" } });
-  plot("convergence", lines, { xaxis: { title: { text: text("chart.sweep") }, tick0: 1, dtick: Math.ceil(x.at(-1) / 10) }, yaxis: { title: { text: text("results.confidence") }, type: "log", ...(far > 1 && far < 8 ? {} : { tickvals: TICKS, ticktext: TICKS.map((tick) => number(tick)) }) } });
+  plot("convergence", lines, { xaxis: { title: { text: text("chart.sweep") }, tick0: 1, dtick: Math.ceil(x.at(-1) / 10) }, yaxis: { title: { text: `${text("results.confidence")}, %` }, type: "log", ...(far > 1 && far < 8 ? {} : { tickvals: TICKS, ticktext: TICKS.map((tick) => number(tick)) }) } });
 }
 
 function showSweeps() {
@@ -139,7 +139,7 @@ function showResponse() {
   });
 }
 
-// medians over the measured poses; other poses give other medians
+// what differs over the whole workspace is comparable between campaigns; the measured poses are others in each
 /** @param {Api.CampaignView} campaign */
 async function showEarlier({ id, robot_id }) {
   const others = campaigns.filter((one) => one.robot_id === robot_id && one.id < id).slice(-EARLIER).reverse();
@@ -150,15 +150,9 @@ async function showEarlier({ id, robot_id }) {
     if (estimate) known.push([one.id, estimate.document]);
   }
   if (found) known.unshift([id, found]);
-  table("earlier", [["campaign.title"], ["axis"], ["results.sweeps", "number"], ["results.median", "number"], ["results.confidence", "number"]], known.flatMap(([number_, document]) => Object.entries(document.axes).map(([joint, axis]) => row([
-    [number_], [joint], [axis.inertia.length, "number"], [number(median(axis.inertia.map((one) => one.identified)), ` ${inertiaUnit(joint)}`), "number"], [percent(axis.confidence_percent), "number"],
+  table("earlier", [["campaign.title"], ["axis"], ["results.sweeps", "number"], ["results.cad-identified", "number"], ["results.confidence", "number"]], known.flatMap(([number_, document]) => Object.entries(document.axes).map(([joint, axis]) => row([
+    [number_], [joint], [axis.inertia.length, "number"], [percent(axis.rmse_percent.reference_identified), "number"], [confidence(axis.confidence_percent), "number"],
   ]))));
-}
-
-/** @param {number[]} values */
-function median(values) {
-  const sorted = values.toSorted((one, other) => one - other);
-  return sorted.length ? (sorted[(sorted.length - 1) >> 1] + sorted[sorted.length >> 1]) / 2 : null;
 }
 
 const refresh = refresher(async () => {

@@ -91,7 +91,7 @@ def test_the_command_tells_what_the_plan_promises(url: str, http: httpx.Client) 
     assert done.returncode == 0, done.stderr
     document = http.get(f"/plans/{done.stdout.strip()}").json()["document"]
     assert document["duration"] <= 60
-    count = f"{len(document['confidence'])} poses, {len(document['sweeps'])} sweeps, 1 min; J may not be known"
+    count = f"{len(document['confidence'])} poses, {len(document['sweeps'])} sweeps, 1 min; confidence of J: none"
     assert count in done.stderr
     assert document["undetermined"]
     assert f"not better than CAD for {', '.join(document['undetermined'])}. Plan" in done.stderr

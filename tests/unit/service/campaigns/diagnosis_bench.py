@@ -97,12 +97,13 @@ class Bench:
 
 
 @asynccontextmanager
-async def open_bench(folder: Path, worker: Worker) -> AsyncGenerator[Bench]:
+async def open_bench(folder: Path, worker: Worker, refusal: str = "") -> AsyncGenerator[Bench]:
+    """`refusal`: why the machine runs no experiment."""
     async with AsyncExitStack() as stack:
         database = stack.enter_context(open_database(f"sqlite:///{folder / 'sweepid.sqlite'}"))
         store, files, diagnoses = Store(database), RecordingFiles(folder), DiagnosisStore(database)
         models = ModelStore(database)
-        diagnosing = Diagnosing(store, diagnoses, models, files, worker)
+        diagnosing = Diagnosing(store, diagnoses, models, files, worker, lambda *_: refusal)
         stack.push_async_callback(diagnosing.close)
         yield Bench(store, files, diagnoses, models, diagnosing)
 

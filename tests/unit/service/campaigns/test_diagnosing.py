@@ -19,7 +19,7 @@ from service.identification.estimation import estimate_document, sweep_spectrum
 from service.jobs.dask_workers import DaskWorkers
 from service.jobs.diagnosing import Start, campaigns_of, recorded_sweeps
 from service.jobs.experiments import accept_model
-from service.jobs.work import DiagnosisJob
+from service.jobs.work import DiagnosisJob, Work
 from service.jobs.worker import open_worker
 from service.model.errors import BadInput, Conflict
 from service.model.robot import Robot
@@ -38,6 +38,7 @@ from service.store.files.bundle import Bundle, save_bundle
 from service.store.files.data_folder import campaign_bundle, import_campaign
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
+from tests.stored.documents import stored
 from tests.unit.service.campaigns.diagnosis_bench import (
     NOBODY,
     POSES,
@@ -68,6 +69,29 @@ async def test_a_worker_killed_in_the_middle_changes_nothing(tmp_path: Path, rob
     assert found.document is not None, found.cause
     assert axes_of(found) == {"joint_1": offline}
     assert found.verdicts == {"joint_1": "named"}
+
+
+class Undecided(InProcess):
+    """Comes to a result that proposes an experiment."""
+
+    async def run(self, job: Work[Any]) -> Any:
+        return stored("diagnosis-open")["axes"]["joint_1"]
+
+
+@pytest.mark.parametrize("refusal", ["", "experiment: none of its sweeps can be run"])
+async def test_an_experiment_is_proposed_only_if_the_machine_can_run_it(
+    tmp_path: Path, robot: Robot, refusal: str
+) -> None:
+    async with open_bench(tmp_path, Undecided(), refusal) as bench:
+        campaign = measured(bench.store, bench.files, robot, "joint_1", 1)
+        found = await bench.over((await bench.diagnosing.request([campaign], None, None, unattended=False)).id)
+        axis = found.found().axes["joint_1"]
+        assert (axis.next_experiment is None) == bool(refusal)
+        assert ("easure what is proposed next" in axis.summary) != bool(refusal)
+        ended = (
+            "This machine cannot be diagnosed further, because of the next experiment: none of its sweeps can be run"
+        )
+        assert (ended in axis.summary) == bool(refusal)
 
 
 async def test_what_is_open_is_taken_up_by_the_next_process_and_what_is_done_is_not(

@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncIterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +10,7 @@ import pytest
 from service.jobs.dask_workers import DaskWorkers
 from service.jobs.diagnosing import Diagnosing
 from service.jobs.experiments import ROUNDS, Experiments
+from service.jobs.rehearsal import Rehearsal
 from service.model.errors import BadInput, Conflict
 from service.model.robot import Robot
 from service.planning.campaigns.live import EventFeed
@@ -37,7 +38,8 @@ class Loop:
         """Experiments of a machine with these axes."""
         bench = self.bench
         setup = MachineSetup("machine", axes, robot=bench.store.robot(self.new.robot_id), cell="workshop")
-        return Experiments(Settings(), bench.store, self.diagnoses, bench.runner, self.diagnosing, setup)
+        rehearsal = Rehearsal(Settings(), bench.store, setup)
+        return Experiments(Settings(), bench.store, self.diagnoses, bench.runner, self.diagnosing, rehearsal)
 
     def done(
         self, kind: str | None, new: NewDiagnosis | None = None, verdict: str = "ambiguous", *, sweeps: bool = False
@@ -69,9 +71,10 @@ async def loop(tmp_path: Path, robot: Robot, envelope: Envelope) -> AsyncIterato
     async with open_bench(tmp_path, robot, envelope) as bench:
         diagnoses = DiagnosisStore(bench.database)
         nobody = DaskWorkers(Cluster("tcp://127.0.0.1:1"))
-        diagnosing = Diagnosing(bench.store, diagnoses, ModelStore(bench.database), bench.files, nobody)
         setup = MachineSetup("machine", robot=bench.store.robot(bench.campaign.robot_id), cell="workshop")
-        experiments = Experiments(Settings(), bench.store, diagnoses, bench.runner, diagnosing, setup)
+        rehearsal, models = Rehearsal(Settings(), bench.store, setup), ModelStore(bench.database)
+        diagnosing = Diagnosing(bench.store, diagnoses, models, bench.files, nobody, rehearsal.refusal)
+        experiments = Experiments(Settings(), bench.store, diagnoses, bench.runner, diagnosing, rehearsal)
         new = NewDiagnosis(
             robot_id=bench.campaign.robot_id, campaigns=(bench.campaign.id,), axes=("joint_1",), unattended=True
         )
@@ -87,6 +90,22 @@ def test_an_experiment_keeps_the_lower_limits_of_the_drive(loop: Loop, robot: Ro
     for axes, limits in (((), (PEAK_VELOCITY, effort)), ((lower,), (0.14, 0.75 * effort))):
         plan = loop.of(*axes).plan(proposed.id, "joint_1", None, {}, "Ada")
         assert {(sweep.velocity_limit, sweep.effort_limit) for sweep in plan.sweeps} == {limits}
+
+
+def test_an_experiment_that_the_machine_cannot_run_is_refused_when_it_is_rehearsed(loop: Loop) -> None:
+    """As of an axis whose drive permits less than every sweep needs."""
+    wanted = loop.done("reversal", sweeps=True).found().axes["joint_1"].next_experiment
+    assert wanted is not None
+    bench, weak = loop.bench, DriveAxis(joint="joint_1", effort_limit=0.01)
+    own = MachineSetup("machine", robot=bench.store.robot(loop.new.robot_id), cell="workshop")
+    for setup, reason in (
+        (own, ""),
+        (replace(own, cell=None), ""),  # a person names the cell
+        (replace(own, robot=None), ""),  # a person confirms the robot
+        (replace(own, axes=(weak,)), "experiment: none of its sweeps can be run; reason for the first: "),
+    ):
+        told = Rehearsal(Settings(), bench.store, setup).refusal(loop.new.robot_id, wanted)
+        assert told.startswith(reason) if reason else told == "", told
 
 
 @pytest.mark.parametrize("mass", [None, MASS])

@@ -43,9 +43,9 @@ def test_confirmed_only_where_check_and_diagnosis_speak_for_it() -> None:
     assert found.standing == CONFIRMED
     # hypot(0.8, 0.6) = 1.0
     assert found.sentence == (
-        "The inertias of joint_1 and joint_2 are known to 1 % or better (one standard deviation, with that of the "
-        "torque constants; joint_1 is the least accurate); the data check found nothing; diagnosis 7 finds no effect "
-        "missing."
+        "The inertias of joint_1 and joint_2 are known to 0.8 % or better (confidence: one standard deviation in the "
+        "worst pose, with a correct torque constant; joint_1 is the least accurate), to 1 % with the uncertainty of "
+        "the torque constants; the data check found nothing; diagnosis 7 finds no effect missing."
     )
 
 
@@ -212,8 +212,8 @@ def test_the_page_begins_with_verdict_and_origin(max100: Robot) -> None:
     again = campaign_page(report(), max100.joints, drawn.estimate, drawn)
     assert again.html() == page
     sections = [table["section"] for table in json.loads(again.written("json"))["tables"]]
-    assert sections[:2] == ["Origin", "Drives"]
-    assert "Drives" not in sections[2:]
+    assert sections[:3] == ["Campaign 1: <robot>", "Origin", "Drives"]
+    assert "Drives" not in sections[3:]
 
 
 def test_a_campaign_without_an_inertia_has_what_there_is(max100: Robot) -> None:

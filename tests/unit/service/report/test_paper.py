@@ -15,7 +15,7 @@ from pypdf import PdfReader
 from service.model.errors import NoPdf
 from service.model.results.diagnosis import Diagnosis
 from service.model.robot import Robot
-from service.report import campaign_page, diagnosis_figures, estimate_page
+from service.report import campaign_page, diagnosis_figures
 from service.report.drawing import DrawnFigure, Part, figure, line, points, scale
 from service.report.initial_analysis import amplitude_responses, ideal_frequencies
 from service.report.plotting import PAPER, WIDTH, drawn, svg
@@ -23,7 +23,7 @@ from tests.programs import needs
 from tests.stored.documents import stored
 from tests.unit.service.identification.test_ideal_frequency import analysis
 from tests.unit.service.report.test_campaign_report import report
-from tests.unit.service.report.test_report import content, figures, sweep
+from tests.unit.service.report.test_report import content, estimate_page, figures, sweep
 
 pytestmark = pytest.mark.slow
 
@@ -46,13 +46,16 @@ def pages(max100: Robot) -> list[str]:
 @needs("pango")
 def test_what_stands_on_paper(pages: list[str]) -> None:
     """Words of figures too: read by whoever searches the file, or has it read aloud."""
-    for words in ("Contradicted.", "cannot be trusted", "Ada <ada>", "cd" * 32, "4711", "not reported", "Contents"):
+    for words in ("Contradicted.", "cannot be trusted", "J of joint_1", "joint_1 against CAD", "Ada <ada>", "cd" * 32):
         assert words in pages[0]
     whole = " ".join(pages)
+    for words in ("4711", "not reported", "Contents"):
+        assert words in whole
     for words in ("joint_2 in deg", "identified model", "time in s", "velocity, excited", "measured (± 2 std)"):
         assert words in whole
-    assert "Figure 1. Inertia of the axes over the poses: joint_1 over joint_2 and joint_3" in whole
-    contents = re.findall(r"(Base parameters|One sweep|Check of the data)[ .]*(\d+)", pages[0])
+    assert "Figure 1. joint_1 against CAD" in whole
+    assert "Figure 2. Inertia of the axes over the poses: joint_1 over joint_2 and joint_3" in whole
+    contents = re.findall(r"(Base parameters|One sweep|Check of the data)[ .]*(\d+)", pages[1])
     assert len(contents) == 3
     for heading, number in contents:
         assert heading in pages[int(number) - 1]

@@ -13,7 +13,7 @@ from service.identification.model.regressor import axis_rows, lock
 from service.model.recording import Recording, Sine, Sweep, SweepSpec
 from service.model.results.estimate import BaseParameter, Estimate
 from service.model.robot import INERTIAL_NAMES, Robot, build_robot
-from service.report import Content, ReportPage, TruthRow, analysis_page, axes_of, estimate_page
+from service.report import CampaignReport, Content, ReportPage, TruthRow, analysis_page, axes_of, campaign_page
 from service.report.content import revision
 from service.report.figures import parameter_unit
 from service.report.initial_analysis import amplitude_responses, ideal_frequencies, table
@@ -66,6 +66,12 @@ def content(robot: Robot, **changes: Any) -> Content:
     )
 
 
+def estimate_page(content: Content) -> ReportPage:
+    """The report of an estimate alone."""
+    report = CampaignReport(title=content.title, subtitle="", origin=(), drives=(), check=None, diagnosis=None)
+    return campaign_page(report, content.robot.joints, content.estimate, content)
+
+
 def spec(name: str, joint: str, pose: tuple[float, ...]) -> SweepSpec:
     return SweepSpec(
         id=name,
@@ -116,7 +122,7 @@ def test_one_file_that_loads_nothing(max100: Robot) -> None:
 
 def test_a_map_of_the_inertia_and_the_measured_poses(max100: Robot) -> None:
     report = content(max100)
-    field, _, measured = figures(estimate_page(report))[0]["data"]
+    field, _, measured = figures(estimate_page(report))[1]["data"]
     assert field["x"] == pytest.approx([-28.648, 0.0, 28.648])
     assert np.sort(np.ravel(field["z"])) == pytest.approx(np.sort(axes_of(report)[0].identified_workspace), rel=1e-5)
     assert measured["marker"]["color"] == pytest.approx(axes_of(report)[0].measured.tolist(), rel=1e-5)
@@ -130,7 +136,7 @@ def test_a_pose_that_is_not_free_leaves_a_hole(max100: Robot) -> None:
 
 
 def test_a_difference_of_one_sign_has_the_colours_where_it_lies(max100: Robot) -> None:
-    field = figures(estimate_page(content(max100)))[1]["data"][0]
+    field = figures(estimate_page(content(max100)))[0]["data"][0]
     percent = 100 * (1 - 1 / HEAVIER)
     assert (field["zmin"], field["zmax"]) == pytest.approx((percent - 0.25, percent + 0.25), abs=1e-3)
 
@@ -173,10 +179,10 @@ def test_a_linear_axis_has_its_own_units(max100: Robot) -> None:
     rail = build_robot(max100.description, urdf)
     page = estimate_page(content(rail, example=sweep()))
     drawn = figures(page)
-    layout = drawn[0]["layout"]
-    assert drawn[0]["data"][0]["colorbar"]["title"]["text"] == "kg"
+    layout = drawn[1]["layout"]
+    assert drawn[1]["data"][0]["colorbar"]["title"]["text"] == "kg"
     assert [layout[axis]["title"]["text"] for axis in ("xaxis", "yaxis")] == ["joint_2 in deg", "joint_3 in mm"]
-    assert drawn[0]["data"][2]["y"][:2] == [-1000.0, 0.0]
+    assert drawn[1]["data"][2]["y"][:2] == [-1000.0, 0.0]
     titles = {
         axis["title"]["text"]
         for figure in drawn

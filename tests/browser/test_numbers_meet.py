@@ -1,0 +1,154 @@
+"""A number that stands in several places is the same in all of them: report, sheet, command, and both pages."""
+
+import json
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page, expect
+
+import sweepid
+from service.cli.report_pages import bundle_page
+from service.formats.export.sheets.making import sheet
+from service.formats.export.sheets.text import as_markdown
+from service.identification.design.diagnosis_sweeps import paper_design
+from service.model.configuration import read_robot
+from service.model.results.digits import two_digits
+from service.model.results.estimate import CONFIDENCE, Estimate
+from service.store.files.bundle import Bundle, write_bundle
+from simulator import load_scenario
+from tests.browser.browsing import browsing
+from tests.browser.scripted import Json, campaign, scripted
+from tests.browser.test_diagnosis_page import measured
+from tests.programs import needs
+
+pytestmark = needs("chromium")
+AXES = ("joint_1", "joint_2", "joint_3")
+Told = Iterator[tuple[str, str]]  # what, and its number as it is written
+
+
+@pytest.fixture(scope="module")
+def bundle(root: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Bundle, Path]:
+    """A finished campaign of the virtual robot: three axes in 25 poses."""
+    robot = read_robot(root / "config/robots/max100-class.yaml")
+    poses = np.array([[0, a, b, 0, 0, 0] for a in np.linspace(-0.9, 1.2, 5) for b in np.linspace(-2.2, 1.0, 5)])
+    designed = [one for axis in AXES for one in paper_design(robot, axis, poses, sample_rate=250.0)]
+    sweeps = measured(load_scenario(root / "config/scenarios/max100-full.yaml"), designed)
+    for number, one in enumerate(sweeps, start=1):
+        object.__setattr__(one, "spec", one.spec.model_copy(update={"id": f"{number:04d}"}))
+    made, folder = Bundle(robot, tuple(sweeps)), tmp_path_factory.mktemp("finished") / "bundle"
+    write_bundle(folder, robot, sweeps)
+    return made, folder
+
+
+def of_report(made: Bundle, found: Estimate, folder: Path) -> Told:
+    tables = json.loads(bundle_page(made, found, str(folder)).written("json"))["tables"]
+    for told, value in tables[0]["rows"]:
+        joint, low, high, cad, percent, confidence = re.fullmatch(
+            r"J of (\w+), (\S+) to (\S+); CAD (\S+), (\S+) %; confidence (\S+) %", told
+        ).groups()  # type: ignore[union-attr]
+        j, std = re.fullmatch(r"(\S+) ± (\S+) kg m²", value).groups()  # type: ignore[union-attr]
+        yield from _axis(joint, J=j, std=std, low=low, high=high, CAD=cad, percent=percent, confidence=confidence)
+    for table in tables:
+        if table["section"] == "Base parameters":
+            for name, cad, value, std, *_ in table["rows"]:
+                yield from _axis(name, CAD=cad, value=value, std=std)
+        if table["head"][0] == "RMSE in %":
+            for k, joint in enumerate(table["head"][1:], start=1):
+                yield from _rmse(joint, [row[k] for row in table["rows"]])
+
+
+def of_sheet(made: Bundle, found: Estimate, folder: Path) -> Told:
+    text = as_markdown(sheet(made.robot, found, str(folder)))
+    for row in re.findall(r"^\| (joint_\d) \| (.*kg m².*) \|$", text.partition("## Sinumerik")[0], re.MULTILINE):
+        cad, j, std, span, differs = row[1].split(" | ")
+        low, high = span.split(" ... ")
+        cad, j, std = (one.removesuffix(" kg m²") for one in (cad, j, std))
+        yield from _axis(row[0], J=j, std=std, low=low, high=high, CAD=cad, percent=differs.split(" %")[0])
+
+
+def of_command(found: Estimate) -> Told:
+    text = str(found)
+    stated = re.search(rf"Confidence of J \({re.escape(CONFIDENCE)}\): (.*)", text)
+    assert stated is not None
+    for joint, percent in re.findall(r"(joint_\d) (\S+) %", stated[1]):
+        yield from _axis(joint, confidence=percent)
+    for row in text.partition("Base parameters")[2].splitlines():
+        if cells := re.fullmatch(r"(\S.*\S)  +(\S+)  +(\S+)", row):
+            yield from _axis(cells[1].strip(), value=cells[2], std=cells[3])
+    rows = re.findall(r"^(?:reference|identified) - .*?  +(\S+)  +(\S+)  +(\S+)$", text, re.MULTILINE)
+    for k, joint in enumerate(AXES):
+        yield from _rmse(joint, [row[k] for row in rows])
+
+
+def of_results(page: Page) -> Told:
+    expect(page.locator("#table tbody tr")).to_have_count(3)
+    for row in page.locator("#table tbody tr").all():
+        joint, _, *rmse, confidence = (one.removesuffix(" %") for one in row.locator("td").all_inner_texts())
+        yield from _rmse(joint, rmse)
+        yield from _axis(joint, confidence=confidence)
+    for row in page.locator("#earlier tbody tr").all():
+        _, joint, _, percent, confidence = (one.removesuffix(" %") for one in row.locator("td").all_inner_texts())
+        yield from _axis(joint, rmse3=percent, confidence=confidence)
+
+
+def of_operator_page(page: Page) -> Told:
+    expect(page.locator("#parameters tr").first).to_be_visible()
+    for row in page.locator("#parameters tr").all():
+        name, value, std = row.locator("td").all_inner_texts()
+        yield from _axis(name, value=value.replace("−", "-"), std=std)
+
+
+def _axis(name: str, **values: str) -> Told:
+    yield from ((f"{name}: {what}", value) for what, value in values.items())
+
+
+def _rmse(joint: str, values: list[str]) -> Told:
+    yield from ((f"{joint}: rmse{k}", value) for k, value in enumerate(values, start=1))
+
+
+def test_a_number_in_two_places_is_one_number(bundle: tuple[Bundle, Path]) -> None:
+    made, folder = bundle
+    found = sweepid.identify(made)
+    places: dict[str, dict[str, str]] = defaultdict(dict)
+    told: dict[str, Told] = {
+        "report": of_report(made, found, folder),
+        "sheet": of_sheet(made, found, folder),
+        "command": of_command(found),
+    }
+    with scripted(answers=answers(found)) as service:
+        with browsing(f"{service.url}/results#campaign-1") as page:
+            told["results"] = iter(list(of_results(page)))
+        with browsing(f"{service.url}/#campaign-1") as page:
+            told["page"] = iter(list(of_operator_page(page)))
+    for place, numbers in told.items():
+        for what, number in numbers:
+            places[what][place] = number
+    several = {what: numbers for what, numbers in places.items() if len(numbers) > 1}
+    assert {what: numbers for what, numbers in several.items() if len(set(numbers.values())) > 1} == {}
+    # each axis: J, std, low, high, CAD, difference, confidence, three deviations; each base parameter: value, std
+    assert len(several) == len(AXES) * 10 + 2 * len(found.base_parameters)
+
+
+def answers(found: Estimate) -> dict[str, Json]:
+    document: Any = json.loads(found.to_json())
+    estimate = {"revision": 1, "number": 75, "document": document}
+    one = campaign(1, state="completed")
+    percent = {joint: axis["confidence_percent"] for joint, axis in document["axes"].items()}
+    return {
+        "campaigns": {"items": [one], "next": None},
+        "campaigns/1": one,
+        "campaigns/1/estimates/latest": estimate,
+        "campaigns/1/estimates/convergence": {"wanted": None, "revisions": [{"sweep": 75, "percent": percent}]},
+    }
+
+
+@pytest.mark.parametrize("percent", [0.0467, 0.4, 0.415, 1.26, 12.34, 130.4])
+def test_a_confidence_has_two_figures_on_the_page_as_everywhere(percent: float) -> None:
+    with scripted() as service, browsing(service.url) as page:
+        told = page.evaluate("async (percent) => (await import('./elements.js')).confidence(percent)", percent)
+        assert told == f"{two_digits(percent)} %"
