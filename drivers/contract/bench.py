@@ -68,6 +68,10 @@ class Bench:
         )
         return replace(command, **changes)
 
+    async def long_sweep(self, port: DrivePort, mode: SweepMode, **changes: Any) -> SweepCommand:
+        """A sweep of 100 s, slow enough to stay in its window."""
+        return await self.sweep(port, mode, 200, offset_velocity=0.0045, **changes)
+
     async def noise(self, port: DrivePort, periods: int = 4, **changes: Any) -> NoiseCommand:
         """A short noise run from the position of the axis, 2 to 40 Hz."""
         start = (await port.status())[self.axis].position

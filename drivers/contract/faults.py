@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from drivers.contract.bench import MachineUnderTest, Suite, column, consume, eventually, needs
-from drivers.contract.motion import LONG
 from drivers.errors import CommunicationLost, DriveError, DriveFault, EmergencyStop, EnvelopeLeft
 from drivers.ports import AxisState, DrivePort, SampleBlock, SweepMode
 
@@ -34,7 +33,7 @@ class FaultSuite(Suite):
                 virtual.order("fault", joint=axis, code=0x7305)
 
         with pytest.raises(DriveFault, match="7305h"):
-            await consume(port, await virtual.bench.sweep(port, mode, **LONG), each)
+            await consume(port, await virtual.bench.long_sweep(port, mode), each)
         index = column(blocks, "index")
         assert np.array_equal(index, np.arange(len(index)))
         # of 25000; on a busy computer the last ones are late answers to SYNC
@@ -71,7 +70,7 @@ class FaultSuite(Suite):
         await port.enable(axis)
         with pytest.raises(EmergencyStop):
             await consume(
-                port, await virtual.bench.sweep(port, mode, **LONG), lambda _: virtual.order("emergency_stop", on=True)
+                port, await virtual.bench.long_sweep(port, mode), lambda _: virtual.order("emergency_stop", on=True)
             )
         assert virtual.energised() == []
         assert {fault.emergency_stop for fault in await port.faults()} == {True}
@@ -91,7 +90,7 @@ class FaultSuite(Suite):
         await port.enable(axis)
         # by the host or by the drive's own limit, whichever comes first
         with pytest.raises((EnvelopeLeft, DriveFault)):
-            await consume(port, await virtual.bench.sweep(port, mode, effort_limit=virtual.bench.least_effort, **LONG))
+            await consume(port, await virtual.bench.long_sweep(port, mode, effort_limit=virtual.bench.least_effort))
         assert virtual.energised() == []
 
     @needs(orders={"silence"})
@@ -102,7 +101,7 @@ class FaultSuite(Suite):
         with pytest.raises(CommunicationLost):
             await consume(
                 port,
-                await virtual.bench.sweep(port, mode, **LONG),
+                await virtual.bench.long_sweep(port, mode),
                 lambda _: virtual.order("silence", joint=axis, on=True),
             )
         assert (await port.status())[axis].state is AxisState.UNKNOWN
@@ -139,7 +138,7 @@ class FaultSuite(Suite):
         with pytest.raises(CommunicationLost, match="no sample"):
             await consume(
                 port,
-                await virtual.bench.sweep(port, SweepMode.HOST_STREAMED, **LONG),
+                await virtual.bench.long_sweep(port, SweepMode.HOST_STREAMED),
                 lambda _: virtual.order("freeze_counter", joint=axis, on=True),
             )
         assert virtual.energised() == []

@@ -13,7 +13,6 @@ from drivers.errors import ConnectionFailed, LimitExceeded, NotReady, SweepInter
 from drivers.ports import AxisState, DrivePort, SampleBlock, SineCommand, SweepCommand, SweepMode
 
 # interrupted at its beginning: 100 s of slow motion, 5 s of a machine at 20 times real time
-LONG: dict[str, Any] = {"periods": 200, "offset_velocity": 0.0045}
 
 
 def one_second(command: SweepCommand, bench: Bench) -> slice:
@@ -263,7 +262,7 @@ class DrivePortSuite(Suite):
         self, port: DrivePort, virtual: MachineUnderTest, mode: SweepMode, axis: str
     ) -> None:
         await port.enable(axis)
-        running = port.run_sweep(await virtual.bench.sweep(port, mode, **LONG))
+        running = port.run_sweep(await virtual.bench.long_sweep(port, mode))
         first = await anext(running)
         assert first.index[0] == 0
         await running.aclose()
@@ -275,7 +274,7 @@ class DrivePortSuite(Suite):
         self, port: DrivePort, virtual: MachineUnderTest, mode: SweepMode, axis: str
     ) -> None:
         await port.enable(axis)
-        command = await virtual.bench.sweep(port, mode, **LONG)
+        command = await virtual.bench.long_sweep(port, mode)
         moving = asyncio.Event()
 
         task = asyncio.create_task(consume(port, command, lambda _: moving.set()))
@@ -297,7 +296,7 @@ class DrivePortSuite(Suite):
             blocks.append(block)
             moving.set()
 
-        task = asyncio.create_task(consume(port, await virtual.bench.sweep(port, mode, **LONG), keep))
+        task = asyncio.create_task(consume(port, await virtual.bench.long_sweep(port, mode), keep))
         await moving.wait()
         await asyncio.gather(port.stop(), port.stop())
         assert virtual.energised() == []
@@ -313,7 +312,7 @@ class DrivePortSuite(Suite):
         self, port: DrivePort, virtual: MachineUnderTest, mode: SweepMode, axis: str
     ) -> None:
         await port.enable(axis)
-        running = port.run_sweep(await virtual.bench.sweep(port, mode, **LONG))
+        running = port.run_sweep(await virtual.bench.long_sweep(port, mode))
         await anext(running)
         await port.stop()
         assert virtual.energised() == []
@@ -358,7 +357,7 @@ class DrivePortSuite(Suite):
         self, port: DrivePort, mode: SweepMode, virtual: MachineUnderTest, axis: str
     ) -> None:
         await port.enable(axis)
-        running = port.run_sweep(await virtual.bench.sweep(port, mode, **LONG))
+        running = port.run_sweep(await virtual.bench.long_sweep(port, mode))
         await anext(running)
         with pytest.raises(NotReady, match="one motion at a time"):
             await port.move_to(axis, 0.0, 0.1)
@@ -373,7 +372,7 @@ class DrivePortSuite(Suite):
             for joint in port.joints:
                 await port.acknowledge(joint)
             await port.enable(axis)
-            running = port.run_sweep(await virtual.bench.sweep(port, mode, **LONG))
+            running = port.run_sweep(await virtual.bench.long_sweep(port, mode))
             await anext(running)
         assert virtual.energised() == []
         with pytest.raises(SweepInterrupted):

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
-from pydantic import Field, JsonValue
+from pydantic import Field
 
 import sweepid
 from service.data_check import check, findings_document
@@ -35,15 +35,15 @@ def result_page(path: Path) -> ReportPage:
 
 
 class _SomeAxis(Part):
-    verdict: JsonValue = None
+    verdict: object = None
 
 
 class _Some(Document):
     """What tells which kind of result a file has."""
 
     axes: Mapping[str, _SomeAxis] = Field(default={})
-    analysis: JsonValue = None
-    combination: JsonValue = None
+    analysis: object = None
+    combination: object = None
 
 
 def _estimate_page(found: Estimate, path: Path) -> ReportPage:

@@ -219,17 +219,17 @@ def list_containers(path: Path, limits: Limits = LIMITS) -> tuple[ListedChannel,
     return tuple(ListedChannel.model_validate(one) for one in answer)
 
 
-def list_here(path: Path) -> list[dict[str, Any]]:
+def list_here(path: Path) -> list[object]:
     """In the process: the channels."""
     reader = _reader(path)
     with _library_errors(reader, path):
         return [one.model_dump(mode="json") for one in reader.listed(path)]
 
 
-def take(asked: Path, folder: Path) -> list[dict[str, Any]]:
+def take(asked: Path, folder: Path) -> list[object]:
     """In the process: write ``N.npy`` for each sweep, rows as requested, clock last; return their `Units`."""
     wanted = Asked.model_validate_json(asked.read_bytes())
-    answer: list[dict[str, Any]] = []
+    answer: list[object] = []
     for number, taken in enumerate(read_here(Path(wanted.file), wanted.sweeps)):
         rows = taken.columns if taken.clock is None else np.vstack([taken.columns, taken.clock])
         np.save(folder / f"{number}.npy", rows, allow_pickle=False)

@@ -45,7 +45,7 @@ def listed(path: Path) -> tuple[ListedChannel, ...]:
     return tuple(ListedChannel(name=name) for name, value in found for name in columns_in(name, value))
 
 
-def _load(path: Path, stated: dict[str, tuple[int, ...]], names: list[str]) -> dict[str, Any]:
+def _load(path: Path, stated: dict[str, tuple[int, ...]], names: list[str]) -> dict[str, object]:
     check_numbers(sum(_size(stated[name]) for name in names), 1, MOST_NUMBERS, str(path))
     # a truncated file is rejected here, whatever it lacks
     return loadmat(str(path), variable_names=names, struct_as_record=True)
@@ -69,7 +69,7 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _value(
-    content: dict[str, Any], source: str, stated: dict[str, tuple[int, ...]], path: Path
+    content: dict[str, object], source: str, stated: dict[str, tuple[int, ...]], path: Path
 ) -> np.ndarray[Any, Any]:
     names = source.partition("[")[0].split(".")
     if names[0] not in content:

@@ -16,7 +16,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from pydantic import JsonValue, ValidationError
+from pydantic import ValidationError
 from scipy.stats import chi2
 
 from service.formats.export.model import IdentifiedModel, model_of
@@ -97,10 +97,10 @@ def sheet(
 def fingerprint(sheet: Sheet) -> str:
     """Hash of robot, axes and base parameters, to six digits: equal for the same result, wherever it was made."""
     document = sheet.as_json()
-    kept = {key: _rounded(document[key]) for key in ("robot", "axes", "base_parameters")}
-    if sheet.base is not None:
-        kept["base"] = _rounded(document["base"])
-    return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()[:16]
+    names = ("robot", "axes", "base_parameters", *(("base",) if sheet.base is not None else ()))
+    kept = json.dumps({name: document[name] for name in names})
+    rounded = json.loads(kept, parse_float=lambda number: float(f"{float(number):.6g}"))
+    return hashlib.sha256(json.dumps(rounded, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def check_sheet(sheet: Sheet, place: str) -> None:
@@ -174,16 +174,6 @@ def _ranges(robot: Robot, estimate: Estimate, poses: Mapping[str, Sequence[float
         own = np.array([poses[sweep.sweep] for sweep in axis.inertia])
         ranges[joint] = {name: (float(own[:, k].min()), float(own[:, k].max())) for k, name in enumerate(robot.joints)}
     return ranges
-
-
-def _rounded(value: JsonValue) -> JsonValue:
-    if isinstance(value, float):
-        return float(f"{value:.6g}")
-    if isinstance(value, dict):
-        return {key: _rounded(each) for key, each in value.items()}
-    if isinstance(value, list):
-        return [_rounded(each) for each in value]
-    return value
 
 
 def compare(sheet: Sheet, robot: Robot, estimate: Estimate, poses: Mapping[str, Array], place: str) -> SheetCheck:
