@@ -21,7 +21,7 @@ from service.formats.maker_urdf.inertials import (
 )
 from service.formats.maker_urdf.packages import Packages
 from service.model.errors import BadInput
-from service.model.urdf import read_chain, read_hull, write_hull
+from service.model.urdf import read_chain, read_hull
 
 ARM = """<robot name="arm"><link name="base"/><joint name="j" type="revolute"><parent link="base"/><child link="tip"/>
 <axis xyz="0 0 1"/>
@@ -93,13 +93,6 @@ def test_a_box_has_the_volume_and_moments_of_a_box() -> None:
     assert volume == pytest.approx(0.2 * 0.4 * 0.1)
     np.testing.assert_allclose(centre, [0.2, 0.0, 0.05], atol=1e-12)
     np.testing.assert_allclose(moment - volume * np.outer(centre, centre), volume * np.diag(edges**2) / 12, atol=1e-12)
-
-
-def test_what_is_written_is_read_again() -> None:
-    mesh = ET.Element("mesh", filename="a.stl")
-    vertices, _ = convex_hull(BOX)
-    write_hull(mesh, vertices)
-    np.testing.assert_allclose(read_hull(mesh, "x"), vertices, atol=1e-9)
 
 
 @pytest.mark.parametrize(
