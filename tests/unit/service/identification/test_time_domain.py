@@ -25,10 +25,12 @@ ROTOR = """<robot name="bench"><link name="base"/><link name="rotor"><inertial><
 <limit lower="-1000" upper="1000" velocity="400" effort="10"/></joint></robot>"""
 
 
-@pytest.fixture
-def bench() -> Robot:
+def robot(urdf: str = ROTOR) -> Robot:
     axis = Axis(joint="motor", gear_ratio=1.0, motor_inertia=None, rated_effort=10.0, viscous_friction=None)
-    return build_robot(RobotDescription(name="bench", urdf="robot.urdf", axes=(axis,)), ROTOR)
+    return build_robot(RobotDescription(name="bench", urdf="robot.urdf", axes=(axis,)), urdf)
+
+
+bench = pytest.fixture(robot, name="bench")
 
 
 def run_up(seed: int, noise: float = 0.02, memory: float = 0.0, drag: float = 0.0, ripple: float = 0.0) -> Sweep:
@@ -71,10 +73,8 @@ def test_an_axis_that_turns_little_has_one_constant() -> None:
     time = np.arange(4000) / 500
     angle, speed = 0.2 * np.sin(2 * time), 0.4 * np.cos(2 * time)
     effort = 3.0 * -0.8 * np.sin(2 * time) + 2.0 * speed + 40 * np.cos(angle)
-    axis = Axis(joint="motor", gear_ratio=1.0, motor_inertia=None, rated_effort=10.0, viscous_friction=None)
-    robot = build_robot(RobotDescription(name="bench", urdf="robot.urdf", axes=(axis,)), ROTOR)
     spec = SweepSpec(id="1", axis="motor", pose=(0.0,), offset_velocity=0, excitation="trajectory", sample_rate=500)
-    fit = fit_record(spectrum(robot, Sweep(spec, Recording(time, effort, speed, angle))))
+    fit = fit_record(spectrum(robot(), Sweep(spec, Recording(time, effort, speed, angle))))
     assert "effort_offset" not in fit.terms
     assert fit.terms["gravity_torque"][0] == pytest.approx(40, rel=1e-3)
 
@@ -128,9 +128,9 @@ def test_friction_that_grows_with_the_square_is_told(bench: Robot) -> None:
 
 def test_the_halves_of_a_measured_record_agree(root: Path, shared: Path) -> None:
     """EMPS; published by Janot, Gautier and Brunot (2019): M = 95.1089 kg, Fv = 203.5034 N s/m, Fc = 20.3935 N."""
-    robot, (sweep,) = import_trace(root / "config/traces/emps.yaml", shared / "data/emps/DATA_EMPS.mat")
+    slide, (sweep,) = import_trace(root / "config/traces/emps.yaml", shared / "data/emps/DATA_EMPS.mat")
     whole, *halves = (
-        fit_record(spectrum(robot, _part(sweep, first, last))) for first, last in ((0, 1), (0, 0.5), (0.5, 1))
+        fit_record(spectrum(slide, _part(sweep, first, last))) for first, last in ((0, 1), (0, 0.5), (0.5, 1))
     )
     print(f"M = {whole.inertia:.3f} +- {whole.inertia_std:.3f}; halves", [f"{h.inertia:.3f}" for h in halves])
     assert whole.inertia == pytest.approx(95.1089, rel=2e-3)
@@ -177,10 +177,8 @@ def table(seed: int) -> Sweep:
 
 
 def test_what_holds_a_resting_table_is_no_gravity() -> None:
-    axis = Axis(joint="motor", gear_ratio=1.0, motor_inertia=None, rated_effort=10.0, viscous_friction=None)
-    upright = ROTOR.replace('<axis xyz="1 0 0"/>', '<axis xyz="0 0 1"/>')
-    robot = build_robot(RobotDescription(name="table", urdf="robot.urdf", axes=(axis,)), upright)
-    found = [fit_record(spectrum(robot, table(seed))) for seed in range(20)]
+    upright = robot(ROTOR.replace('<axis xyz="1 0 0"/>', '<axis xyz="0 0 1"/>'))
+    found = [fit_record(spectrum(upright, table(seed))) for seed in range(20)]
     assert "gravity_torque" not in found[0].terms
     for fit in found:
         assert fit.inertia == pytest.approx(TABLE, rel=0.02)

@@ -114,21 +114,13 @@ def test_a_hull_that_is_none_is_told(hull: str, told: str) -> None:
     assert "a.stl" in str(error.value)
 
 
-def arm(inertial: str, shape: str) -> ET.Element:
-    return ET.fromstring(
-        f"""<robot name="r"><link name="a"/><link name="b">{inertial}{shape}</link>
-        <joint name="j" type="revolute"><parent link="a"/><child link="b"/>
-        <limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>"""
-    )
-
-
 SHAPE = '<collision><origin xyz="0.2 0 0.05"/><geometry><box size="0.2 0.4 0.1"/></geometry></collision>'
 
 
 def test_a_link_without_inertial_is_completed_and_told() -> None:
-    root = arm("", SHAPE)
+    root = ET.fromstring(ARM.format(shape=SHAPE))
     (told,) = check_inertials(root, "x")[0]
-    assert (told.kind, told.place) == ("changed", "b")
+    assert (told.kind, told.place) == ("changed", "tip")
     assert "a guess" in told.sentence
     mass = PLAUSIBLE.density * 0.008
     inertial = read_chain(ET.tostring(root, encoding="unicode")).inertial[0]
@@ -137,5 +129,5 @@ def test_a_link_without_inertial_is_completed_and_told() -> None:
 
 
 def test_a_link_with_neither_inertial_nor_shape_is_missing() -> None:
-    (told,) = check_inertials(arm("", ""), "x")[0]
-    assert (told.kind, told.place) == ("missing", "b")
+    (told,) = check_inertials(ET.fromstring(ARM.format(shape="")), "x")[0]
+    assert (told.kind, told.place) == ("missing", "tip")
