@@ -168,7 +168,6 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/numeric/test_free_motion.py::test_standard_deviations_keep_what_they_promise": 6,
     "tests/numeric/test_makers_robots.py::test_from_a_makers_urdf_to_its_inertia": 6,
     "tests/numeric/test_planned_confidence.py::test_a_campaign_to_a_confidence_keeps_what_its_plan_promises": 5,
-    "tests/numeric/test_planned_confidence.py::test_the_fewer_sweeps_know_inertia_as_well": 5,
     # the seeds of tests in virtual time, in other processes
     **{
         f"tests/virtual_time/test_nothing_moves_unasked.py::test_a_promise[{promise}": 45

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.identification.model.regressor import axis_rows
 from service.report.benefit import AxisBenefit, benefit, feed_forward
 from service.store.files.bundle import read_bundle
 from simulator.follow import Path as Wanted
@@ -31,27 +30,6 @@ def test_the_virtual_machine(joint: str, axes: dict[str, AxisBenefit]) -> None:
     assert axis.identified.left_percent < 5 < axis.cad.left_percent
     assert axis.identified.inertia_percent.value < 1.5 < 5 < axis.cad.inertia_percent.value
     assert axis.smallest_ratio > 1.1
-
-
-@pytest.mark.parametrize("joint", AXES)
-def test_errors_told_are_those_against_the_truth(
-    joint: str, campaign: SimulatedCampaign, axes: dict[str, AxisBenefit]
-) -> None:
-    own = [sweep.spec.id for sweep in campaign.sweeps if sweep.spec.axis == joint]
-    held = [own.index(id) for id in axes[joint].held_out]
-    true = campaign.truth(joint)[held]
-    poses = np.array([sweep.spec.pose for sweep in campaign.sweeps if sweep.spec.axis == joint])[held]
-    cad = _cad(campaign, joint, poses)
-    rms = 100 * float(np.sqrt(np.mean((cad / true - 1) ** 2)))
-    told = axes[joint].cad.inertia_percent
-    assert told.std is not None
-    assert abs(told.value - rms) < 4 * told.std
-
-
-def _cad(campaign: SimulatedCampaign, joint: str, poses: np.ndarray) -> np.ndarray:
-    robot = campaign.robot
-    motors = [axis.reflected_motor_inertia or 0.0 for axis in robot.axes]
-    return axis_rows(robot.chain, robot.index(joint), poses) @ [*robot.chain.inertial.ravel(), *motors]
 
 
 @pytest.mark.parametrize("number", ["03", "05"])

@@ -82,9 +82,3 @@ def test_the_exported_gravity_is_better_than_cads(model: IdentifiedModel, estima
         worth = model.worth[k].gravity
         print(f"{joint}: gravity off by {error:.3g} N m, CAD's by {of_cad:.3g}, expected {worth.error:.3g}")
         assert error < min(of_cad, 2 * worth.error)
-
-
-def test_base_parameters_speak_of_the_robot(document: dict[str, object]) -> None:
-    words = [parameter["symbolic"] for parameter in document["base_parameters"]]  # type: ignore[index, union-attr]
-    assert "Iyy(link_2) + m(link_3) l2^2 + Jm(joint_2) - Jm(joint_3)" in words
-    assert document["symbols"]["l2"]["value"] == 1.15  # type: ignore[index]

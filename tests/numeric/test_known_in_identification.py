@@ -12,7 +12,7 @@ import pytest
 from service.identification.axis.known_effects import KnownEffects
 from service.identification.estimates.estimate import RobotEstimate, identify
 from simulator import Scenario
-from simulator.scenario import DriveTrain, Friction, Hose, PowerLaw, Stribeck
+from simulator.scenario import DriveTrain, Friction, Hose
 from tests.numeric.campaign import AXES, SimulatedCampaign, measure_at, scenario_named
 from tests.unit.service.identification.known import Parameters, known
 
@@ -75,15 +75,6 @@ def worst(found: dict[str, tuple[float, float, float]]) -> float:
     return max(abs(mean) for mean, _, _ in found.values())
 
 
-def test_a_known_delay_costs_no_inertia() -> None:
-    machine = scenario(effort_delay=1.3e-3)
-    effects = told(machine, lambda _: {"measurement_delay": {"delay": (1.32e-3, 2e-5)}})
-    without, with_it = compare(machine, effects)
-    assert worst(without) > 1.5 * BOUND
-    assert worst(with_it) < 0.5 * BOUND
-    assert all(z < 2.0 for _, _, z in with_it.values())
-
-
 @pytest.mark.parametrize("seed", [72, 73])
 def test_in_the_usual_noise_a_known_delay_moves_no_inertia(seed: int) -> None:
     """Against the same machine in the same noise without delay, axis by axis."""
@@ -102,32 +93,6 @@ def test_in_the_usual_noise_a_known_delay_moves_no_inertia(seed: int) -> None:
         print(f"seed {seed}, {name}: J moved by " + ", ".join(f"{100 * shift:+.3f} %" for shift in of.values()))
     assert max(map(abs, moved["without"].values())) > 4e-3
     assert max(map(abs, moved["with"].values())) < BOUND
-
-
-def test_a_known_nonlinear_friction_costs_less_inertia() -> None:
-    """What is left is the plant's: its nonlinear friction comes half of its step of 0.25 ms late."""
-    machine = scenario(lambda train: rubbed(train, power=PowerLaw(coefficient=60.0 / 0.01**0.5, exponent=0.5)))
-    effects: dict[str, Parameters] = {
-        "nonlinear_viscous_friction": {"coefficient": near(60.0, 0.02), "exponent": near(0.5, 0.02)}
-    }
-    without, with_it = compare(machine, told(machine, lambda _: effects))
-    assert worst(without) > 0.01
-    assert worst(with_it) < 0.4 * worst(without)
-
-
-def test_a_known_stribeck_friction_costs_no_inertia() -> None:
-    machine = scenario(
-        lambda train: rubbed(train, stribeck=Stribeck(extra=0.7 * train.motor_friction.coulomb, velocity=0.01))
-    )
-
-    def effect(friction: Friction) -> dict[str, Parameters]:
-        coulomb = {"coulomb": near(friction.coulomb, 0.02), "extra": near(0.7 * friction.coulomb, 0.02)}
-        return {"stribeck_friction": coulomb | {"velocity": near(0.01, 0.02), "exponent": near(2.0, 0.02)}}
-
-    without, with_it = compare(machine, told(machine, effect))
-    assert worst(without) > 5e-3
-    assert worst(with_it) < 0.25 * worst(without)
-    assert all(abs(mean) < max(BOUND, 2 * std) for mean, std, _ in with_it.values())
 
 
 def test_friction_that_is_known_to_grow_with_the_load_costs_no_inertia_or_is_told_as_doubt() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from service.model.collision import CollisionChecker, reachable
-from service.model.configuration import Box, Cell, read_cell, read_robot
+from service.model.configuration import Box, Cell, read_robot
 from service.model.errors import BadInput
 from service.model.robot import Robot, build_robot
 from tests.unit.service.campaigns.small_arm import small_arm
@@ -89,13 +89,6 @@ def test_travel_agrees_with_single_legs(checker: Build) -> None:
 def test_unknown_link_is_named(checker: Build) -> None:
     with pytest.raises(BadInput, match="no link hand"):
         checker(ignored_pairs=(("upper", "hand"),))
-
-
-def test_misspelt_cell_field_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "cell.yaml"
-    path.write_text("name: a\nclearence: 0.1\n")
-    with pytest.raises(BadInput, match="clearence"):
-        read_cell(path)
 
 
 def test_what_nests_where_the_robot_stood_does_not_count_offline(root: Path) -> None:

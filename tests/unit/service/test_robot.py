@@ -71,15 +71,6 @@ def test_a_random_chain_is_what_pinocchio_reads(seed: int) -> None:
             np.testing.assert_allclose(origin[k], data.oMi[k + 1].translation, atol=1e-9)
 
 
-def test_frames_of_one_pose_and_of_a_grid_agree() -> None:
-    chain = read_chain(random_urdf(1))
-    poses = np.random.default_rng(0).uniform(-1, 1, (2, 3, len(chain.joints)))
-    rotations, origins = link_frames(chain, poses)
-    one_rotation, one_origin = link_frames(chain, poses[1, 2])
-    np.testing.assert_allclose(rotations[1, 2], one_rotation)
-    np.testing.assert_allclose(origins[1, 2], one_origin)
-
-
 def robot() -> Robot:
     text = (
         '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="revolute"><parent link="a"/>'
@@ -100,11 +91,6 @@ def test_the_motor_weighs_with_the_square_of_the_gear() -> None:
 def test_what_would_divide_by_zero_is_refused(field: str, value: object) -> None:
     with pytest.raises(ValidationError, match=field):
         Axis.model_validate({"joint": "a", "gear_ratio": 10.0, "rated_effort": 1.0, field: value})
-
-
-def test_an_unknown_joint_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(BadInput, match="k: unknown joint; robot r has j"):
-        robot().index("k")
 
 
 def test_axes_must_be_the_moving_joints_of_the_urdf() -> None:

@@ -1,13 +1,11 @@
 """Files of the shared data that people could not read, as their README says; skipped without that data."""
 
-import shutil
 from pathlib import Path
 
 import pytest
 
 import sweepid
 from service.formats.traces.trace_import import import_trace
-from service.model.errors import BadInput
 
 pytestmark = pytest.mark.slow
 
@@ -44,18 +42,3 @@ def test_they_show_4_kg_m2_without_a_mapping(shared: Path, name: str, file: str,
     estimate = sweepid.identify(sweepid.import_trace(everyday(shared, name) / file, tell=told.append, **known))
     assert estimate["value"][0] == pytest.approx(4.0, rel=2e-3)
     assert told
-
-
-def test_a_matrix_needs_a_column(shared: Path, tmp_path: Path) -> None:
-    shutil.copytree(everyday(shared, "C06_matrix_per_signal"), tmp_path / "case")
-    mapping = tmp_path / "case/map.yaml"
-    with pytest.raises(BadInput, match=r"variable 'tau': .* give a column, tau\[0\] to tau\[2\]"):
-        import_trace(mapping)
-    mapping.chmod(0o600)
-    text = mapping.read_text("utf-8")
-    for name in ("tau", "dq", "q"):
-        text = text.replace(f"{{source: {name}}}", f"{{source: {name}, column: 0}}")
-    mapping.unlink()
-    mapping.write_text(text, encoding="utf-8")
-    _, (sweep,) = import_trace(mapping)
-    assert sweep.recording.position[1] == pytest.approx(0.007539, abs=1e-6)

@@ -11,8 +11,6 @@ import yaml
 from scipy.io import savemat
 
 from service.formats.traces.trace_import import differentiate, import_trace
-from service.identification.estimates.estimate import identify
-from service.identification.spectra.frequency_response import spectrum
 from service.model.errors import BadInput
 from service.model.recording import Recording, Sweep
 from service.store.files.bundle import write_bundle
@@ -166,29 +164,6 @@ def test_derivative_has_neither_phase_nor_bias(frequency: float, bound: float) -
 
 def test_derivative_keeps_a_straight_line_to_its_ends() -> None:
     np.testing.assert_allclose(differentiate(3.0 * np.arange(500) / 1000 + 2, 1000.0, 100.0), 3.0, rtol=1e-8)
-
-
-def viscous_only(inertia: float, viscous: float) -> dict[str, np.ndarray]:
-    time = np.arange(8000) / 1000
-    phases = [(0.4, 0.3), (1.1, 1.0), (2.3, 2.0)]
-    position = np.sum([np.sin(2 * np.pi * f * time + p) / f for f, p in phases], axis=0)
-    velocity = np.sum([2 * np.pi * np.cos(2 * np.pi * f * time + p) for f, p in phases], axis=0)
-    acceleration = np.sum([-((2 * np.pi) ** 2) * f * np.sin(2 * np.pi * f * time + p) for f, p in phases], axis=0)
-    return {"TORQUE": (inertia * acceleration + viscous * velocity) / 20.0, "ENC": np.degrees(position - 1.0)}
-
-
-def test_inertia_survives_a_velocity_made_from_position(tmp_path: Path) -> None:
-    columns = {
-        "effort": {"source": "TORQUE", "scale": 20.0},
-        "position": {"source": "ENC", "scale": 0.017453292519943295, "offset": 1.0},
-        "velocity": {"from_position": 100},
-    }
-    path = mapping(tmp_path, "trace.mat", columns=columns)
-    savemat(tmp_path / "trace.mat", viscous_only(5.0, 0.7))
-    robot, sweeps = import_trace(path)
-    (axis,) = identify(robot, [spectrum(robot, sweep) for sweep in sweeps]).axes
-    assert axis.sweeps[0].value == pytest.approx(5.0, rel=1e-4)
-    assert axis.sweeps[0].viscous_friction == pytest.approx(0.7, rel=1e-2)
 
 
 def test_emps_mass_from_the_command_line(root: Path, shared: Path, tmp_path: Path) -> None:

@@ -8,11 +8,7 @@ from service.model.urdf import (
     DEEPEST,
     MOST_ELEMENTS,
     MOST_LINKS,
-    inertia_matrix,
-    inertia_vector,
     read_chain,
-    rotation_rpy,
-    transform_inertial,
 )
 
 BODY = '<inertial><mass value="2"/><inertia ixx="1" iyy="2" izz="3" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -42,42 +38,11 @@ def test_a_continuous_joint_has_no_ends() -> None:
     np.testing.assert_array_equal(only.axis, [0, 0, 1])
 
 
-def test_a_fixed_child_weighs_on_the_link_that_carries_it() -> None:
-    text = robot(
-        joint("j", "revolute", "a", "b"),
-        f'<link name="c">{BODY}</link>',
-        joint("f", "fixed", "b", "c", '<origin xyz="3 0 0" rpy="0 0 1.5707963267948966"/>'),
-    )
-    # by hand: at 3 m on x, turned by 90 deg about z, so ixx and iyy change places
-    np.testing.assert_allclose(read_chain(text).inertial, [[2, 6, 0, 0, 2, 0, 1 + 18, 0, 0, 3 + 18]], atol=1e-12)
-
-
-def test_a_fixed_child_weighs_there_also_where_the_chain_goes_on_before_it() -> None:
-    parts = (
-        f'<link name="d">{BODY}</link>',
-        joint("j", "revolute", "a", "b"),
-        joint("k", "revolute", "b", "c", f'<origin xyz="0 0 5"/>{LIMIT}'),
-        joint("camera", "fixed", "b", "d", '<origin xyz="3 0 0"/>'),
-    )
-    inertial = read_chain(robot(*parts, links="abc")).inertial
-    np.testing.assert_allclose(inertial[0], [2, 6, 0, 0, 1, 0, 2 + 18, 0, 0, 3 + 18], atol=1e-12)
-    np.testing.assert_array_equal(inertial[1], np.zeros(10))
-
-
 def test_what_is_fixed_to_the_base_is_no_load() -> None:
     text = robot(f'<link name="c">{BODY}</link>', joint("f", "fixed", "a", "c", ""), joint("j", "prismatic", "c", "b"))
     chain = read_chain(text)
     assert chain.joints[0].kind == "prismatic"
     np.testing.assert_array_equal(chain.inertial, np.zeros((1, 10)))
-
-
-def test_a_body_carried_there_and_back_is_the_same() -> None:
-    rng = np.random.default_rng(3)
-    parameters = rng.normal(size=10)
-    rotation, translation = rotation_rpy(rng.normal(size=3)), rng.normal(size=3)
-    moved = transform_inertial(parameters, rotation, translation)
-    np.testing.assert_allclose(transform_inertial(moved, rotation.T, -rotation.T @ translation), parameters, atol=1e-12)
-    np.testing.assert_array_equal(inertia_vector(inertia_matrix(parameters)), parameters[4:])
 
 
 @pytest.mark.parametrize(

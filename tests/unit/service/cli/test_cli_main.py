@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from service.cli import build
-from service.cli.terminal import waiting
 from service.model.configuration import read_cell
 from service.model.errors import BadInput
 from service.store.files.bundle import write_bundle
@@ -48,11 +47,6 @@ def test_bad_input_is_one_line_and_2(arguments: tuple[str, ...], place: str) -> 
     assert (done.returncode, done.stdout) == (2, "")
     (line,) = done.stderr.splitlines()
     assert place in line
-
-
-def test_export_refuses_a_folder_with_something_in_it(tmp_path: Path, plan_file: Path) -> None:
-    assert str(tmp_path) in refused("export", "1", str(tmp_path))
-    assert list(tmp_path.iterdir()) == [plan_file]
 
 
 def test_a_service_that_is_not_there_is_1_and_named(plan_file: Path) -> None:
@@ -143,9 +137,6 @@ def test_a_script_for_each_shell(shell: str) -> None:
     done = sweepid("--completions", shell)
     assert (done.returncode, done.stderr) == (0, "")
     assert f"_SWEEPID_COMPLETE=complete_{shell}" in done.stdout
-
-
-def test_a_shell_that_there_is_not() -> None:
     assert "--completions: unknown shell csh: use bash, zsh or fish" in refused("--completions", "csh")
 
 
@@ -229,11 +220,6 @@ def test_a_terminal_shows_what_is_waited_for(bundle: Path, command: str, line: s
     assert (code, out[:1]) == (0, "{"), shown
     assert line in shown
     assert line not in out
-
-
-def test_one_in_another_shows_one_line() -> None:
-    with waiting("all of it"), waiting("a part"):
-        pass
 
 
 @pytest.mark.parametrize(

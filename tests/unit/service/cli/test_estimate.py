@@ -98,11 +98,6 @@ def test_the_lines_for_the_profile_and_the_document_say_the_same(calibration: Pa
     assert set(channels) == {"effort_delay", "effort_smoothing", "velocity_delay", "velocity_smoothing"}
 
 
-def test_json_is_all_there_is_on_stdout(calibration: Path) -> None:
-    done = sweepid("estimate", "channels", str(calibration), "--json", "-")
-    assert list(json.loads(done.stdout)["axes"]) == ["joint_1"]
-
-
 def test_an_axis_without_sweeps_is_bad_input(calibration: Path) -> None:
     done = sweepid("estimate", "channels", str(calibration), "--axis", "joint_2")
     assert (done.returncode, done.stdout) == (2, "")

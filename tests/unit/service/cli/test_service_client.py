@@ -10,7 +10,7 @@ from urllib.parse import parse_qs, urlsplit
 import pytest
 
 from service.model.errors import BadInput
-from service.web.client import ServiceClient, ServiceProblem, ServiceUnreachable
+from service.web.client import ServiceClient, ServiceProblem
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -69,11 +69,3 @@ def test_a_refused_input_is_bad_input_and_other_refusals_are_problems(url: str) 
         with pytest.raises(ServiceProblem) as refused:
             client.start(1)
     assert refused.value.status == 409
-
-
-def test_nobody_there() -> None:
-    with (
-        ServiceClient("http://127.0.0.1:1") as client,
-        pytest.raises(ServiceUnreachable, match=r"127\.0\.0\.1:1"),
-    ):
-        client.plan(1)

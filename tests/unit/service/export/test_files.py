@@ -66,15 +66,6 @@ def test_any_physical_total_is_shared_out(max100: Robot, document: dict[str, Any
     assert is_physical(np.array([read_inertial(links[name], "urdf") for name in ("link_6", "tool")])).all()
 
 
-def test_urdf_holds_the_friction(max100: Robot, document: dict[str, Any]) -> None:
-    root = ET.fromstring(model_files(identified_model(max100, document))["model.urdf"])
-    found = {joint.get("name"): joint.find("dynamics") for joint in root.findall("joint")}
-    first = found.pop("joint_1")
-    assert first is not None
-    assert first.get("damping") == "150.5"
-    assert not any(found.values())
-
-
 def test_every_file_holds_what_it_can_of_the_accepted_model(max100: Robot, document: dict[str, Any]) -> None:
     """Effects of which several contain dry friction; those that no target can hold are in the YAML."""
     found = {
@@ -146,18 +137,6 @@ def test_shapes_are_there_to_look_at(max100: Robot, document: dict[str, Any]) ->
     assert (1.945, 0.0, 2.15) in places
 
 
-def test_a_continuous_joint_has_no_range() -> None:
-    text = """<robot name="r"><link name="base"/><link name="table"/><joint name="c" type="continuous">
-    <parent link="base"/><child link="table"/><axis xyz="0 0 1"/></joint></robot>"""
-    axes = (Axis(joint="c", gear_ratio=50.0, rated_effort=10.0),)
-    robot = build_robot(RobotDescription(name="table", urdf="r.urdf", axes=axes), text)
-    link = np.array([[4.0, 0, 0, 0, 1.0, 0, 1.0, 0, 0, 1.5]])
-    loaded = _mujoco.MjModel.from_xml_string(
-        model_files(identified_model(robot, estimate_of(robot, link, np.array([0.2]))))["model.xml"]
-    )
-    assert not loaded.jnt_limited[0]
-
-
 def test_a_shape_of_a_fixed_link_is_placed_and_has_half_its_length() -> None:
     """A bracket turned by 90 degrees about z: its x is y of the table, and the cylinder 0.4 m long."""
     shape = '<collision><origin xyz="0.5 0 0"/><geometry><cylinder radius="0.1" length="0.4"/></geometry></collision>'
@@ -172,6 +151,7 @@ def test_a_shape_of_a_fixed_link_is_placed_and_has_half_its_length() -> None:
     loaded = _mujoco.MjModel.from_xml_string(model_files(made)["model.xml"])
     np.testing.assert_allclose(loaded.geom_pos, [[0.0, 0.5, 1.0]], atol=1e-12)
     np.testing.assert_allclose(loaded.geom_size[0, :2], [0.1, 0.2])
+    assert not loaded.jnt_limited[0]  # a continuous joint
 
 
 def test_quaternions_at_every_angle() -> None:
@@ -215,10 +195,3 @@ def test_a_missing_motor_is_refused(max100: Robot, document: dict[str, Any]) -> 
     del document["standard_parameters"]["motor_inertias"]["Jm(joint_3)"]
     with pytest.raises(BadInput, match="the motor inertia of joint joint_3"):
         identified_model(max100, document)
-
-
-def test_nothing_is_overwritten(max100: Robot, document: dict[str, Any], tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(BadInput, match="not an empty folder"):
-        write_model(tmp_path, identified_model(max100, document))
-    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]

@@ -46,26 +46,21 @@ def mass_matrix(loaded: Any, names: tuple[str, ...], pose: np.ndarray) -> np.nda
     return full
 
 
-def test_urdf_in_pinocchio(model: IdentifiedModel) -> None:
-    loaded = pin.buildModelFromXML(model_files(model)["model.urdf"])
-    data, poses = loaded.createData(), poses_of(model)
-    assert tuple(loaded.names[1:]) == model.robot.joints
-    found = [np.diag(pin.crba(loaded, data, pose)) + model.motor_inertias for pose in poses]
-    np.testing.assert_allclose(found, expected(model, poses), rtol=1e-9)
+def test_each_file_has_the_inertias_about_every_axis(model: IdentifiedModel) -> None:
+    files, poses, motors = model_files(model), poses_of(model), model.motor_inertias
+    wanted = expected(model, poses)
+    urdf = pin.buildModelFromXML(files["model.urdf"])
+    assert tuple(urdf.names[1:]) == model.robot.joints
+    data = urdf.createData()
+    np.testing.assert_allclose([np.diag(pin.crba(urdf, data, pose)) + motors for pose in poses], wanted, rtol=1e-9)
+    for name, more in (("model.urdf", motors), ("model.xml", 0 * motors)):  # a URDF has no place for motors
+        loaded = _mujoco.MjModel.from_xml_string(files[name])
+        found = [np.diag(mass_matrix(loaded, model.robot.joints, pose)) + more for pose in poses]
+        np.testing.assert_allclose(found, wanted, rtol=1e-6, err_msg=name)
 
 
-def test_urdf_in_mujoco(model: IdentifiedModel) -> None:
-    loaded = _mujoco.MjModel.from_xml_string(model_files(model)["model.urdf"])
-    poses = poses_of(model)
-    found = [np.diag(mass_matrix(loaded, model.robot.joints, pose)) + model.motor_inertias for pose in poses]
-    np.testing.assert_allclose(found, expected(model, poses), rtol=1e-6)
-
-
-def test_mjcf_in_mujoco(model: IdentifiedModel) -> None:
+def test_mjcf_has_friction_limits_and_gravity(model: IdentifiedModel) -> None:
     loaded = _mujoco.MjModel.from_xml_string(model_files(model)["model.xml"])
-    poses = poses_of(model)
-    found = [np.diag(mass_matrix(loaded, model.robot.joints, pose)) for pose in poses]
-    np.testing.assert_allclose(found, expected(model, poses), rtol=1e-6)
     first = loaded.joint(model.robot.joints[0])
     assert loaded.dof_damping[first.dofadr[0]] == 150.5  # the median of its sweeps
     assert not loaded.dof_damping[1:].any()  # only the first axis was measured

@@ -17,23 +17,6 @@ def test_two_mass_impedance_by_hand() -> None:
     np.testing.assert_allclose(impedance(frequency, TRAIN, 500.0, 900.0).total, expected, rtol=1e-12)
 
 
-def test_derivatives_equal_difference_quotients() -> None:
-    frequency, velocity, on_load = np.array([2.0, 5.0]), np.array([1 + 2j, 0.5 - 1j]), np.array([30 - 4j, 2 + 9j])
-
-    def effort(train: TwoMassTrain, load_inertia: float) -> np.ndarray:
-        z = impedance(frequency, train, load_inertia, 900.0)
-        return z.total * velocity + z.through * on_load
-
-    z, step = impedance(frequency, TRAIN, 500.0, 900.0), 1e-4
-    by_inertia = (effort(TRAIN, 500.0 + step) - effort(TRAIN, 500.0 - step)) / (2 * step)
-    np.testing.assert_allclose(z.s * z.by_load(velocity, on_load), by_inertia, rtol=1e-6)
-    small = 1e-11
-    up, down = (TwoMassTrain(60.0, 140.0, 70.0, 1.4e-6 + sign * small, 1.2e-3) for sign in (1, -1))
-    by_compliance = (effort(up, 500.0) - effort(down, 500.0)) / (2 * small)
-    damped = z.s / (1 + z.s * TRAIN.damping_time)
-    np.testing.assert_allclose(z.by_spring(velocity, on_load) * damped, by_compliance, rtol=1e-5)
-
-
 def test_locked_rotor_frequency() -> None:
     train = TwoMassTrain(1.0, 0.0, 0.0, 1 / 4e5, 0.0)
     assert train.locked_rotor_frequency(100.0) == pytest.approx(np.sqrt(4e5 / 100.0) / (2 * np.pi))

@@ -114,15 +114,19 @@ def test_without_noise_everything_comes_back() -> None:
     )
 
 
-def test_with_noise_the_standard_deviations_are_honest() -> None:
+def test_with_noise_the_standard_deviations_are_honest_and_the_noise_has_settled_or_is_told() -> None:
     r = robot()
-    deviations = [
-        z(combine(r, sweeps(r), [record(r, 10 + k, noise=NOISE), record(r, 20 + k, noise=NOISE)])) for k in (1, 2)
-    ]
-    assert 0.6 < np.sqrt(np.mean(np.square(deviations))) < 1.5
-    result = combine(r, sweeps(r), [record(r, 11, noise=NOISE)])
-    for joint, noise in result.noise.items():
+    found = [combine(r, sweeps(r), [record(r, 10 + k, noise=NOISE), record(r, 20 + k, noise=NOISE)]) for k in (1, 2)]
+    assert 0.6 < np.sqrt(np.mean(np.square([z(one) for one in found]))) < 1.5
+    assert max(found[0].noise_change.values()) < 0.05
+    one = combine(r, sweeps(r), [record(r, 11, noise=NOISE)])
+    for joint, noise in one.noise.items():
         assert noise == pytest.approx(NOISE, rel=0.35), joint
+    assert {each.warning for each in combination_document(one).noise.values()} == {""}
+    changing = combination_document(replace(one, noise_change=dict.fromkeys(r.joints, 0.2)))
+    assert {each.warning for each in changing.noise.values()} == {
+        "its noise still changes by 20 % in the last round; limit 5 %"
+    }
 
 
 def test_each_source_shows_its_own_and_both_are_better_than_one() -> None:
@@ -174,20 +178,3 @@ def test_what_is_no_number_is_refused_with_axis_and_sweep() -> None:
         BadInput, match=r"^joint_3: 20 of 420 values of the inertias and the covariance of its sweeps are not finite"
     ):
         combine(r, inertias, [good])
-
-
-def test_the_noise_has_settled_in_the_last_round() -> None:
-    r = robot()
-    found = combine(r, sweeps(r), [record(r, 11, noise=NOISE), record(r, 21, noise=NOISE)])
-    print({joint: f"{change:.2g}" for joint, change in found.noise_change.items()})
-    assert max(found.noise_change.values()) < 0.05
-
-
-def test_noise_that_has_not_settled_is_in_the_document() -> None:
-    r = robot()
-    found = combine(r, sweeps(r), [record(r, 11, noise=NOISE)])
-    assert {one.warning for one in combination_document(found).noise.values()} == {""}
-    changing = combination_document(replace(found, noise_change=dict.fromkeys(r.joints, 0.2)))
-    assert {one.warning for one in changing.noise.values()} == {
-        "its noise still changes by 20 % in the last round; limit 5 %"
-    }

@@ -100,11 +100,6 @@ def test_of_a_stiff_train_only_lower_bounds_are_told(seed: int) -> None:
     assert all(pose.at_least is None for pose in analysis(seed=seed).poses)
 
 
-def test_the_seeds_make_both_kinds_of_stiff_trains() -> None:
-    found = [analysis(seed=seed, train=STIFF).poses[0].fit.locked_rotor.value for seed in range(6)]
-    assert {bool(np.isfinite(each)) for each in found} == {True, False}
-
-
 def test_documents_keep_the_prior_exactly() -> None:
     given = {"swing": analysis()}
     document = analyses_document(given)

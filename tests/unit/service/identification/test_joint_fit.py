@@ -89,12 +89,6 @@ def test_recovers_the_inertia_of_an_elastic_axis(robot: Robot, seed: int) -> Non
     np.testing.assert_allclose(resonance, [TRAIN.locked_rotor_frequency(load) for load in LOADS], rtol=0.03)
 
 
-def test_without_noise_nothing_is_left(robot: Robot) -> None:
-    spectra = _measured(robot, 0, noise=0.0)
-    fit = fit_axis(spectra, *_priors(), noise_guess=6.0)
-    np.testing.assert_allclose(fit.inertia, LOADS + TRAIN.motor_inertia, rtol=2e-4)
-
-
 def test_derivatives_equal_difference_quotients(robot: Robot) -> None:
     spectrum_ = _measure(robot, 1, 300.0, 5.0, np.random.default_rng(0))
     shared = TRAIN.as_array()

@@ -14,7 +14,6 @@ from service.identification.axis.known_effects import (
     KnownAxis,
     SweepMotion,
     corrected,
-    motion_of,
 )
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.model.errors import BadInput
@@ -24,13 +23,6 @@ from tests.formula_sweep import by_formula, turning
 from tests.unit.service.identification.known import Parameters, known, model, read
 
 FRICTION = {"coulomb": (90.0, 2.0), "extra": (40.0, 3.0), "velocity": (0.006, 0.0005), "exponent": (2.0, 0.1)}
-
-
-def test_values_and_deviations_are_those_of_the_document() -> None:
-    effect = known(lift={"stribeck_friction": FRICTION}).of("lift").effects[0]
-    assert dict(effect.values) == {name: value for name, (value, _) in FRICTION.items()}
-    assert effect.std == pytest.approx({name: std for name, (_, std) in FRICTION.items()})
-    assert not known(lift={}).of("another").effects
 
 
 def test_correlations_are_those_of_the_covariance_and_directions_are_its_root() -> None:
@@ -171,16 +163,6 @@ def taken_out(
 
 
 IMPEDANCE = VISCOUS + 2j * np.pi * np.array([2.0, 3.0, 5.0]) * INERTIA
-
-
-def test_the_motion_is_known_from_its_bins(robot: Robot) -> None:
-    motion = motion_of(measured(robot, rigid), GearLoad(100.0, 50.0, 20.0))
-    time = START + np.arange(5000) / RATE
-    turned = way(time) - way(time[:1])
-    np.testing.assert_allclose(motion.velocity, velocity(time), atol=1e-12)
-    np.testing.assert_allclose(motion.way, turned, atol=1e-12)
-    wanted = 100.0 * acceleration(time) + 50.0 * np.cos(turned) + 20.0 * np.sin(turned)
-    np.testing.assert_allclose(motion.transmitted, wanted, atol=1e-9)
 
 
 def test_effort_that_comes_late_is_taken_earlier(robot: Robot) -> None:

@@ -6,7 +6,7 @@ from scipy.optimize import least_squares
 
 from service.identification.estimates.estimate import identify
 from service.identification.estimation import estimate_document
-from service.identification.model.least_squares import Information, LeftOut, converged, finite, unsettled
+from service.identification.model.least_squares import Information, LeftOut, converged
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.model.errors import BadInput
 from service.model.recording import Sine
@@ -27,20 +27,6 @@ def test_equals_generalised_least_squares() -> None:
     expected = np.linalg.solve(rows.T @ weight @ rows, rows.T @ weight @ values)
     np.testing.assert_allclose(solution.values, expected, rtol=1e-8)
     np.testing.assert_allclose(solution.covariance, np.linalg.inv(rows.T @ weight @ rows), rtol=1e-6)
-
-
-def test_batches_may_come_in_any_order() -> None:
-    rng = np.random.default_rng(2)
-    batches = [(rng.normal(size=(3, 4)), rng.normal(size=3), np.diag(rng.uniform(1, 2, 3))) for _ in range(5)]
-    forward = backward = Information.empty(4)
-    for batch in batches:
-        forward = forward.add(*batch)
-    for batch in reversed(batches):
-        backward = backward.add(*batch)
-    assert forward.count == backward.count == 15
-    np.testing.assert_allclose(
-        forward.solve(np.zeros(4)).values, backward.solve(np.zeros(4)).values, rtol=1e-10, atol=1e-12
-    )
 
 
 def test_what_the_data_do_not_determine_stays_at_the_start_and_is_called_so() -> None:
@@ -95,10 +81,6 @@ def rosenbrock(x: np.ndarray) -> np.ndarray:
     return np.array([10 * (x[1] - x[0] ** 2), 1 - x[0]])
 
 
-def test_a_minimum_passes() -> None:
-    converged(least_squares(rosenbrock, [-1.2, 1.0], method="lm"), "joint_1", "a valley")
-
-
 def test_a_search_that_was_cut_short_is_refused() -> None:
     with pytest.raises(BadInput, match=r"^joint_1: the fit of a valley did not converge: The maximum number"):
         converged(least_squares(rosenbrock, [-1.2, 1.0], max_nfev=3), "joint_1", "a valley")
@@ -109,17 +91,6 @@ def test_what_is_no_number_is_refused() -> None:
     found.cost = np.nan
     with pytest.raises(BadInput, match=r"^joint_1: the fit of a valley has no finite residual"):
         converged(found, "joint_1", "a valley")
-
-
-def test_a_start_that_is_no_number_is_refused_with_its_place() -> None:
-    finite(np.ones(3), "joint_1", "a valley")
-    with pytest.raises(BadInput, match=r"^joint_1: 2 of 3 values of a valley are not finite, the first is number 1"):
-        finite(np.array([1.0, np.nan, np.inf]), "joint_1", "a valley")
-
-
-def test_noise_that_still_changes_is_worth_a_warning() -> None:
-    assert unsettled(0.01) is None
-    assert unsettled(0.2) == "its noise still changes by 20 % in the last round; limit 5 %"
 
 
 SINES = tuple(Sine(frequency=f, amplitude=0.004) for f in (2.0, 3.0, 5.0))
@@ -159,13 +130,6 @@ def test_a_direction_hardly_excited_stays_with_the_model(robot: Robot) -> None:
     axis = document["axes"]["swing"]
     assert axis["rmse_percent"]["identified_measured"] < 1.0
     assert axis["confidence_percent"] is None
-
-
-def test_the_whole_range_leaves_nothing_open(robot: Robot) -> None:
-    document: dict[str, Any] = estimate_document(robot, sweeps(robot, np.linspace(-1.3, 1.3, 8))).as_json()
-    told = [each for each in document["base_parameters"] if each["std"] is not None]
-    assert len(told) >= 2
-    assert not any("reason" in each for each in told)
 
 
 @pytest.mark.parametrize("weak", [1e-3, 1e-6, 1e-12, 0.0])

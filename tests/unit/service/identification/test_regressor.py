@@ -158,16 +158,6 @@ def test_link_rows_are_pinocchios(seed: int) -> None:
         np.testing.assert_allclose(effort[k], torque, rtol=1e-9, atol=1e-9 * np.abs(torque).max())
 
 
-def test_one_axis_from_standstill_without_gravity_is_the_inertia_row() -> None:
-    rng = np.random.default_rng(1)
-    chain = read_chain(random_urdf(rng, 5))
-    pose = rng.uniform(-2, 2, (1, 5))
-    for k in range(5):
-        unit = JointMotion(pose, np.zeros((1, 5)), np.eye(5)[[k]])
-        rows = dynamics_rows(chain, np.zeros(3), unit)[0, k, :55]
-        np.testing.assert_allclose(rows, axis_rows(chain, k, pose)[0], atol=1e-12)
-
-
 def test_the_drive_by_hand() -> None:
     chain = read_chain(random_urdf(np.random.default_rng(2), 2))
     still = JointMotion(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 2)))

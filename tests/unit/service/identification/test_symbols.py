@@ -15,7 +15,6 @@ from service.identification.model.symbols import (
     dimensions,
     products,
     symbolic_names,
-    with_dimensions,
 )
 from service.model.urdf import Chain, read_chain
 from tests.random_chain import random_urdf
@@ -113,15 +112,6 @@ def test_askew_axes_keep_their_decimals() -> None:
     base, names, _ = named(chain, (0, 1, 2, 3))
     assert len(names) == len(base.names)
     assert re.search(r"\d\.\d+ [mI]", " ".join(names))
-
-
-def test_dimensions_can_be_put_back() -> None:
-    chain = lock(read_chain(MAX100.read_text()), {2: 0.3, 4: 0.2})
-    known = dimensions(chain)
-    same = with_dimensions(chain, known, np.array([one.value for one in known]))
-    for joint, again in zip(chain.joints, same.joints, strict=True):
-        np.testing.assert_allclose(again.rotation, joint.rotation, atol=1e-12)
-        np.testing.assert_allclose(again.translation, joint.translation, atol=1e-12)
 
 
 def test_the_simplest_expression_is_found() -> None:

@@ -25,10 +25,12 @@ ROTOR = """<robot name="bench"><link name="base"/><link name="rotor"><inertial><
 <limit lower="-1000" upper="1000" velocity="400" effort="10"/></joint></robot>"""
 
 
-@pytest.fixture
-def bench() -> Robot:
+def robot(urdf: str = ROTOR) -> Robot:
     axis = Axis(joint="motor", gear_ratio=1.0, motor_inertia=None, rated_effort=10.0, viscous_friction=None)
-    return build_robot(RobotDescription(name="bench", urdf="robot.urdf", axes=(axis,)), ROTOR)
+    return build_robot(RobotDescription(name="bench", urdf="robot.urdf", axes=(axis,)), urdf)
+
+
+bench = pytest.fixture(robot, name="bench")
 
 
 def run_up(seed: int, noise: float = 0.02, memory: float = 0.0, drag: float = 0.0, ripple: float = 0.0) -> Sweep:
@@ -71,10 +73,8 @@ def test_an_axis_that_turns_little_has_one_constant() -> None:
     time = np.arange(4000) / 500
     angle, speed = 0.2 * np.sin(2 * time), 0.4 * np.cos(2 * time)
     effort = 3.0 * -0.8 * np.sin(2 * time) + 2.0 * speed + 40 * np.cos(angle)
-    axis = Axis(joint="motor", gear_ratio=1.0, motor_inertia=None, rated_effort=10.0, viscous_friction=None)
-    robot = build_robot(RobotDescription(name="bench", urdf="robot.urdf", axes=(axis,)), ROTOR)
     spec = SweepSpec(id="1", axis="motor", pose=(0.0,), offset_velocity=0, excitation="trajectory", sample_rate=500)
-    fit = fit_record(spectrum(robot, Sweep(spec, Recording(time, effort, speed, angle))))
+    fit = fit_record(spectrum(robot(), Sweep(spec, Recording(time, effort, speed, angle))))
     assert "effort_offset" not in fit.terms
     assert fit.terms["gravity_torque"][0] == pytest.approx(40, rel=1e-3)
 
@@ -96,24 +96,27 @@ def test_white_noise_gives_at_least_the_deviation_of_theory(bench: Robot) -> Non
     assert covered(found) >= 0.95
 
 
-@pytest.mark.parametrize("memory", [0.99, 0.999, 0.9999])
-def test_noise_with_a_memory_of_seconds_does_not_promise_too_much(bench: Robot, memory: float) -> None:
-    """By white noise the deviation is stated 3 to 8 times too small: 20 to 50 % within two of them."""
-    found = fits(bench, noise=0.05, memory=memory)
-    scatter, stated = np.std([fit.inertia for fit in found]), np.median([fit.inertia_std for fit in found])
-    print(f"memory {memory}: scatter {scatter:.3g}, stated {stated:.3g}, within 2 std {100 * covered(found):.0f} %")
-    assert covered(found) >= 0.9  # of 60 at 95 %: two standard deviations below
-    assert stated < 3 * scatter
-
-
-@pytest.mark.parametrize(("drag", "noise"), [(0.1, 0.02), (0.03, 0.002), (0.1, 0.002)])
-def test_friction_that_grows_with_the_square_is_in_the_deviation(bench: Robot, drag: float, noise: float) -> None:
-    """J comes out 3 to 12 % wrong then, with a hundredth of that in scatter."""
-    found = fits(bench, drag=drag, noise=noise)
-    error = 100 * (np.mean([fit.inertia for fit in found]) / INERTIA - 1)
-    print(f"J {error:.1f} %, within 2 std {100 * covered(found):.0f} %")
-    assert error < -3
-    assert covered(found) >= 0.9
+@pytest.mark.parametrize(
+    ("kind", "least"),
+    [  # of 60 at 95 %: 0.9 is two standard deviations below
+        ({"noise": 0.05, "memory": 0.99}, 0.9),  # by white noise stated 3 to 8 times too small: 20 to 50 % within two
+        ({"noise": 0.05, "memory": 0.9999}, 0.9),
+        ({"noise": 0.02, "drag": 0.1}, 0.9),  # J 3 to 12 % wrong, with a hundredth of that in scatter
+        ({"noise": 0.002, "drag": 0.03}, 0.9),
+        ({"ripple": 0.05}, 0.95),
+    ],
+    ids=str,
+)
+def test_what_is_no_white_noise_is_in_the_deviation(bench: Robot, kind: dict[str, float], least: float) -> None:
+    found = fits(bench, **kind)
+    error = np.array([fit.inertia for fit in found]) / INERTIA - 1
+    stated = np.median([fit.inertia_std for fit in found]) / INERTIA
+    print(f"J {100 * error.mean():.1f} %, scatter {100 * error.std():.2f} %, stated {100 * stated:.2f} %")
+    assert covered(found) >= least
+    if "memory" in kind:
+        assert stated < 3 * error.std()
+    if "drag" in kind:
+        assert error.mean() < -0.03
 
 
 def test_friction_that_grows_with_the_square_is_told(bench: Robot) -> None:
@@ -123,15 +126,11 @@ def test_friction_that_grows_with_the_square_is_told(bench: Robot) -> None:
     assert axis.sweeps[0].value == pytest.approx(INERTIA, rel=0.01)
 
 
-def test_ripple_is_in_the_deviation(bench: Robot) -> None:
-    assert covered(fits(bench, ripple=0.05)) >= 0.95
-
-
 def test_the_halves_of_a_measured_record_agree(root: Path, shared: Path) -> None:
     """EMPS; published by Janot, Gautier and Brunot (2019): M = 95.1089 kg, Fv = 203.5034 N s/m, Fc = 20.3935 N."""
-    robot, (sweep,) = import_trace(root / "config/traces/emps.yaml", shared / "data/emps/DATA_EMPS.mat")
+    slide, (sweep,) = import_trace(root / "config/traces/emps.yaml", shared / "data/emps/DATA_EMPS.mat")
     whole, *halves = (
-        fit_record(spectrum(robot, _part(sweep, first, last))) for first, last in ((0, 1), (0, 0.5), (0.5, 1))
+        fit_record(spectrum(slide, _part(sweep, first, last))) for first, last in ((0, 1), (0, 0.5), (0.5, 1))
     )
     print(f"M = {whole.inertia:.3f} +- {whole.inertia_std:.3f}; halves", [f"{h.inertia:.3f}" for h in halves])
     assert whole.inertia == pytest.approx(95.1089, rel=2e-3)
@@ -178,10 +177,8 @@ def table(seed: int) -> Sweep:
 
 
 def test_what_holds_a_resting_table_is_no_gravity() -> None:
-    axis = Axis(joint="motor", gear_ratio=1.0, motor_inertia=None, rated_effort=10.0, viscous_friction=None)
-    upright = ROTOR.replace('<axis xyz="1 0 0"/>', '<axis xyz="0 0 1"/>')
-    robot = build_robot(RobotDescription(name="table", urdf="robot.urdf", axes=(axis,)), upright)
-    found = [fit_record(spectrum(robot, table(seed))) for seed in range(20)]
+    upright = robot(ROTOR.replace('<axis xyz="1 0 0"/>', '<axis xyz="0 0 1"/>'))
+    found = [fit_record(spectrum(upright, table(seed))) for seed in range(20)]
     assert "gravity_torque" not in found[0].terms
     for fit in found:
         assert fit.inertia == pytest.approx(TABLE, rel=0.02)

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from service.formats.maker_urdf import UrdfCheck, check_urdf, read_description, side_file_text
 from service.formats.maker_urdf.packages import Packages
-from service.model.configuration import read_text
 from service.model.errors import BadInput
 
 BODY = 'ixx="0.05" ixy="0" ixz="0" iyy="0.05" iyz="0" izz="0.02"'
@@ -201,8 +200,3 @@ def test_xacro_that_cannot_be_expanded_is_refused_by_name(tmp_path: Path) -> Non
     file.write_text("<robot")
     with pytest.raises(BadInput, match=r"arm\.urdf\.xacro: xacro: unclosed token"):
         read_description(file, packages, {})
-
-
-def test_a_urdf_is_read_as_it_is(tmp_path: Path) -> None:
-    (tmp_path / "arm.urdf").write_text(arm())
-    assert read_description(tmp_path / "arm.urdf", Packages([], tmp_path), {}) == read_text(tmp_path / "arm.urdf")

@@ -141,12 +141,6 @@ def share(tmp_path: Path) -> Path:
     return tmp_path / "share"
 
 
-def test_a_package_is_found_below_a_folder_and_as_one(share: Path) -> None:
-    for folder in (share, share / "arm"):
-        assert Packages([folder], share).read("package://arm/meshes/a.obj", "x") == OBJ
-    assert Packages([share], share / "arm").read("meshes/a.obj", "x") == OBJ
-
-
 @pytest.mark.parametrize(
     ("name", "told"),
     [

@@ -129,18 +129,6 @@ def test_map_has_a_panel_a_property_with_its_bins_in_order() -> None:
     assert {shape["x0"] for shape in layout["shapes"]} == {2.0}
 
 
-def test_poses_are_named_by_the_joints_that_vary() -> None:
-    by_pose = figures()["gap_by_pose"]["data"]
-    assert [trace["name"] for trace in by_pose] == ["before", "after", "noise floor"]
-    assert by_pose[0]["x"] == ["+0.50", "-0.50", "+0.00"]
-
-
-def test_example_shows_what_either_model_leaves() -> None:
-    data = {trace["name"]: trace["y"] for trace in figures()["example"]["data"]}
-    assert data["left before"] == [49.0, -50.0]
-    assert data["left after"] == [0.0, 1.0]
-
-
 def test_evidence_on_a_scale_of_powers() -> None:
     bars = figures(candidates=["coulomb_friction", "stribeck_friction"])["evidence"]["data"][0]
     assert bars["y"] == ["Coulomb friction", "Stribeck friction", "Payload"]
@@ -148,10 +136,15 @@ def test_evidence_on_a_scale_of_powers() -> None:
     assert bars["marker"]["color"][1] != bars["marker"]["color"][2]
 
 
-def test_parameters_are_percent_of_their_value() -> None:
-    trace = figures()["parameters"]["data"][0]
-    assert trace["error_x"]["array"] == [2.0]
-    assert trace["text"] == ["50 ± 0.5 N m"]
+def test_poses_are_named_by_the_joints_that_vary_and_parameters_are_percent_of_their_value() -> None:
+    found = figures()
+    by_pose = found["gap_by_pose"]["data"]
+    assert [trace["name"] for trace in by_pose] == ["before", "after", "noise floor"]
+    assert by_pose[0]["x"] == ["+0.50", "-0.50", "+0.00"]
+    left = {trace["name"]: trace["y"] for trace in found["example"]["data"]}
+    assert (left["left before"], left["left after"]) == ([49.0, -50.0], [0.0, 1.0])
+    (trace,) = found["parameters"]["data"]
+    assert (trace["error_x"]["array"], trace["text"]) == ([2.0], ["50 ± 0.5 N m"])
 
 
 def test_without_an_effect_there_is_no_after() -> None:

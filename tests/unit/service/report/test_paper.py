@@ -71,12 +71,6 @@ def test_where_pdf_cannot_be_made_it_is_told_what_to_install(max100: Robot, monk
         estimate_page(content(max100)).pdf()
 
 
-def test_tables_alone(max100: Robot) -> None:
-    page = estimate_page(content(max100))
-    assert '"RMSE in %"' in str(page.written("json"))
-    assert page.written("html") == page.html()
-
-
 def every_figure(max100: Robot) -> Iterator[DrawnFigure]:
     pages = [estimate_page(content(max100, example=sweep()))]
     yield from (part for page in pages for part in figures(page))
@@ -136,7 +130,3 @@ def test_what_is_missing_leaves_a_gap() -> None:
 def test_a_figure_in_unknown_words_is_refused(trace: Part) -> None:
     with pytest.raises(KeyError):
         drawn(figure([{"x": [1.0], "y": [1.0], **trace}], AXES))
-
-
-def test_a_report_opens_light(max100: Robot) -> None:
-    assert len(estimate_page(content(max100, example=sweep())).html()) < 800_000

@@ -6,10 +6,7 @@ from hypothesis import strategies as st
 
 from service.formats.export.sheets.text import as_markdown
 from service.model.results.digits import with_std
-from service.model.results.estimate import BaseParameter, Estimate
 from service.model.results.sheet import Sheet
-from service.report import ReportPage
-from service.report.page import parameters_section
 from tests.stored.documents import stored
 
 
@@ -42,13 +39,6 @@ def test_no_more_is_lost_than_half_of_the_last_digit(value: float, std: float) -
     assert float(other) == pytest.approx(std, rel=0.0501)
     assert abs(float(one) - value) <= 0.0501 * float(other)
     assert len(one.partition(".")[2]) == len(other.partition(".")[2])
-
-
-def test_base_parameters_of_the_report() -> None:
-    parameters = (BaseParameter(name="Izz(link_1)", value=253.23, std=9.5),)
-    page = ReportPage("base parameters")
-    parameters_section(page, Estimate.read(stored("estimate"), "").model_copy(update={"base_parameters": parameters}))
-    assert "<td>253.2</td><td>9.5</td><td>kg m²</td>" in page.html()
 
 
 def test_axes_of_the_sheet_and_their_difference_from_cad_as_in_the_report() -> None:
