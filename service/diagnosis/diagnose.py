@@ -14,24 +14,23 @@ from numpy.typing import NDArray
 
 from service.data_check import Finding, check, untrustworthy
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.effects.patch import Patch
+from service.diagnosis.effects.effect import Patch
 from service.diagnosis.experiments import TEST_MASS, NextExperiment, next_experiment
 from service.diagnosis.fit.calibration import Weighed, corrected, is_decided, is_wrong, weighed_gain
+from service.diagnosis.fit.cross_products import NotFinite
 from service.diagnosis.fit.equations import Equations, Term, applies, equations, grouped, held_back
+from service.diagnosis.fit.fitted import Parameter
 from service.diagnosis.fit.gap import Gap, gap, noise, noise_floor, residual
-from service.diagnosis.fit.parameters import Parameter
 from service.diagnosis.fit.search import CurrentModel
 from service.diagnosis.fit.select import Selection, allowed_by_physics, select, settled, with_groups
-from service.diagnosis.fit.solving import NotFinite
-from service.diagnosis.localisation.example import Example, example
-from service.diagnosis.localisation.locate import Cell, cells, lines, sentences
+from service.diagnosis.localisation.locate import Cell, Example, cells, example, lines, sentences
 from service.diagnosis.localisation.repeatability import unrepeated
 from service.diagnosis.localisation.ripple_search import ripples, with_ripples
 from service.diagnosis.model.held_out_check import Fit, Fitted, HeldOutCheck, check_held_out
 from service.diagnosis.model.rigid_model import RigidParameter, rigid_model
 from service.diagnosis.rows.periods import in_periods
 from service.diagnosis.rows.signals import SHORTEST, finite_samples, sticking_within, tracks
-from service.diagnosis.sensitivity.visibility import Hidden, untestable
+from service.diagnosis.sensitivity import Hidden, untestable
 from service.diagnosis.unfinished import Unfinished, unfinished
 from service.diagnosis.verdict import Verdict, at_floor, judge, of_one_record, share, tie_sets, without
 from service.identification.axis.nominal_priors import TorqueGain
@@ -44,7 +43,6 @@ Array = NDArray[np.float64]
 Known = Mapping[str, Mapping[str, Parameter]]
 
 NOTHING: Known = {}
-LONGER = 2.0  # factor between the reversal distances of dry friction that are tried
 CHANGED = 4.0  # standard deviations: above, a parameter of the model has changed
 GAIN, GAIN_ERROR = "torque_constant_error", "gain_error"
 HEAVIER = "The mass that was weighed is too light to decide it: take a heavier one, or bolt it further out."
@@ -238,15 +236,18 @@ def _explained(
     other, said = with_ripples(robot, joint, ripples(found.selection.given, left))
     if other is robot:
         return found
-    again = _tried(other, joint, sweeps, known, calibrated=calibrated, trusted=trusted, twin=twin)
+    again = _tried(
+        other, joint, sweeps, known, calibrated=calibrated, trusted=trusted, twin=twin, before=found.selection.given
+    )
     return found if again.verdict is Verdict.UNKNOWN else replace(again, said=said)
 
 
 def _sticking(given: Equations, sweeps: Sequence[Sweep]) -> Equations:
     """The equations with the best of several reversal distances of dry friction, all too short for presliding."""
+    longer = 2.0  # factor between the reversal distances of dry friction that are tried
     ways = [given.tracks.sticking]
-    while LONGER * ways[-1] <= given.tracks.turning:
-        ways.append(LONGER * ways[-1])
+    while longer * ways[-1] <= given.tracks.turning:
+        ways.append(longer * ways[-1])
     ways += [SHORTEST] if ways[0] > SHORTEST else []  # an encoder without noise may show immediate friction reversal
     best, least = given, np.inf
     for way in ways:
@@ -258,8 +259,17 @@ def _sticking(given: Equations, sweeps: Sequence[Sweep]) -> Equations:
 
 
 def _tried(
-    robot: Robot, joint: str, sweeps: Sequence[Sweep], known: Known, *, calibrated: bool, trusted: bool, twin: bool
+    robot: Robot,
+    joint: str,
+    sweeps: Sequence[Sweep],
+    known: Known,
+    *,
+    calibrated: bool,
+    trusted: bool,
+    twin: bool,
+    before: Equations | None = None,
 ) -> _Explained:
+    """`before`: equations of another attempt on these sweeps, whose searches need not be repeated."""
     motion = tracks(robot, joint, sweeps)
     groups = grouped(motion)
     unseen = held_back(motion, groups)
@@ -267,6 +277,8 @@ def _tried(
     given = equations(motion, seen)
     if not given.pairs.rows:
         raise BadInput(joint, "its sweeps have no sample off standstill and the first way from there: record longer")
+    if before is not None:
+        given = replace(given, ends_of_steps=before.ends_of_steps)
     naming = _sticking(given, sweeps)
     possible = [name for name in CATALOGUE if applies(naming, name) and not (calibrated and name == GAIN)]
     modelled = [name for name in known if name in possible]

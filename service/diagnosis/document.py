@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.fit.parameters import Parameter
+from service.diagnosis.fit.fitted import Parameter
 from service.diagnosis.model.revision import model_of
 from service.diagnosis.summary import summary
 from service.model.results.diagnosis import AxisDiagnosis as StoredDiagnosis

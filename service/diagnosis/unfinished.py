@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from service.diagnosis.fit.calibration import WeighedGain
-from service.diagnosis.fit.ended import Ended
+from service.diagnosis.fit.cross_products import Ended
 from service.diagnosis.fit.select import Selection
 from service.diagnosis.summary import in_words
 from service.identification.model.least_squares import unsettled

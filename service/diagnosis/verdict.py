@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
+from service.diagnosis.fit.cross_products import solve
 from service.diagnosis.fit.equations import COLOURED, Equations, Term
 from service.diagnosis.fit.gap import noise_floor
 from service.diagnosis.fit.search import CurrentModel, Explanation
 from service.diagnosis.fit.select import CERTAIN, RIVAL, TOLERANCE, Selection, allowed_by_physics
-from service.diagnosis.fit.solving import solve
-from service.diagnosis.sensitivity.visibility import grid, left, shows_beside, visible_part
+from service.diagnosis.sensitivity import grid, left, shows_beside, visible_part
 from service.identification.design.diagnosis_sweeps import is_partial
 
 Array = NDArray[np.float64]

@@ -16,7 +16,7 @@ from functools import partial
 import structlog
 
 from service.diagnosis import compose, is_evidence
-from service.diagnosis.fit.parameters import Parameter
+from service.diagnosis.fit.fitted import Parameter
 from service.formats.export.started_robot import started_from
 from service.identification.estimates.torque_gain import KnownMass
 from service.jobs.jobs import OpenJobs

@@ -5,8 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.effects.effect import Effect, Model, Shape, named
-from service.diagnosis.effects.patch import Inexpressible, Patch
+from service.diagnosis.effects.effect import Effect, Inexpressible, Model, Patch, Shape, named
 from service.diagnosis.rows.signals import Tracks
 
 

@@ -13,17 +13,14 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc, ndtri
 
 from service.diagnosis.fit.cross_products import Group
+from service.diagnosis.fit.equations import Equations
 from service.diagnosis.rows.signals import EVERY, Tracks, row_samples
 
 Array = NDArray[np.float64]
 
 SIGNIFICANT = 5.0
-BINS = 6
 MANY = 1.5  # times the total RMS: a cell above is reported
-HARDLY = 0.3  # of the gap in one direction: below, the other direction has no relevant gap
 STEADY = 0.8  # rank correlation with a property: above, the gap increases with it
-LEAST_BINS = 3
-SMALLEST = 1e-300  # smallest power, and smallest probability for the inverse normal distribution
 SURE = 1 - 1e-15  # the largest such probability
 WAYS = ("direction", "weight")
 ORDERED = ("speed", "|gravity torque|", "time since start", "temperature", "line frequency")
@@ -67,6 +64,7 @@ def lines(tracks: Tracks, residual: Array, after: Array) -> tuple[Cell, ...]:
     """The gap at the excited frequencies: RMS of the residual at each line over the sweeps that contain it, and its
     significance with respect to the bins between the lines, in standard deviations of equal probability.
     """
+    smallest = 1e-300  # smallest power, and smallest probability for the inverse normal distribution
     every = EVERY / tracks.rate
     start = row_samples(tracks.effort.shape[1], tracks.rate)[0] / tracks.rate
     power: dict[float, list[Array]] = {}  # of a line, its neighbouring bins, and the line after
@@ -90,8 +88,8 @@ def lines(tracks: Tracks, residual: Array, after: Array) -> tuple[Cell, ...]:
         means: list[float] = np.mean(found, axis=0).tolist()
         line, floor, left, sides = means
         freedom = 2 * len(found)  # sum of squares of normal values: two of each bin
-        chance = float(fdtrc(freedom, freedom * sides, line / max(floor, SMALLEST)))
-        significance = float(-ndtri(min(max(chance, SMALLEST), SURE)))
+        chance = float(fdtrc(freedom, freedom * sides, line / max(floor, smallest)))
+        significance = float(-ndtri(min(max(chance, smallest), SURE)))
         result.append(Cell("line frequency", f"{frequency:g} Hz", line**0.5, significance, left**0.5))
     return tuple(result)
 
@@ -123,13 +121,14 @@ def _only(dimension: str, own: Sequence[Cell]) -> str:
     ways = sorted(own, key=lambda cell: cell.rms)
     if dimension not in WAYS or len(ways) != 2 or ways[1].significance < SIGNIFICANT:
         return ""
-    return f"only when moving {ways[1].value}" if ways[0].rms < HARDLY * ways[1].rms else ""
+    # 0.3 of the gap in one direction: below, the other direction has no relevant gap
+    return f"only when moving {ways[1].value}" if ways[0].rms < 0.3 * ways[1].rms else ""
 
 
 def _trend(dimension: str, own: Sequence[Cell]) -> str:
     """Whether the gap increases or decreases monotonically with a property."""
     cells = sorted(own, key=lambda cell: float(cell.value.split()[0])) if dimension in ORDERED else []
-    if len(cells) < LEAST_BINS or max(cell.significance for cell in cells) < SIGNIFICANT:
+    if len(cells) < 3 or max(cell.significance for cell in cells) < SIGNIFICANT:
         return ""
     gaps = np.array([cell.rms for cell in cells])
     ranks = np.argsort(np.argsort(gaps))
@@ -205,7 +204,34 @@ def _labels(tracks: Tracks, rows: _Rows) -> Iterator[tuple[str, NDArray[np.str_]
 
 
 def _binned(values: Array, unit: str) -> NDArray[np.str_]:
+    bins = 6
     low, high = float(values.min()), float(values.max())
-    edges = [low + (high - low) * k / BINS for k in range(BINS + 1)]
-    number = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1)
+    edges = [low + (high - low) * k / bins for k in range(bins + 1)]
+    number = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, bins - 1)
     return np.array([f"{low:.3g} to {high:.3g} {unit}" for low, high in pairwise(edges)])[number]
+
+
+@dataclass(frozen=True)
+class Example:
+    """Torques (n,) N m (N) over time (n,) s, all with the same filter."""
+
+    sweep: str
+    block: str
+    time: Array
+    measured: Array
+    before: Array
+    after: Array
+
+
+def example(given: Equations, before: Array, after: Array) -> Example:
+    """The sweep with the largest residual (n, rows) before."""
+    tracks = given.tracks
+    most = int(np.argmax(np.sum(np.where(tracks.usable, before, 0.0) ** 2, axis=1)))
+    recorded = row_samples(tracks.effort.shape[1], tracks.rate)
+    recorded = np.flatnonzero(tracks.inside[most][recorded])
+    # 500 points
+    at = recorded[:: -(-len(recorded) // 500)]
+    measured = tracks.rows(tracks.effort[most : most + 1])[0, at]
+    time = tracks.time[most, row_samples(tracks.effort.shape[1], tracks.rate)[at]]
+    spec = tracks.specs[most]
+    return Example(spec.id, spec.block, time, measured, measured - before[most, at], measured - after[most, at])

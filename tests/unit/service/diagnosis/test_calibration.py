@@ -7,10 +7,10 @@ import pytest
 
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.fit.calibration import Weighed, corrected, is_decided, is_wrong, weighed_gain
-from service.diagnosis.fit.parameters import Parameter
+from service.diagnosis.fit.fitted import Parameter
 from service.diagnosis.rows.rigid import load_rows, nominal_load
 from service.diagnosis.rows.signals import tracks
-from service.diagnosis.sensitivity.predicted_sweeps import expected
+from service.diagnosis.sensitivity import expected
 from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design
 from service.identification.estimates.torque_gain import KnownMass
 from service.model.errors import BadInput

@@ -11,7 +11,7 @@ from service.diagnosis.experiments import BOLTING, NextExperiment, next_experime
 from service.diagnosis.fit.equations import Term
 from service.diagnosis.fit.select import select
 from service.diagnosis.rows.signals import Tracks
-from service.diagnosis.sensitivity.visibility import Hidden
+from service.diagnosis.sensitivity import Hidden
 from service.diagnosis.verdict import Verdict, tie_set
 from service.identification.design.diagnosis_sweeps import (
     BLOCKS,

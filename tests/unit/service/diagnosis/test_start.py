@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.equations import Term
-from service.diagnosis.fit.parameters import Parameter
+from service.diagnosis.fit.fitted import Parameter
 from service.diagnosis.rows.rigid import load_rows, nominal_parameters, parameter_spread
 from service.diagnosis.rows.signals import Tracks
 from service.formats.export.started_robot import started_from

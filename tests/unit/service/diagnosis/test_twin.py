@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 from service.cli.commands.identify import write_scenario
 from service.diagnosis import model_document
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.effects.effect import Model
-from service.diagnosis.effects.patch import Inexpressible, Patch
-from service.diagnosis.model.link_deviations import gravity, gravity_of_fit
-from service.diagnosis.model.scenario import AxisEntry, axis_entry
+from service.diagnosis.effects.effect import Inexpressible, Model, Patch
+from service.diagnosis.model.scenario import AxisEntry, axis_entry, gravity, gravity_of_fit
 from service.diagnosis.model.twin import Run, torques, ways
 from service.diagnosis.rows.rigid import load_rows, nominal_load, nominal_parameters
 from service.diagnosis.rows.signals import Tracks, laid_out, tracks

@@ -6,7 +6,7 @@ import pytest
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.equations import applies
-from service.diagnosis.sensitivity.visibility import Hidden, untestable
+from service.diagnosis.sensitivity import Hidden, untestable
 from service.identification.design.diagnosis_sweeps import BLOCKS, REVISITED, full_design, paper_design
 from service.model.results.diagnosis import AxisDiagnosis, standing_of
 from tests.numeric.campaign import max100

@@ -7,15 +7,12 @@ from service.data_check.record import AxisRecords
 from service.model.robot import Robot
 
 EARTH = (9.7, 9.9)  # m/s^2, 9.76 to 9.84 on the ground; a tilted base does not change the magnitude
-WIDEST = 1.0  # relative standard deviation: a larger one is no information (or is in percent)
-TIGHTEST = 1e-4
-OVER = 5.0  # times the rated effort: no drive gives more
-UNDER = 0.002  # of the rated effort: each moving axis needs more
-ROOM = 0.02  # rad (m) beyond a limit
 
 
 def description(robot: Robot) -> list[Finding]:
     """Errors of the robot file that need no recordings."""
+    tightest = 1e-4
+    widest = 1.0  # relative standard deviation: a larger one is no information (or is in percent)
     findings: list[Finding] = []
     length = float(np.linalg.norm(robot.gravity))
     if length and not EARTH[0] <= length <= EARTH[1]:
@@ -27,11 +24,11 @@ def description(robot: Robot) -> list[Finding]:
             )
         )  # fmt: skip
     for name, value in robot.prior.model_dump().items():
-        if not (value <= WIDEST and (value >= TIGHTEST or name == "effort_gain")):
+        if not (value <= widest and (value >= tightest or name == "effort_gain")):
             findings.append(
                 Finding(
-                    "prior", "warning", None, (), value, WIDEST if value > WIDEST else TIGHTEST,
-                    f"prior.{name} is {value:g}; it is a relative standard deviation, {TIGHTEST:g} to {WIDEST:g}.",
+                    "prior", "warning", None, (), value, widest if value > widest else tightest,
+                    f"prior.{name} is {value:g}; it is a relative standard deviation, {tightest:g} to {widest:g}.",
                     "Give the prior as parts of one, 0.3 for 30 %.",
                 )
             )  # fmt: skip
@@ -40,6 +37,7 @@ def description(robot: Robot) -> list[Finding]:
 
 def nominals(axis: AxisRecords) -> list[Finding]:
     """Null values that sweeps with lines need, and poses outside the limits of the URDF."""
+    room = 0.02  # rad (m) beyond a limit
     findings: list[Finding] = []
     lines = axis.those(lambda record: record.turns and record.spec.periodic)
     unknown = [name for name in ("viscous_friction", "motor_inertia") if getattr(axis.axis, name) is None]
@@ -52,7 +50,7 @@ def nominals(axis: AxisRecords) -> list[Finding]:
             )
         )  # fmt: skip
     joint = axis.robot.chain.joints[axis.index]
-    outside = axis.those(lambda record: not joint.lower - ROOM <= record.spec.pose[axis.index] <= joint.upper + ROOM)
+    outside = axis.those(lambda record: not joint.lower - room <= record.spec.pose[axis.index] <= joint.upper + room)
     if outside:
         ids, value = tuple(record.id for record in outside), outside[0].spec.pose[axis.index]
         limit = joint.upper if value > joint.upper else joint.lower
@@ -68,17 +66,19 @@ def nominals(axis: AxisRecords) -> list[Finding]:
 
 def rated_effort(axis: AxisRecords) -> list[Finding]:
     """Recorded effort that is impossibly large or small for the rated effort. Only used if inertia is plausible."""
+    under = 0.002  # of the rated effort: each moving axis needs more
+    over = 5.0  # times the rated effort: no drive gives more
     moving = axis.those(lambda record: record.travels)
     if not moving:
         return []
     largest = float(np.max([np.percentile(np.abs(record.effort), 99.5) for record in moving]))
     share = largest / axis.axis.rated_effort
-    if UNDER <= share <= OVER:
+    if under <= share <= over:
         return []
     return [
         Finding(
             "rated_effort", "wrong", axis.joint, tuple(record.id for record in moving), share,
-            OVER if share > OVER else UNDER,
+            over if share > over else under,
             f"{axis.joint}: recorded effort reaches {largest:.4g} {axis.unit}, {share:.3g} times rated_effort "
             f"{axis.axis.rated_effort:g}, while inertia fits.",
             f"Give rated_effort in {axis.unit} on the joint side.",
