@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from service.data_check.effort import effort, effort_delay, responses, seen
-from service.data_check.finding import Code, Finding
+from service.data_check.finding import Code, DataFinding
 from service.data_check.motion import commanded, load_encoder, motion, slopes, start
 from service.data_check.record import AxisRecords
 from service.data_check.repeatability import repeatability
@@ -16,7 +16,7 @@ from service.model.robot import Robot
 DISPLACED: tuple[Code, ...] = ("position_unit", "position_sign", "motion_sign")  # then positions differ from their pose
 
 
-def check(robot: Robot, sweeps: Sequence[Sweep]) -> tuple[Finding, ...]:
+def check(robot: Robot, sweeps: Sequence[Sweep]) -> tuple[DataFinding, ...]:
     """Errors and warnings about recordings and robot file: first those of the robot, then by axis from base to tip.
 
     `sweeps` as read from a bundle: known joints, poses of the robot's length, finite columns of one length.
@@ -26,7 +26,7 @@ def check(robot: Robot, sweeps: Sequence[Sweep]) -> tuple[Finding, ...]:
     return (*description(robot), *axes)
 
 
-def _axis(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> list[Finding]:
+def _axis(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> list[DataFinding]:
     own = tuple(sweep for sweep in sweeps if sweep.spec.axis == joint)
     axis = AxisRecords.of(robot, joint, own)
     lost = lost_samples(axis)

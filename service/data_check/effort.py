@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from service.data_check.finding import Finding, named
+from service.data_check.finding import DataFinding, named
 from service.data_check.motion import Commanded, effort_unit, effort_units
 from service.data_check.record import AxisRecords, Record
 from service.identification.model.regressor import gravity_rows
@@ -187,7 +187,7 @@ def _stood(axis: AxisRecords, poses: Array, joint: int, *, swapped: bool) -> Arr
     return poses[:, order]
 
 
-def _of_weight(axis: AxisRecords, joint: int, held: "Weighed", factor: float, *, swapped: bool) -> float:
+def _of_weight(axis: AxisRecords, joint: int, held: "HoldingEffort", factor: float, *, swapped: bool) -> float:
     """Squared difference of holding effort between CAD and measurement, over the errors of both and of friction."""
     poses = _stood(axis, held.poses, joint, swapped=swapped)
     rows = gravity_rows(axis.robot.chain, axis.robot.gravity, joint, poses)[:, 0]
@@ -198,7 +198,7 @@ def _of_weight(axis: AxisRecords, joint: int, held: "Weighed", factor: float, *,
 
 
 @dataclass(frozen=True)
-class Weighed:
+class HoldingEffort:
     """Mean of both directions at the lowest speed: `poses` (p, joints), holding effort there (p,), N m (N), and half of
     the difference between the directions.
     """
@@ -208,7 +208,7 @@ class Weighed:
     friction: float
 
 
-def weighed(axis: AxisRecords, records: Sequence[Record]) -> Weighed | None:
+def weighed(axis: AxisRecords, records: Sequence[Record]) -> HoldingEffort | None:
     """Values at the poses, from a line fit of effort over position; None if no pose was swept in both directions."""
     start: dict[tuple[float, ...], dict[float, list[float]]] = {}
     slow = min(abs(record.spec.offset_velocity) for record in records)
@@ -222,7 +222,7 @@ def weighed(axis: AxisRecords, records: Sequence[Record]) -> Weighed | None:
     if not both:
         return None
     ends = np.array([[np.mean(ways[-1.0]), np.mean(ways[1.0])] for ways in both.values()])
-    return Weighed(np.array(list(both)), ends.mean(axis=1), float(np.median(ends[:, 1] - ends[:, 0])) / 2)
+    return HoldingEffort(np.array(list(both)), ends.mean(axis=1), float(np.median(ends[:, 1] - ends[:, 0])) / 2)
 
 
 OFF = 2.5  # largest factor of a correct axis, above or below CAD
@@ -276,7 +276,7 @@ def seen(axis: AxisRecords, found: Sequence[Response]) -> Seen | None:
     )
 
 
-def effort(axis: AxisRecords, all_: Seen | None, *, placed: bool) -> list[Finding]:
+def effort(axis: AxisRecords, all_: Seen | None, *, placed: bool) -> list[DataFinding]:
     """At most one finding, because a factor is meaningless with a wrong sign. `placed`: the position is correct."""
     if all_ is None:
         return []
@@ -310,8 +310,8 @@ def _friction(axis: AxisRecords, all_: Seen) -> float | None:
     return max(at_lines, turning, key=abs) if SURE * error < RESISTS else None
 
 
-def _still(axis: AxisRecords, all_: Seen, friction: float) -> Finding:
-    return Finding(
+def _still(axis: AxisRecords, all_: Seen, friction: float) -> DataFinding:
+    return DataFinding(
         "wrong_axis", "wrong", axis.joint, all_.ids, friction, RESISTS,
         f"{axis.joint}, {named(all_.ids)}: effort does not answer to the motion: inertia is "
         f"{100 * all_.ratio:.2g} % of CAD's, friction at its lines and turns {100 * abs(friction):.2g} % of the robot "
@@ -320,9 +320,9 @@ def _still(axis: AxisRecords, all_: Seen, friction: float) -> Finding:
     )  # fmt: skip
 
 
-def _other(axis: AxisRecords, all_: Seen, other: Origin, likely: Sequence[Origin]) -> Finding:
+def _other(axis: AxisRecords, all_: Seen, other: Origin, likely: Sequence[Origin]) -> DataFinding:
     own = min((one.misfit for one in likely if one.joint == axis.index), default=np.inf)
-    return Finding(
+    return DataFinding(
         "wrong_axis", "wrong", axis.joint, all_.ids, own, FITS,
         f"{axis.joint}, {named(all_.ids)}: inertia, weight and friction are {np.sqrt(own):.2g} standard deviations off "
         f"those of {axis.joint} in any unit, and {np.sqrt(other.misfit):.2g} off those of {other.name} in all poses.",
@@ -330,10 +330,10 @@ def _other(axis: AxisRecords, all_: Seen, other: Origin, likely: Sequence[Origin
     )  # fmt: skip
 
 
-def _sign(axis: AxisRecords, all_: Seen) -> Finding:
+def _sign(axis: AxisRecords, all_: Seen) -> DataFinding:
     value = float(np.median([one.inertia for one in all_.records]))
     unit = "kg" if axis.prismatic else "kg m^2"
-    return Finding(
+    return DataFinding(
         "effort_sign", "wrong", axis.joint, all_.ids, value, 0.0,
         f"{axis.joint}, {named(all_.ids)}: apparent inertia is {value:.4g} {unit} and friction drives the axis: effort "
         "has the wrong sign against velocity.",
@@ -341,12 +341,12 @@ def _sign(axis: AxisRecords, all_: Seen) -> Finding:
     )  # fmt: skip
 
 
-def _unrelated(axis: AxisRecords, all_: Seen) -> list[Finding]:
+def _unrelated(axis: AxisRecords, all_: Seen) -> list[DataFinding]:
     """The inertia of CAD would be visible but is not: the effort does not belong to this motion."""
     if abs(all_.ratio) + SURE * all_.error > 1 / OFF:
         return []
     return [
-        Finding(
+        DataFinding(
             "wrong_axis", "wrong", axis.joint, all_.ids, all_.ratio, 1 / OFF,
             f"{axis.joint}, {named(all_.ids)}: effort does not answer to the motion: {100 * abs(all_.ratio):.2g} % of "
             "CAD's inertia is seen, and that is noise.",
@@ -355,7 +355,7 @@ def _unrelated(axis: AxisRecords, all_: Seen) -> list[Finding]:
     ]  # fmt: skip
 
 
-def _size(axis: AxisRecords, all_: Seen) -> Finding:
+def _size(axis: AxisRecords, all_: Seen) -> DataFinding:
     value, ids = all_.ratio, all_.ids
     what = f"{axis.joint}, {named(ids)}: apparent inertia is {value:.3g} times CAD's (limits 1/{OFF:g} and {OFF:g})"
     motor = _motor(axis, all_)
@@ -363,19 +363,19 @@ def _size(axis: AxisRecords, all_: Seen) -> Finding:
         return motor
     far = effort_unit(axis, value, UNIT)
     if far is not None:
-        return Finding(
+        return DataFinding(
             "effort_unit", "wrong", axis.joint, ids, value, OFF,
             f"{what}, as if effort were in {far}.",
             f"Convert effort to {axis.unit} on the joint side.",
         )  # fmt: skip
-    return Finding(
+    return DataFinding(
         "effort_scale", "wrong", axis.joint, ids, value, OFF,
         f"{what}, and no unit explains it.",
         "Check the unit of effort, the URDF's masses and inertias, gear ratio, and that the recording is of this axis.",
     )  # fmt: skip
 
 
-def _motor(axis: AxisRecords, all_: Seen) -> Finding | None:
+def _motor(axis: AxisRecords, all_: Seen) -> DataFinding | None:
     """The motor inertia of the robot file is too large, and without it CAD agrees."""
     reflected = axis.axis.reflected_motor_inertia or 0.0
     measured = float(np.median([one.inertia for one in all_.records]))
@@ -383,7 +383,7 @@ def _motor(axis: AxisRecords, all_: Seen) -> Finding | None:
     links = measured / float(np.median(loads)) if (loads > 0).all() else 0.0
     if not (0 < all_.ratio < 1 and reflected > OFF * measured and 1 / OFF < links < 2 * OFF):
         return None
-    return Finding(
+    return DataFinding(
         "motor_inertia", "wrong", axis.joint, all_.ids, reflected, OFF * measured,
         f"{axis.joint}: the motor's inertia in the robot file makes {reflected:.4g} at the joint (times gear ratio "
         f"squared), but the whole axis shows {measured:.4g}.",
@@ -396,7 +396,7 @@ SPRINGS = np.geomspace(4.0, 60.0, 60)  # Hz
 DAMPING = (0.02, 0.1)
 
 
-def effort_delay(axis: AxisRecords, found: Sequence[Response]) -> list[Finding]:
+def effort_delay(axis: AxisRecords, found: Sequence[Response]) -> list[DataFinding]:
     """At most one finding, from all records with at least two lines."""
     limit = 5e-3  # s
     some = [one for one in found if len(one.frequency) > 1]
@@ -416,7 +416,7 @@ def effort_delay(axis: AxisRecords, found: Sequence[Response]) -> list[Finding]:
     ids = tuple(one.record.id for one in some)
     word = "late against" if value > 0 else "ahead of"
     return [
-        Finding(
+        DataFinding(
             "channel_delay", "wrong", axis.joint, ids, value, limit,
             f"{axis.joint}, {named(ids)}: effort is {1e3 * abs(value):.3g} ms {word} velocity at all lines, limit "
             f"{1e3 * limit:.3g} ms.",

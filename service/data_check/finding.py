@@ -43,7 +43,7 @@ Code = Literal[
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class DataFinding:
     """One finding. `value` and `limit` have the unit given in the sentence; None if there is no number.
 
     `axis`: joint, None for the whole robot. `sweeps`: ids, empty for findings about the robot file. With "wrong",
@@ -60,7 +60,7 @@ class Finding:
     action: str
 
 
-def untrustworthy(findings: Iterable[Finding], joint: str) -> tuple[Finding, ...]:
+def untrustworthy(findings: Iterable[DataFinding], joint: str) -> tuple[DataFinding, ...]:
     """The findings for which no physics of an axis may be named."""
     return tuple(one for one in findings if one.severity == "wrong" and one.axis in (None, joint))
 
@@ -71,7 +71,7 @@ def named(sweeps: Sequence[str]) -> str:
     return f"{'sweep' if len(sweeps) == 1 else 'sweeps'} {', '.join(sweeps[:3])}{more}"
 
 
-def findings_document(robot: Robot, sweeps: Sequence[Sweep], findings: Sequence[Finding]) -> dict[str, Any]:
+def findings_document(robot: Robot, sweeps: Sequence[Sweep], findings: Sequence[DataFinding]) -> dict[str, Any]:
     """`findings`, and for each axis that was swept whether its data can be trusted."""
     joints = {sweep.spec.axis for sweep in sweeps}
     return {

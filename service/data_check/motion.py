@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from service.data_check.finding import Code, Finding, named
+from service.data_check.finding import Code, DataFinding, named
 from service.data_check.record import AxisRecords, Record, spread
 from service.model.recording import Array
 
@@ -146,7 +146,7 @@ def commanded(axis: AxisRecords) -> tuple[Commanded, ...]:
     return tuple(found)
 
 
-def motion(axis: AxisRecords, slopes: Sequence[Slope], followed: Sequence[Commanded]) -> list[Finding]:
+def motion(axis: AxisRecords, slopes: Sequence[Slope], followed: Sequence[Commanded]) -> list[DataFinding]:
     """All findings about the motion of an axis."""
     speed = {one.record.id: one for one in followed}
     found: dict[tuple[Code, Channel, str | None], list[tuple[str, float]]] = {}
@@ -191,7 +191,7 @@ def _kind(axis: AxisRecords, gain: float, channel: Channel) -> tuple[Code, Chann
 
 def _finding(
     axis: AxisRecords, code: Code, channel: Channel, unit: str | None, rows: Sequence[tuple[str, float]]
-) -> Finding:
+) -> DataFinding:
     ids, value = tuple(name for name, _ in rows), float(np.median([gain for _, gain in rows]))
     what = "position and velocity" if channel == "both" else channel
     against = {
@@ -215,10 +215,10 @@ def _finding(
             if channel == "both"
             else f"Correct the scale of {what}, or the sample rate."
         )
-    return Finding(code, "wrong", axis.joint, ids, value, limit, sentence, action)
+    return DataFinding(code, "wrong", axis.joint, ids, value, limit, sentence, action)
 
 
-def _delay(axis: AxisRecords, slopes: Sequence[Slope]) -> list[Finding]:
+def _delay(axis: AxisRecords, slopes: Sequence[Slope]) -> list[DataFinding]:
     """Delay (or advance) of velocity with respect to position, if several records, or one clearly, show it."""
     samples = 0.75
     shown = [(slope, slope.delay) for slope in slopes if slope.delay is not None and slope.gain > 0]
@@ -233,7 +233,7 @@ def _delay(axis: AxisRecords, slopes: Sequence[Slope]) -> list[Finding]:
     limit = max(DELAY, samples / shown[0][0].record.rate)
     word = "late against" if value > 0 else "ahead of"
     return [
-        Finding(
+        DataFinding(
             "channel_delay", "wrong", axis.joint, ids, value, limit,
             f"{axis.joint}, {named(ids)}: velocity is {1e3 * abs(value):.3g} ms {word} position, limit "
             f"{1e3 * limit:.3g} ms.",
@@ -242,7 +242,7 @@ def _delay(axis: AxisRecords, slopes: Sequence[Slope]) -> list[Finding]:
     ]  # fmt: skip
 
 
-def start(axis: AxisRecords) -> list[Finding]:
+def start(axis: AxisRecords) -> list[DataFinding]:
     """Recordings that start at the position of another joint (wrong axis), or at an unknown position (wrong pose)."""
     elsewhere = axis.those(lambda record: abs(_first(record) - record.spec.pose[axis.index]) > _room(record))
     others = {
@@ -253,11 +253,11 @@ def start(axis: AxisRecords) -> list[Finding]:
     joint = max(others, key=lambda name: len(others[name]), default=None)
     theirs = others[joint] if joint is not None and 2 * len(others[joint]) > len(elsewhere) else []
     rest = [record for record in elsewhere if record not in theirs]
-    findings: list[Finding] = []
+    findings: list[DataFinding] = []
     if theirs:
         ids = tuple(record.id for record in theirs)
         findings.append(
-            Finding(
+            DataFinding(
                 "wrong_axis", "wrong", axis.joint, ids, _first(theirs[0]), theirs[0].spec.pose[axis.index],
                 f"{axis.joint}, {named(ids)}: position starts at {_first(theirs[0]):.4g}, where {joint} stands; "
                 f"{axis.joint} stands at {theirs[0].spec.pose[axis.index]:.4g}.",
@@ -269,7 +269,7 @@ def start(axis: AxisRecords) -> list[Finding]:
         pose = worst.spec.pose[axis.index]
         degrees = bool(not axis.prismatic and abs(np.radians(pose) - _first(worst)) <= _room(worst))
         findings.append(
-            Finding(
+            DataFinding(
                 "wrong_pose", "wrong", axis.joint, ids, _first(worst), pose,
                 f"{axis.joint}, {named(ids)}: position starts at {_first(worst):.4g}, but `pose` says {pose:.4g}"
                 f"{' (in degrees?)' * degrees}.",
@@ -289,7 +289,7 @@ def _room(record: Record) -> float:
     return 0.02 + float(np.ptp(record.sweep.recording.position)) * (record.spec.excitation != "standstill")
 
 
-def load_encoder(axis: AxisRecords) -> list[Finding]:
+def load_encoder(axis: AxisRecords) -> list[DataFinding]:
     """Slope of load position over motor position, from all records with enough travel."""
     limit = 0.02  # relative
     records = axis.those(lambda record: record.travels and record.load_position is not None)
@@ -306,7 +306,7 @@ def load_encoder(axis: AxisRecords) -> list[Finding]:
     unit = motion_unit(axis, gain, velocity=False)
     guess = f", as if one were in {unit}" if unit else ""
     return [
-        Finding(
+        DataFinding(
             "gear_ratio", "wrong", axis.joint, ids, gain, limit,
             f"{axis.joint}, {named(ids)}: the direct encoder moves {gain:.5g} times as far as the motor's{guess}, "
             f"limit 1 +- {limit:g}.",

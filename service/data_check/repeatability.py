@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from service.data_check.finding import Finding, named
+from service.data_check.finding import DataFinding, named
 from service.data_check.probabilities import hypergeometric_tail
 from service.data_check.record import AxisRecords, Record
 from service.identification.spectra.frequency_response import Complex
@@ -51,7 +51,7 @@ class Pair:
         return self.low * float(np.sqrt(width))
 
 
-def repeatability(axis: AxisRecords) -> list[Finding]:
+def repeatability(axis: AxisRecords) -> list[DataFinding]:
     """One warning, with the motions and the frequency."""
     least = 0.001  # of rated effort, RMS: one step of typical drives
     found = _pairs(axis)
@@ -73,7 +73,7 @@ def repeatability(axis: AxisRecords) -> list[Finding]:
     value = float(np.median([pair.excess for pair in shown]))
     worst = float(np.median(factor[seen])) if often else float(factor.max())
     return [
-        Finding(
+        DataFinding(
             "not_repeatable", "warning", axis.joint, ids, value, least * axis.axis.rated_effort,
             f"{axis.joint}: repeats differ by {value:.3g} {axis.unit} (RMS below {BAND[1]:g} Hz), {worst:.2g} times "
             f"the sensor's noise, {_how(shown)} ({len(shown)} of {len(pairs)} pairs, {named(ids)}).",
@@ -82,7 +82,7 @@ def repeatability(axis: AxisRecords) -> list[Finding]:
     ]  # fmt: skip
 
 
-def _level(axis: AxisRecords, found: Sequence[Pair]) -> Finding | None:
+def _level(axis: AxisRecords, found: Sequence[Pair]) -> DataFinding | None:
     """A mean effort that differs in the second repeat, in half of the pairs: more drag, an offset, another load."""
     pairs, holds = [pair for pair in found if not _still(pair)], [pair.low for pair in found if _still(pair)]
     # effort in another unit cannot be compared with the rated effort
@@ -93,7 +93,7 @@ def _level(axis: AxisRecords, found: Sequence[Pair]) -> Finding | None:
     if value <= limit:
         return None
     ids = tuple(dict.fromkeys(one.id for pair in pairs if pair.level > limit for one in (pair.first, pair.second)))
-    return Finding(
+    return DataFinding(
         "not_repeatable", "warning", axis.joint, ids, value, limit,
         f"{axis.joint}: mean effort of repeats differs by {value:.3g} {axis.unit} (median of {len(pairs)} pairs, "
         f"limit {limit:.3g}, {named(ids)}).",

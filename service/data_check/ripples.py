@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.data_check.finding import Finding
+from service.data_check.finding import DataFinding
 from service.data_check.probabilities import log_chi2_above
 from service.data_check.record import AxisRecords, Record
 from service.identification.spectra.frequency_response import Complex, ripple_orders
@@ -247,20 +247,20 @@ class _Spectra:
 SIDE = (1.0, 2.0)  # an eccentric rotor gives weaker lines at this distance from a line of order o
 
 
-def ripples(axis: AxisRecords) -> list[Finding]:
+def ripples(axis: AxisRecords) -> list[DataFinding]:
     """Findings: a gear ratio with which the known orders are too high or too low, and unknown orders."""
     lines = ripple_lines(axis)
     return [*_ratio(axis, lines), *_unknown(axis, lines)]
 
 
-def _ratio(axis: AxisRecords, lines: Sequence[Line]) -> list[Finding]:
+def _ratio(axis: AxisRecords, lines: Sequence[Line]) -> list[DataFinding]:
     """From the strongest line of a known order, if its phases do not agree with that order."""
     scale = _scale(lines)
     if scale is None:
         return []
     line, given = next(line for line in lines if line.known is not None), axis.axis.gear_ratio
     return [
-        Finding(
+        DataFinding(
             "gear_ratio", "warning", axis.joint, (), given * scale, given,
             f"{axis.joint}: the ripple of order {line.known:g} ({line.rms:.3g} {axis.unit}) repeats {scale:.5f} times "
             f"as often as the robot file's gear ratio {given:g} says; {given * scale:.6g} fits in all poses.",
@@ -281,10 +281,10 @@ def _scale(lines: Sequence[Line]) -> float | None:
     return scale if abs(scale - 1) > 5e-4 and clear else None
 
 
-def _unknown(axis: AxisRecords, lines: Sequence[Line]) -> list[Finding]:
+def _unknown(axis: AxisRecords, lines: Sequence[Line]) -> list[DataFinding]:
     """Lines that are neither in the robot file nor side lines of a stronger one."""
     whole = 0.02  # tolerance: orders of a motor are whole numbers (magnets, teeth)
-    scale, findings = _scale(lines) or 1.0, list[Finding]()
+    scale, findings = _scale(lines) or 1.0, list[DataFinding]()
     known = list(ripple_orders(axis.axis))
     for line in lines:
         order = line.order / scale
@@ -301,7 +301,7 @@ def _unknown(axis: AxisRecords, lines: Sequence[Line]) -> list[Finding]:
         # 5.0 order: below, transmission error of the gear; above, cogging of the motor
         kind = "transmission" if order < 5.0 else "cogging"
         findings.append(
-            Finding(
+            DataFinding(
                 "ripple_order", "warning", axis.joint, (), order, None,
                 f"{axis.joint}: effort ripples {order:.6g} times a motor turn ({line.rms:.3g} {axis.unit} RMS, one "
                 "phase in all poses), which the robot file does not know.",

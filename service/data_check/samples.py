@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, median_filter
 
-from service.data_check.finding import Code, Finding, named
+from service.data_check.finding import Code, DataFinding, named
 from service.data_check.probabilities import poisson_quantile
 from service.data_check.record import AxisRecords, Record, spread
 from service.model.recording import Array, Sweep
@@ -31,7 +31,7 @@ from service.model.recording import Array, Sweep
 SINGLE = float(np.finfo(np.float32).eps)  # time may have been stored in 32 bits
 
 
-def clock(axis: AxisRecords, sweeps: tuple[Sweep, ...]) -> list[Finding]:
+def clock(axis: AxisRecords, sweeps: tuple[Sweep, ...]) -> list[DataFinding]:
     """One finding of each kind, with all sweeps that show it. `sweeps`: all of the axis, also short ones."""
     gap = 1.5  # samples
     jitter = 0.1  # of a sample, RMS: at 1 kHz and 5 Hz a phase error of 0.003 rad per sample
@@ -61,7 +61,7 @@ def clock(axis: AxisRecords, sweeps: tuple[Sweep, ...]) -> list[Finding]:
         "window": ("the measured window ends at {0:.4g} s, after the record", None, "Correct measure_from or periods."),
     }
     return [
-        Finding(
+        DataFinding(
             "clock", "wrong", axis.joint, ids := tuple(name for name, _ in found), worst := max(v for _, v in found),
             texts[kind][1], f"{axis.joint}: {texts[kind][0].format(worst)} ({named(ids)}).", texts[kind][2],
         )
@@ -73,9 +73,9 @@ HOLD = 0.02  # s: shorter holds have no effect below 20 Hz
 LIKELY = 1e-6  # probability of a run of equal values in one record: below, the run is a hold
 
 
-def frozen(axis: AxisRecords) -> list[Finding]:
+def frozen(axis: AxisRecords) -> list[DataFinding]:
     """Channels with one value only, or with a run of equal values that quantisation does not explain."""
-    findings: list[Finding] = []
+    findings: list[DataFinding] = []
     moving = axis.channels(chosen=lambda record: record.spec.moves and (record.travels or record.alone))
     for name, samples in moving:
         dead: list[str] = []
@@ -88,7 +88,7 @@ def frozen(axis: AxisRecords) -> list[Finding]:
                 held.append((record.id, run))
         if dead:
             findings.append(
-                Finding(
+                DataFinding(
                     "frozen", "wrong", axis.joint, tuple(dead), None, None,
                     f"{axis.joint}: {name} has one and the same value in {named(dead)}, while the axis moves.",
                     f"Check that the channel {name} is recorded, and from this axis.",
@@ -97,7 +97,7 @@ def frozen(axis: AxisRecords) -> list[Finding]:
         if held:
             ids, longest = tuple(sweep for sweep, _ in held), max(length for _, length in held)
             findings.append(
-                Finding(
+                DataFinding(
                     "frozen", "wrong", axis.joint, ids, longest, HOLD,
                     f"{axis.joint}: {name} holds one value for {1e3 * longest:.3g} ms in {named(ids)}, while the axis "
                     f"moves; limit {1e3 * HOLD:.3g} ms.",
@@ -130,9 +130,9 @@ SHARE = 0.003  # of the window
 CHANCE = 1e-6  # probability that the last step of a parabola has so many samples
 
 
-def clipping(axis: AxisRecords) -> list[Finding]:
+def clipping(axis: AxisRecords) -> list[DataFinding]:
     """One finding per channel, with the fraction of samples on the limit."""
-    findings: list[Finding] = []
+    findings: list[DataFinding] = []
     for name, samples in axis.channels(("effort", "velocity"), lambda record: record.spec.moves):
         found: list[tuple[str, float, float]] = []
         for record, values in samples:
@@ -147,7 +147,7 @@ def clipping(axis: AxisRecords) -> list[Finding]:
             _, share, limit = max(found, key=lambda one: one[1])
             of_rated = f", {100 * abs(limit) / axis.axis.rated_effort:.3g} % of rated effort" * (name == "effort")
             findings.append(
-                Finding(
+                DataFinding(
                     "clipped", "wrong", axis.joint, ids, share, SHARE,
                     f"{axis.joint}: {name} ends at {limit:.6g}{of_rated}: up to {100 * share:.2g} % of the samples lie "
                     f"exactly there ({named(ids)}).",
@@ -177,9 +177,9 @@ def _on_limit(values: Array, step: float) -> float:
     return on / len(values) if enough and on > 4.0 * beside else 0.0
 
 
-def quantisation(axis: AxisRecords) -> list[Finding]:
+def quantisation(axis: AxisRecords) -> list[DataFinding]:
     """One finding per channel."""
-    findings: list[Finding] = []
+    findings: list[DataFinding] = []
     # 0.0025 of rated effort
     # 0.05 of the largest commanded speed
     # 0.02 of the travel in the window
@@ -199,7 +199,7 @@ def quantisation(axis: AxisRecords) -> list[Finding]:
         if found:
             ids, value = tuple(sweep for sweep, _ in found), float(np.median([step for _, step in found]))
             findings.append(
-                Finding(
+                DataFinding(
                     "coarse_steps", "wrong", axis.joint, ids, value, limit,
                     f"{axis.joint}: {name} comes in steps of {100 * value:.3g} % of {of}, limit {100 * limit:.3g} % "
                     f"({named(ids)}).",
@@ -222,9 +222,9 @@ NEAR = 3  # samples within which a pulse of motion is visible in effort and velo
 LONGEST = 3  # consecutive samples
 
 
-def spikes(axis: AxisRecords) -> list[Finding]:
+def spikes(axis: AxisRecords) -> list[DataFinding]:
     """One finding per channel: the number of spikes, and the largest one."""
-    findings: list[Finding] = []
+    findings: list[DataFinding] = []
     for name, samples in axis.channels():
         found: list[tuple[str, int, float]] = []
         for record, values in samples:
@@ -240,7 +240,7 @@ def spikes(axis: AxisRecords) -> list[Finding]:
             ids = tuple(sweep for sweep, _, _ in found)
             count, largest = sum(number for _, number, _ in found), max(size for _, _, size in found)
             findings.append(
-                Finding(
+                DataFinding(
                     "spikes", "wrong", axis.joint, ids, largest, None,
                     f"{axis.joint}: {name} has {count} single sample{'s' * (count > 1)} far off what is beside, by up "
                     f"to {largest:.4g} ({named(ids)}).",
@@ -329,7 +329,7 @@ def _single(values: Array, off: Array, limit: float) -> Indices:
 LEAST = 0.7  # samples
 
 
-def lost_samples(axis: AxisRecords) -> list[Finding]:
+def lost_samples(axis: AxisRecords) -> list[DataFinding]:
     """One finding of each kind, with the largest number of samples lost in one place."""
     found: dict[Code, list[tuple[str, float]]] = {}
     for record in axis.those(lambda record: record.turns):
@@ -340,10 +340,10 @@ def lost_samples(axis: AxisRecords) -> list[Finding]:
     return [_finding(axis, code, rows) for code, rows in found.items()]
 
 
-def _finding(axis: AxisRecords, code: Code, rows: list[tuple[str, float]]) -> Finding:
+def _finding(axis: AxisRecords, code: Code, rows: list[tuple[str, float]]) -> DataFinding:
     ids, most = tuple(name for name, _ in rows), max(lost for _, lost in rows)
     missing = code == "time_jump"
-    return Finding(
+    return DataFinding(
         code, "wrong", axis.joint, ids, most, LEAST,
         f"{axis.joint}, {named(ids)}: position jumps by as much as {most:.3g} samples of its velocity make"
         + (", and the sines go on as much later: samples are missing, though time counts on evenly." if missing

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from service.diagnosis.fit.equations import Term
 from service.diagnosis.fit.select import RIVAL, TOLERANCE, Selection
-from service.diagnosis.sensitivity import Hidden, PredictedSweeps, predict_sweeps
+from service.diagnosis.sensitivity import PredictedSweeps, UntestableEffect, predict_sweeps
 from service.diagnosis.summary import in_words
 from service.diagnosis.verdict import Verdict
 from service.identification.design.diagnosis_sweeps import (
@@ -78,7 +78,7 @@ def next_experiment(
     selection: Selection,
     verdict: Verdict,
     rivals: Sequence[str],
-    hidden: Mapping[str, Hidden],
+    hidden: Mapping[str, UntestableEffect],
     sweeps: Sequence[Sweep],
 ) -> NextExperiment | None:
     """None if nothing is undecided. `hidden`: what the `sweeps` cannot show."""

@@ -88,7 +88,7 @@ BIASED = 1.0  # chi-squared of an unseen effect that the rigid model takes: its 
 
 
 @dataclass(frozen=True, slots=True)
-class Hidden:
+class UntestableEffect:
     """An effect that is not visible in the sweeps. `blocks`: those not yet run in which it would be visible.
 
     `biases`: whether it has weight: at `TYPICAL` size it would change the estimate by more than its standard deviation.
@@ -132,7 +132,7 @@ def shows_beside(given: Equations, terms: Sequence[Term], term: Term) -> bool:
     return False
 
 
-def untestable(given: Equations, names: Sequence[str], sweeps: Sequence[Sweep]) -> dict[str, Hidden]:
+def untestable(given: Equations, names: Sequence[str], sweeps: Sequence[Sweep]) -> dict[str, UntestableEffect]:
     """Effects that are not visible in these sweeps.
 
     The assumed size of an effect is `TYPICAL` of the rated effort in the sweeps of a full design. Its whitened column y
@@ -144,7 +144,7 @@ def untestable(given: Equations, names: Sequence[str], sweeps: Sequence[Sweep]) 
     lets go has no column in these sweeps, and no weight for them.
     """
     ahead = _missing(given, sweeps)
-    result: dict[str, Hidden] = {}
+    result: dict[str, UntestableEffect] = {}
     for name in names:
         if CATALOGUE[name].by_load:
             continue
@@ -152,7 +152,7 @@ def untestable(given: Equations, names: Sequence[str], sweeps: Sequence[Sweep]) 
         if max(here for here, _, _ in shown) < TESTABLE:
             blocks = {block for _, _, there in shown for block, square in there.items() if square >= TESTABLE}
             biases = max(taken for _, taken, _ in shown) > BIASED
-            result[name] = Hidden(tuple(block for block in BLOCKS if block in blocks), biases)
+            result[name] = UntestableEffect(tuple(block for block in BLOCKS if block in blocks), biases)
     return result
 
 

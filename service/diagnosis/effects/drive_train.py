@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import (
-    Effect,
+    CatalogueEffect,
     Model,
     Patch,
     Shape,
@@ -151,7 +151,7 @@ def _elastic_scenario(parameters: Mapping[str, float], tracks: Tracks, model: Mo
     }
 
 
-JOINT_ELASTICITY = Effect(
+JOINT_ELASTICITY = CatalogueEffect(
     name="joint_elasticity",
     physics="tau = Jm a + J_l a_l, the load behind a spring 1/c with damping h/c; x + e x^3 / (c T0)^2 = c Ts",
     source="Spong, J. Dyn. Sys. Meas. Control 109 (1987); the two-mass form of `axis_inertia`; e: hardening, "
@@ -238,7 +238,7 @@ def _backlash_scenario(parameters: Mapping[str, float], tracks: Tracks, model: M
     return {"train": {"spring": flanks, "motor_friction": friction, "load_friction": {"viscous": on_load}}}
 
 
-BACKLASH = Effect(
+BACKLASH = CatalogueEffect(
     name="backlash",
     physics="Ts = 0 while |q - q_l| < b/2, at the flanks q_l follows q: impacts without rebound",
     source="Nordin and Gutman, Automatica 38 (2002), Controlling mechanical systems with backlash: a survey",
@@ -290,7 +290,7 @@ def _transmission_scenario(parameters: Mapping[str, float], tracks: Tracks, mode
     return {"train": {"gear_error": ripples(parameters, orders), "cogging": ripples(torque, orders)}}
 
 
-TRANSMISSION_ERROR = Effect(
+TRANSMISSION_ERROR = CatalogueEffect(
     name="transmission_error",
     physics="q_l = q + g(q), g = sum over orders of A sin(o theta) + B cos(o theta); "
     "tau = J_l g'' + (dg/dq) Ts + (C + c |Ts|) sin + (D + d |Ts|) cos",
@@ -331,7 +331,7 @@ def _cogging_scenario(parameters: Mapping[str, float], tracks: Tracks, model: Mo
     return {"train": {"cogging": ripples(parameters, _cogging_orders(tracks))}}
 
 
-COGGING_TORQUE = Effect(
+COGGING_TORQUE = CatalogueEffect(
     name="cogging_torque",
     physics="tau = sum over orders o, o - 1, o + 1 of A sin(o theta) + B cos(o theta), theta the motor's angle",
     source="Hanselman, Brushless Permanent Magnet Motor Design (2006), ch. 9",

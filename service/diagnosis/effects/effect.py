@@ -102,7 +102,7 @@ class ShapeParameter:
 
 
 @dataclass(frozen=True)
-class Effect:
+class CatalogueEffect:
     """An effect of the catalogue.
 
     `columns(tracks, model, shape)` are signals (n, t) before the filter, in N m (N) for coefficients of one unit.
@@ -151,17 +151,17 @@ def spread(low: float, high: float, count: int) -> tuple[float, ...]:
 GROUP = "sweepid.effects"
 
 
-class Catalogue(Mapping[str, Effect]):
+class Catalogue(Mapping[str, CatalogueEffect]):
     """Effects by name: those of sweepid in their order, then the others in alphabetical order.
 
     Entry points are loaded at the first access, not at import, because the packages import this module. If one
     cannot be used, each access raises BadInput with the names of the package and the entry point.
     """
 
-    def __init__(self, shipped: Iterable[Effect]) -> None:
+    def __init__(self, shipped: Iterable[CatalogueEffect]) -> None:
         self._shipped = {effect.name: effect for effect in shipped}
 
-    def __getitem__(self, name: str) -> Effect:
+    def __getitem__(self, name: str) -> CatalogueEffect:
         return self._all[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -176,7 +176,7 @@ class Catalogue(Mapping[str, Effect]):
         return {entry.name: _package(entry) for entry in _entries() if entry.name in self._all}
 
     @cached_property
-    def _all(self) -> dict[str, Effect]:
+    def _all(self) -> dict[str, CatalogueEffect]:
         effects, owners = dict(self._shipped), dict.fromkeys(self._shipped, "sweepid")
         for entry in _entries():
             if entry.name in owners:
@@ -189,13 +189,15 @@ def _entries() -> list[EntryPoint]:
     return sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, _package(entry)))
 
 
-def _loaded(entry: EntryPoint) -> Effect:
+def _loaded(entry: EntryPoint) -> CatalogueEffect:
     try:
         effect = entry.load()
     except Exception as error:  # a foreign module may raise any exception during its import
         raise BadInput(_place(entry), f"cannot be loaded: {type(error).__name__}: {error}") from error
-    if not isinstance(effect, Effect):
-        raise BadInput(_place(entry), f"is {type(effect).__name__}, not service.diagnosis.effects.effect.Effect")
+    if not isinstance(effect, CatalogueEffect):
+        raise BadInput(
+            _place(entry), f"is {type(effect).__name__}, not service.diagnosis.effects.effect.CatalogueEffect"
+        )
     if effect.name != entry.name:
         raise BadInput(_place(entry), f"its effect calls itself {effect.name!r}: both must have the same name")
     return effect

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import (
-    Effect,
+    CatalogueEffect,
     Inexpressible,
     Model,
     Patch,
@@ -19,7 +19,7 @@ from service.diagnosis.effects.effect import (
 )
 from service.diagnosis.rows.signals import Tracks, bristles
 
-COULOMB_FRICTION = Effect(
+COULOMB_FRICTION = CatalogueEffect(
     name="coulomb_friction",
     physics="tau = Fc sign(v)",
     source="Coulomb 1785; Armstrong-Helouvry, Dupont and Canudas de Wit, Automatica 30 (1994), sec. 2",
@@ -43,7 +43,7 @@ def _asymmetric_possible(parameters: Mapping[str, float], tracks: Tracks, model:
     return parameters["coulomb"] >= 0 and abs(parameters["coulomb_difference"]) <= 1.05 * parameters["coulomb"]
 
 
-ASYMMETRIC_FRICTION = Effect(
+ASYMMETRIC_FRICTION = CatalogueEffect(
     name="asymmetric_friction",
     physics="tau = Fc sign(v) + Fd |sign(v)| + bd |v|; Fc + Fd forward, Fc - Fd backward",
     source="Janot, Gautier and Brunot, Data set and reference models of EMPS (2019), direction-dependent friction",
@@ -81,7 +81,7 @@ def _stribeck_scenario(parameters: Mapping[str, float], tracks: Tracks, model: M
     return dry(parameters["coulomb"], stribeck=stribeck)
 
 
-STRIBECK_FRICTION = Effect(
+STRIBECK_FRICTION = CatalogueEffect(
     name="stribeck_friction",
     physics="tau = (Fc + Fs exp(-|v/vs|^n)) sign(v)",
     source="Armstrong-Helouvry, Dupont and Canudas de Wit, Automatica 30 (1994), eq. (6)",
@@ -141,7 +141,7 @@ def _viscous_scenario(parameters: Mapping[str, float], tracks: Tracks, model: Mo
     return {"train": {"motor_friction": {"power": power}}}
 
 
-NONLINEAR_VISCOUS_FRICTION = Effect(
+NONLINEAR_VISCOUS_FRICTION = CatalogueEffect(
     name="nonlinear_viscous_friction",
     physics="tau = c x (1 + x^2)^((n - 1)/2), x = v/v0",
     source="Carreau, Trans. Soc. Rheology 16 (1972); Waiboer, Aarts and Jonker, IDETC 2005, lubricated robot joints",
@@ -171,7 +171,7 @@ def _by_load_scenario(parameters: Mapping[str, float], tracks: Tracks, model: Mo
     return dry(parameters["coulomb"], load_dependence=positive(parameters, "load_dependence"))
 
 
-LOAD_DEPENDENT_FRICTION = Effect(
+LOAD_DEPENDENT_FRICTION = CatalogueEffect(
     name="load_dependent_friction",
     physics="tau = (Fc + eta (sqrt(Ts^2 + T1^2) - T1) + e Ts^2 / T1) sign(v), Ts the torque through the gear, "
     "T1 the knee",
@@ -254,7 +254,7 @@ def _drift_lasts(tracks: Tracks) -> bool:
     return float(np.ptp([spec.started_at for spec in tracks.specs])) > 20.0
 
 
-FRICTION_TEMPERATURE_DRIFT = Effect(
+FRICTION_TEMPERATURE_DRIFT = CatalogueEffect(
     name="friction_temperature_drift",
     physics="tau = (Fc + fc T) sign(v) + fv T v, T' = |v| - T/tau",
     source="Simoni et al., IEEE/ASME Trans. Mechatronics 20 (2015), friction of robot joints with temperature",
@@ -301,7 +301,7 @@ def _presliding_scenario(parameters: Mapping[str, float], tracks: Tracks, model:
     return {"train": {"lugre": bristles | {"breakaway": coulomb, "stribeck_velocity": tracks.speed}}}
 
 
-PRESLIDING_HYSTERESIS = Effect(
+PRESLIDING_HYSTERESIS = CatalogueEffect(
     name="presliding_hysteresis",
     physics="tau = Fc z + s dz/dt, dz/dx = (1 - z sign(v)) / x0; some bristles at a quarter and at four times the way",
     source="Dahl 1968; Canudas de Wit, Olsson, Astrom and Lischinsky, IEEE Trans. Automatic Control 40 (1995)",

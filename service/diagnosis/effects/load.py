@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.effects.effect import Effect, Model, Patch, Readout, Shape, named, positive
+from service.diagnosis.effects.effect import CatalogueEffect, Model, Patch, Readout, Shape, named, positive
 from service.diagnosis.rows.rigid import deviations_left, load_rows
 from service.diagnosis.rows.signals import Tracks
 
@@ -30,7 +30,7 @@ def _gravity_readout(tracks: Tracks, change: Array, covariance: Array) -> Readou
     }
 
 
-GRAVITY_ERROR = Effect(
+GRAVITY_ERROR = CatalogueEffect(
     name="gravity_error",
     physics="tau = A cos q + B sin q for each group of links: their first moments differ from CAD beyond its prior",
     source="Atkeson, An and Hollerbach, Int. J. Robotics Research 5 (1986): torque linear in first moments",
@@ -63,7 +63,7 @@ def _payload_readout(tracks: Tracks, change: Array, covariance: Array) -> Readou
     return {name: (float(values[k]), float(spread[k]), unit) for k, (name, unit) in enumerate(names)}
 
 
-PAYLOAD = Effect(
+PAYLOAD = CatalogueEffect(
     name="payload",
     physics="tau = Y(q, a) [m, m c, I] of a body on the last link: gravity and inertia",
     source="Khalil, Gautier and Lemoine, ICRA 2007, Identification of the payload inertial parameters",
@@ -86,7 +86,7 @@ def _hose_scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model
     return {"train": {"hose": {"stiffness": stiffness, "rest": -parameters["torque_at_zero"] / stiffness}}}
 
 
-HOSE_SPRING = Effect(
+HOSE_SPRING = CatalogueEffect(
     name="hose_spring",
     physics="tau = k (q - q0) = k q + c, and a little q^2 and q^3 as it hardens",
     source="Gautier, Janot and Vandanjon, IEEE Trans. Control Syst. Technol. 21 (2013): spring compensators",

@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.effects.effect import Effect, Model, Patch, Readout, Shape, ShapeParameter, named
+from service.diagnosis.effects.effect import CatalogueEffect, Model, Patch, Readout, Shape, ShapeParameter, named
 from service.diagnosis.rows.rigid import load_rows, nominal_parameters
-from service.diagnosis.rows.signals import Spectrum, Tracks, spectrum
+from service.diagnosis.rows.signals import PaddedSpectrum, Tracks, spectrum
 
 Array = NDArray[np.float64]
 
@@ -18,7 +18,7 @@ def _delay_columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array
     late = np.divide(np.exp(-tracks.laplace * delay) - 1, delay, dtype=np.complex128)
     turning = model.inertia[:, None] * tracks.turned_over
     total = tracks.spectra["velocity"] * model.viscous + spectrum(model.gravity, tracks.rate)
-    return [(Spectrum(total.first, total.away + turning) * late).signal(tracks.velocity.shape[1])]
+    return [(PaddedSpectrum(total.first, total.away + turning) * late).signal(tracks.velocity.shape[1])]
 
 
 def _delay_scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
@@ -27,7 +27,7 @@ def _delay_scenario(parameters: Mapping[str, float], tracks: Tracks, model: Mode
     return {"measurement": {"effort_delay": delay} if delay >= 0 else {"velocity_delay": -delay}}
 
 
-MEASUREMENT_DELAY = Effect(
+MEASUREMENT_DELAY = CatalogueEffect(
     name="measurement_delay",
     physics="tau(t - T) - tau(t) = -T tau' + ...",
     source="Pintelon and Schoukens, System Identification (2012), sec. 13.6: delay between channels",
@@ -43,7 +43,7 @@ MEASUREMENT_DELAY = Effect(
 )
 
 
-EFFORT_OFFSET = Effect(
+EFFORT_OFFSET = CatalogueEffect(
     name="effort_offset",
     physics="tau = c",
     source="Gautier and Briot, J. Dyn. Sys. Meas. Control 136 (2014), offset of the current sensor",
@@ -64,7 +64,7 @@ def _gain_readout(tracks: Tracks, change: Array, covariance: Array) -> Readout:
     return {"gain_error": (float(weight @ change.ravel()), float(np.sqrt(max(weight @ covariance @ weight, 0.0))), "")}
 
 
-TORQUE_CONSTANT_ERROR = Effect(
+TORQUE_CONSTANT_ERROR = CatalogueEffect(
     name="torque_constant_error",
     physics="tau = e (J a + b v + gravity); CAD's prior alone tells e from other links",
     source="Gautier and Briot, J. Dyn. Sys. Meas. Control 136 (2014), Global identification of joint drive gains",

@@ -20,7 +20,7 @@ CERTAIN = 3.0  # standard deviations: above, an improvement is significant
 
 
 @dataclass(frozen=True, slots=True)
-class PoseGap:
+class PoseResidual:
     """The gap of one pose (all joints)."""
 
     pose: tuple[float, ...]
@@ -31,7 +31,7 @@ class PoseGap:
 
 
 @dataclass(frozen=True, slots=True)
-class Gap:
+class ValidationResidual:
     """RMS of the residual, N m (N): rigid model, model with effects, differences between repeats (None: no repeats).
 
     `held_out_sweeps`: number of sweeps if none was used to select or fit effects. 0: the gap is that of all sweeps,
@@ -44,24 +44,24 @@ class Gap:
     effort_rms: float
     held_out_sweeps: int
     others: bool
-    by_pose: tuple[PoseGap, ...]
+    by_pose: tuple[PoseResidual, ...]
 
 
-def gap(given: Equations, before: Array, after: Array, unseen: Sequence[int]) -> Gap:
+def gap(given: Equations, before: Array, after: Array, unseen: Sequence[int]) -> ValidationResidual:
     """The gap of residuals (n, rows) before and after. `unseen`: sweeps that were not used to select effects."""
     tracks = given.tracks
     every = np.arange(len(tracks.specs))
     judged = np.array(unseen, dtype=int) if unseen else every
     counted = np.zeros_like(tracks.usable)
     counted[judged] = tracks.usable[judged]
-    poses: list[PoseGap] = []
+    poses: list[PoseResidual] = []
     for pose_index, pose in enumerate(tracks.poses):
         here = every[tracks.pose_index == pose_index]
         usable = tracks.usable[here]
         if usable.any():
             sizes = (_rms(before[here][usable]), _rms(after[here][usable]), noise_floor(given, after, here))
-            poses.append(PoseGap(tuple(pose.tolist()), *sizes, len(here)))
-    return Gap(
+            poses.append(PoseResidual(tuple(pose.tolist()), *sizes, len(here)))
+    return ValidationResidual(
         before_rms=_rms(before[counted]),
         after_rms=_rms(after[counted]),
         noise_floor_rms=noise_floor(given, after, judged.tolist()),

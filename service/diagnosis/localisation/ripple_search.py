@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.data_check import Finding
+from service.data_check import DataFinding
 from service.diagnosis.fit.equations import Equations
 from service.diagnosis.rows.signals import BAND, row_samples
 from service.model.robot import Axis, Robot
@@ -26,14 +26,14 @@ PEAK = 0.3  # of the residual power: a ripple above is reported
 
 
 @dataclass(frozen=True, slots=True)
-class Ripple:
+class RippleLine:
     """A line in the motor angle: periods per motor turn with the gear ratio of the robot file; RMS, N m (N)."""
 
     order: float
     rms: float
 
 
-def ripples(given: Equations, left: Array) -> tuple[Ripple, ...]:
+def ripples(given: Equations, left: Array) -> tuple[RippleLine, ...]:
     """The lines in the residual (n, rows) of a model, strongest first."""
     tracks = given.tracks
     ratio = abs(tracks.robot.axis(tracks.joint).gear_ratio)
@@ -47,7 +47,7 @@ def ripples(given: Equations, left: Array) -> tuple[Ripple, ...]:
     orders = _orders(given, turning, ratio, travel)
     if not len(orders):
         return ()
-    rest, found = left.copy(), list[Ripple]()
+    rest, found = left.copy(), list[RippleLine]()
     whole = _power(rest, tracks.usable, turning)
     # 4 largest number of orders
     for _ in range(4):
@@ -57,18 +57,18 @@ def ripples(given: Equations, left: Array) -> tuple[Ripple, ...]:
         if power[best] < PEAK * whole / 2 or power[best] < 8.0 * float(np.median(np.abs(power))):
             break
         order = _refined(rest, angle, tracks.usable, turning, float(orders[best]), travel)
-        found.append(Ripple(order, float(np.sqrt(power[best]))))
+        found.append(RippleLine(order, float(np.sqrt(power[best]))))
         rest = _without(rest, angle, tracks.usable, order)
         whole = max(_power(rest, tracks.usable, turning), 1e-30)
     return tuple(found)
 
 
-def with_ripples(robot: Robot, joint: str, found: Sequence[Ripple]) -> tuple[Robot, tuple[Finding, ...]]:
+def with_ripples(robot: Robot, joint: str, found: Sequence[RippleLine]) -> tuple[Robot, tuple[DataFinding, ...]]:
     """The robot with the orders added or the gear ratio corrected, and the changes; the same robot if the file contains
     all of the ripples.
     """
     same = 0.02  # relative difference up to which an order of the robot file is the same order
-    axis, said = robot.axis(joint), list[Finding]()
+    axis, said = robot.axis(joint), list[DataFinding]()
     known = (*axis.cogging_orders, *axis.transmission_orders)
     near = [
         (ripple.order / order, order) for ripple in found for order in known if abs(ripple.order / order - 1) < same
@@ -80,7 +80,7 @@ def with_ripples(robot: Robot, joint: str, found: Sequence[Ripple]) -> tuple[Rob
         scale, order = near[0]
         ratio = axis.gear_ratio * scale
         said.append(
-            Finding(
+            DataFinding(
                 "gear_ratio", "warning", joint, (), ratio, axis.gear_ratio,
                 f"{joint}: the ripple of order {order:g} repeats {scale:.5f} times as often as the robot file's gear "
                 f"ratio {axis.gear_ratio:g} says; {ratio:.6g} fits.",
@@ -97,7 +97,7 @@ def with_ripples(robot: Robot, joint: str, found: Sequence[Ripple]) -> tuple[Rob
         kind = "transmission" if order < 5.0 else "cogging"
         orders[kind] = (*orders[kind], order)
         said.append(
-            Finding(
+            DataFinding(
                 "ripple_order", "warning", joint, (), order, None,
                 f"{joint}: the torque ripples {order:g} times a motor turn, which the robot file does not know.",
                 f"Add it to {kind}_orders of the robot file.",

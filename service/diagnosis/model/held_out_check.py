@@ -23,7 +23,7 @@ from service.diagnosis.fit.fitted import Parameter, Point, expressible, of_colum
 from service.diagnosis.fit.gap import by_prior, improves, residual
 from service.diagnosis.fit.select import local
 from service.diagnosis.model.scenario import axis_entry, gravity_of_fit
-from service.diagnosis.model.twin import Run, torques, ways
+from service.diagnosis.model.twin import TwinRun, torques, ways
 from service.diagnosis.rows.signals import laid_out
 from service.model.recording import Sweep
 
@@ -48,7 +48,7 @@ def simulated(given: Equations, sweeps: Sequence[Sweep], point: Point) -> Simula
     if tracks.prismatic:
         pull = np.stack([torque, np.zeros_like(torque)], axis=-1)
     pulls: list[list[float]] = (pull / entry.scale).tolist()
-    runs = [Run(k, entry, float(inertia[k]), (cosine, sine)) for k, (cosine, sine) in enumerate(pulls)]
+    runs = [TwinRun(k, entry, float(inertia[k]), (cosine, sine)) for k, (cosine, sine) in enumerate(pulls)]
     own = [sweep for sweep in sweeps if sweep.spec.axis == tracks.joint and sweep.spec.moves]
     needed = torques(tracks.robot, tracks.joint, ways(own), runs)
     left = tracks.rows(tracks.effort - laid_out(tracks, needed))

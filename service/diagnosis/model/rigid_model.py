@@ -17,7 +17,7 @@ VISCOUS = "viscous_friction"
 
 
 @dataclass(frozen=True, slots=True)
-class RigidParameter:
+class RigidModelParameter:
     """A combination of inertial parameters of links, kg, kg m or kg m^2, or viscous friction, N m s/rad (N s/m)."""
 
     name: str
@@ -26,7 +26,7 @@ class RigidParameter:
     std: float
 
 
-def rigid_model(given: Equations, fit: Fit) -> tuple[RigidParameter, ...]:
+def rigid_model(given: Equations, fit: Fit) -> tuple[RigidModelParameter, ...]:
     """Base parameters (Gautier 1991) of inertia and gravity about the axis over the workspace, then viscous friction.
     Combinations that the measured poses do not determine keep the CAD value and the uncertainty of the prior.
     """
@@ -47,7 +47,10 @@ def rigid_model(given: Equations, fit: Fit) -> tuple[RigidParameter, ...]:
     values = nominal + gain @ (weight * fit.load.ravel() - rows @ nominal)
     std = deviations_left(spread, rows, noise, slack)
     result = [
-        RigidParameter(*entry)
+        RigidModelParameter(*entry)
         for entry in zip(base.names, nominal.tolist(), values.tolist(), std.tolist(), strict=True)
     ]
-    return (*result, RigidParameter(VISCOUS, robot.axis(tracks.joint).viscous_friction, fit.viscous, fit.viscous_std))
+    return (
+        *result,
+        RigidModelParameter(VISCOUS, robot.axis(tracks.joint).viscous_friction, fit.viscous, fit.viscous_std),
+    )

@@ -19,7 +19,7 @@ Part = TypeVar("Part", DriveTrain, Measurement)
 
 
 @dataclass(frozen=True)
-class Run:
+class TwinRun:
     """Sweep number `sweep` with an axis of a total inertia, kg m^2 as recorded, and gravity [cosine, sine], N m."""
 
     sweep: int
@@ -47,7 +47,7 @@ def ways(sweeps: Sequence[Sweep]) -> list[Way]:
     ]
 
 
-def torques(robot: Robot, joint: str, ways: Sequence[Way], runs: Sequence[Run]) -> list[Array]:
+def torques(robot: Robot, joint: str, ways: Sequence[Way], runs: Sequence[TwinRun]) -> list[Array]:
     """Simulated effort of each run, N m (N), at the samples of its sweep; all in one call.
 
     The gear temperature at the start of a sweep follows from the sweeps before it, by `started_at`. Inexpressible if no

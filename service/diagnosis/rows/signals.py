@@ -29,7 +29,7 @@ ENDING = 0.05  # s, in which the slope at the end of a record decreases to zero
 
 
 @dataclass(frozen=True)
-class Spectrum:
+class PaddedSpectrum:
     """Signals (n, t) in the frequency domain: their first values (n, 1), and the transform (n, bins) of the rest.
 
     A signal is assumed constant before its first sample, so a start from standstill is exact. After its last sample it
@@ -40,20 +40,20 @@ class Spectrum:
     first: Array
     away: Complex
 
-    def __add__(self, other: "Spectrum") -> "Spectrum":
-        return Spectrum(self.first + other.first, self.away + other.away)
+    def __add__(self, other: "PaddedSpectrum") -> "PaddedSpectrum":
+        return PaddedSpectrum(self.first + other.first, self.away + other.away)
 
-    def __mul__(self, response: Complex | Array | float) -> "Spectrum":
+    def __mul__(self, response: Complex | Array | float) -> "PaddedSpectrum":
         """Filtered by a response (n or 1, bins) of `bins(t, rate)`, or multiplied by a number."""
         constant = response[:, :1].real if isinstance(response, np.ndarray) else response
-        return Spectrum(self.first * constant, np.multiply(self.away, response, dtype=np.complex128))
+        return PaddedSpectrum(self.first * constant, np.multiply(self.away, response, dtype=np.complex128))
 
     def signal(self, count: int) -> Array:
         """The signals (n, count)."""
         return np.asarray(back(count, self.away) + self.first)
 
 
-def spectrum(signal: Array, rate: float) -> Spectrum:
+def spectrum(signal: Array, rate: float) -> PaddedSpectrum:
     """The spectrum of signals (n, t)."""
     count = signal.shape[1]
     first, last = signal[:, :1], signal[:, -1:]
@@ -62,7 +62,7 @@ def spectrum(signal: Array, rate: float) -> Spectrum:
     np.subtract(signal, first, out=extended[:, :count])
     np.multiply(last - first, turning, out=extended[:, count : 2 * count])
     extended[:, count : 2 * count] += (last - signal[:, -2:-1]) * ENDING * rate * fading
-    return Spectrum(first, np.asarray(np.fft.rfft(extended), dtype=np.complex128))
+    return PaddedSpectrum(first, np.asarray(np.fft.rfft(extended), dtype=np.complex128))
 
 
 @lru_cache(maxsize=8)
@@ -83,7 +83,7 @@ def through(signal: Array, rate: float, response: Complex) -> Array:
 
 
 def derivative_spectrum(signal: Array, rate: float) -> Complex:
-    """Transform (n, bins) of the derivative of signals (n, t), see `Spectrum`."""
+    """Transform (n, bins) of the derivative of signals (n, t), see `PaddedSpectrum`."""
     frequencies = 2j * np.pi * bins(signal.shape[1], rate)
     return np.multiply(spectrum(signal, rate).away, frequencies, dtype=np.complex128)
 
@@ -216,7 +216,7 @@ class Tracks:
         return derivative_spectrum(self.velocity, self.rate)
 
     @cached_property
-    def spectra(self) -> dict[str, Spectrum]:
+    def spectra(self) -> dict[str, PaddedSpectrum]:
         """Spectra of the signals that filters of effects use again and again, by the names of their fields."""
         return {name: spectrum(getattr(self, name), self.rate) for name in ("effort", "velocity", "acceleration")}
 

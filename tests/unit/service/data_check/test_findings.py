@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.data_check import Finding, check, findings_document, untrustworthy
+from service.data_check import DataFinding, check, findings_document, untrustworthy
 from service.model.recording import Sweep
 from service.model.robot import Robot, build_robot
 from tests.unit.service.data_check.conftest import (
@@ -29,7 +29,7 @@ def column(sweeps: Sequence[Sweep], name: str, change: Change) -> tuple[Sweep, .
     )
 
 
-def only(found: Sequence[Finding], code: str) -> Finding:
+def only(found: Sequence[DataFinding], code: str) -> DataFinding:
     assert [one.code for one in found] == [code], found
     assert found[0].axis in ("lift", None)
     return found[0]

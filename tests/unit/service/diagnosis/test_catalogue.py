@@ -162,7 +162,7 @@ def test_one_that_imports_the_catalogue_itself_is_found(packages: Packages) -> N
         ("bad_b:EFFECT", "1 / 0", "cannot be loaded: ZeroDivisionError: division by zero"),
         ("bad_c:EFFECT", "EFFECT = (", "cannot be loaded: SyntaxError: '(' was never closed"),
         ("bad_d:EFFECT", "", "cannot be loaded: AttributeError: module 'bad_d' has no attribute 'EFFECT'"),
-        ("bad_e:EFFECT", "EFFECT = 3", "is int, not service.diagnosis.effects.effect.Effect"),
+        ("bad_e:EFFECT", "EFFECT = 3", "is int, not service.diagnosis.effects.effect.CatalogueEffect"),
         ("bad_f:EFFECT", EFFECT.format(name="other"), "its effect calls itself 'other': both must have the same name"),
     ],
 )

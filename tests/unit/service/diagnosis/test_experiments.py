@@ -11,7 +11,7 @@ from service.diagnosis.experiments import BOLTING, NextExperiment, next_experime
 from service.diagnosis.fit.equations import Term
 from service.diagnosis.fit.select import select
 from service.diagnosis.rows.signals import Tracks
-from service.diagnosis.sensitivity import Hidden
+from service.diagnosis.sensitivity import UntestableEffect
 from service.diagnosis.verdict import Verdict, tie_set
 from service.identification.design.diagnosis_sweeps import (
     BLOCKS,
@@ -47,7 +47,7 @@ def asked(
     hidden: Mapping[Term, Sequence[float]],
     rivals: Sequence[str],
     verdict: Verdict = Verdict.AMBIGUOUS,
-    unseen: dict[str, Hidden] | None = None,
+    unseen: dict[str, UntestableEffect] | None = None,
     poses: np.ndarray = POSES,
     noise: float = 0.001,
     load: Callable[[Tracks], np.ndarray] | None = None,
@@ -141,12 +141,12 @@ def test_unknown_asks_for_the_missing_blocks_then_for_other_poses() -> None:
 
 
 def test_nothing_found_asks_for_what_shows_the_unseen() -> None:
-    unseen = {"measurement_delay": Hidden(("wide",), False), "backlash": Hidden((), False)}
+    unseen = {"measurement_delay": UntestableEffect(("wide",), False), "backlash": UntestableEffect((), False)}
     wanted = needed(FORWARD, {}, ["coulomb_friction"], Verdict.NONE, unseen)
     assert (wanted.kind, wanted.blocks) == ("wide", ("wide",))
     assert "measurement delay" in wanted.reason
-    assert asked(FORWARD, {}, ["coulomb_friction"], Verdict.NONE, {"backlash": Hidden((), False)}) is None
-    weighty = {"hose_spring": Hidden((), True)}
+    assert asked(FORWARD, {}, ["coulomb_friction"], Verdict.NONE, {"backlash": UntestableEffect((), False)}) is None
+    weighty = {"hose_spring": UntestableEffect((), True)}
     wanted = needed(BLOCKS, {}, ["coulomb_friction"], Verdict.UNTESTABLE, weighty)
     assert (wanted.kind, wanted.blocks) == ("more_poses", BLOCKS)
     assert "hose spring" in wanted.reason

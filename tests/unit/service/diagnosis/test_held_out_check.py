@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.diagnosis.fit.equations import Equations, Term, equations, grouped
-from service.diagnosis.fit.gap import Gap, gap
+from service.diagnosis.fit.gap import ValidationResidual, gap
 from service.diagnosis.model.held_out_check import HeldOutCheck, check_held_out
 from service.diagnosis.rows.signals import tracks
 from service.identification.design.diagnosis_sweeps import full_design
@@ -55,7 +55,7 @@ def measured(scenario: Scenario) -> tuple[Equations, list[Sweep]]:
     return equations(motion, grouped(motion)), sweeps
 
 
-def found(given: Equations, shown: HeldOutCheck) -> Gap:
+def found(given: Equations, shown: HeldOutCheck) -> ValidationResidual:
     return gap(given, shown.before, shown.after, ())
 
 

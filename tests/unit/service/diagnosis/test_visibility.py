@@ -6,7 +6,7 @@ import pytest
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.equations import applies
-from service.diagnosis.sensitivity import Hidden, untestable
+from service.diagnosis.sensitivity import UntestableEffect, untestable
 from service.identification.design.diagnosis_sweeps import BLOCKS, REVISITED, full_design, paper_design
 from service.model.results.diagnosis import AxisDiagnosis, standing_of
 from tests.numeric.campaign import max100
@@ -51,7 +51,7 @@ def test_the_full_design_shows_all() -> None:
     assert untestable(given, names, sweeps) == {}
 
 
-def of_the_paper(name: str, part: float) -> dict[str, Hidden]:
+def of_the_paper(name: str, part: float) -> dict[str, UntestableEffect]:
     """Whether sweeps of one direction show an effect where CAD may be off by a part, one sigma."""
     robot = known_to(part)
     sweeps = following(robot, "joint_2", paper_design(robot, "joint_2", POSES, sample_rate=RATE), noise=0.002)
