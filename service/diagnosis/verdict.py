@@ -107,11 +107,6 @@ def excess(given: Equations, explanation: Explanation) -> float:
     return float(max(single.max(), costs.sum() / np.sqrt(2 * rows.sum())))
 
 
-def tie_set(selection: Selection, known: Sequence[str], candidates: Sequence[str]) -> set[str]:
-    """The named effects, and those that explain the same as one of them."""
-    return {name for named, rivals in tie_sets(selection, known, candidates).items() for name in (named, *rivals)}
-
-
 def tie_sets(selection: Selection, known: Sequence[str], candidates: Sequence[str]) -> dict[str, set[str]]:
     """For each named effect, the effects that explain the same."""
     added = [term for term in selection.chosen.terms if term.effect not in known]

@@ -179,13 +179,6 @@ class Pairing:
         """Signs of the gathered rows of each fold: + for sums over repeats, - for the rows of single repeats."""
         return tuple(np.concatenate([np.empty(0), *map(_signed, fold)]) for fold in self.blocks)
 
-    def plain(self, columns: Array) -> Array:
-        """(folds, k, k): products of the columns within each repeat."""
-        left = columns.reshape(-1, columns.shape[-1])
-        return np.stack(
-            [sum((_within(left[b], left[b]) for b in fold), start=_none(left, left)) for fold in self.blocks]
-        )
-
 
 def pairing(usable: Mask, groups: Sequence[Group], order: int, folds: int) -> Pairing:
     """Rows that are usable in all repeats, and whose `order` previous rows are usable too."""
@@ -260,11 +253,3 @@ def _signed(block: Index) -> Array:
     signs = np.ones(rows if every == rows else rows + every, dtype=np.float64)
     signs[rows:] = -1.0
     return signs
-
-
-def _within(left: Array, right: Array) -> Array:
-    return left.reshape(-1, left.shape[-1]).T @ right.reshape(-1, right.shape[-1])
-
-
-def _none(left: Array, right: Array) -> Array:
-    return np.zeros((left.shape[-1], right.shape[-1]))

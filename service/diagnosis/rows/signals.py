@@ -234,10 +234,6 @@ class Tracks:
             self.remembered[key] = make()
         return self.remembered[key]
 
-    def accelerated(self, response: Complex) -> Array:
-        """The acceleration (n, t) filtered by a response (n or 1, bins) of `bins(t, rate)`."""
-        return back(self.velocity.shape[1], self.turned_over * response)
-
     def rows(self, signal: Array) -> Array:
         """A signal (n, t) after the filter: (n, rows)."""
         return lowpass(signal, self.rate)
