@@ -89,7 +89,6 @@ def test_an_effect_that_is_not_there_is_rolled_back(twin: bool) -> None:
     assert not twin or (shown.twin_rms or np.inf) < 1.1 * floor
 
 
-@pytest.mark.slow
 def test_the_gap_is_that_of_the_pose_that_took_no_part() -> None:
     """RMS of the rows of unseen sweeps alone, and how many they are."""
     given, _ = warming()

@@ -29,6 +29,7 @@ def test_slow_sweeps_cannot_show_what_needs_high_frequencies() -> None:
     found = unseen("joint_3", ("forward_slow",), "measurement_delay", "coulomb_friction")
     assert set(found) == {"measurement_delay"}
     assert "wide" in found["measurement_delay"]
+    assert list(found["measurement_delay"]) == sorted(found["measurement_delay"], key=BLOCKS.index)
     assert not unseen("joint_3", ("forward_slow", "wide"), "measurement_delay")
 
 
@@ -36,7 +37,6 @@ def test_what_shows_depends_on_the_noise() -> None:
     assert not unseen("joint_3", ("forward_slow",), "measurement_delay", noise=1e-5)
 
 
-@pytest.mark.slow
 def test_play_shows_where_the_torque_changes_its_sign() -> None:
     found = unseen("joint_1", ("forward_slow",), "backlash", noise=0.02)
     assert found.keys() <= {"backlash"}
@@ -73,11 +73,6 @@ def test_an_effect_that_the_estimate_takes_unseen_has_weight() -> None:
 
 def test_one_direction_shows_ripples_whatever_gravity_is() -> None:
     assert of_the_paper("cogging_torque", 0.3) == {}
-
-
-def test_blocks_are_told_in_their_order() -> None:
-    found = unseen("joint_3", ("forward_slow",), "measurement_delay")["measurement_delay"]
-    assert list(found) == sorted(found, key=BLOCKS.index)
 
 
 JOINT = "joint_2"
