@@ -5,7 +5,6 @@ of an axis (`record.AxisRecords`) and returns findings. Limits are defined where
 """
 
 from service.data_check.check import check
-from service.data_check.document import findings_document
-from service.data_check.finding import Finding, untrustworthy
+from service.data_check.finding import DataFinding, findings_document, untrustworthy
 
-__all__ = ["Finding", "check", "findings_document", "untrustworthy"]
+__all__ = ["DataFinding", "check", "findings_document", "untrustworthy"]

@@ -2,31 +2,21 @@
 
 from collections.abc import Sequence
 
-from service.data_check.finding import Code, Finding
-from service.data_check.mechanics.effort import effort, seen
-from service.data_check.mechanics.effort_delay import effort_delay
-from service.data_check.mechanics.kinematics import slopes
-from service.data_check.mechanics.load_encoder import load_encoder
-from service.data_check.mechanics.motion import commanded, motion
-from service.data_check.mechanics.response import responses
-from service.data_check.mechanics.ripples import ripples
-from service.data_check.mechanics.robot_file import description, nominals, rated_effort
+from service.data_check.effort import effort, effort_delay, responses, seen
+from service.data_check.finding import Code, DataFinding
+from service.data_check.motion import commanded, load_encoder, motion, slopes, start
 from service.data_check.record import AxisRecords
-from service.data_check.samples.channels import frozen
-from service.data_check.samples.clipping import clipping
-from service.data_check.samples.clock import clock
-from service.data_check.samples.lost_samples import lost_samples
-from service.data_check.samples.quantisation import quantisation
-from service.data_check.samples.repeatability import repeatability
-from service.data_check.samples.spikes import spikes
-from service.data_check.start import start
+from service.data_check.repeatability import repeatability
+from service.data_check.ripples import ripples
+from service.data_check.robot_file import description, nominals, rated_effort
+from service.data_check.samples import clipping, clock, frozen, lost_samples, quantisation, spikes
 from service.model.recording import Sweep
 from service.model.robot import Robot
 
 DISPLACED: tuple[Code, ...] = ("position_unit", "position_sign", "motion_sign")  # then positions differ from their pose
 
 
-def check(robot: Robot, sweeps: Sequence[Sweep]) -> tuple[Finding, ...]:
+def check(robot: Robot, sweeps: Sequence[Sweep]) -> tuple[DataFinding, ...]:
     """Errors and warnings about recordings and robot file: first those of the robot, then by axis from base to tip.
 
     `sweeps` as read from a bundle: known joints, poses of the robot's length, finite columns of one length.
@@ -36,7 +26,7 @@ def check(robot: Robot, sweeps: Sequence[Sweep]) -> tuple[Finding, ...]:
     return (*description(robot), *axes)
 
 
-def _axis(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> list[Finding]:
+def _axis(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> list[DataFinding]:
     own = tuple(sweep for sweep in sweeps if sweep.spec.axis == joint)
     axis = AxisRecords.of(robot, joint, own)
     lost = lost_samples(axis)

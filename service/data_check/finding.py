@@ -1,8 +1,11 @@
 """A finding of the data check."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from service.model.recording import Sweep
+from service.model.robot import Robot
 
 Severity = Literal["wrong", "warning"]
 
@@ -40,7 +43,7 @@ Code = Literal[
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class DataFinding:
     """One finding. `value` and `limit` have the unit given in the sentence; None if there is no number.
 
     `axis`: joint, None for the whole robot. `sweeps`: ids, empty for findings about the robot file. With "wrong",
@@ -57,7 +60,7 @@ class Finding:
     action: str
 
 
-def untrustworthy(findings: Iterable[Finding], joint: str) -> tuple[Finding, ...]:
+def untrustworthy(findings: Iterable[DataFinding], joint: str) -> tuple[DataFinding, ...]:
     """The findings for which no physics of an axis may be named."""
     return tuple(one for one in findings if one.severity == "wrong" and one.axis in (None, joint))
 
@@ -66,3 +69,20 @@ def named(sweeps: Sequence[str]) -> str:
     """Sweep names for a sentence: the first three and the number of the others."""
     more = f" and {len(sweeps) - 3} more" if len(sweeps) > 3 else ""
     return f"{'sweep' if len(sweeps) == 1 else 'sweeps'} {', '.join(sweeps[:3])}{more}"
+
+
+def findings_document(robot: Robot, sweeps: Sequence[Sweep], findings: Sequence[DataFinding]) -> dict[str, Any]:
+    """`findings`, and for each axis that was swept whether its data can be trusted."""
+    joints = {sweep.spec.axis for sweep in sweeps}
+    return {
+        "findings": [asdict(one) | {"sweeps": list(one.sweeps)} for one in findings],
+        "axes": {
+            joint: {
+                "sweeps": sum(sweep.spec.axis == joint for sweep in sweeps),
+                "trustworthy": not untrustworthy(findings, joint),
+                "codes": sorted({one.code for one in findings if one.axis in (None, joint)}),
+            }
+            for joint in robot.joints
+            if joint in joints
+        },
+    }

@@ -15,7 +15,6 @@ from service.model.robot import Axis, Robot
 Channel = Literal["effort", "velocity", "position"]
 
 CHANNELS: tuple[Channel, ...] = ("effort", "velocity", "position")
-SHORTEST = 32  # samples of a window: with fewer, no check is possible
 
 
 @dataclass(frozen=True)
@@ -106,7 +105,8 @@ class AxisRecords:
     @classmethod
     def of(cls, robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> "AxisRecords":
         records = [Record.of(sweep) for sweep in sweeps if sweep.spec.axis == joint]
-        return cls(robot, robot.index(joint), tuple(record for record in records if record.count >= SHORTEST))
+        # 32 samples of a window: with fewer, no check is possible
+        return cls(robot, robot.index(joint), tuple(record for record in records if record.count >= 32))
 
     def without(self, ids: Collection[str]) -> "AxisRecords":
         """The same without these sweeps."""

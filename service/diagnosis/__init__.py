@@ -9,13 +9,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from service.diagnosis.diagnose import AxisDiagnosis, diagnose_axis
+    from service.diagnosis.diagnose import AxisResult, diagnose_axis
     from service.diagnosis.document import as_document, axis_document, compose
     from service.diagnosis.model.revision import model_document
     from service.diagnosis.rows.signals import is_evidence
 
 _MODULES = {
-    "AxisDiagnosis": "diagnose",
+    "AxisResult": "diagnose",
     "as_document": "document",
     "axis_document": "document",
     "compose": "document",
@@ -25,7 +25,7 @@ _MODULES = {
 }
 
 __all__ = [
-    "AxisDiagnosis",
+    "AxisResult",
     "as_document",
     "axis_document",
     "compose",

@@ -12,27 +12,26 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from service.data_check import Finding, check, untrustworthy
+from service.data_check import DataFinding, check, untrustworthy
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.effects.patch import Patch
+from service.diagnosis.effects.effect import Patch
 from service.diagnosis.experiments import TEST_MASS, NextExperiment, next_experiment
 from service.diagnosis.fit.calibration import Weighed, corrected, is_decided, is_wrong, weighed_gain
+from service.diagnosis.fit.cross_products import NotFinite
 from service.diagnosis.fit.equations import Equations, Term, applies, equations, grouped, held_back
-from service.diagnosis.fit.gap import Gap, gap, noise, noise_floor, residual
-from service.diagnosis.fit.parameters import Parameter
+from service.diagnosis.fit.fitted import Parameter
+from service.diagnosis.fit.gap import ValidationResidual, gap, noise, noise_floor, residual
 from service.diagnosis.fit.search import CurrentModel
 from service.diagnosis.fit.select import Selection, allowed_by_physics, select, settled, with_groups
-from service.diagnosis.fit.solving import NotFinite
-from service.diagnosis.localisation.example import Example, example
-from service.diagnosis.localisation.locate import Cell, cells, lines, sentences
+from service.diagnosis.localisation.locate import ExampleSweep, ResidualBin, cells, example, lines, sentences
 from service.diagnosis.localisation.repeatability import unrepeated
 from service.diagnosis.localisation.ripple_search import ripples, with_ripples
 from service.diagnosis.model.held_out_check import Fit, Fitted, HeldOutCheck, check_held_out
-from service.diagnosis.model.rigid_model import RigidParameter, rigid_model
+from service.diagnosis.model.rigid_model import RigidModelParameter, rigid_model
 from service.diagnosis.rows.periods import in_periods
 from service.diagnosis.rows.signals import SHORTEST, finite_samples, sticking_within, tracks
-from service.diagnosis.sensitivity.visibility import Hidden, untestable
-from service.diagnosis.unfinished import Unfinished, unfinished
+from service.diagnosis.sensitivity import UntestableEffect, untestable
+from service.diagnosis.unfinished import UnfinishedSearch, unfinished
 from service.diagnosis.verdict import Verdict, at_floor, judge, of_one_record, share, tie_sets, without
 from service.identification.axis.nominal_priors import TorqueGain
 from service.identification.motion.free_motion import at_once
@@ -44,7 +43,6 @@ Array = NDArray[np.float64]
 Known = Mapping[str, Mapping[str, Parameter]]
 
 NOTHING: Known = {}
-LONGER = 2.0  # factor between the reversal distances of dry friction that are tried
 CHANGED = 4.0  # standard deviations: above, a parameter of the model has changed
 GAIN, GAIN_ERROR = "torque_constant_error", "gain_error"
 HEAVIER = "The mass that was weighed is too light to decide it: take a heavier one, or bolt it further out."
@@ -67,7 +65,7 @@ class NamedEffect:
 
 
 @dataclass(frozen=True)
-class Change:
+class ParameterChange:
     """A parameter of a known effect that has changed: the value in the model and the value from these sweeps."""
 
     effect: str
@@ -77,7 +75,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class AxisDiagnosis:
+class AxisResult:
     """The complete result of the diagnosis of one axis."""
 
     joint: str
@@ -86,26 +84,26 @@ class AxisDiagnosis:
     effects: tuple[NamedEffect, ...]
     known: tuple[NamedEffect, ...]
     part: tuple[NamedEffect, ...]  # explains a part of the gap; the rest is unknown
-    changes: tuple[Change, ...]  # of the known effects
+    changes: tuple[ParameterChange, ...]  # of the known effects
     alternatives: tuple[tuple[str, ...], ...]  # if ambiguous: each effect and its equivalent ones
     rivals: tuple[tuple[str, float], ...]  # other explanations, with their difference in Schwarz's criterion
     rolled_back: tuple[str, ...]
-    cells: tuple[Cell, ...]
+    cells: tuple[ResidualBin, ...]
     sentences: tuple[str, ...]
-    gap: Gap
+    gap: ValidationResidual
     twin_rms: float | None  # RMS of effort less simulated effort along the recorded motion, N m (N)
-    example: Example
+    example: ExampleSweep
     poses: tuple[tuple[float, ...], ...]
     fit: Fit
-    rigid_model: tuple[RigidParameter, ...]
+    rigid_model: tuple[RigidModelParameter, ...]
     started_from: str  # source of the initial rigid model: "cad", or which estimate
     weighed: bool  # the effort was corrected with a known test mass
     unexplained: float  # part of the repeatable excess
     next_experiment: NextExperiment | None
     untestable: tuple[str, ...]
     biasing: tuple[str, ...]  # those untestable effects that would change the estimate unseen
-    data: tuple[Finding, ...]  # findings of the data check
-    unfinished: tuple[Unfinished, ...]  # searches that used up their steps
+    data: tuple[DataFinding, ...]  # findings of the data check
+    unfinished: tuple[UnfinishedSearch, ...]  # searches that used up their steps
 
     @property
     def candidates(self) -> tuple[str, ...]:
@@ -121,7 +119,7 @@ def diagnose_axis(
     known: Known = NOTHING,
     weighed: Weighed | None = None,
     twin: bool = True,
-) -> AxisDiagnosis:
+) -> AxisResult:
     """Diagnose `joint` from its sweeps. BadInput if no sweep moves, if an effect of `known` is not in the catalogue, or
     with axis and sweep if a sample or a column of an effect is not finite; with the axis if its equations are not.
 
@@ -149,7 +147,7 @@ def diagnose_axis(
 
 def _diagnosed(
     robot: Robot, joint: str, sweeps: Sequence[Sweep], known: Known, weighed: Weighed | None, *, twin: bool
-) -> AxisDiagnosis:
+) -> AxisResult:
     by_mass = None if weighed is None else weighed_gain(robot, joint, sweeps, weighed)
     gain = _accepted(known) if by_mass is None else by_mass
     wrong = gain if gain is not None and is_wrong(gain) else None
@@ -182,7 +180,7 @@ def _diagnosed(
     unit = "N" if motion.prismatic else "N m"
     loose = unrepeated(selection.given, shown.after)
     said = (loose.sentence(joint, unit),) if loose is not None and loose.is_physical else ()
-    return AxisDiagnosis(
+    return AxisResult(
         joint=joint,
         unit=unit,
         verdict=verdict,
@@ -222,9 +220,9 @@ class _Explained:
     part: tuple[Fitted, ...]
     modelled: tuple[str, ...]
     applying: tuple[str, ...]
-    hidden: dict[str, Hidden]
+    hidden: dict[str, UntestableEffect]
     unseen: int | None
-    said: tuple[Finding, ...] = ()
+    said: tuple[DataFinding, ...] = ()
 
 
 def _explained(
@@ -238,15 +236,18 @@ def _explained(
     other, said = with_ripples(robot, joint, ripples(found.selection.given, left))
     if other is robot:
         return found
-    again = _tried(other, joint, sweeps, known, calibrated=calibrated, trusted=trusted, twin=twin)
+    again = _tried(
+        other, joint, sweeps, known, calibrated=calibrated, trusted=trusted, twin=twin, before=found.selection.given
+    )
     return found if again.verdict is Verdict.UNKNOWN else replace(again, said=said)
 
 
 def _sticking(given: Equations, sweeps: Sequence[Sweep]) -> Equations:
     """The equations with the best of several reversal distances of dry friction, all too short for presliding."""
+    longer = 2.0  # factor between the reversal distances of dry friction that are tried
     ways = [given.tracks.sticking]
-    while LONGER * ways[-1] <= given.tracks.turning:
-        ways.append(LONGER * ways[-1])
+    while longer * ways[-1] <= given.tracks.turning:
+        ways.append(longer * ways[-1])
     ways += [SHORTEST] if ways[0] > SHORTEST else []  # an encoder without noise may show immediate friction reversal
     best, least = given, np.inf
     for way in ways:
@@ -258,8 +259,17 @@ def _sticking(given: Equations, sweeps: Sequence[Sweep]) -> Equations:
 
 
 def _tried(
-    robot: Robot, joint: str, sweeps: Sequence[Sweep], known: Known, *, calibrated: bool, trusted: bool, twin: bool
+    robot: Robot,
+    joint: str,
+    sweeps: Sequence[Sweep],
+    known: Known,
+    *,
+    calibrated: bool,
+    trusted: bool,
+    twin: bool,
+    before: Equations | None = None,
 ) -> _Explained:
+    """`before`: equations of another attempt on these sweeps, whose searches need not be repeated."""
     motion = tracks(robot, joint, sweeps)
     groups = grouped(motion)
     unseen = held_back(motion, groups)
@@ -267,6 +277,8 @@ def _tried(
     given = equations(motion, seen)
     if not given.pairs.rows:
         raise BadInput(joint, "its sweeps have no sample off standstill and the first way from there: record longer")
+    if before is not None:
+        given = replace(given, ends_of_steps=before.ends_of_steps)
     naming = _sticking(given, sweeps)
     possible = [name for name in CATALOGUE if applies(naming, name) and not (calibrated and name == GAIN)]
     modelled = [name for name in known if name in possible]
@@ -286,7 +298,7 @@ def _tried(
     return _Explained(selection, verdict, shown, part, tuple(modelled), tuple(applying), hidden, unseen)
 
 
-def _biasing(hidden: Mapping[str, Hidden]) -> tuple[str, ...]:
+def _biasing(hidden: Mapping[str, UntestableEffect]) -> tuple[str, ...]:
     return tuple(name for name, one in hidden.items() if one.biases)
 
 
@@ -339,10 +351,10 @@ def _named(one: Fitted, selection: Selection) -> NamedEffect:
     return NamedEffect(one.effect, one.parameters, one.covariance, one.patch, *share(selection, term))
 
 
-def _changes(known: Known, now: Sequence[NamedEffect]) -> tuple[Change, ...]:
+def _changes(known: Known, now: Sequence[NamedEffect]) -> tuple[ParameterChange, ...]:
     """Parameters whose difference is significant with respect to both standard deviations."""
     return tuple(
-        Change(effect.name, name, model, effect.parameters[name])
+        ParameterChange(effect.name, name, model, effect.parameters[name])
         for effect in now
         for name, model in known[effect.name].items()
         if name in effect.parameters

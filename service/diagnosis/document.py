@@ -6,19 +6,18 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.fit.parameters import Parameter
+from service.diagnosis.fit.fitted import Parameter
 from service.diagnosis.model.revision import model_of
 from service.diagnosis.summary import summary
-from service.model.results.diagnosis import AxisDiagnosis as StoredDiagnosis
-from service.model.results.diagnosis import standing_of
+from service.model.results.diagnosis import AxisDiagnosis, standing_of
 from service.model.robot import Robot
 
 if TYPE_CHECKING:  # the service composes documents of axes that its worker has diagnosed
-    from service.diagnosis.diagnose import AxisDiagnosis, NamedEffect
+    from service.diagnosis.diagnose import AxisResult, NamedEffect
     from service.diagnosis.experiments import NextExperiment
 
 
-def as_document(robot: Robot, diagnoses: "Sequence[AxisDiagnosis]") -> dict[str, Any]:
+def as_document(robot: Robot, diagnoses: "Sequence[AxisResult]") -> dict[str, Any]:
     """The document of all axes, with the model that results from the named effects."""
     return compose(robot, {one.joint: axis_document(one) for one in diagnoses})
 
@@ -28,7 +27,7 @@ def compose(robot: Robot, axes: Mapping[str, Mapping[str, Any]]) -> dict[str, An
     return {"axes": dict(axes), "model": model_of(robot, axes)}
 
 
-def axis_document(one: "AxisDiagnosis") -> dict[str, Any]:
+def axis_document(one: "AxisResult") -> dict[str, Any]:
     """One axis; torques in N m (forces in N), see docs/reference/cli.md."""
     gap, effort = one.gap, one.gap.effort_rms
     document: dict[str, Any] = {
@@ -95,7 +94,7 @@ def axis_document(one: "AxisDiagnosis") -> dict[str, Any]:
     if one.unfinished:
         document["unfinished"] = [asdict(search) for search in one.unfinished]
     document["summary"] = summary(one.joint, document)
-    return document | {"standing": standing_of(StoredDiagnosis.model_validate(document))}
+    return document | {"standing": standing_of(AxisDiagnosis.model_validate(document))}
 
 
 def _in_units(text: str, effort: str) -> str:

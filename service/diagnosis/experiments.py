@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from service.diagnosis.fit.equations import Term
 from service.diagnosis.fit.select import RIVAL, TOLERANCE, Selection
-from service.diagnosis.sensitivity.predicted_sweeps import PredictedSweeps, predict_sweeps
-from service.diagnosis.sensitivity.visibility import Hidden
+from service.diagnosis.sensitivity import PredictedSweeps, UntestableEffect, predict_sweeps
 from service.diagnosis.summary import in_words
 from service.diagnosis.verdict import Verdict
 from service.identification.design.diagnosis_sweeps import (
@@ -43,12 +42,8 @@ BACKWARD = "backward_slow"
 BY_MASS = frozenset({"torque_constant_error", "payload"})
 DRIFT = "friction_temperature_drift"
 ENOUGH = 100.0  # chi-squared: the separation is clear
-LITTLE = 10.0  # chi-squared: below, a sweep is not worth its time
 REPEATS = 2
-SET_UP = 60.0  # s of each experiment in addition to its sweeps: approval and start by a person
 BOLTING = 600.0  # s to mount and remove a test mass
-AT_ONCE = 4  # poses of one experiment: more poses take longer without more information
-MOST_POSES = 10  # more poses give no new information
 
 
 @dataclass(frozen=True)
@@ -83,7 +78,7 @@ def next_experiment(
     selection: Selection,
     verdict: Verdict,
     rivals: Sequence[str],
-    hidden: Mapping[str, Hidden],
+    hidden: Mapping[str, UntestableEffect],
     sweeps: Sequence[Sweep],
 ) -> NextExperiment | None:
     """None if nothing is undecided. `hidden`: what the `sweeps` cannot show."""
@@ -135,6 +130,7 @@ class _Campaign:
 
     def best(self, rivals: Sequence[str]) -> NextExperiment | None:
         """The proposal with the best separation per second; None if none is likely to separate the rivals."""
+        little = 10.0  # chi-squared: below, a sweep is not worth its time
         proposals = list(self._proposals(rivals))
         try:
             ahead = predict_sweeps(self.selection.given, self.sweeps, [s for one in proposals for s in one.sweeps])
@@ -146,9 +142,10 @@ class _Campaign:
             numbers = range(first, first + len(proposal.sweeps))
             scored.append((_separation(ahead, effort, numbers, self.selection.rigid.cost), proposal))
             first += len(proposal.sweeps)
-        warming = [one for one in scored if one[1].kind == WARM_UP and one[0] >= LITTLE]
-        score, chosen = max(warming or scored, key=lambda one: one[0] / (SET_UP + one[1].seconds), default=(0.0, None))
-        if chosen is None or score < LITTLE:
+        warming = [one for one in scored if one[1].kind == WARM_UP and one[0] >= little]
+        # 60.0 s of each experiment in addition to its sweeps: approval and start by a person
+        score, chosen = max(warming or scored, key=lambda one: one[0] / (60.0 + one[1].seconds), default=(0.0, None))
+        if chosen is None or score < little:
             return None
         reason = f"{chosen.kind} separates {in_words(rivals)} best for its time."
         return _experiment(chosen, score, rivals, reason)
@@ -181,18 +178,20 @@ class _Campaign:
 
     def poses(self, reason: str) -> NextExperiment | None:
         """All blocks in two other poses."""
-        proposals = [] if len(self.selection.given.tracks.poses) > MOST_POSES else list(self._in_other_poses(BLOCKS))
+        # 10 more poses give no new information
+        proposals = [] if len(self.selection.given.tracks.poses) > 10 else list(self._in_other_poses(BLOCKS))
         return _experiment(proposals[0], None, (), reason) if proposals else None
 
     @property
     def _poses(self) -> Array:
         """The measured poses; if there are many, a subset with different gravity torques."""
+        at_once = 4  # poses of one experiment: more poses take longer without more information
         motion = self.selection.given.tracks
-        if len(motion.poses) <= AT_ONCE:
+        if len(motion.poses) <= at_once:
             return motion.poses
         first = [int(np.argmax(motion.pose_index == pose_index)) for pose_index in range(len(motion.poses))]
         order = np.argsort(motion.gravity[first, 0], kind="stable")
-        return motion.poses[order[np.linspace(0, len(order) - 1, AT_ONCE).round().astype(int)]]
+        return motion.poses[order[np.linspace(0, len(order) - 1, at_once).round().astype(int)]]
 
     def _proposals(self, rivals: Sequence[str]) -> Iterator[_Proposal]:
         for block in self.open:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from service.diagnosis.fit.calibration import WeighedGain
-from service.diagnosis.fit.ended import Ended
+from service.diagnosis.fit.cross_products import Ended
 from service.diagnosis.fit.select import Selection
 from service.diagnosis.summary import in_words
 from service.identification.model.least_squares import unsettled
@@ -16,7 +16,7 @@ MORE_SWEEPS = "Repeat the sweeps with the test mass, or take a heavier one."
 
 
 @dataclass(frozen=True, slots=True)
-class Unfinished:
+class UnfinishedSearch:
     """A search that used up its steps. `effect`: whose search it was; None: that of the load and all shapes in turn."""
 
     effect: str | None
@@ -24,19 +24,21 @@ class Unfinished:
     action: str
 
 
-def unfinished(joint: str, selection: Selection, weighed: WeighedGain | None) -> tuple[Unfinished, ...]:
+def unfinished(joint: str, selection: Selection, weighed: WeighedGain | None) -> tuple[UnfinishedSearch, ...]:
     """The searches of the chosen explanation, also of effects that are not named, and of a gain by test mass."""
     return tuple(_all(joint, selection, weighed))
 
 
-def _all(joint: str, selection: Selection, weighed: WeighedGain | None) -> Iterator[Unfinished]:
+def _all(joint: str, selection: Selection, weighed: WeighedGain | None) -> Iterator[UnfinishedSearch]:
     for term in selection.chosen.terms:
         if term.ended is Ended.UNFINISHED:
             what = f"the search of the shape of {in_words([term.effect])} used up its steps"
-            yield Unfinished(term.effect, f"{joint}: {what}; {Ended.UNFINISHED.value}.", READ)
+            yield UnfinishedSearch(term.effect, f"{joint}: {what}; {Ended.UNFINISHED.value}.", READ)
     if selection.ended is Ended.UNFINISHED:
         what = "the fits of the load and of the shapes of the effects in turn used up their rounds"
-        yield Unfinished(None, f"{joint}: {what}; {Ended.UNFINISHED.value}.", READ)
+        yield UnfinishedSearch(None, f"{joint}: {what}; {Ended.UNFINISHED.value}.", READ)
     change = None if weighed is None else unsettled(weighed.noise_change)
     if change is not None:
-        yield Unfinished("torque_constant_error", f"{joint}: of the gain by the test mass, {change}.", MORE_SWEEPS)
+        yield UnfinishedSearch(
+            "torque_constant_error", f"{joint}: of the gain by the test mass, {change}.", MORE_SWEEPS
+        )

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
+from service.diagnosis.fit.cross_products import solve
 from service.diagnosis.fit.equations import COLOURED, Equations, Term
 from service.diagnosis.fit.gap import noise_floor
 from service.diagnosis.fit.search import CurrentModel, Explanation
 from service.diagnosis.fit.select import CERTAIN, RIVAL, TOLERANCE, Selection, allowed_by_physics
-from service.diagnosis.fit.solving import solve
-from service.diagnosis.sensitivity.visibility import grid, left, shows_beside, visible_part
+from service.diagnosis.sensitivity import grid, left, shows_beside, visible_part
 from service.identification.design.diagnosis_sweeps import is_partial
 
 Array = NDArray[np.float64]
@@ -105,11 +105,6 @@ def excess(given: Equations, explanation: Explanation) -> float:
     rows = np.array([sum(block.size for block in fold) for fold in given.pairs.blocks])
     single = costs / np.sqrt(2 * np.maximum(rows, 1))
     return float(max(single.max(), costs.sum() / np.sqrt(2 * rows.sum())))
-
-
-def tie_set(selection: Selection, known: Sequence[str], candidates: Sequence[str]) -> set[str]:
-    """The named effects, and those that explain the same as one of them."""
-    return {name for named, rivals in tie_sets(selection, known, candidates).items() for name in (named, *rivals)}
 
 
 def tie_sets(selection: Selection, known: Sequence[str], candidates: Sequence[str]) -> dict[str, set[str]]:

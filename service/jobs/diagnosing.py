@@ -17,7 +17,7 @@ import structlog
 from pydantic import JsonValue
 
 from service.diagnosis import compose, is_evidence
-from service.diagnosis.fit.parameters import Parameter
+from service.diagnosis.fit.fitted import Parameter
 from service.diagnosis.summary import summary
 from service.formats.export.started_robot import started_from
 from service.identification.estimates.torque_gain import KnownMass

@@ -35,7 +35,7 @@ from service.store.documents import ModelDocument
 from service.store.files.recordings import SpectrumFile, read_spectrum
 
 if TYPE_CHECKING:  # numerical modules, and the report
-    from service.diagnosis.fit.parameters import Parameter
+    from service.diagnosis.fit.fitted import Parameter
     from service.identification.axis.known_effects import KnownEffects
     from service.identification.estimates.torque_gain import KnownMass
     from service.identification.estimation import SweepSpectrum

@@ -12,7 +12,7 @@ PLANTED = (  # file, and what it must not import
     ("simulator/__init__.py", "drivers.errors"),
     ("drivers/errors.py", "service.model.errors"),
     ("service/store/__init__.py", "simulator"),
-    ("service/diagnosis/model/held_out.py", "simulator"),
+    ("service/diagnosis/model/held_out_check.py", "simulator"),
     ("service/planning/campaigns/__init__.py", "drivers.registry"),
     ("service/identification/estimation.py", "sweepid"),
     ("sweepid/files.py", "service.cli.terminal"),

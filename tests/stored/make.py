@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from service.diagnosis.rows.responses import in_frequency
-from service.diagnosis.sensitivity.predicted_sweeps import expected
+from service.diagnosis.rows.signals import in_frequency
+from service.diagnosis.sensitivity import expected
 from service.identification.design.diagnosis_sweeps import full_design
 from service.model.recording import Sweep
 from service.store.files.bundle import write_bundle

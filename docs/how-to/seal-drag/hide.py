@@ -3,8 +3,8 @@ from pathlib import Path
 
 import numpy as np
 
-from service.diagnosis.rows.responses import in_frequency
-from service.diagnosis.sensitivity.predicted_sweeps import expected
+from service.diagnosis.rows.signals import in_frequency
+from service.diagnosis.sensitivity import expected
 from service.identification.design.diagnosis_sweeps import full_design
 from service.model.configuration import read_robot
 from service.store.files.bundle import write_bundle

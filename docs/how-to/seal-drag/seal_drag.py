@@ -5,8 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.effects.effect import Effect, Model, Shape, named
-from service.diagnosis.effects.patch import Inexpressible, Patch
+from service.diagnosis.effects.effect import CatalogueEffect, Inexpressible, Model, Patch, Shape, named
 from service.diagnosis.rows.signals import Tracks
 
 
@@ -24,7 +23,7 @@ def scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> P
     raise Inexpressible("the virtual machine's dry friction is the same at every angle")
 
 
-EFFECT = Effect(
+EFFECT = CatalogueEffect(
     name="seal_drag",
     physics="tau = (F + C cos q + S sin q) sign(v)",
     source="the lip force of a radial shaft seal follows the shaft's runout, one period a turn",

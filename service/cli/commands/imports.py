@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from rich.console import Console
 
-    from service.data_check import Finding
+    from service.data_check import DataFinding
     from service.formats.sinumerik.document import (
         Given,
         LoopInertia,
@@ -172,13 +172,13 @@ def findings_of(source: Path, folder: Path) -> list[str]:
     return as_lines(check(measured.robot, measured.sweeps))
 
 
-def warn(findings: Sequence[Finding]) -> None:
+def warn(findings: Sequence[DataFinding]) -> None:
     """To stderr."""
     for line in as_lines(findings):
         typer.echo(line, err=True)
 
 
-def as_lines(findings: Sequence[Finding]) -> list[str]:
+def as_lines(findings: Sequence[DataFinding]) -> list[str]:
     """One a finding."""
     return [f"{one.severity}: {one.sentence} {one.action}" for one in findings]
 

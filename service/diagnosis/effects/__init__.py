@@ -1,38 +1,38 @@
 """The catalogue of effects, in the order of explanation: simple effects first, those of other packages last."""
 
-from service.diagnosis.effects.catalogue import Catalogue
-from service.diagnosis.effects.drive_train import backlash, cogging_torque, joint_elasticity, transmission_error
+from service.diagnosis.effects.drive_train import BACKLASH, COGGING_TORQUE, JOINT_ELASTICITY, TRANSMISSION_ERROR
+from service.diagnosis.effects.effect import Catalogue
 from service.diagnosis.effects.friction import (
-    asymmetric_friction,
-    coulomb_friction,
-    friction_temperature_drift,
-    load_dependent_friction,
-    nonlinear_viscous_friction,
-    presliding_hysteresis,
-    stribeck_friction,
+    ASYMMETRIC_FRICTION,
+    COULOMB_FRICTION,
+    FRICTION_TEMPERATURE_DRIFT,
+    LOAD_DEPENDENT_FRICTION,
+    NONLINEAR_VISCOUS_FRICTION,
+    PRESLIDING_HYSTERESIS,
+    STRIBECK_FRICTION,
 )
-from service.diagnosis.effects.load import gravity_error, hose_spring, payload
-from service.diagnosis.effects.measurement import effort_offset, measurement_delay, torque_constant_error
+from service.diagnosis.effects.load import GRAVITY_ERROR, HOSE_SPRING, PAYLOAD
+from service.diagnosis.effects.measurement import EFFORT_OFFSET, MEASUREMENT_DELAY, TORQUE_CONSTANT_ERROR
 
-_MODULES = (
-    coulomb_friction,
-    asymmetric_friction,
-    stribeck_friction,
-    nonlinear_viscous_friction,
-    load_dependent_friction,
-    friction_temperature_drift,
-    gravity_error,
-    hose_spring,
-    joint_elasticity,
-    measurement_delay,
-    cogging_torque,
-    transmission_error,
-    presliding_hysteresis,
-    backlash,
-    effort_offset,
-    torque_constant_error,
-    payload,
+CATALOGUE = Catalogue(
+    (
+        COULOMB_FRICTION,
+        ASYMMETRIC_FRICTION,
+        STRIBECK_FRICTION,
+        NONLINEAR_VISCOUS_FRICTION,
+        LOAD_DEPENDENT_FRICTION,
+        FRICTION_TEMPERATURE_DRIFT,
+        GRAVITY_ERROR,
+        HOSE_SPRING,
+        JOINT_ELASTICITY,
+        MEASUREMENT_DELAY,
+        COGGING_TORQUE,
+        TRANSMISSION_ERROR,
+        PRESLIDING_HYSTERESIS,
+        BACKLASH,
+        EFFORT_OFFSET,
+        TORQUE_CONSTANT_ERROR,
+        PAYLOAD,
+    )
 )
-
-CATALOGUE = Catalogue(module.EFFECT for module in _MODULES)
 """All effects by name."""

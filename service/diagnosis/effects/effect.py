@@ -1,13 +1,64 @@
-"""Definition of an effect in the catalogue, and the rigid model that its columns may use."""
+"""Definition of an effect, the rigid model that its columns may use, its part of a scenario, and the catalogue.
 
-from collections.abc import Callable, Mapping, Sequence
+A part of a scenario (`Patch`) has the format of docs/reference/scenario.md. "train" and "measurement" belong to the
+axis, "links" to the robot. To merge patches, numbers are added and lists are concatenated. All torques are as
+recorded; `scenario.axis_entry` corrects the rest for a wrong torque constant.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.effects.patch import Patch
 from service.diagnosis.rows.signals import Tracks
+from service.model.errors import BadInput
+
+Patch = dict[str, Any]
+
+
+class Inexpressible(Exception):
+    """A parameter has a value that no scenario can contain; the text names it."""
+
+
+def positive(parameters: Mapping[str, float], name: str) -> float:
+    """The value of a parameter; Inexpressible if it is not above 0."""
+    if parameters[name] <= 0:
+        raise Inexpressible(f"{name} = {parameters[name]:.3g} is not above 0")
+    return parameters[name]
+
+
+def dry(forward: float, backward: float | None = None, **more: Any) -> Patch:
+    """Dry friction of the motor, N m; the same in both directions unless `backward` is given."""
+    other = forward if backward is None else backward
+    return {"train": {"motor_friction": {"coulomb": forward, "backward_coulomb": other} | more}}
+
+
+def ripples(parameters: Mapping[str, float], orders: Sequence[float]) -> list[dict[str, float]]:
+    """``A sin(o theta) + B cos(o theta)`` of each order as amplitude and phase."""
+    pairs = [(order, parameters[f"sine_{order:g}"], parameters[f"cosine_{order:g}"]) for order in orders]
+    return [
+        {"order": order, "amplitude": float(np.hypot(sine, cosine)), "phase": float(np.arctan2(cosine, sine))}
+        for order, sine, cosine in pairs
+    ]
+
+
+def merged(first: Mapping[str, Any], second: Mapping[str, Any]) -> Patch:
+    """Both patches: numbers added, lists concatenated, all other values from the second."""
+    result = dict(first)
+    for key, value in second.items():
+        old = result.get(key)
+        if isinstance(value, Mapping):
+            result[key] = merged(old or {}, cast(Patch, value))
+        elif isinstance(value, list):
+            result[key] = [*(old or []), *value]
+        else:
+            result[key] = value if old is None else old + value
+    return result
+
 
 Array = NDArray[np.float64]
 Shape = tuple[float, ...]
@@ -51,7 +102,7 @@ class ShapeParameter:
 
 
 @dataclass(frozen=True)
-class Effect:
+class CatalogueEffect:
     """An effect of the catalogue.
 
     `columns(tracks, model, shape)` are signals (n, t) before the filter, in N m (N) for coefficients of one unit.
@@ -95,3 +146,66 @@ def named(*pairs: tuple[str, str]) -> Callable[[Tracks], Sequence[tuple[str, str
 def spread(low: float, high: float, count: int) -> tuple[float, ...]:
     """`count` values from low to high with a constant ratio."""
     return tuple(np.geomspace(low, high, count).tolist())
+
+
+GROUP = "sweepid.effects"
+
+
+class Catalogue(Mapping[str, CatalogueEffect]):
+    """Effects by name: those of sweepid in their order, then the others in alphabetical order.
+
+    Entry points are loaded at the first access, not at import, because the packages import this module. If one
+    cannot be used, each access raises BadInput with the names of the package and the entry point.
+    """
+
+    def __init__(self, shipped: Iterable[CatalogueEffect]) -> None:
+        self._shipped = {effect.name: effect for effect in shipped}
+
+    def __getitem__(self, name: str) -> CatalogueEffect:
+        return self._all[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._all)
+
+    def __len__(self) -> int:
+        return len(self._all)
+
+    @property
+    def brought(self) -> dict[str, str]:
+        """The effects of other packages, with the name of the package of each."""
+        return {entry.name: _package(entry) for entry in _entries() if entry.name in self._all}
+
+    @cached_property
+    def _all(self) -> dict[str, CatalogueEffect]:
+        effects, owners = dict(self._shipped), dict.fromkeys(self._shipped, "sweepid")
+        for entry in _entries():
+            if entry.name in owners:
+                raise BadInput(_place(entry), f"an effect of this name comes with {owners[entry.name]} already")
+            effects[entry.name], owners[entry.name] = _loaded(entry), _package(entry)
+        return effects
+
+
+def _entries() -> list[EntryPoint]:
+    return sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, _package(entry)))
+
+
+def _loaded(entry: EntryPoint) -> CatalogueEffect:
+    try:
+        effect = entry.load()
+    except Exception as error:  # a foreign module may raise any exception during its import
+        raise BadInput(_place(entry), f"cannot be loaded: {type(error).__name__}: {error}") from error
+    if not isinstance(effect, CatalogueEffect):
+        raise BadInput(
+            _place(entry), f"is {type(effect).__name__}, not service.diagnosis.effects.effect.CatalogueEffect"
+        )
+    if effect.name != entry.name:
+        raise BadInput(_place(entry), f"its effect calls itself {effect.name!r}: both must have the same name")
+    return effect
+
+
+def _place(entry: EntryPoint) -> str:
+    return f"package {_package(entry)}, entry point {GROUP}: {entry.name} = {entry.value}"
+
+
+def _package(entry: EntryPoint) -> str:
+    return "without a name" if entry.dist is None else f"{entry.dist.name} {entry.dist.version}"

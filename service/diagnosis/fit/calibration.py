@@ -32,16 +32,7 @@ from service.model.robot import Robot
 Array = NDArray[np.float64]
 Visit = tuple[int, tuple[int, ...]]
 
-CERTAIN = 3.0  # standard deviations: above, the gain differs from 1
-DECIDED = 0.006  # standard deviation of the gain: above, the test with the mass decides nothing
-KNOWN = 0.003  # of the torque of the mass: accuracy of mass, position of the mass and axis angle
-PULLS = 0.01  # of the rated effort: with less gravity torque, the gain cannot be determined
-FRICTION = 0.005  # of the rated effort: change of friction while a mass is mounted
-BY_LOAD = 0.1  # of the torque through the gear: friction that increases with it
-LEAST = 0.0003  # of the rated effort: scatter of the mean of a sweep
-SAME = 1e-3  # rad (m): largest difference between positions of one pose
 ROUNDS = 2  # of fits, each weighted by the residual of the one before
-SPEED = 1e-5  # rad/s (m/s): largest difference between equal speeds
 
 
 @dataclass(frozen=True)
@@ -77,27 +68,33 @@ def weighed_gain(
     common = [[s for s in part if _visit(s.spec) in visits] for part in turning]
     light, heavy = (tracks(robot, joint, part) for part in common)
     pull, rated = _added(heavy, weighed.mass), robot.axis(joint).rated_effort
-    if np.abs(pull).max() < PULLS * rated:
+    # 0.01 of the rated effort: with less gravity torque, the gain cannot be determined
+    if np.abs(pull).max() < 0.01 * rated:
         spectra = [[spectrum(robot, s) for s in part if s.spec.periodic] for part in common]
         gain = torque_gains(robot, spectra[0], spectra[1], weighed.mass)[joint].gain
         return WeighedGain(gain.gain, gain.std)
     more = _means(heavy, nominal_right(heavy), visits) - _means(light, nominal_right(light), visits)
     grown = _means(heavy, heavy.direction * (np.abs(heavy.gravity + pull) - np.abs(heavy.gravity)), visits)
     columns = [_means(heavy, pull, visits), _means(heavy, heavy.direction, visits), grown]
-    prior = np.array([np.inf, FRICTION * rated, BY_LOAD])
-    found = _solved(np.stack(columns, axis=-1), more, LEAST * rated, prior, rounds)
+    # 0.005 of the rated effort: change of friction while a mass is mounted
+    # 0.1 of the torque through the gear: friction that increases with it
+    prior = np.array([np.inf, 0.005 * rated, 0.1])
+    # 0.0003 of the rated effort: scatter of the mean of a sweep
+    found = _solved(np.stack(columns, axis=-1), more, 0.0003 * rated, prior, rounds)
     finite(np.array([found.gain, found.std]), joint, "its torque gain with the standard deviation")
     return found
 
 
 def is_wrong(gain: TorqueGain) -> bool:
     """Whether a gain differs significantly from 1."""
-    return abs(gain.gain - 1) > CERTAIN * gain.std
+    # 3.0 standard deviations: above, the gain differs from 1
+    return abs(gain.gain - 1) > 3.0 * gain.std
 
 
 def is_decided(gain: TorqueGain) -> bool:
     """Whether a gain is accurate enough to separate a wrong torque constant from a correct one."""
-    return is_wrong(gain) or gain.std < DECIDED
+    # 0.006 standard deviation of the gain: above, the test with the mass decides nothing
+    return is_wrong(gain) or gain.std < 0.006
 
 
 def corrected(sweeps: Iterable[Sweep], gain: TorqueGain) -> list[Sweep]:
@@ -107,7 +104,9 @@ def corrected(sweeps: Iterable[Sweep], gain: TorqueGain) -> list[Sweep]:
 
 def _visit(spec: SweepSpec) -> Visit:
     """Speed and pose."""
-    return round(spec.offset_velocity / SPEED), tuple(round(position / SAME) for position in spec.pose)
+    # 1e-3 rad (m): largest difference between positions of one pose
+    # 1e-5 rad/s (m/s): largest difference between equal speeds
+    return round(spec.offset_velocity / 1e-5), tuple(round(position / 1e-3) for position in spec.pose)
 
 
 def _added(motion: Tracks, mass: KnownMass) -> Array:
@@ -136,5 +135,6 @@ def _solved(columns: Array, right: Array, scatter: float, prior: Array, rounds: 
         left = right - columns @ values
         scatter = max(scatter, float(np.sqrt(left @ left / max(len(right) - 1, 1))))
     spread = float(np.linalg.inv(columns.T @ columns / scatter**2 + held)[0, 0])
-    std = float(np.sqrt(spread + (KNOWN * values[0]) ** 2))
+    # 0.003 of the torque of the mass: accuracy of mass, position of the mass and axis angle
+    std = float(np.sqrt(spread + (0.003 * values[0]) ** 2))
     return WeighedGain(float(values[0]), std, scatter / before - 1)

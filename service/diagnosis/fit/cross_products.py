@@ -1,4 +1,4 @@
-r"""Inner products of whitened columns between different repeats of the same motion.
+"""Inner products of whitened columns between different repeats of the same motion.
 
 Residual and regressors of one repeat contain the same noise (for example, a noisy acceleration multiplies the inertia).
 Ordinary least squares therefore finds effects that are not present. Products between different repeats have no such
@@ -14,13 +14,86 @@ weight of these frequencies.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 
+from service.model.errors import SweepidError
+
+
+class Ended(Enum):
+    """How a search ended."""
+
+    SETTLED = "a further step gains too little to matter"
+    AT_REST = "no step, also not a shortened or damped one, lowers the cost"
+    UNFINISHED = "the result still changes in the last one"
+
+
 Array = NDArray[np.float64]
+
+FLAT = 1e-12  # of a column's own product: below, it is a linear combination of the others
+
+
+class NotFinite(SweepidError):
+    """A system has entries that are NaN or infinite; `diagnose_axis` names the axis."""
+
+
+def symmetric(products: Array) -> Array:
+    """The products made symmetric; cross-repeat products are symmetric except for noise."""
+    return (products + products.transpose(0, 2, 1)) / 2
+
+
+def solve(system: Array, precision: Array) -> tuple[Array, float, int]:
+    """Least squares from a system (k + 1, k + 1) of [base, columns, right side] and the prior `precision` (b, b) of the
+    base: coefficients (k,), cost including that of the prior, rank. NotFinite if the system or the solution is not.
+    """
+    values, vectors, scale = _scaled(system, precision)
+    right, kept = system[:-1, -1] / scale, values > FLAT
+    turned = vectors[:, kept].T @ right
+    solution = vectors[:, kept] @ (turned / values[kept])
+    cost = float(system[-1, -1] - right @ solution)
+    _finite(solution, np.array(cost))
+    return solution / scale, cost, int(kept.sum())
+
+
+def covariance(system: Array, precision: Array) -> Array:
+    """Covariance (k, k) of the coefficients; undetermined directions get the variance that `FLAT` limits."""
+    values, vectors, scale = _scaled(system, precision)
+    return (vectors / np.maximum(values, FLAT)) @ vectors.T / np.outer(scale, scale)
+
+
+def given_rest(system: Array, precision: Array, rest: Array) -> Array:
+    """Coefficients (b,) of the base if those of all other columns are fixed at `rest` (k - b,)."""
+    b = len(precision)
+    _finite(system, precision, rest)
+    right = system[:b, -1] - system[:b, b:-1] @ rest
+    return np.asarray(np.linalg.solve(system[:b, :b] + precision, right), dtype=np.float64)
+
+
+def _finite(*parts: Array) -> None:
+    """NotFinite unless all are. With a cost of NaN, a search would end as if at a minimum: comparisons are false."""
+    if not all(bool(np.isfinite(part).all()) for part in parts):
+        raise NotFinite("the equations have entries that are not finite: effort, motion or prior overflow")
+
+
+def _scaled(system: Array, precision: Array) -> tuple[Array, Array, Array]:
+    """Eigenvalues and eigenvectors of the matrix scaled to unit diagonal, and the scale (k,)."""
+    _finite(system, precision)
+    matrix = system[:-1, :-1].copy()
+    matrix[: len(precision), : len(precision)] += precision
+    diagonal = np.diag(matrix)
+    # a column without effect has a product of zero, or of noise
+    # 1e-60 product below which a column counts as zero
+    there = diagonal > 1e-60
+    scale = np.where(there, np.sqrt(np.where(there, diagonal, 1.0)), 1.0)
+    matrix = np.where(np.outer(there, there), matrix, 0.0) / np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(matrix)
+    return values, vectors, scale
+
+
 Mask = NDArray[np.bool_]
 Index = NDArray[np.int_]
 Gathered = tuple[Array, ...]  # for each fold (k, rows)
@@ -87,9 +160,8 @@ class Pairing:
         return np.array([float(sum(block.size for block in fold if len(block) == 1)) for fold in self.blocks])
 
     def gathered(self, columns: Array) -> Gathered:
-        """The usable rows of columns (sweeps, rows, k), by fold (k, rows); `crossed` computes their products."""
-        n, rows, count = columns.shape
-        flat = np.ascontiguousarray(columns.reshape(n * rows, count).T)
+        """The usable rows of columns (k, sweeps, rows), by fold (k, rows); `crossed` computes their products."""
+        flat = columns.reshape(len(columns), columns.shape[1] * columns.shape[2])
         none = np.empty((len(flat), 0))
         return tuple(np.concatenate([none, *(_summed(flat, block) for block in fold)], axis=1) for fold in self.blocks)
 
@@ -99,20 +171,13 @@ class Pairing:
 
     def products(self, columns: Array, others: Array | None = None) -> Array:
         """(folds, k, l): cross-repeat products of columns (sweeps, rows, k), with `others` or with themselves."""
-        left = self.gathered(columns)
-        return self.crossed(left, left if others is None else self.gathered(others))
+        left = self.gathered(np.moveaxis(columns, -1, 0))
+        return self.crossed(left, left if others is None else self.gathered(np.moveaxis(others, -1, 0)))
 
     @cached_property
     def _signs(self) -> tuple[Array, ...]:
         """Signs of the gathered rows of each fold: + for sums over repeats, - for the rows of single repeats."""
         return tuple(np.concatenate([np.empty(0), *map(_signed, fold)]) for fold in self.blocks)
-
-    def plain(self, columns: Array) -> Array:
-        """(folds, k, k): products of the columns within each repeat."""
-        left = columns.reshape(-1, columns.shape[-1])
-        return np.stack(
-            [sum((_within(left[b], left[b]) for b in fold), start=_none(left, left)) for fold in self.blocks]
-        )
 
 
 def pairing(usable: Mask, groups: Sequence[Group], order: int, folds: int) -> Pairing:
@@ -188,11 +253,3 @@ def _signed(block: Index) -> Array:
     signs = np.ones(rows if every == rows else rows + every, dtype=np.float64)
     signs[rows:] = -1.0
     return signs
-
-
-def _within(left: Array, right: Array) -> Array:
-    return left.reshape(-1, left.shape[-1]).T @ right.reshape(-1, right.shape[-1])
-
-
-def _none(left: Array, right: Array) -> Array:
-    return np.zeros((left.shape[-1], right.shape[-1]))

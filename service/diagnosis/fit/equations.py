@@ -10,6 +10,7 @@ pseudo-data. Only a residual that these cannot explain within the prior is evide
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Model, Shape
 from service.diagnosis.fit.cross_products import (
     ORDER,
+    Ended,
     Gathered,
     Group,
     Pairing,
@@ -26,24 +28,17 @@ from service.diagnosis.fit.cross_products import (
     between_periods,
     noise_model,
     pairing,
+    solve,
+    symmetric,
 )
-from service.diagnosis.fit.ended import Ended
-from service.diagnosis.fit.solving import solve, symmetric
-from service.diagnosis.rows.responses import Complex, bins, through
 from service.diagnosis.rows.rigid import Rigid, nominal_load, rigid
-from service.diagnosis.rows.signals import EVERY, Tracks, white_covariance
+from service.diagnosis.rows.signals import EVERY, Complex, Tracks, bins, through, white_covariance
 from service.identification.model.least_squares import finite
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SAME = 1e-3  # relative change of the model below which it counts as unchanged
-SAME_TIME = 2e-6  # s
-UNKNOWN_MOTOR = 0.1  # of the axis' inertia: assumed motor inertia if the robot file does not contain it
-LEAST_INERTIA = 0.05  # of the inertia in CAD
-ENOUGH_POSES = 4  # with so many poses, one may be held back
 COLOURED = 3.0  # times the RMS of white sensor noise: flicker noise and drift give about 2
-REPEATED = 0.2  # of the velocity, RMS: largest difference between repeats
 
 
 @dataclass(frozen=True)
@@ -61,7 +56,9 @@ class Term:
 class Equations:
     """Filtered and whitened rows of the base columns and of the right side, and methods to add columns.
 
-    The base columns (n, rows, b) are those of the load (`rigid.basis`), followed by the velocity.
+    The base columns (n, rows, b) are those of the load (`rigid.basis`), followed by the velocity. In the sweeps of one
+    pose, which is one fold, they are only combinations of the four rows `driving`. Products are therefore computed with
+    these and `unfolded` afterwards.
     """
 
     tracks: Tracks
@@ -69,17 +66,21 @@ class Equations:
     pairs: Pairing
     whitening: Whitening
     rigid: Rigid
+    beyond_nominal: Array  # (n, t), see `nominal_right`
     model: Model
     coefficients: Array  # (b,) of the base columns; they define the model
     load: Array  # (3, m), of the model
     parts: Array  # (3, n, t): signals that multiply the load, see `reshaped`
-    base: Array  # (n, rows, b)
+    driving: Array  # (4, n, rows), whitened: `parts` and the velocity
     right: Array  # (n, rows)
     viscous_precision: float
     sensor_noise: float  # RMS in the band of the rows, N m (N)
     period_noise: float | None  # the same from differences between periods, if there are no repeats but periods
     late: float = 0.0  # s, delay of the whole torque, which also delays the columns of effects
+    ends_of_steps: dict[tuple[object, ...], Any] = field(repr=False, compare=False, default_factory=dict)
     kept: dict[Term, Gathered] = field(init=False, repr=False, compare=False, default_factory=dict[Term, Gathered])
+    systems: dict[tuple[Term, ...], Array] = field(init=False, repr=False, compare=False, default_factory=dict)
+    recent: dict[Term, Gathered] = field(init=False, repr=False, compare=False, default_factory=dict[Term, Gathered])
 
     @property
     def folds(self) -> int:
@@ -89,7 +90,7 @@ class Equations:
     @property
     def width_of_base(self) -> int:
         """b, the number of base columns."""
-        return self.base.shape[-1]
+        return len(self.rigid.basis) + 1
 
     def precision(self, terms: Sequence[Term]) -> Array:
         """(b, b): the prior of the coefficients of the base columns, without the directions that the terms free."""
@@ -102,15 +103,27 @@ class Equations:
         """Number of parameters of terms that are not columns: shapes, and freed directions of the load."""
         return sum(len(term.shape) + self.rigid.freedom(term.effect) for term in terms)
 
-    def base_signals(self) -> list[Array]:
-        """Signals of the base columns, (n, t) each."""
-        return [*(self.tracks.summed(load, self.parts) for load in self.rigid.basis), self.tracks.velocity]
+    @cached_property
+    def base(self) -> Array:
+        """The base columns (n, rows, b), filtered and whitened."""
+        return self._of_base(self.driving)
+
+    @cached_property
+    def plain_driving(self) -> Array:
+        """As `driving`, filtered, but not whitened."""
+        return np.stack([self.tracks.rows(signal) for signal in (*self.parts, self.tracks.velocity)])
+
+    @property
+    def plain_base(self) -> Array:
+        """The base columns (n, rows, b), filtered, but not whitened: N m (N) for coefficients of one unit."""
+        return self._of_base(self.plain_driving)
+
+    def _of_base(self, driving: Array) -> Array:
+        return of_base(self.rigid, self.tracks, driving)
 
     def target(self) -> Array:
         """The signal (n, t) that base and effects fit: effort minus that of CAD and data sheet; see `reshaped`."""
-        return nominal_right(self.tracks) + self.tracks.summed(
-            self.load - self.rigid.nominal, self.parts - self.tracks.parts
-        )
+        return self.beyond_nominal + self.tracks.summed(self.load - self.rigid.nominal, self.parts - self.tracks.parts)
 
     def columns(self, term: Term) -> Sequence[Array]:
         """Signals of an effect, (n, t) each."""
@@ -127,29 +140,30 @@ class Equations:
 
     def rows(self, term: Term) -> Array:
         """Columns of an effect, filtered and whitened, (n, rows, k). BadInput with sweep and axis if not finite."""
-        return self._whitened(term.effect, self.columns(term))
+        return np.moveaxis(self._whitened(term.effect, self.columns(term)), 0, -1)
 
     def _whitened(self, name: str, columns: Sequence[Array]) -> Array:
+        """(k, n, rows)."""
         if not columns:
-            return self.base[..., :0]
+            return self.driving[:0]
         signals = np.concatenate(columns)
         if not np.isfinite(signals).all():
             for number, signal in enumerate(signals):
                 spec = self.tracks.specs[number % len(self.tracks.specs)]
                 finite(signal, f"sweep {spec.id} of {self.tracks.joint}", f"a column of {name}")
         rows = self.tracks.whitened(signals, self.whitening.taps)
-        return np.moveaxis(rows.reshape(len(columns), -1, rows.shape[1]), 0, -1)
+        return rows.reshape(len(columns), -1, rows.shape[1])
 
     def _gathered(self, name: str, columns: Sequence[Array]) -> Gathered:
         return self.pairs.gathered(self._whitened(name, columns))
 
     def gathered(self, term: Term, *, keep: bool = True) -> Gathered:
-        """The usable rows of these columns; the result is cached if `keep`."""
-        if term in self.kept:
-            return self.kept[term]
-        found = self._gathered(term.effect, self.columns(term))
-        if keep:
-            self.kept[term] = found
+        """The usable rows of these columns; the result is cached, if not `keep`, only until others are asked for."""
+        found = self.kept.get(term) or self.recent.get(term) or self._gathered(term.effect, self.columns(term))
+        (self.kept if keep else self.recent)[term] = found
+        # 8 columns of shapes that a search has just tried
+        while len(self.recent) > 8:
+            del self.recent[next(iter(self.recent))]
         return found
 
     def scanned(self, name: str, shapes: Sequence[Shape], *, keep: bool = True) -> list[Gathered]:
@@ -177,34 +191,61 @@ class Equations:
 
     @cached_property
     def ends(self) -> tuple[Gathered, Gathered]:
-        """The base columns and the right side, gathered."""
-        return self.pairs.gathered(self.base), self.pairs.gathered(self.right[..., None])
+        """The driving rows of the base and the right side, gathered."""
+        return self.pairs.gathered(self.driving), self.pairs.gathered(self.right[None])
+
+    @cached_property
+    def _turns(self) -> Array:
+        """(folds, b, 4): the base columns of each fold as combinations of its driving rows."""
+        poses = np.zeros(self.folds, dtype=int)
+        for group in self.groups:
+            poses[group.fold] = self.tracks.pose_index[group.pieces[0].sweep]
+        turns = np.zeros((self.folds, self.width_of_base, 4))
+        turns[:, :-1, :3] = np.moveaxis(self.rigid.basis[:, :, poses], -1, 0)
+        turns[:, -1, 3] = 1.0
+        return turns
+
+    def unfolded(self, products: Array) -> Array:
+        """Products (folds, k, 4 + l) with driving rows, then others, as products (folds, k, b + l) with the base."""
+        return np.concatenate([products[..., :4] @ self._turns.transpose(0, 2, 1), products[..., 4:]], axis=2)
+
+    def crossed(self, columns: Gathered, pairs: Pairing | None = None) -> Array:
+        """(folds, k, k) products of [base, others] from [driving rows, others]; `pairs`: other ones of these groups."""
+        half = self.unfolded((pairs or self.pairs).crossed(columns, columns))
+        return self.unfolded(half.transpose(0, 2, 1))
 
     def together(self, terms: Sequence[Term], *more: Gathered) -> Gathered:
-        """Gathered [base, terms, more, right side]."""
-        base, right = self.ends
-        parts = [base, *(self.gathered(term) for term in terms), *more, right]
-        return tuple(np.concatenate(fold) for fold in zip(*parts, strict=True))
+        """Gathered [driving rows, terms, more, right side]."""
+        driving, right = self.ends
+        return joined(driving, *(self.gathered(term) for term in terms), *more, right)
 
     def system_with(self, terms: Sequence[Term], *more: Gathered) -> Array:
-        """(folds, k, k) products of [base, terms, more, right side]."""
-        columns = self.together(terms, *more)
-        return symmetric(self.pairs.crossed(columns, columns))
+        """(folds, k, k) products of [base, terms, more, right side]; those without `more` are cached."""
+        known = None if more else self.systems.get(tuple(terms))
+        if known is None:
+            known = symmetric(self.crossed(self.together(terms, *more)))
+            if not more:
+                self.systems[tuple(terms)] = known
+        return known
 
     def system_against(self, right: Gathered, terms: Sequence[Term]) -> Array:
         """(k, k) products of [base, terms, right] for another right side, summed over folds."""
-        parts = [self.ends[0], *(self.gathered(term) for term in terms), right]
-        columns = tuple(np.concatenate(fold) for fold in zip(*parts, strict=True))
-        return symmetric(self.pairs.crossed(columns, columns)).sum(axis=0)
+        columns = joined(self.ends[0], *(self.gathered(term) for term in terms), right)
+        return symmetric(self.crossed(columns)).sum(axis=0)
 
     def system_of(self, columns: Array) -> Array:
         """(folds, k, k) products of whitened columns (n, rows, k), the right side last."""
         return symmetric(self.pairs.products(columns))
 
-    def system(self, columns: Array | None = None) -> Array:
-        """(folds, k, k) products of [base, columns, right side]."""
-        parts = [self.base, *([] if columns is None else [columns]), self.right[..., None]]
-        return self.system_of(np.concatenate(parts, axis=-1))
+
+def joined(*parts: Gathered) -> Gathered:
+    """Gathered columns side by side."""
+    return tuple(np.concatenate(fold) for fold in zip(*parts, strict=True))
+
+
+def of_base(model: Rigid, tracks: Tracks, driving: Array) -> Array:
+    """Base columns (n, t, b) from the signals, or rows (4, n, t), that drive them."""
+    return np.concatenate([model.along(tracks.pose_index, driving[:3]), driving[3][..., None]], axis=-1)
 
 
 def equations(tracks: Tracks, groups: Sequence[Group], whitening: Whitening | None = None) -> Equations:
@@ -213,34 +254,37 @@ def equations(tracks: Tracks, groups: Sequence[Group], whitening: Whitening | No
     BadInput with sweep and axis if squares of the effort overflow.
     """
     axis, prior = tracks.robot.axis(tracks.joint), tracks.robot.prior
-    remaining = tracks.rows(nominal_right(tracks))
+    beyond = nominal_right(tracks)
+    remaining = tracks.rows(beyond)
     for spec, own in zip(tracks.specs, remaining, strict=True):
         # as a sum over all rows may be
         finite(remaining.size * np.square(own), f"sweep {spec.id} of {tracks.joint}", "the squares of its effort")
     model = rigid(tracks.robot, tracks.joint, tracks.poses, tracks.sizes)
     viscous = axis.viscous_friction or 0.0
-    rows = np.stack([tracks.rows(signal) for signal in (*map(tracks.along, model.basis), tracks.velocity)], axis=-1)
+    driving = np.stack([tracks.rows(signal) for signal in (*tracks.parts, tracks.velocity)])
     alone = white_covariance(tracks.effort, tracks.inside, tracks.rate, ORDER)
-    left = _refitted(tracks, rows, remaining)
+    left = _refitted(tracks, of_base(model, tracks, driving), remaining)
     periods = None if any(len(group.pieces) > 1 for group in groups) else _between_periods(tracks, left, alone)
     if whitening is None:
         whitening = noise_model(left, tracks.usable, groups, alone if periods is None else periods)
+    # 0.1 of the axis' inertia: assumed motor inertia if the robot file does not contain it
     given = Equations(
         tracks=tracks,
         groups=tuple(groups),
         pairs=pairing(tracks.usable, groups, ORDER, 1 + max(group.fold for group in groups)),
         whitening=whitening,
         rigid=model,
+        beyond_nominal=beyond,
         model=_model(
             tracks,
             model.nominal,
-            axis.reflected_motor_inertia or UNKNOWN_MOTOR * float(model.nominal[0].mean()),
+            axis.reflected_motor_inertia or 0.1 * float(model.nominal[0].mean()),
             viscous,
         ),
         coefficients=np.zeros(len(model.basis) + 1),
         load=model.nominal,
         parts=tracks.parts,
-        base=np.stack([whitening(rows[..., k]) for k in range(rows.shape[-1])], axis=-1),
+        driving=np.stack([whitening(rows) for rows in driving]),
         right=whitening(remaining),
         viscous_precision=(prior.viscous_friction * viscous) ** -2.0 if viscous else 0.0,
         sensor_noise=float(np.sqrt(alone[0])),
@@ -303,7 +347,8 @@ def grouped(tracks: Tracks) -> tuple[Group, ...]:
 def held_back(tracks: Tracks, groups: Sequence[Group]) -> int | None:
     """Index of the pose that is not used to select effects: the one of median weight; None if too few poses."""
     folds = sorted({group.fold for group in groups})
-    if len(folds) < ENOUGH_POSES:
+    # 4 with so many poses, one may be held back
+    if len(folds) < 4:
         return None
     weight = {fold: float(tracks.gravity[tracks.pose_index == fold].mean()) for fold in folds}
     return sorted(folds, key=lambda fold: weight[fold])[len(folds) // 2]
@@ -319,7 +364,8 @@ def _same_motion(motion: Array, usable: Mask, one: int, other: int) -> bool:
     """Whether two sweeps have the same motion where both are usable; names may be missing or wrong."""
     both = usable[one] & usable[other]
     first, second = motion[one][both], motion[other][both]
-    return bool(both.any() and np.sum((first - second) ** 2) < REPEATED**2 * np.sum(first**2))
+    # 0.2 of the velocity, RMS: largest difference between repeats
+    return bool(both.any() and np.sum((first - second) ** 2) < 0.2**2 * np.sum(first**2))
 
 
 def remodelled(given: Equations, terms: Sequence[Term]) -> Equations:
@@ -334,7 +380,8 @@ def _delayed(given: Equations, terms: Sequence[Term], values: Array) -> Equation
     for term in terms:
         late += float(values[first]) if CATALOGUE[term.effect].late else 0.0
         first += given.width(term)
-    if abs(late - given.late) < SAME_TIME:
+    # 2e-6 s
+    if abs(late - given.late) < 2e-6:
         return given
     moved = replace(given, late=late)
     moved.kept.update({term: rows for term, rows in given.kept.items() if CATALOGUE[term.effect].late})
@@ -355,11 +402,11 @@ def reshaped(given: Equations, terms: Sequence[Term]) -> Equations:
     if parts is given.parts:
         return given
     moved = replace(given, parts=parts)
-    whitened = [
-        given.tracks.whitened(signal, given.whitening.taps) for signal in (*moved.base_signals(), moved.target())
-    ]
-    moved = replace(moved, base=np.stack(whitened[:-1], axis=-1), right=whitened[-1])
+    signals = np.concatenate([*parts, moved.target()])
+    *driving, right = given.tracks.whitened(signals, given.whitening.taps).reshape(4, *given.right.shape)
+    moved = replace(moved, driving=np.stack([*driving, given.driving[3]]), right=right)
     moved.kept.update(given.kept)
+    moved.recent.update(given.recent)
     return moved
 
 
@@ -368,7 +415,8 @@ def with_base(given: Equations, values: Array) -> Equations:
     tracks = given.tracks
     viscous = (tracks.robot.axis(tracks.joint).viscous_friction or 0.0) + float(values[-1])
     load = given.rigid.load(values[:-1])
-    load[0] = np.maximum(load[0], LEAST_INERTIA * given.rigid.nominal[0])
+    # 0.05 of the inertia in CAD
+    load[0] = np.maximum(load[0], 0.05 * given.rigid.nominal[0])
     model = _model(tracks, load, given.model.motor_inertia, max(viscous, 0.0))
     if _alike(model, given.model, tracks.robot.axis(tracks.joint).rated_effort):
         return given
@@ -378,6 +426,7 @@ def with_base(given: Equations, values: Array) -> Equations:
 
 
 def _alike(one: Model, other: Model, rated: float) -> bool:
-    inertia = np.allclose(one.inertia, other.inertia, rtol=SAME, atol=0.0)
-    torque = np.allclose(one.torque, other.torque, rtol=0.0, atol=SAME * rated)
-    return bool(inertia and torque and np.isclose(one.viscous, other.viscous, rtol=SAME, atol=0.0))
+    same = 1e-3  # relative change of the model below which it counts as unchanged
+    inertia = np.allclose(one.inertia, other.inertia, rtol=same, atol=0.0)
+    torque = np.allclose(one.torque, other.torque, rtol=0.0, atol=same * rated)
+    return bool(inertia and torque and np.isclose(one.viscous, other.viscous, rtol=same, atol=0.0))

@@ -11,20 +11,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.fit.cross_products import ORDER, Group, pairing
+from service.diagnosis.fit.cross_products import ORDER, Group, given_rest, pairing, solve, symmetric
 from service.diagnosis.fit.equations import Equations, Term, reshaped
-from service.diagnosis.fit.solving import given_rest, solve, symmetric
 
 Array = NDArray[np.float64]
 
-ALIKE = 4  # neighbouring rows that count as one independent value, because the filter correlates them
 CERTAIN = 3.0  # standard deviations: above, an improvement is significant
-HELD = 1e12  # times the product of a column: prior that keeps a coefficient at zero
-RIDGE = 1e-6  # times the product of a column: regularisation of coefficients that the data do not determine
 
 
 @dataclass(frozen=True, slots=True)
-class PoseGap:
+class PoseResidual:
     """The gap of one pose (all joints)."""
 
     pose: tuple[float, ...]
@@ -35,7 +31,7 @@ class PoseGap:
 
 
 @dataclass(frozen=True, slots=True)
-class Gap:
+class ValidationResidual:
     """RMS of the residual, N m (N): rigid model, model with effects, differences between repeats (None: no repeats).
 
     `held_out_sweeps`: number of sweeps if none was used to select or fit effects. 0: the gap is that of all sweeps,
@@ -48,24 +44,24 @@ class Gap:
     effort_rms: float
     held_out_sweeps: int
     others: bool
-    by_pose: tuple[PoseGap, ...]
+    by_pose: tuple[PoseResidual, ...]
 
 
-def gap(given: Equations, before: Array, after: Array, unseen: Sequence[int]) -> Gap:
+def gap(given: Equations, before: Array, after: Array, unseen: Sequence[int]) -> ValidationResidual:
     """The gap of residuals (n, rows) before and after. `unseen`: sweeps that were not used to select effects."""
     tracks = given.tracks
     every = np.arange(len(tracks.specs))
     judged = np.array(unseen, dtype=int) if unseen else every
     counted = np.zeros_like(tracks.usable)
     counted[judged] = tracks.usable[judged]
-    poses: list[PoseGap] = []
+    poses: list[PoseResidual] = []
     for pose_index, pose in enumerate(tracks.poses):
         here = every[tracks.pose_index == pose_index]
         usable = tracks.usable[here]
         if usable.any():
             sizes = (_rms(before[here][usable]), _rms(after[here][usable]), noise_floor(given, after, here))
-            poses.append(PoseGap(tuple(pose.tolist()), *sizes, len(here)))
-    return Gap(
+            poses.append(PoseResidual(tuple(pose.tolist()), *sizes, len(here)))
+    return ValidationResidual(
         before_rms=_rms(before[counted]),
         after_rms=_rms(after[counted]),
         noise_floor_rms=noise_floor(given, after, judged.tolist()),
@@ -80,7 +76,8 @@ def improves(given: Equations, before: Array, after: Array) -> bool:
     """Whether the residual decreases significantly with respect to the noise of the same rows."""
     usable = given.tracks.usable
     old, new = before[usable], after[usable]
-    chance = 2 * noise(given, after) * _rms(old - new) * np.sqrt(ALIKE / len(old))
+    # 4 neighbouring rows that count as one independent value, because the filter correlates them
+    chance = 2 * noise(given, after) * _rms(old - new) * np.sqrt(4 / len(old))
     return float(np.mean(old**2) - np.mean(new**2)) > CERTAIN * chance
 
 
@@ -103,17 +100,25 @@ def residual(given: Equations, terms: Sequence[Term], *, by_repeat: bool = False
     """
     given = reshaped(given, terms)
     tracks, b = given.tracks, given.width_of_base
-    whitened = np.concatenate([given.base, *(given.rows(t) for t in terms), given.right[..., None]], axis=-1)
-    precision, total = given.precision(terms), given.system_of(whitened).sum(axis=0)
+    precision, system = given.precision(terms), given.system_with(terms)
+    total = system.sum(axis=0)
     if as_cad:
-        precision[range(b - 1), range(b - 1)] += HELD * np.abs(np.diag(total)[: b - 1])
+        # 1e12 times the product of a column: prior that keeps a coefficient at zero
+        precision[range(b - 1), range(b - 1)] += 1e12 * np.abs(np.diag(total)[: b - 1])
     ridge = np.zeros(len(total) - 1)
-    ridge[b:] = RIDGE * np.abs(np.diag(total)[b:-1])
-    columns = np.stack(rows_of(given, terms), axis=-1)
-    result = tracks.rows(given.target())
+    # 1e-6 times the product of a column: regularisation of coefficients that the data do not determine
+    ridge[b:] = 1e-6 * np.abs(np.diag(total)[b:-1])
+    by_repeat = by_repeat or len({group.fold for group in given.groups}) == 1
+    whitened = np.concatenate(
+        [given.driving, *(np.moveaxis(given.rows(term), -1, 0) for term in terms), given.right[None]]
+    )
+    columns, result = plain_columns(given, terms), tracks.rows(given.target())
     for train, test in splits(given.groups, by_repeat=by_repeat):
-        products = pairing(tracks.usable, train, ORDER, given.folds).products(whitened)
-        fitted = symmetric(products).sum(axis=0)
+        if by_repeat:
+            pairs = pairing(tracks.usable, train, ORDER, given.folds)
+            fitted = symmetric(given.crossed(pairs.gathered(whitened), pairs)).sum(axis=0)
+        else:
+            fitted = system[[fold for fold in range(given.folds) if fold != test[0].fold]].sum(axis=0)
         fitted[range(len(ridge)), range(len(ridge))] += ridge
         effects = solve(fitted, precision)[0][b:]
         values = np.append(given_rest(total, precision, effects), effects)
@@ -123,16 +128,16 @@ def residual(given: Equations, terms: Sequence[Term], *, by_repeat: bool = False
     return result
 
 
-def rows_of(given: Equations, terms: Sequence[Term]) -> list[Array]:
-    """Base columns and columns of terms (n, rows), filtered, not whitened, N m (N) for coefficients of one unit."""
-    signals = [*given.base_signals(), *(column for term in terms for column in given.columns(term))]
-    return [given.tracks.rows(signal) for signal in signals]
+def plain_columns(given: Equations, terms: Sequence[Term]) -> Array:
+    """Base columns and columns of terms (n, rows, k), filtered, not whitened, N m (N) for coefficients of one unit."""
+    rows = [given.tracks.rows(column) for term in terms for column in given.columns(term)]
+    return np.concatenate([given.plain_base, *(row[..., None] for row in rows)], axis=-1)
 
 
 def over_floor(given: Equations, terms: Sequence[Term]) -> float:
     """RMS of the residual of a fit to all grouped sweeps, over the noise floor; infinite if nothing is repeated."""
     values = solve(given.system_with(terms).sum(axis=0), given.precision(terms))[0]
-    left = given.tracks.rows(given.target()) - np.stack(rows_of(given, terms), axis=-1) @ values
+    left = given.tracks.rows(given.target()) - plain_columns(given, terms) @ values
     grouped = sorted({piece.sweep for group in given.groups for piece in group.pieces})
     floor = noise_floor(given, left, grouped)
     return np.inf if not floor else _rms(left[grouped][given.tracks.usable[grouped]]) / floor

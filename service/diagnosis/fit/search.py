@@ -1,7 +1,13 @@
-"""The cost of sets of effects: shapes are scanned on grids and refined; all other products are computed once."""
+"""The cost of sets of effects: shapes are scanned on grids and refined; all other products are computed once.
+
+If the load acts through a spring, an effect and the load are fitted together (`together`). If the spring, the load
+inertia and the motor inertia were fitted in turn, convergence would be very slow, because they are strongly
+correlated.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -9,20 +15,15 @@ from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Shape, ShapeParameter
-from service.diagnosis.fit.cross_products import Gathered
-from service.diagnosis.fit.ended import Ended
-from service.diagnosis.fit.equations import Equations, Term
-from service.diagnosis.fit.solving import solve, symmetric
+from service.diagnosis.fit.cross_products import Ended, Gathered, solve, symmetric
+from service.diagnosis.fit.equations import Equations, Term, remodelled, reshaped, with_base
+from service.diagnosis.fit.gap import over_floor
 
 Array = NDArray[np.float64]
 
-STEPS = 4  # largest number of steps of one refinement
-HALVINGS = 3  # largest number of times that a step is halved
 LONGEST = 0.7  # largest step of the logarithm of a shape parameter
 NUDGE = 1e-3  # step for numerical derivatives
 WIDTHS = (1.0, 0.3)  # of the step of the grid, for costs that are not smooth
-POINTS = 7  # grid points within it, on each side
-REACH = 0.4  # half width if the grid has one point
 LITTLE = 0.5  # decrease of the cost below which refinement ends
 
 
@@ -50,8 +51,11 @@ class CurrentModel:
 
     def __init__(self, given: Equations, terms: Sequence[Term]) -> None:
         self._given, self._terms = given, tuple(terms)
-        self._fixed = given.together(terms)
-        self._products = given.pairs.crossed(self._fixed, self._fixed)
+        self._products = given.system_with(terms)
+
+    @cached_property
+    def _fixed(self) -> Gathered:
+        return self._given.together(self._terms)
 
     def alone(self) -> Explanation:
         """The explanation without a further term."""
@@ -73,7 +77,7 @@ class CurrentModel:
             for shape, columns in zip(shapes, self._given.scanned(name, shapes, keep=keep), strict=True)
         ]
 
-    def refined(self, start: Explanation, steps: int = STEPS) -> Explanation:
+    def refined(self, start: Explanation, steps: int = 4) -> Explanation:
         """The explanation with the shape of the last term optimised; its `Term.ended` says how that ended."""
         effect = CATALOGUE[start.terms[-1].effect]
         shapes = effect.shape(self._given.tracks, self._given.model)
@@ -92,8 +96,10 @@ class CurrentModel:
             for k, shape in enumerate(shapes):
                 at = to_vector(shapes, best.terms[-1].shape)
                 grid = to_vector([shape] * len(shape.grid), shape.grid)
-                reach = width * (float(np.ptp(grid)) / (len(grid) - 1) if len(grid) > 1 else REACH)
-                moved = at + np.linspace(-reach, reach, POINTS)[:, None] * np.eye(len(at))[k]
+                # 0.4 half width if the grid has one point
+                reach = width * (float(np.ptp(grid)) / (len(grid) - 1) if len(grid) > 1 else 0.4)
+                # 7 grid points within it, on each side
+                moved = at + np.linspace(-reach, reach, 7)[:, None] * np.eye(len(at))[k]
                 name = best.terms[-1].effect
                 found = self._at(name, [from_vector(shapes, vector) for vector in moved], keep=False)
                 best = min([best, *found], key=lambda one: one.cost)
@@ -107,7 +113,8 @@ class CurrentModel:
         for _ in range(steps):
             at = to_vector(shapes, best.terms[-1].shape)
             step = self._step(best.terms[-1], shapes, at)
-            for _ in range(HALVINGS):
+            # 3 largest number of times that a step is halved
+            for _ in range(3):
                 tried = self.explanation(Term(name, from_vector(shapes, at + step)))
                 if tried.cost < best.cost:
                     break
@@ -129,7 +136,7 @@ class CurrentModel:
 
     def _with(self, columns: Gathered) -> Array:
         """Products with columns inserted before the right side, which stays last."""
-        across = self._given.pairs.crossed(columns, self._fixed)
+        across = self._given.unfolded(self._given.pairs.crossed(columns, self._fixed))
         within = self._given.pairs.crossed(columns, columns)
         old, new = self._products, across.transpose(0, 2, 1)
         top = np.concatenate([old[:, :-1, :-1], new[:, :-1], old[:, :-1, -1:]], axis=2)
@@ -168,3 +175,110 @@ def from_vector(shapes: Sequence[ShapeParameter], vector: Array) -> Shape:
         float(np.clip(np.exp(x) if s.low > 0 else x * (s.high - s.low), s.low, s.high))
         for s, x in zip(shapes, vector.tolist(), strict=True)
     )
+
+
+DAMPING = (0.0, 0.03, 0.3, 3.0, 30.0)  # times the diagonal product of a derivative
+ELSEWHERE = (0.5, 2.0, 0.25, 4.0)
+NEAR_FLOOR = 1.3  # times the noise floor: below, the fit is good
+
+
+def bends(terms: Sequence[Term]) -> list[int]:
+    """Indices of the terms that change the effect of the load on the motor."""
+    return [k for k, term in enumerate(terms) if CATALOGUE[term.effect].parts is not None]
+
+
+def together(
+    given: Equations, start: Explanation, steps: int = 15, *, again: bool = False
+) -> tuple[Equations, Explanation]:
+    """Minimise the cost over the load and the shape of the term that changes its effect, together. `Term.ended` of that
+    term says how it ended.
+
+    With a load that is too light, the cost may have several minima in stiffness. Unless the residual is near the noise
+    floor, the steps start again from other stiffnesses (the first entry of the shape). `again`: that was done before
+    the others were refined, and is only repeated where the first steps do not settle. With the same
+    columns from the same point, as when ripples were added to the robot file and do not matter, the end is known.
+    """
+    system = given.system_with(start.terms)
+    point = (start.terms, given.coefficients.tobytes(), given.late, steps, again, system.tobytes())
+    if point not in given.ends_of_steps:
+        given.ends_of_steps[point] = _best(given, start, steps, again=again)
+    there, best = given.ends_of_steps[point]
+    return (there if there.tracks is given.tracks else replace(there, tracks=given.tracks)), best
+
+
+def _best(given: Equations, start: Explanation, steps: int, *, again: bool) -> tuple[Equations, Explanation]:
+    best = _from(given, start, steps)
+    settled = best[1].terms[bends(start.terms)[0]].ended is Ended.SETTLED
+    for factor in () if again and settled else ELSEWHERE:
+        if over_floor(best[0], best[1].terms) < NEAR_FLOOR:
+            break
+        term = start.terms[(number := bends(start.terms)[0])]
+        plain = [entry.grid[0] for entry in CATALOGUE[term.effect].shape(given.tracks, given.model)]
+        moved = replace(term, shape=(factor * term.shape[0], *plain[1:]))
+        terms = (*start.terms[:number], moved, *start.terms[number + 1 :])
+        other = _from(given, CurrentModel(given, terms).alone(), steps, below=best[1].cost)
+        best = min(best, other, key=lambda found: found[1].cost)
+    return best
+
+
+def _from(given: Equations, start: Explanation, steps: int, below: float = np.inf) -> tuple[Equations, Explanation]:
+    """Steps from a point until they gain little; given up if the cost will stay above `below`."""
+    number = bends(start.terms)[0]
+    given = remodelled(given, start.terms)
+    best, ended = CurrentModel(given, start.terms).alone(), Ended.UNFINISHED
+    for count in range(1, steps + 1):
+        further = _step(given, best, number)
+        if further is None:
+            ended = Ended.AT_REST
+            break
+        gain = best.cost - further[1].cost
+        given, best = further
+        if gain < LITTLE:
+            ended = Ended.SETTLED
+            break
+        # 3.0 of the gains of the steps still left over that of the last one, at most
+        if count > steps / 2 and best.cost - 3.0 * gain * (steps - count) > below:
+            break
+    return given, best.searched(number, ended)
+
+
+def _step(given: Equations, best: Explanation, number: int) -> tuple[Equations, Explanation] | None:
+    """A Gauss-Newton step, with increasing damping (Levenberg-Marquardt) until the cost decreases; else None."""
+    term = best.terms[number]
+    shapes = CATALOGUE[term.effect].shape(given.tracks, given.model)
+    at = to_vector(shapes, term.shape)
+    low, high = (to_vector(shapes, [getattr(entry, end) for entry in shapes]) for end in ("low", "high"))
+    values = solve(given.system_with(best.terms).sum(axis=0), given.precision(best.terms))[0]
+    first = given.width_of_base + sum(given.width(other) for other in best.terms[:number])
+    bent = derivatives(given, term, shapes, values[first : first + given.width(term)])
+    others = best.terms[:number] + best.terms[number + 1 :]
+    system = given.system_with(others, given.gathered(term, keep=False), bent).sum(axis=0)
+    for damping in DAMPING:
+        found, step = _solved(system, given.precision(best.terms), damping, at, low, high)
+        moved = replace(term, shape=from_vector(shapes, at + step))
+        terms = (*best.terms[:number], moved, *best.terms[number + 1 :])
+        tried = reshaped(with_base(given, found[: given.width_of_base]), terms)
+        explanation = CurrentModel(tried, terms).alone()
+        if explanation.cost < best.cost:
+            return tried, explanation
+    return None
+
+
+def _solved(system: Array, precision: Array, damping: float, at: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Coefficients of all columns but the last ones, and the step of the shape vector `at` in its limits. An entry at
+    a limit that would exceed it stays constant, and the others are solved again.
+    """
+    count, k = len(system) - 1, len(at)
+    free = np.ones(k, dtype=bool)
+    while True:
+        kept = np.append(np.append(np.ones(count - k, dtype=bool), free), True)
+        reduced = system[np.ix_(kept, kept)].copy()
+        own = np.arange(count - k, len(reduced) - 1)
+        reduced[own, own] *= 1 + damping
+        found = solve(reduced, precision)[0]
+        step = np.zeros(k)
+        step[free] = np.clip(found[count - k :], -LONGEST, LONGEST)
+        beyond = free & (((at <= low) & (step < 0)) | ((at >= high) & (step > 0)))
+        if not beyond.any():
+            return found[: count - k], step
+        free &= ~beyond

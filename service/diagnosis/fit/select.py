@@ -20,14 +20,11 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.fit.cross_products import ORDER, Group, pairing
-from service.diagnosis.fit.ended import Ended
+from service.diagnosis.fit.cross_products import ORDER, Ended, Group, given_rest, pairing, solve
 from service.diagnosis.fit.equations import Equations, Term, remodelled, with_base
+from service.diagnosis.fit.fitted import by_name, of_load
 from service.diagnosis.fit.gap import over_floor
-from service.diagnosis.fit.joint_steps import NEAR_FLOOR, bends, together
-from service.diagnosis.fit.parameters import by_name, of_load
-from service.diagnosis.fit.search import LITTLE, CurrentModel, Explanation
-from service.diagnosis.fit.solving import given_rest, solve
+from service.diagnosis.fit.search import LITTLE, NEAR_FLOOR, CurrentModel, Explanation, bends, together
 
 Array = NDArray[np.float64]
 
@@ -35,18 +32,12 @@ CHANCE = 1e-4  # probability that an effect is named although there is none
 MATERIAL = 0.004  # of the noise variance
 SHARE = 0.001  # of the repeatable excess
 LARGE = 0.03  # of the repeatable excess
-MOSTLY = 0.6  # of the present residual
 TOLERANCE = 0.001  # of the repeatable excess: cost difference that simplified columns may cause
 CERTAIN = 6.0  # standard deviations: above, an excess is significant
 ROUNDS = 6  # of alternating fits of inertias and shapes
-UNCERTAIN = 2.0  # standard deviations by which a parameter of a load may exceed its estimate
 OF_SPEED = frozenset({"coulomb_friction", "asymmetric_friction", "stribeck_friction", "nonlinear_viscous_friction"})
-MOST = 4  # largest number of effects
 RIVAL = 10.0  # difference in Schwarz's criterion
-LOCAL = 0.9  # of the gain in one pose: other poses cannot confirm it, but repeats can
-RIDGE = 1e-6  # times the product of a column
 REFINED = 3  # number of best candidates of the scan whose shapes are refined
-NEAR = 0.5  # of the best gain: below, a candidate is not refined
 
 
 @dataclass(frozen=True)
@@ -79,7 +70,8 @@ def select(given: Equations, known: Sequence[str], candidates: Sequence[str]) ->
     rigid = CurrentModel(given, fixed).alone()
     chance = CHANCE / (8 * max(1, len(candidates)))
     chosen, tried, ended = rigid, list[Explanation](), Ended.SETTLED
-    for _ in range(MOST):
+    # 4 largest number of effects
+    for _ in range(4):
         if chosen is not rigid and over_floor(given, chosen.terms) < NEAR_FLOOR:
             break  # the small residual is probably due to simplified effects
         table = _table(given, chosen.terms, [c for c in candidates if c not in chosen.names])
@@ -87,7 +79,7 @@ def select(given: Equations, known: Sequence[str], candidates: Sequence[str]) ->
         if step is None:
             tried = tried or table
             break
-        given, chosen, ended = _consistent(*step, len(fixed))
+        given, chosen, ended = _consistent(*step, len(fixed), again=_of_model(step[1]))
         chosen = _without_needless(given, chosen, rigid.cost, chance, len(fixed))
         tried = _exchanges(given, chosen, candidates, len(fixed))
         if (better := _exchange(given, chosen, tried, rigid.cost, len(fixed))) is not chosen:
@@ -157,7 +149,8 @@ def allowed_by_physics(given: Equations, explanation: Explanation) -> bool:
         found = by_name(given, term, values[start : start + width])
         if CATALOGUE[term.effect].by_load:
             known = of_load(given, terms, values, term.effect)
-            found = {name: one.value + UNCERTAIN * one.std for name, one in known.items()}
+            # 2.0 standard deviations by which a parameter of a load may exceed its estimate
+            found = {name: one.value + 2.0 * one.std for name, one in known.items()}
         if not CATALOGUE[term.effect].possible(found, given.tracks, model):
             return False
         start += width
@@ -167,7 +160,8 @@ def allowed_by_physics(given: Equations, explanation: Explanation) -> bool:
 def local(given: Equations, before: Sequence[Term], after: Sequence[Term]) -> bool:
     """Whether the difference is visible in one fold alone, so that other folds cannot predict its size."""
     gains = _in_sample(given, before) - _in_sample(given, after)
-    return float(gains.max()) > LOCAL * float(np.abs(gains).sum())
+    # 0.9 of the gain in one pose: other poses cannot confirm it, but repeats can
+    return float(gains.max()) > 0.9 * float(np.abs(gains).sum())
 
 
 def _in_sample(given: Equations, terms: Sequence[Term]) -> Array:
@@ -180,7 +174,8 @@ def _elsewhere(total: Array, own: Array, precision: Array) -> Array:
     """Coefficients without one fold, regularised to zero where the other folds do not determine them."""
     system = total - own
     k = len(system) - 1
-    system[range(k), range(k)] += RIDGE * np.abs(np.diag(total)[:k])
+    # 1e-6 times the product of a column
+    system[range(k), range(k)] += 1e-6 * np.abs(np.diag(total)[:k])
     return solve(system, precision)[0]
 
 
@@ -195,7 +190,8 @@ def _table(given: Equations, terms: Sequence[Term], names: Sequence[str]) -> lis
     alone = current.alone()
     scanned = sorted((current.best(name) for name in names), key=lambda one: one.criterion)
     most = alone.cost - scanned[0].cost if scanned else 0.0
-    near = [one for one in scanned[:REFINED] if alone.cost - one.cost > NEAR * most]
+    # 0.5 of the best gain: below, a candidate is not refined
+    near = [one for one in scanned[:REFINED] if alone.cost - one.cost > 0.5 * most]
     refined = [current.refined(one) if one in near else one for one in scanned]
     return sorted(refined, key=lambda one: one.criterion)
 
@@ -251,7 +247,8 @@ def _gains(
     limit = float(chdtri(max(2, after.parameters - before.parameters), chance))
     material = 0.0 if CATALOGUE[after.terms[-1].effect].by_load else MATERIAL * given.pairs.rows
     least = max(limit, material, 0.0 if first or whole else SHARE * excess)
-    large, mostly = LARGE * excess, MOSTLY * before.cost
+    # 0.6 of the present residual
+    large, mostly = LARGE * excess, 0.6 * before.cost
     # two laws of the same speed: one may only correct the shape of the other, unless its gain is large
     alike = after.terms[-1].effect in OF_SPEED and not OF_SPEED.isdisjoint(before.names)
     if not first and gain < (large if alike else min(large, mostly)):
@@ -271,17 +268,17 @@ def _of_model(explanation: Explanation) -> bool:
 
 
 def _consistent(
-    given: Equations, chosen: Explanation, fixed: int, rounds: int = ROUNDS
+    given: Equations, chosen: Explanation, fixed: int, rounds: int = ROUNDS, *, again: bool = False
 ) -> tuple[Equations, Explanation, Ended]:
     """Load and shapes fitted in turn until both converge; together if the load is behind a spring, with one round of
-    the shapes of the other effects.
+    the shapes of the other effects. `again`: see `together`.
     """
     if any(number >= fixed for number in bends(chosen.terms)):
-        given, chosen = together(given, chosen)
+        given, chosen = together(given, chosen, again=again)
         if len(chosen.terms) - fixed == 1:
             return given, chosen, Ended.SETTLED
         cost = chosen.cost
-        given, chosen = together(given, _settled(given, chosen, fixed, anew=False))
+        given, chosen = together(given, _settled(given, chosen, fixed, anew=False), again=True)
         return given, chosen, Ended.SETTLED if cost - chosen.cost < LITTLE else Ended.UNFINISHED
     for count in range(rounds):
         before, given = given, remodelled(given, chosen.terms)

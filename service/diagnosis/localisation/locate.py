@@ -13,24 +13,21 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc, ndtri
 
 from service.diagnosis.fit.cross_products import Group
+from service.diagnosis.fit.equations import Equations
 from service.diagnosis.rows.signals import EVERY, Tracks, row_samples
 
 Array = NDArray[np.float64]
 
 SIGNIFICANT = 5.0
-BINS = 6
 MANY = 1.5  # times the total RMS: a cell above is reported
-HARDLY = 0.3  # of the gap in one direction: below, the other direction has no relevant gap
 STEADY = 0.8  # rank correlation with a property: above, the gap increases with it
-LEAST_BINS = 3
-SMALLEST = 1e-300  # smallest power, and smallest probability for the inverse normal distribution
 SURE = 1 - 1e-15  # the largest such probability
 WAYS = ("direction", "weight")
 ORDERED = ("speed", "|gravity torque|", "time since start", "temperature", "line frequency")
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class ResidualBin:
     """One bin of one property: RMS of the repeatable gap, N m (N), its significance in standard deviations, and the RMS
     of the gap after the detected effects.
     """
@@ -52,21 +49,24 @@ class _Rows:
     row: NDArray[np.int_]
 
 
-def cells(tracks: Tracks, groups: Sequence[Group], residual: Array, after: Array, noise: float) -> tuple[Cell, ...]:
+def cells(
+    tracks: Tracks, groups: Sequence[Group], residual: Array, after: Array, noise: float
+) -> tuple[ResidualBin, ...]:
     """The gap of residuals (n, rows), N m (N), before and after, in bins of the properties of sweeps and samples."""
     rows = _rows(tracks, groups, residual, after, noise)
     if rows.product.size == 0:
         return ()
-    found: list[Cell] = []
+    found: list[ResidualBin] = []
     for dimension, labels in _labels(tracks, rows):
         found.extend(_cell(dimension, str(value), rows, labels == value, noise) for value in np.unique(labels))
     return tuple(sorted(found, key=lambda cell: -cell.significance))
 
 
-def lines(tracks: Tracks, residual: Array, after: Array) -> tuple[Cell, ...]:
+def lines(tracks: Tracks, residual: Array, after: Array) -> tuple[ResidualBin, ...]:
     """The gap at the excited frequencies: RMS of the residual at each line over the sweeps that contain it, and its
     significance with respect to the bins between the lines, in standard deviations of equal probability.
     """
+    smallest = 1e-300  # smallest power, and smallest probability for the inverse normal distribution
     every = EVERY / tracks.rate
     start = row_samples(tracks.effort.shape[1], tracks.rate)[0] / tracks.rate
     power: dict[float, list[Array]] = {}  # of a line, its neighbouring bins, and the line after
@@ -85,23 +85,23 @@ def lines(tracks: Tracks, residual: Array, after: Array) -> tuple[Cell, ...]:
             neighbours = float(np.mean([_power(window, time, side) for side in sides]))
             line, left = (_power(signal, time, sine.frequency) for signal in (window, later))
             power.setdefault(sine.frequency, []).append(np.array([line, neighbours, left, len(sides)]))
-    result: list[Cell] = []
+    result: list[ResidualBin] = []
     for frequency, found in sorted(power.items()):
         means: list[float] = np.mean(found, axis=0).tolist()
         line, floor, left, sides = means
         freedom = 2 * len(found)  # sum of squares of normal values: two of each bin
-        chance = float(fdtrc(freedom, freedom * sides, line / max(floor, SMALLEST)))
-        significance = float(-ndtri(min(max(chance, SMALLEST), SURE)))
-        result.append(Cell("line frequency", f"{frequency:g} Hz", line**0.5, significance, left**0.5))
+        chance = float(fdtrc(freedom, freedom * sides, line / max(floor, smallest)))
+        significance = float(-ndtri(min(max(chance, smallest), SURE)))
+        result.append(ResidualBin("line frequency", f"{frequency:g} Hz", line**0.5, significance, left**0.5))
     return tuple(result)
 
 
-def sentences(joint: str, found: Sequence[Cell]) -> tuple[str, ...]:
+def sentences(joint: str, found: Sequence[ResidualBin]) -> tuple[str, ...]:
     """The gap in sentences for the user: when it occurs, with what it increases, and where it is largest."""
     significant = [cell for cell in found if cell.significance > SIGNIFICANT]
     if not significant:
         return (f"{joint}: no repeatable gap beyond the noise.",)
-    by_dimension: dict[str, list[Cell]] = {}
+    by_dimension: dict[str, list[ResidualBin]] = {}
     for cell in found:
         by_dimension.setdefault(cell.dimension, []).append(cell)
     pattern = {name: words for name, own in by_dimension.items() if (words := _only(name, own) or _trend(name, own))}
@@ -118,18 +118,19 @@ def sentences(joint: str, found: Sequence[Cell]) -> tuple[str, ...]:
     return tuple(result) or (f"{joint}: the gap is about the same everywhere.",)
 
 
-def _only(dimension: str, own: Sequence[Cell]) -> str:
+def _only(dimension: str, own: Sequence[ResidualBin]) -> str:
     """The one of two directions that contains the gap, if the other hardly contains it."""
     ways = sorted(own, key=lambda cell: cell.rms)
     if dimension not in WAYS or len(ways) != 2 or ways[1].significance < SIGNIFICANT:
         return ""
-    return f"only when moving {ways[1].value}" if ways[0].rms < HARDLY * ways[1].rms else ""
+    # 0.3 of the gap in one direction: below, the other direction has no relevant gap
+    return f"only when moving {ways[1].value}" if ways[0].rms < 0.3 * ways[1].rms else ""
 
 
-def _trend(dimension: str, own: Sequence[Cell]) -> str:
+def _trend(dimension: str, own: Sequence[ResidualBin]) -> str:
     """Whether the gap increases or decreases monotonically with a property."""
     cells = sorted(own, key=lambda cell: float(cell.value.split()[0])) if dimension in ORDERED else []
-    if len(cells) < LEAST_BINS or max(cell.significance for cell in cells) < SIGNIFICANT:
+    if len(cells) < 3 or max(cell.significance for cell in cells) < SIGNIFICANT:
         return ""
     gaps = np.array([cell.rms for cell in cells])
     ranks = np.argsort(np.argsort(gaps))
@@ -145,11 +146,13 @@ def _power(signal: Array, time: Array, frequency: float) -> float:
     return float(2 * np.abs(np.mean(signal * np.exp(-2j * np.pi * frequency * time))) ** 2)
 
 
-def _cell(dimension: str, value: str, rows: _Rows, here: NDArray[np.bool_], noise: float) -> Cell:
+def _cell(dimension: str, value: str, rows: _Rows, here: NDArray[np.bool_], noise: float) -> ResidualBin:
     mean, after = float(rows.product[here].mean()), float(rows.after[here].mean())
     # the filter correlates neighbouring rows: about four are one independent value
     significance = mean / max(noise**2, 1e-300) * np.sqrt(np.count_nonzero(here) / 4)
-    return Cell(dimension, value, float(np.sqrt(max(mean, 0.0))), float(significance), float(np.sqrt(max(after, 0.0))))
+    return ResidualBin(
+        dimension, value, float(np.sqrt(max(mean, 0.0))), float(significance), float(np.sqrt(max(after, 0.0)))
+    )
 
 
 def _rows(tracks: Tracks, groups: Sequence[Group], residual: Array, after: Array, noise: float) -> _Rows:
@@ -205,7 +208,34 @@ def _labels(tracks: Tracks, rows: _Rows) -> Iterator[tuple[str, NDArray[np.str_]
 
 
 def _binned(values: Array, unit: str) -> NDArray[np.str_]:
+    bins = 6
     low, high = float(values.min()), float(values.max())
-    edges = [low + (high - low) * k / BINS for k in range(BINS + 1)]
-    number = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1)
+    edges = [low + (high - low) * k / bins for k in range(bins + 1)]
+    number = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, bins - 1)
     return np.array([f"{low:.3g} to {high:.3g} {unit}" for low, high in pairwise(edges)])[number]
+
+
+@dataclass(frozen=True)
+class ExampleSweep:
+    """Torques (n,) N m (N) over time (n,) s, all with the same filter."""
+
+    sweep: str
+    block: str
+    time: Array
+    measured: Array
+    before: Array
+    after: Array
+
+
+def example(given: Equations, before: Array, after: Array) -> ExampleSweep:
+    """The sweep with the largest residual (n, rows) before."""
+    tracks = given.tracks
+    most = int(np.argmax(np.sum(np.where(tracks.usable, before, 0.0) ** 2, axis=1)))
+    recorded = row_samples(tracks.effort.shape[1], tracks.rate)
+    recorded = np.flatnonzero(tracks.inside[most][recorded])
+    # 500 points
+    at = recorded[:: -(-len(recorded) // 500)]
+    measured = tracks.rows(tracks.effort[most : most + 1])[0, at]
+    time = tracks.time[most, row_samples(tracks.effort.shape[1], tracks.rate)[at]]
+    spec = tracks.specs[most]
+    return ExampleSweep(spec.id, spec.block, time, measured, measured - before[most, at], measured - after[most, at])

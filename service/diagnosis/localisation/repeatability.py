@@ -15,9 +15,6 @@ from service.diagnosis.rows.signals import EVERY
 
 Array = NDArray[np.float64]
 
-FAR = 4.0  # times the sensor noise in the same band: coloured sensor noise gives about 2
-LINE = 0.5  # of the power that does not repeat, at one frequency
-
 
 @dataclass(frozen=True, slots=True)
 class Unrepeated:
@@ -31,7 +28,8 @@ class Unrepeated:
 
     @property
     def is_physical(self) -> bool:
-        return self.rms > FAR * self.sensor_rms
+        # 4.0 times the sensor noise in the same band: coloured sensor noise gives about 2
+        return self.rms > 4.0 * self.sensor_rms
 
     def sentence(self, joint: str, unit: str) -> str:
         where = "" if self.frequency is None else f", most of it at {self.frequency:.2g} Hz"
@@ -58,7 +56,8 @@ def unrepeated(given: Equations, left: Array) -> Unrepeated | None:
     near = power[max(0, highest - 1) : highest + 2].sum() / power.sum()
     frequency = _between(power, highest) * given.tracks.rate / EVERY / usable.shape[1]
     rms = float(np.sqrt(sum(float(part @ part) for part in parts) / counted))
-    return Unrepeated(rms, given.sensor_noise, frequency if near > LINE else None)
+    # 0.5 of the power that does not repeat, at one frequency
+    return Unrepeated(rms, given.sensor_noise, frequency if near > 0.5 else None)
 
 
 def _between(power: Array, highest: int) -> float:

@@ -15,35 +15,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.data_check import Finding
+from service.data_check import DataFinding
 from service.diagnosis.fit.equations import Equations
 from service.diagnosis.rows.signals import BAND, row_samples
 from service.model.robot import Axis, Robot
 
 Array = NDArray[np.float64]
 
-HIGHEST = 100.0  # order
-STEP = 0.25  # of the order resolution of one sweep
 PEAK = 0.3  # of the residual power: a ripple above is reported
-ABOVE = 8.0  # times the median over the orders
-MOST = 4  # largest number of orders
-SLOWEST = 0.5  # Hz: slower signals are not ripple in a sweep of seconds
-TRANSMISSION = 5.0  # order: below, transmission error of the gear; above, cogging of the motor
-NEAR_WHOLE = 0.02  # tolerance relative to an order of 20: orders are whole numbers
-SAME = 0.02  # relative difference up to which an order of the robot file is the same order
-RATIO = 5e-4  # of the gear ratio: a larger difference is reported
-FINE = 0.05  # of the order resolution of all sweeps together
 
 
 @dataclass(frozen=True, slots=True)
-class Ripple:
+class RippleLine:
     """A line in the motor angle: periods per motor turn with the gear ratio of the robot file; RMS, N m (N)."""
 
     order: float
     rms: float
 
 
-def ripples(given: Equations, left: Array) -> tuple[Ripple, ...]:
+def ripples(given: Equations, left: Array) -> tuple[RippleLine, ...]:
     """The lines in the residual (n, rows) of a model, strongest first."""
     tracks = given.tracks
     ratio = abs(tracks.robot.axis(tracks.joint).gear_ratio)
@@ -57,36 +47,40 @@ def ripples(given: Equations, left: Array) -> tuple[Ripple, ...]:
     orders = _orders(given, turning, ratio, travel)
     if not len(orders):
         return ()
-    rest, found = left.copy(), list[Ripple]()
+    rest, found = left.copy(), list[RippleLine]()
     whole = _power(rest, tracks.usable, turning)
-    for _ in range(MOST):
+    # 4 largest number of orders
+    for _ in range(4):
         power = _spectrum(rest, angle, tracks.usable, turning, orders)
         best = int(np.argmax(power))
-        if power[best] < PEAK * whole / 2 or power[best] < ABOVE * float(np.median(np.abs(power))):
+        # 8.0 times the median over the orders
+        if power[best] < PEAK * whole / 2 or power[best] < 8.0 * float(np.median(np.abs(power))):
             break
         order = _refined(rest, angle, tracks.usable, turning, float(orders[best]), travel)
-        found.append(Ripple(order, float(np.sqrt(power[best]))))
+        found.append(RippleLine(order, float(np.sqrt(power[best]))))
         rest = _without(rest, angle, tracks.usable, order)
         whole = max(_power(rest, tracks.usable, turning), 1e-30)
     return tuple(found)
 
 
-def with_ripples(robot: Robot, joint: str, found: Sequence[Ripple]) -> tuple[Robot, tuple[Finding, ...]]:
+def with_ripples(robot: Robot, joint: str, found: Sequence[RippleLine]) -> tuple[Robot, tuple[DataFinding, ...]]:
     """The robot with the orders added or the gear ratio corrected, and the changes; the same robot if the file contains
     all of the ripples.
     """
-    axis, said = robot.axis(joint), list[Finding]()
+    same = 0.02  # relative difference up to which an order of the robot file is the same order
+    axis, said = robot.axis(joint), list[DataFinding]()
     known = (*axis.cogging_orders, *axis.transmission_orders)
     near = [
-        (ripple.order / order, order) for ripple in found for order in known if abs(ripple.order / order - 1) < SAME
+        (ripple.order / order, order) for ripple in found for order in known if abs(ripple.order / order - 1) < same
     ]
     ratio, orders = axis.gear_ratio, {"transmission": axis.transmission_orders, "cogging": axis.cogging_orders}
     scale = 1.0
-    if near and abs(near[0][0] - 1) > RATIO:
+    # 5e-4 of the gear ratio: a larger difference is reported
+    if near and abs(near[0][0] - 1) > 5e-4:
         scale, order = near[0]
         ratio = axis.gear_ratio * scale
         said.append(
-            Finding(
+            DataFinding(
                 "gear_ratio", "warning", joint, (), ratio, axis.gear_ratio,
                 f"{joint}: the ripple of order {order:g} repeats {scale:.5f} times as often as the robot file's gear "
                 f"ratio {axis.gear_ratio:g} says; {ratio:.6g} fits.",
@@ -95,13 +89,15 @@ def with_ripples(robot: Robot, joint: str, found: Sequence[Ripple]) -> tuple[Rob
         )  # fmt: skip
     for ripple in found:
         order = ripple.order / scale
-        if any(abs(order / other - 1) < SAME for other in known):
+        if any(abs(order / other - 1) < same for other in known):
             continue
-        order = float(round(order)) if abs(order - round(order)) < NEAR_WHOLE * max(1.0, order / 20) else order
-        kind = "transmission" if order < TRANSMISSION else "cogging"
+        # 0.02 tolerance relative to an order of 20: orders are whole numbers
+        order = float(round(order)) if abs(order - round(order)) < 0.02 * max(1.0, order / 20) else order
+        # 5.0 order: below, transmission error of the gear; above, cogging of the motor
+        kind = "transmission" if order < 5.0 else "cogging"
         orders[kind] = (*orders[kind], order)
         said.append(
-            Finding(
+            DataFinding(
                 "ripple_order", "warning", joint, (), order, None,
                 f"{joint}: the torque ripples {order:g} times a motor turn, which the robot file does not know.",
                 f"Add it to {kind}_orders of the robot file.",
@@ -121,8 +117,11 @@ def _changed(robot: Robot, joint: str, axis: Axis) -> Robot:
 def _orders(given: Equations, turning: Sequence[tuple[int, int]], ratio: float, travel: float) -> Array:
     """Orders in the band of the slowest sweeps, with the resolution of one sweep."""
     speed = min(abs(given.tracks.specs[k].offset_velocity) for k, _ in turning) * ratio / (2 * np.pi)
-    step = STEP * 2 * np.pi / travel
-    lowest, highest = max(SLOWEST / speed, 4 * step), min(2 * BAND / speed, HIGHEST)
+    # 0.25 of the order resolution of one sweep
+    step = 0.25 * 2 * np.pi / travel
+    # 100.0 order
+    # Hz: slower signals are not ripple in a sweep of seconds
+    lowest, highest = max(0.5 / speed, 4 * step), min(2 * BAND / speed, 100.0)
     return np.arange(lowest, highest, step) if highest > lowest else np.empty(0)
 
 
@@ -166,7 +165,8 @@ def _refined(
     sweeps = sorted({k for pair in turning for k in pair})
     reach = 2 * np.pi / travel
     everywhere = float(np.ptp(np.concatenate([angle[k][usable[k]] for k in sweeps])))
-    tried = np.arange(order - reach / 2, order + reach / 2, FINE * 2 * np.pi / everywhere)
+    # 0.05 of the order resolution of all sweeps together
+    tried = np.arange(order - reach / 2, order + reach / 2, 0.05 * 2 * np.pi / everywhere)
     total = sum(_amplitudes(left, angle, usable, k, tried) for k in sweeps)
     return float(tried[int(np.argmax(np.abs(total)))])
 

@@ -8,17 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from service.diagnosis.effects.patch import Inexpressible, merged
-from service.diagnosis.model.link_deviations import deviations, gravity, gravity_of_fit, inertia_factors, joined
-from service.diagnosis.model.scenario import AxisEntry, axis_entry, stiffened
+from service.diagnosis.effects.effect import Inexpressible, merged
+from service.diagnosis.model.scenario import (
+    AxisEntry,
+    axis_entry,
+    deviations,
+    gravity,
+    gravity_of_fit,
+    inertia_factors,
+    joined,
+    stiffened,
+)
 from service.model.robot import Robot
 
 Documents = Mapping[str, Mapping[str, Any]]
 
 ROBOT_FILE = "robot.yaml"
-BAND = 8.0  # Hz, bandwidth of an assumed speed control, which a diagnosis cannot identify
-RESET = 0.1  # s
-PEAK = 3.0  # times the rated effort
 
 
 def model_document(
@@ -75,6 +80,9 @@ def _scenario(robot: Robot, axes: Documents) -> dict[str, Any]:
             measurement[name] = float(np.mean(delays))
         if len(delays) > 1:
             notes.append(f"{name} is the mean of {', '.join(f'{delay:.3g} s' for delay in delays)}")
+    # Hz, bandwidth of an assumed speed control, which a diagnosis cannot identify
+    # 0.1 s
+    # 3.0 times the rated effort
     scenario = {
         "name": f"{robot.name}-model",
         "robot": ROBOT_FILE,
@@ -83,9 +91,9 @@ def _scenario(robot: Robot, axes: Documents) -> dict[str, Any]:
             joint: {
                 "train": entry.train,
                 "control": {
-                    "gain": 2 * np.pi * BAND * _inertia(axes[joint]),
-                    "reset_time": RESET,
-                    "effort_limit": PEAK * robot.axis(joint).rated_effort,
+                    "gain": 2 * np.pi * 8.0 * _inertia(axes[joint]),
+                    "reset_time": 0.1,
+                    "effort_limit": 3.0 * robot.axis(joint).rated_effort,
                 },
                 "load_encoder": False,
             }

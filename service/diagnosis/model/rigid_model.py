@@ -7,18 +7,17 @@ from numpy.typing import NDArray
 
 from service.diagnosis.fit.equations import Equations
 from service.diagnosis.model.held_out_check import Fit
-from service.diagnosis.rows.rigid import SLACK, load_rows, nominal_parameters, parameter_spread
+from service.diagnosis.rows.rigid import SLACK, deviations_left, load_rows, nominal_parameters, parameter_spread
 from service.identification.model.base_parameters import joint_ranges, reduce_columns
 from service.identification.model.regressor import parameter_names
 
 Array = NDArray[np.float64]
 
 VISCOUS = "viscous_friction"
-SAMPLES = 60  # poses that represent the workspace
 
 
 @dataclass(frozen=True, slots=True)
-class RigidParameter:
+class RigidModelParameter:
     """A combination of inertial parameters of links, kg, kg m or kg m^2, or viscous friction, N m s/rad (N s/m)."""
 
     name: str
@@ -27,7 +26,7 @@ class RigidParameter:
     std: float
 
 
-def rigid_model(given: Equations, fit: Fit) -> tuple[RigidParameter, ...]:
+def rigid_model(given: Equations, fit: Fit) -> tuple[RigidModelParameter, ...]:
     """Base parameters (Gautier 1991) of inertia and gravity about the axis over the workspace, then viscous friction.
     Combinations that the measured poses do not determine keep the CAD value and the uncertainty of the prior.
     """
@@ -35,20 +34,23 @@ def rigid_model(given: Equations, fit: Fit) -> tuple[RigidParameter, ...]:
     robot, joint, poses = tracks.robot, tracks.joint, tracks.poses
     index = robot.index(joint)
     lower, upper = joint_ranges(robot.chain)
-    anywhere = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, len(lower)))
+    # 60 poses that represent the workspace
+    anywhere = np.random.default_rng(0).uniform(lower, upper, (60, len(lower)))
     base = reduce_columns(load_rows(robot, index, anywhere), parameter_names(robot.chain))
     nominal = base.combination @ nominal_parameters(robot)
     spread = base.combination @ parameter_spread(robot, index, poses)
     prior = spread @ spread.T
     weight = np.repeat(tracks.sizes, len(poses))
     rows = weight[:, None] * load_rows(robot, index, poses)[:, list(base.columns)]
-    noise = fit.covariance * np.outer(weight, weight)
-    noise += np.eye(len(noise)) * (SLACK * robot.axis(joint).rated_effort) ** 2
-    gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + noise)
+    noise, slack = fit.covariance * np.outer(weight, weight), SLACK * robot.axis(joint).rated_effort
+    gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + noise + slack**2 * np.eye(len(noise)))
     values = nominal + gain @ (weight * fit.load.ravel() - rows @ nominal)
-    std = np.sqrt(np.maximum(np.diag(prior - gain @ rows @ prior), 0.0))
+    std = deviations_left(spread, rows, noise, slack)
     result = [
-        RigidParameter(*entry)
+        RigidModelParameter(*entry)
         for entry in zip(base.names, nominal.tolist(), values.tolist(), std.tolist(), strict=True)
     ]
-    return (*result, RigidParameter(VISCOUS, robot.axis(tracks.joint).viscous_friction, fit.viscous, fit.viscous_std))
+    return (
+        *result,
+        RigidModelParameter(VISCOUS, robot.axis(tracks.joint).viscous_friction, fit.viscous, fit.viscous_std),
+    )

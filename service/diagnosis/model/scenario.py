@@ -1,20 +1,179 @@
-"""The axis in the format of a scenario: the data of the robot file, with the patches of its effects."""
+"""The axis in the format of a scenario: the data of the robot file, with the patches of its effects.
 
-from collections.abc import Sequence
+Differences of links from CAD in the format of a scenario: factor of the mass, shift of its centre, added bodies.
+
+Masses and first moments determine gravity. They are those of the URDF links themselves; bodies fixed to them stay.
+"""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
-from service.diagnosis.effects.patch import Inexpressible, Patch, merged
+from service.diagnosis.effects.effect import Inexpressible, Patch, merged
+from service.identification.model.regressor import gravity_terms, inertia_rows
 from service.model.robot import Robot
+from service.model.urdf import inertia_vector, read_inertial, transform_inertial
+
+Array = NDArray[np.float64]
+Links = Mapping[str, Mapping[str, Any]]
+"""The links of a scenario, by name."""
+
+FACTORS = (0.1, 10.0)
+
+
+def deviations(robot: Robot, changes: Array) -> dict[str, dict[str, Any]]:
+    """Links by name for changes (n, 4) of [mass, kg; first moment, kg m] of the moving links; Inexpressible if a mass
+    is not above 0.
+    """
+    result: dict[str, dict[str, Any]] = {}
+    for joint, own, change in zip(robot.chain.joints, _own(robot), changes, strict=True):
+        if not change.any():
+            continue
+        mass = float(own[0] + change[0])
+        if own[0] <= 0 or mass <= 0:
+            raise Inexpressible(f"mass of {joint.link} = {mass:.3g} kg against {own[0]:.3g} kg of CAD")
+        shift = (own[1:] + change[1:]) / mass - own[1:] / own[0]
+        result[joint.link] = {"mass": mass / float(own[0]), "shift": shift.tolist()}
+    return result
+
+
+def moments(robot: Robot, links: Links) -> Array:
+    """The changes (n, 4) that the `links` of a scenario describe."""
+    result = np.zeros((len(robot.chain.joints), 4))
+    for k, (joint, own) in enumerate(zip(robot.chain.joints, _own(robot), strict=True)):
+        link = links.get(joint.link, {})
+        mass = link.get("mass", 1.0) * own[0]
+        moment = link.get("mass", 1.0) * own[1:] + mass * np.array(link.get("shift", (0.0, 0.0, 0.0)))
+        for body in link.get("added", ()):
+            mass += body["mass"]
+            moment = moment + body["mass"] * (np.array(body["start"]) + np.array(body["end"])) / 2
+        result[k] = np.append(mass, moment) - own
+    return result
+
+
+def gravity(robot: Robot, links: Links, joint: int, poses: Array) -> Array:
+    """(m, 2): cosine and sine part, N m, of gravity about a joint by its own angle, all others as in `poses` (m, n)."""
+    inertial = robot.chain.inertial.copy()
+    inertial[:, :4] += moments(robot, links)
+    return gravity_of(robot, inertial, joint, poses)
+
+
+def joined(robot: Robot, wanted: Sequence[tuple[int, Array, Array]]) -> Array:
+    """The most likely changes (n, 4) of [mass, first moment] for given gravity on several joints: for each its number,
+    poses (m, n), and the change of cosine and sine part (m, 2), N m.
+    """
+    chain = robot.chain
+    own = _own(robot)
+    changes = np.zeros_like(own)
+    if not wanted:
+        return changes
+    first = min(joint for joint, _, _ in wanted)
+    size = robot.prior.gravity * np.column_stack([own[:, 0], *[np.linalg.norm(own[:, 1:], axis=1)] * 3])
+    places = [(link, part) for link in range(first, len(own)) for part in range(4) if size[link, part] > 0]
+    columns: list[Array] = []
+    for link, part in places:
+        unit = np.zeros_like(chain.inertial)
+        unit[link, part] = size[link, part]
+        columns.append(np.concatenate([gravity_of(robot, unit, joint, poses).ravel() for joint, poses, _ in wanted]))
+    if columns:
+        right = np.concatenate([change.ravel() for _, _, change in wanted])
+        # 1e-4 of the largest torque: accuracy with which the links give gravity
+        scale = 1e-4 * max(float(np.abs(right).max(initial=0.0)), 1e-12)
+        matrix = np.vstack([np.stack(columns, axis=-1) / scale, np.eye(len(columns))])
+        solution = np.linalg.lstsq(matrix, np.append(right / scale, np.zeros(len(columns))), rcond=None)[0]
+        for (link, part), value in zip(places, solution, strict=True):
+            changes[link, part] = value * size[link, part]
+    return changes
+
+
+def gravity_of_fit(poses: Array, joint: int, torque: Array, slope: Array) -> Array:
+    """(m, 2): cosine and sine part by the angle of this axis, from torque and slope (m,) in each pose."""
+    cosine, sine = np.cos(poses[:, joint]), np.sin(poses[:, joint])
+    return np.stack([torque * cosine - slope * sine, torque * sine + slope * cosine], axis=-1)
+
+
+def gravity_of(robot: Robot, inertial: Array, joint: int, poses: Array) -> Array:
+    """(m, 2): cosine and sine part, N m, about a joint by its own angle, of links (n, 10); linear in them."""
+    torque, stiffness = gravity_terms(robot.chain, inertial.ravel(), robot.gravity, joint, poses).T
+    return gravity_of_fit(poses, joint, torque, stiffness)
+
+
+def inertia_factors(
+    robot: Robot, links: Links, wanted: Sequence[tuple[int, Array, Array]], steps: int | None = None
+) -> dict[str, float]:
+    """Factors of the links' inertias about their centres, fitted to axis inertias: for each joint its number, poses
+    (m, n), and inertias (m,) without motor, kg m^2. A part that such links cannot represent is ignored.
+    Inexpressible if the fit is not finite or does not converge within `steps` (None: SciPy's limit).
+    """
+    close = 0.01  # relative accuracy with which they give inertias
+    count = len(robot.chain.joints)
+    bare = _inertial(robot, links, np.zeros(count))
+    own = np.stack([_inertial(robot, links, unit) - bare for unit in np.eye(count)])
+    rows = [inertia_rows(robot.chain, joint, poses) / inertia[:, None] for joint, poses, inertia in wanted]
+    if not rows:
+        return {}
+    matrix = np.vstack([row @ own.reshape(count, -1).T for row in rows]) / close
+    right = np.concatenate([1 - row @ bare.ravel() for row in rows]) / close
+    prior = np.eye(count) / robot.prior.inertia
+    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+        raise Inexpressible("inertias of the links: those of the axes are not finite")
+    whole = np.vstack([matrix, prior])
+    found = lsq_linear(whole, np.append(right, prior.sum(axis=0)), bounds=FACTORS, max_iter=steps)
+    if found.status <= 0:
+        raise Inexpressible(f"inertias of the links: their fit did not converge: {' '.join(found.message.split())}")
+    factors = np.where(np.abs(matrix).max(axis=0) > 0, found.x, 1.0)
+    return {joint.link: float(factor) for joint, factor in zip(robot.chain.joints, factors, strict=True)}
+
+
+def _inertial(robot: Robot, links: Links, factors: Array) -> Array:
+    """(n, 10) of the real links, with the inertias about their centres multiplied by factors (n,)."""
+    result = robot.chain.inertial.copy()
+    changed = moments(robot, links)
+    for k, (joint, own) in enumerate(zip(robot.chain.joints, _whole(robot), strict=True)):
+        if own[0] <= 0:
+            continue
+        bodies = links.get(joint.link, {}).get("added", ())
+        central = transform_inertial(own, np.eye(3), -own[1:4] / own[0])[4:]
+        mass, moment = own[0] + changed[k, 0], own[1:4] + changed[k, 1:]
+        for body in bodies:
+            mass, moment = mass - body["mass"], moment - body["mass"] * _centre(body)
+        moved = transform_inertial(np.append([mass, 0, 0, 0], factors[k] * central), np.eye(3), moment / mass)
+        result[k] += moved - own + sum((_bar(body) for body in bodies), start=np.zeros(10))
+    return result
+
+
+def _bar(body: Mapping[str, Any]) -> Array:
+    """Ten parameters of a solid cylindrical bar."""
+    mass, radius = body["mass"], body["radius"]
+    way = np.array(body["end"]) - np.array(body["start"])
+    length = float(np.linalg.norm(way))
+    along = np.outer(way, way) / length**2
+    inertia = mass * (radius**2 / 2 * along + (3 * radius**2 + length**2) / 12 * (np.eye(3) - along))
+    return transform_inertial(np.concatenate([[mass, 0, 0, 0], inertia_vector(inertia)]), np.eye(3), _centre(body))
+
+
+def _centre(body: Mapping[str, Any]) -> Array:
+    return (np.array(body["start"]) + np.array(body["end"])) / 2
+
+
+def _own(robot: Robot) -> Array:
+    """[mass, first moment] (n, 4) of the URDF links that the moving joints carry."""
+    return _whole(robot)[:, :4]
+
+
+def _whole(robot: Robot) -> Array:
+    """All ten parameters (n, 10)."""
+    elements = {element.get("name"): element for element in ET.fromstring(robot.urdf_text).findall("link")}
+    return np.array([read_inertial(elements[joint.link], robot.name) for joint in robot.chain.joints])
+
 
 UNKNOWN_MOTOR = 0.1  # of the axis' inertia: assumed motor inertia if the robot file has none
-STIFF = 350.0  # Hz, locked rotor, for a gear with backlash or transmission error but no known elasticity
-FASTEST = 1000.0  # Hz, resonance of motor against load: limit of the time step of the simulator
-DAMPING = 0.3  # damping ratio of such a gear
-LEAST_MOTOR = 0.1  # of the value in the robot file
 NOT_NEGATIVE = (
     "motor_friction.viscous", "motor_friction.backward_viscous", "motor_friction.coulomb",
     "motor_friction.backward_coulomb", "warming.viscous_loss", "lugre.damping", "spring.damping", "spring.backlash",
@@ -53,7 +212,8 @@ def axis_entry(
     train = whole["train"]
     if train["effort_gain"] <= 0:
         raise Inexpressible(f"effort_gain = {train['effort_gain']:.3g} is not above 0")
-    held = _held(train, LEAST_MOTOR * motor)
+    # 0.1 of the value in the robot file
+    held = _held(train, 0.1 * motor)
     scale = 1.0 if true else train["effort_gain"]
     for path in TORQUES:
         _scale(train, path.split("."), 1 / scale)
@@ -104,8 +264,11 @@ def _sprung(train: Patch, inertia: float, ratio: float) -> None:
     motor = train["motor_inertia"] * ratio**2
     load = max(inertia - motor, UNKNOWN_MOTOR * inertia)
     swing = motor * load / (motor + load)
-    spring["stiffness"] = min(load * (2 * np.pi * STIFF) ** 2, swing * (2 * np.pi * FASTEST) ** 2)
-    spring["damping"] = DAMPING * float(np.sqrt(spring["stiffness"] * load))
+    # Hz, locked rotor, for a gear with backlash or transmission error but no known elasticity
+    # Hz, resonance of motor against load: limit of the time step of the simulator
+    spring["stiffness"] = min(load * (2 * np.pi * 350.0) ** 2, swing * (2 * np.pi * 1000.0) ** 2)
+    # 0.3 damping ratio of such a gear
+    spring["damping"] = 0.3 * float(np.sqrt(spring["stiffness"] * load))
 
 
 def _tidied(train: Patch) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from service.diagnosis.effects.patch import Inexpressible, Patch
+from service.diagnosis.effects.effect import Inexpressible, Patch
 from service.diagnosis.model.scenario import AxisEntry
 from service.model.recording import Sweep
 from service.model.robot import Robot
@@ -17,11 +17,9 @@ from simulator import DriveTrain, Gravity, Measurement, Motion, MovingAxis, Turn
 Array = NDArray[np.float64]
 Part = TypeVar("Part", DriveTrain, Measurement)
 
-LEAST_LOAD = 0.02  # of the axis' inertia: minimum inertia of the load
-
 
 @dataclass(frozen=True)
-class Run:
+class TwinRun:
     """Sweep number `sweep` with an axis of a total inertia, kg m^2 as recorded, and gravity [cosine, sine], N m."""
 
     sweep: int
@@ -49,7 +47,7 @@ def ways(sweeps: Sequence[Sweep]) -> list[Way]:
     ]
 
 
-def torques(robot: Robot, joint: str, ways: Sequence[Way], runs: Sequence[Run]) -> list[Array]:
+def torques(robot: Robot, joint: str, ways: Sequence[Way], runs: Sequence[TwinRun]) -> list[Array]:
     """Simulated effort of each run, N m (N), at the samples of its sweep; all in one call.
 
     The gear temperature at the start of a sweep follows from the sweeps before it, by `started_at`. Inexpressible if no
@@ -62,7 +60,8 @@ def torques(robot: Robot, joint: str, ways: Sequence[Way], runs: Sequence[Run]) 
     axes: list[MovingAxis] = []
     for run in runs:
         train, inertia = trains[id(run.entry)], run.inertia / run.entry.scale
-        load = max(inertia - train.motor_inertia * ratio**2, LEAST_LOAD * inertia)
+        # 0.02 of the axis' inertia: minimum inertia of the load
+        load = max(inertia - train.motor_inertia * ratio**2, 0.02 * inertia)
         # the total inertia is the measured one, whatever motor inertia the entry has
         exact = train.model_copy(update={"motor_inertia": (inertia - load) / ratio**2})
         axes.append(MovingAxis(exact, ratio, load, Gravity(*run.gravity), float(warm[id(run.entry)][run.sweep])))

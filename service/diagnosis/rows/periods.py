@@ -12,9 +12,6 @@ from service.model.recording import Recording, Sweep
 
 Array = NDArray[np.float64]
 
-ALIKE = 0.98  # correlation of the velocity with itself one period later
-SHORTEST = 1.0  # s
-
 
 def in_periods(joint: str, sweeps: Sequence[Sweep]) -> list[Sweep]:
     """The sweeps of an axis that are evidence; a single sweep that repeats its motion is cut into periods.
@@ -52,11 +49,13 @@ def _period(sweep: Sweep) -> int:
     shifts = np.arange(count)
     norm = np.sqrt(energy[count - shifts] * (energy[count] - energy[shifts]))
     alike = products / np.maximum(norm, 1e-300)
-    first, last = round(SHORTEST * sweep.spec.sample_rate), count // 2
+    # 1.0 s
+    first, last = round(1.0 * sweep.spec.sample_rate), count // 2
     if last <= first:
         return 0
     best = first + int(np.argmax(alike[first:last]))
-    return best if alike[best] > ALIKE else 0
+    # 0.98 correlation of the velocity with itself one period later
+    return best if alike[best] > 0.98 else 0
 
 
 def _cut(sweep: Sweep, samples: int, number: int) -> Sweep:

@@ -19,16 +19,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from service.identification.model.regressor import axis_rows, gravity_rows
 from service.model.robot import Knowledge, Robot
 
 Array = NDArray[np.float64]
 
-TILT = 1e-3  # rad, inclination of the base, one sigma
 SLACK = 1e-5  # of the rated effort, one sigma: elastic links, inexact lengths in CAD
-TELLING = 1e-3  # of the largest singular value of an effect: smaller directions hardly change the torque
-UNKNOWN_MOTOR = 0.5  # of the axis' inertia: assumed motor inertia if the robot file has none
 LEAST_MOMENT = 0.05  # m times the mass: smallest first moment to which the relative prior applies
 PAYLOAD = (1.0, 0.3, 0.1)  # kg, kg m, kg m^2: relative sizes of mass, first moment and inertia of a payload
 
@@ -48,6 +46,10 @@ class Rigid:
     def load(self, coefficients: Array) -> Array:
         """(3, m) for coefficients (k,)."""
         return self.nominal + np.tensordot(coefficients, self.basis, axes=1)
+
+    def along(self, pose_index: NDArray[np.int_], parts: Array) -> Array:
+        """The columns of the load (n, t, k) for signals (3, n, t) that multiply it, each sweep in its pose."""
+        return np.einsum("bkn,knt->ntb", self.basis[:, :, pose_index], parts, optimize=True)
 
     def precision_without(self, effects: Sequence[str]) -> Array:
         """(k, k): the prior without the directions that these effects free."""
@@ -71,7 +73,8 @@ def rigid(robot: Robot, joint: str, poses: Array, sizes: Array) -> Rigid:
     weight = np.repeat(sizes, len(poses))[:, None] / np.sqrt(len(poses))
     nominal = nominal_load(robot, joint, poses)
     gravity_alone = np.repeat([0.0, 1.0, 1.0], len(poses))[:, None]
-    prior = np.column_stack([rows @ parameter_spread(robot, index, poses), TILT * _tilts(robot, index, poses)])
+    # 1e-3 rad, inclination of the base, one sigma
+    prior = np.column_stack([rows @ parameter_spread(robot, index, poses), 1e-3 * _tilts(robot, index, poses)])
     moved = {
         "gravity_error": gravity_alone
         * np.column_stack(
@@ -126,11 +129,24 @@ def parameter_spread(robot: Robot, index: int, poses: Array) -> Array:
         [prior.gravity * mass, prior.gravity * np.repeat(moment, 3, 1), prior.inertia * np.repeat(inertia, 6, 1)]
     )
     typical = float(np.max(axis_rows(robot.chain, index, poses)[:, : inertial.size] @ inertial.ravel()))
+    # 0.5 of the axis' inertia: assumed motor inertia if the robot file has none
     motors = [
-        UNKNOWN_MOTOR * typical if u is None else prior.motor_inertia * u
+        0.5 * typical if u is None else prior.motor_inertia * u
         for u in (axis.reflected_motor_inertia for axis in robot.axes)
     ]
     return _informed(np.concatenate([sigma.ravel(), motors]), robot.knowledge)
+
+
+def deviations_left(root: Array, rows: Array, covariance: Array, floor: float) -> Array:
+    """Standard deviations (p,) of parameters with prior `root @ root.T` (p, p) after `rows` (m, p) were measured
+    with `covariance` (m, m), and each with an error `floor` of its own.
+
+    From (I + R' N^-1 R)^-1: prior minus gain leaves rounding alone of parameters far better known than before.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    seen = (vectors / np.sqrt(np.maximum(values, 0.0) + floor**2)).T @ rows @ root
+    left = np.linalg.cholesky(np.eye(root.shape[1]) + seen.T @ seen)
+    return np.linalg.norm(solve_triangular(left, root.T, lower=True), axis=0)
 
 
 def _informed(sigma: Array, knowledge: Knowledge | None) -> Array:
@@ -187,7 +203,8 @@ def _unit(columns: Array, size: float) -> float:
 def _telling(columns: Array) -> Array:
     """Orthonormal directions (k, r) of columns, without those that hardly change the torque."""
     vectors, values, _ = np.linalg.svd(columns, full_matrices=False)
-    return vectors[:, (values > TELLING * values.max(initial=0.0)) & (values > 0)]
+    # 1e-3 of the largest singular value of an effect: smaller directions hardly change the torque
+    return vectors[:, (values > 1e-3 * values.max(initial=0.0)) & (values > 0)]
 
 
 def _inverse(covariance: Array, slack: float) -> Array:

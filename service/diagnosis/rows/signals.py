@@ -1,4 +1,4 @@
-r"""All sweeps of one axis as arrays (sweeps, samples), and the one filter for all signals.
+"""All sweeps of one axis as arrays (sweeps, samples), and the one filter for all signals.
 
 The filter is a Gaussian of `BAND`. It is symmetric, so there is no delay. Effort and all columns pass the same filter,
 so linear relations between them are preserved. Samples are first averaged down to about
@@ -6,15 +6,15 @@ so linear relations between them are preserved. Samples are first averaged down 
 would look like a delay or a spring.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
-from service.diagnosis.rows.responses import Complex, back, derivative_spectrum, in_frequency
 from service.identification.model.least_squares import finite
 from service.identification.model.regressor import gravity_rows
 from service.identification.motion.trajectory_record import runs_at_once
@@ -23,25 +23,96 @@ from service.model.recording import Recording, Sweep, SweepSpec
 from service.model.robot import Robot
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+ENDING = 0.05  # s, in which the slope at the end of a record decreases to zero
+
+
+@dataclass(frozen=True)
+class PaddedSpectrum:
+    """Signals (n, t) in the frequency domain: their first values (n, 1), and the transform (n, bins) of the rest.
+
+    A signal is assumed constant before its first sample, so a start from standstill is exact. After its last sample it
+    returns to the first value, so smoothly and slowly that the response to the end does not reach the start. All of
+    that is linear: the spectrum of a sum is the sum of the spectra.
+    """
+
+    first: Array
+    away: Complex
+
+    def __add__(self, other: "PaddedSpectrum") -> "PaddedSpectrum":
+        return PaddedSpectrum(self.first + other.first, self.away + other.away)
+
+    def __mul__(self, response: Complex | Array | float) -> "PaddedSpectrum":
+        """Filtered by a response (n or 1, bins) of `bins(t, rate)`, or multiplied by a number."""
+        constant = response[:, :1].real if isinstance(response, np.ndarray) else response
+        return PaddedSpectrum(self.first * constant, np.multiply(self.away, response, dtype=np.complex128))
+
+    def signal(self, count: int) -> Array:
+        """The signals (n, count)."""
+        return np.asarray(back(count, self.away) + self.first)
+
+
+def spectrum(signal: Array, rate: float) -> PaddedSpectrum:
+    """The spectrum of signals (n, t)."""
+    count = signal.shape[1]
+    first, last = signal[:, :1], signal[:, -1:]
+    turning, fading = _return(count, rate)
+    extended = np.zeros((len(signal), _padded(count)))
+    np.subtract(signal, first, out=extended[:, :count])
+    np.multiply(last - first, turning, out=extended[:, count : 2 * count])
+    extended[:, count : 2 * count] += (last - signal[:, -2:-1]) * ENDING * rate * fading
+    return PaddedSpectrum(first, np.asarray(np.fft.rfft(extended), dtype=np.complex128))
+
+
+@lru_cache(maxsize=8)
+def _return(count: int, rate: float) -> tuple[Array, Array]:
+    """How a signal returns to its first value after its end: by position, and by slope."""
+    after = np.arange(1.0, count + 1) / (ENDING * rate)
+    return (1 + np.cos(np.arange(1.0, count + 1) * (np.pi / (count + 1)))) / 2, after * np.exp(-after)
+
+
+def in_frequency(signal: Array, rate: float) -> Array:
+    """Derivative of signals (n, t)."""
+    return back(signal.shape[1], derivative_spectrum(signal, rate))
+
+
+def through(signal: Array, rate: float, response: Complex) -> Array:
+    """Signals (n, t) filtered by a response (n or 1, bins) of `bins(t, rate)`; constant before their first sample."""
+    return (spectrum(signal, rate) * response).signal(signal.shape[1])
+
+
+def derivative_spectrum(signal: Array, rate: float) -> Complex:
+    """Transform (n, bins) of the derivative of signals (n, t), see `PaddedSpectrum`."""
+    frequencies = 2j * np.pi * bins(signal.shape[1], rate)
+    return np.multiply(spectrum(signal, rate).away, frequencies, dtype=np.complex128)
+
+
+def back(count: int, transform: Complex) -> Array:
+    """The signals (n, count) of a transform (n, bins)."""
+    return np.fft.irfft(transform, _padded(count))[:, :count].astype(np.float64, copy=False)
+
+
+def bins(samples: int, rate: float) -> Array:
+    """Frequencies, Hz, of `in_frequency`."""
+    return np.fft.rfftfreq(_padded(samples), 1 / rate).astype(np.float64)
+
+
+def _padded(samples: int) -> int:
+    # 3 times the record: padding, so that the response after the end does not wrap around to the start
+    return next_fast_len(3 * samples, real=True)
+
+
 Mask = NDArray[np.bool_]
 
 RATE = 250.0  # Hz, of the columns
 BAND = 20.0  # Hz, of the Gaussian
 BLOCK = 32  # rows filtered in one operation
 EVERY = 2  # samples per row of the equations
-TOP = 0.36  # of the rate: above this frequency there is only noise
-REACH = 4.0  # standard deviations: half width of the Gaussian
-STUCK = 0.03  # of the peak speed of the slowest sweep: below, friction may have any value (sticking)
-REVERSES = 0.3  # of the peak speed: speed in the other direction from which a sweep counts as reversing
-SETTLED = 3e-4  # rad (m) from the start: within it, dry friction depends on the previous motion
-SETTLED_PART = 0.05  # of the travel at most
 STUCK_TIME = 0.016  # s below the speed limit that count as standstill; a zero crossing is shorter
 COARSE = 400.0  # Hz: below this rate, friction may reverse within a sample, invisible in the positions
 PARTS = 8  # parts into which such a sample is divided
-SHORT = 2e-6  # rad (m): reversal distance for friction without presliding
 SHORTEST = 2.5e-8  # rad (m): the same for slow recordings, where a sample is much longer
-STICKING = 3.0  # times the encoder noise, which must not reverse the friction
-ONE_POSE = 1e-3  # rad (m): largest difference of the joints within one pose
 
 
 @dataclass(frozen=True)
@@ -110,7 +181,8 @@ class Tracks:
     def turning(self) -> float:
         """Distance, rad (m), within `STUCK_TIME` after a reversal: friction that reverses within it sticks."""
         low, high = self.velocity.min(axis=1), self.velocity.max(axis=1)
-        reverses = np.minimum(-low, high) > REVERSES * np.maximum(-low, high)
+        # 0.3 of the peak speed: speed in the other direction from which a sweep counts as reversing
+        reverses = np.minimum(-low, high) > 0.3 * np.maximum(-low, high)
         if not reverses.any():
             return 0.0
         moved = self.acceleration[reverses][self.inside[reverses]]
@@ -134,12 +206,33 @@ class Tracks:
         return np.where(small, 1.0, np.sin(block * half) / (block * np.where(small, 1.0, np.sin(half))))
 
     @cached_property
-    def _spectrum(self) -> Complex:
+    def laplace(self) -> Complex:
+        """(1, bins): s = j omega, rad/s, of the bins of filters."""
+        return np.asarray(2j * np.pi * bins(self.velocity.shape[1], self.rate)[None], dtype=np.complex128)
+
+    @cached_property
+    def turned_over(self) -> Complex:
+        """Transform (n, bins) of the acceleration as the derivative of the velocity."""
         return derivative_spectrum(self.velocity, self.rate)
 
-    def accelerated(self, response: Complex) -> Array:
-        """The acceleration (n, t) filtered by a response (n or 1, bins) of `bins(t, rate)`."""
-        return back(self.velocity.shape[1], self._spectrum, response)
+    @cached_property
+    def spectra(self) -> dict[str, PaddedSpectrum]:
+        """Spectra of the signals that filters of effects use again and again, by the names of their fields."""
+        return {name: spectrum(getattr(self, name), self.rate) for name in ("effort", "velocity", "acceleration")}
+
+    @cached_property
+    def remembered(self) -> dict[tuple[float, ...], Array]:
+        """The latest results of `remember`."""
+        return {}
+
+    def remember(self, key: tuple[float, ...], make: Callable[[], Array]) -> Array:
+        """A signal that depends on these numbers and on the tracks alone; of some, it is computed only once."""
+        if key not in self.remembered:
+            # 8 signals of `Tracks.remember`
+            while len(self.remembered) >= 8:
+                del self.remembered[next(iter(self.remembered))]
+            self.remembered[key] = make()
+        return self.remembered[key]
 
     def rows(self, signal: Array) -> Array:
         """A signal (n, t) after the filter: (n, rows)."""
@@ -181,7 +274,8 @@ def white_covariance(signal: Array, inside: Mask, rate: float, lags: int) -> Arr
         part = np.diff(row[good], 2)  # removes drift, so that no edge leaks into the top band; gain 16 at the top
         transform = np.abs(np.fft.rfft(part)) ** 2 / len(part)
         frequency = np.fft.rfftfreq(len(part))
-        top = frequency > TOP
+        # 0.36 of the rate: above this frequency there is only noise
+        top = frequency > 0.36
         powers.append(float(np.median(transform[top] / (2 * np.sin(np.pi * frequency[top])) ** 4)) / np.log(2))
     kernel = _kernel(rate)
     every = np.pad(kernel, (0, lags * EVERY))
@@ -240,7 +334,9 @@ def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
     position = stacked("position")
     poses, pose_index = _poses(own)
     coarse = own[0].spec.sample_rate < COARSE
-    sticking = max(SHORTEST if coarse else SHORT, STICKING * _jitter(own))
+    # 2e-6 rad (m): reversal distance for friction without presliding
+    # 3.0 times the encoder noise, which must not reverse the friction
+    sticking = max(SHORTEST if coarse else 2e-6, 3.0 * _jitter(own))
     found = Tracks(
         robot=robot,
         joint=joint,
@@ -266,15 +362,19 @@ def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
 
 def bristle(position: Array, way: float) -> Array:
     """State of Dahl's model (n, t), -1 to 1: dz/dx = (1 - z sign(v)) / way, exact for each step of positions (n, t)."""
-    steps = np.diff(position, axis=1, prepend=position[:, :1])
-    keep, sign = np.exp(-np.abs(steps) / way), np.sign(steps)
-    gained = sign * (1 - keep)
-    state = np.zeros_like(steps)
-    now = np.zeros(len(steps))
-    for n in range(1, steps.shape[1]):
-        now = gained[:, n] + now * keep[:, n]
-        state[:, n] = now
-    return state
+    return bristles(position, [way])[0]
+
+
+def bristles(position: Array, ways: Sequence[float]) -> Array:
+    """States (ways, n, t) of Dahl's model for several ways, see `bristle`."""
+    steps = np.ascontiguousarray(np.diff(position, axis=1, prepend=position[:, :1]).T)
+    keep = np.exp(-np.abs(steps)[:, None] / np.array(ways)[:, None])
+    gained = np.sign(steps)[:, None] * (1 - keep)
+    state = np.zeros_like(keep)
+    for before, now, kept, more in zip(state[:-1], state[1:], keep[1:], gained[1:], strict=True):
+        np.multiply(before, kept, out=now)
+        now += more
+    return np.moveaxis(state, 0, -1)
 
 
 def _directions(sweeps: Sequence[Sweep], way: float, block: int, most: int) -> Array:
@@ -317,7 +417,8 @@ def _jitter(sweeps: Sequence[Sweep]) -> float:
 def _poses(sweeps: Sequence[Sweep]) -> tuple[Array, NDArray[np.int_]]:
     """The poses (m, all joints), and for each sweep the number of its pose (n,)."""
     commanded = np.array([sweep.spec.pose for sweep in sweeps])
-    _, first, pose_index = np.unique(np.round(commanded / ONE_POSE), axis=0, return_index=True, return_inverse=True)
+    # 1e-3 rad (m): largest difference of the joints within one pose
+    _, first, pose_index = np.unique(np.round(commanded / 1e-3), axis=0, return_index=True, return_inverse=True)
     return commanded[first], pose_index.reshape(-1)
 
 
@@ -331,8 +432,11 @@ def laid_out(tracks: Tracks, signals: Sequence[Array]) -> Array:
 def _usable(velocity: Array, position: Array, inside: Mask, rate: float) -> Mask:
     """Rows (n, rows) whose kernel is inside the record and contains no standstill, nor the first distance after one."""
     away = np.maximum.accumulate(np.abs(position - position[:, :1]), axis=1)
-    early = away < np.minimum(SETTLED, SETTLED_PART * away[:, -1:])
-    stuck = _long(np.abs(velocity) < STUCK * slowest(velocity), round(STUCK_TIME * rate))
+    # 3e-4 rad (m) from the start: within it, dry friction depends on the previous motion
+    # 0.05 of the travel at most
+    early = away < np.minimum(3e-4, 0.05 * away[:, -1:])
+    # 0.03 of the peak speed of the slowest sweep: below, friction may have any value (sticking)
+    stuck = _long(np.abs(velocity) < 0.03 * slowest(velocity), round(STUCK_TIME * rate))
     spoilt = (stuck | early | ~inside).astype(float)
     return lowpass(spoilt, rate) < 1e-9
 
@@ -354,6 +458,7 @@ def _averaged(signal: Array, block: int) -> Array:
 
 def _kernel(rate: float) -> Array:
     width = rate / (2 * np.pi * BAND)
-    reach = int(np.ceil(REACH * width))
+    # 4.0 standard deviations: half width of the Gaussian
+    reach = int(np.ceil(4.0 * width))
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
     return kernel / kernel.sum()

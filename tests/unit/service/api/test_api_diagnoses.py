@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from service.data_check import check, findings_document
-from service.diagnosis.sensitivity.predicted_sweeps import expected
+from service.diagnosis.sensitivity import expected
 from service.identification.design.diagnosis_sweeps import full_design
 from service.model.errors import BadInput
 from service.model.recording import Sweep

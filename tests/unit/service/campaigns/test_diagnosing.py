@@ -12,7 +12,7 @@ import psutil
 import pytest
 
 from service.diagnosis import axis_document, diagnose_axis
-from service.diagnosis.sensitivity.predicted_sweeps import expected
+from service.diagnosis.sensitivity import expected
 from service.identification.design.diagnosis_sweeps import full_design
 from service.identification.estimates.torque_gain import KnownMass
 from service.identification.estimation import estimate_document, sweep_spectrum

@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.data_check import Finding, check, findings_document, untrustworthy
+from service.data_check import DataFinding, check, findings_document, untrustworthy
 from service.model.recording import Sweep
 from service.model.robot import Robot, build_robot
 from tests.unit.service.data_check.conftest import (
-    AMPLITUDE,
     INERTIA,
     OFFSET,
     POSE,
@@ -29,7 +28,7 @@ def column(sweeps: Sequence[Sweep], name: str, change: Change) -> tuple[Sweep, .
     )
 
 
-def only(found: Sequence[Finding], code: str) -> Finding:
+def only(found: Sequence[DataFinding], code: str) -> DataFinding:
     assert [one.code for one in found] == [code], found
     assert found[0].axis in ("lift", None)
     return found[0]
@@ -133,17 +132,18 @@ def test_a_dead_channel(robot: Robot, sweeps: tuple[Sweep, ...], name: str) -> N
     assert untrustworthy(found, "lift") != ()
 
 
-def test_lost_samples_are_counted(robot: Robot, sweeps: tuple[Sweep, ...]) -> None:
+def test_lost_samples_are_counted_and_are_no_other_finding(robot: Robot, sweeps: tuple[Sweep, ...]) -> None:
     def cut(values: np.ndarray) -> np.ndarray:
-        return np.concatenate([values[:2000], values[2012:], values[-12:]])
+        return np.concatenate([values[:2000], values[2040:], values[-40:] + 40 * (values[-1] - values[-2])])
 
     short = sweeps[:1]
     for name in ("effort", "velocity", "position"):
         short = column(short, name, cut)
     found = {one.code: one for one in check(robot, (*short, *sweeps[1:]))}
+    assert not {"velocity_scale", "not_repeatable", "lost_counts"} & found.keys()
     lost = found["time_jump"]
     assert lost.value is not None
-    assert abs(lost.value) * OFFSET == pytest.approx(12 * OFFSET, rel=3 * AMPLITUDE / OFFSET)
+    assert abs(lost.value) == pytest.approx(40, rel=0.05)
 
 
 def test_a_gap_and_a_wrong_rate_of_the_clock(robot: Robot, sweeps: tuple[Sweep, ...]) -> None:

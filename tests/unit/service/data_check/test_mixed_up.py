@@ -77,18 +77,6 @@ def test_counts_that_an_encoder_lost_are_no_lost_samples(robot: Robot, sweeps: t
     assert [one.code for one in found] == ["lost_counts"]
 
 
-def test_missing_samples_are_one_finding(robot: Robot, sweeps: tuple[Sweep, ...]) -> None:
-    def cut(values: np.ndarray) -> np.ndarray:
-        return np.concatenate([values[:2000], values[2040:], values[-40:] + 40 * (values[-1] - values[-2])])
-
-    record = sweeps[0].recording
-    names = ("effort", "velocity", "position")
-    short = Sweep(sweeps[0].spec, replace(record, **{name: cut(getattr(record, name)) for name in names}))
-    found = [one.code for one in check(robot, (short, *sweeps[1:]))]
-    assert "time_jump" in found
-    assert not {"velocity_scale", "not_repeatable", "lost_counts"} & set(found)
-
-
 def test_repeats_of_another_level(robot: Robot, sweeps: tuple[Sweep, ...]) -> None:
     told = check(robot, changed(sweeps, lambda sweep: sweep.recording.effort + 0.03 * RATED * sweep.spec.repeat))
     assert [one.code for one in told] == ["not_repeatable"]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from service.diagnosis.fit.equations import Equations, Term, equations, grouped
 from service.diagnosis.rows.rigid import load_rows, nominal_load
 from service.diagnosis.rows.signals import Tracks, tracks
-from service.diagnosis.sensitivity.predicted_sweeps import expected
+from service.diagnosis.sensitivity import expected
 from service.identification.design.diagnosis_sweeps import BLOCKS, DesignedSweep, full_design
 from service.identification.estimates.torque_gain import KnownMass
 from service.model.recording import Sweep

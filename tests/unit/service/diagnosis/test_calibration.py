@@ -7,10 +7,10 @@ import pytest
 
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.fit.calibration import Weighed, corrected, is_decided, is_wrong, weighed_gain
-from service.diagnosis.fit.parameters import Parameter
+from service.diagnosis.fit.fitted import Parameter
 from service.diagnosis.rows.rigid import load_rows, nominal_load
 from service.diagnosis.rows.signals import tracks
-from service.diagnosis.sensitivity.predicted_sweeps import expected
+from service.diagnosis.sensitivity import expected
 from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design
 from service.identification.estimates.torque_gain import KnownMass
 from service.model.errors import BadInput
@@ -138,7 +138,6 @@ def test_what_a_mass_explains_is_a_gap_of_the_effort_as_it_was_told() -> None:
     assert found["gap"]["after_rms"] < 0.1 * found["gap"]["before_rms"]
 
 
-@pytest.mark.slow
 def test_beside_what_nobody_knows_a_mass_still_tells_the_gain() -> None:
     bare, weighed = with_mass(1.15, ripple=60.0)
     found = axis_document(diagnose_axis(known_to(TIGHT), "joint_2", bare, weighed=weighed, twin=False))

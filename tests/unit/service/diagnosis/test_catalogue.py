@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.effects.catalogue import Catalogue
-from service.diagnosis.effects.drive_train.backlash import missing
-from service.diagnosis.effects.effect import Model
-from service.diagnosis.effects.friction.friction_temperature_drift import warmth
+from service.diagnosis.effects.drive_train import missing
+from service.diagnosis.effects.effect import Catalogue, Model
+from service.diagnosis.effects.friction import warmth
 from service.diagnosis.rows.signals import Tracks, bristle, tracks
-from service.diagnosis.sensitivity.predicted_sweeps import expected
+from service.diagnosis.sensitivity import expected
 from service.identification.design.diagnosis_sweeps import full_design
 from service.model.errors import BadInput
 from tests.numeric.campaign import max100
@@ -100,7 +99,7 @@ def test_within_a_very_wide_play_the_motor_never_meets_the_load(motion: Tracks) 
 SHIPPED = tuple(CATALOGUE.values())  # of this process: looked at before anything is installed
 EFFECT = """
 from dataclasses import replace
-from service.diagnosis.effects.friction.coulomb_friction import EFFECT as SHIPPED
+from service.diagnosis.effects.friction import COULOMB_FRICTION as SHIPPED
 EFFECT = replace(SHIPPED, name="{name}")
 """
 
@@ -163,7 +162,7 @@ def test_one_that_imports_the_catalogue_itself_is_found(packages: Packages) -> N
         ("bad_b:EFFECT", "1 / 0", "cannot be loaded: ZeroDivisionError: division by zero"),
         ("bad_c:EFFECT", "EFFECT = (", "cannot be loaded: SyntaxError: '(' was never closed"),
         ("bad_d:EFFECT", "", "cannot be loaded: AttributeError: module 'bad_d' has no attribute 'EFFECT'"),
-        ("bad_e:EFFECT", "EFFECT = 3", "is int, not service.diagnosis.effects.effect.Effect"),
+        ("bad_e:EFFECT", "EFFECT = 3", "is int, not service.diagnosis.effects.effect.CatalogueEffect"),
         ("bad_f:EFFECT", EFFECT.format(name="other"), "its effect calls itself 'other': both must have the same name"),
     ],
 )

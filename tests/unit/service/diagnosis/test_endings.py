@@ -13,16 +13,14 @@ from rich.console import Console
 from service.cli.terminal import print_result
 from service.diagnosis import axis_document, diagnose_axis, model_document
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.effects.patch import Inexpressible
+from service.diagnosis.effects.effect import Inexpressible
 from service.diagnosis.fit import equations as equations_module
 from service.diagnosis.fit.calibration import Weighed, WeighedGain, weighed_gain
-from service.diagnosis.fit.ended import Ended
+from service.diagnosis.fit.cross_products import Ended, NotFinite, covariance, given_rest, solve
 from service.diagnosis.fit.equations import Equations, Term
-from service.diagnosis.fit.joint_steps import together
-from service.diagnosis.fit.search import CurrentModel
+from service.diagnosis.fit.search import CurrentModel, together
 from service.diagnosis.fit.select import Selection, settled
-from service.diagnosis.fit.solving import NotFinite, covariance, given_rest, solve
-from service.diagnosis.model.link_deviations import inertia_factors
+from service.diagnosis.model.scenario import inertia_factors
 from service.diagnosis.rows.rigid import nominal_load
 from service.diagnosis.unfinished import unfinished
 from service.identification.design.diagnosis_sweeps import full_design

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.diagnosis.fit.equations import Equations, Term, equations, grouped
-from service.diagnosis.fit.gap import Gap, gap
+from service.diagnosis.fit.gap import ValidationResidual, gap
 from service.diagnosis.model.held_out_check import HeldOutCheck, check_held_out
 from service.diagnosis.rows.signals import tracks
 from service.identification.design.diagnosis_sweeps import full_design
@@ -55,7 +55,7 @@ def measured(scenario: Scenario) -> tuple[Equations, list[Sweep]]:
     return equations(motion, grouped(motion)), sweeps
 
 
-def found(given: Equations, shown: HeldOutCheck) -> Gap:
+def found(given: Equations, shown: HeldOutCheck) -> ValidationResidual:
     return gap(given, shown.before, shown.after, ())
 
 
@@ -89,7 +89,6 @@ def test_an_effect_that_is_not_there_is_rolled_back(twin: bool) -> None:
     assert not twin or (shown.twin_rms or np.inf) < 1.1 * floor
 
 
-@pytest.mark.slow
 def test_the_gap_is_that_of_the_pose_that_took_no_part() -> None:
     """RMS of the rows of unseen sweeps alone, and how many they are."""
     given, _ = warming()

@@ -8,7 +8,7 @@ import pytest
 
 from service.diagnosis.diagnose import diagnose_axis
 from service.diagnosis.fit.equations import Equations, Term, nominal_right
-from service.diagnosis.localisation.locate import Cell, lines, sentences
+from service.diagnosis.localisation.locate import ResidualBin, lines, sentences
 from service.diagnosis.localisation.repeatability import Unrepeated, unrepeated
 from service.diagnosis.rows.signals import tracks
 from service.identification.design.diagnosis_sweeps import full_design
@@ -19,8 +19,8 @@ from tests.unit.service.diagnosis.following import FORWARD, RATE, SLOW, equation
 POSES = np.array([[0.0, -1.0, 0.2, 0, 0, 0], [0.0, 0.3, 0.2, 0, 0, 0], [0.0, 1.2, 0.2, 0, 0, 0]])
 
 
-def cell(dimension: str, value: str, rms: float) -> Cell:
-    return Cell(dimension, value, rms, 100.0 * rms, 0.0)
+def cell(dimension: str, value: str, rms: float) -> ResidualBin:
+    return ResidualBin(dimension, value, rms, 100.0 * rms, 0.0)
 
 
 def test_the_pattern_comes_first_and_what_it_says_is_not_said_twice() -> None:
@@ -78,7 +78,7 @@ def test_a_line_that_is_quieter_than_all_beside_it_is_still_a_number() -> None:
     assert all(np.isfinite(cell.significance) for cell in lines(motion, beside, beside))
 
 
-def line_cells(sweeps: Sequence[Sweep]) -> tuple[Cell, ...]:
+def line_cells(sweeps: Sequence[Sweep]) -> tuple[ResidualBin, ...]:
     """Of what CAD leaves of the effort."""
     motion = tracks(max100(), "joint_2", sweeps)
     left = motion.rows(nominal_right(motion))

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from service.diagnosis.effects.friction.nonlinear_viscous_friction import law
+from service.diagnosis.effects.friction import law
 from service.diagnosis.fit.cross_products import PLAIN, Group, Piece, between_periods, noise_model, pairing
 from service.diagnosis.rows.periods import in_periods
-from service.diagnosis.rows.responses import bins, in_frequency
-from service.diagnosis.rows.signals import lowpass, row_samples
+from service.diagnosis.rows.signals import back, bins, derivative_spectrum, in_frequency, lowpass, row_samples
 from service.model.recording import Recording, Sweep, SweepSpec
 
 RATE = 250.0
@@ -35,7 +34,9 @@ def test_derivative_in_the_frequency_domain_also_of_a_record_that_ends_in_motion
     expected = turning + 0.3
     assert in_frequency(velocity, RATE)[0, 50:-20] == pytest.approx(expected[50:-20], abs=2e-3)
     late = np.exp(-2j * np.pi * bins(1500, RATE)[None] * 0.02)
-    assert in_frequency(velocity, RATE, late)[0, 50:-50] == pytest.approx(expected[45:-55], abs=5e-3)
+    assert back(1500, derivative_spectrum(velocity, RATE) * late)[0, 50:-50] == pytest.approx(
+        expected[45:-55], abs=5e-3
+    )
 
 
 def test_noise_of_regressors_does_not_bias_products_between_repeats() -> None:
@@ -44,7 +45,7 @@ def test_noise_of_regressors_does_not_bias_products_between_repeats() -> None:
     columns = (true + random.normal(size=(3, 4000)))[..., None]
     group = Group(tuple(Piece(k, 0, 4000) for k in range(3)), 0)
     pairs = pairing(np.ones((3, 4000), dtype=bool), [group], 0, 1)
-    across, same = pairs.products(columns)[0, 0, 0], pairs.plain(columns)[0, 0, 0]
+    across, same = pairs.products(columns)[0, 0, 0], float(np.sum(columns**2))
     assert pairs.rows == 12000
     assert across == pytest.approx(3 * float(true @ true), rel=0.05)
     assert same == pytest.approx(2 * across, rel=0.1)
@@ -80,7 +81,7 @@ def test_gathered_products_are_those_between_different_repeats(repeats: int) -> 
     pairs = pairing(np.ones((repeats, 50), dtype=bool), [group], 0, 1)
     couples = [(r, s) for r in range(repeats) for s in range(repeats) if r != s] or [(0, 0)]
     wanted = sum(columns[r].T @ columns[s] for r, s in couples) / max(repeats - 1, 1)
-    gathered = pairs.gathered(columns)
+    gathered = pairs.gathered(np.moveaxis(columns, -1, 0))
     assert pairs.crossed(gathered, gathered)[0] == pytest.approx(wanted)
     assert pairs.products(columns)[0] == pytest.approx(wanted)
 
@@ -127,7 +128,8 @@ def test_the_load_behind_a_spring_from_standstill() -> None:
     expected = np.array([rates(t, state)[1] for t, state in zip(time, answer.y.T, strict=True)])
     s = 2j * np.pi * bins(len(time), RATE)[None]
     follows = (stiffness + damping * s) / (inertia * s**2 + damping * s + stiffness)
-    found = in_frequency(np.array([[motor(t)[1] for t in time]]), RATE, follows)[0]
+    velocity = np.array([[motor(t)[1] for t in time]])
+    found = back(len(time), derivative_spectrum(velocity, RATE) * follows)[0]
     size = np.abs(expected).max()
     assert found[:-50] == pytest.approx(expected[:-50], abs=0.01 * size)
     assert found[0] == pytest.approx(0.0, abs=0.01 * size)

@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.fit.equations import Term, grouped, held_back
-from service.diagnosis.rows.rigid import load_rows, nominal_parameters
+from service.diagnosis.rows.rigid import deviations_left, load_rows, nominal_parameters
 from service.diagnosis.rows.signals import tracks
 from service.diagnosis.verdict import Verdict
 from service.identification.design.diagnosis_sweeps import full_design
@@ -95,3 +95,9 @@ def test_ripples_of_a_torque_that_is_told_late() -> None:
     assert abs(delay.value - DELAY) < 3 * delay.std < 0.1 * DELAY
     found_sizes = [parameter.value for parameter in named["cogging_torque"].values()]
     assert found_sizes == pytest.approx(sizes, rel=0.02, abs=1e-4 * rated)
+
+
+def test_a_deviation_a_billionth_of_the_prior_keeps_its_digits() -> None:
+    """One of two parameters measured: 1e4 to 1e-5, the other stays; prior minus gain would leave rounding alone."""
+    left = deviations_left(np.diag([1e4, 3.0]), np.array([[1.0, 0.0]]), np.array([[0.6e-10]]), np.sqrt(0.4e-10))
+    assert left == pytest.approx([1e-5, 3.0], rel=1e-9)

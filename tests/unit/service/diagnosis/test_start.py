@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.equations import Term
-from service.diagnosis.fit.parameters import Parameter
+from service.diagnosis.fit.fitted import Parameter
 from service.diagnosis.rows.rigid import load_rows, nominal_parameters, parameter_spread
 from service.diagnosis.rows.signals import Tracks
 from service.formats.export.started_robot import started_from
@@ -72,7 +72,6 @@ def diagnosed(robot: Robot, measured: Robot) -> Mapping[str, Any]:
     return axis_document(diagnose_axis(robot, JOINT, sweeps, twin=False))
 
 
-@pytest.mark.slow
 def test_cad_that_is_off_beyond_its_prior_is_told_and_not_when_an_estimate_put_it_right(
     robot: Robot, estimate: dict[str, Any]
 ) -> None:
@@ -174,7 +173,6 @@ def test_what_the_axis_cannot_have_is_left_out() -> None:
     assert "cogging_torque" not in found.untestable
 
 
-@pytest.mark.slow
 def test_all_effects_may_be_known() -> None:
     found = diagnose_axis(
         max100(), "joint_2", sweeps_of("joint_2", 60.0, 7), known={name: {} for name in CATALOGUE}, twin=False

@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 from service.cli.commands.identify import write_scenario
 from service.diagnosis import model_document
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.effects.effect import Model
-from service.diagnosis.effects.patch import Inexpressible, Patch
-from service.diagnosis.model.link_deviations import gravity, gravity_of_fit
-from service.diagnosis.model.scenario import AxisEntry, axis_entry
-from service.diagnosis.model.twin import Run, torques, ways
+from service.diagnosis.effects.effect import Inexpressible, Model, Patch
+from service.diagnosis.model.scenario import AxisEntry, axis_entry, gravity, gravity_of_fit
+from service.diagnosis.model.twin import TwinRun, torques, ways
 from service.diagnosis.rows.rigid import load_rows, nominal_load, nominal_parameters
 from service.diagnosis.rows.signals import Tracks, laid_out, tracks
 from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design
@@ -112,7 +110,9 @@ def torque(patches: Sequence[Patch], joint: str = JOINT) -> Array:
     fitted, index = model(joint), robot.index(joint)
     entry = axis_entry(robot, joint, float(fitted.inertia.mean()), fitted.viscous, patches)
     pull = gravity(robot, entry.links, index, motion.poses)[motion.pose_index]
-    runs = [Run(k, entry, float(fitted.inertia[k]), (float(pull[k, 0]), float(pull[k, 1]))) for k in range(len(sweeps))]
+    runs = [
+        TwinRun(k, entry, float(fitted.inertia[k]), (float(pull[k, 0]), float(pull[k, 1]))) for k in range(len(sweeps))
+    ]
     return laid_out(motion, torques(robot, joint, ways(sweeps), runs))
 
 
@@ -213,7 +213,7 @@ def test_a_spring_that_the_simulator_cannot_follow_is_told() -> None:
     train = {"motor_inertia": 0.01, "spring": {"stiffness": 1e12, "damping": 0.0}}
     entry = AxisEntry(train, {}, {}, (), 1.0)
     with pytest.raises(Inexpressible, match="does not stay with its motor"):
-        torques(robot, JOINT, ways(sweeps), [Run(0, entry, 200.0, (0.0, 0.0))])
+        torques(robot, JOINT, ways(sweeps), [TwinRun(0, entry, 200.0, (0.0, 0.0))])
 
 
 HEAVIER = 1.03  # inertia against CAD
@@ -268,7 +268,7 @@ def test_the_loaded_scenario_needs_the_torque_of_the_twin(tmp_path: Path) -> Non
     inertia = HEAVIER * model().inertia
     entry = axis_entry(robot, JOINT, float(inertia.mean()), 190.0, patches)
     pull = gravity_of_fit(motion.poses, robot.index(JOINT), *load_of(JOINT, *names)[1:])[motion.pose_index]
-    runs = [Run(k, entry, float(inertia[k]), (float(pull[k, 0]), float(pull[k, 1]))) for k in chosen]
+    runs = [TwinRun(k, entry, float(inertia[k]), (float(pull[k, 0]), float(pull[k, 1]))) for k in chosen]
     ours = torques(robot, JOINT, ways(sweeps), runs)
     for k, axis, one, other in zip(chosen, axes, theirs, ours, strict=True):
         # rigid links give a pose's inertia nearly; all else is the same

@@ -6,7 +6,7 @@ import pytest
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.equations import applies
-from service.diagnosis.sensitivity.visibility import Hidden, untestable
+from service.diagnosis.sensitivity import UntestableEffect, untestable
 from service.identification.design.diagnosis_sweeps import BLOCKS, REVISITED, full_design, paper_design
 from service.model.results.diagnosis import AxisDiagnosis, standing_of
 from tests.numeric.campaign import max100
@@ -29,6 +29,7 @@ def test_slow_sweeps_cannot_show_what_needs_high_frequencies() -> None:
     found = unseen("joint_3", ("forward_slow",), "measurement_delay", "coulomb_friction")
     assert set(found) == {"measurement_delay"}
     assert "wide" in found["measurement_delay"]
+    assert list(found["measurement_delay"]) == sorted(found["measurement_delay"], key=BLOCKS.index)
     assert not unseen("joint_3", ("forward_slow", "wide"), "measurement_delay")
 
 
@@ -36,7 +37,6 @@ def test_what_shows_depends_on_the_noise() -> None:
     assert not unseen("joint_3", ("forward_slow",), "measurement_delay", noise=1e-5)
 
 
-@pytest.mark.slow
 def test_play_shows_where_the_torque_changes_its_sign() -> None:
     found = unseen("joint_1", ("forward_slow",), "backlash", noise=0.02)
     assert found.keys() <= {"backlash"}
@@ -51,7 +51,7 @@ def test_the_full_design_shows_all() -> None:
     assert untestable(given, names, sweeps) == {}
 
 
-def of_the_paper(name: str, part: float) -> dict[str, Hidden]:
+def of_the_paper(name: str, part: float) -> dict[str, UntestableEffect]:
     """Whether sweeps of one direction show an effect where CAD may be off by a part, one sigma."""
     robot = known_to(part)
     sweeps = following(robot, "joint_2", paper_design(robot, "joint_2", POSES, sample_rate=RATE), noise=0.002)
@@ -73,11 +73,6 @@ def test_an_effect_that_the_estimate_takes_unseen_has_weight() -> None:
 
 def test_one_direction_shows_ripples_whatever_gravity_is() -> None:
     assert of_the_paper("cogging_torque", 0.3) == {}
-
-
-def test_blocks_are_told_in_their_order() -> None:
-    found = unseen("joint_3", ("forward_slow",), "measurement_delay")["measurement_delay"]
-    assert list(found) == sorted(found, key=BLOCKS.index)
 
 
 JOINT = "joint_2"

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.diagnosis.effects.friction.nonlinear_viscous_friction import law
+from service.diagnosis.effects.friction import law
 from service.identification.axis.known_effects import (
     LAWS,
     Corrected,

@@ -1,21 +1,86 @@
-"""Visibility of an effect in the existing sweeps: together with other effects, and at all."""
+"""Visibility of an effect in the existing sweeps, together with other effects and at all, and in sweeps not yet run.
+
+Measured and predicted sweeps share one set of columns. Therefore coefficients of the measured sweeps are valid for
+the predicted ones, the poses of both determine the possible gravity errors, and the gear temperature continues.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.fit.cross_products import Gathered
-from service.diagnosis.fit.equations import Equations, Term
-from service.diagnosis.fit.solving import solve
-from service.diagnosis.sensitivity.predicted_sweeps import PredictedSweeps, predict_sweeps
+from service.diagnosis.fit.cross_products import Gathered, solve
+from service.diagnosis.fit.equations import Equations, Term, equations
+from service.diagnosis.rows.signals import Tracks, tracks
 from service.identification.design.diagnosis_sweeps import BLOCKS, DesignedSweep, full_design, measured_blocks
+from service.identification.design.excitation import Excitation, velocity_setpoint
 from service.model.errors import BadInput
-from service.model.recording import Sweep
+from service.model.recording import Recording, Sweep
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PredictedSweeps:
+    """Equations of measured and predicted sweeps; coefficients are fitted to the measured ones only."""
+
+    given: Equations
+    measured: int  # number of measured sweeps, which are the first ones
+
+    @property
+    def tracks(self) -> Tracks:
+        return self.given.tracks
+
+    def effort(self, terms: Sequence[Term]) -> Array:
+        """Whitened rows (predicted sweeps, rows) of the torque of load, friction and terms; fitted coefficients."""
+        given, rows = self.given, [self.given.rows(term) for term in terms]
+        every = np.concatenate([given.base, *rows, given.right[..., None]], axis=-1)
+        values = solve(given.system_of(every).sum(axis=0), given.precision(terms))[0]
+        return every[self.measured :, :, :-1] @ values
+
+    def beyond_rigid(self, effort: Array, sweeps: Sequence[int]) -> float:
+        """Chi-squared of an effort (predicted sweeps, rows) in some sweeps, minus the part that load and friction can
+        explain within the prior and the measured sweeps.
+        """
+        at = np.array(sweeps) + self.measured
+        good = self.tracks.usable[at]
+        columns, left = self.given.base[at][good], effort[np.array(sweeps)][good]
+        known = self._known + columns.T @ columns
+        across = columns.T @ left
+        return float(left @ left - across @ np.linalg.solve(known, across))
+
+    @cached_property
+    def _known(self) -> Array:
+        """Information matrix (b, b) of the base: prior and measured sweeps."""
+        b = self.given.width_of_base
+        system = self.given.system_of(self.given.base).sum(axis=0)
+        return system + self.given.precision(()) + 1e-12 * np.trace(system) * np.eye(b)
+
+
+def predict_sweeps(given: Equations, measured: Sequence[Sweep], designed: Sequence[DesignedSweep]) -> PredictedSweeps:
+    """`measured`: the sweeps of `given`. BadInput if the designed sweeps cannot be combined with them."""
+    robot, joint, index = given.tracks.robot, given.tracks.joint, given.tracks.robot.index(given.tracks.joint)
+    motion = tracks(robot, joint, [*measured, *(expected(one, one.spec.pose[index]) for one in designed)])
+    groups = tuple(
+        replace(group, pieces=tuple(replace(piece, rows=motion.usable.shape[1]) for piece in group.pieces))
+        for group in given.groups
+    )
+    return PredictedSweeps(equations(motion, groups, given.whitening), len(given.tracks.specs))
+
+
+def expected(designed: DesignedSweep, start: float) -> Sweep:
+    """A sweep that follows its set-point exactly from a position."""
+    spec = designed.spec
+    excitation = Excitation(
+        spec.offset_velocity, spec.sines, spec.period or 1.0, spec.periods or 1, designed.ramp, designed.settle
+    )
+    time = np.arange(round(designed.duration * spec.sample_rate)) / spec.sample_rate
+    velocity = velocity_setpoint(excitation, time)
+    return Sweep(spec, Recording(time, np.zeros_like(time), velocity, start + np.cumsum(velocity) / spec.sample_rate))
+
 
 TESTABLE = 25.0  # chi-squared that an effect of `TYPICAL` size must cause to be testable
 TYPICAL = 0.01  # of the rated effort
@@ -23,7 +88,7 @@ BIASED = 1.0  # chi-squared of an unseen effect that the rigid model takes: its 
 
 
 @dataclass(frozen=True, slots=True)
-class Hidden:
+class UntestableEffect:
     """An effect that is not visible in the sweeps. `blocks`: those not yet run in which it would be visible.
 
     `biases`: whether it has weight: at `TYPICAL` size it would change the estimate by more than its standard deviation.
@@ -67,7 +132,7 @@ def shows_beside(given: Equations, terms: Sequence[Term], term: Term) -> bool:
     return False
 
 
-def untestable(given: Equations, names: Sequence[str], sweeps: Sequence[Sweep]) -> dict[str, Hidden]:
+def untestable(given: Equations, names: Sequence[str], sweeps: Sequence[Sweep]) -> dict[str, UntestableEffect]:
     """Effects that are not visible in these sweeps.
 
     The assumed size of an effect is `TYPICAL` of the rated effort in the sweeps of a full design. Its whitened column y
@@ -79,7 +144,7 @@ def untestable(given: Equations, names: Sequence[str], sweeps: Sequence[Sweep]) 
     lets go has no column in these sweeps, and no weight for them.
     """
     ahead = _missing(given, sweeps)
-    result: dict[str, Hidden] = {}
+    result: dict[str, UntestableEffect] = {}
     for name in names:
         if CATALOGUE[name].by_load:
             continue
@@ -87,7 +152,7 @@ def untestable(given: Equations, names: Sequence[str], sweeps: Sequence[Sweep]) 
         if max(here for here, _, _ in shown) < TESTABLE:
             blocks = {block for _, _, there in shown for block, square in there.items() if square >= TESTABLE}
             biases = max(taken for _, taken, _ in shown) > BIASED
-            result[name] = Hidden(tuple(block for block in BLOCKS if block in blocks), biases)
+            result[name] = UntestableEffect(tuple(block for block in BLOCKS if block in blocks), biases)
     return result
 
 

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from service.data_check.finding import Finding, named
+from service.data_check.finding import DataFinding, named
 from service.data_check.probabilities import hypergeometric_tail
 from service.data_check.record import AxisRecords, Record
 from service.identification.spectra.frequency_response import Complex
@@ -25,12 +25,7 @@ BAND = (1.0, 20.0)  # Hz
 OWN = (25.0, 100.0)  # Hz, noise of the sensor
 OFTEN = 4.0  # times the density of the noise, median of all pairs
 SELDOM = 8.0  # times the density of the noise, in single pairs
-PAIRS = 0.05  # of all pairs, and at least two, must then show it
-LEAST = 0.001  # of rated effort, RMS: one step of typical drives
 CHANCE = 0.05  # probability: below, one kind of motion has more of these pairs than the others
-LEVEL = 0.005  # of rated effort: five steps of typical drives; warming friction changes less in ten seconds
-PEAK = 0.3  # of the power of the difference within two bins of its peak: then the finding gives a frequency
-BETWEEN = 120.0  # s: longest time from one repeat to the next
 
 
 @dataclass(frozen=True)
@@ -56,8 +51,9 @@ class Pair:
         return self.low * float(np.sqrt(width))
 
 
-def repeatability(axis: AxisRecords) -> list[Finding]:
+def repeatability(axis: AxisRecords) -> list[DataFinding]:
     """One warning, with the motions and the frequency."""
+    least = 0.001  # of rated effort, RMS: one step of typical drives
     found = _pairs(axis)
     if (level := _level(axis, found)) is not None:
         return [level]
@@ -66,18 +62,19 @@ def repeatability(axis: AxisRecords) -> list[Finding]:
         return []
     noise = [max(float(np.median(holds)) if holds else pair.high, pair.rounding, 1e-12) for pair in pairs]
     factor = np.array([pair.low / own for pair, own in zip(pairs, noise, strict=True)])
-    seen = np.array([pair.excess for pair in pairs]) > LEAST * axis.axis.rated_effort
+    seen = np.array([pair.excess for pair in pairs]) > least * axis.axis.rated_effort
     often = float(np.median(factor)) > OFTEN and 2 * np.count_nonzero(seen) > len(pairs)
     single = (factor > SELDOM) & seen
-    if not often and (np.count_nonzero(single) < max(2, PAIRS * len(pairs)) or not _anywhere(pairs, single)):
+    # 0.05 of all pairs, and at least two, must then show it
+    if not often and (np.count_nonzero(single) < max(2, 0.05 * len(pairs)) or not _anywhere(pairs, single)):
         return []
     shown = [pair for pair, yes in zip(pairs, (factor > OFTEN) & seen if often else single, strict=True) if yes]
     ids = tuple(dict.fromkeys(record.id for pair in shown for record in (pair.first, pair.second)))
     value = float(np.median([pair.excess for pair in shown]))
     worst = float(np.median(factor[seen])) if often else float(factor.max())
     return [
-        Finding(
-            "not_repeatable", "warning", axis.joint, ids, value, LEAST * axis.axis.rated_effort,
+        DataFinding(
+            "not_repeatable", "warning", axis.joint, ids, value, least * axis.axis.rated_effort,
             f"{axis.joint}: repeats differ by {value:.3g} {axis.unit} (RMS below {BAND[1]:g} Hz), {worst:.2g} times "
             f"the sensor's noise, {_how(shown)} ({len(shown)} of {len(pairs)} pairs, {named(ids)}).",
             "Look for what shakes the floor, for stick-slip and loose cables; what does not repeat is taken for noise.",
@@ -85,17 +82,18 @@ def repeatability(axis: AxisRecords) -> list[Finding]:
     ]  # fmt: skip
 
 
-def _level(axis: AxisRecords, found: Sequence[Pair]) -> Finding | None:
+def _level(axis: AxisRecords, found: Sequence[Pair]) -> DataFinding | None:
     """A mean effort that differs in the second repeat, in half of the pairs: more drag, an offset, another load."""
     pairs, holds = [pair for pair in found if not _still(pair)], [pair.low for pair in found if _still(pair)]
     # effort in another unit cannot be compared with the rated effort
     largest = max((float(np.abs(one.effort).max()) for pair in pairs for one in (pair.first, pair.second)), default=0.0)
-    limit = max(LEVEL * max(axis.axis.rated_effort, largest), SELDOM * max(holds, default=0.0))
+    # 0.005 of rated effort: five steps of typical drives; warming friction changes less in ten seconds
+    limit = max(0.005 * max(axis.axis.rated_effort, largest), SELDOM * max(holds, default=0.0))
     value = float(np.median([pair.level for pair in pairs])) if pairs else 0.0
     if value <= limit:
         return None
     ids = tuple(dict.fromkeys(one.id for pair in pairs if pair.level > limit for one in (pair.first, pair.second)))
-    return Finding(
+    return DataFinding(
         "not_repeatable", "warning", axis.joint, ids, value, limit,
         f"{axis.joint}: mean effort of repeats differs by {value:.3g} {axis.unit} (median of {len(pairs)} pairs, "
         f"limit {limit:.3g}, {named(ids)}).",
@@ -128,7 +126,8 @@ def _pairs(axis: AxisRecords) -> list[Pair]:
         ordered = sorted(group, key=lambda record: record.spec.started_at)
         for first, second in pairwise(ordered):
             length = len(second.sweep.recording.time) / second.rate
-            if second.spec.started_at - first.spec.started_at <= BETWEEN + length:
+            # 120.0 s: longest time from one repeat to the next
+            if second.spec.started_at - first.spec.started_at <= 120.0 + length:
                 pair = _pair(first, second)
                 if pair is not None:
                     found.append(pair)
@@ -172,7 +171,8 @@ def _how(pairs: Sequence[Pair]) -> str:
     low = (frequency >= BAND[0]) & (frequency <= BAND[1])
     peak = int(np.argmax(np.where(low, power, 0.0)))
     near = slice(max(peak - 2, 0), peak + 3)
-    if float(power[near].sum()) > 2 * PEAK * float(power[low].sum()):
+    # 0.3 of the power of the difference within two bins of its peak: then the finding gives a frequency
+    if float(power[near].sum()) > 2 * 0.3 * float(power[low].sum()):
         middle = float(power[near] @ frequency[near]) / float(power[near].sum())
         return f"at {middle:.2g} Hz"
     part = max(round(0.1 * rate), 1)

@@ -1,4 +1,4 @@
-r"""Lines in the motor angle: at which orders is the non-periodic part of effort periodic in the motor angle?
+"""Torque ripple in the motor angle: are its orders those of the robot file, with its gear ratio?
 
 The part of effort that does not repeat with the period (sines, friction and inertia do) is a function of the
 motor angle theta = gear ratio x position. A ripple of order o is a line in it, for each sweep
@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from service.data_check.finding import DataFinding
 from service.data_check.probabilities import log_chi2_above
 from service.data_check.record import AxisRecords, Record
 from service.identification.spectra.frequency_response import Complex, ripple_orders
@@ -27,14 +28,10 @@ from service.model.recording import Array
 
 RATE = 400.0  # Hz, minimum rate of effort after decimation: a ripple of 200 Hz moves no axis
 HIGHEST = 100.0  # order
-SLOWEST = 3.0  # periods in the slowest sweep: minimum for a line
 CHANCE = 1e-6  # probability of such phases without ripple, over all tried orders
 PLACES = 3  # minimum number of places with the same sweep
 ABOVE = 8.0  # times the median power over the orders: a line
 SAME = 0.01  # relative difference up to which an order of the robot file is the same order
-MOST = 3  # largest number of lines
-HIDDEN = 0.1  # of a ripple that nearly coincides with the periods
-FINE = 0.1  # of the order resolution of all sweeps together
 
 
 @dataclass(frozen=True)
@@ -118,7 +115,8 @@ def ripple_lines(axis: AxisRecords) -> list[Line]:
     every = [one for record in axis.records if (one := _turning(axis, record)) is not None]
     turning = [one for one in every if _places(every, one) >= PLACES]
     found: list[Line] = []
-    for _ in range(MOST if turning else 0):
+    # 3 largest number of lines
+    for _ in range(3 if turning else 0):
         spectra = _Spectra.of(turning)
         line = spectra.strongest(axis)
         if line is None:
@@ -155,7 +153,8 @@ class _Spectra:
         every = np.arange(size // 2 + 1, dtype=np.float64) * (2 * np.pi / (size * step))
         order = every[every <= HIGHEST]
         amplitude = np.empty((len(turning), len(order)), dtype=np.complex128)
-        lowest_order = SLOWEST * 2 * np.pi / min(one.span for one in turning)
+        # 3.0 periods in the slowest sweep: minimum for a line
+        lowest_order = 3.0 * 2 * np.pi / min(one.span for one in turning)
         for k, one in enumerate(turning):
             way = 1.0 if one.angle[-1] > one.angle[0] else -1.0
             lowest = float(one.angle.min())
@@ -221,7 +220,8 @@ class _Spectra:
         reach = 2 * np.pi / min(one.span for one in self.turning)
         near = np.flatnonzero(np.abs(self.order - self.order[grid]) <= reach)
         step = float(self.order[1] - self.order[0])
-        count = min(int(step * everywhere / (FINE * 2 * np.pi)) + 1, 400)
+        # 0.1 of the order resolution of all sweeps together
+        count = min(int(step * everywhere / (0.1 * 2 * np.pi)) + 1, 400)
         off = step * ((np.arange(count) + 0.5) / count - 0.5)
         turn = np.exp(-1j * off[:, None] * middle)  # (f, m)
         gained, size, agree = np.zeros((3, len(near), count))
@@ -230,7 +230,8 @@ class _Spectra:
             rest = float(np.mean([np.mean(self.turning[k].left ** 2) for k in members]))
             one = self.turning[members[0]]
             wave = _beside_periods(np.exp(1j * np.outer(one.angle, self.order[near])), one.period)
-            kept = np.maximum(np.mean(np.abs(wave) ** 2, axis=0), HIDDEN)[:, None]
+            # 0.1 of a ripple that nearly coincides with the periods
+            kept = np.maximum(np.mean(np.abs(wave) ** 2, axis=0), 0.1)[:, None]
             places = np.array([turn[:, p] @ self.amplitude[list(p)][:, near] / len(p) for p in map(list, group)])
             places = np.nan_to_num(np.swapaxes(places, 1, 2))  # (p, n, f)
             mean, power = np.abs(places.mean(axis=0)) ** 2, np.mean(np.abs(places) ** 2, axis=0)
@@ -241,3 +242,70 @@ class _Spectra:
         likely = gained / max(float(gained.max()), 1e-30) + agree / max(float(agree.max()), 1e-30)
         best, fine = np.unravel_index(int(np.argmax(likely)), likely.shape)
         return int(near[best]), float(self.order[near[best]] + off[fine]), float(np.sqrt(size[best, fine]))
+
+
+SIDE = (1.0, 2.0)  # an eccentric rotor gives weaker lines at this distance from a line of order o
+
+
+def ripples(axis: AxisRecords) -> list[DataFinding]:
+    """Findings: a gear ratio with which the known orders are too high or too low, and unknown orders."""
+    lines = ripple_lines(axis)
+    return [*_ratio(axis, lines), *_unknown(axis, lines)]
+
+
+def _ratio(axis: AxisRecords, lines: Sequence[Line]) -> list[DataFinding]:
+    """From the strongest line of a known order, if its phases do not agree with that order."""
+    scale = _scale(lines)
+    if scale is None:
+        return []
+    line, given = next(line for line in lines if line.known is not None), axis.axis.gear_ratio
+    return [
+        DataFinding(
+            "gear_ratio", "warning", axis.joint, (), given * scale, given,
+            f"{axis.joint}: the ripple of order {line.known:g} ({line.rms:.3g} {axis.unit}) repeats {scale:.5f} times "
+            f"as often as the robot file's gear ratio {given:g} says; {given * scale:.6g} fits in all poses.",
+            "Check the gear ratio in the robot file and in the drive.",
+        )
+    ]  # fmt: skip
+
+
+def _scale(lines: Sequence[Line]) -> float | None:
+    """Factor by which the gear ratio is wrong; None if it is correct."""
+    line = next((line for line in lines if line.known is not None), None)
+    if line is None or line.known is None:
+        return None
+    scale, off = line.order / line.known, abs(line.order - line.known)
+    # 0.25 of the order resolution over the range of the axis
+    clear = off > 0.25 * line.resolved and line.as_known - line.chance > -np.log(CHANCE)
+    # 5e-4 of the gear ratio: a larger difference is reported
+    return scale if abs(scale - 1) > 5e-4 and clear else None
+
+
+def _unknown(axis: AxisRecords, lines: Sequence[Line]) -> list[DataFinding]:
+    """Lines that are neither in the robot file nor side lines of a stronger one."""
+    whole = 0.02  # tolerance: orders of a motor are whole numbers (magnets, teeth)
+    scale, findings = _scale(lines) or 1.0, list[DataFinding]()
+    known = list(ripple_orders(axis.axis))
+    for line in lines:
+        order = line.order / scale
+        near = [one for one in known if abs(order / one - 1) < SAME]
+        beside = [one for one in known for side in SIDE if abs(abs(order - one) - side) < whole * max(1.0, one / 20)]
+        # 0.001 of rated effort, RMS: one step of typical drives
+        # 0.25 of the strongest line: a weaker one may be caused by the drive from that one
+        if near or beside or line.rms < max(0.001 * axis.axis.rated_effort, 0.25 * lines[0].rms):
+            continue
+        if abs(order - round(order)) > whole * max(1.0, order / 20):
+            continue
+        order = float(round(order))
+        known.append(order)
+        # 5.0 order: below, transmission error of the gear; above, cogging of the motor
+        kind = "transmission" if order < 5.0 else "cogging"
+        findings.append(
+            DataFinding(
+                "ripple_order", "warning", axis.joint, (), order, None,
+                f"{axis.joint}: effort ripples {order:.6g} times a motor turn ({line.rms:.3g} {axis.unit} RMS, one "
+                "phase in all poses), which the robot file does not know.",
+                f"Add it to {kind}_orders of the robot file.",
+            )
+        )  # fmt: skip
+    return findings

@@ -1,1 +1,0 @@
-"""Findings about samples against the robot file, one file a finding."""

@@ -1,1 +1,0 @@
-"""Findings about the samples themselves, one file a finding."""

@@ -1,1 +1,0 @@
-"""Effects between motor and load, one file each."""

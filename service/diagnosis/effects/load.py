@@ -1,0 +1,103 @@
+"""Effects of the load of the axis: gravity outside the tolerance of CAD, a payload, a hose."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.effects.effect import CatalogueEffect, Model, Patch, Readout, Shape, named, positive
+from service.diagnosis.rows.rigid import deviations_left, load_rows
+from service.diagnosis.rows.signals import Tracks
+
+Array = NDArray[np.float64]
+
+
+def _gravity_readout(tracks: Tracks, change: Array, covariance: Array) -> Readout:
+    """As a function of the angle q of this axis, mean over the poses: torque = cosine cos q + sine sin q."""
+    count = len(tracks.poses)
+    if tracks.prismatic:
+        turn, names, unit = np.full((1, count), 1 / count), ("force",), "N"
+        turn = np.hstack([0 * turn, turn, 0 * turn])
+    else:
+        angle = tracks.poses[:, tracks.robot.index(tracks.joint)]
+        cosine, sine, none = np.cos(angle) / count, np.sin(angle) / count, np.zeros(count)
+        turn = np.stack([np.concatenate([none, cosine, -sine]), np.concatenate([none, sine, cosine])])
+        names, unit = ("cosine", "sine"), "N m"
+    values, spread = turn @ change.ravel(), turn @ covariance @ turn.T
+    return {
+        name: (float(value), float(np.sqrt(max(variance, 0.0))), unit)
+        for name, value, variance in zip(names, values, np.diag(spread), strict=True)
+    }
+
+
+GRAVITY_ERROR = CatalogueEffect(
+    name="gravity_error",
+    physics="tau = A cos q + B sin q for each group of links: their first moments differ from CAD beyond its prior",
+    source="Atkeson, An and Hollerbach, Int. J. Robotics Research 5 (1986): torque linear in first moments",
+    sentence="Gravity pulls otherwise than CAD can be wrong: masses, centres of mass, or the base is out of level.",
+    visible_in=("forward_slow", "backward_slow"),
+    entry="links",
+    readout=_gravity_readout,
+    by_load=True,
+)
+
+
+CERTAIN = 3.0  # standard deviations: a mass more negative than that is impossible
+
+
+def _payload_readout(tracks: Tracks, change: Array, covariance: Array) -> Readout:
+    """Mass and first moments of a payload on the last link: the most likely values for this change of the load."""
+    farthest = 1.0  # m from the origin of the last joint to the centre of mass, one sigma
+    robot, index = tracks.robot, tracks.robot.index(tracks.joint)
+    last = robot.chain.inertial.size
+    # 0.3 of the mass of the links of the robot, one sigma
+    mass = 0.3 * float(np.abs(robot.chain.inertial[:, 0]).sum())
+    sigma = mass * np.repeat([1.0, farthest, farthest**2], (1, 3, 6))
+    weight = np.repeat(tracks.sizes, len(tracks.poses))
+    rows = weight[:, None] * load_rows(robot, index, tracks.poses)[:, last - 10 : last] * sigma
+    noise, slack = covariance * np.outer(weight, weight), 1e-4 * float(np.abs(weight * change.ravel()).max())
+    gain = rows.T @ np.linalg.inv(rows @ rows.T + noise + slack**2 * np.eye(len(noise)))
+    values = sigma * (gain @ (weight * change.ravel()))
+    spread = deviations_left(np.eye(10), rows, noise, slack) * sigma
+    names = (("mass", "kg"), ("moment_x", "kg m"), ("moment_y", "kg m"), ("moment_z", "kg m"))
+    return {name: (float(values[k]), float(spread[k]), unit) for k, (name, unit) in enumerate(names)}
+
+
+PAYLOAD = CatalogueEffect(
+    name="payload",
+    physics="tau = Y(q, a) [m, m c, I] of a body on the last link: gravity and inertia",
+    source="Khalil, Gautier and Lemoine, ICRA 2007, Identification of the payload inertial parameters",
+    sentence="The robot carries a mass that the model does not know.",
+    visible_in=("forward_slow", "backward_slow"),
+    entry="links.added",
+    readout=_payload_readout,
+    by_test_mass=True,
+    by_load=True,
+    possible=lambda parameters, tracks, model: parameters["mass"] > 0,
+)
+
+
+def _hose_columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
+    return [tracks.position**k for k in (1, 0, 2, 3)]
+
+
+def _hose_scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
+    stiffness = positive(parameters, "stiffness")
+    return {"train": {"hose": {"stiffness": stiffness, "rest": -parameters["torque_at_zero"] / stiffness}}}
+
+
+HOSE_SPRING = CatalogueEffect(
+    name="hose_spring",
+    physics="tau = k (q - q0) = k q + c, and a little q^2 and q^3 as it hardens",
+    source="Gautier, Janot and Vandanjon, IEEE Trans. Control Syst. Technol. 21 (2013): spring compensators",
+    sentence="Something elastic, a hose or a cable, pulls the axis towards a rest position.",
+    visible_in=("forward_slow", "backward_slow"),
+    entry="hose",
+    coefficients=named(
+        ("stiffness", "N m/rad"), ("torque_at_zero", "N m"), ("bend", "N m/rad2"), ("hardening", "N m/rad3")
+    ),
+    contains=("effort_offset",),
+    columns=_hose_columns,
+    possible=lambda parameters, tracks, model: parameters["stiffness"] > 0,
+    scenario=_hose_scenario,
+)

@@ -1,1 +1,0 @@
-"""Effects of the load of the axis, one file each."""

@@ -1,1 +1,0 @@
-"""Which sweeps make which effects visible."""
