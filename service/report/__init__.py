@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     )
     from service.report.diagnosis import diagnosis_figures, diagnosis_page
     from service.report.fleet import fleet_page
-    from service.report.html import Form, ReportPage
+    from service.report.html import Form, ReportPage, makes_pdf
     from service.report.page import analysis_page
 
 
@@ -41,6 +41,7 @@ __all__ = [
     "diagnosis_page",
     "example_of",
     "fleet_page",
+    "makes_pdf",
     "used_sweeps",
 ]
 
@@ -54,7 +55,7 @@ def __getattr__(name: str) -> object:
         ),
         "diagnosis": ("diagnosis_figures", "diagnosis_page"),
         "fleet": ("fleet_page",),
-        "html": ("Form", "ReportPage"),
+        "html": ("Form", "ReportPage", "makes_pdf"),
         "page": ("analysis_page",),
     }
     for module, names in homes.items():

@@ -203,11 +203,15 @@ def _effects(page: ReportPage, axis: AxisDiagnosis, figures: Mapping[str, DrawnF
 
 
 def _parameter_rows(effects: Sequence[Effect]) -> list[list[str]]:
+    """A coefficient of which the sweeps tell nothing has no value."""
     return [
-        [drawn.effect_words(effect.effect), plain(name), *_value(value)]
+        [drawn.effect_words(effect.effect), plain(name), *(_value(value) if value.significant else _NOT_SIGNIFICANT)]
         for effect in effects
         for name, value in effect.parameters.items()
     ]
+
+
+_NOT_SIGNIFICANT = ("not significant", "–", "")
 
 
 def findings(page: ReportPage, found: Sequence[Finding]) -> None:

@@ -255,7 +255,7 @@ def parameters(axis: AxisDiagnosis) -> DrawnFigure | None:
         (f"{effect_words(effect.effect)}: {name.replace('_', ' ')}", value)
         for effect in axis.effects
         for name, value in effect.parameters.items()
-        if value.value
+        if value.value and value.significant
     ]
     if not rows:
         return None

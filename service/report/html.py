@@ -11,7 +11,7 @@ from html import escape, unescape
 from importlib import import_module
 from itertools import zip_longest
 from pathlib import Path
-from typing import Literal, Protocol, TypedDict
+from typing import Literal, Protocol, TypedDict, cast
 
 from service.model.errors import NoPdf
 from service.report.drawing import DrawnFigure
@@ -136,19 +136,30 @@ class ReportPage:
 
     def pdf(self) -> bytes:
         """A4, with table of contents and numbered figures; NoPdf says what must be installed."""
-        html = self.paper_html()
-        try:
-            setter: Callable[..., _Set] = import_module("weasyprint").HTML
-        except (ImportError, OSError) as error:  # OSError: no Pango
-            raise NoPdf(
-                f"no PDF can be made here ({error}): install sweepid[pdf] and the system's Pango (Debian: "
-                "libpango-1.0-0 libpangoft2-1.0-0 libharfbuzz-subset0 fonts-dejavu-core), or print the HTML"
-            ) from None
-        return setter(string=html).write_pdf()
+        return _setter()(string=self.paper_html()).write_pdf()
 
     def _tell_table(self, head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
         section = ": ".join(part for part in self._section if part) or self._title
         self._tables.append({"section": section, "head": list(head), "rows": [list(row) for row in rows]})
+
+
+def makes_pdf() -> bool:
+    """Whether a PDF can be made here; takes a second at the first time."""
+    try:
+        _setter()
+    except NoPdf:
+        return False
+    return True
+
+
+def _setter() -> Callable[..., _Set]:
+    try:
+        return cast("Callable[..., _Set]", import_module("weasyprint").HTML)
+    except (ImportError, OSError) as error:  # OSError: no Pango
+        raise NoPdf(
+            f"no PDF can be made here ({error}): install sweepid[pdf] and the system's Pango (Debian: "
+            "libpango-1.0-0 libpangoft2-1.0-0 libharfbuzz-subset0 fonts-dejavu-core), or print the HTML"
+        ) from None
 
 
 def _plain(markup: str) -> str:

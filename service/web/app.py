@@ -11,6 +11,7 @@ from starlette.middleware.cors import CORSMiddleware
 
 from service.machine.stop_process.handle import StopProcess
 from service.process.settings import Settings
+from service.report import makes_pdf
 from service.web.api import (
     bundles,
     campaigns,
@@ -89,7 +90,7 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
     app.include_router(api)
     app.include_router(metrics.metric_routes)
     of_api = len(app.routes)
-    add_pages(app, None if stop_process is None else stop_process.port, settings.behind_proxy)
+    add_pages(app, None if stop_process is None else stop_process.port, makes_pdf, settings.behind_proxy)
     for page in app.routes[of_api:]:  # public files without data
         allow(None)(cast("APIRoute", page).endpoint)
     app.state.permissions = permissions = Permissions(app.routes)

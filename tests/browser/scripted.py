@@ -85,6 +85,8 @@ class Scripted:
 
     answers: dict[str, Json] = field(default_factory=dict[str, Json])
     stop: tuple[int, Json] = (200, CONFIRMED)
+    pdf: bool = True
+    """Whether it makes PDF."""
     url: str = ""
     stops: list[tuple[str, Json]] = field(default_factory=list[tuple[str, Json]])
     """Path and query of each stop that arrived."""
@@ -132,7 +134,7 @@ class Scripted:
     def app(self, stop_port: int | None, behind_proxy: bool) -> ASGIApp:
         """With `behind_proxy`, `/stop` as a proxy forwards it."""
         pages = FastAPI(openapi_url=None)
-        add_pages(pages, stop_port, behind_proxy)
+        add_pages(pages, stop_port, lambda: self.pdf, behind_proxy)
         at_proxy = [Route("/stop", self._stop, methods=["POST"])] if behind_proxy else []
         pages.router.routes += [
             Route("/api/v1/events", self._events),

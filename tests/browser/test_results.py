@@ -1,5 +1,8 @@
 """The page of results: what its lists and scales say."""
 
+import re
+
+import pytest
 from playwright.sync_api import expect
 
 from tests.browser.browsing import browsing
@@ -22,3 +25,44 @@ def test_earlier_estimates_are_earlier_and_the_scale_of_convergence_has_its_numb
         assert ticks.all_text_contents() == ["0.5", "1", "2"]
         expect(page.locator("#earlier tbody tr").first).to_be_visible()
         assert {row.split()[0] for row in page.locator("#earlier tbody tr").all_inner_texts()} == {"2", "1"}
+
+
+@pytest.mark.parametrize(
+    ("locale", "sheet"), [("en-US", "Sheet for the control"), ("de-DE", "Blatt für die Steuerung")]
+)
+@pytest.mark.parametrize("pdf", [True, False])
+def test_downloads_are_what_the_service_makes(pdf: bool, locale: str, sheet: str) -> None:
+    with scripted(answers=of_one(stored("estimate"))) as service:
+        service.pdf = pdf
+        with browsing(f"{service.url}/results#campaign-1", locale=locale) as page:
+            expect(page.get_by_role("link", name=sheet)).to_have_attribute("href", re.compile("campaigns/1/sheet.md$"))
+            assert page.locator("#downloads [href$='report.pdf']").count() == pdf
+            assert page.locator("#downloads [href$='report.json']").count() == 1
+
+
+def test_what_accepted_effects_did_to_the_estimate_is_told() -> None:
+    document = stored("estimate")
+    document["effects"] = [
+        {"axis": "joint_1", "effect": name, "parameters": {}, "used": used, "how": how}
+        for name, used, how in (("coulomb_friction", True, "subtracted"), ("backlash", False, "unknown in this pose"))
+    ]
+    document["axes"]["joint_1"]["effects_moved_in_std"] = 2.345
+    with scripted(answers=of_one(document)) as service, browsing(f"{service.url}/results#campaign-1") as page:
+        expect(page.locator("#taken p")).to_have_text(
+            [
+                "Taken into account: Coulomb friction of joint_1. subtracted",
+                "Left out: backlash of joint_1. unknown in this pose",
+                "The accepted effects moved J of joint_1 by up to 2.3 standard deviations.",
+            ]
+        )
+
+
+def of_one(document: Json) -> dict[str, Json]:
+    """A completed campaign with this estimate."""
+    one = campaign(1, state="completed")
+    return {
+        "campaigns": {"items": [one], "next": None},
+        "campaigns/1": one,
+        "campaigns/1/estimates/latest": {"revision": 1, "number": 2, "document": document},
+        "campaigns/1/estimates/convergence": {"wanted": None, "revisions": []},
+    }

@@ -91,6 +91,23 @@ def test_from_the_plan_to_the_results(machine: VirtualMachine, service: Service,
         assert bundle.value.path().stat().st_size > 1000
 
 
+def test_a_diagnosis_is_planned_on_the_page(service: Service) -> None:
+    with browsing(f"{service.url}/plan") as page, ServiceClient(service.url) as client:
+        expect(page.locator("#axes-measured input")).to_have_count(6)
+        for joint in ("joint_1", "joint_3"):
+            page.locator(f"#axes-measured [value={joint}]").uncheck()
+        page.locator("#budget").select_option("diagnosis")
+        page.locator("#amount").fill("1")
+        page.get_by_role("button", name="Make the plan").click()
+        expect(page.locator("#promise")).to_contain_text("order the diagnosis on the page Diagnosis")
+        expect(page.locator("#views svg")).to_have_count(2)
+        expect(page.locator("#grid")).to_be_hidden()
+        expect(page.locator("#motion")).to_contain_text("reversal")
+        page.locator("#take").click()
+        expect(page.locator("#taken a")).to_be_visible()
+        assert client.plan(client.campaigns()[-1]["plan_id"])["document"]["request"]["kind"] == "diagnosis"
+
+
 def test_an_amount_that_is_no_number_is_told(service: Service) -> None:
     with browsing(f"{service.url}/plan") as page:
         expect(page.locator("#axes-measured input")).to_have_count(6)

@@ -18,6 +18,11 @@ class Value(Part):
     unit: str = ""
 
     @property
+    def significant(self) -> bool:
+        """Whether the sweeps tell it apart from 0 by at least two standard deviations."""
+        return self.std is None or self.std <= abs(self.value) / 2
+
+    @property
     def words(self) -> str:
         """Value, standard deviation and unit."""
         std = math.nan if self.std is None else self.std

@@ -89,6 +89,7 @@ _TEXTS: dict[str, tuple[str, str]] = {
         '"cause":"","axis":"joint_1","attempt":1},"at":"2026-11-23T12:00:00Z"}\n\n',
     ),
     "text/html": ("One page with figures, complete in one file.", '<!doctype html>\n<html lang="en">...</html>'),
+    "text/markdown": ("A page of text.", "# Dynamics of max100-class for its control\n"),
     "text/plain": ("Metrics in the text format of Prometheus.", "sweepid_machine_connected 1.0\n"),
 }
 """Description of the answers without a model, and their first bytes."""

@@ -11,12 +11,15 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
 from service.formats.export import model_files, model_of
+from service.formats.export.sheets.making import sheet
+from service.formats.export.sheets.text import as_markdown
 from service.identification.fleet.document import Fleet
 from service.identification.fleet.survey import FleetRules
 from service.jobs.reporting import Reporting, of_fleet
 from service.jobs.work import Work, Written
 from service.jobs.worker import Worker
 from service.model.errors import NoPdf
+from service.planning.campaigns.stored_results import campaign_beside
 from service.planning.compiled_plan import plan_of
 from service.planning.plan import PlanDocument
 from service.report import Form
@@ -133,6 +136,21 @@ def get_model(campaign_id: Id, ending: ModelEnding, store: StoreOf) -> Response:
     name = f"model.{ending.value}"
     media_type = "application/yaml" if ending is ModelEnding.YAML else "application/xml"
     return download(model_files(model)[name], media_type, f"campaign-{campaign_id}-{name}")
+
+
+@model_file_routes.get(
+    "/sheet.md", response_class=Response, responses=media("text/markdown", schema={"type": "string"})
+)
+@allow(Role.VIEWER)
+def get_sheet(campaign_id: Id, store: StoreOf) -> Response:
+    """The values that controls take. 404 until the first sweep is identified; 422 while no sweep gives an inertia."""
+    campaign = store.campaign(campaign_id)
+    robot, estimate = store.robot(campaign.robot_id).build(), store.estimate(campaign_id)
+    beside = campaign_beside(store, campaign)
+    sweeps = [*(() if beside is None else store.sweeps(beside.id)), *store.sweeps(campaign_id)]
+    poses = {sweep.spec.id: sweep.spec.pose for sweep in sweeps}
+    made = sheet(robot, estimate.content, f"estimate {estimate.revision} of campaign {campaign_id}", poses)
+    return download(as_markdown(made), "text/markdown", f"campaign-{campaign_id}-sheet.md")
 
 
 class ReportFile(StrEnum):

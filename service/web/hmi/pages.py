@@ -9,6 +9,7 @@ from pathlib import Path
 from fastapi import FastAPI, Request
 from fastapi.responses import FileResponse, HTMLResponse, Response
 from fastapi.staticfiles import StaticFiles
+from starlette.concurrency import run_in_threadpool
 
 _Endpoint = Callable[[], Coroutine[None, None, Response]]
 
@@ -19,12 +20,14 @@ _PAGES = {
     "/diagnosis": "diagnosis.html",
     "/fleet": "fleet.html",
 }
+_PDF = ' data-pdf="report.pdf"'
 _STATIC = Path(__file__).parent / "static"
 
 
-def add_pages(app: FastAPI, stop_port: int | None, behind_proxy: bool = False) -> None:
+def add_pages(app: FastAPI, stop_port: int | None, pdf: Callable[[], bool], behind_proxy: bool = False) -> None:
     """The pages and the files that they load. They may speak to this service and to the stop's port.
 
+    `pdf`: whether the service makes PDF, for the link to it; may block.
     `behind_proxy`: they also send a stop to `stop` at their own origin, which the proxy forwards to that port.
     """
     # nothing is loaded from elsewhere, no inline script runs; plotly writes style attributes
@@ -48,7 +51,9 @@ def add_pages(app: FastAPI, stop_port: int | None, behind_proxy: bool = False) -
     if behind_proxy and stop_port is not None:
         head = head.replace('data-proxied=""', 'data-proxied="stop"')  # of STOP, relative to the pages
     for url, name in _PAGES.items():
-        app.add_api_route(url, _page(url, name, head, headers), response_class=HTMLResponse, include_in_schema=False)
+        app.add_api_route(
+            url, _page(url, name, head, headers, pdf), response_class=HTMLResponse, include_in_schema=False
+        )
     app.add_api_route("/texts.js", _texts(words, headers), response_class=Response, include_in_schema=False)
     for ending in ("js", "css"):
         path = f"/{{name}}.{ending}"
@@ -89,7 +94,7 @@ def _file(path: str, headers: Mapping[str, str]) -> _Endpoint:
     return file
 
 
-def _page(url: str, name: str, head: str, headers: Mapping[str, str]) -> _Endpoint:
+def _page(url: str, name: str, head: str, headers: Mapping[str, str], pdf: Callable[[], bool]) -> _Endpoint:
     """A page with the head that all of them have, in which its own link is the current one."""
     own = f'<a href="{url.removeprefix("/") or "./"}"'
     # who looks at any page can stop the machine
@@ -97,6 +102,8 @@ def _page(url: str, name: str, head: str, headers: Mapping[str, str]) -> _Endpoi
     content = (_STATIC / name).read_text("utf-8").replace("  <!-- head -->\n", head)
 
     async def page() -> HTMLResponse:
+        if _PDF in content and not await run_in_threadpool(pdf):
+            return HTMLResponse(content.replace(_PDF, ""), headers=headers)
         return HTMLResponse(content, headers=headers)
 
     return page

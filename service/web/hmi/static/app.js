@@ -17,7 +17,7 @@ import { plot } from "./plots.js";
 import { refresher } from "./refresh.js";
 import { events } from "./stream.js";
 import { aheadOf } from "./subject.js";
-import { language, text, word } from "./words.js";
+import { formula, language, text, word } from "./words.js";
 
 /** @type {Api.CampaignDocument[]} */
 let campaigns = [];
@@ -153,7 +153,7 @@ async function showEstimate(id) {
   byId("report").hidden = byId("estimate").hidden = false; // a plot needs the width of its element
   tell("estimate-text", estimateTold(estimate));
   byId("parameters").replaceChildren(...found.base_parameters.map(({ symbolic, name, value, std }) => row([
-    [symbolic ?? name], ...measured(std, value, std).map((shown) => [shown, "number"]),
+    [symbolic ?? formula(name)], ...measured(std, value, std).map((shown) => [shown, "number"]),
   ])));
   choices(byId("axis"), Object.keys(found.axes).map((joint) => [joint, joint]));
   drawChart(found);

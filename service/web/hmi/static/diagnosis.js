@@ -11,7 +11,7 @@ import { showMoving } from "./moving.js";
 import { refresher } from "./refresh.js";
 import { events } from "./stream.js";
 import { verdictParts } from "./verdicts.js";
-import { foreign, joined, language, parts, text, word } from "./words.js";
+import { foreign, formula, joined, language, parts, text, word } from "./words.js";
 
 const FINISHED = ["measured", "completed"];
 const OPEN = ["waiting", "running"];
@@ -171,16 +171,22 @@ const hasNoiseFloor = (gap) => [gap, ...gap.by_pose].some((one) => one.noise_flo
 /** @param {string} effect */
 const effectName = (effect) => word("effect", effect);
 
+/** @param {Api.Value} value */
+const significant = ({ value, std }) => std === null || std <= Math.abs(value) / 2;
+
+// a coefficient of which the sweeps tell nothing is not shown
 /** @param {Api.Effect} effect */
 function effectParts(effect) {
   const heading = element("h3", effectName(effect.effect));
   const sentence = element("p", [foreign(effect.sentence), " "]);
   sentence.append(element("code", effect.physics));
   const table = element("table");
-  table.append(...Object.entries(effect.parameters).map(([name, value]) => row([
+  const [shown, open] = [true, false].map((kind) => Object.entries(effect.parameters).filter(([, value]) => significant(value) === kind));
+  table.append(...shown.map(([name, value]) => row([
     [word("parameter", name)], [`${measured(value.std, value.value, value.std).join(" \u00b1 ")} ${value.unit.replace("^2", "\u00b2")}`, "number"],
   ])));
-  return [heading, sentence, table];
+  const left = open.length ? [element("p", text("diagnosis.not-significant", { parameters: open.map(([name]) => word("parameter", name)).join(", ") }), "quiet")] : [];
+  return [heading, sentence, table, ...left];
 }
 
 /** @param {Api.Effect[]} part */
@@ -196,7 +202,7 @@ function showRigidModel(axis) {
   byId("rigid-model").hidden = !parameters.length;
   tell("rigid-before", (axis.started_from ?? "cad") === "cad" ? "CAD" : text("diagnosis.estimate"));
   byId("rigid-parameters").replaceChildren(...parameters.map((one) => {
-    const name = /^\w+$/.test(one.name) ? word("parameter", one.name) : one.name;
+    const name = /^\w+$/.test(one.name) ? word("parameter", one.name) : formula(one.name);
     const line = row([
       [name, "words"], ...measured(one.std, one.nominal, one.value, one.std).map((shown) => [shown, "number"]),
     ]);

@@ -10,9 +10,9 @@ import { showGrid, showPicture } from "./picture.js";
 import { refresher } from "./refresh.js";
 import { events } from "./stream.js";
 import { aheadOf, askNames, machineHere, typedNames } from "./subject.js";
-import { language, text, Told } from "./words.js";
+import { formula, language, text, Told } from "./words.js";
 
-const USUAL = { poses: "24", confidence: text("plan.usual-confidence"), duration: "60" };
+const USUAL = { poses: "24", confidence: text("plan.usual-confidence"), duration: "60", diagnosis: "3" };
 const MINUTE = 60; // s
 
 /** @type {Api.RobotEntry[]} */
@@ -23,6 +23,7 @@ let machine = null; // of this service, with its robot and cell
 let paused; // the paused campaign
 /** @type {(Api.PlanView & {document: Api.PlanDocument}) | null} */
 let plan = null; // {id, robot_id, document}
+let diagnosing = false; // whether it is for a diagnosis
 /** @type {Units | null} */
 let units = null;
 /** @type {Api.PoseGrid | null} */
@@ -86,11 +87,13 @@ async function makePlan() {
   const amount = given("amount") * (budget === "duration" ? MINUTE : 1);
   const request = { robot_id: Number(byId("robot").value), cell: byId("cell").value, axes: chosen("axes-measured"), varied: chosen("axes-varied"), step: given("step") };
   if (!request.axes.length || !request.varied.length) throw new Told("plan.no-axes");
-  const made = await call("POST", `/plans${typedNames()}`, { ...request, [budget]: amount });
+  const wanted = budget === "diagnosis" ? { ...request, kind: "diagnosis", poses: amount } : { ...request, [budget]: amount };
+  const made = await call("POST", `/plans${typedNames()}`, wanted);
+  diagnosing = budget === "diagnosis";
   plan = /** @type {typeof plan} */ (made.content);
   byId("taken").replaceChildren();
   units = await unitsOf(plan.robot_id);
-  grid = await get(`/plans/${plan.id}/grid`);
+  grid = diagnosing ? null : await get(`/plans/${plan.id}/grid`);
   choices(byId("sweep"), plan.document.sweeps.map((sweep, k) => [k + 1, `${k + 1}: ${sweep.spec.axis}`]));
   byId("sweep").value = "1";
   showLegs();
@@ -103,8 +106,8 @@ async function showPlan() {
   const { document: content, id } = plan;
   byId("planned").hidden = false;
   tell("planned-title", text("plan.number", { id }));
-  const expected = content.confidence.at(-1);
-  tell("promise", expected === null ? openPromise(content) : text("plan.promise", { confidence: confidence(expected) }));
+  const expected = diagnosing ? null : content.confidence.at(-1);
+  tell("promise", diagnosing ? text("plan.diagnosis") : expected === null ? openPromise(content) : text("plan.promise", { confidence: confidence(expected) }));
   const shown = `${id}/${language()}`;
   if (byId("motion").dataset.shown === shown) return;
   showMotion(byId("motion"), { ...content, duration: plan.expected_time }, units, await get("/drives"), await aheadOf(`/plans/${id}/ahead`));
@@ -117,7 +120,7 @@ async function showPlan() {
 /** @param {Api.PlanDocument} document */
 function openPromise({ undetermined = [], enough_poses: poses = null }) {
   if (undetermined.length === 0) return text("plan.open");
-  return `${text("plan.undetermined", { parameters: undetermined.join(", ") })} ${poses === null ? text("plan.more") : text("plan.enough", { poses })}`;
+  return `${text("plan.undetermined", { parameters: undetermined.map(formula).join(", ") })} ${poses === null ? text("plan.more") : text("plan.enough", { poses })}`;
 }
 
 const sweepOf = () => plan.document.sweeps[Number(byId("sweep").value) - 1];

@@ -12,7 +12,7 @@ import { plot } from "./plots.js";
 import { showAudit, showModels, table } from "./record.js";
 import { refresher } from "./refresh.js";
 import { events } from "./stream.js";
-import { language, text, word } from "./words.js";
+import { figures, foreign, language, text, word } from "./words.js";
 
 const EARLIER = 5; // number of earlier campaigns
 const TICKS = [-3, -2, -1, 0, 1, 2, 3].flatMap((decade) => [1, 2, 5].map((digit) => digit * 10 ** decade)); // plotly.js labels 0.5 between decades as 5
@@ -51,6 +51,7 @@ async function showCampaign() {
   tell("told", estimate ? estimateTold(estimate) : text("estimate.none"));
   showDownloads(campaign, estimate);
   showTable();
+  showTaken();
   await showConvergence(campaign.id);
   choices(byId("axis"), Object.keys(found?.axes ?? {}).map((joint) => [joint, joint]));
   showSweeps();
@@ -72,7 +73,9 @@ async function latest(id) {
 function showDownloads({ id, progress }, estimate) {
   const files = [];
   if (progress.done) files.push(["results.bundle", "bundle"]);
-  if (estimate) files.push(["report", "report"], ["results.pdf", "report.pdf"], ["results.tables", "report.json"], ["results.urdf", "model.urdf"], ["results.mjcf", "model.xml"], ["results.yaml", "model.yaml"]);
+  const { pdf } = byId("downloads").dataset; // where the service makes PDF
+  if (estimate) files.push(["report", "report"], ...(pdf ? [["results.pdf", pdf]] : []), ["results.tables", "report.json"]);
+  if (Object.keys(estimate?.document.axes ?? {}).length) files.push(["results.sheet", "sheet.md"], ["results.urdf", "model.urdf"], ["results.mjcf", "model.xml"], ["results.yaml", "model.yaml"]);
   byId("downloads").replaceChildren(...files.map(([key, name]) => link(text(key), address(`/campaigns/${id}/${name}`))));
   if (!files.length) tell("downloads", text("results.nothing"));
 }
@@ -86,6 +89,14 @@ function showTable() {
       [joint], [inertia.length, "number"], [percent(rmse.reference_measured), "number"], [percent(rmse.identified_measured), "number"],
       [percent(rmse.reference_identified), "number"], [confidence(own), "number"],
     ])));
+}
+
+// what the accepted effects of the model did to this estimate
+function showTaken() {
+  const told = (found?.effects ?? []).map(({ axis, effect, used, how }) => [text(used ? "results.taken" : "results.left-out", { axis, effect: word("effect", effect) }), " ", foreign(how)]);
+  const moved = Object.entries(found?.axes ?? {}).filter(([, { effects_moved_in_std: by }]) => typeof by === "number")
+    .map(([axis, { effects_moved_in_std: by }]) => [text("results.moved", { axis, by: figures(by, 2) })]);
+  byId("taken").replaceChildren(...[...told, ...moved].map((one) => element("p", one)));
 }
 
 /** @param {number} id */

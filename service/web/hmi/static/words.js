@@ -71,6 +71,10 @@ function numbered(family, code) {
   return known && `${known} ${decimal(Number(number))}`;
 }
 
+// the name of a base parameter, with the decimal sign of the user's country: "mz(link_2) + 1,15 m(link_3)"
+/** @param {string} name */
+export const formula = (name) => name.replace(/\d+\.\d+/g, (told) => decimal(Number(told)));
+
 export const knows = (key) => Object.hasOwn(TEXTS[now], key);
 
 // a sentence of the service, in its language

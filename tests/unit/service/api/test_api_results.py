@@ -81,6 +81,14 @@ def test_the_report_as_pdf(http: httpx.Client, campaign: int) -> None:
         assert words in text
 
 
+def test_the_sheet_for_a_control(http: httpx.Client, campaign: int) -> None:
+    answer = http.get(f"/campaigns/{campaign}/sheet.md")
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "text/markdown; charset=utf-8")
+    revision = http.get(f"/campaigns/{campaign}/estimates/latest").json()["revision"]
+    assert f"Source: estimate {revision} of campaign {campaign}." in answer.text
+    assert "## What differs from CAD" in answer.text
+
+
 def test_the_tables_of_the_report(http: httpx.Client, campaign: int) -> None:
     answer = http.get(f"/campaigns/{campaign}/report.json")
     assert (answer.status_code, answer.headers["content-type"]) == (200, "application/json")

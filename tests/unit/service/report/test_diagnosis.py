@@ -147,6 +147,14 @@ def test_poses_are_named_by_the_joints_that_vary_and_parameters_are_percent_of_t
     assert (trace["error_x"]["array"], trace["text"]) == ([2.0], ["50 ± 0.5 N m"])
 
 
+def test_a_coefficient_of_which_the_sweeps_tell_nothing_has_no_value() -> None:
+    effect = axis()["effects"][0] | {"parameters": {"coulomb": {"value": 880.0, "std": 640_000.0, "unit": "N m"}}}
+    assert "parameters" not in figures(effects=[effect])
+    page = diagnosis_page(document(effects=[effect]), "Robot").html()
+    assert "<td>not significant</td><td>–</td>" in page
+    assert "640000" not in page
+
+
 def test_without_an_effect_there_is_no_after() -> None:
     found = figures(verdict="none", effects=[])
     assert list(found) == ["map", "gap_by_pose", "example"]

@@ -1,0 +1,120 @@
+"""The German pages are German: no English word and no decimal point, but in what the service says in its own words.
+
+That is marked as English for who has it read aloud (`lang`), and is not looked at.
+"""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from service.web.hmi.pages import texts
+from tests.browser.browsing import browsing
+from tests.browser.looking import settled
+from tests.browser.scripted import Json, campaign, drives, scripted
+from tests.browser.test_diagnosis_told import answers as of_diagnosis
+from tests.programs import needs
+from tests.stored.documents import axis_document, stored
+
+pytestmark = needs("chromium")
+
+_SEEN = """() => {
+  const told = [], walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  const names = ["title", "placeholder", "aria-label"];
+  const left = "code, #language";
+  const german = (one) => one.checkVisibility() && one.closest("[lang]").lang === "de" && !one.closest(left);
+  while (walk.nextNode()) {
+    if (german(walk.currentNode.parentElement)) told.push(walk.currentNode.textContent.trim());
+  }
+  for (const one of document.querySelectorAll(names.map((name) => `[${name}]`).join())) {
+    if (german(one)) told.push(...names.map((name) => one.getAttribute(name) ?? ""));
+  }
+  return told.filter((text) => text);
+}"""
+WORD = re.compile(r"[A-Za-zÄÖÜäöüß]{2,}")
+POINT = re.compile(r"(?<![\d.])\d+\.\d+(?![\d.])")
+DATE = re.compile(r"\d{2}\.\d{2}\.\d{4}")
+
+
+def words(language: str) -> set[str]:
+    return {word.lower() for text in texts()[language].values() for word in WORD.findall(re.sub(r"\{\w+\}", "", text))}
+
+
+ENGLISH = words("en") - words("de")
+
+
+def english(told: list[str]) -> set[str]:
+    """Words of the English catalogue alone, and numbers with a decimal point; names of joints and dates are neither."""
+    found: set[str] = set()
+    for text in told:
+        found |= {word for word in WORD.findall(re.sub(r"\b\w+_\w+\b", "", text)) if word.lower() in ENGLISH}
+        found |= set(POINT.findall(DATE.sub("", text)))
+    return found
+
+
+def test_the_looking_finds_an_english_word_and_number() -> None:
+    assert english(["Axis joint_1 with 2.5 kg", "02.03.2026", "2,5 kg", "Achse"]) == {"Axis", "with", "2.5"}
+
+
+def everything(root: Path) -> dict[str, Json]:
+    """A service with a measured, identified and diagnosed campaign: the examples of the API document, and the rest."""
+    given = (root / "service/web/api/examples.json").read_text("utf-8")
+    for name in (r'(?<="machine": )"machine"', r'(?<="name": )"machine"', r'"cell \d"'):  # of machines: not words
+        given = re.sub(name, '"M1"', given)
+    examples = json.loads(given)
+    undecided = axis_document(verdict="ambiguous") | {
+        "next_experiment": stored("diagnosis-open")["axes"]["joint_1"]["next_experiment"]
+    }
+    one = campaign(1, plan_id=1, machine="M1", data_check=stored("check"))
+    diagnosed = json.loads(json.dumps(of_diagnosis(undecided)).replace('"machine": "cell"', '"machine": "M1"'))
+    return diagnosed | {
+        "campaigns": {"items": [one], "next": None},
+        "campaigns/1": one,
+        "campaigns/1/sweeps": {"items": [examples["SweepDocument"]], "next": None},
+        "campaigns/1/ahead": examples["Ahead"],
+        "campaigns/1/estimates/latest": {"revision": 1, "number": 2, "document": stored("estimate")},
+        "campaigns/1/estimates/convergence": examples["Convergence"],
+        "plans/1": examples["PlanView"],
+        "plans/1/ahead": examples["Ahead"],
+        "plans/1/grid": examples["PoseGrid"],
+        "plans/1/picture": examples["Picture"],
+        "plans": examples["PlanView"],
+        "robots": {"items": [examples["RobotEntry"]], "next": None},
+        "robots/2": examples["RobotDocument"],
+        "cells": {"names": ["workshop"]},
+        "machines": examples["Machines"],
+        "drives": drives(),
+        "fleet": examples["Fleet"],
+        "audit": {"items": [examples["AuditDocument"]], "next": None},
+        "models": {"items": [examples["ModelDocument"]], "next": None},
+        "diagnoses/1/figures": {
+            "axes": {"joint_1": examples["Figures"]["axes"][next(iter(examples["Figures"]["axes"]))]}
+        },
+    }
+
+
+def plan(page: Page) -> None:
+    page.locator("#make").click()
+    expect(page.locator("#planned")).to_be_visible()
+
+
+@pytest.mark.parametrize(
+    ("url", "seen"),
+    [
+        ("/#campaign-1", "#parameters tr"),
+        ("/plan", "#axes-measured input"),
+        ("/results#campaign-1", "#table tbody tr"),
+        ("/diagnosis#1", "#experiment"),
+        ("/fleet", "#robots tbody tr"),
+    ],
+)
+def test_no_english_word_and_no_decimal_point_on_a_german_page(root: Path, url: str, seen: str) -> None:
+    with scripted(answers=everything(root)) as service, browsing(f"{service.url}{url}", locale="de-DE") as page:
+        expect(page.locator(seen).first).to_be_visible()
+        if url == "/plan":
+            plan(page)
+        settled(page)
+        page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
+        assert english(page.evaluate(_SEEN)) == set()
