@@ -24,7 +24,7 @@ from service.planning.documents import (
     grid_of,
 )
 from service.planning.path import SweepPath
-from service.planning.pose_choice import TRAVEL_SHARE, grid, has_room, room
+from service.planning.poses import TRAVEL_SHARE, grid, has_room, room
 from service.planning.safety.envelope import Envelope, noise_way
 from service.planning.safety.travel import order_poses
 

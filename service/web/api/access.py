@@ -27,8 +27,8 @@ from service.store.access.permissions import LOCAL, Role
 from service.store.people.audit import NotAudited
 from service.store.rows import NoMachine
 from service.web.api.gate import from_own_page
-from service.web.api.permissions import API, LOGINS, SIGN_OF_LIFE, SOCKET, STOP, Permissions, RouteKey
 from service.web.api.problem import AGAIN, RequestRefused, problem_response
+from service.web.api.route_roles import API, LOGINS, SIGN_OF_LIFE, SOCKET, STOP, Permissions, RouteKey
 from service.web.application import Application
 
 _TRAIL = "sweepid.trail"  # in the scope
