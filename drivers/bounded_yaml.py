@@ -10,8 +10,6 @@ from drivers.errors import BadProfile
 
 # PyYAML raises these in addition to YAMLError for a value that does not fit its tag (`2001-13-45`, `!!bool x`)
 NO_VALUE = (ValueError, LookupError, AttributeError)
-DEEPEST = 32  # levels of nesting; the files of `config` have 6
-MOST_CHARACTERS = 2**22  # with aliases written out; a file may have 2**20 bytes
 
 
 class _Events(Protocol):
@@ -27,6 +25,9 @@ class BoundedLoader(yaml.SafeLoader):
     more than `MOST_CHARACTERS`. PyYAML itself would build these, and code that walks through the result might not
     end.
     """
+
+    longest = 2**22  # with aliases written out; a file may have 2**20 bytes
+    deepest = 32  # levels of nesting; the files of `config` have 6
 
     def __init__(self, stream: str) -> None:
         super().__init__(stream)
@@ -44,12 +45,12 @@ class BoundedLoader(yaml.SafeLoader):
             self._closed(event.anchor, self._size, 1 + len(event.value))
         elif isinstance(event, yaml.CollectionStartEvent):
             self._open.append((event.anchor, self._size))
-            if len(self._open) > DEEPEST:
-                raise _refusal(f"nested too deeply, limit {DEEPEST} levels", event)
+            if len(self._open) > BoundedLoader.deepest:
+                raise _refusal(f"nested too deeply, limit {BoundedLoader.deepest} levels", event)
         elif isinstance(event, yaml.CollectionEndEvent):
             self._closed(*self._open.pop(), 1)
-        if self._size > MOST_CHARACTERS:
-            raise _refusal(f"aliases stand for more than {MOST_CHARACTERS} characters", event)
+        if self._size > BoundedLoader.longest:
+            raise _refusal(f"aliases stand for more than {BoundedLoader.longest} characters", event)
         return event
 
     def _closed(self, anchor: str | None, before: int, own: int) -> None:

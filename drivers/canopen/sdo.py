@@ -22,9 +22,6 @@ from drivers.canopen.units import Codec
 from drivers.cia402.profile import AxisProfile, StopOptions
 from drivers.errors import CauseCode, CommunicationLost, WrongConfiguration
 
-_INITIATE = frozenset({*range(0x20, 0x30), 0x40, *range(0xA0, 0xA8, 4), *range(0xC0, 0xC8, 2)})
-"""Requests that name an object: download, upload, block upload, block download."""
-
 
 class SharedSdoClient(SdoClient):
     """One of several clients of a node: the stop process also asks it for its state, and its answers reach everybody.
@@ -33,10 +30,13 @@ class SharedSdoClient(SdoClient):
     names none is taken for ours.
     """
 
+    initiating = frozenset({*range(0x20, 0x30), 0x40, *range(0xA0, 0xA8, 4), *range(0xC0, 0xC8, 2)})
+    """Requests that name an object: download, upload, block upload, block download."""
+
     _object: bytes | None = None  # index and sub-index of the request; None: a segment or block, which names none
 
     def send_request(self, request: bytes) -> None:
-        self._object = bytes(request[1:4]) if request[0] in _INITIATE else None
+        self._object = bytes(request[1:4]) if request[0] in SharedSdoClient.initiating else None
         cast(Any, super()).send_request(request)
 
     def on_response(self, can_id: int, data: bytes, timestamp: float) -> None:

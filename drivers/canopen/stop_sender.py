@@ -159,12 +159,13 @@ class HeardState:
 
 
 SEND_TIMEOUT = 0.2  # s; a gateway that takes no more frames is lost
-_POLL = 0.005  # s
-_CAN_FRAME = struct.Struct("=IB3x8s")  # linux/can.h
 
 
 class CanopenStopSender:
     """See `drivers.ports.StopSender`."""
+
+    can_frame = struct.Struct("=IB3x8s")  # linux/can.h
+    poll = 0.005  # s
 
     def __init__(self, profile: CanopenProfile) -> None:
         """Raises NotReady if only one process can open the interface."""
@@ -220,9 +221,9 @@ class CanopenStopSender:
                     again = now + every
                     self._send()
                 self._ask(since)
-                if self._receiving.acquire(timeout=_POLL):  # otherwise `listen` receives
+                if self._receiving.acquire(timeout=CanopenStopSender.poll):  # otherwise `listen` receives
                     try:
-                        self._receive(_POLL)
+                        self._receive(CanopenStopSender.poll)
                     finally:
                         self._receiving.release()
         except CommunicationLost as error:
@@ -242,7 +243,7 @@ class CanopenStopSender:
         while self._confirming and time.monotonic() < until:
             if not any(self._states[node].doubt(self._sent) for node in listening):
                 break
-            time.sleep(_POLL)
+            time.sleep(CanopenStopSender.poll)
         self._send(deaf=self._joints)
 
     def close(self) -> None:
@@ -284,7 +285,7 @@ class CanopenStopSender:
 
     def _transmit(self, wanted: Iterable[tuple[int, bytes]]) -> None:
         packed = b"".join(self._packed(*frame) for frame in wanted)
-        size = _CAN_FRAME.size if self._bus.interface == "socketcan" else len(packed)
+        size = CanopenStopSender.can_frame.size if self._bus.interface == "socketcan" else len(packed)
         with self._sending:
             bus = self._open()
             try:
@@ -295,7 +296,7 @@ class CanopenStopSender:
 
     def _packed(self, identifier: int, data: bytes) -> bytes:
         if self._bus.interface == "socketcan":
-            return _CAN_FRAME.pack(identifier, len(data), data)
+            return CanopenStopSender.can_frame.pack(identifier, len(data), data)
         words = " ".join(f"{byte:x}" for byte in data)
         return f"< send {identifier:03x} {len(data):x} {words} >".encode("ascii")
 
@@ -307,7 +308,7 @@ class CanopenStopSender:
 
     def _take(self, data: bytes) -> None:
         if self._bus.interface == "socketcan":
-            word, length, content = _CAN_FRAME.unpack(data[: _CAN_FRAME.size])
+            word, length, content = CanopenStopSender.can_frame.unpack(data[: CanopenStopSender.can_frame.size])
             self._note(word & 0x1FFFFFFF, content[:length], error=bool(word & 0x20000000))  # CAN_ERR_MASK, CAN_ERR_FLAG
             return
         data = self._rest + data

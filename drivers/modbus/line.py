@@ -33,8 +33,6 @@ from drivers.modbus.profile import DIRECT, RtuProfile, TcpProfile
 logger = logging.getLogger(__name__)
 
 READ, WRITE = 3, 16  # function codes
-# pymodbus does not convert all errors of its decoders.
-BROKEN = (ModbusException, OSError, struct.error, IndexError, ValueError)
 
 
 class Client(Protocol):
@@ -212,6 +210,9 @@ class Clock(Protocol):
 class MasterLine:
     """An open line. For one thread, except `hurry`."""
 
+    # pymodbus does not convert all errors of its decoders.
+    broken = (ModbusException, OSError, struct.error, IndexError, ValueError)
+
     look_again = 2.0  # s between attempts to reach a lost unit
     stop_wait = 0.1  # s that a stop waits for the answer to a request before it; drives answer within 0.02 s
     stop_timeout = 0.5  # s for an answer while the machine is being stopped
@@ -324,7 +325,7 @@ class MasterLine:
         try:
             self._require_open()
             self._client.write_registers(address, list(registers), device_id=unit, no_response_expected=True)
-        except BROKEN as error:
+        except MasterLine.broken as error:
             raise _lost(f"{what}: {error}") from None
         finally:
             self._quiet_from = self._clock.monotonic() + self._profile.answer_time  # nobody reads its answer
@@ -385,7 +386,7 @@ class MasterLine:
         repeatable = function == READ and self._profile.transport == "rtu"
         try:
             response = self._exchange(unit, request)
-        except BROKEN as error:
+        except MasterLine.broken as error:
             if self._stops:
                 self._leave(unit, what)
             if not (repeatable and self._client.garbled):
@@ -393,7 +394,7 @@ class MasterLine:
             logger.warning("%s: damaged answer, request repeated", what)
             try:
                 response = self._exchange(unit, request)
-            except BROKEN as again:
+            except MasterLine.broken as again:
                 self._lose(unit, f"{what}: {again}")
         if response.function_code & 0x7F != function or response.exception_code in (0x0A, 0x0B):  # gateway
             self._lose(unit, f"{what}: answered by {response}")

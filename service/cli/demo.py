@@ -33,7 +33,7 @@ from service.model.results.diagnosis import AxisDiagnosis, Diagnosis, RigidParam
 from service.model.results.estimate import Estimate
 from service.model.robot import Robot
 from service.planning.documents import PlanRequest
-from service.planning.pose_choice import workspace_grid
+from service.planning.poses import workspace_grid
 from service.report import Content, Drive, ReportedAxis, TruthRow, axes_of, campaign_page, content_of
 from service.report.benefit import Benefit, FollowingError, Tracking, benefit, benefit_section, feed_forward, sentence
 from service.report.diagnosis import diagnosis_section

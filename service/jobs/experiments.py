@@ -46,11 +46,12 @@ from service.store.store import Store
 _log = structlog.get_logger(__name__)
 
 ROUNDS = 4  # unattended experiments of one axis
-NOBODY = "unattended"  # name of the approver of unattended experiments
 
 
 class Experiments:
     """Leads from a proposed experiment to the next diagnosis."""
+
+    nobody = "unattended"  # name of the approver of unattended experiments
 
     def __init__(
         self,
@@ -208,7 +209,7 @@ class Experiments:
             cause = f"{axis}: the request of the diagnosis is not of this run of the service"
         elif axis is not None and intention is not None:
             try:
-                await self.approve(diagnosis.id, axis, NOBODY, None, None, intention)
+                await self.approve(diagnosis.id, axis, Experiments.nobody, None, None, intention)
                 return
             except (SweepidError, DriveError) as error:
                 cause = f"{axis}: {error}"

@@ -24,7 +24,7 @@ from service.planning.documents import (
     grid_of,
 )
 from service.planning.path import SweepPath
-from service.planning.pose_choice import TRAVEL_SHARE, grid, has_room, room
+from service.planning.poses import SweepDesign, grid, has_room, room
 from service.planning.safety.envelope import Envelope, noise_way
 from service.planning.safety.travel import order_poses
 
@@ -105,7 +105,7 @@ class _Runs:
         """A run without legs, and its travel, rad (m)."""
         robot, joint, envelope = self._robot, self._robot.joints[index], self._envelope
         load = float(inertia_rows(robot.chain, index, np.array([start]))[0] @ robot.chain.inertial.ravel())
-        travel = TRAVEL_SHARE * envelope.limits.travel
+        travel = SweepDesign.travel_share * envelope.limits.travel
         if not lines:
             inertia = load + (robot.axes[index].reflected_motor_inertia or 0.0)
             number = len(self.path.sweeps) + 1

@@ -31,7 +31,7 @@ from service.planning.documents import (
     limits,
 )
 from service.planning.path import SweepPath
-from service.planning.pose_choice import grid, room
+from service.planning.poses import grid, room
 from service.planning.safety.envelope import Envelope
 from service.planning.safety.travel import order_poses
 

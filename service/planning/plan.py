@@ -31,7 +31,7 @@ from service.model.recording import SweepPurpose, SweepSpec
 from service.model.robot import Robot
 from service.planning.documents import DroppedPose, PlanDocument, PlannedSweep, PlanRequest, SparePose
 from service.planning.path import SweepPath
-from service.planning.pose_choice import (
+from service.planning.poses import (
     ChosenPose,
     PoseChooser,
     SweepDesign,

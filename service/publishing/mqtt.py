@@ -17,11 +17,11 @@ from pydantic import BaseModel
 from service.process.settings import Mqtt
 from service.publishing.state import FromPublisher, Notice, PublishedState
 
-WAITING = 1000  # notices
-
 
 class Broker:
     """One connection at a time."""
+
+    waiting = 1000  # notices
 
     def __init__(self, settings: Mqtt, machine: str, report: Callable[[FromPublisher], None]) -> None:
         self._settings, self._report = settings, report
@@ -39,7 +39,7 @@ class Broker:
 
     def notice(self, notice: Notice) -> None:
         """Add a notice; returns at once."""
-        if len(self._notices) == WAITING:
+        if len(self._notices) == Broker.waiting:
             self._notices.popleft()
             self._dropped += 1
             if self._dropped in (1, 10, 100) or self._dropped % 1000 == 0:

@@ -24,6 +24,17 @@ if TYPE_CHECKING:
     from service.report.html import Form, ReportPage, makes_pdf
     from service.report.page import analysis_page
 
+_HOMES = {
+    "campaign": ("campaign_page",),
+    "content": (
+        *("ReportedAxis", "CampaignReport", "Content", "Drive", "TruthRow"),
+        *("axes_of", "content_of", "example_of", "used_sweeps"),
+    ),
+    "diagnosis": ("diagnosis_figures", "diagnosis_page"),
+    "fleet": ("fleet_page",),
+    "html": ("Form", "ReportPage", "makes_pdf"),
+    "page": ("analysis_page",),
+}
 
 __all__ = [
     "CampaignReport",
@@ -47,18 +58,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    homes = {
-        "campaign": ("campaign_page",),
-        "content": (
-            *("ReportedAxis", "CampaignReport", "Content", "Drive", "TruthRow"),
-            *("axes_of", "content_of", "example_of", "used_sweeps"),
-        ),
-        "diagnosis": ("diagnosis_figures", "diagnosis_page"),
-        "fleet": ("fleet_page",),
-        "html": ("Form", "ReportPage", "makes_pdf"),
-        "page": ("analysis_page",),
-    }
-    for module, names in homes.items():
+    for module, names in _HOMES.items():
         if name in names:
             return getattr(import_module(f"{__name__}.{module}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

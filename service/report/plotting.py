@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from service.report.drawing import GRID, DrawnFigure
 
 WIDTH, PAPER = 960.0, 680.0  # px: of a page, and of A4 between its margins
-_EDGE = 6.0  # px around everything
 _PX = 72.0  # dots per inch: one point is one px
 _DARK, _LINE = "#334155", "#94a3b8"
 _LOOK: Any = {
@@ -106,6 +105,8 @@ def drawn(figure: DrawnFigure, width: float = WIDTH) -> Canvas:
 class _Panels:
     """The areas of a figure, each between two scales, and what lies between and around them."""
 
+    edge = 6.0  # px around everything
+
     def __init__(self, canvas: Canvas, traces: Sequence[Words], layout: Words) -> None:
         self._canvas, self._layout = canvas, layout
         self._names: dict[str, list[str]] = {}  # of the categories of a scale
@@ -148,7 +149,7 @@ class _Panels:
     def arrange(self, keys: Sequence[Artist]) -> None:
         """The legend on top, in as many lines as it needs; then as much room for the panels as their words leave."""
         wide, high = self._canvas.get_size_inches() * _PX
-        top = _EDGE
+        top = _Panels.edge
         for columns in range(len(keys), 0, -1):
             legend = self._canvas.legend(
                 handles=keys, loc="upper left", bbox_to_anchor=(0, 1), ncols=columns, borderpad=0.2, columnspacing=1.4
@@ -158,15 +159,15 @@ class _Panels:
                 top += box.height + 4
                 break
             legend.remove()
-        left = right = bottom = _EDGE
+        left = right = bottom = _Panels.edge
         for _ in range(2):  # other room gives other labels
             self._place(left / wide, bottom / high, 1 - right / wide, 1 - top / high)
             boxes = [axes.get_tightbbox() for axes in self.axes.values()]
             boxes += [text.get_window_extent() for _, text in self._notes]
             found = [box for box in boxes if box is not None]
-            left += max(0.0, _EDGE - min(box.x0 for box in found))
-            bottom += max(0.0, _EDGE - min(box.y0 for box in found))
-            right += max(0.0, max(box.x1 for box in found) - wide + _EDGE)
+            left += max(0.0, _Panels.edge - min(box.x0 for box in found))
+            bottom += max(0.0, _Panels.edge - min(box.y0 for box in found))
+            right += max(0.0, max(box.x1 for box in found) - wide + _Panels.edge)
             top += max(0.0, max(box.y1 for box in found) - high + top)
         self._place(left / wide, bottom / high, 1 - right / wide, 1 - top / high)
 

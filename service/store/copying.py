@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session
 from service.model.errors import BadInput, SweepidError
 from service.store import tables as t
 from service.store.database import Database, refusal
-from service.store.guards import MachineLease
+from service.store.lease_and_latch import MachineLease
 
 Key = tuple[object, ...]
 

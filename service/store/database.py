@@ -123,7 +123,7 @@ class Database:
         """A session in its transaction; repeated for `patience` s while the server is unavailable."""
         deadline = time.monotonic() + patience
         while True:
-            session = Session(engine, info={t.OWN: self.machine})
+            session = Session(engine, info={t.OfMachine.own: self.machine})
             try:
                 session.connection()
             except OperationalError as error:

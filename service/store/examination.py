@@ -20,7 +20,6 @@ from service.store.files.data_folder import FILE as OWNER
 from service.store.files.recordings import RecordingFiles, file_sha256
 from service.store.objects import MissingObject, ObjectStore, StoreAway, WrongObject
 
-RESTORE = "restore a backup"
 _UNPROTECTED = (
     "the triggers that protect the audit against changes are missing or disabled",
     "run `sweepid audit verify`, then restore a backup if needed",
@@ -40,6 +39,8 @@ class Unreadable(Exception):
 class SqliteFile:
     """A database to be examined. Each method raises Unreadable."""
 
+    mend = "restore a backup"
+
     def __init__(self, file: Path) -> None:
         self.file, self.place = file, str(file)
 
@@ -48,7 +49,7 @@ class SqliteFile:
 
     def wrong(self) -> list[tuple[str, str]]:
         """Errors of the database itself, each with what to do."""
-        found = [(line, RESTORE) for line in self._look(integrity)] + self._look(_unprotected)
+        found = [(line, SqliteFile.mend) for line in self._look(integrity)] + self._look(_unprotected)
         if not os.access(self.file, os.R_OK | os.W_OK):
             found.insert(0, ("this user cannot read and write it", "put owner and permissions right"))
         return found
@@ -58,9 +59,9 @@ class SqliteFile:
             return look(self.file, read)
         except BadInput as error:
             reason = error.reason if error.place == self.place else str(error)
-            raise Unreadable(reason, f"{RESTORE}, or use the sweepid that wrote it") from None
+            raise Unreadable(reason, f"{SqliteFile.mend}, or use the sweepid that wrote it") from None
         except (sqlite3.Error, OSError) as error:
-            raise Unreadable(f"cannot be read: {error}", RESTORE) from None
+            raise Unreadable(f"cannot be read: {error}", SqliteFile.mend) from None
 
 
 class ServerDatabase:

@@ -19,7 +19,7 @@ from service.model.errors import BadInput, NotNow
 from service.model.recording import Recording
 from service.process.settings import StoreAddress
 from service.store.files.columns import read_columns
-from service.store.files.recordings import FETCHED, RecordingFile, check_file, place, place_new, still_here, sync
+from service.store.files.recordings import RecordingFile, RecordingFiles, check_file, place, place_new, still_here, sync
 
 
 class StoreAway(NotNow):
@@ -229,7 +229,7 @@ def read_recording(file: RecordingFile) -> Recording:
 
 def bring(file: RecordingFile) -> None:
     """Fetch a recording from the store to its path; no effect if it exists. Errors as `read_recording`."""
-    partial = file.transfer / f"{FETCHED}{uuid4().hex}"
+    partial = file.transfer / f"{RecordingFiles.fetched}{uuid4().hex}"
     _fetch(file, partial)
     try:
         file.path.parent.mkdir(parents=True, exist_ok=True)

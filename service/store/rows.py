@@ -95,7 +95,7 @@ def own_id(session: Session) -> int:
 
 def owned(session: Session) -> t.OwnMachine | None:
     """This service's machine."""
-    return session.info[t.OWN]
+    return session.info[t.OfMachine.own]
 
 
 def check_own(session: Session, machine_id: int, what: str) -> None:

@@ -61,9 +61,6 @@ class StoredRow(DeclarativeBase):
     }
 
 
-OWN = "machine"  # in the `info` of a session: the machine of its service
-
-
 class OwnMachine(NamedTuple):
     """The machine of a service, as in its row."""
 
@@ -73,6 +70,8 @@ class OwnMachine(NamedTuple):
 
 class OfMachine:
     """A row of one machine, with the fields of its document that are not in the row."""
+
+    own = "machine"  # in the `info` of a session: the machine of its service
 
     machine_id: Mapped[int]
 
@@ -84,7 +83,7 @@ class OfMachine:
     @property
     def here(self) -> bool:
         """Whether it is the machine of this service."""
-        own: OwnMachine | None = session_of(self).info[OWN]
+        own: OwnMachine | None = session_of(self).info[OfMachine.own]
         return own is not None and own.id == self.machine_id
 
 

@@ -33,8 +33,8 @@ from service.web.api.gate import BUNDLE_LIMIT, ROBOT_LIMIT, Gate, Logged
 from service.web.api.login import PasswordCheck
 from service.web.api.oidc import open_oidc
 from service.web.api.openapi import DeclaredApi
-from service.web.api.permissions import API, Permissions, allow
 from service.web.api.problem import Problem, install_problem_handlers
+from service.web.api.route_roles import API, Permissions, allow
 from service.web.application import Application, open_application
 from service.web.hmi.pages import add_pages
 

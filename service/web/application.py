@@ -50,7 +50,7 @@ from service.store.files.bundle import SavedBundle, take_in, write_bundle
 from service.store.files.data_folder import campaign_bundle, claim_folder, import_campaign
 from service.store.files.isolated_reader import LIMITS, Limits, read_isolated
 from service.store.files.recordings import RecordingFiles
-from service.store.guards import ApprovalStore, IdempotencyKeys, MachineLease, StopLatch
+from service.store.lease_and_latch import ApprovalStore, IdempotencyKeys, MachineLease, StopLatch
 from service.store.objects import check_usable
 from service.store.people.audit import AuditStore, AuditWriter
 from service.store.people.sessions import SessionStore, begin_time, keeping_time_and_head

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
 
-_HEAD = struct.Struct("<BHB")
-
 
 @dataclass(slots=True)
 class _Transfer:
@@ -25,6 +23,8 @@ class _Transfer:
 
 class SdoServer:
     """One server channel. `handle` does not raise for any request of a client."""
+
+    head = struct.Struct("<BHB")
 
     def __init__(self, dictionary: ObjectDictionary) -> None:
         self._dictionary = dictionary
@@ -65,7 +65,7 @@ class SdoServer:
                 raise SdoAbort(AbortCode.COMMAND)
 
     def _initiate(self, request: bytes) -> tuple[int, int]:
-        _, index, subindex = _HEAD.unpack_from(request)
+        _, index, subindex = SdoServer.head.unpack_from(request)
         self._transfer = None
         self._multiplexer = (index, subindex)
         return index, subindex
@@ -78,7 +78,7 @@ class SdoServer:
             self._dictionary.download(index, subindex, request[4 : 4 + size])
         else:
             self._transfer = _Transfer(index, subindex, bytearray(), download=True)
-        return _HEAD.pack(0x60, index, subindex) + bytes(4)
+        return SdoServer.head.pack(0x60, index, subindex) + bytes(4)
 
     def _download_segment(self, request: bytes) -> bytes:
         transfer = self._toggled(request[0], download=True)
@@ -96,7 +96,7 @@ class SdoServer:
         if not data:
             raise SdoAbort(AbortCode.NO_DATA)
         if len(data) <= 4:
-            return _HEAD.pack(0x43 | (4 - len(data)) << 2, index, subindex) + data.ljust(4, b"\0")
+            return SdoServer.head.pack(0x43 | (4 - len(data)) << 2, index, subindex) + data.ljust(4, b"\0")
         self._transfer = _Transfer(index, subindex, bytearray(data), download=False)
         return struct.pack("<BHBI", 0x41, index, subindex, len(data))
 

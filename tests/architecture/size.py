@@ -79,12 +79,16 @@ def figures() -> Iterator[tuple[str, int | str]]:
     yield "words of the documents", sum(len(path.read_text("utf-8").split()) for path in ROOT.glob("docs/**/*.md"))
 
 
+def _is_type_variable(value: ast.expr | None) -> bool:
+    return isinstance(value, ast.Call) and ast.unparse(value.func) in ("TypeVar", "ParamSpec")
+
+
 def constants(tree: ast.Module) -> list[str]:
     """Names in capitals that a module assigns."""
     targets = [
         target
         for node in tree.body
-        if isinstance(node, ast.Assign | ast.AnnAssign)
+        if isinstance(node, ast.Assign | ast.AnnAssign) and not _is_type_variable(node.value)
         for target in (node.targets if isinstance(node, ast.Assign) else [node.target])
     ]
     named = [name for target in targets for name in ast.walk(target) if isinstance(name, ast.Name)]

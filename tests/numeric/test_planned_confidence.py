@@ -14,7 +14,7 @@ from service.model.configuration import read_cell
 from service.model.robot import Robot, build_robot
 from service.planning.documents import PlanDocument, PlanRequest
 from service.planning.plan import build_plan
-from service.planning.pose_choice import workspace_grid
+from service.planning.poses import workspace_grid
 from simulator import true_inertia
 from tests.numeric.campaign import AXES, CONFIG, max100, run_plan, scenario_named
 

@@ -20,7 +20,7 @@ from service.planning.trajectories import build_trajectory_plan
 from service.process.settings import Settings
 from service.store.documents import CampaignDocument, CampaignState, SweepState
 from service.store.files.bundle import read_bundle
-from service.store.guards import MachineTaken
+from service.store.lease_and_latch import MachineTaken
 from service.web.application import Application, open_application
 from tests.system.rest_bench import PATIENT_LEASE, VirtualMachine, virtual_machine
 

@@ -30,8 +30,8 @@ from service.machine.execution.runner import Runner
 from service.machine.execution.statement import Reports
 from service.machine.execution.stops import LatchedStops, StopSequences
 from service.machine.stop_process.bus import StopBus, StopOutcome
-from service.store import guards
-from service.store.guards import MachineLease
+from service.store import lease_and_latch
+from service.store.lease_and_latch import MachineLease
 from service.store.store import Store
 from tests.virtual_time import sequences as s
 
@@ -186,7 +186,7 @@ SERVICE: dict[str, Fault] = {
     "what gets energy is stated to stand": Fault(_set(Reports, "gets_energy", _nothing), RUNS, 10.0),
     "plans need no approval": Fault(_set(Approvals, "check", _nothing), (s.start,), 10.0),
     "an approval outlives a stop": Fault(
-        _set(guards, "_last_stop", lambda *_: 0), (s.start, s.stop_by_port, s.release), 20.0
+        _set(lease_and_latch, "_last_stop", lambda *_: 0), (s.start, s.stop_by_port, s.release), 20.0
     ),
     "the lease is never missed": Fault(_set(stops, "_passed", lambda _: 0.0), (s.start, s.second_service), 20.0),
     "the stop process sends nothing": Fault(_set(CanopenStopSender, "_send", _nothing), (s.stop_in_a_gap,), 20.0, ONCE),

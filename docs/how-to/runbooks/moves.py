@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from service.formats.export.sheets.inertias import STILL
+from service.formats.export.sheets.inertias import Inertias
 from service.model.robot import Robot, RobotDescription, build_robot
 from service.report.benefit.benefit import ON_THE_AXIS, lever_arm
 
@@ -67,7 +67,7 @@ def moves(robot: Robot, sweeps: Sequence[Json], stands: Mapping[str, float | Non
     found: list[Move] = []
     for joint, kind, arm in zip(robot.joints, (one.kind for one in robot.chain.joints), arms, strict=True):
         lowest, highest = min(places[joint], default=0.0), max(places[joint], default=0.0)
-        if highest - lowest < STILL:
+        if highest - lowest < Inertias.still:
             continue
         linear = kind == "prismatic"
         way = None if linear or arm < ON_THE_AXIS else 1e3 * arm * (highest - lowest)

@@ -268,34 +268,14 @@ class Noise:
 
 
 @dataclass(frozen=True, slots=True)
-class NoiseExcitation:
-    """One noise run from standstill to standstill; SI on the joint side, fields as in `drivers.ports.NoiseCommand`."""
+class NoiseExcitation(Excitation):
+    """One noise run, without sines; fields as in `drivers.ports.NoiseCommand`."""
 
-    offset_velocity: float  # rad/s (m/s), signed
     effort: float  # N m (N), RMS
     lowest: float  # Hz
     highest: float  # Hz
-    period: float  # s
-    periods: int
     seed: int
     softening: float
-    ramp: float  # s
-    settle: float  # s
-
-    @property
-    def measure_from(self) -> float:
-        """Start of the measured window, s."""
-        return self.ramp + self.settle
-
-    @property
-    def duration(self) -> float:
-        """From standstill to standstill, s."""
-        return 2 * self.ramp + self.settle + self.periods * self.period
-
-    @property
-    def travel(self) -> float:
-        """Signed travel from start to end, rad (m)."""
-        return self.offset_velocity * (self.ramp + self.settle + self.periods * self.period)
 
 
 def design_noise(
@@ -316,5 +296,5 @@ def design_noise(
     sway = float(np.sqrt(np.mean(1 / lines**2))) / (2 * np.pi * inertia)  # per N m
     effort = min(Noise.share * axis.rated_effort, 0.2 * offset / sway)  # a fifth of the offset
     return NoiseExcitation(
-        direction * offset, effort, lowest, highest, period, periods, seed, Noise.softening, noise_ramp, noise_settle
+        direction * offset, (), period, periods, noise_ramp, noise_settle, effort, *Noise.band, seed, Noise.softening
     )

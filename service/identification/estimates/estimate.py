@@ -141,7 +141,6 @@ def unchanged_or(compute: Callable[P, AxisEstimate], *inputs: P.args, **named: P
 
 
 SAME_POSITION = 2e-3  # rad (m): positions that differ by less are one; a joint that did not move more was locked
-WORKSPACE = 2000  # poses that represent the workspace if no collision-free grid is given
 
 
 @dataclass(frozen=True)
@@ -158,6 +157,8 @@ class HeldOutPoses:
 @dataclass(frozen=True)
 class RobotEstimate:
     """The complete estimate of a robot from a set of spectra."""
+
+    workspace_poses = 2000  # poses that represent the workspace if no collision-free grid is given
 
     robot: Robot
     chain: Chain  # unlocked joints only
@@ -179,8 +180,8 @@ class RobotEstimate:
     def workspace(self) -> Array:
         """Quasi-random poses (m, all joints) over the limits of the unlocked joints; the locked ones stay locked."""
         lower, upper = joint_ranges(self.chain)
-        poses = np.tile(self.poses.mean(axis=0), (WORKSPACE, 1))
-        poses[:, list(self.unlocked)] = spread_evenly(WORKSPACE, lower, upper)
+        poses = np.tile(self.poses.mean(axis=0), (RobotEstimate.workspace_poses, 1))
+        poses[:, list(self.unlocked)] = spread_evenly(RobotEstimate.workspace_poses, lower, upper)
         return poses
 
     def identified(self, joint: str, poses: Array) -> Array:

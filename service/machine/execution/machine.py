@@ -35,7 +35,7 @@ from service.machine.stop_process.handle import StopProcess
 from service.model.errors import Conflict
 from service.process.tasks import Background, run_to_end
 from service.store.documents import StopDocument
-from service.store.guards import LeaseLost, MachineLease, StopLatch
+from service.store.lease_and_latch import LeaseLost, MachineLease, StopLatch
 
 _log = structlog.get_logger(__name__)
 

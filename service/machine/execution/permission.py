@@ -16,7 +16,7 @@ from datetime import timedelta
 
 from drivers.errors import Cause, CauseCode
 from service.model.errors import BadInput, Conflict, Superseded
-from service.store.guards import ApprovalDocument, ApprovalStore
+from service.store.lease_and_latch import ApprovalDocument, ApprovalStore
 from service.store.tables import now
 
 

@@ -13,8 +13,6 @@ from enum import Enum
 
 from drivers.ports import AxisState, AxisStatus
 
-STALE = 2.0  # s; a report that is older says nothing of now
-
 
 class Condition(Enum):
     """Ordered: the machine is in the first of these in which one of its axes is."""
@@ -49,6 +47,8 @@ NO_MACHINE = Statement(Condition.UNKNOWN, None, "", {})
 
 class Reports:
     """The last report of each drive. Written by the event loop; `statement` may be called from any thread."""
+
+    stale = 2.0  # s; a report that is older says nothing of now
 
     def __init__(self, joints: Iterable[str], clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -103,8 +103,8 @@ class Reports:
         reason = self._lost or self._silent.get(joint, "")
         if not reason and (last is None or age is None):
             reason = "no report yet"
-        if not reason and age is not None and age > STALE:
-            reason = f"the last report is {age:.1f} s old, limit {STALE:g} s"
+        if not reason and age is not None and age > Reports.stale:
+            reason = f"the last report is {age:.1f} s old, limit {Reports.stale:g} s"
         if reason or last is None:
             return AxisStatement(Condition.UNKNOWN, age, reason)
         status, asked = last

@@ -26,7 +26,7 @@ from service.process.tasks import Background
 from service.store.access.credentials import masked
 from service.store.database import refusal
 from service.store.documents import StopDocument
-from service.store.guards import MachineLease, StopLatch
+from service.store.lease_and_latch import MachineLease, StopLatch
 
 _log = structlog.get_logger(__name__)
 

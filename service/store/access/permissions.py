@@ -1,4 +1,4 @@
-"""Roles, and scopes of keys: sets of routes. A route carries its least role (`service.web.api.permissions`). Pure."""
+"""Roles, and scopes of keys: sets of routes. A route carries its least role (`service.web.api.route_roles`). Pure."""
 
 from enum import IntEnum
 

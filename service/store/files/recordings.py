@@ -28,8 +28,6 @@ from service.model.results.spectrum import AnySpectrum, Facts
 from service.process.settings import StoreAddress
 from service.store.documents import NewRecording, RecordingDocument, RecordingState, SpectrumRecord
 
-FETCHED = "fetch-"  # prefix of the name of a file from the object store
-
 
 def place_new(partial: Path, path: Path) -> None:
     """As `place`, but raises FileExistsError, and changes nothing, if the path exists."""
@@ -131,6 +129,8 @@ class RecordingFiles:
     `store`: object store that may have recordings as well, from which `fetch` brings one to its path.
     """
 
+    fetched = "fetch-"  # prefix of the name of a file from the object store
+
     def __init__(self, data_dir: Path, store: StoreAddress | None = None, fetch: Fetch | None = None) -> None:
         self._root, self._store, self._fetch = data_dir, store, fetch
 
@@ -196,7 +196,7 @@ class RecordingFiles:
         for kind in ("import-*", "export-*"):
             for folder in self.transfer().glob(kind):
                 shutil.rmtree(folder)
-        for file in self.transfer().glob(f"{FETCHED}*"):
+        for file in self.transfer().glob(f"{RecordingFiles.fetched}*"):
             file.unlink(missing_ok=True)
 
     def folder(self, name: str) -> Path:

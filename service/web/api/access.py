@@ -27,8 +27,8 @@ from service.store.access.permissions import LOCAL, Role
 from service.store.people.audit import NotAudited
 from service.store.rows import NoMachine
 from service.web.api.gate import from_own_page
-from service.web.api.permissions import API, LOGINS, SIGN_OF_LIFE, SOCKET, STOP, Permissions, RouteKey
 from service.web.api.problem import AGAIN, RequestRefused, problem_response
+from service.web.api.route_roles import API, LOGINS, SIGN_OF_LIFE, SOCKET, STOP, Permissions, RouteKey
 from service.web.application import Application
 
 _TRAIL = "sweepid.trail"  # in the scope
@@ -142,7 +142,6 @@ def _of_subprotocol(scope: Scope) -> str:
 
 
 WINDOW = 60.0  # s
-MOST = 1000  # addresses, and keys that were accepted
 
 
 @dataclass(slots=True)
@@ -155,6 +154,8 @@ class _Attempts:
 
 class Guesses:
     """Counts wrong keys. `most`: per address within a minute; the next one waits. A time `now` is in s, monotonic."""
+
+    most = 1000  # addresses, and keys that were accepted
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -188,14 +189,14 @@ class Guesses:
         found.times.append(now)
         found.reported = False
         self._wrong.move_to_end(place)
-        if len(self._wrong) > MOST:
+        if len(self._wrong) > Guesses.most:
             self._wrong.popitem(last=False)
 
     def opened(self, key_sha256: str) -> None:
         """Remember a key that was checked and accepted."""
         self._opened[key_sha256] = None
         self._opened.move_to_end(key_sha256)
-        if len(self._opened) > MOST:
+        if len(self._opened) > Guesses.most:
             self._opened.popitem(last=False)
 
 
@@ -316,11 +317,10 @@ async def _answer(refused: RequestRefused, scope: Scope, receive: Receive, send:
     await refused.response(Request(scope))(scope, receive, send)
 
 
-_ALLOWED = (STOP, *LOGINS, ("POST", f"{API}/logout"))  # the route of the stop answers a stop itself: 503, no machine
-
-
 class ReadOnlyService:
     """ASGI middleware inside `Access`: callers without permission get that answer first. The audit has the refusal."""
+
+    allowed = (STOP, *LOGINS, ("POST", f"{API}/logout"))  # the route of the stop answers a stop itself: 503, no machine
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -328,7 +328,7 @@ class ReadOnlyService:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http":
             trail = audit_trail_of(scope)
-            if trail.changes and trail.route is not None and trail.route not in _ALLOWED:
+            if trail.changes and trail.route is not None and trail.route not in ReadOnlyService.allowed:
                 refusal = problem_response(Request(scope), HTTPStatus.CONFLICT, "no-machine", str(NoMachine()))
                 await refusal(scope, receive, send)
                 return

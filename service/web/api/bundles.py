@@ -18,7 +18,7 @@ from service.store.access.permissions import Role
 from service.web.api.campaigns import CampaignView, view
 from service.web.api.dependencies import ApplicationOf, Id, media, set_etag
 from service.web.api.idempotent import Handler, IdempotentRoute, head_of
-from service.web.api.permissions import allow
+from service.web.api.route_roles import allow
 
 
 class SpooledRoute(IdempotentRoute):

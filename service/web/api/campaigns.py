@@ -48,7 +48,7 @@ from service.web.api.dependencies import (
     set_etag,
 )
 from service.web.api.idempotent import IdempotentRoute
-from service.web.api.permissions import allow
+from service.web.api.route_roles import allow
 from service.web.application import Application
 
 campaign_routes = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=IdempotentRoute)

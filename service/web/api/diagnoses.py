@@ -41,8 +41,8 @@ from service.web.api.dependencies import (
     set_etag,
 )
 from service.web.api.idempotent import IdempotentRoute
-from service.web.api.permissions import allow
 from service.web.api.plans import PlanView, Typed
+from service.web.api.route_roles import allow
 
 diagnosis_routes = APIRouter(prefix="/diagnoses", tags=["diagnoses"], route_class=IdempotentRoute)
 model_routes = APIRouter(prefix="/models", tags=["diagnoses"])

@@ -17,8 +17,8 @@ from service.store.plant import MachineDocument
 from service.store.rows import NoMachine
 from service.web.api.dependencies import ApplicationOf, MachineOf
 from service.web.api.idempotent import IdempotentRoute
-from service.web.api.permissions import allow
 from service.web.api.problem import Problem
+from service.web.api.route_roles import allow
 
 drive_routes = APIRouter(prefix="/drives", tags=["drives"], route_class=IdempotentRoute)
 machine_routes = APIRouter(prefix="/machines", tags=["drives"], route_class=IdempotentRoute)

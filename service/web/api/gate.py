@@ -19,13 +19,14 @@ from structlog.contextvars import bound_contextvars
 from service.process.telemetry import TRACING
 from service.web.api.problem import problem_response
 
-BODY_LIMIT = 256 * 2**10  # bytes of JSON
 ROBOT_LIMIT = 4 * 2**20  # with a URDF in it
 BUNDLE_LIMIT = 512 * 2**20
 
 
 class Gate:
     """ASGI middleware. `hosts`: host names that the service accepts; empty: all."""
+
+    body_limit = 256 * 2**10  # bytes of JSON
 
     def __init__(
         self, app: ASGIApp, hosts: Sequence[str], stop_path: str, limits: Mapping[str, int], origins: Sequence[str] = ()
@@ -52,7 +53,7 @@ class Gate:
         if refusal:
             await self._refuse(scope, receive, send, HTTPStatus.FORBIDDEN, "foreign-request", refusal)
             return
-        limit = self._limits.get(scope["path"], BODY_LIMIT)
+        limit = self._limits.get(scope["path"], Gate.body_limit)
         length = headers.get("content-length", "0")
         if length.isdigit() and int(length) > limit:
             detail = f"body of {length} bytes, limit {limit} bytes"

@@ -7,7 +7,7 @@ from fastapi import APIRouter, Response
 from pydantic import BaseModel
 
 from service.web.api.dependencies import ApplicationOf
-from service.web.api.permissions import allow
+from service.web.api.route_roles import allow
 from service.web.application import Application
 
 health_routes = APIRouter(prefix="/health", tags=["health"])

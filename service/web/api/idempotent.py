@@ -15,7 +15,7 @@ from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
 
 from service.model.errors import BadInput
-from service.store.guards import IdempotencyKeys
+from service.store.lease_and_latch import IdempotencyKeys
 
 Handler = Callable[[Request], Coroutine[Any, Any, Response]]
 

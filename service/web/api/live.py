@@ -23,7 +23,7 @@ from service.store.access.permissions import Role
 from service.store.documents import LARGEST_ID, EventKind
 from service.web.api.access import LIVE
 from service.web.api.dependencies import ApplicationOf, Id
-from service.web.api.permissions import allow
+from service.web.api.route_roles import allow
 
 event_routes = APIRouter(prefix="/events", tags=["events"])
 live_routes = APIRouter(prefix="/campaigns/{campaign_id}/live", tags=["live"])

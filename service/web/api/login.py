@@ -19,7 +19,7 @@ from service.store.people.audit import AuditDocument
 from service.store.people.users import UserDocument, UserStore
 from service.web.api.access import AuditTrail, Guesses, audit_trail_of, cookie_name, too_many, unauthorized
 from service.web.api.dependencies import After, ApplicationOf, AuditOf, Limit, Page, SessionsOf
-from service.web.api.permissions import Permissions, allow
+from service.web.api.route_roles import Permissions, allow
 from service.web.application import Application
 
 login_routes = APIRouter(tags=["people"])

@@ -23,7 +23,7 @@ from service.process.telemetry import TRACING
 from service.store.access.permissions import Role
 from service.store.database import refusal
 from service.web.api.dependencies import ApplicationOf
-from service.web.api.permissions import allow
+from service.web.api.route_roles import allow
 from service.web.application import Application
 
 metric_routes = APIRouter(tags=["health"])

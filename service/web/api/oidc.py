@@ -31,8 +31,8 @@ from service.web.api.access import AuditTrail, Guesses, audit_trail_of, cookie_n
 from service.web.api.dependencies import ApplicationOf, SettingsOf
 from service.web.api.gate import from_own_page
 from service.web.api.login import Me, begin_session, secure
-from service.web.api.permissions import allow
 from service.web.api.problem import RequestRefused
+from service.web.api.route_roles import allow
 
 if TYPE_CHECKING:  # optional: only an installation with an identity provider has it
     from joserfc.jwk import KeySetSerialization

@@ -9,8 +9,8 @@ from fastapi import FastAPI
 
 from service.process.settings import Settings
 from service.store.access.permissions import Role
-from service.web.api.permissions import Permissions
 from service.web.api.problem import MEDIA_TYPE, Problem
+from service.web.api.route_roles import Permissions
 
 COMMITTED = Path(__file__).parents[3] / "docs" / "reference" / "openapi.json"
 

@@ -26,7 +26,7 @@ from service.planning.trajectories import build_trajectory_plan
 from service.store.access.credentials import PersonName
 from service.store.access.permissions import Role
 from service.store.documents import PlanRecord, RobotDocument
-from service.store.guards import ApprovalDocument
+from service.store.lease_and_latch import ApprovalDocument
 from service.store.tables import now
 from service.web.api.access import audit_trail_of
 from service.web.api.campaigns import expected_time
@@ -43,8 +43,8 @@ from service.web.api.dependencies import (
     page,
 )
 from service.web.api.idempotent import IdempotentRoute
-from service.web.api.permissions import allow
 from service.web.api.problem import TAG
+from service.web.api.route_roles import allow
 from service.web.application import Application
 
 robot_routes = APIRouter(prefix="/robots", tags=["robots"], route_class=IdempotentRoute)

@@ -29,12 +29,12 @@ from service.planning.compiled_plan import (
 )
 from service.planning.documents import PlannedLeg
 from service.planning.plan import PlanDocument
-from service.planning.pose_choice import grid, has_room
+from service.planning.poses import grid, has_room
 from service.planning.safety.envelope import Envelope
 from service.store.access.permissions import Role
 from service.store.documents import PlanRecord
 from service.web.api.dependencies import ApplicationOf, Id, SettingsOf, StoreOf
-from service.web.api.permissions import allow
+from service.web.api.route_roles import allow
 from service.web.application import Application
 
 ahead_routes = APIRouter(tags=["campaigns"])

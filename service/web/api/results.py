@@ -44,7 +44,7 @@ from service.web.api.dependencies import (
     page,
 )
 from service.web.api.idempotent import IdempotentRoute
-from service.web.api.permissions import allow
+from service.web.api.route_roles import allow
 
 estimate_routes = APIRouter(prefix="/campaigns/{campaign_id}/estimates", tags=["estimates"])
 model_file_routes = APIRouter(prefix="/campaigns/{campaign_id}", tags=["estimates"])

@@ -19,8 +19,8 @@ from service.store.rows import NoMachine
 from service.web.api.access import audit_trail_of
 from service.web.api.dependencies import ApplicationOf
 from service.web.api.drives import StatementView
-from service.web.api.permissions import allow
 from service.web.api.problem import Problem, problem_response
+from service.web.api.route_roles import allow
 from service.web.application import Application
 
 router = APIRouter(prefix="/stop", tags=["stop"])

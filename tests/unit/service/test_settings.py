@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.bounded_yaml import DEEPEST, MOST_CHARACTERS
+from drivers.bounded_yaml import BoundedLoader
 from service.model.configuration import LARGEST_YAML, Cell, read_text, read_yaml
 from service.model.errors import BadInput
 from service.process.settings import Settings, load_settings
@@ -116,10 +116,10 @@ def test_a_cluster_on_this_computer_needs_no_certificates() -> None:
     assert Settings().cluster is None
 
 
-ALIASES = f"aliases stand for more than {MOST_CHARACTERS} characters"
+ALIASES = f"aliases stand for more than {BoundedLoader.longest} characters"
 LAUGHS = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
 LAUGHS += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 10)]
-DEEP = f"nested too deeply, limit {DEEPEST} levels"
+DEEP = f"nested too deeply, limit {BoundedLoader.deepest} levels"
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,11 @@ DEEP = f"nested too deeply, limit {DEEPEST} levels"
         *(
             pytest.param(opened * levels + "1" + closed * levels, told, id=f"{levels} times {opened}")
             for opened, closed in (("[", "]"), ("{a: ", "}"), ("- ", ""))
-            for levels, told in ((DEEPEST, "valid dictionary|unknown key"), (DEEPEST + 1, DEEP), (100_000, DEEP))
+            for levels, told in (
+                (BoundedLoader.deepest, "valid dictionary|unknown key"),
+                (BoundedLoader.deepest + 1, DEEP),
+                (100_000, DEEP),
+            )
         ),
         pytest.param("#" * (LARGEST_YAML + 1), f"is larger than {LARGEST_YAML} bytes", id="large"),
     ],

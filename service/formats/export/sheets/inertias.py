@@ -36,8 +36,6 @@ from service.model.results.sheet import Sheet, SheetParameter, Supplementary, Su
 from service.model.robot import INERTIAL_NAMES, Robot, link_frames
 from service.model.urdf import LARGEST, Chain, inertia_vector, transform_inertial
 
-STILL = 2e-3  # rad (m): smaller differences count as no motion
-
 UPRIGHT = -90.0  # deg: position of the second axis that defines the frame of its load
 
 
@@ -47,6 +45,8 @@ class Inertias:
 
     `fixed`: positions, rad (m), of the joints that never moved, by index. `place`: prefix of every message.
     """
+
+    still = 2e-3  # rad (m): smaller differences count as no motion
 
     robot: Robot
     joints: tuple[str, ...]
@@ -66,7 +66,7 @@ class Inertias:
         if joint not in self.joints:
             raise BadInput(self.place, f"did not measure {joint}; it measured {', '.join(self.joints)}")
         for k, position in self.fixed.items():
-            if np.abs(poses[:, k] - position).max() > STILL:
+            if np.abs(poses[:, k] - position).max() > Inertias.still:
                 raise BadInput(self.place, f"was measured only with {self.robot.joints[k]} at {position:.4g} rad (m)")
         rows, opened = self._rows(joint, poses)
         if opened:

@@ -9,7 +9,7 @@ import httpx
 import pytest
 
 from service.model.configuration import read_robot
-from service.web.api.gate import BODY_LIMIT, ROBOT_LIMIT
+from service.web.api.gate import ROBOT_LIMIT, Gate
 from tests.unit.service.api.conftest import ZIP
 from tests.unit.service.hosting import CONFIG
 
@@ -87,7 +87,7 @@ ASKED = {
         {"content": b'{"plan_id": "\\ud800"}', "headers": JSON},
     ),
     "a large robot": content("/robots", 413, b" " * (ROBOT_LIMIT + 1), str(ROBOT_LIMIT)),
-    "a large plan": content("/plans", 413, b" " * (BODY_LIMIT + 1), str(BODY_LIMIT)),
+    "a large plan": content("/plans", 413, b" " * (Gate.body_limit + 1), str(Gate.body_limit)),
     "of unknown length": content("/robots", 413, pieces),
     "many errors": plan(
         "errors, the first 8 are listed",

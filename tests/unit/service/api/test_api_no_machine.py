@@ -8,7 +8,7 @@ import httpx
 import pytest
 
 from service.process.settings import Settings
-from service.web.api.permissions import API, LOGINS, STOP
+from service.web.api.route_roles import API, LOGINS, STOP
 from service.web.app import create_app
 from tests.unit.service.hosting import hosting
 

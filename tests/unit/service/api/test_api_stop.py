@@ -18,7 +18,7 @@ import pytest
 
 from service.process.settings import Settings
 from service.store.documents import LARGEST_ID
-from service.store.guards import StopLatch
+from service.store.lease_and_latch import StopLatch
 from service.web.api.dependencies import EPOCH, Arrival
 from service.web.app import create_app
 from service.web.client import ServiceClient
@@ -136,7 +136,7 @@ def test_a_release_while_the_database_is_locked(
 async def test_a_lock_that_comes_after_the_entry_in_the_audit(
     tmp_path: Path, profile: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.store.guards.PATIENCE", 0.2)
+    monkeypatch.setattr("service.store.lease_and_latch.PATIENCE", 0.2)
     reset, locks = StopLatch.reset, list[sqlite3.Connection]()
 
     def locked(latch: StopLatch, by: str, stops: Sequence[int]):

@@ -18,7 +18,7 @@ from service.store.examination import examine
 from service.store.files.data_folder import FILE as OWNER
 from service.store.files.data_folder import claim_folder
 from service.store.files.recordings import RecordingFiles, SweepAttempt, file_sha256
-from service.store.guards import MachineLease
+from service.store.lease_and_latch import MachineLease
 from service.store.store import Store
 from tests.command import sweepid
 from tests.unit.service.backup.conftest import Forks, contents

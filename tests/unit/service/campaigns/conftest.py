@@ -31,7 +31,7 @@ from service.store.database import Database, open_database
 from service.store.diagnoses import ModelStore
 from service.store.documents import CampaignDocument, NewSweep, SpectrumRecord, SweepDocument
 from service.store.files.recordings import RecordingFiles
-from service.store.guards import ApprovalStore, MachineLease, StopLatch
+from service.store.lease_and_latch import ApprovalStore, MachineLease, StopLatch
 from service.store.store import Store
 from tests.unit.service.campaigns.formula_drive import FormulaDrive
 

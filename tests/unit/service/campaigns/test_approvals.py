@@ -19,7 +19,7 @@ from service.planning.compiled_plan import motion_sha256
 from service.planning.machine_setup import machine_sha256
 from service.process.settings import Settings
 from service.store.documents import CampaignState
-from service.store.guards import ApprovalStore, StopLatch
+from service.store.lease_and_latch import ApprovalStore, StopLatch
 from tests.unit.service.campaigns.conftest import ROOT, TIMEOUT, Bench, refusing, until
 
 HASH, OTHER = "a" * 64, "b" * 64

@@ -13,7 +13,7 @@ from service.machine.execution.permission import Approvals, Epochs, Intention
 from service.model.errors import Superseded
 from service.planning.campaigns.live import EventFeed
 from service.store.documents import CampaignState
-from service.store.guards import ApprovalStore
+from service.store.lease_and_latch import ApprovalStore
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, keeping, until
 from tests.unit.service.campaigns.test_approvals import HASH, Asked
 from tests.unit.service.campaigns.test_experiments import Loop, loop  # noqa: F401

@@ -13,7 +13,7 @@ from structlog.testing import capture_logs
 from drivers.ports import SampleBlock
 from service.planning.campaigns.live import EventFeed, LiveBlock, LiveHub, thin
 from service.store.database import open_database
-from service.store.guards import StopLatch
+from service.store.lease_and_latch import StopLatch
 from service.store.store import Store
 from service.web.api.live import message
 from service.web.api.live import text as json_text

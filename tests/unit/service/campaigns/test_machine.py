@@ -20,7 +20,7 @@ from service.machine.execution.machine import watching
 from service.machine.execution.stops import LatchedStops, StopSequences
 from service.model.errors import Conflict, NotFound, NotNow
 from service.store.documents import CampaignState, SweepState
-from service.store.guards import LeaseLost, MachineLease, StopLatch
+from service.store.lease_and_latch import LeaseLost, MachineLease, StopLatch
 from service.store.people.audit import AuditStore, AuditWriter
 from service.store.people.users import KeyStore
 from service.web.application import tell_own_stop

@@ -14,7 +14,7 @@ from service.model.errors import BadInput
 from service.model.robot import Robot, build_robot
 from service.planning.documents import PlanDocument, PlanRequest
 from service.planning.plan import build_plan
-from service.planning.pose_choice import workspace_grid
+from service.planning.poses import workspace_grid
 from service.planning.safety.envelope import Envelope
 from service.planning.safety.travel import order_poses
 from tests.unit.service.campaigns.small_arm import small_arm

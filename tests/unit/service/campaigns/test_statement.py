@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.ports import AxisState, AxisStatus
-from service.machine.execution.statement import STALE, Condition, Reports
+from service.machine.execution.statement import Condition, Reports
 
 JOINTS = ("joint_1", "joint_2")
 TICK = 1e-3  # s between two events: neither happens at the same time as the other
@@ -89,7 +89,7 @@ def test_it_is_never_better_than_the_truth(events: list[tuple]) -> None:
                 assert axis.reason
                 continue
             assert axis.age is not None
-            assert axis.age <= STALE
+            assert axis.age <= Reports.stale
             moved, energised = truth.at(truth.now - axis.age)[joint]
             assert axis.state is Condition.MOVES or not moved
             assert axis.state is not Condition.STANDS or not energised
@@ -130,8 +130,8 @@ def test_a_report_grows_old() -> None:
     reports = Reports(["joint_1"], lambda: now[0])
     reports.connected()
     reports.note({"joint_1": status("joint_1", False, False)}, 0.0)
-    now[0] = STALE
+    now[0] = Reports.stale
     assert reports.statement.state is Condition.STANDS
-    now[0] = STALE + 0.1
+    now[0] = Reports.stale + 0.1
     said = reports.statement
     assert (said.state, said.reason) == (Condition.UNKNOWN, "the last report is 2.1 s old, limit 2 s")

@@ -9,7 +9,7 @@ from service.model.configuration import Cell
 from service.model.recording import SweepPurpose
 from service.planning.documents import PlanDocument, PlanRequest
 from service.planning.plan import build_plan
-from service.planning.pose_choice import least_duration
+from service.planning.poses import least_duration
 from tests.unit.service.campaigns.small_arm import small_arm
 
 

@@ -19,7 +19,7 @@ from service.store.access.permissions import Role
 from service.store.database import Database, open_database
 from service.store.people.audit import AuditDocument, AuditStore, AuditUnreadable
 from service.store.people.users import KeyStore
-from service.web.api.permissions import SOCKET
+from service.web.api.route_roles import SOCKET
 from service.web.app import create_app
 from service.web.client import ServiceClient, ServiceProblem
 from tests.unit.service.hosting import opened

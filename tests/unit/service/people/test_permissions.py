@@ -8,7 +8,7 @@ from fastapi import FastAPI
 from service.process.settings import Settings
 from service.store.access.credentials import key_sha256, masked, new_key
 from service.store.access.permissions import SCOPES, Role
-from service.web.api.permissions import LOGINS, SOCKET, STOP, Permissions, RouteKey, allow, page
+from service.web.api.route_roles import LOGINS, SOCKET, STOP, Permissions, RouteKey, allow, page
 from service.web.app import create_app
 
 PAGE = Path("docs/reference/permissions.md")
@@ -104,7 +104,7 @@ def test_what_a_key_lacks(
 
 
 def test_the_page_is_fresh(root: Path, permissions: Permissions) -> None:
-    told = "run: python -m service.web.api.permissions > docs/reference/permissions.md"
+    told = "run: python -m service.web.api.route_roles > docs/reference/permissions.md"
     assert (root / PAGE).read_text("utf-8") == page(permissions), told
 
 

@@ -15,7 +15,7 @@ from service.store.access.permissions import Role
 from service.store.database import open_database
 from service.store.people.audit import AuditStore
 from service.store.people.users import KeyStore
-from service.web.api.access import MOST, WINDOW, Guesses
+from service.web.api.access import WINDOW, Guesses
 from tests.unit.service.api.conftest import serving
 from tests.unit.service.hosting import hosting
 from tests.unit.service.people.conftest import calling
@@ -66,10 +66,10 @@ def test_what_is_one_address(one: str, other: str, same: bool) -> None:
 
 def test_the_tables_are_bounded() -> None:
     guesses = Guesses(1)
-    for number in range(3 * MOST):
+    for number in range(3 * Guesses.most):
         guesses.wrong(f"10.0.{number // 256}.{number % 256}", 0.0)
         guesses.opened(str(number))
-    assert len(guesses) == 2 * MOST
+    assert len(guesses) == 2 * Guesses.most
     assert guesses.wait("10.0.0.0", None, 0.0) == 0  # the oldest is forgotten
     assert guesses.wait("10.0.11.183", None, 0.0) == WINDOW  # the newest is not
 

@@ -9,7 +9,7 @@ from service.machine.execution.stops import LatchedStops
 from service.publishing.following import Following
 from service.publishing.state import Notice, PublishedState
 from service.store.database import open_database
-from service.store.guards import StopLatch
+from service.store.lease_and_latch import StopLatch
 from service.store.store import Store
 
 

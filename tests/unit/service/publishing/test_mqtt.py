@@ -123,7 +123,7 @@ async def test_nothing_is_lost_and_nobody_waits_while_the_broker_is_away(tmp_pat
 async def test_too_many_events_are_dropped_and_counted(
     tmp_path: Path, state: PublishedState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mqtt, "WAITING", 10)
+    monkeypatch.setattr(mqtt.Broker, "waiting", 10)
     server, reports = Mosquitto(tmp_path), list[FromPublisher]()
     async with publishing(settings(server.port), reports) as client:
         for number in range(25):

@@ -29,7 +29,7 @@ from service.store.documents import NewRecording, NewSweep, RecordingState
 from service.store.engines import NotReached, parsed_url
 from service.store.examination import examine, examined
 from service.store.files.data_folder import FILE, claim_folder
-from service.store.guards import MachineLease, MachineTaken, StopLatch
+from service.store.lease_and_latch import MachineLease, MachineTaken, StopLatch
 from service.store.people.audit import AuditStore
 from service.store.people.users import UserStore
 from service.store.store import Store
@@ -196,7 +196,7 @@ WRITERS, ENTRIES = 3, 40
 WRITER = """
 import sys
 from service.store.database import open_database
-from service.store.guards import StopLatch
+from service.store.lease_and_latch import StopLatch
 from service.store.people.audit import AuditStore
 with open_database(sys.argv[1]) as database:
     for number in range(int(sys.argv[2])):

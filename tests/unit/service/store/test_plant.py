@@ -15,7 +15,7 @@ from service.store.database import Database, open_database
 from service.store.diagnoses import DiagnosisStore
 from service.store.documents import CampaignDocument, CampaignState, NewDiagnosis, NewSweep, SweepState
 from service.store.files.data_folder import ForeignFolder, claim_folder
-from service.store.guards import ApprovalStore, IdempotencyKeys, MachineLease, MachineTaken, StopLatch
+from service.store.lease_and_latch import ApprovalStore, IdempotencyKeys, MachineLease, MachineTaken, StopLatch
 from service.store.rows import NoMachine, OtherMachine
 from service.store.store import Store
 

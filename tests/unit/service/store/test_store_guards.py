@@ -10,7 +10,7 @@ import pytest
 from service.model.errors import Conflict, NotFound
 from service.store.database import Database, open_database
 from service.store.documents import StoredAnswer
-from service.store.guards import IdempotencyKeys, LeaseLost, MachineLease, MachineTaken, StopLatch
+from service.store.lease_and_latch import IdempotencyKeys, LeaseLost, MachineLease, MachineTaken, StopLatch
 from service.store.store import Store
 
 pytestmark = pytest.mark.slow
@@ -20,7 +20,7 @@ LEASE_TIME = 0.5  # s
 HOLDER = """
 import sys
 from service.store.database import open_database
-from service.store.guards import MachineLease
+from service.store.lease_and_latch import MachineLease
 with open_database(sys.argv[1]) as database:
     lease = MachineLease(database, 60.0)
     lease.acquire()

@@ -22,7 +22,7 @@ from service.identification.design.pose_selection import (
     needed,
     sweep_information,
 )
-from service.identification.estimates.estimate import WORKSPACE
+from service.identification.estimates.estimate import RobotEstimate
 from service.identification.model.base_parameters import base_parameters, joint_ranges, spread_evenly
 from service.identification.model.regressor import axis_rows, gravity_terms, inertia_rows, lock
 from service.model.arrays import Array
@@ -121,8 +121,8 @@ class Observability:
     def workspace(self, stood: Array) -> Array:
         """Poses (w, n) that represent the workspace, as in the estimate (`Estimate.workspace`)."""
         lower, upper = joint_ranges(lock(self.robot.chain, _locked(self.home, self.free)))
-        poses = np.tile(self.home, (WORKSPACE, 1))
-        poses[:, self.free] = spread_evenly(WORKSPACE, lower, upper)
+        poses = np.tile(self.home, (RobotEstimate.workspace_poses, 1))
+        poses[:, self.free] = spread_evenly(RobotEstimate.workspace_poses, lower, upper)
         return reachable(self.robot, stood, poses)
 
 
@@ -139,11 +139,10 @@ def _locked(home: Array, free: tuple[int, ...]) -> dict[int, float]:
     return {k: float(position) for k, position in enumerate(home) if k not in free}
 
 
-TRAVEL_SHARE = 0.95  # of the travel, for the offset motion; the sines oscillate around it
-
-
 class SweepDesign:
     """The sweeps of a request in its candidates (m, n); `analyses`: initial analyses, by joint, as far as known."""
+
+    travel_share = 0.95  # of the travel, for the offset motion; the sines oscillate around it
 
     def __init__(
         self,
@@ -188,7 +187,7 @@ class SweepDesign:
             lines=self._lines(joint, load),
             locked_rotor_frequency=self._locked_rotor(joint, candidate),
             direction=direction,
-            travel=TRAVEL_SHARE * envelope.limits.travel,
+            travel=SweepDesign.travel_share * envelope.limits.travel,
             velocity_limit=velocity,
             effort_limit=spare / (1 + 2 * prior.inertia) / 2,
         )

@@ -2,7 +2,7 @@
 
 A route without a role is an error at the start of the service. An unknown path requires the role viewer: a caller
 without a role does not get the answer "not found".
-``python -m service.web.api.permissions > docs/reference/permissions.md`` writes the table of all routes.
+``python -m service.web.api.route_roles > docs/reference/permissions.md`` writes the table of all routes.
 """
 
 import re
