@@ -155,9 +155,9 @@ def run() -> Iterator[Measured]:
     for count in (24, 90, 300, 900):
         ours = Revisions(found, told, min(count, len(told) - REPEATS))
         at = beside(ours, lambda n=count: estimate_document(robot, told[:n]), REPEATS)
-        of = at.as_measured(f"a revision, sweep {count}", "all sweeps fitted at once")
+        of = at.as_measured(f"a revision, sweep {count}", "fit of all")
         size = len(json.dumps(ours.condensed.document)) / 1e3
-        fits = f"{ours.fits} of {REPEATS} fitted to all sweeps; document {size:.0f} kB"
+        fits = f"{ours.fits} of {REPEATS} by it; {size:.0f} kB"
         yield replace(of, target=f"<= {MOST_COMPUTE * 1e3:g} ms", met=of.ours <= MOST_COMPUTE, note=fits)
     whole = beside(lambda: estimate_document(robot, spectra(found)), lambda: anew(robot, sweeps), 3)
     of = whole.as_measured("900 sweeps identified again, all at once", PEER_ONCE)

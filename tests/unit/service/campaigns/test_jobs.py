@@ -27,6 +27,7 @@ from service.model.recording import Sweep
 from service.model.results.effect import KnownModel, StoredModel
 from service.model.results.estimate import Estimate
 from service.model.robot import Robot
+from service.planning.campaigns.live import EventFeed
 from service.planning.safety.envelope import Envelope
 from service.store.database import open_database
 from service.store.diagnoses import DiagnosisStore, ModelStore
@@ -140,6 +141,22 @@ async def test_a_campaign_ends_with_a_fit_of_all_its_sweeps(tmp_path: Path, robo
     assert (last.revision, before.document["updates"]) == (len(POSES), 1)
     spectra = [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps]
     assert last.document == estimate_document(bundle.robot, spectra).as_json()
+
+
+async def test_an_aborted_campaign_ends_with_a_fit_of_all_its_sweeps(
+    tmp_path: Path, robot: Robot, envelope: Envelope
+) -> None:
+    """Also if every sweep was identified before: no job follows."""
+    async with open_bench(tmp_path, robot, envelope, Updating()) as bench:
+        feed = EventFeed(bench.store, bench.database)
+        following = asyncio.create_task(bench.jobs.follow(feed, 0))
+        await bench.start()
+        await until(lambda: bench.now.sweeps.get(SweepState.IDENTIFIED, 0) >= 1)
+        await bench.runner.abort(bench.campaign.id, "enough")
+        await until(lambda: bench.jobs.open == 0 and "updates" not in bench.store.estimate(bench.campaign.id).document)
+        assert bench.now.state is CampaignState.ABORTED
+        feed.close()
+        await following
 
 
 async def test_a_job_waits_while_the_database_is_locked(
