@@ -1,6 +1,9 @@
 """From recorded sweeps to the document of the estimate, for the service's worker and for `sweepid identify`."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
 
 from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.axis.known_effects import KnownEffects
@@ -9,10 +12,12 @@ from service.identification.estimates.combination import combination_document, c
 from service.identification.estimates.document import as_document, nothing_known
 from service.identification.estimates.estimate import RobotEstimate, identify
 from service.identification.estimates.initial_analysis import analyse, analyses_document
+from service.identification.estimates.update import Condensed
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.trajectory_record import AxisTrack, axis_track, runs_at_once, trajectories
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.identification.spectra.noise_response import NoiseSpectrum, has_reference, noise_spectrum
+from service.model.arrays import Array
 from service.model.collision import reachable
 from service.model.recording import Sweep
 from service.model.results import estimate as results
@@ -55,6 +60,37 @@ def estimate_document(
     and free `motions`, "combination" is the joint estimate from sweeps and these; else it is null.
     Spectra of sweeps in `motions` contain no information about a single axis and are ignored.
     """
+    return _fitted(robot, spectra, analyses or {}, gains or {}, known, motions).document
+
+
+def condensed_estimate(
+    robot: Robot, spectra: Sequence[SweepSpectrum], analyses: Mapping[str, InitialAnalysis], known: KnownEffects | None
+) -> tuple[results.Estimate, Condensed | None]:
+    """`estimate_document`, and what the next revision needs of the spectra; None if that needs all of them."""
+    found = _fitted(robot, spectra, analyses, {}, known, ())
+    if found.estimate is None or any(isinstance(each, AxisTrack) for each in spectra):
+        return found.document, None
+    sweeps = [each for each in spectra if isinstance(each, Spectrum)]
+    return found.document, Condensed.of(found.estimate, sweeps, found.workspace, found.document)
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """The estimate of single axes, None without one, with the poses (m, all joints) of the workspace."""
+
+    document: results.Estimate
+    estimate: RobotEstimate | None
+    workspace: Array
+
+
+def _fitted(
+    robot: Robot,
+    spectra: Sequence[SweepSpectrum],
+    analyses: Mapping[str, InitialAnalysis],
+    gains: Mapping[str, TorqueGain],
+    known: KnownEffects | None,
+    motions: Sequence[FreeMotion],
+) -> _Fitted:
     sweeps = [each for each in spectra if isinstance(each, Spectrum)]
     together = {id for motion in motions for id in motion.ids}
     sweeps = [sweep for sweep in sweeps if sweep.spec.id not in together]
@@ -62,16 +98,24 @@ def estimate_document(
     own = analyse(robot, runs, [sweep for sweep in sweeps if sweep.spec.stepped])
     estimate = None
     if any(sweep.spec.shows_inertia for sweep in sweeps):
-        estimate = identify(robot, sweeps, {**(analyses or {}), **own}, gains or {}, known)
+        estimate = identify(robot, sweeps, {**analyses, **own}, gains, known)
     tracks = [each for each in spectra if isinstance(each, AxisTrack)]
-    combination = _combination(robot, estimate, tracks, motions, gains or {})
+    combination = _combination(robot, estimate, tracks, motions, gains)
     also: dict[str, object] = {"analysis": analyses_document(own), "combination": combination}
     if estimate is None and combination is not None:
         also |= {"standard_parameters": combination.standard_parameters, "physical": combination.physical}
     if estimate is None:
-        return nothing_known().model_copy(update=also)
+        return _Fitted(nothing_known().model_copy(update=also), None, np.empty((0, len(robot.joints))))
     workspace = reachable(robot, estimate.poses, estimate.workspace)
-    return as_document(estimate, workspace).model_copy(update=also)
+    return _Fitted(as_document(estimate, workspace).model_copy(update=also), estimate, workspace)
+
+
+def updated_estimate(before: Condensed, spectra: Sequence[SweepSpectrum]) -> Condensed | None:
+    """The revision with these spectra more; None if it needs all sweeps."""
+    found: Condensed | None = before
+    for each in spectra:
+        found = found.updated(each) if found is not None and isinstance(each, Spectrum) else None
+    return found
 
 
 def _combination(

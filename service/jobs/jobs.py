@@ -28,6 +28,7 @@ from service.store.diagnoses import ModelStore
 from service.store.documents import (
     BatchState,
     CampaignState,
+    EstimateDocument,
     EventKind,
     RecordingDocument,
     SpectrumRecord,
@@ -121,6 +122,7 @@ class OpenJobs:
             _log.error("job_broke_off", job=name, exc_info=error, **about)
 
 
+FOLLOWS = (SweepState.PLANNED, SweepState.RUNNING, SweepState.RECORDED)  # a sweep in them may follow a revision
 MOST_REVISIONS = 60  # points of a convergence chart; with 900 sweeps their estimates take 13 s of processor time
 
 
@@ -162,12 +164,45 @@ class Jobs(OpenJobs):
             self.begin(name, partial(self._do, group), turn, len(group), campaign=campaign_id)
 
     async def settle(self, campaign_id: int) -> None:
-        """measured -> completed, if no sweep is left to identify."""
+        """measured -> completed, if no sweep is left to identify and the estimate is a fit of all sweeps."""
         campaign = await asyncio.to_thread(self._store.campaign, campaign_id)
-        if campaign.state is CampaignState.MEASURED and SweepState.RECORDED not in campaign.sweeps:
+        if campaign.state not in OVER or SweepState.RECORDED in campaign.sweeps:
+            return
+        if await asyncio.to_thread(self._updated, campaign_id) is not None:
+            do, turn = partial(self._fit_all, campaign_id), self._turn[campaign_id]
+            self.begin(f"identification of campaign {campaign_id}", do, turn, campaign=campaign_id)
+        elif campaign.state is CampaignState.MEASURED:
             identified = campaign_move(CampaignEvent.IDENTIFIED)
             cause = campaign.structured_cause
             await asyncio.to_thread(self._store.move_campaign, campaign_id, identified, cause)
+
+    async def follow(self, feed: EventFeed, after: int) -> None:
+        """Settle each campaign that is aborted after event `after`, until the feed is closed."""
+        async for event in feed.follow(after):
+            aborted = event.kind is EventKind.CAMPAIGN and event.data["state"] == CampaignState.ABORTED.value
+            if aborted and event.campaign_id is not None:
+                await self.settle(event.campaign_id)
+
+    def _updated(self, campaign_id: int) -> EstimateDocument | None:
+        """The latest revision, if it is an update of the one before it."""
+        try:
+            found = self._store.estimate(campaign_id)
+        except NotFound:
+            return None
+        return found if found.document.get("updates") else None
+
+    async def _fit_all(self, campaign_id: int) -> None:
+        """Instead of the updates of the latest revision."""
+        updated = await asyncio.to_thread(self._updated, campaign_id)
+        if updated is not None:
+            job = await asyncio.to_thread(self._job, campaign_id, (), ())
+            try:
+                document = (await self._worker.run_patiently(job)).estimate
+            except (JobFailed, BadInput) as error:  # the revision stays as it is
+                _log.error("fit_of_all_failed", campaign=campaign_id, cause=str(error))
+                document = {name: value for name, value in updated.document.items() if name != "updates"}
+            await asyncio.to_thread(self._store.replace_estimate, campaign_id, updated.revision, document)
+        await self.settle(campaign_id)
 
     async def _do(self, sweeps: Sequence[SweepDocument]) -> None:
         campaign_id = sweeps[0].campaign_id
@@ -212,7 +247,8 @@ class Jobs(OpenJobs):
 
     async def _identify(self, sweeps: Sequence[SweepDocument]) -> None:
         recordings = await asyncio.to_thread(self._recordings, sweeps)
-        result = await self._worker.run_patiently(await asyncio.to_thread(self._job, sweeps, recordings))
+        job = await asyncio.to_thread(self._job, sweeps[0].campaign_id, sweeps, recordings)
+        result = await self._worker.run_patiently(job)
         spectra = await asyncio.to_thread(self._save, recordings, result)
         with TRACING.span("store estimate"):
             estimate = await asyncio.to_thread(
@@ -231,25 +267,28 @@ class Jobs(OpenJobs):
         found = zip(recordings, result.spectra, strict=True)
         return [self._files.save_spectrum(recording.path, spectrum) for recording, spectrum in found]
 
-    def _job(self, sweeps: Sequence[SweepDocument], recordings: Sequence[RecordingDocument]) -> Job:
+    def _job(self, campaign_id: int, sweeps: Sequence[SweepDocument], recordings: Sequence[RecordingDocument]) -> Job:
+        """Of some recorded sweeps with all identified ones, or of these alone."""
         new = tuple(
             RecordedSweep(sweep.spec, self._files.named(recording))
             for sweep, recording in zip(sweeps, recordings, strict=True)
         )
-        campaign = self._store.campaign(sweeps[0].campaign_id)
+        campaign = self._store.campaign(campaign_id)
         robot = self._store.robot(campaign.robot_id)
         beside = campaign_beside(self._store, campaign)
         others = () if beside is None else self._store.spectra(beside.id)
         model = self._models.newest(campaign.robot_id)
         digest = hashlib.sha256("".join(recording.sha256 for recording in recordings).encode()).hexdigest()
+        open_sweeps = sum(campaign.sweeps.get(state, 0) for state in FOLLOWS)
         return Job(
-            key=f"identify-{digest}-{campaign.id}-{sweeps[-1].number}-{model.id if model else 0}",
+            key=f"identify-{digest}-{campaign.id}-{sweeps[-1].number if sweeps else 0}-{model.id if model else 0}",
             robot=robot.description,
             urdf_text=robot.urdf_text,
             sweeps=new,
             earlier=tuple(map(self._files.spectrum, (*others, *self._store.spectra(campaign.id)))),
             analyses=analysis_behind(self._store, beside or campaign),
             model=model,
+            last=open_sweeps <= len(sweeps),
         )
 
 

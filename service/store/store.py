@@ -345,6 +345,18 @@ class Store(rows.Transactions):
             session.flush()
             return rows.document(EstimateDocument, estimate)
 
+    def replace_estimate(self, campaign_id: int, revision: int, document: dict[str, JsonValue]) -> None:
+        """Another document of a revision, told as a new one is."""
+        query = select(t.EstimateRow).where(
+            t.EstimateRow.campaign_id == campaign_id, t.EstimateRow.revision == revision
+        )
+        with self._database.write() as session:
+            rows.own_campaign(session, campaign_id)
+            estimate = session.scalars(query).one()
+            estimate.document = document
+            data: dict[str, JsonValue] = {"revision": revision, "sweep": estimate.number}
+            rows.emit(session, campaign_id, EventKind.ESTIMATE, data)
+
     # outbox
 
     def add_check_move(self, campaign_id: int, number: int, axis: str, way: float, unit: str) -> None:

@@ -213,7 +213,9 @@ class IdentityRow(StoredRow):
 
 
 class EstimateRow(StoredRow):
-    """Append-only. The unique sweep makes a result that comes twice count once."""
+    """Append-only, but that a fit of all sweeps replaces the last one. The unique sweep makes a result that comes twice
+    count once.
+    """
 
     __tablename__ = "estimate"
     __table_args__ = (UniqueConstraint("campaign_id", "revision"),)

@@ -376,6 +376,7 @@ async def _open_cell(
     await batches.recover()
     following = Background()
     stack.push_async_callback(following.close)
+    following.begin("end of the identification", jobs.follow(app.feed, last_event))
     following.begin("check of the data", checking.follow(app.feed, last_event))
     following.begin("loop of the diagnoses", experiments.follow(app.feed, last_event))
     moving = None

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from service.identification.estimates.standard_parameters import AxisWorth, ObservedCombinations, worth
+from service.identification.estimates.standard_parameters import AxisWorth, NominalModel, ObservedCombinations
 from service.identification.model.base_parameters import base_parameters
 from service.identification.model.regressor import fold, lock
 from service.model.arrays import Array
@@ -211,4 +211,4 @@ def _worth_of(robot: Robot, found: Estimate, parameters: Array) -> tuple[AxisWor
     motors[unknown] = parameters[-len(motors) :][unknown]
     nominal = np.concatenate([robot.chain.inertial.ravel(), motors])
     spread = robot.prior.inertia, np.where(unknown, 1.0, robot.prior.motor_inertia)
-    return worth(robot, nominal, spread, observed, parameters)
+    return NominalModel(robot, nominal, spread).worth(observed, parameters)

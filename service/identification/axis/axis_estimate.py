@@ -144,13 +144,17 @@ def _groups(spectra: Sequence[Spectrum]) -> list[list[int]]:
     """Numbers of the sweeps that differ only in their phases, two or more."""
     alike: dict[tuple[object, ...], list[int]] = {}
     for k, one in enumerate(spectra):
-        spec = one.spec
-        if (spec.periods or 0) < 2:
-            continue
-        sines = tuple((round(sine.frequency, 6), float(f"{sine.amplitude:.6g}")) for sine in spec.sines)
-        key = (tuple(np.round(spec.pose, 3)), float(f"{spec.offset_velocity:.6g}"), sines, spec.period, spec.periods)
-        alike.setdefault((*key, one.samples), []).append(k)
+        if (one.spec.periods or 0) > 1:
+            alike.setdefault(but_phases(one), []).append(k)
     return [members for members in alike.values() if len(members) > 1 and _differ([spectra[k] for k in members])]
+
+
+def but_phases(spectrum: Spectrum) -> tuple[object, ...]:
+    """Equal for sweeps that differ only in their phases."""
+    spec = spectrum.spec
+    sines = tuple((round(sine.frequency, 6), float(f"{sine.amplitude:.6g}")) for sine in spec.sines)
+    key = (tuple(np.round(spec.pose, 3)), float(f"{spec.offset_velocity:.6g}"), sines, spec.period, spec.periods)
+    return *key, spectrum.samples
 
 
 def _differ(spectra: Sequence[Spectrum]) -> bool:
@@ -221,7 +225,7 @@ class AxisEstimate:
     def with_covariance(self, covariance: Array) -> "AxisEstimate":
         """The same inertias with another covariance (n, n)."""
         sweeps = tuple(
-            replace(sweep, std=float(std), std_total=_total(sweep.value, float(std), self.gain))
+            replace(sweep, std=float(std), std_total=total_std(sweep.value, float(std), self.gain))
             for sweep, std in zip(self.sweeps, np.sqrt(np.diag(covariance)), strict=True)
         )
         return replace(self, sweeps=sweeps, covariance=covariance)
@@ -259,7 +263,7 @@ def identify_axis(
         fit = replace(fit, covariance=fit.covariance + np.diag([part.doubt**2 for part in parts]))
         covariance[np.ix_(periodic, periodic)] = fit.covariance
         for row, k in enumerate(periodic):
-            sweeps[k] = _from_joint_fit(parts[row].spectrum, float(reference[k]), fit, row, gain, distortion)
+            sweeps[k] = from_joint_fit(parts[row].spectrum, float(reference[k]), fit, row, gain, distortion)
             if fit.weight[row] < 1:
                 why = f"its residual is {np.sqrt(fit.chi_squared[row]):.1f} times that of the others"
                 weight = float(fit.weight[row])
@@ -328,11 +332,11 @@ def _analysed(analysis: InitialAnalysis, gain: TorqueGain) -> SharedPrior:
     return SharedPrior(scale * analysis.mean, np.outer(scale, scale) * analysis.covariance)
 
 
-def _total(value: float, std: float, gain: TorqueGain) -> float:
+def total_std(value: float, std: float, gain: TorqueGain) -> float:
     return float(np.hypot(std, gain.std / gain.gain * value))
 
 
-def _from_joint_fit(
+def from_joint_fit(
     spectrum: Spectrum, reference: float, fit: JointFit, row: int, gain: TorqueGain, distortion: AxisDistortion | None
 ) -> FittedSweep:
     value, std = float(fit.inertia[row]), float(np.sqrt(fit.covariance[row, row]))
@@ -343,7 +347,7 @@ def _from_joint_fit(
         sweep=spectrum.spec.id,
         value=value,
         std=std,
-        std_total=_total(value, std, gain),
+        std_total=total_std(value, std, gain),
         warning=unsettled(float(fit.noise_change[row])),
         bound=float(fit.bound[row]),
         reference=reference,
@@ -387,7 +391,7 @@ def _from_record(spectrum: Spectrum, reference: float, gain: TorqueGain, train: 
         sweep=spectrum.spec.id,
         value=fit.inertia,
         std=std,
-        std_total=_total(fit.inertia, std, gain),
+        std_total=total_std(fit.inertia, std, gain),
         warning="; ".join(warnings) or None,
         bound=None,
         reference=reference,

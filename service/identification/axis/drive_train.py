@@ -44,7 +44,7 @@ deviations.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,6 +136,16 @@ class Stack:
     uncertain: Complex  # (n, u, b), U: uncertainty of known effects
     spread: Array  # (n, b), standard deviation of a bin relative to the noise
     samples: Array  # (n,)
+
+    @property
+    def shape(self) -> tuple[int, int, bool]:
+        """Bins, direct terms, and whether the motion of the load is measured: equal for the sweeps of one stack."""
+        return self.s.shape[1], self.terms.shape[1], self.load_velocity is not None
+
+    def and_more(self, other: "Stack") -> "Stack":
+        """With the sweeps of another one of the same shape."""
+        pairs = {each.name: (getattr(self, each.name), getattr(other, each.name)) for each in fields(self)}
+        return replace(self, **{name: np.concatenate(pair) for name, pair in pairs.items() if pair[0] is not None})
 
     @property
     def parameters(self) -> int:

@@ -86,14 +86,21 @@ class JointFit:
     weight: Array
     freedom: float
     moved: Array
+    by_shared: Array  # (n, 5 + u) derivatives of `inertia` by all shared parameters, and
+    precision: Array  # (5 + u, 5 + u) of those: what these sweeps and the prior say of them
     shared: Array  # (5 + u,) and
     own: tuple[Array, ...]  # of each sweep (p,): all parameters, for `drive_train`
     ended: FitEnded
     noise_change: Array  # (n,) relative change of `noise` in the last of the `ROUNDS`
+    parts: tuple[Stack, ...]  # what was fitted, for `fit_again`
+    priors: "Priors"
+    point: "Point"
 
 
 @dataclass(frozen=True)
-class _Priors:
+class Priors:
+    """Of shared and own parameters."""
+
     mean: Array  # (5 + u,)
     precision: Array  # (5 + u, 5 + u)
     own_mean: tuple[Array, ...]  # a stack (n, p) each
@@ -101,7 +108,9 @@ class _Priors:
 
 
 @dataclass(frozen=True)
-class _Point:
+class Point:
+    """Values of all parameters."""
+
     shared: Array  # (5 + u,)
     own: tuple[Array, ...]  # a stack (n, p) each
 
@@ -124,7 +133,7 @@ class _Normal:
 
 @dataclass(frozen=True)
 class _Minimum:
-    point: _Point
+    point: Point
     cost: float  # squared standard deviations
     ended: FitEnded
 
@@ -161,7 +170,7 @@ def fit_axis(
     shared = _first_train(stacks(spectra[some], known[some], wide[some]), shared_prior, poses[some], sigma[some])
     parts = stacks(spectra, known, wide)
     priors = _priors(parts, shared_prior, poses)
-    point = _Point(shared, priors.own_mean)
+    point = Point(shared, priors.own_mean)
     rate = np.array([spectrum.spec.sample_rate for spectrum in spectra])
     noise = _Noise(sigma, np.ones(len(spectra)), np.ones(len(spectra)), 0.0)
     ended, before = FitEnded.UNFINISHED, noise
@@ -180,7 +189,61 @@ def fit_axis(
     return result
 
 
-def _not_finite(spectra: Sequence[Spectrum], parts: Sequence[Stack], point: _Point) -> str:
+def fit_sweep(
+    spectrum: Spectrum,
+    mean: Array,
+    precision: Array,
+    prior: PosePrior,
+    noise: float,
+    uncertain: Complex,
+    spread: Array | None = None,
+) -> JointFit | None:
+    """One sweep with lines. `mean` (5 + u,) and `precision` (5 + u, 5 + u): what the sweeps before it say of the shared
+    parameters; those of the result contain all. `noise`: of an effort bin, N m (N).
+
+    None if the fit did not end at a minimum.
+    """
+    parts = stacks([spectrum], [uncertain], None if spread is None else [spread])
+    own = complete_prior(spectrum, prior)
+    priors, sigma = Priors(mean, precision, (own.mean[None],), (own.sigma[None] ** -2.0,)), np.array([noise])
+    return _fit_from(parts, priors, sigma, Point(mean, priors.own_mean))
+
+
+def fit_again(fit: JointFit, added: Sequence[JointFit], ratio: float) -> JointFit | None:
+    """All sweeps of a fit with those `added` to it, each by `fit_sweep`, if the noise has `ratio` times the variance
+    assumed so far. It begins at the last one of them. None if it did not end at a minimum.
+    """
+    parts, own = list(fit.parts), list(fit.point.own)
+    mean, precision = list(fit.priors.own_mean), list(fit.priors.own_precision)
+    for number, one in enumerate(added):
+        (stack,) = one.parts
+        stack = replace(stack, place=np.array([len(fit.inertia) + number]))
+        same = [k for k, part in enumerate(parts) if part.shape == stack.shape]
+        if not same:
+            return None
+        k = same[0]
+        parts[k] = parts[k].and_more(stack)
+        for values, of in ((own, one.point.own), (mean, one.priors.own_mean), (precision, one.priors.own_precision)):
+            values[k] = np.concatenate([values[k], of[0]])
+    priors = replace(fit.priors, own_mean=tuple(mean), own_precision=tuple(precision))
+    sigma = np.concatenate([one.noise for one in (fit, *added)]) * np.sqrt(ratio)
+    start = Point([fit, *added][-1].shared, tuple(own))
+    found = _fit_from(tuple(parts), priors, sigma, start)
+    return found and replace(found, weight=np.concatenate([one.weight for one in (fit, *added)]), freedom=fit.freedom)
+
+
+def _fit_from(parts: Sequence[Stack], priors: Priors, sigma: Array, start: Point) -> JointFit | None:
+    """With known noise; every sweep has the weight 1."""
+    found = _minimise(parts, priors, sigma, start, FitLimits.iterations)
+    if found.ended not in (FitEnded.CONVERGED, FitEnded.AT_REST):
+        return None
+    squares, freedom, samples, _ = _left_over(parts, priors, sigma, found.point, 0.0)
+    ratio = squares / samples / sigma**2 / np.maximum(freedom, 1.0)
+    told = _Noise(sigma, ratio, np.ones(len(sigma)), float(freedom.sum()))
+    return _result(parts, priors, told, found.point, found.ended)
+
+
+def _not_finite(spectra: Sequence[Spectrum], parts: Sequence[Stack], point: Point) -> str:
     """The sweep whose residual is not finite, else the axis."""
     for stack, own in zip(parts, point.own, strict=True):
         spoiled = ~np.isfinite(stack_residual(stack, point.shared, own)[0]).all(axis=1)
@@ -199,10 +262,10 @@ def complete_prior(spectrum: Spectrum, prior: PosePrior) -> PosePrior:
     return PosePrior(np.concatenate([prior.mean, np.zeros_like(unknown)]), np.concatenate([prior.sigma, unknown]))
 
 
-def _priors(parts: Sequence[Stack], shared: SharedPrior, poses: Sequence[PosePrior]) -> _Priors:
+def _priors(parts: Sequence[Stack], shared: SharedPrior, poses: Sequence[PosePrior]) -> Priors:
     own = [[poses[place] for place in cast(list[int], stack.place.tolist())] for stack in parts]
     unknown = parts[0].uncertain.shape[1]
-    return _Priors(
+    return Priors(
         np.append(shared.mean, np.zeros(unknown)),
         block_diag(scaled_inverse(shared.covariance), np.eye(unknown)),
         tuple(np.stack([prior.mean for prior in priors]) for priors in own),
@@ -220,18 +283,16 @@ def _first_train(parts: Sequence[Stack], shared: SharedPrior, poses: Sequence[Po
     return min(finite, key=lambda one: one.cost).point.shared
 
 
-def _start(priors: _Priors, locked_rotor: float) -> _Point:
+def _start(priors: Priors, locked_rotor: float) -> Point:
     """At the prior's spring for inf, otherwise at the spring of a locked-rotor frequency."""
     shared = priors.mean.copy()
     if np.isfinite(locked_rotor):
         typical = float(np.median(np.concatenate([mean[:, 0] for mean in priors.own_mean])))
         shared[3] = 1 / (typical * (2 * np.pi * locked_rotor) ** 2)
-    return _Point(shared, priors.own_mean)
+    return Point(shared, priors.own_mean)
 
 
-def _equations(
-    parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Point
-) -> tuple[float, tuple[_Normal, ...]]:
+def _equations(parts: Sequence[Stack], priors: Priors, sigma: Array, point: Point) -> tuple[float, tuple[_Normal, ...]]:
     """Cost at a point, in squared standard deviations, and the normal equations there."""
     away = point.shared - priors.mean
     cost = float(away @ priors.precision @ away)
@@ -257,7 +318,7 @@ def _equations(
     return cost, tuple(normals)
 
 
-def _minimise(parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Point, iterations: int) -> _Minimum:
+def _minimise(parts: Sequence[Stack], priors: Priors, sigma: Array, point: Point, iterations: int) -> _Minimum:
     """The point of least cost, starting at `point`. A step to a point whose cost is not a number is rejected."""
     damping, ended = 1e-3, FitEnded.UNFINISHED  # of the diagonal
     cost, normals = _equations(parts, priors, sigma, point)
@@ -282,7 +343,7 @@ def _minimise(parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Poi
     return _Minimum(point, cost, ended)
 
 
-def _step(normals: Sequence[_Normal], priors: _Priors, point: _Point, damping: float) -> _Point:
+def _step(normals: Sequence[_Normal], priors: Priors, point: Point, damping: float) -> Point:
     matrix = priors.precision.copy()
     gradient = priors.precision @ (priors.mean - point.shared)
     eliminated: list[tuple[Array, Array]] = []
@@ -297,23 +358,15 @@ def _step(normals: Sequence[_Normal], priors: _Priors, point: _Point, damping: f
         eliminated.append((step, gain))
     shared_step = scaled_inverse(matrix + damping * np.diag(np.diag(matrix))) @ gradient
     own = tuple(values + step - gain @ shared_step for values, (step, gain) in zip(point.own, eliminated, strict=True))
-    return _Point(point.shared + shared_step, own)
+    return Point(point.shared + shared_step, own)
 
 
 def _pooled_noise(
-    parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Point, rate: Array, guess: float
+    parts: Sequence[Stack], priors: Priors, sigma: Array, point: Point, rate: Array, guess: float
 ) -> _Noise:
     """The noise estimated from the residuals at a point; `sigma` (n,) is the noise assumed so far."""
     count = len(rate)
-    squares, freedom, samples, largest = np.zeros((4, count))
-    normals = _equations(parts, priors, sigma, point)[1]
-    for stack, own, normal, precision in zip(parts, point.own, normals, priors.own_precision, strict=True):
-        residual = stack_residual(stack, point.shared, own)[0] / stack.spread
-        squares[stack.place] = np.sum(np.abs(residual) ** 2, axis=1) * stack.samples
-        # a parameter takes the fraction of a degree of freedom that data, not its prior, determine; the train is shared
-        by_prior = np.sum(precision * np.diagonal(scaled_inverse(normal.own), axis1=1, axis2=2), axis=1)
-        freedom[stack.place] = 2 * residual.shape[1] - (stack.parameters - by_prior) - SHARED / count
-        samples[stack.place], largest[stack.place] = stack.samples, stack.largest
+    squares, freedom, samples, largest = _left_over(parts, priors, sigma, point, SHARED / count)
     variance, sound = np.empty(count), np.ones(count, dtype=bool)
     for value in np.unique(rate):
         same = rate == value
@@ -325,6 +378,22 @@ def _pooled_noise(
     ratio = squares / samples / sigma**2 / np.maximum(freedom, 1.0)
     weight = np.where(sound, 1.0, 1 / np.maximum(ratio, 1.0))
     return _Noise(sigma / np.sqrt(weight), ratio, weight, float(freedom[sound].sum()))
+
+
+def _left_over(parts: Sequence[Stack], priors: Priors, sigma: Array, point: Point, shared: float) -> Array:
+    """(4, n) of each sweep: squared residual of a sample, degrees of freedom after `shared` ones for the drive train,
+    samples, and largest effort bin.
+    """
+    squares, freedom, samples, largest = told = np.zeros((4, len(sigma)))
+    normals = _equations(parts, priors, sigma, point)[1]
+    for stack, own, normal, precision in zip(parts, point.own, normals, priors.own_precision, strict=True):
+        residual = stack_residual(stack, point.shared, own)[0] / stack.spread
+        squares[stack.place] = np.sum(np.abs(residual) ** 2, axis=1) * stack.samples
+        # a parameter takes the fraction of a degree of freedom that data, not its prior, determine; the train is shared
+        by_prior = np.sum(precision * np.diagonal(scaled_inverse(normal.own), axis1=1, axis2=2), axis=1)
+        freedom[stack.place] = 2 * residual.shape[1] - (stack.parameters - by_prior) - shared
+        samples[stack.place], largest[stack.place] = stack.samples, stack.largest
+    return told
 
 
 def _pool(squares: Array, freedom: Array, immaterial: Array, guess: float) -> tuple[float, Mask]:
@@ -344,7 +413,7 @@ def _pool(squares: Array, freedom: Array, immaterial: Array, guess: float) -> tu
     return variance, sound
 
 
-def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Point, ended: FitEnded) -> JointFit:
+def _result(parts: Sequence[Stack], priors: Priors, noise: _Noise, point: Point, ended: FitEnded) -> JointFit:
     count = len(noise.sigma)
     load, own_variance, bound = np.zeros((3, count))
     gravity, by_shared = np.zeros((count, 2)), np.zeros((count, len(point.shared)))
@@ -379,14 +448,19 @@ def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Poin
         weight=noise.weight,
         freedom=noise.freedom,
         moved=point.shared[SHARED:],
+        by_shared=by_shared,
+        precision=matrix,
         shared=point.shared,
         own=_by_sweep(parts, point),
         ended=ended,
         noise_change=np.zeros(count),
+        parts=tuple(parts),
+        priors=priors,
+        point=point,
     )
 
 
-def _by_sweep(parts: Sequence[Stack], point: _Point) -> tuple[Array, ...]:
+def _by_sweep(parts: Sequence[Stack], point: Point) -> tuple[Array, ...]:
     """The own parameters of each sweep, in the order given."""
     found = {
         place: values

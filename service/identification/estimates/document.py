@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from service.identification.axis.axis_estimate import FittedSweep
+from service.identification.axis.drive_train import TwoMassTrain
 from service.identification.axis.known_effects import DELAY, ELASTICITY, GAIN, HOSE, LAWS, KnownEffect, KnownEffects
-from service.identification.estimates.estimate import AxisEstimate, RobotEstimate
+from service.identification.estimates.estimate import AxisEstimate, HeldOutPoses, RobotEstimate
 from service.identification.estimates.initial_analysis import TRAIN
 from service.identification.estimates.standard_parameters import (
     physical_document,
@@ -14,6 +15,7 @@ from service.identification.estimates.standard_parameters import (
     standard_parameters,
 )
 from service.identification.model.base_parameters import combination_of
+from service.identification.model.least_squares import Solution
 from service.identification.model.symbols import Dimension, symbolic_names
 from service.model.arrays import Array
 from service.model.results import estimate as results
@@ -38,10 +40,15 @@ def axis_document(estimate: RobotEstimate, axis: AxisEstimate, workspace: Array)
     measured = np.array([sweep.value for sweep in axis.sweeps])
     reference = np.array([sweep.reference for sweep in axis.sweeps])
     identified = estimate.model_at_sweeps(axis.joint)
-    spread = _spread(estimate, axis, workspace)
+    spread = None
+    if estimate.solution.determined.all():
+        std = estimate.identified_std(axis.joint, workspace)
+        spread = spread_document(std, estimate.identified(axis.joint, workspace))
     squares, freedom = estimate.chi_squared[axis.joint]
     return results.EstimatedAxis(
-        inertia=tuple(_inertia(sweep, float(model)) for sweep, model in zip(axis.sweeps, identified, strict=True)),
+        inertia=tuple(
+            inertia_document(sweep, float(model)) for sweep, model in zip(axis.sweeps, identified, strict=True)
+        ),
         rmse_percent=results.Rmse(
             reference_measured=rmse_percent(reference, measured),
             identified_measured=rmse_percent(identified, measured),
@@ -57,12 +64,12 @@ def axis_document(estimate: RobotEstimate, axis: AxisEstimate, workspace: Array)
         confidence_percent=None if spread is None else spread.worst,
         workspace_std_percent=spread,
         reduced_chi_squared=squares / freedom if freedom > 0.5 else None,
-        held_out=_held_out(estimate, axis),
+        held_out=held_out_document(estimate.held_out[axis.joint], axis.values),
         cramer_rao=_cramer_rao(axis),
     )
 
 
-def _inertia(sweep: FittedSweep, identified: float) -> results.SweepInertia:
+def inertia_document(sweep: FittedSweep, identified: float) -> results.SweepInertia:
     """`terms` and `warning` only if there are any."""
     found = results.SweepInertia(
         sweep=sweep.sweep,
@@ -99,24 +106,21 @@ def _lines(sweep: FittedSweep) -> tuple[results.ResponseLine, ...]:
     )
 
 
-def _spread(estimate: RobotEstimate, axis: AxisEstimate, workspace: Array) -> results.Spread | None:
-    """Standard deviation of the identified inertia over the workspace; None while a base parameter is undetermined."""
-    if not estimate.solution.determined.all():
-        return None
-    percent = 100 * estimate.identified_std(axis.joint, workspace) / np.abs(estimate.identified(axis.joint, workspace))
+def spread_document(std: Array, identified: Array) -> results.Spread:
+    """Standard deviation (m,) of the `identified` inertia (m,) over the workspace."""
+    percent = 100 * std / np.abs(identified)
     return results.Spread(median=float(np.median(percent)), worst=float(percent.max()))
 
 
-def _held_out(estimate: RobotEstimate, axis: AxisEstimate) -> results.HeldOut | None:
-    """Checks the standard deviations in poses that were not used in the fit."""
-    held_out = estimate.held_out[axis.joint]
+def held_out_document(held_out: HeldOutPoses, values: Array) -> results.HeldOut | None:
+    """Checks the standard deviations of inertias (n,) in poses that were not used in the fit."""
     known = np.isfinite(held_out.std)
     if not known.any():
         return None
     error, z = held_out.error[known], held_out.error[known] / held_out.std[known]
     return results.HeldOut(
         sweeps=int(known.sum()),
-        rmse_percent=100 * float(np.sqrt(np.mean((error / axis.values[known]) ** 2))),
+        rmse_percent=100 * float(np.sqrt(np.mean((error / values[known]) ** 2))),
         standardized_rmse=float(np.sqrt(np.mean(z**2))),
         # 95 % of a normal error
         within_95_percent=100 * float(np.mean(np.abs(z) < 1.96)),
@@ -125,20 +129,25 @@ def _held_out(estimate: RobotEstimate, axis: AxisEstimate) -> results.HeldOut | 
 
 def _cramer_rao(axis: AxisEstimate) -> results.CramerRao | None:
     bound = [(sweep.bound, sweep.std, sweep.value) for sweep in axis.sweeps if sweep.bound is not None]
-    if not bound:
-        return None
+    return cramer_rao_document(*np.array(bound).T) if bound else None
+
+
+def cramer_rao_document(bound: Array, std: Array, values: Array) -> results.CramerRao:
+    """Of sweeps (n,) with a bound."""
     return results.CramerRao(
-        bound_percent=100 * float(np.median([limit / abs(value) for limit, _, value in bound])),
-        std_over_bound=float(np.median([std / limit for limit, std, _ in bound])),
+        bound_percent=100 * float(np.median(bound / np.abs(values))), std_over_bound=float(np.median(std / bound))
     )
 
 
 def _train(axis: AxisEstimate) -> dict[str, Value] | None:
-    if axis.fit is None:
-        return None
+    return None if axis.fit is None else train_document(axis.fit.train, axis.fit.train_std)
+
+
+def train_document(train: TwoMassTrain, std: Array) -> dict[str, Value]:
+    """`std` (5,) in the order of `TwoMassTrain.as_array`."""
     return {
-        name: Value(value=float(value), std=float(std))
-        for name, value, std in zip(TRAIN, axis.fit.train.as_array(), axis.fit.train_std, strict=True)
+        name: Value(value=float(value), std=float(own))
+        for name, value, own in zip(TRAIN, train.as_array(), std, strict=True)
     }
 
 
@@ -207,17 +216,7 @@ def as_document(estimate: RobotEstimate, workspace: Array) -> results.Estimate:
     symbolic, symbols = _in_words(estimate)
     return results.Estimate(
         axes={axis.joint: axis_document(estimate, axis, workspace) for axis in estimate.axes},
-        base_parameters=tuple(
-            _base_parameter(name, words, float(value), float(std), float(spread))
-            for name, words, value, std, spread in zip(
-                estimate.base.names,
-                symbolic,
-                estimate.solution.values,
-                estimate.solution.std,
-                estimate.spread,
-                strict=True,
-            )
-        ),
+        base_parameters=base_document(estimate.base.names, symbolic, estimate.solution, estimate.spread),
         base=results.Base(
             locked=_locked(estimate), covariance=tuple(map(tuple, estimate.solution.covariance.tolist()))
         ),
@@ -248,6 +247,14 @@ def nothing_known() -> results.Estimate:
         effects=(),
         model=None,
     )
+
+
+def base_document(
+    names: Sequence[str], symbolic: Sequence[str], solution: Solution, spread: Array
+) -> tuple[results.BaseParameter, ...]:
+    """The base parameters, each in its two names; `spread` (r,) in the nominal model."""
+    each = zip(names, symbolic, solution.values, solution.std, spread, strict=True)
+    return tuple(_base_parameter(name, words, *map(float, numbers)) for name, words, *numbers in each)
 
 
 def _base_parameter(name: str, symbolic: str, value: float, std: float, spread: float) -> results.BaseParameter:

@@ -23,16 +23,11 @@ without end. If the weights have not converged after 10 rounds, a sweep that is 
 steps are halved; that ends the cycle with all of them down-weighted, and the result contains a note.
 """
 
-import pickle
-from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
-from hashlib import sha256
 from itertools import accumulate, pairwise
-from threading import Lock
-from typing import ParamSpec
 
 import numpy as np
 from scipy.special import chdtri, ndtri
@@ -116,30 +111,6 @@ def judge(rows: Array, values: Array, covariances: Sequence[Array], rounds: int 
     return Judged(extra, errors, left_out, ended)
 
 
-P = ParamSpec("P")
-
-KEPT = 8  # results, of a few MB at most each: the axes of one robot
-
-_kept: OrderedDict[bytes, AxisEstimate] = OrderedDict()
-_lock = Lock()
-
-
-def unchanged_or(compute: Callable[P, AxisEstimate], *inputs: P.args, **named: P.kwargs) -> AxisEstimate:
-    """`compute(*inputs)`, or its earlier result in this process for equal inputs. Raises the errors of `compute`."""
-    key = sha256(pickle.dumps((compute.__qualname__, inputs, named), protocol=5)).digest()
-    with _lock:
-        found = _kept.get(key)
-        if found is not None:
-            _kept.move_to_end(key)
-            return found
-    result = compute(*inputs, **named)
-    with _lock:
-        _kept[key] = result
-        while len(_kept) > KEPT:
-            _kept.popitem(last=False)
-    return result
-
-
 SAME_POSITION = 2e-3  # rad (m): positions that differ by less are one; a joint that did not move more was locked
 
 
@@ -173,6 +144,8 @@ class RobotEstimate:
     observation: dict[str, Array]  # rows (n, r) of each axis' sweeps in the base parameters
     chi_squared: dict[str, tuple[float, float]]  # of J = W beta by axis, and its degrees of freedom
     suspects: tuple[Suspect, ...]
+    extra: dict[str, Array]  # (n,) variance added to the inertias of each axis, and
+    errors: dict[str, Array]  # (n,) from the prediction by all others, in its standard deviations
     held_out: dict[str, HeldOutPoses]
     known: KnownEffects
 
@@ -208,7 +181,7 @@ class RobotEstimate:
         return self.base.rows(self.chain, self._own(joint), poses)
 
 
-def _check_alive(spectrum: Spectrum) -> None:
+def check_alive(spectrum: Spectrum) -> None:
     """BadInput if a channel is zero at a commanded line: not recorded, or the axis stood."""
     for name, values in (("effort", spectrum.effort), ("velocity", spectrum.velocity)):
         silent = spectrum.line & (values == 0)
@@ -239,7 +212,7 @@ def identify(
         raise BadInput("estimate", "there is no sweep to identify from")
     check_moved_alone(spectra)
     for spectrum in spectra:
-        _check_alive(spectrum)
+        check_alive(spectrum)
     poses = np.array([spectrum.spec.pose for spectrum in spectra])
     moved = sorted({robot.index(spectrum.spec.axis) for spectrum in spectra})
     chain, unlocked = moving_chain(robot, moved, poses)
@@ -255,7 +228,7 @@ def identify(
         effects = known.of(joint)
         analysis, gain = (analyses or {}).get(joint), (gains or {}).get(joint) or torque_gain(robot, effects)
         inputs = (robot, number, chain, unlocked, nominal, own, analysis, gain, effects)
-        axes.append(unchanged_or(identify_axis, *inputs))
+        axes.append(identify_axis(*inputs))
         places.append(np.array([s.spec.pose for s in own]))
         observation[joint] = base.rows(chain, unlocked.index(number), places[-1][:, list(unlocked)])
     judged = _judge(axes, observation, np.vstack(places))
@@ -284,6 +257,8 @@ def identify(
         observation=observation,
         chi_squared=judged.chi_squared,
         suspects=judged.suspects,
+        extra=judged.extra,
+        errors=judged.errors,
         held_out=judged.held_out,
         known=known,
     )
@@ -306,6 +281,8 @@ class _Judged:
     axes: tuple[AxisEstimate, ...]
     chi_squared: dict[str, tuple[float, float]]
     suspects: tuple[Suspect, ...]
+    extra: dict[str, Array]
+    errors: dict[str, Array]
     held_out: dict[str, HeldOutPoses]
 
 
@@ -334,9 +311,9 @@ def _judge(axes: Sequence[AxisEstimate], observation: Mapping[str, Array], poses
     for axis in axes:
         own = members[axis.joint]
         squares, freedom = chi_squared[axis.joint] = judged.left_out.chi_squared(own)
-        unexplained = freedom >= FitLimits.few_freedom and squares > float(chdtri(freedom, FitLimits.chance))
+        scale = unexplained(squares, freedom)
         covariance = axis.covariance + np.diag(judged.extra[own])
-        enlarged.append(axis.with_covariance(covariance * (squares / freedom if unexplained else 1.0)))
+        enlarged.append(axis.with_covariance(covariance * scale))
         for sweep, error, extra in zip(axis.sweeps, judged.errors[own], judged.extra[own], strict=True):
             if extra > 0:
                 why = (
@@ -347,7 +324,17 @@ def _judge(axes: Sequence[AxisEstimate], observation: Mapping[str, Array], poses
     left_out = LeftOut.of(rows, values, [axis.covariance for axis in enlarged])
     error, std = _predicted(left_out, poses)
     held_out = {joint: HeldOutPoses(error[own], std[own]) for joint, own in members.items()}
-    return _Judged(tuple(enlarged), chi_squared, tuple(found), held_out)
+    extra, errors = ({joint: of[own] for joint, own in members.items()} for of in (judged.extra, judged.errors))
+    return _Judged(tuple(enlarged), chi_squared, tuple(found), extra, errors, held_out)
+
+
+def unexplained(squares: float, freedom: float) -> float:
+    """Factor of the covariance of an axis whose chi-squared is beyond chance, else 1."""
+    return (
+        squares / freedom
+        if freedom >= FitLimits.few_freedom and squares > float(chdtri(freedom, FitLimits.chance))
+        else 1.0
+    )
 
 
 def _predicted(left_out: LeftOut, poses: Array) -> tuple[Array, Array]:

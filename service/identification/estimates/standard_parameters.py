@@ -20,10 +20,12 @@ model's distance from this mean. A physical model with exactly the combinations 
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from service.identification.estimates.estimate import AxisEstimate, RobotEstimate
+from service.identification.model.least_squares import Solution
 from service.identification.model.physical_consistency import SearchEnded, nearest_physical, nominal_factor
 from service.identification.model.regressor import axis_rows, fold, gravity_rows
 from service.model.arrays import Array
@@ -76,30 +78,41 @@ class ObservedCombinations:
     covariance: Array
 
 
-def worth(
-    robot: Robot, nominal: Array, spread: tuple[float, Array], observed: ObservedCombinations, parameters: Array
-) -> tuple[AxisWorth, ...]:
-    """Of parameters (11 n,). `nominal` and `spread` as in `nearest_physical`."""
-    poses = _poses(robot)
-    seen = nominal_factor(nominal, spread, observed.combination)
-    whole = seen @ seen.T + observed.covariance
-    innovation = np.linalg.lstsq(whole, observed.values - observed.combination @ nominal, rcond=None)[0]
+@dataclass(frozen=True)
+class NominalModel:
+    """Parameters (11 n,) of a robot before its sweeps, and their spread as in `nearest_physical`."""
 
-    def one(rows: Array) -> Worth:
-        factor = nominal_factor(nominal, spread, rows)
-        crossed = factor @ seen.T
-        gained = np.sum(crossed * np.linalg.lstsq(whole, crossed.T, rcond=None)[0].T, axis=1)
-        variance = np.maximum(np.sum(factor**2, axis=1) - gained, 0.0)
-        mean, own = crossed @ innovation, rows @ (parameters - nominal)
-        error, of_cad = (_rms(np.sqrt(variance + (there - mean) ** 2)) for there in (own, np.zeros(len(own))))
-        return Worth(_rms(rows @ parameters), _rms(own), error, of_cad)
+    robot: Robot
+    parameters: Array
+    spread: tuple[float, Array]
 
-    def gravity(joint: int) -> Array:
-        rows = gravity_rows(robot.chain, robot.gravity, joint, poses)[:, 0]
-        return np.hstack([rows, np.zeros((len(rows), len(robot.joints)))])
+    @cached_property
+    def _rows(self) -> tuple[tuple[Array, Array], ...]:
+        """Rows over the workspace (m, 11 n) with their `nominal_factor`: inertia and gravity of each axis in turn."""
+        robot, poses = self.robot, _poses(self.robot)
+        found: list[Array] = []
+        for k in range(len(robot.joints)):
+            gravity = gravity_rows(robot.chain, robot.gravity, k, poses)[:, 0]
+            still = np.zeros((len(gravity), len(robot.joints)))
+            found += [axis_rows(robot.chain, k, poses), np.hstack([gravity, still])]
+        return tuple((rows, nominal_factor(self.parameters, self.spread, rows)) for rows in found)
 
-    axes = enumerate(robot.joints)
-    return tuple(AxisWorth(joint, one(axis_rows(robot.chain, k, poses)), one(gravity(k))) for k, joint in axes)
+    def worth(self, observed: ObservedCombinations, parameters: Array) -> tuple[AxisWorth, ...]:
+        """Of `parameters` (11 n,)."""
+        seen = nominal_factor(self.parameters, self.spread, observed.combination)
+        whole = seen @ seen.T + observed.covariance
+        innovation = np.linalg.lstsq(whole, observed.values - observed.combination @ self.parameters, rcond=None)[0]
+
+        def one(rows: Array, factor: Array) -> Worth:
+            crossed = factor @ seen.T
+            gained = np.sum(crossed * np.linalg.lstsq(whole, crossed.T, rcond=None)[0].T, axis=1)
+            variance = np.maximum(np.sum(factor**2, axis=1) - gained, 0.0)
+            mean, own = crossed @ innovation, rows @ (parameters - self.parameters)
+            error, of_cad = (_rms(np.sqrt(variance + (there - mean) ** 2)) for there in (own, np.zeros(len(own))))
+            return Worth(_rms(rows @ parameters), _rms(own), error, of_cad)
+
+        found = [one(*rows) for rows in self._rows]
+        return tuple(AxisWorth(*each) for each in zip(self.robot.joints, found[::2], found[1::2], strict=True))
 
 
 def worse_than_cad(axes: Iterable[AxisWorth]) -> bool:
@@ -129,24 +142,46 @@ class RobotParameters:
     ended: SearchEnded
 
 
+@dataclass(frozen=True)
+class StandardModel:
+    """The nominal model of the whole robot, and its combinations (r, 11 n) that are an estimate's base parameters."""
+
+    nominal: NominalModel
+    combination: Array
+
+    @classmethod
+    def of(cls, estimate: RobotEstimate) -> "StandardModel":
+        robot = estimate.robot
+        combination = estimate.base.combination
+        if len(estimate.unlocked) < len(robot.axes):
+            position = estimate.poses.mean(axis=0)
+            locked = {k: float(position[k]) for k in range(len(robot.axes)) if k not in estimate.unlocked}
+            combination = combination @ fold(robot.chain, locked)
+        motors, motor_spread = _nominal_motors(estimate)
+        parameters, spread = np.concatenate([robot.chain.inertial.ravel(), motors]), (robot.prior.inertia, motor_spread)
+        return cls(NominalModel(robot, parameters, spread), combination)
+
+    def parameters(self, rows: Array, solution: Solution) -> RobotParameters:
+        """Of the whole robot, from `rows` (m, r) of all sweeps; a motor whose inertia is neither known nor measured
+        stays 0.
+        """
+        seen, nominal, spread = _seen(rows), self.nominal.parameters, self.nominal.spread
+        combination, values, covariance = (
+            seen @ self.combination,
+            seen @ solution.values,
+            seen @ solution.covariance @ seen.T,
+        )
+        found = nearest_physical(nominal, spread, combination, values, covariance)
+        if found.ended is SearchEnded.EXACT:
+            observed = ObservedCombinations(combination, values, covariance)
+            if worse_than_cad(self.nominal.worth(observed, found.parameters)):
+                found = nearest_physical(nominal, spread, combination, values, covariance, exactly=False)
+        return RobotParameters(found.parameters, found.deviation, found.ended)
+
+
 def standard_parameters(estimate: RobotEstimate) -> RobotParameters:
-    """Parameters of the whole robot; a motor whose inertia is neither known nor measured stays 0."""
-    robot = estimate.robot
-    combination = estimate.base.combination
-    if len(estimate.unlocked) < len(robot.axes):
-        position = estimate.poses.mean(axis=0)
-        locked = {k: float(position[k]) for k in range(len(robot.axes)) if k not in estimate.unlocked}
-        combination = combination @ fold(robot.chain, locked)
-    seen = _seen(np.vstack(list(estimate.observation.values())))
-    motors, motor_spread = _nominal_motors(estimate)
-    nominal, spread = np.concatenate([robot.chain.inertial.ravel(), motors]), (robot.prior.inertia, motor_spread)
-    values, covariance = seen @ estimate.solution.values, seen @ estimate.solution.covariance @ seen.T
-    found = nearest_physical(nominal, spread, seen @ combination, values, covariance)
-    if found.ended is SearchEnded.EXACT:
-        observed = ObservedCombinations(seen @ combination, values, covariance)
-        if worse_than_cad(worth(robot, nominal, spread, observed, found.parameters)):
-            found = nearest_physical(nominal, spread, seen @ combination, values, covariance, exactly=False)
-    return RobotParameters(found.parameters, found.deviation, found.ended)
+    """Of an estimate's whole robot."""
+    return StandardModel.of(estimate).parameters(np.vstack(list(estimate.observation.values())), estimate.solution)
 
 
 def _seen(rows: Array) -> Array:

@@ -275,7 +275,8 @@ class UsedEffect(Part):
 class Estimate(Shown, Document):
     """Axes by joint, base parameters, the initial analysis and the combination with trajectories.
 
-    `model`: the model that contains the effects, null if there are none.
+    `model`: the model that contains the effects, null if there are none. `updates`: sweeps that were added to the last
+    fit of all sweeps; a campaign ends with such a fit.
     """
 
     axes: dict[str, EstimatedAxis]
@@ -290,6 +291,7 @@ class Estimate(Shown, Document):
     model: ModelSource | None = None
     analysis: dict[str, AxisAnalysis] = Field(default={})
     combination: Combination | None = None
+    updates: int = 0
 
     def table(self) -> Table:
         """The base parameters."""

@@ -19,7 +19,7 @@ from service.identification.axis.known_effects import known_effects
 from service.identification.estimation import estimate_document
 from service.identification.spectra.frequency_response import spectrum
 from service.jobs.jobs import MOST_REVISIONS, Jobs, open_groups, sweeps_a_revision
-from service.jobs.work import Worker
+from service.jobs.work import Job, Work, Worker
 from service.jobs.worker import open_worker
 from service.machine.execution.recording import recover
 from service.model.errors import BadInput
@@ -27,6 +27,7 @@ from service.model.recording import Sweep
 from service.model.results.effect import KnownModel, StoredModel
 from service.model.results.estimate import Estimate
 from service.model.robot import Robot
+from service.planning.campaigns.live import EventFeed
 from service.planning.safety.envelope import Envelope
 from service.store.database import open_database
 from service.store.diagnoses import DiagnosisStore, ModelStore
@@ -39,7 +40,7 @@ from tests.programs import needs
 from tests.rigid_sweep import rigid_bundle
 from tests.stored_archive import Archive, archive
 from tests.unit.service.campaigns.conftest import POSES, Bench, open_bench, spec, until
-from tests.unit.service.campaigns.diagnosis_bench import InProcess
+from tests.unit.service.campaigns.diagnosis_bench import Answer, InProcess
 from tests.unit.service.cluster import DaskProcesses, certificates
 from tests.unit.service.identification.known import model
 
@@ -119,6 +120,43 @@ async def test_a_job_names_the_spectra_of_earlier_sweeps_and_carries_none(
     weights = [len(pickle.dumps(job)) for job in worker.jobs]
     assert len(weights) == len(POSES)
     assert weights[-1] - weights[0] < 1000 * (len(POSES) - 1) < (tmp_path / first.path).stat().st_size
+
+
+class Updating(InProcess):
+    """Says of each revision with a new sweep that it is an update: as of a campaign that reaches its confidence."""
+
+    async def run(self, job: Work[Answer]) -> Answer:
+        answer: Any = await super().run(job)
+        if isinstance(job, Job) and job.sweeps:
+            return replace(answer, estimate=answer.estimate | {"updates": 1})
+        return answer
+
+
+async def test_a_campaign_ends_with_a_fit_of_all_its_sweeps(tmp_path: Path, robot: Robot, envelope: Envelope) -> None:
+    async with open_bench(tmp_path, robot, envelope, Updating()) as bench:
+        await bench.start()
+        await completed(bench)
+        *_, before, last = bench.store.estimates(bench.campaign.id)
+        bundle = campaign_bundle(bench.store, bench.files, bench.campaign.id)
+    assert (last.revision, before.document["updates"]) == (len(POSES), 1)
+    spectra = [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps]
+    assert last.document == estimate_document(bundle.robot, spectra).as_json()
+
+
+async def test_an_aborted_campaign_ends_with_a_fit_of_all_its_sweeps(
+    tmp_path: Path, robot: Robot, envelope: Envelope
+) -> None:
+    """Also if every sweep was identified before: no job follows."""
+    async with open_bench(tmp_path, robot, envelope, Updating()) as bench:
+        feed = EventFeed(bench.store, bench.database)
+        following = asyncio.create_task(bench.jobs.follow(feed, 0))
+        await bench.start()
+        await until(lambda: bench.now.sweeps.get(SweepState.IDENTIFIED, 0) >= 1)
+        await bench.runner.abort(bench.campaign.id, "enough")
+        await until(lambda: bench.jobs.open == 0 and "updates" not in bench.store.estimate(bench.campaign.id).document)
+        assert bench.now.state is CampaignState.ABORTED
+        feed.close()
+        await following
 
 
 async def test_a_job_waits_while_the_database_is_locked(

@@ -11,7 +11,7 @@ from service.cli.virtual_cell import CELL, ROBOT
 from service.identification.model.regressor import axis_rows
 from service.model.configuration import read_cell, read_robot
 from service.planning.documents import PlanRequest
-from service.planning.pose_choice import workspace_grid
+from service.planning.poses import workspace_grid
 
 
 def test_the_errors_in_readme_are_those_that_the_demo_prints(

@@ -2,17 +2,17 @@
 
 import json
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 
 from service.identification.axis import joint_fit
-from service.identification.axis.axis_estimate import AxisEstimate
+from service.identification.axis.axis_estimate import identify_axis
 from service.identification.design.excitation import design_sweep, velocity_setpoint
 from service.identification.estimates import estimate as estimates
 from service.identification.estimates.document import as_document
-from service.identification.estimates.estimate import KEPT, Judged, WeightingEnded, identify, judge, unchanged_or
+from service.identification.estimates.estimate import Judged, WeightingEnded, identify, judge
 from service.identification.model import physical_consistency
 from service.identification.model.least_squares import Array
 from service.identification.model.regressor import gravity_terms, inertia_rows
@@ -119,12 +119,12 @@ def test_noise_that_has_not_settled_is_a_warning_of_each_inertia(robot: Robot, m
 
 
 def test_an_inertia_that_is_no_number_is_refused_with_its_sweep(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    def spoilt(compute: Any, *inputs: Any) -> Any:
-        axis = compute(*inputs)
+    def spoilt(*inputs: Any) -> Any:
+        axis = identify_axis(*inputs)
         sweeps = (replace(axis.sweeps[0], value=float("nan")), *axis.sweeps[1:])
         return replace(axis, sweeps=sweeps)
 
-    monkeypatch.setattr(estimates, "unchanged_or", spoilt)
+    monkeypatch.setattr(estimates, "identify_axis", spoilt)
     with pytest.raises(
         BadInput, match=r"^sweep 0001 of swing: its inertia nan with variance .* is not a finite number"
     ):
@@ -175,33 +175,6 @@ def test_nearly_all_campaigns_settle() -> None:
     print(f"settled {100 * settled:.1f} %, contradiction {100 * contradiction:.1f} %")
     assert settled > 0.95
     assert settled + contradiction > 0.995
-
-
-class Fits:
-    """Counts what is computed; a result of its own each time. What is kept outlives a test: each has its own inputs."""
-
-    def __init__(self) -> None:
-        self.inputs: list[tuple[float, ...]] = []
-
-    def __call__(self, effort: np.ndarray, gain: float) -> AxisEstimate:
-        self.inputs.append((*effort.tolist(), gain))
-        return cast(AxisEstimate, object())
-
-
-def test_a_fit_is_computed_once_for_inputs_that_are_equal_to_the_last_bit_and_few_are_kept() -> None:
-    fits = Fits()
-    first = unchanged_or(fits.__call__, np.array([1.0, 2.0]), 3.0)
-    assert unchanged_or(fits.__call__, np.array([1.0, 2.0]), 3.0) is first
-    other = unchanged_or(fits.__call__, np.array([1.0, np.nextafter(2.0, 3.0)]), 3.0)
-    third = unchanged_or(fits.__call__, np.array([1.0, 2.0]), np.nextafter(3.0, 4.0))
-    assert len({id(first), id(other), id(third)}) == len(fits.inputs) == 3
-    fits.inputs.clear()
-    for number in range(KEPT + 1):
-        unchanged_or(fits.__call__, np.array([float(number)]), 0.0)
-    unchanged_or(fits.__call__, np.array([float(KEPT)]), 0.0)  # kept
-    assert len(fits.inputs) == KEPT + 1
-    unchanged_or(fits.__call__, np.array([0.0]), 0.0)  # the oldest is not
-    assert len(fits.inputs) == KEPT + 2
 
 
 def free(robot: Robot, axis: str, **fields: Any) -> Spectrum:
