@@ -19,7 +19,7 @@ from drivers.canopen import bus as bus_module
 from drivers.canopen import frames
 from drivers.canopen.bus import CanopenBus, SocketcandBus
 from drivers.canopen.device_map import SetPointWay, load_device_map
-from drivers.canopen.fieldbus import check_bus_load
+from drivers.canopen.fieldbus import bus_load, check_bus_load
 from drivers.canopen.profile import BusProfile
 from drivers.canopen.sdo import PdoMapping, streaming_pdos
 from drivers.cia402.states import Controlword
@@ -263,3 +263,12 @@ def test_what_does_not_fit_is_refused_with_the_figure_and_the_cycle_that_fits(
 ) -> None:
     with pytest.raises(LimitExceeded, match=told) if told else nullcontext():
         check_bus_load(line_of(**settings), cyclic_of(axes), axes)
+
+
+def test_the_load_by_hand() -> None:
+    # 1210 bits a cycle of 4 ms, and 65 bits 40 times a second (see above)
+    settings = line_of(bitrate=1_000_000, sync_period=0.004)
+    beats = 65 * (1 / settings.host_heartbeat + 3 / settings.drive_heartbeat)
+    found = bus_load(settings, cyclic_of(3), 3)
+    assert found == pytest.approx((1210 / 0.004 + beats) / 1e6)
+    assert bus_load(line_of(), cyclic_of(3), 3) == 0.0

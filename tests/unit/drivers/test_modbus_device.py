@@ -44,6 +44,7 @@ from tests.unit.drivers.modbus_bank import (
     put,
     serving,
 )
+from tests.unit.drivers.test_bus import soon
 
 SWEEP = sweep(
     Sine(2.0, 0.002, 0.3),
@@ -163,6 +164,15 @@ def test_a_swapped_drive_gets_no_energy(kind: str, registers: RegisterMap) -> No
         with pytest.raises(WrongIdentity, match=r"serial is 000003EBh, at connect it was 000003E9h"):
             axis.enable(threading.Event())
         assert get(bank, registers, "statusword") == 0x40
+
+
+@KINDS
+def test_a_lost_drive_is_told_to_stop_all_the_same(kind: str, registers: RegisterMap) -> None:
+    address, low_word = registers.signals["controlword"].address, -1 if kind == "tcp" else 0
+    with connected(kind) as (bank, device):
+        bank.spoil = lambda _r, _f: None
+        device.stop_unheard()
+        soon(lambda: [r.words[low_word] for r in bank.requests if r.address == address] == [0x02, 0x00])
 
 
 @KINDS
