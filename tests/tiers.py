@@ -15,6 +15,7 @@ _TABLE = "tests/system/test_fault_table.py::test_a_fault_ends_in_standstill_and_
 _STOP = "tests/system/test_stop.py"
 _DIAGNOSIS = "tests/browser/test_diagnosis_page.py"
 _PORT = "tests/contract/test_drive_port.py"
+_DEATH = "tests/contract/test_death.py"
 _PORT_FAULTS = "tests/contract/test_faults.py"
 
 _BENCHES = {  # processor time of a whole suite, s
@@ -60,8 +61,6 @@ SHORT = (  # stays in the first tier although a line of LONG names it: file[::fu
     f"{_TABLE}[CANopen, drive's own sweep-drive fault",
     f"{_TABLE}[CANopen, streamed sweep-emergency stop",
     f"{_TABLE}[Modbus TCP-limit switch",
-    # the serial line
-    "tests/system/test_virtual_modbus.py::test_identification_and_constant",
     # hidden effects and faults of data, of each kind one
     "tests/numeric/test_data_check.py::test_a_fault_of_the_second_plant_is_told[torque_sign]",
     "tests/numeric/second_plant/test_cases.py::test_a_large_effect_is_seen_and_no_monster[coulomb_friction]",
@@ -82,8 +81,10 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/contract/test_canopen.py[canopen-virtual": 4,
     "tests/contract/test_noise.py[canopen-virtual": 4,
     "tests/contract/test_other_makers.py": 10,
+    "tests/contract/test_independent.py::test_a_streamed_sweep_gives_the_inertia_of_the_plant[node-canopen": 12,
+    "tests/contract/test_cells.py": 14,
     **{
-        f"tests/contract/test_death.py::{function}[{bench}": cost
+        f"{_DEATH}::{function}[{bench}": cost
         for function, cost in (
             ("test_axes_stand_after_the_host_hung_and_nothing_resumes", 5),
             ("test_a_busy_moment_of_the_machine_or_the_host_ends_no_streamed_sweep", 4),
@@ -91,6 +92,12 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
         )
         for bench in ("durand-socketcand", "node-socketcand", "modbus-rtu", "canopen-vcan", "node-vcan")
     },
+    **{
+        f"{_DEATH}::test_axes_stand_after_the_host_was_killed[{bench}": 5
+        for bench in ("durand-socketcand", "node-socketcand", "modbus-rtu")
+    },
+    f"{_DEATH}::test_axes_stand_after_the_host_hung_and_nothing_resumes[modbus-tcp": 5,
+    f"{_DEATH}::test_a_busy_moment_of_the_machine_or_the_host_ends_no_streamed_sweep[canopen-socketcand": 4,
     # the same contract on the kernel's bus, in a guest that is three times as slow
     **{
         f"tests/contract/{file}[{bench}": cost
@@ -108,7 +115,7 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
         )
     },
     **{
-        f"tests/contract/test_death.py::{test}": 15
+        f"{_DEATH}::{test}": 15
         for test in (
             "test_axes_stand_after_the_host_was_killed[node-vcan",
             "test_connect_restores_the_speed_control_that_a_killed_host_left_soft[canopen-vcan",
@@ -121,11 +128,10 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/system/test_any_order.py": 22,
     # what parts show by themselves, shown again by all processes together, or for a second way, drive or database
     "tests/system/test_attack.py": 30,
-    "tests/system/test_campaign_in_process.py::test_both_ways_of_measuring_give_the_same_inertia": 12,
+    "tests/system/test_campaign_in_process.py::test_axes_that_move_at_once_are_identified_together": 12,
     "tests/system/test_demo.py::test_interrupted_demo_stops_the_machine_first": 18,
     "tests/system/test_diagnosis_campaign.py::test_the_other_blocks_run_and_none_spoils_the_inertia": 8,
     "tests/system/test_diagnosis_campaign.py::test_the_loop_runs_alone_on_a_virtual_machine": 12,
-    "tests/system/test_makers_campaign.py": 60,
     "tests/system/test_diagnosis_campaign.py::test_the_runbook_goes_from_a_campaign_to_the_accepted_model": 15,
     "tests/system/test_runbooks.py::test_a_night_ends_with_the_confidence": 10,
     "tests/system/test_runbooks.py::test_an_unchanged_machine_passes_the_daily_check": 10,
@@ -136,10 +142,18 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/system/test_runbooks.py::test_a_backup_is_restored_once_the_service_has_ended": 8,
     "tests/system/test_runbooks.py::test_a_damaged_backup_is_not_restored": 5,
     "tests/system/test_runbooks.py::test_a_trace_becomes_an_inertia": 8,
+    "tests/system/test_diagnosis_campaign.py::test_a_fault_ends_it_and_the_machine_stands": 5,
+    "tests/system/test_initial_analysis.py::test_a_drive_that_cannot_inject_gets_a_stepped_sine": 9,
+    "tests/system/test_makers_urdf.py::test_the_commands_lead_to_a_plan": 15,
+    "tests/system/test_monitoring.py::test_a_real_prometheus_scrapes_a_service_and_answers": 9,
+    "tests/system/test_runbooks.py::test_a_backup_is_made_and_rehearsed": 8,
+    "tests/system/test_runbooks.py::test_a_fault_ends_the_night_and_nothing_is_resumed": 8,
+    "tests/system/test_two_cells.py": 22,
     f"{_STOP}::test_measure_told_to_end_stops_the_machine[SIGHUP": 4,
+    f"{_STOP}::test_measure_told_to_end_stops_the_machine[SIGTERM": 4,
+    f"{_STOP}::test_on_modbus_it_writes_the_registers_by_a_connection_of_its_own": 10,
     f"{_STOP}::test_told_to_end_the_machine_comes_before_open_requests[SIGHUP": 8,
     f"{_STOP}::test_told_to_end_the_machine_comes_before_open_requests[SIGINT": 8,
-    "tests/system/test_virtual_modbus.py[modbus-rtu": 2,
     # further states of the page
     "tests/browser/test_accessibility.py::test_who_is_not_logged_in": 3,
     f"{_DIAGNOSIS}::test_a_test_mass_is_told_with_its_place_in_units_of_the_shop": 9,
@@ -156,7 +170,9 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/browser/test_operator_page.py::test_a_check_move_is_told_while_it_is_under_way": 9,
     "tests/browser/test_operator_page.py::test_what_start_will_move_stands_beside_it": 9,
     "tests/browser/test_page_truth.py::test_resume_shows_what_it_moves_and_what_cannot_work_says_why": 9,
+    "tests/browser/test_page_truth.py::test_the_axis_that_really_moves_is_named_and_what_follows": 11,
     "tests/browser/test_work_on_the_page.py::test_an_amount_that_is_no_number_is_told": 9,
+    "tests/browser/test_work_on_the_page.py::test_from_the_plan_to_the_results[de-DE": 30,
     # further effects, faults, robots and seeds; statistics over many campaigns
     "tests/numeric/test_data_check.py::test_a_fault_of_the_second_plant_is_told": 9,
     "tests/numeric/second_plant/test_cases.py::test_a_large_effect_is_seen_and_no_monster": 20,
@@ -168,6 +184,7 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/numeric/test_free_motion.py::test_standard_deviations_keep_what_they_promise": 6,
     "tests/numeric/test_makers_robots.py::test_from_a_makers_urdf_to_its_inertia": 6,
     "tests/numeric/test_planned_confidence.py::test_a_campaign_to_a_confidence_keeps_what_its_plan_promises": 5,
+    "tests/numeric/test_planned_confidence.py::test_the_fewer_sweeps_know_inertia_as_well": 5,
     # the seeds of tests in virtual time, in other processes
     **{
         f"tests/virtual_time/test_nothing_moves_unasked.py::test_a_promise[{promise}": 45

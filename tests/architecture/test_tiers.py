@@ -35,7 +35,7 @@ def test_the_parts_are_of_one_size() -> None:
 
 
 def test_a_line_names_a_file_a_function_or_some_of_its_cases() -> None:
-    file = "tests/system/test_makers_campaign.py"
+    file = "tests/system/test_attack.py"
     assert part_of(f"{file}::test_a[b-c]") == parts()[file]
     death = "tests/contract/test_death.py::test_a_machine_that_dies_is_lost_communication"
     assert part_of(f"{death}[canopen-socketcand-drive_side]") is None

@@ -71,6 +71,16 @@ def test_standard_deviations_keep_what_they_promise() -> None:
     assert min(shares) > 0.8
 
 
+@pytest.mark.parametrize("ripple", [0.0, 0.02])
+def test_the_spread_grows_with_what_the_model_lacks(ripple: float) -> None:
+    errors = [
+        z(identified(truth, logs(truth, seed)), truth)
+        for seed in range(130, 138)
+        for truth in [draw(seed, 3 + seed % 4, ripple=ripple)]
+    ]
+    assert np.mean(np.abs(np.concatenate(errors)) < 2) > 0.88
+
+
 def test_held_out_parts_are_predicted_down_to_the_floor() -> None:
     truth = draw(140, 5, ripple=0.0)
     motion = wander(np.random.default_rng(140), 5)

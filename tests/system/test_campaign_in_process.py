@@ -1,7 +1,6 @@
-"""The service's application against the virtual machine over socketcand: plan, run, identify, stop, export."""
+"""Axes that move at once, by the service's application against the virtual machine over socketcand."""
 
 import asyncio
-import math
 from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -10,8 +9,6 @@ import pytest
 
 import sweepid
 from drivers.ports import AxisState
-from service.identification.estimation import estimate_document
-from service.identification.spectra.frequency_response import spectrum
 from service.machine.execution.permission import Intention
 from service.model.configuration import read_cell
 from service.planning.documents import PlanRequest, TrajectoryRequest
@@ -19,25 +16,16 @@ from service.planning.plan import build_plan
 from service.planning.trajectories import build_trajectory_plan
 from service.process.settings import Settings
 from service.store.documents import CampaignDocument, CampaignState, SweepState
-from service.store.files.bundle import read_bundle
-from service.store.lease_and_latch import MachineTaken
 from service.web.application import Application, open_application
 from tests.system.rest_bench import PATIENT_LEASE, VirtualMachine, virtual_machine
 
 ROOT = Path(__file__).resolve().parents[2]
 TIMEOUT = 120.0  # s
-AXES = ("joint_1", "joint_2", "joint_3")
 
 
 @pytest.fixture
-def scenario() -> str:
-    """What the virtual machine really is."""
-    return "max100-full"
-
-
-@pytest.fixture
-def machine(tmp_path: Path, scenario: str) -> Iterator[VirtualMachine]:
-    with virtual_machine(tmp_path, scenario=ROOT / f"config/scenarios/{scenario}.yaml") as machine:
+def machine(tmp_path: Path) -> Iterator[VirtualMachine]:
+    with virtual_machine(tmp_path, scenario=ROOT / "config/scenarios/max100-six.yaml") as machine:
         yield machine
 
 
@@ -56,12 +44,6 @@ def settings(machine: VirtualMachine, tmp_path: Path) -> Settings:
 async def application(settings: Settings) -> AsyncIterator[Application]:
     async with open_application(settings) as application:
         yield application
-
-
-async def campaign_of(application: Application, modes: str, **changes: object) -> CampaignDocument:
-    """Two poses, three axes."""
-    wanted = {"axes": AXES, "varied": AXES[1:], "step": 30.0, "poses": 2, "modes": modes}
-    return await planned(application, PlanRequest, build_plan, wanted | changes)
 
 
 async def planned(application: Application, kind: Any, build: Any, wanted: dict[str, object]) -> CampaignDocument:
@@ -95,45 +77,13 @@ async def completed(application: Application, campaign_id: int) -> CampaignDocum
     await until(lambda: application.store.campaign(campaign_id).state not in under_way)
     campaign = application.store.campaign(campaign_id)
     assert (campaign.state, campaign.cause) == (CampaignState.COMPLETED, "")
-    await checked(application, campaign_id)
+    await until(lambda: campaign_id not in application.checks.wanting(campaign_id))  # the last of its tasks
     return campaign
 
 
-async def checked(application: Application, campaign_id: int) -> None:
-    """Its data have been checked, with which the last task of an ended campaign ends."""
-    await until(lambda: campaign_id not in application.checks.wanting(campaign_id))
-
-
-async def test_a_campaign_from_plan_to_estimate_and_bundle(application: Application, tmp_path: Path) -> None:
-    assert application.machine.connected, application.machine.trouble
-    campaign = await campaign_of(application, "drive_side")
-    await application.runner.start(campaign.id, Intention(application.machine.epochs.now))
-    done = await completed(application, campaign.id)
-    assert done.sweeps == {SweepState.IDENTIFIED: 6}
-    assert await standing(application)
-    estimate = application.store.estimate(campaign.id)
-    assert estimate.revision == 6
-    document: Any = estimate.document
-    for joint in AXES:
-        for sweep in document["axes"][joint]["inertia"]:
-            assert sweep["value"] > 0
-    await application.export_bundle(campaign.id, tmp_path / "bundle")
-    bundle = read_bundle(tmp_path / "bundle")
-    offline = estimate_document(bundle.robot, [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps]).as_json()
-    assert offline == estimate.document
-    imported = await application.import_bundle(tmp_path / "bundle")
-    assert imported.plan_id is None
-    await completed(application, imported.id)
-    assert application.store.estimate(imported.id).document == estimate.document
-    with pytest.raises(MachineTaken, match="stop that service"):
-        async with open_application(application.settings):
-            pytest.fail("two services own the machine")
-    assert application.machine.connected
-
-
-@pytest.mark.parametrize("scenario", ["max100-six"])
 async def test_axes_that_move_at_once_are_identified_together(application: Application, tmp_path: Path) -> None:
-    alone = await campaign_of(application, "drive_side", axes=("joint_3",), varied=("joint_5",))
+    one = {"axes": ("joint_3",), "varied": ("joint_5",), "step": 30.0, "poses": 2, "modes": "drive_side"}
+    alone = await planned(application, PlanRequest, build_plan, one)
     await application.runner.start(alone.id, Intention(application.machine.epochs.now))
     await completed(application, alone.id)
     campaign = await trajectory_of(application, sweeps=alone.id)
@@ -158,7 +108,6 @@ async def test_axes_that_move_at_once_are_identified_together(application: Appli
     assert sum(p["identified"] for p in found.values()) >= sum(p["identified"] for p in parts.values())
 
 
-@pytest.mark.parametrize("scenario", ["max100-six"])
 async def test_a_fault_on_a_trajectory_is_told_and_not_that_braking_axes_leave_it(
     application: Application, machine: VirtualMachine
 ) -> None:
@@ -177,21 +126,3 @@ async def test_a_fault_on_a_trajectory_is_told_and_not_that_braking_axes_leave_i
     assert done.state is CampaignState.PAUSED
     assert done.cause == "DriveFault: joint_3 (node 3): error 2310h, history 00002310h"
     assert {sweep.cause for sweep in application.store.sweeps(campaign.id)} == {done.cause}
-
-
-async def test_both_ways_of_measuring_give_the_same_inertia(application: Application) -> None:
-    """The drive's own measuring function against set-points streamed by us in real time, over the same bus."""
-    documents = {}
-    for modes in ("drive_side", "host_streamed"):
-        campaign = await campaign_of(application, modes, poses=1)
-        await application.runner.start(campaign.id, Intention(application.machine.epochs.now))
-        await completed(application, campaign.id)
-        documents[modes] = application.store.estimate(campaign.id).document["axes"]
-    deviations = []
-    for joint in AXES:
-        pairs = zip(*(documents[modes][joint]["inertia"] for modes in documents), strict=True)
-        for ours, theirs in pairs:
-            std = math.hypot(ours["std"], theirs["std"])
-            deviations.append((ours["value"] - theirs["value"]) / std)
-            print(f"{joint}: {ours['value']:.2f} against {theirs['value']:.2f} kg m2, {deviations[-1]:+.2f} sigma")
-    assert max(map(abs, deviations)) < 4

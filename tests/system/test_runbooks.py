@@ -298,17 +298,6 @@ def test_a_backup_is_made_and_rehearsed(
     assert (code, "is the disk mounted?" in printed) == (BAD_INPUT, True), printed
 
 
-def test_damage_is_told_and_not_backed_up(books: Books, backup: tuple[Path, Json], tmp_path: Path) -> None:
-    restored = tmp_path / "damaged"
-    shutil.copytree(backup[0] / "data", restored)
-    recording = next(restored.rglob("*.parquet"))
-    recording.write_bytes(recording.read_bytes()[:-1])
-    code, protocol, printed = books.run("back_up", str(tmp_path / "second"), "--data-dir", str(restored))
-    assert code == FAILED, printed
-    assert [step["finding"] for step in protocol["steps"]] == [str(recording)]
-    assert not (tmp_path / "second").exists()
-
-
 def test_a_backup_is_restored_once_the_service_has_ended(
     books: Books, client: ServiceClient, backup: tuple[Path, Json], tmp_path: Path
 ) -> None:

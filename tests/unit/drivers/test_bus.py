@@ -69,18 +69,6 @@ def soon(condition: Callable[[], bool]) -> None:
         time.sleep(0.005)
 
 
-def test_bus_off_is_lost_communication_at_once(pair: Pair) -> None:
-    stream = pair.bus.open_stream(NODE)
-    pair.say(frames.ErrorClass.BUS_OFF, bytes(8), error=True)
-    event = stream.get(timeout=PATIENCE)
-    assert isinstance(event, frames.Lost)
-    assert "bus-off" in event.reason
-    with pytest.raises(CommunicationLost, match="bus-off"):
-        pair.bus.check_alive()
-    with pytest.raises(CommunicationLost, match="bus-off"):
-        pair.bus.send(frames.Cob.SYNC, b"")
-
-
 def test_the_controllers_state_is_logged_once_a_change_and_told_when_the_bus_is_lost(
     pair: Pair, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -97,15 +85,6 @@ def test_the_controllers_state_is_logged_once_a_change_and_told_when_the_bus_is_
         "error warning (transmit errors 130, receive errors 0)",
         "error passive (transmit errors 130, receive errors 0)",
     ]
-
-
-def test_a_boot_up_message_is_a_restart_until_the_node_is_configured_again(pair: Pair) -> None:
-    assert not pair.bus.restarted(NODE)
-    pair.say(frames.Cob.HEARTBEAT + NODE, b"\0")
-    soon(lambda: pair.bus.restarted(NODE))
-    assert not pair.bus.restarted(2)
-    pair.bus.note_configured(NODE)
-    assert not pair.bus.restarted(NODE)
 
 
 def test_a_stream_of_several_nodes_keeps_their_order_and_has_the_bus_own_events_once(pair: Pair) -> None:
@@ -152,14 +131,6 @@ def test_frames_with_29_bits_are_nobodys_word(pair: Pair) -> None:
     pair.say(frames.Cob.HEARTBEAT + NODE, b"\x05")
     assert stream.get(timeout=PATIENCE) == frames.Heartbeat(NODE, 5)
     assert pair.bus.emergency(NODE) is None
-
-
-def test_emergencies_are_kept_until_withdrawn(pair: Pair) -> None:
-    pair.say(frames.Cob.EMERGENCY + NODE, bytes.fromhex("057321 0000000000"))
-    soon(lambda: pair.bus.emergency(NODE) is not None)
-    assert pair.bus.emergency(2) is None
-    pair.say(frames.Cob.EMERGENCY + NODE, bytes(8))
-    soon(lambda: pair.bus.emergency(NODE) is None)
 
 
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -104,23 +104,6 @@ async def test_who_waits_for_the_thread_when_it_is_closed_gets_an_answer_and_who
     await asyncio.wait_for(closing, PATIENCE)
 
 
-async def test_axes_enabled_together_all_lose_their_energy_when_one_cannot_be() -> None:
-    def fail(exchange: str) -> None:
-        if exchange == "control 0F":
-            first.before = lose  # falls silent just now
-            raise WrongConfiguration("refused")
-
-    first, second, third = Servo("joint_1"), Servo("joint_2"), Servo("joint_3", before=fail)
-    port, _ = machine(first, second, third)
-    await port.connect()
-    with pytest.raises(WrongConfiguration, match="refused"):
-        await port.enable("joint_1", "joint_2", "joint_3")
-    assert not second.energised
-    assert not third.energised
-    await port.close()
-    assert first.unheard
-
-
 async def test_enabling_that_is_cancelled_leaves_no_axis_with_energy() -> None:
     gate = Gate("control 0F")
     silent, other = Servo("joint_1"), Servo("joint_2", before=gate)
@@ -299,18 +282,6 @@ async def test_the_end_of_the_moving_axis_is_told_before_that_of_one_that_stands
     with pytest.raises(CommunicationLost, match="the cable"):
         await lose()
     await thread.close()
-
-
-async def test_no_axis_waits_for_the_answer_of_another() -> None:
-    gate = Gate("statusword")
-    async with connected(Servo("joint_1", before=gate), Servo("joint_2")) as (port, link):
-        before = link.halted
-        gate.shut()
-        stop = asyncio.create_task(port.stop())
-        await gate.reached()  # the first drive was asked and has not answered
-        assert link.halted == before + 1
-        gate.open()
-        assert set(await asyncio.wait_for(stop, PATIENCE)) == {"joint_1", "joint_2"}
 
 
 class Streaming(Servo):

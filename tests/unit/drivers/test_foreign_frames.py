@@ -154,11 +154,6 @@ def test_error_frames_by_hand(classes: int, data: str, state: ControllerState | 
     assert decode(classes, bytes.fromhex(data), error=True) == expected
 
 
-def test_error_counters_are_told() -> None:
-    event = decode(0x204, bytes.fromhex("0020 00000000 80 07"), error=True)
-    assert str(event) == "error passive (transmit errors 128, receive errors 7)"
-
-
 OFF, ON = 0x40, 0x27  # switch on disabled, operation enabled
 
 

@@ -140,16 +140,6 @@ async def test_a_gap_before_the_first_connection_counts_and_no_connection_clears
             await port.connect()
 
 
-async def test_who_is_watched_by_nobody_and_not_connected_misses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tests.unit.drivers.small_servo.HOST_TIMEOUT", LIMIT)
-    port, link = machine(Servo("joint_1"))
-    await port.connect()
-    await port.close()
-    await asyncio.sleep(0)  # the turn in which the watch ends
-    miss(link.watch)
-    assert link.watch.reason == ""
-
-
 @pytest.mark.parametrize("state", [PowerState.SWITCHED_ON, PowerState.OPERATION_ENABLED])
 async def test_an_axis_that_nobody_here_enabled_is_told(state: PowerState) -> None:
     servo = Servo("joint_1")
@@ -186,12 +176,3 @@ async def test_energy_that_nobody_here_took_is_missed_in_a_sweep() -> None:
             async for _ in run:
                 pass
         assert len(told) == 1
-
-
-async def test_energy_that_a_stop_took_is_not_missed() -> None:
-    async with watched(Servo("joint_1")) as (port, _, told):
-        await port.enable("joint_1")
-        await port.stop()
-        await port.status()
-        assert told == []
-        await port.enable("joint_1")

@@ -1,25 +1,20 @@
 """Requests over a real line, TCP and RTU, to units that answer well, badly, late or never; the heartbeat."""
 
-import asyncio
 import threading
 import time
 from collections.abc import Generator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from drivers.contract.bench import eventually
-from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady, WrongConfiguration, WrongIdentity
+from drivers.errors import CommunicationLost, ConnectionFailed, NotReady, WrongConfiguration
 from drivers.modbus.fieldbus import ModbusConnection, ModbusFieldbus
 from drivers.modbus.line import MasterLine
 from drivers.modbus.profile import RtuProfile, TcpProfile
 from drivers.modbus.registers import RegisterMap
 from tests.unit.drivers.modbus_bank import (
-    HIGH,
     KINDS,
     TIMEOUT,
     Bank,
@@ -65,17 +60,6 @@ def hasty(bank: Bank) -> Generator[MasterLine]:
         yield line
 
 
-def test_read_and_write(bank: Bank, line: MasterLine) -> None:
-    assert line.read(1, 0x10, 3, "three") == [0x1111, 0x2222, 0x3333]
-    line.write(1, 0x11, [7], "one")
-    line.write(1, 0x11, [8, 9], "two")
-    assert bank.registers[1] == {0x10: 0x1111, 0x11: 8, 0x12: 9}
-    assert {request.function for request in bank.requests} == {3, 16}
-    line.check(1, "unit 1")
-    with pytest.raises(CommunicationLost, match="unit 2: no answer"):
-        line.check(2, "unit 2")
-
-
 def test_a_refusal_is_no_loss(bank: Bank, line: MasterLine) -> None:
     with pytest.raises(WrongConfiguration, match=r"there: Modbus exception 2: no such register"):
         line.read(1, 0x99, 1, "there")
@@ -107,15 +91,6 @@ def test_silence_is_a_loss_at_once_and_until_it_is_found_again(
     bank.spoil = lambda _, frame: frame
     assert line.due(1)
     assert line.read(1, 0x10, 1, "found") == [0x1111]
-
-
-def test_the_heartbeat_is_due_where_nobody_asked(line: MasterLine, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert line.due(1)
-    line.read(1, 0x10, 1, "x")
-    assert not line.due(1)
-    later = SimpleNamespace(sleep=time.sleep, monotonic=lambda: time.monotonic() + line.beat / 2)
-    monkeypatch.setattr(line, "_clock", later)
-    assert line.due(1)
 
 
 def test_no_write_is_ever_repeated(bank: Bank, hasty: MasterLine, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -247,15 +222,6 @@ def test_the_answer_to_a_write_elsewhere_is_no_answer(bank: Bank, line: MasterLi
         line.write(1, 0x10, [1], "write")
 
 
-def test_tell_waits_for_nothing_and_reaches_a_lost_unit(bank: Bank, hasty: MasterLine) -> None:
-    bank.spoil = lambda _r, _f: None
-    with pytest.raises(CommunicationLost):
-        hasty.write(1, 0x10, [1], "lost")
-    hasty.tell(1, 0x10, [2], "told")
-    hasty.tell(1, 0x10, [3], "told")
-    soon(lambda: bank.writes(0x10) == [1, 2, 3])
-
-
 def test_the_silence_between_frames_is_kept() -> None:
     with opened(Bank("rtu", {1: dict(REGISTERS)}), PATIENCE, silence_between_frames=0.03) as line:
         start = time.monotonic()
@@ -293,51 +259,6 @@ def test_a_line_that_cannot_be_opened_says_why(place: str, told: str, tmp_path: 
         MasterLine(line).open()
 
 
-def test_a_server_that_goes_away_is_a_loss() -> None:
-    bank = Bank("tcp", {1: dict(REGISTERS)})
-    with serving(bank, PATIENCE) as profile:
-        line = MasterLine(profile)
-        line.open()
-        line.read(1, 0x10, 1, "x")
-    with pytest.raises(CommunicationLost):
-        line.read(1, 0x10, 1, "x")
-    with pytest.raises(CommunicationLost):
-        line.tell(1, 0x10, [1], "x")
-    line.close()
-
-
-@pytest.mark.parametrize("transport", ["tcp", "rtu"])
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(data=st.data())
-def test_any_bytes_are_an_answer_or_a_drive_error(transport: str, data: st.DataObject) -> None:
-    """Bytes of every kind: noise, a spoilt PDU in a good frame, a good frame with something behind it."""
-    bank = Bank(transport, {1: dict(REGISTERS)})
-    pdu = data.draw(st.binary(min_size=1, max_size=12), "pdu")
-    noise = data.draw(st.binary(max_size=20), "noise")
-    kind = data.draw(st.sampled_from(["noise", "pdu", "prefix", "behind", "cut"]), "kind")
-
-    def spoil(request: Request, frame: bytes) -> bytes | None:
-        header = frame[:4] + (len(pdu) + 1).to_bytes(2, "big") + frame[6:7]
-        built = header + pdu if transport == "tcp" else rtu_frame(request.unit, pdu)
-        return {
-            "noise": noise,
-            "pdu": built,
-            "prefix": noise + frame,
-            "behind": frame + noise,
-            "cut": frame[: len(noise)],
-        }[kind]
-
-    bank.spoil = spoil
-    with opened(bank, 0.01) as line:
-        results: list[object] = []
-        with suppress(DriveError):
-            results.append(len(line.read(1, 0x10, 2, "read")))
-        with suppress(DriveError):
-            results.append(line.write(1, 0x10, [1, 2], "write"))
-        assert set(results) <= {2, None}
-    assert len([request for request in bank.requests if request.function == 16]) <= 1
-
-
 @KINDS
 async def test_the_heartbeat_speaks_to_every_unit_and_notices_a_loss(
     kind: str, registers: RegisterMap, monkeypatch: pytest.MonkeyPatch
@@ -367,13 +288,3 @@ def _lost(connection: ModbusConnection, joint: str) -> bool:
     except CommunicationLost:
         return True
     return False
-
-
-async def test_a_wrong_drive_leaves_nothing_open() -> None:
-    bank = Bank("tcp")
-    drive(bank, HIGH, 1, 99.0)
-    following(bank, HIGH)
-    with serving(bank, PATIENCE) as served:
-        with pytest.raises(WrongIdentity, match="rated torque"):
-            await ModbusFieldbus(profile_on(served, "tcp")).open()
-        assert len(asyncio.all_tasks()) == 1

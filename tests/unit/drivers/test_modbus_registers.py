@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from drivers.errors import BadProfile, LimitExceeded
 from drivers.modbus import from_profile
-from drivers.modbus.profile import RtuProfile, TcpProfile, parse_profile
-from drivers.modbus.registers import MEASURING, Format, WireType, WordOrder, load_registers, parse_registers, spans
-from drivers.registry import load_profile, open_drive
+from drivers.modbus.profile import RtuProfile, parse_profile
+from drivers.modbus.registers import MEASURING, Format, WireType, WordOrder, parse_registers, spans
+from drivers.registry import load_profile
 
 MAPS = Path(__file__).parents[3] / "config" / "registers"
 HIGH: dict[str, Any] = yaml.safe_load((MAPS / "virtual-high-first.yaml").read_text())
@@ -28,15 +28,6 @@ def changed(**signals: Any) -> dict[str, Any]:
     return content
 
 
-@pytest.mark.parametrize("name", ["virtual-high-first", "virtual-low-first"])
-def test_the_maps_that_stand(name: str) -> None:
-    registers = load_registers(MAPS / f"{name}.yaml")
-    assert registers.trace is not None
-    assert registers.max_read // registers.trace.width > 1
-    motion = [registers.signals[signal] for signal in ("position", "velocity", "torque")]
-    assert len(spans(motion, registers.max_read)) == 1  # one request tells the motion
-
-
 def test_spans_join_what_follows_and_fits() -> None:
     signals = parse_registers(HIGH).signals
     asked = [signals[name] for name in ("serial", "vendor", "product", "revision", "statusword")]
@@ -45,12 +36,6 @@ def test_spans_join_what_follows_and_fits() -> None:
         ["statusword"],
     ]
     assert [len(span) for span in spans(asked, 4)] == [2, 2, 1]
-
-
-def test_elements_of_an_array() -> None:
-    elements = parse_registers(HIGH).signals["frequency"].elements()
-    assert [(each.name, each.address) for each in elements[:2]] == [("frequency 1", 0x3000), ("frequency 2", 0x3002)]
-    assert len(elements) == 16
 
 
 def test_a_map_without_measuring_function_and_limits_is_a_map() -> None:
@@ -139,23 +124,6 @@ def test_integers_come_back_exactly(kind: WireType, order: WordOrder, data: st.D
     assert form.decode(registers).tolist() == [raw * scale]
 
 
-@given(
-    value=st.floats(width=32, allow_nan=False, allow_infinity=False, allow_subnormal=False),
-    order=st.sampled_from(WordOrder),
-    scale=st.floats(1e-3, 1e3),
-)
-def test_floats_come_back_to_their_last_digits(value: float, order: WordOrder, scale: float) -> None:
-    form = Format("f32", order, scale)
-    wanted = form.clip(value)
-    assert form.decode(form.encode(wanted))[0] == pytest.approx(wanted, rel=1e-6, abs=1e-38 * scale)
-
-
-@given(words=st.lists(st.integers(0, 0xFFFF), min_size=2, max_size=2), kind=st.sampled_from(["u32", "i32", "f32"]))
-def test_the_other_word_order_is_the_turned_registers(words: list[int], kind: WireType) -> None:
-    here, turned = Format(kind, FIRST).decode(words)[0], Format(kind, LAST).decode(words[::-1])[0]
-    assert here == turned or (math.isnan(here) and math.isnan(turned))
-
-
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 2.0**31, -(2.0**31) - 1])
 def test_what_does_not_fit_is_refused(value: float) -> None:
     with pytest.raises(LimitExceeded, match="i32"):
@@ -175,24 +143,6 @@ TCP, RTU = (load_profile(DRIVES / f"virtual-max100-modbus-{kind}.yaml") for kind
 
 def other(profile: dict[str, object], **fields: Any) -> dict[str, Any]:
     return {**copy.deepcopy(profile), **fields}
-
-
-def test_the_profiles_that_stand() -> None:
-    tcp, rtu = parse_profile(TCP, DRIVES), parse_profile(RTU, DRIVES)
-    assert isinstance(tcp.line, TcpProfile)
-    assert isinstance(rtu.line, RtuProfile)
-    assert [axis.unit_id for axis in rtu.axes] == [1, 2, 3, 4, 5, 6]
-    assert tcp.axes == rtu.axes
-    assert tcp.registers != rtu.registers
-    assert open_drive(TCP, DRIVES).joints == tuple(axis.joint for axis in tcp.axes)
-
-
-def test_the_axes_are_those_of_the_can_profile() -> None:
-    can: Any = load_profile(DRIVES / "virtual-max100.yaml")
-    modbus: Any = copy.deepcopy(TCP)
-    for node, unit in zip(can["axes"], modbus["axes"], strict=True):
-        assert node.pop("node") == unit.pop("unit_id")
-        assert node == unit
 
 
 def test_serial_silence_is_at_least_the_standards() -> None:

@@ -5,10 +5,8 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
-import pytest
 import yaml
 
-from drivers.errors import ConnectionFailed
 from drivers.modbus.profile import RtuProfile, TcpProfile, parse_profile
 from drivers.modbus.registers import load_registers
 from drivers.modbus.stop_sender import ModbusStopSender
@@ -55,13 +53,6 @@ def test_every_unit_is_told_and_answers_that_come_late_count(root: Path) -> None
     assert {request.words[-1] for request in bank.requests} == {2}  # quick stop
     wrong = {"joint_4": "refused the stop", "joint_6": "did not answer"}
     assert told == dict.fromkeys((f"joint_{unit}" for unit in UNITS), "") | wrong
-
-
-def test_a_line_that_the_drives_close_is_told(root: Path) -> None:
-    with serving(Bank("tcp")) as line:
-        closed = sender(root, line)
-    with pytest.raises(ConnectionFailed, match=line.place):
-        closed.send()
 
 
 def test_a_unit_that_lost_its_request_to_another_that_was_slow_is_told_again(root: Path) -> None:
@@ -116,41 +107,6 @@ def test_what_moves_has_energy_or_is_silent_is_not_confirmed_in_time(root: Path)
     assert found["joint_3"].startswith("reports 0.0")
     assert found["joint_3"].endswith("rad/s")
     assert found["joint_4"] == "reports 'quick stop active'"
-
-
-def test_an_axis_that_comes_to_rest_while_it_is_asked_is_confirmed(root: Path) -> None:
-    asked = list[int]()
-    with standing(root) as (bank, told):
-        put(bank, HIGH, 1, "velocity", 50.0)
-
-        def spoil(request: Request, frame: bytes) -> bytes:
-            asked.append(request.unit)
-            if asked.count(1) == 4:
-                put(bank, HIGH, 1, "velocity", 0.0)
-            return frame
-
-        bank.spoil = spoil
-        assert set(told.confirm(5.0).values()) == {""}
-
-
-def test_a_line_that_leads_nowhere_confirms_nothing(root: Path) -> None:
-    with serving(Bank("tcp")) as line:
-        told = sender(root, line)
-    found = told.confirm(0.5)
-    assert all(line.place in reason for reason in found.values())
-    assert len(found) == len(UNITS)
-
-
-def test_units_that_are_all_silent_take_no_more_than_their_part_of_the_time(root: Path) -> None:
-    """The answer to a stop is due after 1.2 s, and before it is confirmation."""
-    with serving(Bank("tcp", {unit: dict(ANYTHING) for unit in UNITS}, lambda _request, _frame: None)) as line:
-        told = sender(root, line)
-        begun = time.monotonic()
-        assert set(told.send().values()) == {"did not answer"}
-        assert time.monotonic() - begun < ModbusStopSender.connect_timeout + ModbusStopSender.sending
-        begun = time.monotonic()
-        assert set(told.confirm(0.0).values()) == {"no time was left to ask it"}
-        assert time.monotonic() - begun < ModbusStopSender.connect_timeout
 
 
 def test_no_answer_is_taken_for_that_of_another_unit_or_request(root: Path) -> None:

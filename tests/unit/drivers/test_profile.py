@@ -11,7 +11,6 @@ import yaml
 from drivers.canopen.device_map import (
     STANDARD,
     TYPES,
-    VIRTUAL_AXIS,
     DeviceMap,
     DeviceUnits,
     Pdos,
@@ -35,12 +34,6 @@ DRIVES = Path(__file__).parents[3] / "config" / "drives"
 @pytest.fixture
 def profile() -> dict[str, Any]:
     return load_profile(DRIVES / "virtual-max100.yaml")
-
-
-def test_every_profile_of_the_house_opens() -> None:
-    for path in DRIVES.glob("*.yaml"):
-        port = open_drive(load_profile(path), path.parent)
-        assert port.joints
 
 
 @pytest.mark.parametrize(
@@ -173,13 +166,6 @@ def test_every_map_of_the_house_is_one_and_its_pdos_fit(path: Path) -> None:
             assert pdo.identifier & 0x7F == 5
 
 
-def test_a_profile_without_a_map_means_the_virtual_drive() -> None:
-    assert load_device_map(CONFIG / "devices/virtual-axis.yaml") == VIRTUAL_AXIS
-    profile = load_profile(CONFIG / "drives/virtual-max100.yaml")
-    assert "device" not in profile
-    assert parse_profile(profile, CONFIG / "drives").device_map == VIRTUAL_AXIS
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -275,10 +261,6 @@ def test_a_way_takes_the_best_mode_that_the_drive_has(
     way: SetPointWay, supported: int | None, mode: int | None
 ) -> None:
     assert way.mode(supported) == mode
-
-
-def test_the_velocity_offset_is_the_last_choice_of_a_plain_drive() -> None:
-    assert load_device_map(CONFIG / "devices" / "plain-402.yaml").excitation[-1] is SetPointWay.VELOCITY_OFFSET
 
 
 READERS: dict[str, Any] = {

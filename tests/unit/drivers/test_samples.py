@@ -61,10 +61,6 @@ def spoilt(items: list[Item], *happenings: tuple[int, str, int]) -> list[Item]:
 FRAMES = [place for place, item in enumerate(stream()) if item is not None]
 
 
-def test_pairs_of_one_sync_are_numbered_by_the_drive() -> None:
-    assert [(s.index, s.velocity, s.position) for s in pair(stream())] == [(k, k, k) for k in range(SYNCS)]
-
-
 def test_no_single_frame_lost_doubled_or_late_mixes_a_sample_or_costs_more_than_three() -> None:
     for place in FRAMES:
         for what, by in faults(place):
@@ -108,13 +104,6 @@ def test_a_repeated_reading_is_no_doubled_frame_and_a_doubled_one_no_reading() -
 def test_a_counter_that_wraps(counter: int) -> None:
     items = [item for k in range(4) for item in (None, motion(k), PositionPdo(1, k, (counter + 1 + k) & 0xFFFFFFFF))]
     assert [s.index for s in pair(items, counter)] == [0, 1, 2, 3]
-
-
-def test_a_counter_that_stands_still_or_goes_back_gives_nothing() -> None:
-    items: list[Item] = stream(3)
-    for k in (2, 2, 1, 0, 2):
-        items += [None, motion(9), PositionPdo(1, 9, 100 + k)]
-    assert [s.index for s in pair(items)] == [0, 1, 2]
 
 
 @given(
@@ -197,11 +186,6 @@ def test_every_answered_sync_is_a_sample_in_any_order_of_the_frames() -> None:
     assert windows.doubt is None
 
 
-def test_a_standing_axis_gives_samples_though_nothing_changes() -> None:
-    samples, _ = told(on_time([0] * 20))
-    assert [s.index for s in samples] == list(range(20))
-
-
 @pytest.mark.parametrize("fate", [LOST, LATE, DOUBLE])
 @pytest.mark.parametrize("which", ["motion", "place", "both"])
 def test_one_mishap_costs_three_samples_at_most_and_all_others_are_right(fate: Fate, which: str) -> None:
@@ -258,10 +242,3 @@ def test_answers_that_are_all_late_for_a_while_are_found_out(
     assert mixed(samples) == []
     if moved(samples):
         assert windows.doubt == f"answers to SYNC came a cycle late since sample {moved(samples)[0].index}"
-
-
-def test_both_answers_lost_is_a_gap_and_no_doubt() -> None:
-    rows = with_fate(on_time([k % 5 for k in range(30)]), 10, LOST, LOST)
-    samples, windows = told(rows)
-    assert set(range(30)) - {s.index for s in samples} == {10, 11}
-    assert windows.doubt is None

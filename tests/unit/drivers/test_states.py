@@ -114,15 +114,6 @@ def test_rung_by_rung(case: str) -> None:
         assert (one.command(now, standing, state), one.stage) == (command, stage), now
 
 
-def test_it_never_goes_back_and_never_enables_again() -> None:
-    one = stop_sequence()
-    one.advance(StopStage.QUICK_STOP, 0.0, 100)
-    one.advance(StopStage.RAMP, 0.1, 100)
-    assert one.stage is StopStage.QUICK_STOP
-    for state in PowerState:
-        assert one.command(0.2, False, state)[0] in (0x00, 0x02)
-
-
 BIT_3 = 0x08  # enable operation
 Step = tuple[float, bool, int, StopStage | None]
 

@@ -73,18 +73,6 @@ def test_an_answer_of_4_bytes_is_told_and_no_mismatch(drives: Cabinet) -> None:
     assert "sent in 4 bytes" in mode.what
 
 
-@pytest.mark.slow
-def test_a_sound_machine_has_none(drives: Cabinet) -> None:
-    drives.heard()
-    sheet = drives.check()
-    assert sheet.mismatches == ()
-    assert commands(heard := drives.heard()) == []
-    assert len(heard) > 100
-    assert set(sheet.excitation.values()) == {"cyclic_velocity (60FFh)"}
-    assert sheet.text().endswith("Signature ____________________")
-    assert [row.what for row in sheet.rows if row.check == "settings" and "a connection writes" in row.what]
-
-
 @pytest.mark.parametrize("dictionary", ["plain", "gold", "simpliq", "powerball"])
 def test_sound_drives_of_other_makers_have_none(dictionary: str) -> None:
     with cabinet(dictionary) as bench:
@@ -102,33 +90,6 @@ def test_units_are_those_of_the_drive_once_a_connection_has_written_the_settings
     told = [row.what for row in sheet.rows if row.check == "map-settings" and row.verdict is CheckVerdict.NOTE]
     assert len(told) == len(slow)
     assert all("60A9h" in what for what in told)
-
-
-@pytest.mark.slow
-def test_no_verdict_gets_better_without_a_change_and_no_object_changes(drives: Cabinet) -> None:
-    """The commissioner left a speed limit below the profile's."""
-    limit = 100
-
-    def everything() -> list[dict[tuple[int, int], object]]:
-        held: list[dict[tuple[int, int], object]] = []
-
-        def read() -> None:
-            for joint in ("joint_1", "joint_2"):
-                dictionary = drives.dictionary(joint)
-                volatile = {0x6041, 0x6064, 0x606C, 0x6077, 0x6078, 0x6063, 0x60F4, 0x2120}
-                keys = [key for key in dictionary._variables if key in dictionary and key[0] not in volatile]
-                held.append({key: dictionary[key] for key in keys})
-
-        drives.desk.done(read)
-        return held
-
-    with drives.planted(holds(0x6080, 0, limit)):
-        before = everything()
-        first, second = drives.check(), drives.check()
-        assert everything() == before
-    assert {row.check for row in first.mismatches} == {"velocity-limit"}
-    assert second.mismatches == first.mismatches
-    assert [row.verdict for row in second.rows] == [row.verdict for row in first.rows]
 
 
 def test_limits_that_a_connection_wrote_are_no_ground_for_a_first_move(drives: Cabinet) -> None:

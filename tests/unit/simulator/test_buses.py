@@ -91,15 +91,6 @@ def test_another_channel_is_refused(machine: LiveMachine) -> None:
             assert client.recv(64) == b""
 
 
-@pytest.mark.slow
-def test_any_python_can_interface(machine: LiveMachine) -> None:
-    with running(VirtualDrive(machine, EDS, bus="virtual", channel="test buses")) as drive:
-        assert drive.port is None
-        with can.Bus(interface="virtual", channel="test buses") as bus:
-            bus.send(READ_STATUSWORD)
-            assert wait_for(bus, 0x581)[:4] == b"\x4b\x41\x60\x00"
-
-
 def test_a_bus_that_is_off_says_so_once_and_passes_nothing_either_way() -> None:
     selector, received = selectors.SelectSelector(), list[Frame]()
     bus = CanBus(selector, "virtual", "test bus-off", received.append)

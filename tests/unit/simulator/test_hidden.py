@@ -54,18 +54,6 @@ def test_one_thing_is_changed_and_nothing_else(seed: int) -> None:
     assert sum(elsewhere) == 1
 
 
-@pytest.mark.slow
-def test_the_size_is_some_hundredths_of_the_rated_effort() -> None:
-    scenario = load_scenario(MODELLED)
-    sizes = [
-        hidden.parameters["coulomb"] / scenario.nominal(hidden.joint).rated_effort
-        for _, hidden in (hide(scenario, seed) for seed in SEEDS)
-        if hidden.effect == "coulomb_friction"
-    ]
-    assert sizes
-    assert all(0.02 <= size <= 0.05 for size in sizes)
-
-
 def test_a_machine_without_weight_hides_nothing() -> None:
     scenario = load_scenario(MODELLED)
     upright = scenario.model_copy(update={"axes": {"joint_1": scenario.axes["joint_1"]}})

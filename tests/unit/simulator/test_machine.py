@@ -30,21 +30,6 @@ def test_an_axis_stands_under_gravity_braked_and_in_closed_loop(
     assert held.effort[-1, 1] == pytest.approx(-2720, rel=0.01)  # the arm leans forward
 
 
-def test_positions_follow_the_setpoint_and_the_brake_stops(noise_free: Callable[[str], Scenario]) -> None:
-    machine = LiveMachine(noise_free("full"), seed=1)
-    machine.energise("joint_1", True)
-    setpoints = np.zeros((2000, 6))
-    setpoints[:1000, 0] = 0.1 * np.sin(np.pi * np.arange(1000) / 1000) ** 2
-    moved = machine.advance(setpoints)
-    assert machine.positions()[0] == pytest.approx(0.05, abs=1e-3)  # dry friction holds it near
-    assert moved.position[-1, 0] == pytest.approx(machine.positions()[0], abs=1e-6)
-    machine.advance(np.full((300, 6), 0.05))
-    machine.energise("joint_1", False)
-    stopped = machine.advance(np.full((100, 6), 0.05))
-    assert np.ptp(stopped.position[:, 0]) == 0
-    assert not stopped.velocity.any()
-
-
 def test_small_calls_equal_one_large_call(noise_free: Callable[[str], Scenario]) -> None:
     setpoints = np.zeros((200, 6))
     setpoints[:, 2] = np.linspace(0, 0.02, 200)
@@ -55,17 +40,6 @@ def test_small_calls_equal_one_large_call(noise_free: Callable[[str], Scenario])
     parts = [pieces.advance(setpoints[k : k + 4]) for k in range(0, 200, 4)]
     np.testing.assert_allclose(np.concatenate([p.effort for p in parts]), expected.effort, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(np.concatenate([p.position for p in parts]), expected.position, rtol=1e-12)
-
-
-def test_the_pose_of_the_others_changes_the_torque(noise_free: Callable[[str], Scenario]) -> None:
-    def effort(q3: float) -> float:
-        machine = LiveMachine(noise_free("full"), seed=1)
-        machine.set_position("joint_2", 0.8)
-        machine.set_position("joint_3", q3)
-        machine.energise("joint_2", True)
-        return float(machine.advance(STILL).effort[-1, 1])
-
-    assert effort(1.0) - effort(-0.8) > 300
 
 
 def test_torque_limit_holds_and_is_reported(noise_free: Callable[[str], Scenario]) -> None:
@@ -127,14 +101,6 @@ def test_inertia_and_gravity_along_the_whole_way_of_each_axis(plant: Scenario) -
                 moved[joint] = position
                 expected = pinocchio.computeGeneralizedGravity(oracle, data, moved)[joint]
                 assert gravity.at(position) == pytest.approx(expected, rel=1e-9, abs=1e-9)
-
-
-@pytest.mark.slow
-def test_true_inertia_counts_the_motor(scenario: Callable[[str], Scenario]) -> None:
-    full = scenario("full")
-    motor = 171.0**2 * 0.001995
-    loads = [RigidBody(full).inertia(pose)[0] for pose in POSES]
-    np.testing.assert_allclose(true_inertia(full, "joint_1", POSES), np.array(loads) + motor, rtol=1e-12)
 
 
 def test_poses_that_do_not_fit_are_refused(scenario: Callable[[str], Scenario]) -> None:

@@ -6,12 +6,9 @@ from pathlib import Path
 from typing import Any, cast
 
 import mujoco
-import numpy as np
 import pytest
 import yaml
 
-from service.model.robot import RobotDescription, build_robot
-from service.model.urdf import inertia_matrix, transform_inertial
 from simulator import Scenario, ScenarioError, load_scenario
 
 CONFIG = Path(__file__).parents[3] / "config"
@@ -31,14 +28,6 @@ def edited(tmp_path: Path) -> Callable[[str, str], Path]:
         return path
 
     return edit
-
-
-@pytest.mark.parametrize("name", ["full", "rigid", "misfit"])
-def test_shipped_scenarios(scenario: Callable[[str], Scenario], name: str) -> None:
-    loaded = scenario(name)
-    assert loaded.name == f"max100-{name}"
-    assert list(loaded.axes) == ["joint_1", "joint_2", "joint_3"]
-    assert all(axis.load_encoder for axis in loaded.axes.values())
 
 
 @pytest.mark.parametrize(
@@ -94,23 +83,6 @@ def contacts(model: Any, *positions: float) -> set[tuple[str, str]]:
     return {
         (model.body(model.geom_bodyid[c.geom1]).name, model.body(model.geom_bodyid[c.geom2]).name) for c in data.contact
     }
-
-
-def test_the_service_accepts_the_side_file_and_it_fits_the_urdf() -> None:
-    description = RobotDescription.model_validate(yaml.safe_load((ROBOTS / "max100-class.yaml").read_text()))
-    robot = build_robot(description, (ROBOTS / description.urdf).read_text())
-    assert robot.joints == tuple(f"joint_{k}" for k in range(1, 7))
-    for axis, joint in zip(robot.axes, robot.chain.joints, strict=True):
-        assert axis.rated_effort <= joint.effort
-
-
-def test_every_link_could_be_a_real_body() -> None:
-    description = RobotDescription.model_validate(yaml.safe_load((ROBOTS / "max100-class.yaml").read_text()))
-    for parameters in build_robot(description, URDF.read_text()).chain.inertial:
-        centre = parameters[1:4] / parameters[0]
-        moments = np.linalg.eigvalsh(inertia_matrix(transform_inertial(parameters, np.eye(3), -centre)))
-        assert moments[0] > 0
-        assert moments[2] < moments[0] + moments[1]
 
 
 def test_every_link_has_a_collision_shape(model: Any) -> None:

@@ -23,27 +23,15 @@ from simulator import (
     run_trajectories,
     true_inertia,
 )
-from simulator.coupled import CoupledTrains
 from simulator.machine import LiveMachine
 from simulator.plant import Plant
 from simulator.rigid_body import RigidBody, moving_axis, real_urdf
-from simulator.scenario import STEP
 from tests.unit.simulator.conftest import line
 
 pytestmark = pytest.mark.slow
 
 Make = Callable[..., SweepRun]
 Load = Callable[[str], Scenario]
-
-
-def test_columns(scenario: Load, sweep: Make) -> None:
-    (columns,) = run_sweeps(scenario("full"), [sweep("joint_1")], seed=1)
-    assert list(columns) == [
-        "time", "effort", "velocity", "position", "velocity_setpoint", "load_position", "load_velocity"
-    ]  # fmt: skip
-    assert {len(values) for values in columns.values()} == {4000}
-    np.testing.assert_allclose(columns["time"], np.arange(4000) / 1000)
-    assert columns["position"][0] == pytest.approx(0.1, abs=1e-6)
 
 
 def test_the_seed_decides_and_repeats_differ(scenario: Load, sweep: Make) -> None:
@@ -236,18 +224,6 @@ def test_all_axes_move_by_the_equations_of_motion(noise_free: Load) -> None:
         torque = pin.rnea(model, data, position[k], velocity[k], acceleration[k])
         expected = torque + motor * acceleration[k] + viscous * velocity[k]
         np.testing.assert_array_less(np.abs(effort[k] - expected) / rated, 3e-5)
-
-
-def test_a_standing_robot_rests_on_its_holding_torque(noise_free: Load) -> None:
-    trains = CoupledTrains(noise_free("six"), STEP)
-    trains.stand(np.array(POSE))
-    effort = np.array([trains.settle(row) for row in range(6)])
-    effort = np.array([trains.settle(row) for row in range(6)])  # every load has sagged by now
-    trains.free[:] = 1.0
-    start = trains.position.copy()
-    for _ in range(400):
-        trains.step(effort)
-    np.testing.assert_allclose(trains.position, start, atol=1e-6)
 
 
 def test_dry_friction_holds_an_axis_that_another_shakes(noise_free: Load) -> None:

@@ -239,13 +239,6 @@ def test_a_locked_axis_has_no_power(bench: Bench) -> None:
     assert not bench.axis("joint_4")["energised"]
 
 
-def test_the_drive_is_described_by_robot_and_scenario(bench: Bench) -> None:
-    info, dictionary = bench.machine.axes[1], bench.cabinet.nodes["joint_2"].dictionary
-    assert dictionary[0x6076, 0] == round(info.rated_effort / info.gear_ratio * 1000)
-    assert dictionary[0x6072, 0] == 2000
-    assert dictionary[0x607D, 1] < 0 < dictionary[0x607D, 2]
-
-
 # -- faults to order
 
 
@@ -329,22 +322,6 @@ def test_a_large_glitch_is_the_encoder_fault(bench: Bench) -> None:
     assert bench.axis()["measuring"] == "aborted"
 
 
-def test_a_weak_power_section_cannot_hold_the_arm(bench: Bench) -> None:
-    bench.enable(2, 1)
-    bench.move(2, 4.0)  # leans forward: gravity must be held
-    bench.wait(1.0)
-    assert int(bench.held(0x6041, joint="joint_2")) & 0x1400 == 0x1400
-    bench.order("saturate", "joint_2", torque_permille=10)
-    assert Frame(0x82, struct.pack("<HB5x", 0x2310, 0x03)) in bench.wait(0.5)
-    assert not bench.axis("joint_2")["energised"]
-    bench.order("saturate", "joint_2", torque_permille=None)
-    for controlword in (0, 0x80):
-        bench.write(2, 0x6040, 0, "H", controlword)
-    bench.enable(2, 1)
-    bench.wait(0.5)
-    assert bench.axis("joint_2")["state"] == "operation_enabled"
-
-
 def test_a_reboot_forgets_everything_but_the_place(bench: Bench) -> None:
     bench.write(1, 0x6085, 0, "I", 12345)
     bench.write(1, 0x1017, 0, "H", 50)
@@ -358,32 +335,3 @@ def test_a_reboot_forgets_everything_but_the_place(bench: Bench) -> None:
     assert abs(float(str(after["position"]))) > 0
     assert (bench.held(0x6085), bench.held(0x1017)) == (5_000_000, 0)
     assert bench.held(0x6064) / 2**20 == pytest.approx(float(str(after["position"])) * GEAR / (2 * np.pi), abs=1e-5)
-
-
-def test_swapped_node_ids_lead_to_the_other_motor(bench: Bench) -> None:
-    bench.enable(1, 1)
-    bench.order("swap", **{"with": "joint_2"})
-    assert not bench.axis()["energised"]
-    assert [int(bench.held(0x1018, 4, joint)) for joint in ("joint_1", "joint_2")] == [1001, 1002]  # go with the drive
-    bench.enable(1, 1)
-    bench.move(1, 1.0)
-    bench.wait(1.0)
-    assert float(str(bench.axis("joint_2")["position"])) > 0.01
-    assert bench.axis()["position"] == pytest.approx(0.0, abs=1e-3)
-    bench.frame(0, b"\x01\x00")
-    sent = [frame.id for frame in bench.frame(0x80)]
-    assert [sent.count(0x181), sent.count(0x182)] == [1, 1]
-
-
-@pytest.mark.parametrize("doing", ["measures", "moves", "stands"])
-def test_safe_torque_off_in_the_middle_of_anything(bench: Bench, doing: str) -> None:
-    bench.enable(1, 1)
-    {"measures": lambda: bench.measure(50), "moves": lambda: bench.move(1, 20.0), "stands": lambda: None}[doing]()
-    bench.wait(0.1)
-    assert bench.state() == ("operation_enabled", True)
-    bench.order("emergency_stop", None, on=True)
-    assert bench.state() == ("fault", False)
-    assert bench.held(0x2130, 1) == 1
-    assert bench.reset_fault() == "fault"
-    bench.order("emergency_stop", None, on=False)
-    assert bench.reset_fault() == "switch_on_disabled"

@@ -34,28 +34,12 @@ def abort(index: int, subindex: int, code: AbortCode) -> list[bytes]:
     return [struct.pack("<BHBI", 0x80, index, subindex, code)]
 
 
-def test_expedited(server: SdoServer) -> None:
-    assert server.handle(head(0x2B, 0x1017, 0) + b"\x64\0\0\0") == [head(0x60, 0x1017, 0) + bytes(4)]
-    assert server.handle(head(0x40, 0x1017, 0) + bytes(4)) == [head(0x4B, 0x1017, 0) + b"\x64\0\0\0"]
-
-
 def test_segmented_download(server: SdoServer, dictionary: ObjectDictionary) -> None:
     data = struct.pack("<d", 3.5)
     assert server.handle(head(0x21, 0x2100, 4) + struct.pack("<I", 8)) == [head(0x60, 0x2100, 4) + bytes(4)]
     assert server.handle(b"\x00" + data[:7]) == [b"\x20" + bytes(7)]
     assert server.handle(b"\x1d" + data[7:] + bytes(6)) == [b"\x30" + bytes(7)]
     assert dictionary[0x2100, 4] == 3.5
-
-
-def test_segmented_upload(server: SdoServer) -> None:
-    assert server.handle(head(0x40, 0x2110, 3) + bytes(4)) == [head(0x41, 0x2110, 3) + struct.pack("<I", len(TRACE))]
-    got, toggle, last = b"", 0, False
-    while not last:
-        (response,) = server.handle(bytes([0x60 | toggle]) + bytes(7))
-        assert response[0] & 0x10 == toggle
-        got += response[1 : 8 - (response[0] >> 1 & 7)]
-        last, toggle = bool(response[0] & 1), toggle ^ 0x10
-    assert got == TRACE
 
 
 def test_block_upload_with_a_lost_segment(server: SdoServer) -> None:
@@ -100,17 +84,6 @@ def pdos(dictionary: ObjectDictionary) -> tuple[list[PdoChannel], list[PdoChanne
 
 def write(dictionary: ObjectDictionary, index: int, subindex: int, value: int) -> None:
     dictionary.download(index, subindex, struct.pack("<B" if subindex == 0 else "<I", value))
-
-
-def test_default_mapping(dictionary: ObjectDictionary, pdos: tuple[list[PdoChannel], list[PdoChannel]]) -> None:
-    (receive,), (first, second) = pdos
-    dictionary[0x6041, 0], dictionary[0x606C, 0], dictionary[0x6077, 0] = 0x0637, -100_000, -7
-    dictionary[0x6064, 0], dictionary[0x2120, 1] = -5, 6
-    assert (first.cob_id, first.pack()) == (0x183, struct.pack("<Hih", 0x0637, -100_000, -7))
-    assert (second.cob_id, second.pack()) == (0x283, struct.pack("<iI", -5, 6))
-    assert receive.cob_id == 0x203
-    assert receive.unpack(b"\x0f\0\1\0\0\0") == [((0x6040, 0), b"\x0f\0"), ((0x60FF, 0), b"\1\0\0\0")]
-    assert receive.size == 6
 
 
 def test_remapped_by_the_usual_procedure(

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
+from simulator.drive.dictionary import ObjectDictionary
 from simulator.drive.power_drive import ENERGISED, Command, DriveState, FaultCode
 from simulator.drive.profile import brake, travel
 from simulator.drive.virtual_axis import VirtualAxis
@@ -48,17 +48,6 @@ def test_positioning_and_its_handshake(
     axis.control(0x5F)  # relative: 3 more
     turn(4000)
     assert axis.position == pytest.approx(6.0, abs=1e-3)
-
-
-def test_a_new_target_is_taken_at_once(
-    dictionary: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable
-) -> None:
-    enable(1)
-    target(dictionary, axis, 50.0)
-    turn(400)
-    target(dictionary, axis, -1.0)
-    turn(8000)
-    assert axis.position == pytest.approx(-1.0, abs=1e-3)
 
 
 def test_halt_stops_and_keeps_the_axis_enabled(
@@ -128,21 +117,6 @@ def test_shutdown_and_disable_operation_ramp_first(
     turn(400)
     assert axis.state is end
     assert not axis.energised
-
-
-def test_cyclic_velocity_is_interpolated_between_syncs(
-    dictionary: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable
-) -> None:
-    enable(9)
-    assert not axis.interpolating
-    stream(dictionary, axis, 1.0, 0.0)
-    assert axis.interpolating
-    assert turn(4, 4) == pytest.approx([0.25, 0.5, 0.75, 1.0])
-    stream(dictionary, axis, -1.0, 0.004)
-    assert turn(4, 4) == pytest.approx([0.5, 0.0, -0.5, -1.0])
-    with pytest.raises(SdoAbort) as refused:
-        dictionary.download(0x6060, 0, b"\x01")
-    assert refused.value.code is AbortCode.STATE  # it moves
 
 
 def test_missing_syncs_and_set_points_are_faults(
@@ -269,14 +243,6 @@ def test_errors_are_told_and_remembered(dictionary: ObjectDictionary, axis: Virt
 speed = st.floats(0.1, 50)
 
 
-def test_a_trapezoid_by_hand() -> None:
-    # 1 rev/s^2 up to 2 rev/s (2 s, 2 rev), 6 rev at 2 rev/s (3 s), 2 rev/s^2 down (1 s, 1 rev): 9 rev in 6 s
-    motion = travel(9.0, 0.0, 2.0, 1.0, 2.0)
-    assert motion.duration == pytest.approx(6.0)
-    assert motion.velocity(np.array([0.0, 1.0, 2.0, 4.0, 5.5, 6.0, 7.0])) == pytest.approx([0, 1, 2, 2, 1, 0, 0])
-    assert motion.position(np.array([0.0, 1.0, 2.0, 5.0, 6.0, 9.0])) == pytest.approx([0, 0.5, 2, 8, 9, 9])
-
-
 def test_a_triangle_and_no_way_at_all() -> None:
     assert travel(-2.0, 0.0, 50.0, 2.0, 2.0).velocities == pytest.approx((0, -2, -2, 0))
     assert travel(0.0, 0.0, 1.0, 1.0, 1.0).duration == 0.0
@@ -353,25 +319,3 @@ def test_a_fault_is_reset_by_the_rising_edge_only(axis: VirtualAxis) -> None:
     assert axis.state is DriveState.SWITCH_ON_DISABLED
     axis.control(0x8F)
     assert axis.state is DriveState.SWITCH_ON_DISABLED
-
-
-@pytest.mark.parametrize(
-    ("state", "mask", "code"),
-    [
-        (DriveState.NOT_READY_TO_SWITCH_ON, 0x4F, 0x00),
-        (DriveState.SWITCH_ON_DISABLED, 0x4F, 0x40),
-        (DriveState.READY_TO_SWITCH_ON, 0x6F, 0x21),
-        (DriveState.SWITCHED_ON, 0x6F, 0x23),
-        (DriveState.OPERATION_ENABLED, 0x6F, 0x27),
-        (DriveState.QUICK_STOP_ACTIVE, 0x6F, 0x07),
-        (DriveState.FAULT_REACTION_ACTIVE, 0x4F, 0x0F),
-        (DriveState.FAULT, 0x4F, 0x08),
-    ],
-)
-def test_the_statusword_of_every_state(
-    dictionary: ObjectDictionary, axis: VirtualAxis, state: DriveState, mask: int, code: int
-) -> None:
-    axis.state = state
-    axis.control(0x80)
-    if state is not DriveState.FAULT:  # that was a reset
-        assert dictionary[0x6041, 0] & mask == code

@@ -11,7 +11,7 @@ from simulator import Scenario
 from simulator.canopen.cabinet import CanopenCabinet
 from simulator.canopen.pdo import Frame
 from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
-from simulator.drive.measuring import DriveSamples, DriveTrace, FunctionState, Rejection
+from simulator.drive.measuring import FunctionState, Rejection
 from simulator.drive.power_drive import DriveState
 from simulator.drive.virtual_axis import VirtualAxis
 from simulator.machine import LiveMachine
@@ -42,22 +42,6 @@ def by_hand(time: float) -> float:
     """The set-point in rev/min without its envelope, s after the start."""
     t = time - 1.5
     return 60 + 6 * np.sin(2 * np.pi * 2 * t + 0.3) + 12 * np.sin(2 * np.pi * 5 * t - 1)
-
-
-def test_the_trace_keeps_block_means() -> None:
-    trace = DriveTrace(stride=4, capacity=3, cycle=0.001)
-    rows = np.arange(14.0)
-    for part in (rows[:3], rows[3:9], rows[9:]):
-        trace.extend(DriveSamples(part, part > 99, part / 60, -part / 60, 2 * part, np.full_like(part, np.nan), part))
-    assert trace.count == 3  # the last two rows are no whole block, and it is full
-    page = trace.page(1, 512)
-    assert [RECORD.unpack_from(page, at)[:5] for at in (0, 32)] == [
-        (1, 5.5, 5.5, -5.5, 11.0),
-        (2, 9.5, 9.5, -9.5, 19.0),
-    ]
-    assert np.isnan(RECORD.unpack_from(page, 0)[5])
-    assert trace.page(0, 1) + trace.page(1, 2) == trace.page(0, 3)
-    assert trace.page(3, 5) == b""
 
 
 def test_a_run_from_start_to_page(dictionary: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable) -> None:
@@ -133,7 +117,6 @@ def test_abort_brings_it_to_standstill_and_keeps_the_trace(
     assert dictionary[0x2100, 2] == FunctionState.RUNNING
 
 
-NOISE_RECORD = struct.Struct("<Ifffddf")
 EDS = Path(__file__).parents[4] / "config/eds/virtual-axis.eds"
 
 
@@ -165,26 +148,6 @@ def test_one_period_by_the_formula() -> None:
     assert torque[344] == pytest.approx(by_hand)
 
 
-def test_a_noise_run_from_start_to_page(ready: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable) -> None:
-    enable(1)
-    start(ready)
-    assert ready[0x2100, 2] == FunctionState.RUNNING
-    speeds = turn(4000, 10)
-    assert ready[0x2100, 2] == FunctionState.DONE
-    assert speeds[1500:3500] == pytest.approx(np.full(2000, 17 / 60))
-    samples = []
-    for first in (0, 500):
-        ready[0x2110, 1], ready[0x2110, 2] = first, 512
-        samples += list(NOISE_RECORD.iter_unpack(ready.upload(0x2110, 3)))[:500]
-    assert [sample[0] for sample in samples] == list(range(1000))
-    injected = np.array([sample[6] for sample in samples])
-    assert injected == pytest.approx(np.array([sample[1] for sample in samples]))  # nothing else was in the torque
-    period = torque_noise(0.2, 1.0, 40.0, 1.0, seed=11, cycle=0.001).reshape(-1, 4).mean(axis=1)
-    assert injected[375:875] == pytest.approx(np.roll(np.tile(period, 2), -375)[:500], abs=1e-6)
-    assert abs(injected[[0, -1]]).max() < 1e-3
-    assert axis.measuring.injection(8) == pytest.approx(np.zeros(8))
-
-
 @pytest.mark.parametrize(
     ("key", "value", "reason"),
     [
@@ -206,17 +169,6 @@ def test_rejections_of_noise(
     start(ready)
     assert (ready[0x2100, 2], ready[0x2100, 3]) == (FunctionState.REJECTED, reason)
     assert axis.measuring.injection(8) == pytest.approx(np.zeros(8))
-
-
-def test_a_sweep_after_it_has_no_noise(ready: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable) -> None:
-    enable(1)
-    start(ready)
-    turn(4000, 10)
-    ready[0x2100, 0x0C] = 0
-    start(ready)
-    assert axis.measuring.injection(4000) == pytest.approx(np.zeros(4000))
-    turn(400, 10)
-    assert len(ready.upload(0x2110, 3)) == 100 * 32
 
 
 @pytest.mark.parametrize("end", ["abort", "quick stop", "fault", "emergency stop", "torque off"])
@@ -283,13 +235,6 @@ def test_the_drive_itself_restores_the_commissioned_control(
         axis.lose_host()
     assert axis.speed_control.active == (0.5, 0.1)
     assert not axis.speed_control.softened
-
-
-def test_a_command_does_not(ready: ObjectDictionary, axis: VirtualAxis, enable: Enable) -> None:
-    enable(1)
-    write(ready, 1, 0.25)
-    axis.disable_voltage()
-    assert axis.speed_control.softened
 
 
 def test_the_machine_follows_and_a_reboot_restores(scenario: Callable[[str], Scenario]) -> None:

@@ -32,28 +32,6 @@ Run = Callable[..., Samples]
 SPRING = {"stiffness": 4e5, "damping": 300.0}
 
 
-def test_the_spring_takes_up_what_is_beyond_the_backlash(axis: Make) -> None:
-    trains = DriveTrains([axis(spring=SPRING | {"backlash": 4e-4, "hardening": 1e9})] * 4, STEP)
-    trains.position[0] = [1e-4, -2e-4, 5e-4, -7e-4]
-    beyond = np.array([0.0, 0.0, 3e-4, -5e-4])
-    np.testing.assert_allclose(trains.twist(), beyond, atol=1e-18)
-    np.testing.assert_allclose(trains.spring_torque(), 4e5 * beyond + 1e9 * beyond**3)
-
-
-def test_a_reversing_motor_travels_through_the_backlash(axis: Make, turned: Run) -> None:
-    """The load rests on its friction until the motor has come through the gap as well."""
-    time = np.arange(4000) * 1e-3
-    speed = 0.01 * np.sin(2 * np.pi * 0.5 * time)
-    friction = {"coulomb": 40.0}
-    axes = [axis(spring=SPRING | {"backlash": gap}, load_friction=friction) for gap in (0.0, 6e-4)]
-    samples = turned(axes, np.stack([speed, speed], axis=1))
-    lag = np.ptp((samples.position - samples.load_position)[1000:], axis=0)
-    assert lag[0] > 2 * 40.0 / 4e5  # what the spring winds
-    assert lag[1] - lag[0] == pytest.approx(6e-4, rel=0.1)
-    loose = np.abs(samples.load_velocity) < 1e-9  # the load rests longer, by the time the motor needs
-    assert loose[1000:, 1].sum() > 1.3 * loose[1000:, 0].sum()
-
-
 def test_a_load_hangs_on_one_flank(axis: Make) -> None:
     train = {"spring": SPRING | {"backlash": 4e-4}, "gear_error": ({"order": 2, "amplitude": 1e-4, "phase": 0.3},)}
     trains = DriveTrains([axis(Gravity(constant=weight), **train) for weight in (200.0, -200.0, 0.0)], STEP)

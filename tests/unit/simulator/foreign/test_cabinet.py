@@ -83,32 +83,6 @@ def test_a_fault_comes_with_a_counted_sync(master: Master) -> None:
     assert master.number(0x603F) == 0x7305
 
 
-def test_a_saturated_axis_gives_no_more_torque(master: Master) -> None:
-    cycle = master.enabled(9, VELOCITY)
-    master.foreign.order("saturate", joint="joint_1", torque_permille=10)
-    _, velocity, permille, _ = cycle.run(ENABLE, 200_000, 100)
-    master.foreign.order("saturate", joint="joint_1", torque_permille=None)
-    assert abs(velocity) < 2000
-    assert permille <= 11
-
-
-def test_lost_and_doubled_frames(master: Master) -> None:
-    cycle = Cycle(master, VELOCITY)
-    cycle.sync()
-    seen: list[float] = []
-    cycle.state.add_callback(lambda _: seen.append(0.0))
-    master.foreign.order("duplicate_tpdos", joint="joint_1", count=1)
-    for _ in range(2):
-        master.network.sync.transmit()
-    master.settle(lambda: len(seen) == 3)
-    master.foreign.order("drop_tpdos", joint="joint_1", count=2)  # both TPDOs of one SYNC
-    for _ in range(3):
-        master.network.sync.transmit()
-    master.settle(lambda: len(seen) == 5)
-    assert master.number(0x6041) & 0x6F == 0x40  # and no more on the way
-    assert len(seen) == 5
-
-
 def test_a_joint_without_a_dictionary_is_told() -> None:
     machine = LiveMachine(load_scenario(RIGID), 0)
     with pytest.raises(ScenarioError, match=r"joint joint_1: no dictionary for its drive"):

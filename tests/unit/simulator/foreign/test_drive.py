@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from simulator.canopen.node import Nmt
-from tests.unit.simulator.foreign.master import ENABLE, PERIOD, QUICK_STOP, RESET, SHUT_DOWN, SWITCH_ON, Cycle, Master
+from tests.unit.simulator.foreign.master import ENABLE, PERIOD, QUICK_STOP, SHUT_DOWN, SWITCH_ON, Cycle, Master
 
 INCREMENTS, GEAR, RATED = 131072, 171, 17.544  # a motor revolution, of joint 1, N m
 JOINT = math.tau / GEAR / INCREMENTS  # rad (rad/s) of the joint in one increment (a second)
@@ -33,44 +32,6 @@ def test_the_package_walks_the_states(master: Master) -> None:
     node.state = "OPERATION ENABLED"
     node.state = "SWITCH ON DISABLED"
     assert not master.truth()["energised"]
-
-
-def test_a_fault_is_told_everywhere_and_reset_by_a_rising_edge_alone(master: Master) -> None:
-    cycle = master.enabled(CSV, TARGET_VELOCITY)
-    master.foreign.order("fault", joint="joint_1", code=0x7305)
-    master.settle(lambda: master.number(0x6041) & 0x4F == 0x08)
-    assert master.emergencies == [0x7305]
-    assert master.number(0x603F) == 0x7305
-    assert master.number(0x1001) & 0x21 == 0x21
-    assert master.number(0x1003) == 1
-    assert master.number(0x1003, 1) == 0x7305
-    cycle.run(ENABLE, 0, 2)
-    assert master.number(0x6041) & 0x4F == 0x08
-    cycle.run(RESET, 0, 2)
-    assert master.number(0x6041) & 0x6F == 0x40
-    assert master.number(0x603F) == 0
-    master.settle(lambda: 0 in master.emergencies)
-    assert master.number(0x1003) == 1
-    master.write(0x1003, 0, 0, 1)
-    assert master.number(0x1003) == 0
-
-
-def test_a_commanded_velocity_turns_the_axis_and_the_torque_is_the_true_one(master: Master) -> None:
-    cycle = Cycle(master, TARGET_VELOCITY)
-    master.write(0x6060, 0, CSV, 1)
-    assert master.number(0x6061) == CSV
-    cycle.enable()
-    before = cycle.run(ENABLE, SPEED, 100)[3]
-    word, velocity, permille, after = cycle.run(ENABLE, SPEED, 200)
-    told, truth = permille * 1e-3 * RATED * GEAR, master.truth()
-    assert word & 0x1000
-    assert velocity == pytest.approx(SPEED, rel=0.1)
-    assert truth["velocity"] == pytest.approx(SPEED * JOINT, rel=0.1)
-    assert told == pytest.approx(truth["effort"], abs=30.0)
-    assert after - before == pytest.approx(SPEED * 200 * PERIOD * 1e-3, rel=0.02)
-    assert truth["position"] == pytest.approx(after * JOINT, abs=1e-3)
-    cycle.run(ENABLE, 0, 100)
-    assert abs(master.truth()["velocity"]) < 1e-5
 
 
 def test_set_points_are_interpolated_over_60c2(master: Master) -> None:
@@ -101,19 +62,6 @@ def test_the_profile_of_velocity_obeys_its_ramps(master: Master) -> None:
     word, velocity, *_ = cycle.run(ENABLE | 0x100, SPEED, 1)
     assert abs(velocity) < 500
     assert word & 0x1000
-
-
-def test_a_profile_move_arrives_with_the_handshake(master: Master) -> None:
-    cycle = Cycle(master, TARGET_POSITION)
-    master.write(0x6060, 0, PP, 1)
-    here = cycle.run(0, 0, 1)[3]
-    cycle.enable(here)
-    goal = here + INCREMENTS
-    assert cycle.run(ENABLE | 0x10, goal, 2)[0] & 0x1400 == 0x1000
-    assert not cycle.run(ENABLE, goal, 2)[0] & 0x1000
-    master.settle(lambda: bool(cycle.run(ENABLE, goal, 1)[0] & 0x0400))
-    assert cycle.run(ENABLE, goal, 1)[3] == pytest.approx(goal, abs=INCREMENTS / 500)
-    assert master.truth()["position"] == pytest.approx(goal * JOINT, abs=1e-4)
 
 
 def test_a_move_ends_at_the_position_limit(master: Master) -> None:
@@ -169,25 +117,6 @@ def test_quick_stop_as_its_option_says(master: Master, option: int, state: int) 
     master.settle(lambda: abs(master.truth()["velocity"]) < 1e-5)
     assert cycle.run(QUICK_STOP, SPEED, 20)[0] & 0x6F == state
     assert abs(master.truth()["velocity"]) < 1e-5
-
-
-@pytest.mark.slow
-def test_a_host_that_falls_silent_stops_the_axis(master: Master) -> None:
-    master.write(0x1016, 1, 127 << 16 | 300, 4)
-    turning(master)
-    assert master.truth()["energised"]  # nobody is watched before the first heartbeat
-    master.network.send_message(0x77F, bytes([Nmt.OPERATIONAL]))
-    master.settle(lambda: 0x8130 in master.emergencies)
-    master.settle(lambda: not master.truth()["energised"])
-    assert master.number(0x603F) == 0x8130
-    assert master.truth()["nmt"] == "pre_operational"  # 1029h
-
-
-def test_it_tells_its_state_as_often_as_asked(master: Master) -> None:
-    master.write(0x1017, 0, 20, 2)
-    for command, state in ((1, "OPERATIONAL"), (2, "STOPPED"), (128, "PRE-OPERATIONAL")):
-        master.network.send_message(0, [command, 0])
-        master.settle(lambda state=state: master.node.nmt.wait_for_heartbeat() == state)
 
 
 def test_a_set_point_left_behind_counts(master: Master) -> None:

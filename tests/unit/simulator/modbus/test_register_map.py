@@ -52,15 +52,6 @@ def test_shipped_maps_are_wide_and_fine_enough(name: str) -> None:
         assert back == pytest.approx(largest, rel=1e-6), signal
 
 
-def test_words_in_either_order() -> None:
-    wire = Wire(type="u32")
-    assert wire.encode(0x12345678, "high_first") == [0x1234, 0x5678]
-    assert wire.encode(0x12345678, "low_first") == [0x5678, 0x1234]
-    assert Wire(type="f32").encode(1.0, "high_first") == [0x3F80, 0]
-    assert Wire(type="i16", scale=0.1).encode(-0.5, "low_first") == [0xFFFB]
-    assert wire.decode([0x5678, 0x1234], "low_first") == 0x12345678
-
-
 @given(
     kind=st.sampled_from(["u16", "i16", "u32", "i32"]),
     order=st.sampled_from(["high_first", "low_first"]),

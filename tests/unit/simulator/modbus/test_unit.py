@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 from pymodbus.constants import ExcCodes
 from pymodbus.pdu import ExceptionResponse, ModbusPDU
@@ -132,15 +131,6 @@ def test_every_writable_signal_comes_back_as_it_was_written(bench: Bench) -> Non
     assert d[0x2100, 4] == pytest.approx(-17.1)
 
 
-@pytest.mark.parametrize(("name", "index"), [("frequency", 0x2101), ("amplitude", 0x2102), ("phase", 0x2103)])
-def test_arrays_in_one_request_or_in_parts(bench: Bench, name: str, index: int) -> None:
-    signal, order = bench.registers.signals[name], bench.registers.word_order
-    words = [word for k in range(16) for word in signal.encode(0.5 * k, order)]
-    bench.unit.write(signal.address, words)
-    assert [bench.unit.dictionary[index, k] for k in range(1, 17)] == pytest.approx(list(np.arange(16) * 0.5))
-    assert bench.unit.read(signal.address + 6, 4) == words[6:10]
-
-
 def test_what_is_refused_and_how(bench: Bench) -> None:
     unit = bench.unit
     wide = bench.registers.signals["target_position"].address
@@ -170,13 +160,6 @@ def test_states_that_refuse(bench: Bench) -> None:
     bench.wait(0.1)
     assert refused(lambda: bench.put("mode", 0)) is STATE
     assert bench.get("mode_display") == 1
-
-
-def test_parameters_that_move_nothing(bench: Bench) -> None:
-    bench.enable()
-    bench.put("ramp", float("nan") if bench.registers.signals["ramp"].type == "f32" else 0.0)
-    bench.put("measuring_command", 1)
-    assert (bench.get("measuring_state"), bench.get("measuring_reason")) == (4, 4)
 
 
 def test_watchdog_of_an_enabled_axis(bench: Bench) -> None:
