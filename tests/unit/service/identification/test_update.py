@@ -94,7 +94,7 @@ def test_the_linear_part_is_the_least_squares_of_all_sweeps(seed: int) -> None:
         basis, edges = np.linalg.qr(white)[0], np.cumsum([0, *map(len, values)])
         for k, (a, b) in enumerate(pairwise(edges)):
             squares, freedom = np.sum((right - white @ solution)[a:b] ** 2), b - a - np.sum(basis[a:b] ** 2)
-            if squares > chi2.isf(joint_fit.CHANCE, freedom):
+            if squares > chi2.isf(joint_fit.FitLimits.chance, freedom):
                 scales[k] = squares / freedom
     document: dict[str, Any] = found.document
     told = np.array([one["value"] for one in document["base_parameters"]])
