@@ -31,9 +31,6 @@ from tests.unit.service.campaigns.conftest import POSES, Again, Bench, command
 pytestmark = pytest.mark.slow
 
 
-ROOT = Path(__file__).parents[4]
-
-
 RUN = Run(campaign_id=1, number=3, attempt=1)
 
 
@@ -219,19 +216,6 @@ def test_a_torn_stream_gives_back_all_but_the_torn_block(files: RecordingFiles, 
     found = read_stream(path)
     assert found is not None
     assert len(found[0].time) == 400
-
-
-WRITER = """
-import sys
-from pathlib import Path
-from tests.unit.service.campaigns.test_recorder import COMMAND, block
-from service.machine.execution.plausibility import ImplausibleChannels
-from service.machine.execution.recording import Recorder
-recorder = Recorder(Path(sys.argv[1]), COMMAND)
-for n in range(10**6):
-    recorder.write(block(50 * n, 50 * n + 50))
-    print(n + 1, flush=True)
-"""
 
 
 def test_the_injected_torque_of_a_noise_run_is_recorded(files: RecordingFiles) -> None:
