@@ -21,29 +21,21 @@ def runbook(monkeypatch: pytest.MonkeyPatch) -> Any:
     return importlib.import_module
 
 
-def test_the_last_axis_moves_what_is_mounted_on_it(runbook: Any) -> None:
-    turned = URDF.replace('name="j2" type="prismatic"', 'name="j2" type="revolute"')
-    turned = turned.replace('<axis xyz="1 0 0"/>', '<axis xyz="0 0 1"/>')
-    arm = robot()
-    arm = type(arm)(arm.description, turned)
-    sweep = {
-        "spec": {"axis": "j2", "pose": [0.0, 0.5]},
-        "duration": 10.0,
-        "position_window": [0.4, 0.6],
-        "legs": [],
-    }
+@pytest.mark.parametrize(
+    ("old", "new", "moves_mm"),
+    [
+        ('<axis xyz="1 0 0"/>', '<axis xyz="0 0 1"/>', 1e3 * 0.5 * 0.2),  # the flange is 0.5 m from the axis
+        ("0.5 0 0.7", "0.5 0 0", None),  # the axis goes through the end of the arm
+    ],
+)
+def test_the_last_axis_moves_what_is_mounted_on_it(runbook: Any, old: str, new: str, moves_mm: float | None) -> None:
+    turned = URDF.replace('name="j2" type="prismatic"', 'name="j2" type="revolute"').replace(old, new)
+    arm = type(robot())(robot().description, turned)
+    sweep = {"spec": {"axis": "j2", "pose": [0.0, 0.5]}, "duration": 10.0, "position_window": [0.4, 0.6], "legs": []}
     (move,) = runbook("moves").moves(arm, [sweep], {"j2": 0.5})
     assert move.joint == "j2"
-    assert move.arm_mm == pytest.approx(1e3 * 0.5 * 0.2)  # the flange is 0.5 m from the axis
-
-
-def test_an_axis_through_the_end_of_the_arm_tells_no_motion_of_it(runbook: Any) -> None:
-    turned = URDF.replace('name="j2" type="prismatic"', 'name="j2" type="revolute"').replace("0.5 0 0.7", "0.5 0 0")
-    arm = type(robot())(robot().description, turned)
-    sweep = {"spec": {"axis": "j2", "pose": [0.0, 0.5]}, "duration": 1.0, "position_window": [0.4, 0.6], "legs": []}
-    (move,) = runbook("moves").moves(arm, [sweep], {})
-    assert move.arm_mm is None
-    assert "the arm's end" not in runbook("runbook").told(move)
+    assert move.arm_mm == (moves_mm and pytest.approx(moves_mm))
+    assert ("the arm's end" in runbook("runbook").told(move)) is (moves_mm is not None)
 
 
 def test_an_emergency_stop_is_told_by_its_name(runbook: Any) -> None:

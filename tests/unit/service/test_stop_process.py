@@ -25,14 +25,7 @@ from service.machine.stop_process import __main__ as stop_process
 from service.machine.stop_process.__main__ import Telling
 from service.machine.stop_process.bus import StopBus, StopOutcome
 from service.machine.stop_process.handle import StopProcess
-from service.machine.stop_process.listener import (
-    Answer,
-    Answered,
-    Listener,
-    Request,
-    answer_to,
-    waiting_time,
-)
+from service.machine.stop_process.listener import Answer, Answered, Listener, Request, answer_to, waiting_time
 from tests.system.rest_bench import until
 
 

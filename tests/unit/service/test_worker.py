@@ -1,11 +1,12 @@
-"""Jobs in a real worker process, which is killed before, in the middle of and after one."""
+"""Jobs in a real worker process, and on a real Dask scheduler over mutual TLS: both are killed and lose no job."""
 
 import asyncio
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import AsyncIterator
+import tracemalloc
+from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,9 +18,11 @@ from service.jobs.worker import open_worker
 from service.model.configuration import Cell, read_robot
 from service.model.robot import Robot
 from service.planning.safety.envelope import Envelope
-from service.process.settings import Cluster
+from service.process.settings import Certificates, Cluster
 from service.store.files.recordings import SpectrumFile
+from tests.programs import needs
 from tests.unit.service.campaigns.conftest import ROOT, open_bench, until
+from tests.unit.service.cluster import DaskProcesses, certificates
 
 pytestmark = pytest.mark.slow
 
@@ -85,21 +88,14 @@ async def test_a_job_that_cannot_be_done_says_why(job: Job, worker: Worker) -> N
 
 async def test_a_worker_killed_after_a_job_is_replaced_before_the_next(job: Job, worker: Worker) -> None:
     expected = work(job)
-    for _ in range(3):
-        await worker.run(job)
-        (before,) = await worker.processes()
-        os.kill(before, signal.SIGKILL)
-        await until(lambda: bool(worker.trouble))
-        assert "is restarted" in worker.trouble
-        await until(lambda: not worker.trouble)
-        assert await worker.processes() != (before,)
     assert await worker.run(job) == expected
-
-
-async def test_a_worker_killed_just_after_a_job_does_the_next_one(job: Job, worker: Worker) -> None:
-    """At once: nobody has noticed yet."""
-    assert await worker.run(job) == (expected := work(job))
-    for _ in range(3):
+    (before,) = await worker.processes()
+    os.kill(before, signal.SIGKILL)
+    await until(lambda: bool(worker.trouble))
+    assert "is restarted" in worker.trouble
+    await until(lambda: not worker.trouble)
+    assert await worker.processes() != (before,)
+    for _ in range(2):  # at once: nobody has noticed yet
         os.kill((await worker.processes())[0], signal.SIGKILL)
         assert await asyncio.wait_for(worker.run(job), 60) == expected
 
@@ -176,3 +172,143 @@ def _open_for_writing(pipe: Path, held: list[int]) -> bool:
     except OSError:  # ENXIO: nobody has it open for reading
         return False
     return True
+
+
+PATIENCE = 240.0  # s
+
+
+SIZE = 100_000  # bytes of a large job
+
+
+@dataclass(frozen=True)
+class Squared:
+    """The square of a number, once `gate` (a file) is there."""
+
+    number: int
+    gate: str = ""
+    begun: str = ""
+    key: str = "squared-1"
+    priority: int = 0
+
+    def __call__(self) -> int:
+        if self.begun:
+            Path(self.begun).write_text(str(os.getpid()), "utf-8")
+        while self.gate and not Path(self.gate).exists():
+            pass
+        return self.number**2
+
+
+@dataclass(frozen=True)
+class Wrong:
+    key: str = "wrong"
+    priority: int = 0
+
+    def __call__(self) -> None:
+        raise ValueError("no such thing")
+
+
+@dataclass(frozen=True)
+class Length:
+    """Of numbers, which go the way of a spectrum."""
+
+    numbers: bytes
+    key: str = "length-1"
+    priority: int = 0
+
+    def __call__(self) -> int:
+        return len(self.numbers)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Certificates:
+    return certificates(tmp_path_factory.mktemp("authority"), "plant")
+
+
+@pytest.fixture(scope="module")
+def dask(tmp_path_factory: pytest.TempPathFactory, files: Certificates) -> Iterator[DaskProcesses]:
+    processes = DaskProcesses.at_free_port(tmp_path_factory.mktemp("dask"), files)
+    processes.start_scheduler()
+    processes.start_worker()
+    yield processes
+    processes.close()
+
+
+@pytest.fixture
+async def dask_worker(dask: DaskProcesses) -> AsyncIterator[Worker]:
+    async with open_worker(dask.cluster) as dask_worker:
+        yield dask_worker
+
+
+async def done(dask_worker: Worker, job: Squared) -> int:
+    return await asyncio.wait_for(dask_worker.run_patiently(job), PATIENCE)
+
+
+@needs("openssl")
+async def test_jobs_are_done_over_mutual_tls(dask_worker: Worker) -> None:
+    assert await done(dask_worker, Squared(7)) == 49
+    assert not dask_worker.trouble
+    with pytest.raises(JobFailed, match="ValueError: no such thing"):
+        await dask_worker.run(Wrong())
+
+
+@needs("openssl")
+async def test_jobs_of_one_key_and_other_content_are_not_mixed_up(dask_worker: Worker) -> None:
+    found = await asyncio.gather(*(done(dask_worker, Squared(number)) for number in range(20)))
+    assert found == [number**2 for number in range(20)]
+
+
+@needs("openssl")
+async def test_the_service_does_not_keep_the_jobs_that_were_done(dask_worker: Worker) -> None:
+    async def send(jobs: int) -> None:
+        for _ in range(jobs):
+            assert await asyncio.wait_for(dask_worker.run(Length(os.urandom(SIZE))), PATIENCE) == SIZE
+
+    await send(20)
+    tracemalloc.start()
+    try:
+        await send(60)
+        kept, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert kept < 20 * SIZE
+
+
+@needs("openssl")
+async def test_a_stranger_is_refused(dask: DaskProcesses, dask_worker: Worker, tmp_path: Path) -> None:
+    assert await done(dask_worker, Squared(2)) == 4
+    others = certificates(tmp_path / "others", "stranger")
+    mixed = Certificates(dask.files.authority, others.certificate, others.key)
+    plain = Cluster(dask.cluster.scheduler.replace("tls", "tcp"))
+    for stranger in (Cluster(dask.cluster.scheduler, others), Cluster(dask.cluster.scheduler, mixed), plain):
+        async with open_worker(stranger) as refused:
+            with pytest.raises(WorkerLost):
+                await asyncio.wait_for(refused.run(Squared(3)), PATIENCE)
+            assert dask.cluster.scheduler.partition("//")[2] in refused.trouble
+
+
+@needs("openssl")
+async def test_the_death_of_a_worker_and_of_the_scheduler_loses_no_job(
+    dask: DaskProcesses, dask_worker: Worker, tmp_path: Path
+) -> None:
+    gate, begun = tmp_path / "gate", tmp_path / "begun"
+    running = asyncio.create_task(done(dask_worker, Squared(11, str(gate), str(begun))))
+    await asyncio.wait_for(_there(begun), PATIENCE)
+    dask.workers[0].kill()
+    begun.unlink()
+    dask.start_worker()
+    await asyncio.wait_for(_there(begun), PATIENCE)  # begun again by another one
+    assert dask.scheduler is not None
+    dask.scheduler.kill()
+    dask.scheduler.wait(60)
+    dask.workers[1].kill()
+    begun.unlink()
+    dask.start_scheduler()
+    dask.start_worker()
+    await asyncio.wait_for(_there(begun), PATIENCE)  # submitted again to a scheduler that knew nothing
+    gate.touch()
+    assert await running == 121
+
+
+async def _there(path: Path) -> None:
+    while not await asyncio.to_thread(path.exists):  # noqa: ASYNC110
+        await asyncio.sleep(0.05)

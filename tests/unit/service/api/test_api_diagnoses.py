@@ -227,9 +227,3 @@ def test_findings_stand_in_the_campaign_and_forbid_names_in_its_diagnosis(
     report = http.get(f"/diagnoses/{diagnosis['id']}/report.html").text
     assert "Check of the data" in report
     assert finding["action"] in report
-
-
-def test_a_sound_campaign_has_no_findings(client: ServiceClient, both_ways: int) -> None:
-    found = checked(client, both_ways)
-    assert found["axes"]["joint_1"]["trustworthy"]
-    assert [one for one in found["findings"] if one["severity"] == "wrong"] == []

@@ -10,7 +10,6 @@ import httpx
 import pytest
 
 from drivers.registry import load_profile
-from service.model.configuration import read_robot
 from tests.unit.service.api.conftest import opened as service_in
 from tests.unit.service.campaigns.formula_drive import FormulaDrive
 from tests.unit.service.hosting import CONFIG
@@ -65,23 +64,6 @@ async def campaign_of(http: HTTP, plan: int) -> int:
     return int((await http.post("/campaigns", json={"plan_id": plan})).json()["id"])
 
 
-async def test_one_robot_and_one_cell_that_fit_need_no_setting(opened: Opened) -> None:
-    async with opened() as http:
-        (machine,) = (await http.get("/machines")).json()["items"]
-        assert (machine["name"], machine["here"], machine["robot"], machine["cell"]) == (
-            "machine",
-            True,
-            "max100-class",
-            "workshop",
-        )
-        made = await planned(http)
-        assert made.status_code == 201, made.text
-        document = made.json()["document"]
-        assert (document["robot"], document["request"]["cell"]) == ("max100-class", "workshop")
-        assert document["made_for"].pop("narrowed").startswith("joint_1 velocity limit 1 instead of 1.9 rad/s; ")
-        assert document["made_for"] == {"machine": "machine", "confirmed": {}, "by": ""}
-
-
 async def test_two_cells_and_no_setting_refuse_to_plan_by_default(opened: Opened, cells: Path) -> None:
     async with opened(cells_dir=cells) as http:
         told = (await http.get("/machines")).json()
@@ -112,17 +94,6 @@ async def test_another_cell_needs_its_name_typed_and_shows_it(opened: Opened, ce
         assert (await http.get(f"/campaigns/{campaign}/ahead")).json()["subject"] == shown
 
 
-async def test_another_robot_needs_its_name_typed(opened: Opened) -> None:
-    known = read_robot(CONFIG / "robots" / "max100-class.yaml")
-    description = known.description.model_dump(mode="json") | {"name": "max100-newer"}
-    async with opened() as http:
-        body = {"description": description, "urdf_text": known.urdf_text}
-        newer = int((await http.post("/robots", json=body)).json()["id"])
-        refused = await planned(http, newer)
-        assert (refused.status_code, refused.json()["confirm"]) == (409, {"robot": "max100-newer"})
-        assert (await planned(http, newer, confirm_robot="max100-newer")).status_code == 201
-
-
 async def test_a_start_checks_robot_and_cell_again(opened: Opened, cells: Path, drive: FormulaDrive) -> None:
     async with opened(cells_dir=cells, cell="bench") as http:
         made = (await planned(http)).json()["id"]
@@ -137,17 +108,6 @@ async def test_a_start_checks_robot_and_cell_again(opened: Opened, cells: Path, 
         assert not any(step.startswith("enable") for step in drive.trace[len(before) :])
         started = await http.post(f"/campaigns/{campaigns[1]}/start")
         assert started.status_code == 200, started.text
-
-
-async def test_a_confirmation_is_for_one_machine(opened: Opened, cells: Path, tmp_path: Path) -> None:
-    plant = {"database_url": f"sqlite:///{tmp_path / 'plant.sqlite'}", "cells_dir": cells, "cell": "workshop"}
-    async with opened(**plant) as http:
-        plan = (await planned(http, cell="bench", confirm_cell="bench")).json()["id"]
-    async with opened(**plant, machine_name="cell 2", data_dir=tmp_path / "data 2") as http:
-        items = {one["name"]: one["cell"] for one in (await http.get("/machines")).json()["items"]}
-        assert items == {"machine": "workshop", "cell 2": "workshop"}
-        refused = await http.post(f"/campaigns/{await campaign_of(http, plan)}/start")
-        assert (refused.status_code, "but machine 'cell 2' has workshop" in refused.json()["detail"]) == (409, True)
 
 
 async def ahead_of(http: HTTP, campaign: int) -> dict[str, Any]:

@@ -68,19 +68,13 @@ def test_a_pause_does_not_slow_the_pace() -> None:
     assert found.remaining == pytest.approx(18.0)
 
 
-def test_a_held_campaign_tells_what_its_resume_takes_and_what_a_repeat_adds() -> None:
+def test_what_is_left_of_a_held_of_a_finished_and_of_an_unplanned_campaign() -> None:
     sweeps = [sweep(1, SweepState.IDENTIFIED, 22.0), sweep(2, SweepState.INTERRUPTED), sweep(3, PLANNED)]
-    found = progress(CampaignState.PAUSED, sweeps, plan((30.0, 12.0, 20.0)))
-    assert (found.remaining, found.repeat) == (pytest.approx(20.0 + 2 * CHECK_MOVE), pytest.approx(12.0))
-
-
-def test_a_failed_sweep_is_not_done_and_a_finished_campaign_has_no_time_left() -> None:
-    sweeps = [sweep(1, SweepState.IDENTIFIED, 10.0), sweep(2, SweepState.FAILED)]
-    found = progress(CampaignState.COMPLETED, sweeps, plan((12.0, 12.0)))
-    assert (found.done, found.total, found.remaining, found.repeat) == (1, 2, 0.0, 0.0)
-
-
-def test_without_a_plan_there_is_no_remaining_time() -> None:
+    held = progress(CampaignState.PAUSED, sweeps, plan((30.0, 12.0, 20.0)))
+    assert (held.remaining, held.repeat) == (pytest.approx(20.0 + 2 * CHECK_MOVE), pytest.approx(12.0))
+    sweeps = [sweep(1, SweepState.IDENTIFIED, 10.0), sweep(2, SweepState.FAILED)]  # a failed one is not done
+    over = progress(CampaignState.COMPLETED, sweeps, plan((12.0, 12.0)))
+    assert (over.done, over.total, over.remaining, over.repeat) == (1, 2, 0.0, 0.0)
     assert progress(CampaignState.PLANNED, [sweep(1, PLANNED)], ()).remaining is None
 
 

@@ -1,19 +1,15 @@
 """What becomes of identified campaigns, over HTTP and by command: convergence, report, robots of the plant, jobs."""
 
 import hashlib
-import io
 import json
 import re
 from pathlib import Path
 
 import httpx
 import pytest
-from pypdf import PdfReader
 
-from service.model.errors import BadInput
 from service.web.client import ServiceClient, ServiceProblem
 from tests.command import sweepid
-from tests.programs import needs
 from tests.system.rest_bench import add_plan
 from tests.unit.service.api.conftest import identified
 
@@ -72,28 +68,12 @@ def test_the_report_is_one_page_with_verdict_and_origin(http: httpx.Client, camp
     assert told[1] in [hashlib.sha256(one.encode()).hexdigest() for one in lists]
 
 
-@needs("pango")
-def test_the_report_as_pdf(http: httpx.Client, campaign: int) -> None:
-    answer = http.get(f"/campaigns/{campaign}/report.pdf")
-    assert (answer.status_code, answer.headers["content-type"]) == (200, "application/pdf")
-    text = " ".join(" ".join(page.extract_text() for page in PdfReader(io.BytesIO(answer.content)).pages).split())
-    for words in ("no diagnosis was made", "Origin", "Figure 1. joint_1 against CAD", "sweepid 0."):
-        assert words in text
-
-
 def test_the_sheet_for_a_control(http: httpx.Client, campaign: int) -> None:
     answer = http.get(f"/campaigns/{campaign}/sheet.md")
     assert (answer.status_code, answer.headers["content-type"]) == (200, "text/markdown; charset=utf-8")
     revision = http.get(f"/campaigns/{campaign}/estimates/latest").json()["revision"]
     assert f"Source: estimate {revision} of campaign {campaign}." in answer.text
     assert "## What differs from CAD" in answer.text
-
-
-def test_the_tables_of_the_report(http: httpx.Client, campaign: int) -> None:
-    answer = http.get(f"/campaigns/{campaign}/report.json")
-    assert (answer.status_code, answer.headers["content-type"]) == (200, "application/json")
-    sections = [table["section"] for table in answer.json()["tables"]]
-    assert {"Origin", "How well the models fit", "Base parameters"} <= set(sections)
 
 
 def test_the_command_writes_the_report_or_refuses_in_one_line(
@@ -162,39 +142,6 @@ def test_the_command_prints_and_writes_the_fleet(url: str, tmp_path: Path) -> No
 
 
 # -- stored campaigns identified again
-
-
-def test_the_same_program_finds_the_same(url: str, campaigns: list[int], http: httpx.Client) -> None:
-    """To 1e-9, and the stored estimates stay as they are."""
-    with ServiceClient(url) as client:
-        before = {number: client.estimate(number) for number in campaigns}
-        job = client.add_job(campaigns)
-        assert (job["campaigns"], job["kind"], job["asked_by"]) == (CAMPAIGNS, "reidentify", "local")
-        over = client.job_over(int(job["id"]))
-        assert (over["state"], over["done"], over["failed"], over["sweeps"]) == ("done", CAMPAIGNS, 0, 3 * CAMPAIGNS)
-        results = client.job_results(int(job["id"]))
-        assert {number: client.estimate(number) for number in campaigns} == before
-        with pytest.raises(BadInput):
-            client.add_job([0])
-    assert [one["campaign_id"] for one in results] == campaigns
-    assert all(one["change_percent"] < 1e-7 for one in results)
-    new = http.get(f"/jobs/{job['id']}/results/{campaigns[0]}").json()["document"]
-    for one, old in zip(
-        new["axes"]["joint_1"]["inertia"], before[campaigns[0]]["document"]["axes"]["joint_1"]["inertia"], strict=True
-    ):
-        assert one["value"] == pytest.approx(old["value"], rel=1e-9)
-    assert http.get(f"/jobs/{job['id']}/results/999999").status_code == 404
-
-
-@pytest.mark.usefixtures("campaigns")
-def test_a_job_that_is_cancelled_stays_so(url: str) -> None:
-    with ServiceClient(url) as client:
-        job = int(client.add_job(None)["id"])
-        cancelled = client.cancel_job(job)
-        assert cancelled["state"] in ("cancelled", "done")  # it may have been faster
-        assert client.cancel_job(job) == client.job(job)
-        assert client.job_over(job)["state"] == cancelled["state"]
-        assert job in {one["id"] for one in client.jobs()}
 
 
 def test_the_command_of_a_job(url: str, campaigns: list[int]) -> None:

@@ -113,25 +113,6 @@ def test_a_stop_is_answered_without_the_database_and_noted_later(http: httpx.Cli
         assert beside.execute(noted).fetchone()[3] == "berta"
 
 
-def test_a_release_while_the_database_is_locked(
-    http: httpx.Client, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("service.web.api.access._PATIENCE", 0.5)
-    http.post("/stop", params={"by": "anna", "why": "smoke"})
-    until(lambda: http.get("/stop").json()["stop"]["id"] > 0, "the database has the stop")
-    (stop,) = http.get("/stop").json()["stops"]
-    release = {"by": "anna", "stops": [stop["id"]]}
-    with closing(lock(folder / "data" / "sweepid.sqlite")):
-        refused = http.post("/stop/reset", json=release)  # it is answered while the file is locked
-        assert http.get("/stop").json()["stops"] == [stop]
-    assert (refused.status_code, refused.headers["retry-after"]) == (503, "5")
-    assert refused.headers["content-type"] == "application/problem+json"
-    assert refused.json()["type"] == "urn:sweepid:problem:not-audited"  # the first that the locked file keeps away
-    assert http.get("/stop").json()["stops"] == [stop]
-    until(lambda: http.post("/stop/reset", json=release).status_code == 200, "released once the file is free")
-    assert http.get("/stop").json()["latched"] is False
-
-
 @pytest.mark.slow
 async def test_a_lock_that_comes_after_the_entry_in_the_audit(
     tmp_path: Path, profile: Path, monkeypatch: pytest.MonkeyPatch

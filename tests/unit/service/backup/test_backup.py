@@ -225,14 +225,6 @@ def test_a_damaged_file_is_found_and_refused(
     assert f"copy data/{place.as_posix()} of a backup there" in told.stdout
 
 
-def test_a_whole_folder_has_no_findings_and_is_not_touched(data: Path, findings: Findings) -> None:
-    before = contents(data)
-    assert findings() == []
-    told = sweepid("data", "doctor", "--data-dir", str(data))
-    assert (told.returncode, told.stdout, told.stderr) == (0, "", "")
-    assert contents(data) == before
-
-
 @pytest.mark.parametrize("trigger", ["audit_no_update", "audit_no_delete", "audit_no_replace"])
 def test_an_audit_without_its_protection_is_found(data: Path, findings: Findings, trigger: str) -> None:
     with closing(sqlite3.connect(data / "sweepid.sqlite")) as database:

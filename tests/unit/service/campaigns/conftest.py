@@ -2,9 +2,10 @@
 
 import asyncio
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator, Sequence
-from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -198,9 +199,18 @@ class Taken(Jobs):
         self.sweeps.append(sweep.number)
 
 
+Again = Callable[..., AbstractAsyncContextManager[Bench]]
+
+
 @pytest.fixture
-async def bench(tmp_path: Path, robot: Robot, envelope: Envelope) -> AsyncIterator[Bench]:
-    async with open_bench(tmp_path, robot, envelope) as bench:
+def again(tmp_path: Path, robot: Robot, envelope: Envelope) -> Again:
+    """Opens the bench of this test's folder, as each process after another does."""
+    return partial(open_bench, tmp_path, robot, envelope)
+
+
+@pytest.fixture
+async def bench(again: Again) -> AsyncIterator[Bench]:
+    async with again() as bench:
         yield bench
 
 

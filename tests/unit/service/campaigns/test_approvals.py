@@ -120,18 +120,6 @@ async def test_a_stop_ends_the_approvals_before_it_and_no_later_one(bench: Bench
     assert "was ended by stop" in approvals.missing(plan, HASH)
 
 
-def test_four_eyes_where_the_service_knows_who_starts(bench: Bench) -> None:
-    approvals, plan = Asked(bench).approvals, bench.campaign.plan_id or 0
-    approvals.add(plan, HASH, HASH, "ada", still)
-    assert approvals.missing(plan, HASH, "ada") == (
-        f"plan {plan} is approved by ada alone: another person must approve it, or start it"
-    )
-    assert approvals.missing(plan, HASH, "berta") == ""
-    assert approvals.missing(plan, HASH) == ""  # nobody is asked who he is
-    approvals.add(plan, HASH, HASH, "berta", still)
-    assert approvals.missing(plan, HASH, "ada") == ""
-
-
 @pytest.mark.parametrize(
     ("shifted", "reason"), [("-8 hours", "expired at"), ("+1 hours", "is in the future: the clock of the computer")]
 )

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from drivers.ports import SweepCommand
 from service.identification.design.pose_selection import Criterion, PoseLimits
@@ -51,15 +50,6 @@ def finite(values: tuple[float | None, ...]) -> list[float]:
     return [value for value in values if value is not None]
 
 
-def test_one_budget_and_24_poses_where_none_is_named() -> None:
-    assert request().poses == 24
-    assert request(poses=None, confidence=1.0).poses is None
-    with pytest.raises(ValidationError, match="poses and duration are budgets: give one of them"):
-        request(poses=24, duration=600.0)
-    with pytest.raises(ValidationError, match="greater than or equal to"):
-        request(confidence=0.0)
-
-
 def test_confidence_is_told_after_each_pose_and_only_grows(all_poses: PlanDocument) -> None:
     told = finite(all_poses.confidence)
     assert all_poses.confidence[0] is None
@@ -76,21 +66,6 @@ def test_poses_that_add_nothing_are_named(all_poses: PlanDocument) -> None:
         assert after is not None
         assert after > before * (1 - 0.05 / (spare.number - 1))
         assert spare.pose in poses
-
-
-def test_a_budget_of_confidence_takes_the_fewest_poses_that_reach_it(all_poses: PlanDocument) -> None:
-    wanted = 1.001 * finite(all_poses.confidence)[12]
-    document = plan(confidence=wanted)
-    number = len(document.confidence)
-    assert document.confidence == all_poses.confidence[:number]
-    assert finite(document.confidence)[-1] <= wanted < finite(document.confidence)[-2]
-
-
-def test_a_confidence_out_of_reach_says_what_is_in_reach() -> None:
-    with pytest.raises(
-        BadInput, match=r"confidence: 0\.001 % requested, but the best (\d+) of \1 .* reach only 0\.\d+ % \(j[12]\)"
-    ):
-        plan(confidence=0.001)
 
 
 def test_a_confidence_is_not_reached_while_the_estimate_would_state_none() -> None:
@@ -137,33 +112,6 @@ def test_a_budget_of_time_is_kept_and_used(duration: float) -> None:
     )
     assert document.duration > duration - 2 * longest
     assert len(document.condition) == len(document.confidence) == len(document.sweeps) / 2
-
-
-def test_too_little_time_for_one_pose_is_refused() -> None:
-    with pytest.raises(BadInput, match=r"duration: 5 s are too short for one pose; at least \d+"):
-        plan(duration=5.0)
-
-
-def test_poses_are_d_optimal_and_the_condition_number_is_a_choice(all_poses: PlanDocument) -> None:
-    document = plan(poses=20, criterion="condition")
-    assert all_poses.request.criterion is Criterion.D_OPTIMAL
-    assert document.request.criterion is Criterion.CONDITION
-    assert document.condition[-1] is not None
-    assert all_poses.condition[19] is not None
-    assert document.condition[-1] <= all_poses.condition[19]
-
-
-def test_a_plan_names_what_stays_undetermined_and_how_many_poses_are_enough() -> None:
-    few = plan(poses=1)
-    assert few.confidence == (None,)
-    assert set(few.undetermined) <= set(few.base_parameters)
-    assert few.undetermined
-    assert few.enough_poses is not None
-    assert plan(poses=few.enough_poses - 1).undetermined
-    enough = plan(poses=few.enough_poses)
-    assert (enough.undetermined, enough.enough_poses) == ((), None)
-    assert enough.confidence[-1] is not None
-    assert [sweep.spec.pose for sweep in few.sweeps] == [sweep.spec.pose for sweep in enough.sweeps[:2]]
 
 
 def test_a_plan_from_before_it_named_what_stays_undetermined_is_read() -> None:

@@ -1,4 +1,4 @@
-"""The check move: when it is made, what it finds, and that nothing else moves then."""
+"""What is watched beside a sweep: the check move before it, and the sign of life of a person."""
 
 import math
 
@@ -7,11 +7,17 @@ import pytest
 from drivers.errors import CommunicationLost, DriveFault
 from drivers.ports import AxisState, AxisStatus
 from service.machine.execution.sweep_executor import CheckMove, CheckMoveFailed
-from service.store.documents import CampaignState, EventKind
-from tests.unit.service.campaigns.conftest import Bench
+from service.model.errors import Conflict
+from service.store.documents import CampaignState, EventKind, SweepState
+from tests.unit.service.campaigns.conftest import Bench, until, until_cancelled
+from tests.unit.service.campaigns.test_machine import BetweenMotions
 
 WAY = math.radians(0.5)
+
+
 UNITS = {"joint_1": "rad", "joint_2": "rad", "slide": "m"}
+
+
 START = {"joint_1": 0.3, "joint_2": -0.1, "slide": 0.5}
 
 
@@ -65,16 +71,26 @@ def moves(bench: Bench) -> list[str]:
 
 
 async def test_every_axis_is_checked_once_in_a_run_and_before_it_goes_far(bench: Bench) -> None:
+    seen: list[CheckMove | None] = []
+    move_to = bench.drive.move_to
+
+    async def watched(joint, position, velocity):
+        seen.append(bench.runner.check_move)
+        await move_to(joint, position, velocity)
+
+    bench.drive.move_to = watched
     await bench.in_a_sweep()
     await bench.runner.pause(bench.campaign.id)
     bench.go_on()
     await bench.over()
     assert moves(bench) == ["move joint_1 0.00872665", "move joint_1 0", "sweep joint_1"]
+    moved = moves(bench)[:2]
     bench.drive.trace.clear()
     await bench.resume()  # a new run: somebody may have worked at the machine
     assert (await bench.over()).state is CampaignState.MEASURED
     far = [entry for entry in moves(bench) if entry in ("move joint_1 0.4", "move joint_2 0.3", "move joint_3 -0.2")]
     assert [entry.split()[1] for entry in far] == ["joint_1", "joint_2", "joint_3"]
+    moved += [entry for entry in moves(bench) if entry.startswith("move")]
     for entry in far:
         joint = entry.split()[1]
         at = moves(bench).index(entry)
@@ -83,23 +99,10 @@ async def test_every_axis_is_checked_once_in_a_run_and_before_it_goes_far(bench:
     assert [event.data["axis"] for event in told] == ["joint_1", "joint_1", "joint_2", "joint_3"]
     assert [event.data["number"] for event in told] == [1, 2, 3, 4]
     assert told[3].data["way"] == pytest.approx(-WAY)
-
-
-async def test_while_it_goes_a_person_is_told_which_axis_goes_which_way(bench: Bench) -> None:
-    seen: list[tuple[str, float] | None] = []
-    move_to = bench.drive.move_to
-
-    async def watched(joint, position, velocity):
-        move = bench.runner.check_move
-        seen.append(None if move is None else (move.joint, move.way))
-        await move_to(joint, position, velocity)
-
-    bench.drive.move_to = watched
-    await bench.start()
-    await bench.over()
-    assert seen[:2] == [("joint_1", pytest.approx(WAY))] * 2  # there and back
-    far = moves(bench).index("move joint_1 0.4") - 1  # without the sweep before it
-    assert seen[far] is None
+    shown = [None if move is None else (move.joint, move.way) for move in seen]  # to a person while it goes
+    assert shown[:2] == [("joint_1", pytest.approx(WAY))] * 2  # there and back
+    assert sum(one is not None for one in shown) == 2 * len(told)
+    assert not any(one for one, entry in zip(shown, moved, strict=True) if entry in far)
     assert bench.runner.check_move is None
 
 
@@ -113,3 +116,66 @@ async def test_a_stop_that_is_not_confirmed_is_told_wherever_a_person_looks(benc
     campaign, sweep = bench.now, bench.store.sweep(bench.campaign.id, 1)
     assert campaign.cause == sweep.cause == f"DriveFault: joint_1: over-current; {told}"
     assert (bench.machine.connected, bench.machine.trouble) == (False, told)
+
+
+SOON, LATE = 0.05, 3600.0  # s
+
+
+async def test_without_a_sign_of_life_it_is_paused_at_standstill(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    between = BetweenMotions(monkeypatch)
+    await bench.start(attended=LATE)
+    await until(between.reached.is_set)
+    attendance = bench.runner.attendance
+    assert attendance is not None
+    attendance.within = SOON  # whatever the computer takes to come here, it is missed from here on
+    attendance.renew()
+    await until(lambda: attendance.left == 0.0)
+    await until_cancelled(bench.campaign.id)
+    between.go.set()
+    campaign = await bench.over()
+    assert campaign.state is CampaignState.PAUSED
+    assert campaign.cause.startswith("no sign of life within 0.05 s")
+    assert bench.machine.stops == ()  # nothing is latched: the next start is a person's
+    assert bench.drive.trace[-1] == "stop"
+    assert bench.told == [(f"campaign {campaign.id}", campaign.cause)]
+
+    await bench.resume(repeat=True)
+    assert (await bench.over()).state is CampaignState.MEASURED
+
+
+async def test_with_signs_of_life_it_is_measured(bench: Bench) -> None:
+    with pytest.raises(Conflict, match="is not running"):
+        bench.runner.sign_of_life(bench.campaign.id)
+    await bench.start(attended=LATE)
+    attendance = bench.runner.sign_of_life(bench.campaign.id)
+    assert attendance is not None
+    assert attendance.left <= attendance.within == LATE
+    assert (await bench.over()).state is CampaignState.MEASURED
+    assert all(sweep.state is SweepState.RECORDED for sweep in bench.store.sweeps(bench.campaign.id))
+    assert bench.runner.attendance is None
+
+
+@pytest.mark.parametrize(("first", "second", "kept"), [(None, 60.0, 60.0), (LATE, None, LATE), (LATE, 60.0, 60.0)])
+async def test_a_pause_that_is_taken_back_keeps_the_sign_of_life_or_takes_that_of_the_resume(
+    bench: Bench, first: float | None, second: float | None, kept: float
+) -> None:
+    await bench.in_a_sweep(2, attended=first)
+    await bench.runner.pause(bench.campaign.id)
+    resumed = await bench.resume(attended=second)
+    assert resumed.state is CampaignState.RUNNING
+    attendance = bench.runner.attendance
+    assert attendance is not None
+    assert attendance.within == kept
+    attendance.within = SOON
+    attendance.renew()
+    await bench.over()  # the sweep is held for ever: nothing else ends it
+    campaign = bench.now
+    assert campaign.state is CampaignState.PAUSED
+    assert campaign.cause.startswith("no sign of life within 0.05 s")
+    assert bench.drive.energised == set()
+
+
+async def test_who_wants_none_waits_for_none(bench: Bench) -> None:
+    await bench.start()
+    assert bench.runner.sign_of_life(bench.campaign.id) is None
+    assert (await bench.over()).state is CampaignState.MEASURED

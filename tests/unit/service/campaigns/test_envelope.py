@@ -43,10 +43,6 @@ def envelope(arm: Robot) -> Envelope:
     return Envelope(arm, Cell(name="test", floor=0.0, joint_margin=0.02))
 
 
-def test_a_good_sweep_passes(envelope: Envelope) -> None:
-    envelope.check_sweep(COMMAND, POSE)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -66,6 +62,7 @@ def test_a_good_sweep_passes(envelope: Envelope) -> None:
     ],
 )
 def test_each_limit_of_a_sweep(envelope: Envelope, change: dict[str, object], message: str) -> None:
+    envelope.check_sweep(COMMAND, POSE)
     with pytest.raises(EnvelopeViolation, match=message):
         envelope.check_sweep(replace(COMMAND, **change), POSE)
 
@@ -98,14 +95,6 @@ def test_moves(envelope: Envelope) -> None:
         envelope.check_move("j1", POSE, 1.0, 0.1)  # into the floor
     with pytest.raises(EnvelopeViolation, match="pose has 1 positions"):
         envelope.check_move("j1", (0.0,), 1.0, 0.1)
-
-
-def test_other_axes_must_stand_where_the_plan_says(envelope: Envelope) -> None:
-    envelope.check_standing(POSE, (0.2, 0.3005), 1e-3, moving="j1")
-    with pytest.raises(
-        EnvelopeViolation, match=r"j2: distance from the planned pose 0.01 rad is above the limit 0.001"
-    ):
-        envelope.check_standing(POSE, (-0.5, 0.31), 1e-3, moving="j1")
 
 
 def block(**columns: list[float]) -> SampleBlock:
@@ -151,11 +140,6 @@ def test_order_of_legs_goes_round_an_obstacle(arm: Robot) -> None:
         assert Envelope(arm, cell).checker.leg_free(pose, joint, target)
         pose[joint] = target
     assert pose.tolist() == [0.8, 0.0]
-
-
-def test_no_way_is_said(envelope: Envelope) -> None:
-    with pytest.raises(EnvelopeViolation, match="no collision-free path of single-axis moves"):
-        envelope.order_of_legs(POSE, (1.5, 0.0))
 
 
 amplitudes = st.floats(0.0, 0.02)

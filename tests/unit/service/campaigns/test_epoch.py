@@ -112,9 +112,13 @@ def energy(bench: Bench) -> list[str]:
     return [entry for entry in bench.drive.trace if entry.startswith("enable")]
 
 
-@pytest.mark.parametrize("command", [start, resume, experiment])
-@pytest.mark.parametrize("wait", WAITS)
-@pytest.mark.parametrize("between", [stop_and_release, gap_and_release, lease_trouble])
+COMMANDS, BETWEEN = (start, resume, experiment), (stop_and_release, gap_and_release, lease_trouble)
+
+
+@pytest.mark.parametrize(  # each pair of the three
+    ("command", "wait", "between"),
+    [(COMMANDS[k], wait, BETWEEN[(k + n) % 3]) for k in range(3) for n, wait in enumerate(WAITS)],
+)
 async def test_nothing_moves_that_was_wanted_before_a_stop(
     loop: Loop,  # noqa: F811
     command: Command,
@@ -158,9 +162,8 @@ async def test_nothing_moves_that_was_wanted_before_a_stop(
     await bench.over()
 
 
-@pytest.mark.parametrize("between", [stop_and_release, gap_and_release, lease_trouble])
 async def test_an_approval_that_waits_for_the_database_is_not_stored(
-    bench: Bench, between: Callable[[Bench], Awaitable[str]], monkeypatch: pytest.MonkeyPatch
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked, barrier, plan = Asked(bench), Barrier(), bench.campaign.plan_id or 0
     intention = bench.intention
@@ -171,7 +174,7 @@ async def test_an_approval_that_waits_for_the_database_is_not_stored(
 
     waiting = asyncio.create_task(asyncio.to_thread(approve, intention))
     await until(barrier.reached.is_set)
-    reason = await between(bench)
+    reason = await stop_and_release(bench)
     barrier.opened.set()
     with pytest.raises(Superseded, match=reason):
         await waiting

@@ -3,7 +3,6 @@
 import asyncio
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import pytest
 
@@ -16,12 +15,11 @@ from service.model.robot import Robot
 from service.planning.campaigns.live import EventFeed
 from service.planning.documents import PEAK_VELOCITY
 from service.planning.machine_setup import DriveAxis, MachineSetup
-from service.planning.safety.envelope import Envelope
 from service.process.settings import Cluster, Settings
 from service.store.diagnoses import DiagnosisStore, ModelStore
 from service.store.documents import BoltedMass, CampaignState, DiagnosisDocument, NewDiagnosis, NewSweep
 from tests.stored.documents import axis_document, diagnosis_document, stored
-from tests.unit.service.campaigns.conftest import Bench, open_bench, spec, until
+from tests.unit.service.campaigns.conftest import Again, Bench, spec, until
 
 MASS = BoltedMass(mass=20.0, center=(0.1, 0.0, 0.0))
 
@@ -67,8 +65,8 @@ class Loop:
 
 
 @pytest.fixture
-async def loop(tmp_path: Path, robot: Robot, envelope: Envelope) -> AsyncIterator[Loop]:
-    async with open_bench(tmp_path, robot, envelope) as bench:
+async def loop(again: Again, robot: Robot) -> AsyncIterator[Loop]:
+    async with again() as bench:
         diagnoses = DiagnosisStore(bench.database)
         nobody = DaskWorkers(Cluster("tcp://127.0.0.1:1"))
         setup = MachineSetup("machine", robot=bench.store.robot(bench.campaign.robot_id), cell="workshop")

@@ -61,31 +61,23 @@ async def test_a_block_is_encoded_once_for_all_subscribers(form: Callable[[LiveB
     assert all(one is other for one, other in zip(sent, again, strict=True))
 
 
-async def test_a_waiting_subscriber_is_woken() -> None:
+async def test_a_waiting_subscriber_is_woken_and_one_of_a_closed_hub_is_done_at_once() -> None:
     hub = LiveHub(rate=100.0)
     with hub.subscribe(1) as queue:
         waiting = asyncio.create_task(anext(queue))
         await asyncio.sleep(0)
         hub.publish(1, 3, block(0))
         assert (await asyncio.wait_for(waiting, TIMEOUT)).number == 3
-
-
-async def test_who_subscribes_to_a_closed_hub_is_done_at_once() -> None:
-    hub = LiveHub(rate=100.0)
     hub.close()
     with hub.subscribe(1) as queue:
         assert [live async for live in queue] == []
 
 
-def test_thinning_takes_means() -> None:
+def test_thinning_takes_means_and_never_makes_samples() -> None:
     live = thin(1, 1, block(0, count=25), rate=100.0)
     np.testing.assert_allclose(live.time, [4.5e-3, 14.5e-3, 22e-3])
     np.testing.assert_allclose(live.velocity, [9.0, 29.0, 44.0])
-
-
-@pytest.mark.parametrize(("count", "rate"), [(1, 100.0), (5, 1e6)])
-def test_thinning_never_makes_samples(count: int, rate: float) -> None:
-    assert len(thin(1, 1, block(0, count), rate).time) == count
+    assert [len(thin(1, 1, block(0, count), rate).time) for count, rate in ((1, 100.0), (5, 1e6))] == [1, 5]
 
 
 def test_the_bytes_are_one_arrow_batch_with_its_place() -> None:
@@ -95,34 +87,6 @@ def test_the_bytes_are_one_arrow_batch_with_its_place() -> None:
     assert table.column_names == ["time", "effort", "velocity", "position"]
     assert table.num_rows == 10
     assert table.schema.metadata == {b"campaign": b"4", b"sweep": b"2", b"joint": b"joint_1"}
-
-
-async def test_the_feed_gives_what_is_there_and_then_what_comes(tmp_path: Path) -> None:
-    with open_database(f"sqlite:///{tmp_path / 'x.sqlite'}") as database:
-        latch = StopLatch(database)
-        feed = EventFeed(Store(database), database)
-        await asyncio.to_thread(latch.latch, "a", "there before")
-        events = feed.follow(0)
-        first = await asyncio.wait_for(anext(events), TIMEOUT)
-        waiting = asyncio.create_task(anext(events))
-        await asyncio.to_thread(latch.latch, "b", "comes later")
-        second = await asyncio.wait_for(waiting, TIMEOUT)
-        assert [first.data["why"], second.data["why"]] == ["there before", "comes later"]
-        feed.close()
-        assert [event async for event in events] == []
-
-
-async def test_the_feed_goes_on_after_an_id(tmp_path: Path) -> None:
-    with open_database(f"sqlite:///{tmp_path / 'x.sqlite'}") as database:
-        latch = StopLatch(database)
-        for why in ("one", "two", "three"):
-            latch.latch("a", why)
-        feed = EventFeed(Store(database), database)
-        events = feed.follow(1)
-        told = [(await asyncio.wait_for(anext(events), TIMEOUT)).data["why"] for _ in range(2)]
-        assert told == ["two", "three"]
-        await events.aclose()
-        feed.close()
 
 
 async def test_who_follows_loses_no_event_to_a_database_that_does_not_answer(

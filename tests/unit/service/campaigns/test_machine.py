@@ -5,26 +5,26 @@ anything slow.
 import asyncio
 import threading
 import time
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
+from contextlib import asynccontextmanager
 from functools import partial
 
 import pytest
-from sqlalchemy.exc import OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 from structlog.testing import capture_logs
 
-from drivers.errors import Cause, CauseCode, DriveFault, StopNotConfirmed
-from drivers.ports import AxisState
+from drivers.errors import Cause, CauseCode, CommunicationLost, DriveFault, StopNotConfirmed
 from service.machine.execution import sweep_executor
 from service.machine.execution.machine import watching
 from service.machine.execution.stops import LatchedStops, StopSequences
-from service.model.errors import Conflict, NotFound, NotNow
+from service.model.errors import Conflict, EnvelopeViolation, NotFound, NotNow
+from service.planning.safety.envelope import Envelope
 from service.store.documents import CampaignState, SweepState
 from service.store.lease_and_latch import LeaseLost, MachineLease, StopLatch
 from service.store.people.audit import AuditStore, AuditWriter
 from service.store.people.users import KeyStore
 from service.web.application import tell_own_stop
-from tests.unit.service.campaigns.conftest import LEASE_TIME, TIMEOUT, Bench, keeping, refusing, until
+from tests.unit.service.campaigns.conftest import LEASE_TIME, TIMEOUT, Bench, command, keeping, refusing, until
 
 pytestmark = pytest.mark.slow
 
@@ -47,20 +47,6 @@ async def test_who_loses_the_lease_stops_leaves_the_bus_and_does_not_come_back(b
         with pytest.raises(Conflict, match="another service has taken the machine"):
             await refused()
     assert bench.drive.trace == moved
-
-
-async def test_trouble_of_another_kind_with_the_database_does_not_end_the_watch_over_the_lease(bench: Bench) -> None:
-    class Crowded(MachineLease):
-        """No connection is free for it."""
-
-        def renew(self) -> None:
-            raise PoolTimeout("QueuePool limit of size 5 overflow 10 reached")
-
-    async with keeping(bench, Crowded(bench.database, LEASE_TIME)) as keeper:
-        await until(lambda: bench.machine.held != "" or keeper.done())
-        assert "could not be renewed" in bench.machine.held
-        assert "stop" in bench.drive.trace
-        assert not keeper.done()
 
 
 async def test_a_watch_over_the_lease_that_breaks_off_stops_the_machine(bench: Bench) -> None:
@@ -175,17 +161,6 @@ async def test_a_stop_is_answered_in_time_whatever_the_drives_do_and_its_outcome
     assert [log["reason"] for log in logs if log["event"] == "stop_not_confirmed"] == ["joint_1: is silent"]
 
 
-async def test_a_stop_that_reached_no_drive_is_no_confirmed_one(bench: Bench) -> None:
-    async def nobody() -> tuple[str, ...]:
-        return ()
-
-    bench.drive.stop = nobody
-    with pytest.raises(StopNotConfirmed, match="joint_1: not connected") as told:
-        await bench.machine.stop("anna", "smoke")
-    assert set(told.value.unconfirmed) == set(bench.machine.joints)
-    assert bench.machine.held == "stopped by anna: smoke"
-
-
 async def test_a_cabinet_that_was_switched_off_and_on_meanwhile_is_connected_before_it_moves(bench: Bench) -> None:
     await bench.machine.connect()
     bench.drive.silent = True
@@ -194,14 +169,6 @@ async def test_a_cabinet_that_was_switched_off_and_on_meanwhile_is_connected_bef
     assert [entry for entry in bench.drive.trace if entry != "standstill"][:5] == [
         "close", "connect", "close", "connect", "enable joint_1"
     ]  # fmt: skip
-
-
-async def test_drives_that_do_not_answer_are_no_connected_machine(bench: Bench) -> None:
-    await bench.machine.connect()
-    bench.drive.silent = True
-    status = await bench.machine.status()
-    assert {axis.state for axis in status.values()} == {AxisState.UNKNOWN}
-    assert (bench.machine.connected, bench.machine.trouble) == (False, "no drive answers")
 
 
 async def test_a_computer_that_comes_late_is_told_apart_from_a_database_that_does_not_answer(bench: Bench) -> None:
@@ -243,13 +210,13 @@ class BetweenMotions:
 
 
 class Ailing(MachineLease):
-    """The database refuses it until `well`; `renewed` counts."""
+    """No connection is free for it until `well`; `renewed` counts."""
 
     well, renewed = True, 0
 
     def renew(self) -> None:
         if not self.well:
-            raise OperationalError("UPDATE", {}, Exception("disk I/O error"))
+            raise PoolTimeout("QueuePool limit of size 5 overflow 10 reached")
         super().renew()
         self.renewed += 1
 
@@ -303,24 +270,6 @@ async def test_a_stop_that_the_database_does_not_take_is_seen_and_released_once_
         bench.machine.check_may_move(bench.intention)
     with pytest.raises(NotFound, match=f"stop {held.id - 1}"):
         await bench.machine.reset_stop("berta", [held.id - 1])
-
-
-async def test_what_the_database_did_not_take_is_noted_once_it_does(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("service.machine.execution.stops.LatchedStops.again", 0.02)
-    await bench.machine.connect()
-    with refusing(bench, "INSERT ON stop"), capture_logs() as logs:
-        told = [await bench.machine.stop(by, "smoke") for by in ("ada", "berta")]
-        await until(lambda: any(log["event"] == "stop_not_noted_yet" for log in logs))
-    await bench.machine.noted()
-    stored = StopLatch(bench.database).latched()
-    assert stored == bench.machine.stops
-    assert [(stop.by, stop.at) for stop in stored] == [(stop.by, stop.at) for stop in told]
-    await bench.machine.reset_stop("carl", [told[0].id])
-    assert [stop.by for stop in StopLatch(bench.database).latched()] == ["berta"]
-    await bench.machine.reset_stop("carl", [told[1].id, stored[1].id])
-    assert bench.machine.latched is None
 
 
 async def test_the_end_of_the_service_asks_the_database_once_more(bench: Bench) -> None:
@@ -423,3 +372,128 @@ async def test_neither_stop_nor_lease_waits_while_all_shared_threads_are_busy(be
     finally:
         go.set()
         await asyncio.gather(*busy)
+
+
+HOME = (0.0,) * 6
+
+
+Go = Callable[[float], Awaitable[None]]
+
+
+@pytest.fixture
+async def connected(bench: Bench) -> Bench:
+    await bench.machine.connect()
+    bench.drive.trace.clear()
+    return bench
+
+
+@asynccontextmanager
+async def reserved(bench: Bench, envelope: Envelope, target: float = 0.1) -> AsyncGenerator[Go]:
+    """By somebody who has reserved the machine: joint_1 from home, as far as `target`."""
+    with bench.machine.used_by("a test", bench.intention):
+        async with (
+            bench.machine.motion(envelope, bench.intention) as motion,
+            motion.moving("joint_1", HOME, target, 0.05) as go,
+        ):
+            yield go
+
+
+async def test_nobody_moves_a_machine_that_nobody_uses(connected: Bench, envelope: Envelope) -> None:
+    with pytest.raises(Conflict, match="the machine is not reserved"):
+        async with connected.machine.motion(envelope, connected.intention):
+            pass
+    assert connected.drive.trace == []
+
+
+async def test_only_the_way_that_was_checked(connected: Bench, envelope: Envelope) -> None:
+    with pytest.raises(Conflict, match=r"target 0\.2 is outside the checked range 0 to 0\.1"):
+        async with reserved(connected, envelope) as go:
+            await go(0.2)
+    assert connected.drive.trace == ["enable joint_1", "stop"]
+    assert connected.drive.energised == set()
+
+
+async def test_what_the_envelope_forbids_gets_no_energy(connected: Bench, envelope: Envelope) -> None:
+    with pytest.raises(EnvelopeViolation, match="joint_1: target"):
+        async with reserved(connected, envelope, 99.0):
+            pass
+    with connected.machine.used_by("a test", connected.intention):
+        far = command(connected.store.sweeps(connected.campaign.id)[0])
+        with pytest.raises(EnvelopeViolation):
+            async with (
+                connected.machine.motion(envelope, connected.intention) as motion,
+                motion.sweeping([far], (1.0, *HOME[1:])),
+            ):
+                pass
+    assert "enable joint_1" not in connected.drive.trace
+
+
+async def test_a_stop_is_asked_for_before_each_motion(connected: Bench, envelope: Envelope) -> None:
+    async def move() -> None:
+        async with reserved(connected, envelope) as go:
+            await go(0.05)
+            await connected.machine.stop("a person", "look")
+            await go(0.1)
+
+    with pytest.raises(Conflict, match="stopped by a person: look"):
+        await move()
+    assert connected.drive.trace == ["enable joint_1", "move joint_1 0.05", "stop", "stop"]
+
+
+async def test_it_is_of_no_use_after_its_block(connected: Bench, envelope: Envelope) -> None:
+    with connected.machine.used_by("a test", connected.intention):
+        async with connected.machine.motion(envelope, connected.intention) as motion:
+            pass
+        with pytest.raises(Conflict, match="the permission to move has ended"):
+            async with motion.moving("joint_1", HOME, 0.1, 0.05):
+                pass
+    assert connected.drive.trace == []
+
+
+@pytest.mark.parametrize(
+    "error", [CommunicationLost("bus-off"), KeyError("nobody thought of it"), asyncio.CancelledError()]
+)
+async def test_whatever_ends_it_leaves_every_axis_without_energy(
+    connected: Bench, envelope: Envelope, error: BaseException
+) -> None:
+    connected.drive.stop_error = StopNotConfirmed([], {"joint_1": "mute"})
+
+    async def move() -> None:
+        async with reserved(connected, envelope):
+            assert connected.drive.energised == {"joint_1"}
+            raise error
+
+    with pytest.raises(type(error)) as raised:
+        await move()
+    assert raised.value is error
+    assert connected.drive.trace[-1] == "stop"
+    assert connected.drive.energised == set()
+    assert "the stop is not confirmed" in raised.value.__notes__[0]
+    assert "the stop is not confirmed" in connected.machine.trouble
+
+
+async def test_cancelled_while_it_is_brought_down_it_comes_down_all_the_same(
+    connected: Bench, envelope: Envelope, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stopping, go_on, stop = asyncio.Event(), asyncio.Event(), connected.drive.stop
+
+    async def slow() -> tuple[str, ...]:
+        stopping.set()
+        await go_on.wait()
+        return await stop()
+
+    monkeypatch.setattr(connected.drive, "stop", slow)
+
+    async def move() -> None:
+        async with reserved(connected, envelope):
+            raise LookupError
+
+    moving = asyncio.create_task(move())
+    await stopping.wait()
+    moving.cancel()
+    await asyncio.sleep(0)
+    assert not moving.done()
+    go_on.set()
+    await asyncio.wait([moving])
+    assert moving.cancelled()
+    assert connected.drive.energised == set()

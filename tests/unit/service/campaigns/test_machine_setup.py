@@ -47,14 +47,15 @@ def setup_of(robots: dict[str, RobotDocument], **given: object) -> MachineSetup:
     return machine_setup(Settings.model_validate({"drive": PROFILE, **given}), load_profile(PROFILE), JOINTS, robots)
 
 
-def test_the_only_one_that_fits_is_the_machines(robots: dict[str, RobotDocument]) -> None:
-    setup = setup_of(robots, cells_dir=ROOT / "config" / "cells")
-    assert (setup.robot, setup.cell, setup.missing) == (robots["max100-class"], "workshop", ())
-
-
 def test_what_does_not_fit_or_is_not_unique_has_to_be_set(
     robots: dict[str, RobotDocument], bench: Bench, tmp_path: Path
 ) -> None:
+    setup = setup_of(robots, cells_dir=ROOT / "config" / "cells")
+    assert (setup.robot, setup.cell, setup.missing) == (
+        robots["max100-class"],
+        "workshop",
+        (),
+    )  # the only one that fits
     newer = copy_of(bench.store, robots["max100-class"], "max100-newer")
     cells = tmp_path / "cells"
     cells.mkdir()

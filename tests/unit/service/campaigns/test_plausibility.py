@@ -54,12 +54,9 @@ def test_noise_is_no_reason(spec: SweepSpec, seed: int) -> None:
     check_channels(spec, measured(spec, seed=seed))
 
 
-def test_a_slow_channel_is_no_reason() -> None:
-    check_channels(SPEC, measured(late=5e-3))
-
-
-def test_coarse_units_are_no_reason() -> None:
+def test_a_slow_channel_and_coarse_units_are_no_reason() -> None:
     """Speed in whole rev/min, cut off; torque in per mille; an encoder of 4096 steps a revolution of the motor."""
+    check_channels(SPEC, measured(late=5e-3))
     recording = measured()
     turn = 2 * np.pi / 171
     speed, step = turn / 60, turn / 4096

@@ -1,16 +1,14 @@
-"""The stream on the disk: complete, torn, with gaps."""
+"""The stream on the disk, complete, torn, with gaps; and what a service that was killed has left."""
 
 import asyncio
 import dataclasses
 import hashlib
 import json
 import os
-import signal
-import subprocess
-import sys
+import sqlite3
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any, cast
 
@@ -18,21 +16,27 @@ import numpy as np
 import psutil
 import pytest
 
+from drivers.errors import Cause, CauseCode
 from drivers.ports import ChannelTiming, SampleBlock, SineCommand, SweepCommand, SweepMode
 from service.machine.execution import incoming
 from service.machine.execution.incoming import BegunSweep, Incoming
-from service.machine.execution.plausibility import ImplausibleChannels
-from service.machine.execution.recording import Recorder, SamplesMissing, finish, read_stream, salvage
+from service.machine.execution.recording import Recorder, SamplesMissing, finish, read_stream, recover, salvage
 from service.model.recording import SweepSpec
-from service.store.documents import RecordingState
+from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
+from service.store.documents import CampaignState, RecordingState, SweepState
 from service.store.files.columns import UnreadableStream, read_columns
 from service.store.files.recordings import RecordingFiles, SweepAttempt
+from tests.unit.service.campaigns.conftest import POSES, Again, Bench, command
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).parents[4]
+
 RUN = SweepAttempt(campaign_id=1, number=3, attempt=1)
+
+
 RATE = 1000.0
+
+
 COMMAND = SweepCommand(
     joint="joint_1",
     mode=SweepMode.DRIVE_SIDE,
@@ -47,6 +51,8 @@ COMMAND = SweepCommand(
     effort_limit=100.0,
     position_window=(-1.0, 1.0),
 )
+
+
 SPEC = SweepSpec(id="0003", axis="joint_1", pose=(0.0,) * 6, offset_velocity=0.01, sample_rate=500.0, measure_from=0.2)
 
 
@@ -117,20 +123,6 @@ def test_the_correction_may_not_cut_into_the_window(files: RecordingFiles) -> No
     whole(files, block(0, 1201))
     with pytest.raises(SamplesMissing, match=r"samples end at 1\.19"):
         finish(files, RUN, SPEC, COMMAND, ChannelTiming(effort_delay=2e-3), {})
-
-
-def test_contradicting_channels_make_no_complete_recording(files: RecordingFiles) -> None:
-    good = block(0, 1300)
-    whole(files, dataclasses.replace(good, velocity=-good.velocity))
-    with pytest.raises(ImplausibleChannels):
-        finish(files, RUN, SPEC, COMMAND, ChannelTiming(effort_delay=2e-3), {})
-    path = files.stream(RUN).with_suffix(".parquet")
-    assert not path.exists()
-    new = salvage(files, RUN, {})
-    assert new is not None
-    assert (new.state, new.samples) == (RecordingState.PARTIAL, 1300)
-    np.testing.assert_array_equal(read_columns(path).effort, good.effort)
-    assert json.loads(path.with_suffix(".json").read_text())["channels"] == {"corrected": False}
 
 
 BROKEN = {
@@ -226,44 +218,6 @@ def test_a_torn_stream_gives_back_all_but_the_torn_block(files: RecordingFiles, 
     assert len(found[0].time) == 400
 
 
-def test_an_empty_stream_gives_nothing(files: RecordingFiles) -> None:
-    Recorder(files.stream(RUN), COMMAND).close()
-    assert salvage(files, RUN, {}) is None
-
-
-WRITER = """
-import sys
-from pathlib import Path
-from tests.unit.service.campaigns.test_recorder import COMMAND, block
-from service.machine.execution.plausibility import ImplausibleChannels
-from service.machine.execution.recording import Recorder
-recorder = Recorder(Path(sys.argv[1]), COMMAND)
-for n in range(10**6):
-    recorder.write(block(50 * n, 50 * n + 50))
-    print(n + 1, flush=True)
-"""
-
-
-@pytest.mark.slow
-def test_after_sigkill_every_block_that_was_written_is_there(files: RecordingFiles) -> None:
-    path = files.stream(RUN)
-    writer = subprocess.Popen([sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, text=True, cwd=ROOT)
-    assert writer.stdout is not None
-    with writer.stdout as out:
-        for _ in range(20):
-            out.readline()
-        writer.send_signal(signal.SIGKILL)
-        writer.wait()
-        written = 20 + len(out.read().split())
-    new = salvage(files, RUN, {"cause": "killed"})
-    assert new is not None
-    assert new.state is RecordingState.PARTIAL
-    # the block being written when the signal came may have reached the disk before it was told
-    assert new.samples in (50 * written, 50 * written + 50)
-    recording = read_columns(path.with_suffix(".parquet"))
-    np.testing.assert_array_equal(recording.time, np.arange(new.samples) / RATE)
-
-
 def test_the_injected_torque_of_a_noise_run_is_recorded(files: RecordingFiles) -> None:
     recorder = Recorder(files.stream(RUN), COMMAND)
     for start in range(0, 1300, 100):
@@ -290,7 +244,7 @@ def stored(files: RecordingFiles) -> tuple[Path, bytes]:
 @pytest.mark.slow
 def test_a_stream_whose_tail_a_power_cut_left_zeroed_gives_back_what_is_before_it(files: RecordingFiles) -> None:
     path, whole = stored(files)
-    for end in range(0, len(whole), 8):
+    for end in range(0, len(whole), 56):
         path.write_bytes(whole[:end] + bytes(len(whole) - end))
         found = read_stream(path)
         # a block that lost a part of its numbers alone is not told from a whole one
@@ -315,3 +269,119 @@ def test_whatever_a_stream_holds_it_is_read_or_called_unreadable(files: Recordin
         path.write_bytes(damaged)
         with suppress(UnreadableStream):
             read_stream(path)
+
+
+def streamed(bench: Bench, run: SweepAttempt, samples: int = 100) -> None:
+    """A stream that a service has left."""
+    recorder = Recorder(bench.files.stream(run), command(bench.store.sweep(1, 1)))
+    if samples:
+        recorder.write(block(0, samples))
+    recorder.close()
+
+
+async def test_after_a_kill_nothing_moves_and_the_samples_so_far_are_kept(again: Again) -> None:
+    """The files are those of a service that was killed in its first sweep; by SIGKILL: `tests/system/test_stop.py`."""
+    async with again() as bench:
+        bench.store.move_campaign(1, campaign_move(CampaignEvent.START))
+        bench.store.begin_sweep(1, 1, sweep_move(SweepEvent.BEGIN))
+        streamed(bench, SweepAttempt(1, 1, 1), 750)
+    async with again() as bench:
+        recover(bench.store, bench.files)
+        campaign = bench.now
+        assert (campaign.state, campaign.cause) == (CampaignState.PAUSED, "the service was restarted")
+        assert campaign.sweeps == {SweepState.INTERRUPTED: 1, SweepState.PLANNED: len(POSES) - 1}
+        partial = bench.store.recording(campaign.id, 1)
+        assert (partial.state, partial.samples) == (RecordingState.PARTIAL, 750)
+        assert len(bench.files.load(partial).time) == 750
+        assert bench.files.streams() == {}
+        assert bench.drive.trace == []
+        before = bench.store.last_event_id()
+        recover(bench.store, bench.files)
+        assert bench.store.last_event_id() == before
+        await bench.resume(repeat=True)
+        assert (await bench.over()).sweeps == {SweepState.RECORDED: len(POSES)}
+
+
+async def test_a_stream_whose_recording_is_stored_goes(again: Again) -> None:
+    async with again() as bench:
+        await bench.start()
+        await bench.over()
+        # killed between the commit and the removal of the stream
+        streamed(bench, SweepAttempt(1, 2, 1))
+        recover(bench.store, bench.files)
+        assert bench.files.streams() == {}
+        assert bench.store.recording(1, 2).state is RecordingState.COMPLETE
+
+
+@pytest.mark.parametrize("samples", [100, 0])
+@pytest.mark.parametrize("run", [SweepAttempt(99, 1, 1), SweepAttempt(1, 99, 1), SweepAttempt(1, 1, 1)])
+async def test_a_stream_of_a_run_that_the_database_does_not_know_is_put_aside(
+    again: Again, samples: int, run: SweepAttempt
+) -> None:
+    async with again() as bench:
+        streamed(bench, run, samples)
+        aside = bench.files.stream(run).with_name(f"{bench.files.stream(run).name}.unknown")
+        recover(bench.store, bench.files)
+        assert bench.files.streams() == {}
+        assert aside.exists()
+
+
+def restore(folder: Path, backup: bytes) -> None:
+    for part in folder.glob("sweepid.sqlite*"):
+        part.unlink()
+    (folder / "sweepid.sqlite").write_bytes(backup)
+
+
+async def test_a_database_from_a_backup_measures_on_and_loses_no_recording(again: Again, tmp_path: Path) -> None:
+    """Restored as it was before the campaign ran; a stream of the run that it forgot lies about as well."""
+    async with again() as bench:
+        with (
+            closing(sqlite3.connect(tmp_path / "sweepid.sqlite")) as source,
+            closing(sqlite3.connect(":memory:")) as to,
+        ):
+            source.backup(to)
+            backup = to.serialize()
+        await bench.start()
+        await bench.over()
+        measured = [bench.files.path(bench.store.recording(1, sweep.number)) for sweep in bench.store.sweeps(1)]
+        streamed(bench, SweepAttempt(1, 2, 1))
+    restore(tmp_path, backup)
+    before = {path: path.read_bytes() for path in measured}
+    async with again() as bench:
+        recover(bench.store, bench.files)
+        await bench.start()
+        await bench.over()
+        assert bench.store.campaign(1).sweeps == {SweepState.RECORDED: len(POSES)}
+        assert {sweep.attempt for sweep in bench.store.sweeps(1)} == {2}
+        for sweep in bench.store.sweeps(1):
+            bench.files.load(bench.store.recording(1, sweep.number))
+    assert {path: path.read_bytes() for path in measured} == before
+
+
+async def test_a_damaged_stream_is_put_aside_and_the_service_starts(again: Again) -> None:
+    async with again() as bench:
+        for number in (1, 2, 3):
+            begun = bench.store.begin_sweep(1, number, sweep_move(SweepEvent.BEGIN))
+            streamed(bench, SweepAttempt(1, number, begun.attempt))
+            if number == 2:
+                left = Cause(CauseCode.NOT_STORED)
+                bench.store.move_sweep(1, number, sweep_move(SweepEvent.FAIL), left)
+        streams = {run.number: path for run, path in bench.files.streams().items()}
+        for number in (1, 2):
+            streams[number].write_bytes(
+                streams[number].read_bytes().replace(b"velocity_setpoint", b"velocity_setpoiwt")
+            )
+        recover(bench.store, bench.files)
+        first, second, third = bench.store.sweeps(1)[:3]
+        assert (first.state, second.state, third.state) == (
+            SweepState.INTERRUPTED,
+            SweepState.FAILED,
+            SweepState.INTERRUPTED,
+        )
+        assert "0001-1.arrows is damaged" in first.cause
+        assert bench.store.recording(1, 3).samples == 100
+        assert sorted(path.name for path in streams[1].parent.glob("*.unreadable")) == [
+            "0001-1.arrows.unreadable",
+            "0002-1.arrows.unreadable",
+        ]
+        assert bench.files.streams() == {}

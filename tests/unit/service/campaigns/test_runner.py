@@ -1,19 +1,43 @@
-"""Campaigns in front of a formula machine: order of motion, trouble, stop, pause, abort, repeat."""
+"""Campaigns in front of a formula machine: order, pause, abort, trouble, refusals, and a clock that is set."""
 
 import asyncio
+import dataclasses
+import math
+import os
+import re
 import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
+from sqlalchemy.exc import SQLAlchemyError
+from structlog.testing import capture_logs
 
 from drivers.errors import CommunicationLost, DriveFault
-from service.model.errors import Conflict
+from drivers.ports import SampleBlock, SweepCommand
+from service.machine.execution.runner import Runner
+from service.model.errors import Conflict, EnvelopeViolation, NotFound
 from service.model.recording import Recording
+from service.store import tables as t
 from service.store.documents import CampaignState, RecordingState, SweepState
+from service.store.files.columns import read_columns
 from service.store.files.recordings import SweepAttempt
 from service.store.store import StaleVersion
-from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, Taken, until, until_cancelled
+from tests.unit.service.campaigns.conftest import (
+    RAMP,
+    SETTLE,
+    TIMEOUT,
+    Again,
+    Bench,
+    Taken,
+    refusing,
+    until,
+    until_cancelled,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -81,26 +105,6 @@ async def test_what_the_disk_refused_is_stored_when_the_campaign_goes_on(
     assert (partial.state, partial.samples) == (RecordingState.PARTIAL, 750)
     assert len(bench.files.load(partial).time) == 750
     assert bench.files.streams() == {}
-
-
-async def test_stop_reaches_the_drives_first_and_holds_the_machine(bench: Bench) -> None:
-    await bench.in_a_sweep()
-    told_before = bench.store.last_event_id()
-    stop = await bench.machine.stop("operator", "hose caught")
-    assert "stop" in bench.drive.trace
-    await bench.over()
-    sweep = bench.store.sweep(bench.campaign.id, 1)
-    assert (sweep.state, sweep.cause) == (SweepState.INTERRUPTED, "stopped by operator: hose caught")
-    assert bench.now.state is CampaignState.PAUSED
-    await bench.machine.noted()
-    assert [held.why for held in bench.machine.stops] == ["hose caught"]
-    assert "stop" in [event.kind.value for event in bench.store.events(told_before)]
-    with pytest.raises(Conflict, match="may not move: stopped by operator: hose caught"):
-        await bench.resume()
-    bench.drive.hold = None
-    await bench.machine.reset_stop("operator", [stop.id])
-    await bench.resume(repeat=True)
-    assert (await bench.over()).state is CampaignState.MEASURED
 
 
 async def test_a_pause_holds_after_the_present_sweep_unless_it_is_taken_back(bench: Bench) -> None:
@@ -188,13 +192,417 @@ async def test_a_second_start_is_refused_while_one_runs(bench: Bench) -> None:
     await bench.over()
 
 
-async def test_a_lost_connection_has_to_be_made_again(bench: Bench) -> None:
-    bench.drive.fail[1] = CommunicationLost("bus-off")
+OVER_CURRENT = "DriveFault: joint_1: over-current"
+
+
+@pytest.fixture
+async def faulted(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Bench:
+    """A campaign in its first sweep, of which the next block is a fault of the drive."""
+    monkeypatch.setattr(Runner, "retry", 0.05)
+    bench.drive.hold, bench.drive.fail[3] = 2, DriveFault("joint_1: over-current")
     await bench.start()
+    await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
+    bench.drive.hold = None
+    return bench
+
+
+async def test_what_a_database_refuses_is_stored_as_soon_as_it_takes_it(
+    faulted: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    attempts = list[str]()
+    with refusing(faulted):
+        with capture_logs() as logs:
+            faulted.drive.go.set()
+            await until(lambda: "end_not_stored" in [log["event"] for log in logs])
+            sweeps_in = faulted.store.sweeps_in
+
+            def attempt(*states):
+                attempts.append("")
+                return sweeps_in(*states)
+
+            monkeypatch.setattr(faulted.store, "sweeps_in", attempt)
+            await until(lambda: len(attempts) > 3)  # each begins so, and is not told
+        assert [log["event"] for log in logs] == ["sweep_given_up", "sweep_not_ended", "end_not_stored"]
+        assert "stop" in faulted.drive.trace
+        assert faulted.store.campaign(1).sweeps[SweepState.RUNNING] == 1
+    await faulted.over()
+    campaign, sweep = faulted.store.campaign(1), faulted.store.sweep(1, 1)
+    assert (campaign.state, campaign.cause) == (CampaignState.PAUSED, OVER_CURRENT)
+    assert (sweep.state, sweep.cause) == (SweepState.INTERRUPTED, OVER_CURRENT)
+    recording = faulted.store.recording(1, 1)
+    assert (recording.state, recording.samples) == (RecordingState.PARTIAL, 750)
+    assert faulted.files.streams() == {}
+    faulted.drive.fail.clear()
+    await faulted.resume(repeat=True)
+    await faulted.over()
+    assert faulted.store.campaign(1).sweeps == {SweepState.RECORDED: 4}
+
+
+async def test_one_refusal_leaves_no_sweep_running(faulted: Bench) -> None:
+    with refusing(faulted, "UPDATE ON sweep WHEN NEW.state = 'failed'"):
+        faulted.drive.go.set()
+        await faulted.over()
+    assert faulted.store.campaign(1).sweeps == {SweepState.INTERRUPTED: 1, SweepState.PLANNED: 3}
+    assert faulted.store.campaign(1).cause == OVER_CURRENT
+
+
+async def aborted_in_vain(bench: Bench) -> None:
+    with refusing(bench):
+        with pytest.raises(SQLAlchemyError):
+            await asyncio.wait_for(bench.runner.abort(1, "enough"), TIMEOUT)
+        await bench.over()
+        assert bench.store.campaign(1).state is CampaignState.RUNNING
+
+
+@pytest.mark.parametrize("command", ["abort", "start", "pause", "resume"])
+async def test_the_next_command_stores_what_was_refused(faulted: Bench, command: str) -> None:
+    await aborted_in_vain(faulted)
+    faulted.drive.fail.clear()
+    if command == "abort":
+        assert (await faulted.runner.abort(1, "enough")).state is CampaignState.ABORTED
+        assert faulted.store.sweep(1, 1).cause == "aborted: enough"
+    elif command == "resume":
+        await faulted.resume(repeat=True)
+        await faulted.over()
+    else:
+        with pytest.raises(Conflict, match="is not possible in state paused"):
+            await (faulted.start() if command == "start" else faulted.runner.pause(1))
+    assert faulted.now.sweeps == {
+        "abort": {SweepState.INTERRUPTED: 1, SweepState.SKIPPED: 3},
+        "resume": {SweepState.RECORDED: 4},
+    }.get(command, {SweepState.INTERRUPTED: 1, SweepState.PLANNED: 3})
+
+
+async def test_the_service_ends_while_the_database_refuses(faulted: Bench) -> None:
+    with refusing(faulted):
+        faulted.drive.go.set()
+        await until(lambda: "stop" in faulted.drive.trace)
+        await asyncio.wait_for(faulted.runner.close(), TIMEOUT)
+        assert faulted.runner.running is None
+
+
+async def test_an_abort_while_the_end_of_a_sweep_is_stored_loses_no_result(bench: Bench) -> None:
+    end, inside, go = bench.store.end_sweep, threading.Event(), threading.Event()
+
+    def slow(*args, **kwargs):
+        inside.set()
+        go.wait(TIMEOUT)
+        return end(*args, **kwargs)
+
+    bench.store.end_sweep = slow
+    await bench.start()
+    await until(inside.is_set)
+    aborting = asyncio.create_task(bench.runner.abort(1, "enough"))
+    await until_cancelled(1)
+    go.set()
+    aborted = await aborting
+    assert aborted.sweeps == {SweepState.RECORDED: 1, SweepState.SKIPPED: 3}
+    assert isinstance(bench.jobs, Taken)
+    assert bench.jobs.sweeps == [1]
+    causes = [event.data.get("cause") for event in bench.store.events(0) if event.kind.value == "campaign"]
+    assert causes == ["", "", "aborted: enough", "enough"]
+    assert bench.files.streams() == {}
+
+
+@dataclass
+class Disk:
+    """One that takes nothing until `go` is set."""
+
+    stalled: threading.Event
+    go: threading.Event
+
+
+@pytest.fixture
+def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
+    disk, sync = Disk(threading.Event(), threading.Event()), os.fsync
+
+    def stall(file: int) -> None:
+        disk.stalled.set()
+        disk.go.wait(TIMEOUT)
+        sync(file)
+
+    monkeypatch.setattr("service.store.files.columns.os.fsync", stall)
+    yield disk
+    disk.go.set()
+
+
+async def test_samples_are_watched_while_the_disk_stalls(bench: Bench, disk: Disk) -> None:
+    samples = bench.drive.samples
+
+    def jolt(command):
+        block = samples(command)
+        block.velocity[1100] = 0.5
+        return block
+
+    bench.drive.samples = jolt
+    await bench.start()
+    await until(disk.stalled.is_set)
+    await until(lambda: "stop" in bench.drive.trace)
+    assert bench.drive.energised == set()
+    disk.go.set()
     await bench.over()
-    bench.drive.fail.clear()
-    await bench.resume(repeat=True)
-    assert (await bench.over()).sweeps == {SweepState.RECORDED: 4}
-    assert bench.drive.trace.count("connect") == 2
-    again = bench.store.recording(bench.campaign.id, 1)
-    assert (again.attempt, again.state) == (2, RecordingState.COMPLETE)
+    sweep = bench.store.sweep(1, 1)
+    assert sweep.state is SweepState.FAILED
+    assert sweep.cause.startswith("EnvelopeViolation: joint_1: velocity 0.5 rad/s is outside")
+    recording = read_columns(bench.files.path(bench.store.recording(1, 1)))
+    assert (len(recording.time), float(recording.velocity.max())) == (1250, 0.5)
+
+
+async def test_an_abort_while_the_disk_stalls_stops_the_drives_first(bench: Bench, disk: Disk) -> None:
+    await bench.in_a_sweep(3)
+    await until(disk.stalled.is_set)
+    aborting = asyncio.create_task(bench.runner.abort(1, "enough"))
+    await until(lambda: "stop" in bench.drive.trace)
+    assert bench.drive.energised == set()
+    disk.go.set()
+    await aborting
+    assert bench.store.recording(1, 1).samples == 750
+
+
+SET_BY = (timedelta(hours=-1), timedelta(hours=1))
+
+
+async def pause_in_the_second_sweep(bench: Bench) -> None:
+    await bench.in_a_sweep()
+    await bench.runner.pause(bench.campaign.id)
+    bench.go_on()
+    assert (await bench.over()).state is CampaignState.PAUSED
+
+
+def set_clock(bench: Bench, by: timedelta) -> None:
+    """As if it had been set by so much since the campaign was started."""
+    with bench.database.write() as session:
+        row = session.get_one(t.CampaignRow, bench.campaign.id)
+        assert row.started_at is not None
+        row.started_at -= by
+
+
+async def go_on(bench: Bench) -> list[float]:
+    """When the sweeps began."""
+    await bench.resume()
+    await bench.over()
+    await until(lambda: bench.now.state is CampaignState.MEASURED)
+    return [sweep.spec.started_at for sweep in bench.store.sweeps(bench.campaign.id)]
+
+
+@pytest.mark.parametrize("by", SET_BY, ids=str)
+async def test_a_service_that_goes_on_does_not_notice(bench: Bench, by: timedelta) -> None:
+    await pause_in_the_second_sweep(bench)
+    set_clock(bench, by)
+    begun = await go_on(bench)
+    assert begun == sorted(begun)
+    assert 0 <= begun[0] <= begun[-1] < TIMEOUT
+
+
+async def test_after_a_restart_nothing_begins_before_what_was_measured(again: Again) -> None:
+    async with again() as bench:
+        await pause_in_the_second_sweep(bench)
+        set_clock(bench, timedelta(hours=-1))
+    async with again() as bench:
+        begun = await go_on(bench)
+    assert begun == sorted(begun)
+    assert begun[0] >= 0
+    assert begun[1] - begun[0] >= 6.3  # s, of the first sweep
+
+
+STEP = math.radians(0.5) / 20  # of the drives that do not do as they are told, every few milliseconds
+
+
+WHOLE = round((5 * 1.0 + RAMP + SETTLE + RAMP) * 250)  # samples of a sweep
+
+
+Make = Callable[[Bench, pytest.MonkeyPatch], None]
+
+
+class Case(NamedTuple):
+    """`cause`: a pattern. `kept`: samples of the partial recording, None: there is none. `moves`: some axis does."""
+
+    make: Make
+    cause: str
+    kept: int | None = None
+    sweep: int = 1
+    moves: bool = True
+
+
+def fails(block: int, error: Exception) -> Make:
+    def make(bench: Bench, patch: pytest.MonkeyPatch) -> None:
+        patch.setattr(bench.drive, "fail", {block: error})
+
+    return make
+
+
+def lost_sample(bench: Bench, patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(bench.drive, "skip", 600)
+
+
+def measured(change: Callable[[SampleBlock], None]) -> Make:
+    """Other samples than the formula's."""
+
+    def make(bench: Bench, patch: pytest.MonkeyPatch) -> None:
+        samples = bench.drive.samples
+
+        def changed(command: SweepCommand) -> SampleBlock:
+            block = samples(command)
+            change(block)
+            return block
+
+        patch.setattr(bench.drive, "samples", changed)
+
+    return make
+
+
+def jolt(block: SampleBlock) -> None:
+    block.effort[700] = 1300.0
+
+
+def reversed_effort(block: SampleBlock) -> None:
+    block.effort[:] = -block.effort
+
+
+def commanded(make: Make = lambda _bench, _patch: None, **change: float) -> Make:
+    """Other commands than the plan's."""
+
+    def both(bench: Bench, patch: pytest.MonkeyPatch) -> None:
+        compile_plan = bench.compile_plan
+
+        def changed(campaign):
+            compiled = compile_plan(campaign)
+            commands = {n: dataclasses.replace(c, **change) for n, c in compiled.commands.items()}
+            return dataclasses.replace(compiled, commands=commands)
+
+        patch.setattr(bench, "compile_plan", changed)
+        make(bench, patch)
+
+    return both
+
+
+def short(bench: Bench, patch: pytest.MonkeyPatch) -> None:
+    move_to = bench.drive.move_to
+
+    async def moved(joint: str, position: float, velocity: float) -> None:
+        await move_to(joint, position * 0.9, velocity)
+
+    patch.setattr(bench.drive, "move_to", moved)
+
+
+def slips(bench: Bench, patch: pytest.MonkeyPatch) -> None:
+    """Another axis, while this one is swept."""
+    run_sweep = bench.drive.run_sweep
+
+    async def sweep(*commands: SweepCommand):
+        async for block in run_sweep(*commands):
+            patch.setitem(bench.drive.position, "joint_2", 0.01)
+            yield block
+
+    patch.setattr(bench.drive, "run_sweep", sweep)
+
+
+def check_move(towards: Callable[[Bench, str, float], bool], error: Exception | None = None) -> Make:
+    """`towards` moves a little, and tells whether it goes on; it is a task until then."""
+
+    def make(bench: Bench, patch: pytest.MonkeyPatch) -> None:
+        async def moved(joint: str, position: float, velocity: float) -> None:
+            if error is not None:
+                raise error
+            while towards(bench, joint, position):  # noqa: ASYNC110
+                await asyncio.sleep(0.005)
+
+        patch.setattr(bench.drive, "position", dict(bench.drive.position))
+        patch.setattr(bench.drive, "move_to", moved)
+
+    return make
+
+
+def away(bench: Bench, joint: str, _position: float) -> bool:
+    bench.drive.position[joint] -= STEP
+    return True  # until it is stopped
+
+
+def coupled(bench: Bench, joint: str, position: float) -> bool:
+    bench.drive.position[joint] += STEP
+    bench.drive.position["joint_3"] += STEP / 2
+    return bench.drive.position[joint] < position
+
+
+def stuck(_bench: Bench, _joint: str, _position: float) -> bool:
+    return False
+
+
+def no_room(bench: Bench, patch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise EnvelopeViolation("no room")
+
+    patch.setattr(bench.compile_plan(bench.campaign).envelope, "check_move", refuse)
+
+
+def full_disk(bench: Bench, patch: pytest.MonkeyPatch) -> None:
+    """It takes all but the last block."""
+    written, sync = list[int](), os.fsync
+
+    def refuse(file: int) -> None:
+        written.append(file)
+        if len(written) == 7:
+            raise OSError(28, "No space left on device")
+        sync(file)
+
+    patch.setattr("service.store.files.columns.os.fsync", refuse)
+
+
+FAR = "distance from the planned pose {} rad is above the limit 0.002 rad"
+
+
+CASES = {
+    "drive fault": Case(fails(3, DriveFault("joint_1: 0x2310")), "^DriveFault: joint_1: 0x2310$", 750),
+    "lost connection": Case(fails(1, CommunicationLost("bus-off")), "^CommunicationLost: bus-off$", 250),
+    "lost sample": Case(lost_sample, "^SamplesMissing: joint_1: sample 601 received instead of 600$", 500),
+    "effort outside": Case(
+        commanded(measured(jolt), effort_limit=1200.0), "^EnvelopeViolation: joint_1: effort 1300 N m is outside", 750
+    ),
+    "command outside": Case(commanded(velocity_limit=9.0), "velocity limit 9 rad/s is above the limit", moves=False),
+    "implausible": Case(measured(reversed_effort), "^ImplausibleChannels: joint_1: apparent inertia -", WHOLE),
+    "stands elsewhere": Case(short, f"joint_1: {FAR.format('0.04')}", sweep=2),
+    "another axis slips": Case(slips, f"joint_2: {FAR.format('0.01')}", WHOLE),
+    "full disk": Case(full_disk, r"^OSError: \[Errno 28\] No space left on device", WHOLE),
+    "check move: no room": Case(no_room, "no room", moves=False),
+    "check move: wrong way": Case(check_move(away), "^CheckMoveFailed: joint_1: moved by -"),
+    "check move: another axis too": Case(check_move(coupled), r"^CheckMoveFailed: joint_3: moved by \+"),
+    "check move: stuck": Case(check_move(stuck), "target not reached; limit"),
+    "check move: fault": Case(check_move(stuck, DriveFault("joint_1: 0x8611")), "^DriveFault: joint_1: 0x8611$"),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+async def test_trouble_ends_the_sweep_and_waits_for_a_person(bench: Bench, name: str) -> None:
+    case = CASES[name]
+    with pytest.MonkeyPatch.context() as patch:
+        case.make(bench, patch)
+        await bench.start()
+        campaign = await bench.over()
+        sweep = bench.store.sweep(campaign.id, case.sweep)
+        assert sweep.state is SweepState.FAILED
+        assert re.search(case.cause, sweep.cause), sweep.cause
+        assert (campaign.state, campaign.cause) == (CampaignState.PAUSED, sweep.cause)
+        assert campaign.sweeps[SweepState.PLANNED] == 4 - case.sweep
+        assert bench.drive.trace[-1] == "stop"
+        enabled = [entry for entry in bench.drive.trace if entry.startswith("enable")]
+        assert bool(enabled) is case.moves
+        if name.startswith("check move"):
+            assert enabled in ([], ["enable joint_1"])
+            assert not any(entry.startswith("sweep") for entry in bench.drive.trace)
+            assert bench.drive.position["joint_2"] == 0.0
+        if case.kept is None:
+            with pytest.raises(NotFound):
+                bench.store.recording(campaign.id, case.sweep)
+        else:
+            partial = bench.store.recording(campaign.id, case.sweep)
+            recording = read_columns(bench.files.path(partial))
+            assert (partial.state, partial.samples, len(recording.time)) == (
+                RecordingState.PARTIAL, case.kept, case.kept
+            )  # fmt: skip
+            assert (recording.effort.max() == 1300.0) == (name == "effort outside")  # what ended it is kept
+        assert bench.files.streams() == {}
+        if name == "lost connection":
+            assert (bench.machine.connected, bench.machine.trouble) == (False, "bus-off")
+
+    await bench.resume()  # a failed sweep is repeated only on command
+    assert (await bench.over()).sweeps == {SweepState.FAILED: 1, SweepState.RECORDED: 3}

@@ -24,13 +24,7 @@ PAGE = Path(__file__).parents[4] / "docs" / "reference" / "states.md"
 CAMPAIGN_EXPECTED = {
     "planned": {"start": "running", "abort": "aborted"},
     "running": {"pause": "pausing", "abort": "aborted", "trouble": "paused", "measured": "measured"},
-    "pausing": {
-        "resume": "running",
-        "abort": "aborted",
-        "held": "paused",
-        "trouble": "paused",
-        "measured": "measured",
-    },
+    "pausing": {"resume": "running", "abort": "aborted", "held": "paused", "trouble": "paused", "measured": "measured"},
     "paused": {"resume": "running", "abort": "aborted"},
     "measured": {"identified": "completed"},
     "completed": {},

@@ -50,13 +50,6 @@ def envelope(**cell: object) -> Envelope:
     return Envelope(small_arm(), Cell.model_validate({"name": "test", "joint_margin": 0.02} | cell))
 
 
-def test_a_trajectory_within_its_limits_passes() -> None:
-    envelope().check_trajectory([FIRST, SECOND], POSE)
-    motion = commanded_motion(("j1", "j2"), [SECOND], POSE)
-    assert (motion.position[:, 0] == POSE[0]).all()
-    assert np.ptp(motion.position[:, 1]) > 0.2
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -71,6 +64,7 @@ def test_a_trajectory_within_its_limits_passes() -> None:
     ],
 )
 def test_what_leaves_the_envelope_is_refused(change: dict[str, object], message: str) -> None:
+    envelope().check_trajectory([FIRST, SECOND], POSE)
     with pytest.raises(EnvelopeViolation, match=message):
         envelope().check_trajectory([replace(FIRST, **change), SECOND], POSE)
 
@@ -186,27 +180,6 @@ def envelope_of_max100(robot: Robot) -> Envelope:
     return Envelope(robot, Cell(name="empty"))
 
 
-async def test_axes_of_a_trajectory_are_energised_and_recorded_together(
-    bench: Bench, campaign: tuple[Runner, CampaignDocument]
-) -> None:
-    runner, planned = campaign
-    await runner.start(planned.id, bench.intention)
-    await asyncio.wait_for(runner.finished(), TIMEOUT)
-    assert bench.store.campaign(planned.id).state is CampaignState.MEASURED
-    assert [entry for entry in bench.drive.trace if entry != "standstill"][-4:] == [
-        "enable joint_1 joint_2",
-        "sweep joint_1 joint_2",
-        "disable joint_1",
-        "disable joint_2",
-    ]
-    first, second = bench.store.sweeps(planned.id)
-    assert first.spec.started_at == second.spec.started_at
-    for sweep in (first, second):
-        assert sweep.state is SweepState.RECORDED
-        recording = bench.store.recording(planned.id, sweep.number)
-        assert (recording.state, recording.samples) == (RecordingState.COMPLETE, 1750)
-
-
 async def test_trouble_with_one_axis_fails_all_and_all_are_repeated(
     bench: Bench, campaign: tuple[Runner, CampaignDocument]
 ) -> None:
@@ -243,10 +216,7 @@ async def test_a_trajectory_of_which_one_axis_was_identified_does_not_block_its_
     await runner.resume(planned.id, bench.intention, repeat=True)
     await asyncio.wait_for(runner.finished(), TIMEOUT)
     ended = store.campaign(planned.id)
-    assert (ended.state, ended.sweeps) == (
-        CampaignState.COMPLETED,
-        {SweepState.IDENTIFIED: 1, SweepState.SKIPPED: 1},
-    )
+    assert (ended.state, ended.sweeps) == (CampaignState.COMPLETED, {SweepState.IDENTIFIED: 1, SweepState.SKIPPED: 1})
     assert store.sweep(planned.id, 2).cause == ended.cause
     assert "can only be repeated completely" in ended.cause
     assert not any(entry.startswith(("enable", "sweep")) for entry in bench.drive.trace[before:])

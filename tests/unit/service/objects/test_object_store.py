@@ -17,7 +17,7 @@ from service.store.files.columns import read_columns
 from service.store.files.recordings import RecordingFile, file_sha256
 from service.store.objects import MissingObject, ObjectStore, StoreAway, WrongObject, check_usable, read_recording
 from service.store.retention import make_room
-from tests.object_store_server import BUCKET, S3Server, Wire, key_file
+from tests.object_store_server import BUCKET, S3Server, key_file
 from tests.unit.service.objects.conftest import WAIT
 
 
@@ -88,12 +88,6 @@ def test_a_wrong_object_is_told_and_repaired(
     store.check(sha256)
 
 
-def test_a_missing_object_is_told(address: StoreAddress, tmp_path: Path) -> None:
-    with pytest.raises(MissingObject, match="object is missing"):
-        ObjectStore(address).fetch("0" * 64, tmp_path / "fetched")
-    assert not (tmp_path / "fetched").exists()
-
-
 def test_a_file_that_was_changed_is_not_put(address: StoreAddress, recording: Path) -> None:
     sha256 = file_sha256(recording)
     recording.write_bytes(b"changed")
@@ -101,27 +95,6 @@ def test_a_file_that_was_changed_is_not_put(address: StoreAddress, recording: Pa
         ObjectStore(address).put(recording, sha256)
     with pytest.raises(MissingObject):
         ObjectStore(address).check(sha256)
-
-
-@pytest.mark.slow
-def test_a_store_that_is_gone_and_comes_back(
-    through_wire: StoreAddress, wire: Wire, s3: S3Server, recording: Path
-) -> None:
-    sha256 = file_sha256(recording)
-    store = ObjectStore(through_wire)
-    wire.cut()
-    with pytest.raises(StoreAway, match="Could not connect"):
-        store.put(recording, sha256)
-    wire.hold_after(20_000)  # enough for a question, not for a recording: it takes the connection and says nothing
-    wire.mend()
-    with pytest.raises(StoreAway):
-        store.put(recording, sha256)
-    assert s3.keys() == []
-    wire.cut()
-    wire.hold_after(None)
-    wire.mend()
-    store.put(recording, sha256)
-    assert s3.read(s3.keys()[0]) == recording.read_bytes()
 
 
 def test_a_share_that_is_not_mounted_is_not_made(tmp_path: Path, recording: Path) -> None:

@@ -87,21 +87,17 @@ def elsewhere(sweep: PathSweep) -> dict[str, float]:
         ({"IPO_CYCLE_TIME": 0.002}, {}, "interpolation cycle is not 4 ms"),
         ({"INT_INCR_PER_DEG": 1000.0}, {}, "calculation resolution"),
         ({}, {"A4": 10.0}, "work position differs"),
+        ({}, None, "neither at the pose"),
     ],
 )
-def test_another_control_is_refused(
-    sweeps: list[PathSweep], data: dict[str, float], offset: dict[str, float], message: str
+def test_another_control_and_a_robot_elsewhere_are_refused(
+    sweeps: list[PathSweep], data: dict[str, float], offset: dict[str, float] | None, message: str
 ) -> None:
-    done = walk(program(sweeps[1]), sweeps[1].before, DATA | data, work_offset=offset)
+    place = elsewhere(sweeps[1]) if offset is None else sweeps[1].before
+    done = walk(program(sweeps[1]), place, DATA | data, work_offset=offset)
     assert done.ended
     assert done.moves == []
     assert message in done.message
-
-
-def test_a_robot_elsewhere_is_refused(sweeps: list[PathSweep]) -> None:
-    done = walk(program(sweeps[1]), elsewhere(sweeps[1]), DATA)
-    assert (done.moves, done.ended) == ([], True)
-    assert "neither at the pose" in done.message
 
 
 @pytest.mark.parametrize("stop", [1, 2])

@@ -193,41 +193,26 @@ def test_an_id_token_that_does_not_hold_is_refused(
     assert sub not in [user.name for user in UserStore(database).all()]
 
 
-def test_another_state_is_refused_and_ends_the_login(url: str) -> None:
-    with calling(url, None) as http:
+def test_a_login_is_ended_once_and_by_who_began_it(url: str) -> None:
+    with calling(url, None) as http, calling(url, None) as other:
         brought = at_provider(begin(http), "olga")
-        for state in ("another", brought["state"]):
+        for state in ("another", brought["state"]):  # another state ends the login
             refused = hand_in(http, {**brought, "state": state})
             assert (refused.status_code, refused.json()["detail"]) == (
                 401,
                 "unknown or expired login state in this browser: start the login again",
             )
-
-
-def test_what_another_browser_began_is_refused(url: str) -> None:
-    with calling(url, None) as mine, calling(url, None) as victim:
-        brought = at_provider(begin(mine), "olga")
-        begin(victim)
-        assert hand_in(victim, brought).status_code == 401
-        assert victim.get("/api/v1/me").status_code == 401
-
-
-def test_a_code_opens_once(url: str) -> None:
-    with calling(url, None) as http:
+        stolen = at_provider(begin(other), "adam")
+        begin(http)
+        assert hand_in(http, stolen).status_code == 401  # another browser began it
+        assert http.get("/api/v1/me").status_code == 401
+        refused = hand_in(http, {**at_provider(begin(http), "olga"), "code": stolen["code"]})
+        assert (refused.status_code, "'invalid_grant'" in refused.json()["detail"]) == (401, True)  # PKCE
         brought = at_provider(begin(http), "olga")
         assert hand_in(http, brought).status_code == 200
         assert hand_in(http, brought).status_code == 401
-        anew = at_provider(begin(http), "olga")
-        replayed = hand_in(http, {**anew, "code": brought["code"]})  # with a state that is under way
-        assert replayed.status_code == 401
-        assert "'invalid_grant'" in replayed.json()["detail"]
-
-
-def test_a_code_of_another_login_is_refused(url: str) -> None:
-    with calling(url, None) as http, calling(url, None) as other:
-        stolen = at_provider(begin(other), "adam")
-        refused = hand_in(http, {**at_provider(begin(http), "olga"), "code": stolen["code"]})
-        assert (refused.status_code, "'invalid_grant'" in refused.json()["detail"]) == (401, True)  # PKCE
+        replayed = hand_in(http, {**at_provider(begin(http), "olga"), "code": brought["code"]})
+        assert (replayed.status_code, "'invalid_grant'" in replayed.json()["detail"]) == (401, True)
 
 
 @pytest.mark.parametrize("path", [BEGIN, END])

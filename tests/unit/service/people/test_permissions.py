@@ -25,11 +25,20 @@ def permissions(app: FastAPI) -> Permissions:
 
 
 @pytest.mark.slow
-def test_each_route_has_a_role(app: FastAPI, permissions: Permissions) -> None:
+def test_each_route_has_a_role_and_a_scope_and_few_need_nobody(app: FastAPI, permissions: Permissions) -> None:
     assert permissions.roles["GET", "/api/v1/audit"] is Role.ADMIN
     assert permissions.roles["GET", "/metrics"] is Role.VIEWER
     declared = {(method.upper(), path) for path, ways in app.openapi()["paths"].items() for method in ways}
     assert declared < set(permissions.roles)
+    assert permissions.roles[STOP] is None
+    assert {permissions.roles["GET", f"/api/v1/health/{word}"] for word in ("live", "ready")} == {None}
+    free = {path for (method, path), role in permissions.roles.items() if role is None and method != "GET"}
+    assert free == {STOP[1], *(path for _, path in LOGINS)}
+    found = {route: permissions.scope(route) for route in permissions.roles}
+    assert {scope for scope in found.values() if scope} == set(SCOPES)
+    unscoped = {route for route, scope in found.items() if scope is None and permissions.roles[route] is not None}
+    assert unscoped == {("GET", "/api/v1/me"), ("POST", "/api/v1/logout")}
+    assert permissions.scope(STOP) is None
 
 
 def test_a_route_without_a_role_is_refused_at_the_start() -> None:
@@ -48,13 +57,6 @@ def test_a_route_without_a_role_is_refused_at_the_start() -> None:
         Permissions(app.routes)
 
 
-def test_stop_login_and_health_need_nobody(permissions: Permissions) -> None:
-    assert permissions.roles[STOP] is None
-    assert {permissions.roles["GET", f"/api/v1/health/{word}"] for word in ("live", "ready")} == {None}
-    free = {path for (method, path), role in permissions.roles.items() if role is None and method != "GET"}
-    assert free == {STOP[1], *(path for _, path in LOGINS)}
-
-
 @pytest.mark.parametrize(
     ("method", "path", "role"),
     [
@@ -71,16 +73,6 @@ def test_stop_login_and_health_need_nobody(permissions: Permissions) -> None:
 def test_what_a_request_needs(permissions: Permissions, method: str, path: str, role: Role | None) -> None:
     entry = permissions.entry(method, path)
     assert (Role.VIEWER if entry is None else permissions.roles[entry]) is role
-
-
-def test_each_route_that_needs_somebody_has_a_scope(permissions: Permissions) -> None:
-    found = {route: permissions.scope(route) for route in permissions.roles}
-    assert {scope for scope in found.values() if scope} == set(SCOPES)
-    assert {route for route, scope in found.items() if scope is None and permissions.roles[route] is not None} == {
-        ("GET", "/api/v1/me"),
-        ("POST", "/api/v1/logout"),
-    }
-    assert permissions.scope(STOP) is None
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,10 @@
-"""A person logs in with a password, has a session in a cookie, and loses it: without a machine."""
+"""A person has a password, logs in with it, has a session in a cookie, and loses it: without a machine."""
 
+import json
+import os
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
@@ -12,23 +16,36 @@ from time import perf_counter
 
 import httpx
 import pytest
-from sqlalchemy import text
+from argon2 import PasswordHasher
+from sqlalchemy import select, text
 
 from service.cli.commands.people import revoke_session, sessions
+from service.model.errors import BadInput, Conflict, NotFound
+from service.store import tables as t
 from service.store.access.permissions import Role
 from service.store.database import Database, SteadyClock, open_database
 from service.store.people.audit import AuditStore
 from service.store.people.sessions import SessionStore, begin_time, keep_time
-from service.store.people.users import KeyStore, UserDocument, UserStore
+from service.store.people.users import LEAST, KeyStore, UserDocument, UserStore, fits, outdated, password_hash
+from tests.command import SWEEPID, sweepid
 from tests.unit.service.hosting import hosting
 from tests.unit.service.people.conftest import Since, calling, stored_in
 
 pytestmark = pytest.mark.slow
 
+
 WHO = {"actor": "test", "address": "test"}
+
+
 PASSWORD = "a horse and a battery"
+
+
 WRONG = "not the horse of anna"
+
+
 START = "/api/v1/campaigns/987654/start"
+
+
 LONGEST = 24 * 3600.0
 
 
@@ -101,13 +118,17 @@ def test_a_change_with_a_session_must_come_from_our_page(url: str, person: str, 
         assert stopped.json()["type"] == "urn:sweepid:problem:stop-not-confirmed"
 
 
-def test_a_session_may_what_the_person_may_now(url: str, person: str, database: Database) -> None:
+def test_a_session_may_what_the_person_may_now_and_its_stop_bears_the_name(
+    url: str, person: str, database: Database, since: Since
+) -> None:
     with calling(url, None) as http:
         log_in(http, person)
         assert http.get("/api/v1/audit").status_code == 403
         with database.write() as session:
             session.execute(text("UPDATE user_account SET role = 'admin' WHERE name = :name"), {"name": person})
-        assert http.get("/api/v1/audit").status_code == 200
+        http.post("/api/v1/stop", headers={"Origin": url})
+        assert http.get("/api/v1/audit").status_code == 200  # waits until it is written
+    assert [one["actor"] for one in since() if one["route"] == "/api/v1/stop"] == [person]
 
 
 def test_a_key_stands_above_a_session(url: str, person: str, keys: dict[str, str]) -> None:
@@ -116,14 +137,6 @@ def test_a_key_stands_above_a_session(url: str, person: str, keys: dict[str, str
         assert http.get("/api/v1/me").json()["name"] == "the-viewer"
         refused = http.post("/api/v1/logout")
         assert (refused.status_code, "revoke-key" in refused.text) == (409, True)
-
-
-def test_a_stop_with_a_session_bears_the_name(url: str, person: str, keys: dict[str, str], since: Since) -> None:
-    with calling(url, None) as http, calling(url, keys["admin"]) as admin:
-        log_in(http, person)
-        http.post("/api/v1/stop", headers={"Origin": url})
-        admin.get("/api/v1/audit")  # waits until it is written
-    assert [one["actor"] for one in since() if one["route"] == "/api/v1/stop"] == [person]
 
 
 def test_who_is_disabled_or_gets_another_password_is_out(url: str, person: str, users: UserStore) -> None:
@@ -285,6 +298,8 @@ def test_who_cannot_be_audited_is_not_logged_in(url: str, person: str, folder: P
 
 
 HOUR, DAY = timedelta(hours=1), timedelta(days=1)
+
+
 MONTH = 30 * DAY
 
 
@@ -332,11 +347,17 @@ def valid(store: SessionStore | KeyStore, secret: str) -> bool:
 
 
 Step = str | tuple[str, timedelta]
+
+
 BOTH, NONE, KEY_ALONE = "both", "none", "the key alone"  # of session and key are valid
+
+
 RESTART = ("end", "start")
+
+
 CASES: dict[str, list[Step]] = {
     "what has expired does not revive when the clock is set back": [
-        *("log in", BOTH, ("pass", 25 * HOUR), NONE, ("set", -20 * HOUR), NONE, "minute", *RESTART, NONE),
+        *("log in", BOTH, ("pass", 25 * HOUR), NONE, ("set", -20 * HOUR), NONE, "minute", *RESTART, NONE)
     ],
     "a clock that is set back extends nothing": [
         *("log in", ("set", -MONTH)),
@@ -344,17 +365,17 @@ CASES: dict[str, list[Step]] = {
         *(("pass", 2 * HOUR), NONE),
     ],
     "a login while the clock stood ahead keeps its limit": [
-        *(("set", MONTH), "log in", ("set", -MONTH), ("pass", HOUR), BOTH, ("pass", 24 * HOUR), NONE),
+        *(("set", MONTH), "log in", ("set", -MONTH), ("pass", HOUR), BOTH, ("pass", 24 * HOUR), NONE)
     ],
     "a restart after the clock was set back ends the session": [
         *(("set", MONTH), "log in", "end", ("set", -MONTH), "start", KEY_ALONE, "told", ("pass", 25 * HOUR), NONE),
         *("log in again", "again"),  # a person can, meanwhile
     ],
     "what was expired when the service was killed stays so": [
-        *("log in", ("pass", 9 * HOUR), "minute", "end", ("set", -4 * HOUR), "start", KEY_ALONE),
+        *("log in", ("pass", 9 * HOUR), "minute", "end", ("set", -4 * HOUR), "start", KEY_ALONE)
     ],
     "a small correction ends nothing": [
-        *("log in", "end", ("set", timedelta(seconds=-30)), "start", BOTH, "end", ("pass", HOUR), "start", BOTH),
+        *("log in", "end", ("set", timedelta(seconds=-30)), "start", BOTH, "end", ("pass", HOUR), "start", BOTH)
     ],
 }
 
@@ -401,3 +422,163 @@ def test_two_services_with_different_clocks_share_one_time(computer: Computer) -
             assert valid(there, session)
             computer.passes(25 * HOUR)
             assert not valid(there, session)
+
+
+OTHER = "another twelve and more"
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Iterator[Database]:
+    with open_database(f"sqlite:///{tmp_path / 'sweepid.sqlite'}") as database:
+        yield database
+
+
+def stored(database: Database, name: str) -> str:
+    with database.read() as session:
+        found = session.scalar(select(t.UserRow.password).where(t.UserRow.name == name))
+    assert found is not None
+    return found
+
+
+def told(database: Database) -> list[str]:
+    return [str(one.entry["event"]) for one in AuditStore(database).documents()]
+
+
+@pytest.mark.parametrize(
+    ("password", "typed"),
+    [
+        ("fünf Pferde im Stall", "fu\u0308nf Pferde im Stall"),
+        *((x, x) for x in ("\ud800" * LEAST, "ﬀ" * LEAST, "p" * 5000)),
+    ],
+)
+def test_a_password_fits_its_own_hash_alone_and_every_keyboard_types_it(password: str, typed: str) -> None:
+    hashed = password_hash(password)
+    assert hashed.startswith("$argon2id$")
+    assert fits(typed, hashed)
+    assert not outdated(hashed)
+    assert not fits(f"{password} ", hashed)
+    assert not fits(password, None)
+    assert not fits(password, "no hash")
+
+
+@pytest.mark.parametrize("password", ["", "eleven char"])
+def test_a_short_password_is_refused_without_being_told(password: str) -> None:
+    with pytest.raises(BadInput, match=rf"^password: has {len(password)} characters; use at least 12") as refused:
+        password_hash(password)
+    assert not password or password not in str(refused.value)
+
+
+def test_users(own: Database) -> None:
+    users = UserStore(own)
+    anna = users.add("anna", Role.OPERATOR, PASSWORD, WHO)
+    assert users.check("anna", PASSWORD) == anna
+    assert users.check("anna", OTHER) is None
+    assert users.check("berta", PASSWORD) is None
+    with pytest.raises(Conflict, match="a user anna exists or existed: use another name"):
+        users.add("anna", Role.ADMIN, PASSWORD, WHO)
+    assert users.change_password("anna", OTHER, WHO) == anna
+    assert users.check("anna", PASSWORD) is None
+    assert users.check("anna", OTHER) == anna
+    disabled = users.shut_out("anna", WHO)
+    assert users.shut_out("anna", WHO) == disabled
+    assert users.check("anna", OTHER) is None
+    with pytest.raises(Conflict, match="anna was disabled on"):
+        users.change_password("anna", PASSWORD, WHO)
+    enabled = users.let_in("anna", WHO)
+    assert users.let_in("anna", WHO) == enabled == anna
+    assert users.check("anna", OTHER) == anna
+    for name in ("change_password", "shut_out", "let_in"):
+        arguments = ("nobody", PASSWORD, WHO) if name == "change_password" else ("nobody", WHO)
+        with pytest.raises(NotFound, match="user nobody does not exist"):
+            getattr(users, name)(*arguments)
+    assert told(own) == ["user added", "password changed", "user disabled", "user enabled"]
+
+
+def test_a_name_is_a_users_or_a_keys(own: Database) -> None:
+    users, keys = UserStore(own), KeyStore(own)
+    users.add("anna", Role.OPERATOR, PASSWORD, WHO)
+    keys.add("line-7", Role.OPERATOR, timedelta(days=1), WHO)
+    with pytest.raises(Conflict, match="a user anna"):
+        keys.add("anna", Role.VIEWER, timedelta(days=1), WHO)
+    with pytest.raises(Conflict, match="a key of line-7"):
+        users.add("line-7", Role.VIEWER, PASSWORD, WHO)
+
+
+def test_a_hash_of_old_parameters_is_replaced(own: Database) -> None:
+    users = UserStore(own)
+    users.add("anna", Role.OPERATOR, PASSWORD, WHO)
+    weak = PasswordHasher(time_cost=1, memory_cost=8192).hash(PASSWORD)
+    with own.write() as session:
+        session.execute(text("UPDATE user_account SET password = :weak"), {"weak": weak})
+    assert outdated(weak)
+    assert users.check("anna", OTHER) is None
+    assert stored(own, "anna") == weak
+    assert users.check("anna", PASSWORD) is not None
+    assert not outdated(stored(own, "anna"))
+    assert users.check("anna", PASSWORD) is not None
+
+
+def test_the_commands_take_a_password_from_stdin(tmp_path: Path) -> None:
+    def people(*words: str, stdin: str = "") -> tuple[int, str, str]:
+        done = sweepid("people", *words, "--data-dir", str(tmp_path), stdin=stdin)
+        return done.returncode, done.stdout, done.stderr
+
+    def listed() -> dict[str, str]:
+        return json.loads(people("list")[1])
+
+    assert people("add-user", "anna", "--role", "operator", stdin=f"{PASSWORD}\n") == (0, "anna\n", "")
+    code, out, err = people("change-password", "anna", stdin="short\n")
+    assert (code, out, err.startswith("sweepid: password: has 5 characters")) == (2, "", True)
+    assert people("change-password", "anna", stdin=OTHER) == (0, "anna\n", "")
+    assert people("disable-user", "anna") == (0, "anna\n", "")
+    line = listed()
+    assert (line["kind"], line["name"], line["role"]) == ("user", "anna", "operator")
+    assert line["trouble"].startswith("anna was disabled on ")
+    assert "password" not in line
+    assert people("enable-user", "anna") == (0, "anna\n", "")
+    assert listed()["trouble"] == ""
+    with open_database(f"sqlite:///{tmp_path / 'sweepid.sqlite'}") as database:
+        assert told(database) == ["user added", "password changed", "user disabled", "user enabled"]
+        assert AuditStore(database).documents()[-1].entry["user"] == "anna"
+        assert fits(OTHER, stored(database, "anna"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a terminal of POSIX")
+@pytest.mark.parametrize(("second", "code"), [(PASSWORD, 0), (OTHER, 2)])
+def test_at_a_terminal_the_password_is_asked_for_twice_and_not_shown(tmp_path: Path, second: str, code: int) -> None:
+    screen, terminal = os.openpty()
+    arguments = ["people", "add-user", "anna", "--role", "viewer", "--data-dir", str(tmp_path)]
+    # a session of its own, whose first terminal becomes the one that the password is read from
+    begin = f"import os, sys; os.close(os.open({os.ttyname(terminal)!r}, os.O_RDWR)); os.execv({SWEEPID!r}, sys.argv)"
+    asked = subprocess.Popen(
+        [sys.executable, "-c", begin, *arguments],
+        stdin=terminal,
+        stdout=terminal,
+        stderr=terminal,
+        start_new_session=True,
+    )
+    os.close(terminal)
+    shown = b""
+    try:
+        for prompt, answer in ((b"Password of anna: ", PASSWORD), (b"Once more: ", second)):
+            while prompt not in shown:
+                shown += os.read(screen, 1000)
+            os.write(screen, f"{answer}\n".encode())
+        assert asked.wait(60) == code
+    finally:
+        asked.kill()
+        asked.wait()
+        while rest := _rest(screen):
+            shown += rest
+        os.close(screen)
+    assert PASSWORD.encode() not in shown
+    assert (b"the two passwords differ" in shown) == (code == 2)
+    with open_database(f"sqlite:///{tmp_path / 'sweepid.sqlite'}") as database:
+        assert len(UserStore(database).all()) == (code == 0)
+
+
+def _rest(screen: int) -> bytes:
+    try:
+        return os.read(screen, 1000)
+    except OSError:  # the other end is closed
+        return b""

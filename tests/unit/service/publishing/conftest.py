@@ -7,13 +7,7 @@ from pathlib import Path
 import pytest
 
 from service.planning.campaigns.stored_results import AxisEstimateQuality
-from service.publishing.state import (
-    CampaignProgress,
-    LatestEstimate,
-    LinkParameters,
-    MachineState,
-    PublishedState,
-)
+from service.publishing.state import CampaignProgress, LatestEstimate, LinkParameters, MachineState, PublishedState
 from service.store.documents import CampaignState
 
 MADE = datetime(2026, 3, 1, 12, 0, 0, tzinfo=UTC)

@@ -58,8 +58,11 @@ def robot() -> Robot:
     return read_robot(ROBOT)
 
 
+Specs = tuple[SweepSpec, ...]
+
+
 @pytest.fixture
-def specs() -> tuple[SweepSpec, ...]:
+def specs() -> Specs:
     return tuple(
         SweepSpec(id=f"{n:04d}", axis="joint_1", pose=(0.0,) * 6, offset_velocity=0.01, sample_rate=1000.0)
         for n in (1, 2, 3)

@@ -1,11 +1,15 @@
-"""Bundles: round trip, atomic writing, and a named refusal for everything that BUNDLE.md forbids."""
+"""Bundles: round trip, atomic writing, and a named refusal for everything that BUNDLE.md forbids.
+
+Every numeric field of bundle.json and of the URDF with an absurd value: none passes silently.
+"""
 
 import copy
 import dataclasses
 import io
 import json
+import re
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +21,8 @@ from pydantic import ValidationError
 
 from service.model.errors import BadInput
 from service.model.recording import Recording, Sine, Sweep, SweepSpec
-from service.model.robot import Axis, Robot, RobotDescription, build_robot
+from service.model.robot import Axis, Prior, Robot, RobotDescription, build_robot, robot_from_outside
 from service.store.files.bundle import Bundle, read_bundle, read_from, write_bundle
-from service.store.files.columns import write_columns
 from tests.recorded_bundle import bundle
 
 Edit = Callable[[dict[str, Any]], object]
@@ -85,6 +88,8 @@ def same(one: Bundle, other: Bundle) -> None:
 
 
 numbers = st.floats(-1e4, 1e4)
+
+
 PRINTABLE = st.characters(codec="utf-8", exclude_categories=["Cc"])
 
 
@@ -126,15 +131,6 @@ def test_round_trip(tmp_path_factory: pytest.TempPathFactory, robot: Robot, draw
     assert [path.name for path in folder.parent.iterdir()] == ["bundle"]
 
 
-def test_csv_is_as_good_as_parquet(folder: Path, sweep: Sweep) -> None:
-    before = read_bundle(folder)
-    write_columns(folder / "sweeps/0001.csv", sweep.recording)
-    (folder / "sweeps/0001.parquet").unlink()
-    document = (folder / "bundle.json").read_text()
-    (folder / "bundle.json").write_text(document.replace("0001.parquet", "0001.csv"))
-    same(read_bundle(folder), before)
-
-
 def test_a_full_directory_is_left_alone(folder: Path, robot: Robot, sweep: Sweep) -> None:
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     with pytest.raises(BadInput, match="not an empty folder"):
@@ -168,6 +164,8 @@ def first(update: dict[str, object]) -> Edit:
 
 
 SWEEP = "bundle.json sweep 0002"
+
+
 FILE = "0002.parquet sweep 0002"
 
 
@@ -217,14 +215,6 @@ def test_refusals_name_file_sweep_and_reason(folder: Path, edit: Edit, place: st
     assert refusal.value.place.endswith(place)
     assert reason in refusal.value.reason
     assert "\n" not in str(refusal.value)
-
-
-def test_a_lost_sample_is_a_gap(folder: Path, sweep: Sweep) -> None:
-    kept = np.delete(np.arange(250), 100)
-    columns = {name: getattr(sweep.recording, name)[kept] for name in ("time", "effort", "velocity", "position")}
-    write_columns(folder / "sweeps/0002.parquet", Recording(**columns))
-    with pytest.raises(BadInput, match=r"0002 *: gap in time: 1.01 s follows 0.99 s, sample_rate is 100 Hz"):
-        read_bundle(folder)
 
 
 def test_a_link_out_of_the_bundle_is_not_followed(folder: Path) -> None:
@@ -348,3 +338,181 @@ def test_a_bundle_is_found_in_the_folder_that_was_zipped(tmp_path: Path, name: s
             inside = name.replace("bundle.json", str(path.relative_to(tmp_path / "given")))
             made.writestr(inside.replace("/", "\\") if "\\" in name else inside, path.read_bytes())
     assert read_from(tmp_path / "bundle.zip", tmp_path / "out").robot.joints == bundle().robot.joints
+
+
+ABSURD = ("NaN", "Infinity", "-Infinity", "1e308", "-1e308", "1e14", "-1e14")
+
+
+INERTIA = '<inertia ixx="1" iyy="1.2" izz="1.1" ixy="0.01" ixz="0.02" iyz="0.03"/>'
+
+
+FULL_URDF = f"""<robot name="two">
+  <link name="base"><collision><origin xyz="0 0 0.1" rpy="0 0 0.5"/>
+    <geometry><box size="0.1 0.2 0.3"/></geometry></collision></link>
+  <link name="turn">
+    <inertial><origin xyz="0.1 0.2 0.3" rpy="0.1 0.2 0.3"/><mass value="10"/>{INERTIA}</inertial>
+    <collision><geometry><cylinder radius="0.1" length="0.4"/></geometry></collision>
+  </link>
+  <link name="push">
+    <inertial><mass value="5"/>{INERTIA}</inertial>
+    <collision><geometry><sphere radius="0.2"/></geometry></collision>
+  </link>
+  <link name="tool"><inertial><mass value="1"/>{INERTIA}</inertial></link>
+  <joint name="j1" type="revolute"><parent link="base"/><child link="turn"/><origin xyz="0 0 0.3" rpy="0 0 0"/>
+    <axis xyz="0 0 1"/><limit lower="-3" upper="3" velocity="1" effort="100"/><dynamics damping="1" friction="2"/>
+  </joint>
+  <joint name="j2" type="prismatic"><parent link="turn"/><child link="push"/>
+    <axis xyz="1 0 0"/><limit lower="0" upper="1" velocity="1" effort="100"/></joint>
+  <joint name="flange" type="fixed"><parent link="push"/><child link="tool"/><origin xyz="0.1 0 0" rpy="0 0 0"/></joint>
+</robot>
+"""
+
+
+AXES = (
+    Axis(joint="j1", gear_ratio=-171.0, motor_inertia=0.0021, rated_effort=2500.0, viscous_friction=2.0,
+         cogging_orders=(24.0,), transmission_orders=(1.0,)),
+    Axis(joint="j2", gear_ratio=600.0, motor_inertia=0.001, rated_effort=900.0, viscous_friction=150.0),
+)  # fmt: skip
+
+
+ROBOT = RobotDescription(name="two", urdf="robot.urdf", axes=AXES, prior=Prior())
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bundle with a value in every numeric field of the schema."""
+    spec = SweepSpec(
+        id="0001", axis="j1", pose=(0.1, 0.5), offset_velocity=0.01, sines=(Sine(frequency=2.0, amplitude=0.002),),
+        period=1.0, periods=2, measure_from=0.5, sample_rate=100.0,
+    )  # fmt: skip
+    time = np.arange(250) / 100.0
+    full = tmp_path_factory.mktemp("absurd") / "bundle"
+    sweep = Sweep(spec, Recording(time, np.sin(time), np.cos(time), 0.1 * time))
+    write_bundle(full, build_robot(ROBOT, FULL_URDF), [sweep])
+    return full
+
+
+def refusal(read: Callable[[], object]) -> str:
+    """Place and reason; empty if it passes."""
+    try:
+        read()
+    except BadInput as error:
+        return f"{error.place}: {error.reason}"
+    return ""
+
+
+def number_paths(value: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Paths of all numbers."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from number_paths(inner, (*path, key))
+    elif isinstance(value, list):
+        for number, inner in enumerate(value):
+            yield from number_paths(inner, (*path, number))
+    elif isinstance(value, int | float):
+        yield path
+
+
+def schema_numbers(schema: dict[str, Any], name: str) -> set[str]:
+    """Names of all fields of a model and its parts that hold numbers."""
+    found: set[str] = set()
+    for part in (schema, *schema.get("$defs", {}).values()):
+        for field, entry in part.get("properties", {}).items():
+            if re.search(r'"type": "(number|integer)"', json.dumps(entry)):
+                found.add(field)
+    assert found, name
+    return found
+
+
+def test_the_bundle_has_every_numeric_field_of_the_schema(full: Path) -> None:
+    document = json.loads((full / "bundle.json").read_text())
+    named = {str(next(key for key in reversed(path) if isinstance(key, str))) for path in number_paths(document)}
+    wanted = schema_numbers(SweepSpec.model_json_schema(), "sweep")
+    wanted |= schema_numbers(RobotDescription.model_json_schema(), "robot")
+    assert wanted <= named
+
+
+def test_no_absurd_number_of_bundle_json_passes(full: Path) -> None:
+    place = full / "bundle.json"
+    original = place.read_text()
+    document = json.loads(original)
+    passed: list[tuple[object, str]] = []
+    try:
+        for path in number_paths(document):
+            for value in ABSURD:
+                changed = copy.deepcopy(document)
+                target = changed
+                for key in path[:-1]:
+                    target = target[key]
+                target[path[-1]] = "ABSURD"
+                place.write_text(json.dumps(changed).replace('"ABSURD"', value))
+                if str(place) not in refusal(lambda: read_bundle(full)):
+                    passed.append((path, value))
+    finally:
+        place.write_text(original)
+    assert passed == []
+
+
+ATTRIBUTES = [
+    (found.start(2) + number.start(), found.start(2) + number.end(), found[1])
+    for found in re.finditer(r'(\w+)="([-0-9. e]+)"', FULL_URDF)
+    for number in re.finditer(r"[-0-9.e]+", found[2])
+]
+
+
+@pytest.mark.parametrize("value", [*ABSURD, "nan", "inf"])
+def test_no_absurd_number_of_a_urdf_passes(value: str) -> None:
+    assert robot_from_outside(ROBOT, FULL_URDF).joints == ("j1", "j2")
+    passed: list[str] = []
+    for start, end, name in ATTRIBUTES:
+        text = FULL_URDF[:start] + value + FULL_URDF[end:]
+        if "urdf" not in refusal(lambda text=text: robot_from_outside(ROBOT, text)).lower():
+            passed.append(f"{name} at {start}")
+    assert passed == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place"),
+    [
+        ('<mass value="5"/>', '<mass value="-5"/>', "link push mass value"),
+        ('<mass value="1"/>', '<mass value="-1"/>', "link tool mass value"),  # fixed to a link of 5 kg
+        ('ixx="1" iyy="1.2"', 'ixx="-1" iyy="1.2"', "link turn"),
+        ('velocity="1"', 'velocity="-1"', "joint j1 limit velocity"),
+        ('radius="0.1"', 'radius="-0.1"', "link turn cylinder radius"),
+        ('ixy="0.01"', 'ixy="5"', "link turn"),  # not positive definite
+    ],
+)
+def test_a_body_that_cannot_exist_is_refused_with_file_place_and_value(
+    full: Path, old: str, new: str, place: str
+) -> None:
+    file = full / "robot.urdf"
+    try:
+        file.write_text(FULL_URDF.replace(old, new, 1))
+        with pytest.raises(BadInput) as bad:
+            read_bundle(full)
+    finally:
+        file.write_text(FULL_URDF)
+    assert str(full) in bad.value.place
+    assert place in bad.value.place
+    assert re.search(r"limit|principal inertias", bad.value.reason)
+
+
+@pytest.mark.parametrize(
+    ("mass", "inertia"),
+    [
+        (0, INERTIA),
+        (0, '<inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/>'),
+        (5, '<inertia ixx="1" iyy="0.5" izz="0.4999" ixy="0" ixz="0" iyz="0"/>'),
+    ],
+)
+def test_a_placeholder_without_mass_and_the_rounding_of_a_maker_are_read(mass: int, inertia: str) -> None:
+    robot_from_outside(ROBOT, FULL_URDF.replace(f'<mass value="5"/>{INERTIA}', f'<mass value="{mass}"/>{inertia}'))
+
+
+@pytest.mark.parametrize("column", ["effort", "velocity", "position"])
+def test_samples_beyond_any_machine_are_refused(full: Path, tmp_path: Path, column: str) -> None:
+    bundle = read_bundle(full)
+    (sweep,) = bundle.sweeps
+    getattr(sweep.recording, column)[7] = -1e14
+    with pytest.raises(BadInput, match=rf"column '{column}' is -1e\+14 in row 8; limit "):
+        write_bundle(tmp_path / "again", bundle.robot, [sweep])

@@ -65,12 +65,6 @@ def test_round_trip_is_exact(tmp_path_factory: pytest.TempPathFactory, suffix: s
             np.testing.assert_array_equal(theirs, ours)
 
 
-def test_columns_of_others_are_left_out(tmp_path: Path) -> None:
-    path = tmp_path / "sweep.csv"
-    path.write_text("remark,time,effort,velocity,position\nwarm,0,1,2,3\nstill warm,0.5,1,2,3\n")
-    np.testing.assert_array_equal(read_columns(path).position, [3, 3])
-
-
 @pytest.mark.parametrize(
     ("text", "reason"),
     [

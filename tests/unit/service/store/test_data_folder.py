@@ -13,6 +13,7 @@ from service.store.documents import NewRecording, NewSweep, RecordingState
 from service.store.files.data_folder import FILE, ForeignFolder, claim_folder
 from service.store.files.recordings import RecordingFiles, SweepAttempt
 from service.store.store import Store
+from tests.unit.service.store.conftest import Specs
 
 TIME = np.arange(100) / 100.0
 
@@ -34,7 +35,7 @@ def add_campaign(store: Store, robot: Robot, spec: SweepSpec) -> None:
     store.add_measured(store.add_robot(robot).id, [NewSweep(spec=spec, mode=None)], [recording])
 
 
-def test_a_folder_stays_with_its_database(tmp_path: Path, url: str, robot: Robot, specs: tuple[SweepSpec, ...]) -> None:
+def test_a_folder_stays_with_its_database(tmp_path: Path, url: str, robot: Robot, specs: Specs) -> None:
     for _ in range(2):
         with open_database(url) as database:
             assert claim_folder(tmp_path, database) == ""
@@ -64,7 +65,7 @@ def test_a_lost_database_is_told(tmp_path: Path, url: str, kind: str, claimed: b
 
 
 def test_a_folder_from_before_is_taken_with_its_own_database(
-    tmp_path: Path, url: str, robot: Robot, specs: tuple[SweepSpec, ...]
+    tmp_path: Path, url: str, robot: Robot, specs: Specs
 ) -> None:
     recorded(tmp_path)
     with open_database(url) as database:

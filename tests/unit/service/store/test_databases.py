@@ -35,12 +35,13 @@ from service.store.people.users import UserStore
 from service.store.store import Store
 from tests.command import sweepid
 from tests.postgresql_server import PASSWORD, PostgresqlServer, running_server
+from tests.unit.service.store.conftest import Specs
 
 pytestmark = pytest.mark.slow
 
 
-def test_sqlite_is_durable_and_keeps_references(sqlite_url: str) -> None:
-    with open_database(sqlite_url) as database, database.read() as session:
+def test_sqlite_is_durable_and_keeps_references_in_a_folder_that_is_made(tmp_path: Path) -> None:
+    with open_database(f"sqlite:///{tmp_path / 'new' / 'x.sqlite'}") as database, database.read() as session:
         pragma = {
             name: session.scalar(text(f"PRAGMA {name}")) for name in ("journal_mode", "synchronous", "foreign_keys")
         }
@@ -55,15 +56,6 @@ def test_migrations_give_exactly_the_tables(url: str, database: Database) -> Non
     engine.dispose()
 
 
-def test_what_was_written_is_there_after_reopening(url: str, robot: Robot) -> None:
-    with open_database(url) as database:
-        added = Store(database).add_robot(robot)
-    with open_database(url) as database:
-        found = Store(database).robot(added.id)
-    assert found == added
-    assert found.build().urdf_text == robot.urdf_text
-
-
 def test_a_transaction_that_fails_leaves_nothing(database: Database) -> None:
     told: list[str] = []
     database.on_write(lambda: told.append("written"))
@@ -73,11 +65,6 @@ def test_a_transaction_that_fails_leaves_nothing(database: Database) -> None:
     with database.read() as session:
         assert session.scalars(select(t.StopRow)).all() == []
     assert told == []
-
-
-def test_the_folder_of_the_database_is_made(tmp_path: Path) -> None:
-    with open_database(f"sqlite:///{tmp_path / 'new' / 'x.sqlite'}") as database:
-        assert Store(database).campaigns() == ()
 
 
 def test_a_refusal_is_told_without_the_statement(sqlite_url: str) -> None:
@@ -119,7 +106,7 @@ def two(first: str, second: str) -> Iterator[tuple[Database, Database]]:
 
 
 def test_there_and_back_nothing_changes(
-    sqlite_url: str, postgresql_url: str, tmp_path: Path, robot: Robot, specs: tuple[SweepSpec, ...]
+    sqlite_url: str, postgresql_url: str, tmp_path: Path, robot: Robot, specs: Specs
 ) -> None:
     back = f"sqlite:///{tmp_path / 'back.sqlite'}"
     with open_database(sqlite_url) as database:

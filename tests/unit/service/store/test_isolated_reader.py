@@ -15,10 +15,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from service.model.errors import BadInput
-from service.model.recording import Recording, Sweep, SweepSpec
+from service.model.recording import Recording, Sweep
 from service.model.robot import Robot
 from service.store.files.bundle import take_in, write_bundle
 from service.store.files.isolated_reader import Limits, read_isolated
+from tests.unit.service.store.conftest import Specs
 
 pytestmark = [
     pytest.mark.slow,
@@ -28,7 +29,7 @@ LONG = Limits(time=120.0)
 
 
 @pytest.fixture
-def bundle(tmp_path: Path, robot: Robot, specs: tuple[SweepSpec, ...]) -> Path:
+def bundle(tmp_path: Path, robot: Robot, specs: Specs) -> Path:
     record = Recording(np.arange(50) / 1000.0, *np.random.default_rng(1).normal(size=(3, 50)))
     write_bundle(tmp_path / "bundle", robot, [Sweep(spec, record) for spec in specs])
     return tmp_path / "bundle"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from service.model.errors import BadInput, Conflict, NotFound
-from service.model.recording import Recording, SweepSpec
+from service.model.recording import Recording
 from service.model.robot import Robot
 from service.store import tables as t
 from service.store.access.audit_chain import Entry
@@ -34,6 +34,7 @@ from service.store.plant import BatchStore
 from service.store.retention import Pruned, RetentionRules, RetentionStore, prune
 from service.store.store import Store
 from tests.command import sweepid
+from tests.unit.service.store.conftest import Specs
 
 pytestmark = pytest.mark.slow
 
@@ -55,7 +56,7 @@ class Plant:
         assert self.database.machine is not None
         return RetentionStore(self.database, self.database.machine.id)
 
-    def campaign(self, specs: tuple[SweepSpec, ...], state: CampaignState = CampaignState.COMPLETED) -> int:
+    def campaign(self, specs: Specs, state: CampaignState = CampaignState.COMPLETED) -> int:
         """Three sweeps with recordings, spectra and an estimate each."""
         folder = self.files.folder(f"import-{len(self.store.campaigns())}")
         new: list[NewRecording] = []
@@ -88,7 +89,7 @@ def plant(sqlite_url: str, tmp_path: Path, robot: Robot) -> Iterator[Plant]:
         yield Plant(database, store, RecordingFiles(data), data, store.add_robot(robot).id)
 
 
-def test_what_is_old_goes_and_the_newest_estimate_stays(plant: Plant, specs: tuple[SweepSpec, ...]) -> None:
+def test_what_is_old_goes_and_the_newest_estimate_stays(plant: Plant, specs: Specs) -> None:
     number = plant.campaign(specs)
     dry = plant.prune(dry=True)
     assert (plant.on_disk(), len(plant.store.estimates(number))) == (3, 3)
@@ -128,23 +129,18 @@ def test_what_is_old_goes_and_the_newest_estimate_stays(plant: Plant, specs: tup
         (RetentionRules(32, 32, 32), (3, 3, 3)),  # nothing is so old
     ],
 )
-def test_each_rule_is_for_itself(
-    plant: Plant, specs: tuple[SweepSpec, ...], rules: RetentionRules, left: tuple[int, int, int]
-) -> None:
+def test_each_rule_is_for_itself(plant: Plant, specs: Specs, rules: RetentionRules, left: tuple[int, int, int]) -> None:
     number = plant.campaign(specs)
     assert plant.prune(rules).campaigns == (left != (3, 3, 3))
     assert (plant.on_disk(), plant.on_disk("*.spectrum-*.json"), len(plant.store.estimates(number))) == left
 
 
-def test_what_an_accepted_model_rests_on_never_goes(plant: Plant, specs: tuple[SweepSpec, ...]) -> None:
+def test_what_an_accepted_model_rests_on_never_goes(plant: Plant, specs: Specs) -> None:
     """Also the evidence of the diagnosis that it continues, and the campaign of the estimate that it started from."""
     first, second, start, other = (plant.campaign(specs) for _ in range(4))
     diagnoses = DiagnosisStore(plant.database)
     new = NewDiagnosis(
-        robot_id=plant.robot,
-        campaigns=(first,),
-        axes=("joint_1",),
-        estimate=EstimateOf(campaign_id=start, revision=2),
+        robot_id=plant.robot, campaigns=(first,), axes=("joint_1",), estimate=EstimateOf(campaign_id=start, revision=2)
     )
     parent = diagnoses.add(new)
     diagnoses.finish(parent.id, {})
@@ -159,7 +155,7 @@ def test_what_an_accepted_model_rests_on_never_goes(plant: Plant, specs: tuple[S
     assert len(plant.store.estimates(other)) == 1
 
 
-def test_a_revision_that_a_diagnosis_started_from_stays(plant: Plant, specs: tuple[SweepSpec, ...]) -> None:
+def test_a_revision_that_a_diagnosis_started_from_stays(plant: Plant, specs: Specs) -> None:
     number, evidence = plant.campaign(specs), plant.campaign(specs)
     diagnoses = DiagnosisStore(plant.database)
     of = EstimateOf(campaign_id=number, revision=2)
@@ -169,7 +165,7 @@ def test_a_revision_that_a_diagnosis_started_from_stays(plant: Plant, specs: tup
     assert [one.revision for one in plant.store.estimates(number)] == [2, 3]
 
 
-def test_a_held_campaign_stays_until_it_is_released(plant: Plant, specs: tuple[SweepSpec, ...]) -> None:
+def test_a_held_campaign_stays_until_it_is_released(plant: Plant, specs: Specs) -> None:
     number = plant.campaign(specs)
     plant.retention.hold(number, "ada", "report signed 2026-11-25", ENTRY)
     with pytest.raises(Conflict, match="is already held by ada: report signed"):
@@ -184,7 +180,7 @@ def test_a_held_campaign_stays_until_it_is_released(plant: Plant, specs: tuple[S
     assert events == ["hold added", "hold released", "pruned"]
 
 
-def test_what_is_open_or_named_by_it_stays(plant: Plant, specs: tuple[SweepSpec, ...]) -> None:
+def test_what_is_open_or_named_by_it_stays(plant: Plant, specs: Specs) -> None:
     paused = plant.campaign(specs, CampaignState.PAUSED)
     diagnosed, batched = plant.campaign(specs), plant.campaign(specs)
     new = NewDiagnosis(robot_id=plant.robot, campaigns=(diagnosed,), axes=("joint_1",))
@@ -204,7 +200,7 @@ def test_what_is_open_or_named_by_it_stays(plant: Plant, specs: tuple[SweepSpec,
 
 
 def test_an_interrupted_run_is_finished_by_the_next(
-    plant: Plant, specs: tuple[SweepSpec, ...], monkeypatch: pytest.MonkeyPatch
+    plant: Plant, specs: Specs, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plant.campaign(specs)
 
@@ -220,7 +216,7 @@ def test_an_interrupted_run_is_finished_by_the_next(
     assert plant.on_disk() == 0
 
 
-def test_objects_go_with_their_last_recording(plant: Plant, specs: tuple[SweepSpec, ...], tmp_path: Path) -> None:
+def test_objects_go_with_their_last_recording(plant: Plant, specs: Specs, tmp_path: Path) -> None:
     from service.process.settings import store_address
 
     shared = tmp_path / "shared"
@@ -239,7 +235,7 @@ def test_objects_go_with_their_last_recording(plant: Plant, specs: tuple[SweepSp
     assert not any(sample.moved for sample in plant.retention.removed())
 
 
-def test_the_command(plant: Plant, specs: tuple[SweepSpec, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command(plant: Plant, specs: Specs, monkeypatch: pytest.MonkeyPatch) -> None:
     held, number = plant.campaign(specs), plant.campaign(specs)
     with plant.database.write() as session:
         for row in session.query(t.RecordingRow):

@@ -1,14 +1,15 @@
-"""Campaigns, sweeps, estimates and the outbox."""
+"""Campaigns, sweeps, estimates and the outbox; campaigns in and out as bundles."""
 
 from collections.abc import Callable
+from pathlib import Path
 
+import numpy as np
 import pytest
-from pydantic import JsonValue
 from sqlalchemy.exc import IntegrityError
 
 from drivers.errors import Cause, CauseCode
-from service.model.errors import Conflict, NotFound
-from service.model.recording import SweepSpec
+from service.model.errors import BadInput, Conflict, NotFound
+from service.model.recording import Recording, Sweep
 from service.model.robot import Robot
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.store import tables as t
@@ -30,42 +31,37 @@ from service.store.documents import (
     SweepState,
     SweepStatus,
 )
+from service.store.files.bundle import Bundle, save_bundle
+from service.store.files.data_folder import campaign_bundle, import_campaign
+from service.store.files.recordings import RecordingFiles
 from service.store.store import StaleVersion, Store
+from tests.unit.service.store.conftest import Specs
 
 pytestmark = pytest.mark.slow
 
+
 RECORDING = NewRecording(state=RecordingState.COMPLETE, path="recordings/x.parquet", sha256="0" * 64, samples=10)
+
+
 SPECTRUM = SpectrumRecord(path="recordings/x.spectrum.json", sha256="1" * 64)
 
 
 @pytest.fixture
-def campaign(store: Store, robot: Robot, specs: tuple[SweepSpec, ...]) -> CampaignDocument:
+def campaign(store: Store, robot: Robot, specs: Specs) -> CampaignDocument:
     plan = store.add_plan(store.add_robot(robot).id, {"any": "document"})
     return store.add_campaign(plan.id, [NewSweep(spec=spec, mode=None) for spec in specs])
 
 
+Record = Callable[[int], SweepDocument]
+
+
 @pytest.fixture
-def record(store: Store, campaign: CampaignDocument) -> Callable[[int], SweepDocument]:
+def record(store: Store, campaign: CampaignDocument) -> Record:
     def run(number: int) -> SweepDocument:
         store.begin_sweep(campaign.id, number, sweep_move(SweepEvent.BEGIN))
         return store.end_sweep(campaign.id, number, sweep_move(SweepEvent.RECORD), recording=RECORDING)
 
     return run
-
-
-def test_the_same_robot_is_stored_once(store: Store, robot: Robot) -> None:
-    assert store.add_robot(robot) == store.add_robot(robot)
-    assert len(store.robots()) == 1
-
-
-def test_a_new_campaign_is_planned(store: Store, campaign: CampaignDocument) -> None:
-    assert (campaign.state, campaign.version, campaign.started_at) == (CampaignState.PLANNED, 1, None)
-    assert campaign.sweeps == {SweepState.PLANNED: 3}
-    assert [(s.number, s.spec.id, s.attempt) for s in store.sweeps(campaign.id)] == [
-        (1, "0001", 0),
-        (2, "0002", 0),
-        (3, "0003", 0),
-    ]
 
 
 @pytest.mark.parametrize(
@@ -100,15 +96,6 @@ def test_a_move_of_another_version_or_state_changes_nothing(store: Store, campai
     assert store.campaign(campaign.id) == started
 
 
-def test_sweeps_go_with_their_campaign_in_one_step(store: Store, campaign: CampaignDocument) -> None:
-    skip = {SweepState.PLANNED: sweep_move(SweepEvent.SKIP)}
-    aborted = store.move_campaign(
-        campaign.id, campaign_move(CampaignEvent.ABORT), Cause(CauseCode.ABORTED, detail="no time"), None, skip
-    )
-    assert aborted.state is CampaignState.ABORTED
-    assert aborted.sweeps == {SweepState.SKIPPED: 3}
-
-
 def test_two_campaigns_are_told_apart(store: Store, campaign: CampaignDocument) -> None:
     assert campaign.plan_id is not None
     other = store.add_campaign(campaign.plan_id, [NewSweep(spec=store.sweep(campaign.id, 1).spec, mode=None)])
@@ -124,7 +111,7 @@ def test_two_campaigns_are_told_apart(store: Store, campaign: CampaignDocument) 
     assert (estimate, estimate.number) == (store.estimate(other.id), 1)
 
 
-def test_a_result_counts_once(store: Store, campaign: CampaignDocument, record: Callable[[int], SweepDocument]) -> None:
+def test_a_result_counts_once(store: Store, campaign: CampaignDocument, record: Record) -> None:
     sweep = record(1)
     identify = sweep_move(SweepEvent.IDENTIFY)
     first = store.add_estimate([(sweep, SPECTRUM)], identify, {"value": 0.1})
@@ -132,22 +119,13 @@ def test_a_result_counts_once(store: Store, campaign: CampaignDocument, record: 
     assert first is not None
     assert store.add_estimate([(sweep, SPECTRUM)], identify, {"value": 0.1}) is None
     assert store.estimates(campaign.id) == (first,)
+    assert store.estimate(campaign.id, 1) == first
     assert store.spectra(campaign.id) == (SPECTRUM,)
     assert store.last_event_id() == events
 
 
-def test_revisions_follow_one_another(
-    store: Store, campaign: CampaignDocument, record: Callable[[int], SweepDocument]
-) -> None:
-    for number in (2, 1):
-        store.add_estimate([(record(number), SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), {"n": number})
-    assert [(e.revision, e.number) for e in store.estimates(campaign.id)] == [(1, 2), (2, 1)]
-    assert store.estimate(campaign.id).document == {"n": 1}
-    assert store.estimate(campaign.id, 1).document == {"n": 2}
-
-
 def test_the_result_of_an_earlier_attempt_has_no_effect(
-    store: Store, campaign: CampaignDocument, record: Callable[[int], SweepDocument]
+    store: Store, campaign: CampaignDocument, record: Record
 ) -> None:
     old = record(1)
     store.move_sweep(campaign.id, 1, sweep_move(SweepEvent.FAIL), Cause(CauseCode.NOT_IDENTIFIED))
@@ -159,7 +137,7 @@ def test_the_result_of_an_earlier_attempt_has_no_effect(
 
 
 def test_the_database_itself_refuses_a_second_estimate_of_a_sweep(
-    database: Database, store: Store, record: Callable[[int], SweepDocument]
+    database: Database, store: Store, record: Record
 ) -> None:
     sweep = record(1)
     store.add_estimate([(sweep, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), {})
@@ -167,16 +145,7 @@ def test_the_database_itself_refuses_a_second_estimate_of_a_sweep(
         session.add(t.EstimateRow(campaign_id=sweep.campaign_id, revision=2, sweep_id=1, document={}))
 
 
-def test_floats_come_back_exactly(store: Store, record: Callable[[int], SweepDocument]) -> None:
-    document: dict[str, JsonValue] = {"x": [0.1 + 0.2, 1e-300, 2.0**-1074, -1.7976931348623157e308]}
-    sweep = record(1)
-    store.add_estimate([(sweep, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), document)
-    assert store.estimate(sweep.campaign_id).document == document
-
-
-def test_every_change_is_told_in_order(
-    store: Store, campaign: CampaignDocument, record: Callable[[int], SweepDocument]
-) -> None:
+def test_every_change_is_told_in_order(store: Store, campaign: CampaignDocument, record: Record) -> None:
     store.move_campaign(campaign.id, campaign_move(CampaignEvent.START))
     store.add_estimate([(record(1), SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), {})
     events = store.events(0, campaign.id)
@@ -194,7 +163,7 @@ def test_every_change_is_told_in_order(
 
 
 def test_statuses_tell_of_each_sweep_what_its_document_tells(
-    store: Store, campaign: CampaignDocument, record: Callable[[int], SweepDocument]
+    store: Store, campaign: CampaignDocument, record: Record
 ) -> None:
     record(1)
     sweeps = store.sweeps(campaign.id)
@@ -219,7 +188,7 @@ def models(database: Database) -> ModelStore:
 
 
 @pytest.fixture
-def sweeps(specs: tuple[SweepSpec, ...]) -> list[NewSweep]:
+def sweeps(specs: Specs) -> list[NewSweep]:
     return [NewSweep(spec=spec, mode=None) for spec in specs]
 
 
@@ -349,3 +318,50 @@ def test_a_diagnosis_or_model_that_is_not_there_is_not_found(
             ask(99)
     with pytest.raises(NotFound, match="model 99 does not exist"):
         diagnoses.add(new.model_copy(update={"model": 99}))
+
+
+def recording(seed: int) -> Recording:
+    noise = np.random.default_rng(seed).normal(size=(3, 50))
+    return Recording(np.arange(50) / 1000.0, *noise)
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> RecordingFiles:
+    return RecordingFiles(tmp_path)
+
+
+@pytest.fixture
+def bundle(robot: Robot, specs: Specs) -> Bundle:
+    return Bundle(robot, tuple(Sweep(spec, recording(n)) for n, spec in enumerate(specs)))
+
+
+def test_an_import_that_fails_leaves_nothing(
+    store: Store, files: RecordingFiles, bundle: Bundle, tmp_path: Path
+) -> None:
+    short = Sweep(bundle.sweeps[2].spec, Recording(*np.zeros((4, 1))))
+    with pytest.raises(BadInput, match="1 samples"):
+        import_campaign(store, files, save_bundle(files, Bundle(bundle.robot, (*bundle.sweeps[:2], short))))
+    assert store.campaigns() == ()
+    assert list((tmp_path / "recordings").iterdir()) == []
+
+
+def test_a_changed_or_missing_file_is_refused(store: Store, files: RecordingFiles, bundle: Bundle) -> None:
+    campaign = import_campaign(store, files, save_bundle(files, bundle))
+    document = store.recording(campaign.id, 1)
+    path = files.path(document)
+    content = path.read_bytes()
+    path.write_bytes(content[:100] + bytes([content[100] ^ 1]) + content[101:])
+    with pytest.raises(BadInput, match="was changed"):
+        files.load(document)
+    path.unlink()
+    with pytest.raises(BadInput, match="is missing"):
+        campaign_bundle(store, files, campaign.id)
+
+
+def test_a_campaign_without_samples_is_no_bundle(
+    store: Store, files: RecordingFiles, robot: Robot, specs: Specs
+) -> None:
+    plan = store.add_plan(store.add_robot(robot).id, {})
+    campaign = store.add_campaign(plan.id, [NewSweep(spec=specs[0], mode=None)])
+    with pytest.raises(Conflict, match="no complete recording"):
+        campaign_bundle(store, files, campaign.id)

@@ -1,21 +1,44 @@
-"""Lease, latched stop and idempotency keys."""
+"""Lease, latched stop and idempotency keys; and several cells on one database.
+
+What belongs to a machine is read by all and changed by its own service alone.
+"""
 
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from datetime import timedelta
+from pathlib import Path
 
 import pytest
 
+from drivers.ports import SweepMode
 from service.model.errors import Conflict, NotFound
+from service.model.recording import SweepSpec
+from service.model.robot import Robot
+from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.store.database import Database, open_database
-from service.store.documents import StoredAnswer
-from service.store.lease_and_latch import IdempotencyKeys, LeaseLost, MachineLease, MachineTaken, StopLatch
+from service.store.diagnoses import DiagnosisStore
+from service.store.documents import CampaignDocument, CampaignState, NewDiagnosis, NewSweep, StoredAnswer, SweepState
+from service.store.files.data_folder import ForeignFolder, claim_folder
+from service.store.lease_and_latch import (
+    ApprovalStore,
+    IdempotencyKeys,
+    LeaseLost,
+    MachineLease,
+    MachineTaken,
+    StopLatch,
+)
+from service.store.rows import NoMachine, OtherMachine
 from service.store.store import Store
+from tests.unit.service.store.conftest import Specs
 
 pytestmark = pytest.mark.slow
 
+
 LEASE_TIME = 0.5  # s
+
 
 HOLDER = """
 import sys
@@ -51,13 +74,6 @@ def test_a_second_service_is_refused_while_the_first_lives_and_gets_the_machine_
         began = time.monotonic()
         MachineLease(database, LEASE_TIME).acquire()
         assert time.monotonic() - began >= LEASE_TIME
-
-
-def test_a_lease_that_is_released_is_free_at_once(database: Database) -> None:
-    first = MachineLease(database, 60.0)
-    first.acquire()
-    first.release()
-    MachineLease(database, 60.0).acquire(wait=_must_not_wait)
 
 
 def test_a_silent_holder_learns_that_it_lost_the_machine(database: Database) -> None:
@@ -132,3 +148,151 @@ def test_a_key_is_free_again_when_the_work_failed_or_the_process_ended(database:
 
 def _must_not_wait(_: float) -> None:
     pytest.fail("waited for a lease that is free")
+
+
+RUNNING, PLANNED = campaign_move(CampaignEvent.START), sweep_move(SweepEvent.BEGIN)
+
+
+@pytest.fixture
+def cells(url: str) -> Iterator[tuple[Database, Database]]:
+    """The database as the services of two machines open it."""
+    with open_database(url, machine="cell A") as a, open_database(url, machine="cell B") as b:
+        yield a, b
+
+
+def started(database: Database, robot: Robot, spec: SweepSpec) -> CampaignDocument:
+    store = Store(database)
+    plan = store.add_plan(store.add_robot(robot).id, {"any": "document"})
+    campaign = store.add_campaign(plan.id, [NewSweep(spec=spec, mode=SweepMode.HOST_STREAMED)])
+    store.move_campaign(campaign.id, RUNNING)
+    store.begin_sweep(campaign.id, 1, PLANNED)
+    return store.campaign(campaign.id)
+
+
+def test_two_machines_are_held_by_two_services_at_once(cells: tuple[Database, Database]) -> None:
+    leases = [MachineLease(cell, 60.0) for cell in cells]
+    for lease in leases:
+        lease.acquire(wait=_must_not_wait)
+    for lease in leases:
+        lease.renew()
+    third = MachineLease(cells[0], LEASE_TIME)
+    with pytest.raises(MachineTaken, match=r"in use by another service .* than 'cell A', set `machine_name`"):
+        third.acquire(wait=lambda _: leases[0].renew())
+    leases[0].release()
+    third.acquire(wait=_must_not_wait)
+    leases[1].renew()  # the other cell's is not touched
+
+
+def test_a_campaign_is_read_by_all_and_changed_by_its_own(
+    cells: tuple[Database, Database], robot: Robot, specs: Specs
+) -> None:
+    a, b = map(Store, cells)
+    campaign = started(cells[0], robot, specs[0])
+    assert (campaign.machine, campaign.here) == ("cell A", True)
+    seen = b.campaign(campaign.id)
+    assert (seen.machine, seen.here, seen.state) == ("cell A", False, CampaignState.RUNNING)
+    refused = rf"campaign {campaign.id} belongs to machine 'cell A': send it to the service of that machine"
+    interrupt = sweep_move(SweepEvent.INTERRUPT)
+    assert a.own_campaign(campaign.id) == campaign
+    changes = (
+        lambda: b.own_campaign(campaign.id),
+        lambda: b.move_campaign(campaign.id, campaign_move(CampaignEvent.PAUSE)),
+        lambda: b.move_campaign(campaign.id, campaign_move(CampaignEvent.ABORT)),
+        lambda: b.begin_sweep(campaign.id, 1, PLANNED),
+        lambda: b.move_sweep(campaign.id, 1, interrupt),
+        lambda: b.end_sweep(campaign.id, 1, interrupt),
+        lambda: b.add_check_move(campaign.id, 1, "joint_1", 0.01, "rad"),
+    )
+    before = a.last_event_id()
+    for change in changes:
+        with pytest.raises(OtherMachine, match=refused):
+            change()
+    assert a.sweep(campaign.id, 1).state is SweepState.RUNNING
+    assert a.last_event_id() == before
+
+
+def test_what_a_start_recovers_is_its_own(cells: tuple[Database, Database], robot: Robot, specs: Specs) -> None:
+    own, other = started(cells[0], robot, specs[0]), started(cells[1], robot, specs[1])
+    for cell, campaign in zip(cells, (own, other), strict=True):
+        store = Store(cell)
+        assert [one.id for one in store.campaigns_in(CampaignState.RUNNING)] == [campaign.id]
+        assert [one.campaign_id for one in store.sweeps_in(SweepState.RUNNING)] == [campaign.id]
+    keys = [IdempotencyKeys(cell) for cell in cells]
+    for each in keys:
+        assert each.claim("same key", "request") is None  # of a service each, not of the plant
+    keys[0].release_unanswered()
+    assert keys[0].claim("same key", "request") is None
+    with pytest.raises(Exception, match="still being processed"):
+        keys[1].claim("same key", "request")
+    diagnoses = [DiagnosisStore(cell) for cell in cells]
+    new = NewDiagnosis(robot_id=own.robot_id, campaigns=(own.id,), axes=("joint_1",), unattended=True)
+    begun = diagnoses[0].add(new)
+    assert [one.id for one in diagnoses[0].open()] == [begun.id]
+    assert diagnoses[1].open() == ()
+    diagnoses[1].attend("the service was restarted")
+    assert diagnoses[0].diagnosis(begun.id).unattended
+    with pytest.raises(OtherMachine, match=f"diagnosis {begun.id} belongs to machine 'cell A'"):
+        diagnoses[1].begin(begun.id)
+
+
+def test_a_stop_holds_its_machine_and_no_other(cells: tuple[Database, Database]) -> None:
+    latches = [StopLatch(cell) for cell in cells]
+    stop = latches[0].latch("anna", "smoke")
+    assert [one.id for one in latches[0].latched()] == [stop.id]
+    assert latches[1].latched() == ()
+    with pytest.raises(NotFound, match=f"stop {stop.id}"):
+        latches[1].reset("berta", [stop.id])
+    assert latches[0].latched() != ()
+    latches[0].reset("anna", [stop.id])
+    assert latches[0].latched() == ()
+
+
+def test_an_approval_holds_for_its_machine(cells: tuple[Database, Database], robot: Robot, specs: Specs) -> None:
+    plan = started(cells[0], robot, specs[0]).plan_id or 0
+    approvals = [ApprovalStore(cell) for cell in cells]
+    given = approvals[0].add(plan, "0" * 64, "anna", timedelta(hours=8), lambda: None)
+    assert [one.id for one in approvals[0].of_plan(plan)] == [given.id]
+    assert approvals[1].of_plan(plan) == ()
+
+
+def test_a_data_folder_has_one_machine(cells: tuple[Database, Database], tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    folder.mkdir()
+    assert claim_folder(folder, cells[0]) == ""
+    assert claim_folder(folder, cells[0]) == ""
+    with pytest.raises(ForeignFolder, match=r"belongs to machine 'cell A', not to 'cell B': set `machine_name`"):
+        claim_folder(folder, cells[1])
+
+
+def test_who_owns_no_machine_reads_and_changes_nothing(
+    cells: tuple[Database, Database], url: str, robot: Robot, specs: Specs
+) -> None:
+    campaign = started(cells[0], robot, specs[0])
+    with open_database(url, machine=None, migrated=False) as database:
+        store = Store(database)
+        assert [(one.id, one.here) for one in store.campaigns()] == [(campaign.id, False)]
+        for change in (
+            lambda: store.move_campaign(campaign.id, campaign_move(CampaignEvent.PAUSE)),
+            lambda: store.add_campaign(campaign.plan_id or 0, []),
+            lambda: StopLatch(database).latch("anna", "smoke"),
+            lambda: MachineLease(database, LEASE_TIME),
+        ):
+            with pytest.raises(NoMachine, match="only shows the plant; ask the service of the machine"):
+                change()
+
+
+def test_robots_of_one_file_differ_by_serial_number(database: Database, robot: Robot) -> None:
+    """A robot that says none keeps the hash that it had before there were any."""
+    store = Store(database)
+    plain = store.add_robot(robot)
+    named = [
+        store.add_robot(
+            Robot(robot.description.model_copy(update={"serial": serial, "revision": "B"}), robot.urdf_text)
+        )
+        for serial in ("1001", "1002", "1001")
+    ]
+    assert "serial" not in plain.description.model_dump(mode="json")
+    assert (plain.serial, plain.revision) == (None, None)
+    assert [(one.serial, one.revision) for one in named] == [("1001", "B"), ("1002", "B"), ("1001", "B")]
+    assert named[0].id == named[2].id
+    assert len({plain.id, named[0].id, named[1].id}) == 3
