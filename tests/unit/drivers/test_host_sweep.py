@@ -69,12 +69,17 @@ async def test_axes_may_have_sweeps_of_different_length() -> None:
         assert len(of(blocks, "joint_2").index) == SAMPLES + round(0.2 / PERIOD)
 
 
-# silence, faults, a counter that stands: tests/virtual_time/test_drive_port.py
+# faults, a counter that stands: tests/virtual_time/test_drive_port.py
 MISHAPS: dict[str, tuple[Callable[[Bench, Drive], object], Ending, str]] = {
     "leaves its envelope": (
         lambda _, drive: setattr(drive, "offset", 60 * 10**6),
         Ending.LEFT_ENVELOPE,
         "position .* is outside -50 to 50 rad",
+    ),
+    "is silent": (
+        lambda _, drive: setattr(drive, "mangle", lambda _, __: []),
+        Ending.SILENT,
+        "no sample for 101 cycles of 4 ms",
     ),
     "counts double": (
         lambda _, drive: setattr(drive, "counter", drive.counter + 20),
