@@ -22,7 +22,7 @@ from typing import Literal
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from service.identification.model.base_parameters import BaseParameters, base_parameters
 from service.identification.model.least_squares import converged
@@ -198,7 +198,7 @@ def supplementary(
         return Supplementary(loads=(), left_out=reason, before=0.0, after=0.0)
     white = _whitening(covariance)
     before = float(np.sum((white @ difference) ** 2))
-    if chi2.sf(before, len(difference)) > 0.0455:  # two standard deviations
+    if chdtrc(len(difference), before) > 0.0455:  # two standard deviations
         reason = "the estimate does not differ from CAD by more than its uncertainty"
         return Supplementary(loads=(), left_out=reason, before=_per_parameter(before, difference), after=0.0)
     parts = white @ combination[shown][:, :30]

@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from pydantic import ValidationError
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from service.formats.export.model import IdentifiedModel, model_of
 from service.formats.export.sheets.inertias import UPRIGHT, Inertias, of_estimate, of_sheet, supplementary
@@ -244,7 +244,7 @@ def _measured(estimate: Estimate, joints: Sequence[str]) -> tuple[Array, Array]:
 def _probability(standardised: Array, correlation: Array) -> float:
     """Probability of at least this difference by chance, for all axes together."""
     distance = float(standardised @ np.linalg.lstsq(correlation, standardised, rcond=None)[0])
-    return float(chi2.sf(distance, np.linalg.matrix_rank(correlation)))
+    return float(chdtrc(float(np.linalg.matrix_rank(correlation)), distance))
 
 
 def _verdict(probability: float) -> SheetVerdict:
