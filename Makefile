@@ -39,9 +39,9 @@ docs: $(READY)  ## the documents as a site, docs/_build/index.html; warnings are
 
 test: check $(TESTS)  ## all checks, then the tests of the first tier; with PART=k a part of the second as well
 
-# What computes, then what moves a machine in real time: such a test starves beside one that computes.
+# What computes, the longest first, then what moves a machine in real time: such a test starves beside one that computes.
 test-computing: $(READY)
-	$(TIER) tests/architecture tests/benchmarks tests/fuzz tests/numeric tests/unit tests/virtual_time
+	$(TIER) tests/virtual_time tests/numeric tests/architecture tests/benchmarks tests/fuzz tests/unit
 
 test-machines: $(READY)
 	$(TIER) tests/browser tests/contract tests/system

@@ -69,7 +69,8 @@ def measure_noise(name: str, joint: str, seed: int, repeats: int = 2, poses: np.
             design = design_noise(
                 robot, joint, inertia=inertia, travel=0.066, seed=100 * seed + len(specs), direction=direction
             )
-            runs.append(NoiseRun(axis=joint, pose=tuple(pose), sample_rate=1000.0, **asdict(design)))
+            fields = {name: value for name, value in asdict(design).items() if name != "sines"}
+            runs.append(NoiseRun(axis=joint, pose=tuple(pose), sample_rate=1000.0, **fields))
             specs.append(
                 SweepSpec(
                     id=f"{len(specs) + 1:04}",

@@ -14,10 +14,10 @@ import sys
 
 import numpy as np
 from inertias import inertia_unit, inertias
-from moves import STILL
 from numpy.typing import NDArray
 from runbook import CELL_HELP, Exit, Runbook, judged, optional_list, parser_of, run, worst
 
+from service.formats.export.sheets.inertias import Inertias
 from service.model.errors import BadInput
 from service.model.robot import Robot
 from service.web.client import Json
@@ -151,7 +151,7 @@ def common(sweeps: list[list[Json]]) -> NDArray[np.float64]:
     if not len(first) or not len(second):
         return first[:0]
     apart = np.abs(first[:, None] - second[None]).max(axis=2).min(axis=1)
-    return first[apart < STILL]
+    return first[apart < Inertias.still]
 
 
 if __name__ == "__main__":
