@@ -4,6 +4,7 @@ import asyncio
 import hashlib
 import logging
 import math
+import secrets
 import threading
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -30,13 +31,14 @@ class ModbusFieldbus:
     def __init__(self, profile: ModbusProfile) -> None:
         self._profile = profile
         self._map = load_registers(profile.registers)
+        self._host = secrets.randbits(64)
         self.watch = HostWatch(profile.line.watchdog)
 
     async def open(self) -> "ModbusConnection":
         profile, thread, line = self._profile, DriveThread("modbus"), MasterLine(self._profile.line)
         digest = hashlib.sha256(profile.registers.read_bytes()).hexdigest()
         units = [RegisterUnit(line, each.unit_id, self._map, each.place) for each in profile.axes]
-        control = ControlToken(units, self._map, self.watch)
+        control = ControlToken(units, self._map, self.watch, self._host)
         devices = [ModbusDevice(each, profile, self._map, digest, line, control) for each in profile.axes]
         axes = {device.profile.joint: Cia402Axis(device, self.watch) for device in devices}
         try:

@@ -2,7 +2,6 @@
 
 import logging
 import math
-import secrets
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -137,12 +136,15 @@ class ControlToken:
     closed. Blocking, on the thread of the line.
     """
 
-    def __init__(self, units: Sequence[RegisterUnit], registers: RegisterMap, watch: HostWatch) -> None:
+    def __init__(self, units: Sequence[RegisterUnit], registers: RegisterMap, watch: HostWatch, host: int) -> None:
+        """`host`: a large random number, the same in each connection of one host: what a silent drive still holds of
+        its last connection is its own.
+        """
         self._signal = registers.signals.get(OWNER)
         self._units = tuple(units) if self._signal is not None else ()
         self._watch = watch
         most = 0 if self._signal is None else self._signal.format.most
-        self._token = 1 + secrets.randbelow(max(1, int(most)))
+        self._token = 1 + host % max(1, int(most))
         self._held = False
 
     def take(self) -> None:

@@ -290,7 +290,7 @@ KINDS = pytest.mark.parametrize(("kind", "registers"), [("tcp", HIGH), ("rtu", L
 
 def nobody() -> ControlToken:
     """Of a line whose drives have no register for an owner."""
-    return ControlToken((), HIGH, HostWatch(60.0))
+    return ControlToken((), HIGH, HostWatch(60.0), 0)
 
 
 def drive(bank: Bank, registers: RegisterMap, unit: int, rated_torque: float) -> None:

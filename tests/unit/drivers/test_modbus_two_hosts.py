@@ -43,14 +43,17 @@ class Drives(Bank):
 
 
 class Host:
-    """One service: its own connection, watch and token."""
+    """One service: its own connection, watch and token, by the number of the host."""
 
-    def __init__(self, drives: Bank, registers: RegisterMap) -> None:
+    numbers = itertools.count()
+
+    def __init__(self, drives: Bank, registers: RegisterMap, number: int | None = None) -> None:
         self.wire, self.watch = Wire(drives, Clock()), HostWatch(60.0)
         line = MasterLine(LINE, self.wire.clock, self.wire)
         line.open()
         units = [RegisterUnit(line, axis.unit_id, registers, axis.place) for axis in PROFILE.axes]
-        self.control = ControlToken(units, registers, self.watch)
+        number = next(Host.numbers) if number is None else number
+        self.control = ControlToken(units, registers, self.watch, number)
         devices = [ModbusDevice(axis, PROFILE, registers, "", line, self.control) for axis in PROFILE.axes]
         self.axes = [Cia402Axis(device, self.watch) for device in devices]
         for axis in self.axes:
@@ -192,3 +195,11 @@ def test_an_axis_that_another_host_has_enabled_is_not_taken_over(registers: Regi
     put(drives, registers, 1, "statusword", 0x27)
     with pytest.raises(MotionForbidden, match="this service did not enable it"):
         enable_alone((one.axes[0],), one.axes, threading.Event())
+
+
+def test_what_a_silent_drive_holds_of_the_last_connection_is_still_of_this_host() -> None:
+    drives = prepared(HIGH)
+    Host(drives, HIGH, 7).control.take()  # and its connection is lost, so that nobody releases
+    with pytest.raises(NotReady, match="another host has control"):
+        Host(drives, HIGH, 8).control.take()
+    Host(drives, HIGH, 7).control.take()
