@@ -97,6 +97,8 @@ DRIVES: dict[str, Plant] = {
 """Found by a stop at any moment on each bus."""
 HALT = {"halt does nothing": _set(Cia402Machine, "halt", _nothing)}
 """On CANopen; on Modbus `stop` alone is as fast."""
+MOVES = ("the stop sequence leaves out the first axis", "the stop sequence disables nothing")
+"""Searched with moves alone: the end of a sweep or of enabling hides them."""
 
 
 async def _takes_the_present_epoch(self: Any, intention: Intention) -> None:

@@ -8,8 +8,8 @@ from tests.virtual_time.clock import Clock
 from tests.virtual_time.explore import Exploration, at_once, explored
 from tests.virtual_time.factory import Factory
 from tests.virtual_time.machine import VirtualMachine
-from tests.virtual_time.planted import DRIVES, HALT, SERVICE, Fault
-from tests.virtual_time.test_stop_anywhere import connected, stopped
+from tests.virtual_time.planted import DRIVES, HALT, MOVES, SERVICE, Fault
+from tests.virtual_time.test_stop_anywhere import ACTIVITIES, connected, moves, stopped
 
 SEEDS = 500
 
@@ -31,7 +31,7 @@ async def test_a_fault_of_the_drivers_is_found(machine: VirtualMachine, clock: C
 
     async def step(seed: int) -> str:
         (DRIVES | HALT)[fault]()
-        return await stopped(port, machine, clock, seed)
+        return await stopped(port, machine, clock, seed, (moves,) if fault in MOVES else ACTIVITIES[machine.fieldbus])
 
     outcomes = await explored(step, range(1, SEEDS + 1), enough=lambda outcome: bool(outcome.error))
     await port.close()

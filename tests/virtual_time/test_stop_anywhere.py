@@ -7,6 +7,7 @@ stalls or other units are silent from then on, when each frame arrives, and whic
 
 import asyncio
 import itertools
+from collections.abc import Callable, Coroutine, Sequence
 from contextlib import nullcontext, suppress
 from functools import partial
 from random import Random
@@ -66,13 +67,17 @@ async def enabling(port: DrivePort) -> None:
         await port.disable(AXIS)
 
 
-ACTIVITIES = {"canopen": (streamed, drive_side, moves, enabling), "modbus": (drive_side, moves, enabling)}
+Activity = Callable[[DrivePort], Coroutine[object, object, None]]
+ACTIVITIES: dict[str, tuple[Activity, ...]] = {
+    "canopen": (streamed, drive_side, moves, enabling),
+    "modbus": (drive_side, moves, enabling),
+}
 
 
-async def stopped(port: DrivePort, machine: VirtualMachine, clock: Clock, seed: int) -> str:
-    """An activity from its beginning, and a stop."""
+async def stopped(port: DrivePort, machine: VirtualMachine, clock: Clock, seed: int, only: Sequence[Activity]) -> str:
+    """An activity from its beginning, and a stop. `only`: one of these."""
     chance = Random(f"stop {seed}")
-    activity = chance.choice(ACTIVITIES[machine.fieldbus])
+    activity = chance.choice(only)
     doing = asyncio.create_task(activity(port), name=activity.__name__)
     return await pressed(port, machine, clock, chance, doing, LONGEST * chance.random() ** 2)
 
