@@ -120,7 +120,9 @@ async def test_an_aborted_campaign_ends_with_a_fit_of_all_its_sweeps(again: Agai
     async with again(Updating()) as bench:
         feed = EventFeed(bench.store, bench.database)
         following = asyncio.create_task(bench.jobs.follow(feed, 0))
-        await bench.start()
+        await bench.in_a_sweep()
+        bench.drive.go.set()
+        bench.drive.go.clear()  # the next sweep is held
         await until(lambda: bench.now.sweeps.get(SweepState.IDENTIFIED, 0) >= 1)
         await bench.runner.abort(bench.campaign.id, "enough")
         await until(lambda: bench.jobs.open == 0 and "updates" not in bench.store.estimate(bench.campaign.id).document)
