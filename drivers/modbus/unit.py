@@ -154,6 +154,7 @@ class ControlToken:
         taken: list[RegisterUnit] = []
         try:
             for unit in self._units:
+                unit.write({OWNER: self._token})  # also if the drive holds it from before: its time begins anew
                 unit.settle(RegisterSetting(self._signal, self._token))
                 taken.append(unit)
         except WrongConfiguration as error:

@@ -234,5 +234,5 @@ def test_a_page_gets_the_kinds_of_events_alone() -> None:
         log_in(page, service, KEYS[0])
         until(lambda: service.streams == 1, "the connection")
         service.tell("sweep")
-        page.wait_for_function("heard.includes('sweep')")
+        until(lambda: page.evaluate("heard.includes('sweep')"), "the event")
         assert page.evaluate("heard") == ["open", "sweep"]

@@ -33,12 +33,15 @@ LONGEST = 400  # accesses of a host, far more than enabling takes
 class Drives(Bank):
     """Units whose owner, where they have one, is that of the virtual drive: another token is refused."""
 
+    owned = 0  # writes of a token
+
     def answer(self, request: Request) -> bytes:
         owner = HIGH.signals[OWNER]
         if request.function == 16 and request.address == owner.address:
             held, wanted = int(get(self, HIGH, OWNER, request.unit)), int(owner.format.decode(request.words)[0])
             if wanted and held not in (0, wanted):
                 return bytes([0x90, 4])
+            self.owned += 1
         return super().answer(request)
 
 
@@ -202,4 +205,6 @@ def test_what_a_silent_drive_holds_of_the_last_connection_is_still_of_this_host(
     Host(drives, HIGH, 7).control.take()  # and its connection is lost, so that nobody releases
     with pytest.raises(NotReady, match="another host has control"):
         Host(drives, HIGH, 8).control.take()
+    before = drives.owned
     Host(drives, HIGH, 7).control.take()
+    assert drives.owned == before + len(PROFILE.axes)  # else the time of the watchdog goes on from before
