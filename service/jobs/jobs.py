@@ -27,6 +27,7 @@ from service.store.database import refusal
 from service.store.diagnoses import ModelStore
 from service.store.documents import (
     BatchState,
+    CampaignDocument,
     CampaignState,
     EstimateDocument,
     EventKind,
@@ -171,17 +172,23 @@ class Jobs(OpenJobs):
         if await asyncio.to_thread(self._updated, campaign_id) is not None:
             do, turn = partial(self._fit_all, campaign_id), self._turn[campaign_id]
             self.begin(f"identification of campaign {campaign_id}", do, turn, campaign=campaign_id)
-        elif campaign.state is CampaignState.MEASURED:
+        else:
+            await self._complete(campaign)
+
+    async def _complete(self, campaign: CampaignDocument) -> None:
+        if campaign.state is CampaignState.MEASURED:
             identified = campaign_move(CampaignEvent.IDENTIFIED)
             cause = campaign.structured_cause
-            await asyncio.to_thread(self._store.move_campaign, campaign_id, identified, cause)
+            await asyncio.to_thread(self._store.move_campaign, campaign.id, identified, cause)
 
     async def follow(self, feed: EventFeed, after: int) -> None:
-        """Settle each campaign that is aborted after event `after`, until the feed is closed."""
+        """Settle each campaign of this machine that is aborted after event `after`, until the feed is closed."""
         async for event in feed.follow(after):
             aborted = event.kind is EventKind.CAMPAIGN and event.data["state"] == CampaignState.ABORTED.value
             if aborted and event.campaign_id is not None:
-                await self.settle(event.campaign_id)
+                campaign = await asyncio.to_thread(self._store.campaign, event.campaign_id)
+                if campaign.here:  # other machines may share the database
+                    await self.settle(campaign.id)
 
     def _updated(self, campaign_id: int) -> EstimateDocument | None:
         """The latest revision, if it is an update of the one before it."""
@@ -192,17 +199,17 @@ class Jobs(OpenJobs):
         return found if found.document.get("updates") else None
 
     async def _fit_all(self, campaign_id: int) -> None:
-        """Instead of the updates of the latest revision."""
+        """Instead of the updates of the latest revision, which stays, and says so, if the fit fails."""
         updated = await asyncio.to_thread(self._updated, campaign_id)
         if updated is not None:
             job = await asyncio.to_thread(self._job, campaign_id, (), ())
             try:
-                document = (await self._worker.run_patiently(job)).estimate
-            except (JobFailed, BadInput) as error:  # the revision stays as it is
+                found = await self._worker.run_patiently(job)
+            except (JobFailed, BadInput) as error:
                 _log.error("fit_of_all_failed", campaign=campaign_id, cause=str(error))
-                document = {name: value for name, value in updated.document.items() if name != "updates"}
-            await asyncio.to_thread(self._store.replace_estimate, campaign_id, updated.revision, document)
-        await self.settle(campaign_id)
+            else:
+                await asyncio.to_thread(self._store.replace_estimate, campaign_id, updated.revision, found.estimate)
+        await self._complete(await asyncio.to_thread(self._store.campaign, campaign_id))
 
     async def _do(self, sweeps: Sequence[SweepDocument]) -> None:
         campaign_id = sweeps[0].campaign_id

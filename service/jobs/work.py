@@ -174,7 +174,7 @@ class Revisions:
     def next(self, job: Job, robot: Robot, new: "Sequence[SweepSpectrum]") -> dict[str, JsonValue]:
         """The estimate of a job with `new` spectra."""
         from service.identification.estimates.initial_analysis import analyses_from
-        from service.identification.estimation import condensed_estimate, updated_estimate
+        from service.identification.estimation import condensed_estimate, estimate_document, updated_estimate
 
         kept, self._kept = self._kept, None
         inputs = (job.robot, job.urdf_text, job.analyses, job.model)
@@ -184,10 +184,11 @@ class Revisions:
                 self._kept = _Kept(inputs, frozenset(job.earlier), tuple(new), condensed)
                 return condensed.document
         spectra = [*map(_spectrum, job.earlier), *new]
-        found, condensed = condensed_estimate(
-            robot, spectra, analyses_from(job.analyses), known=_known(job.model, robot)
-        )
-        if condensed is not None and not job.last:
+        analyses, known = analyses_from(job.analyses), _known(job.model, robot)
+        if job.last:
+            return estimate_document(robot, spectra, analyses, known=known).as_json()
+        found, condensed = condensed_estimate(robot, spectra, analyses, known)
+        if condensed is not None:
             self._kept = _Kept(inputs, frozenset(job.earlier), tuple(new), condensed)
         return found.as_json()
 

@@ -19,7 +19,7 @@ from service.identification.axis.known_effects import known_effects
 from service.identification.estimation import estimate_document
 from service.identification.spectra.frequency_response import spectrum
 from service.jobs.jobs import MOST_REVISIONS, Jobs, open_groups, sweeps_a_revision
-from service.jobs.work import Job, Work, Worker
+from service.jobs.work import Job, JobFailed, Work, Worker
 from service.jobs.worker import open_worker
 from service.machine.execution.recording import recover
 from service.model.errors import BadInput
@@ -115,20 +115,44 @@ async def test_a_campaign_ends_with_a_fit_of_all_its_sweeps(again: Again) -> Non
     assert last.document == estimate_document(bundle.robot, spectra).as_json()
 
 
-async def test_an_aborted_campaign_ends_with_a_fit_of_all_its_sweeps(again: Again) -> None:
-    """Also if every sweep was identified before: no job follows."""
+class Unfit(Updating):
+    """Fails to fit all sweeps at once."""
+
+    async def run(self, job: Work[Answer]) -> Answer:
+        if isinstance(job, Job) and not job.sweeps:
+            raise JobFailed("a worker without memory")
+        answer: Any = await super().run(job)
+        return answer
+
+
+async def test_a_fit_of_all_that_fails_ends_the_campaign_and_its_estimate_still_says_that_it_is_an_update(
+    again: Again,
+) -> None:
+    async with again(Unfit()) as bench:
+        await bench.start()
+        await completed(bench)
+        assert bench.store.estimate(bench.campaign.id).document["updates"] == 1
+
+
+async def test_an_aborted_campaign_ends_with_a_fit_of_all_its_sweeps(again: Again, tmp_path: Path) -> None:
+    """Also if every sweep was identified before: no job follows. The service of another machine leaves it alone."""
+    url, elsewhere = f"sqlite:///{tmp_path / 'sweepid.sqlite'}", InProcess()
     async with again(Updating()) as bench:
-        feed = EventFeed(bench.store, bench.database)
-        following = asyncio.create_task(bench.jobs.follow(feed, 0))
-        await bench.in_a_sweep()
-        bench.drive.go.set()
-        bench.drive.go.clear()  # the next sweep is held
-        await until(lambda: bench.now.sweeps.get(SweepState.IDENTIFIED, 0) >= 1)
-        await bench.runner.abort(bench.campaign.id, "enough")
-        await until(lambda: bench.jobs.open == 0 and "updates" not in bench.store.estimate(bench.campaign.id).document)
-        assert bench.now.state is CampaignState.ABORTED
-        feed.close()
-        await following
+        with open_database(url, machine="another") as database:
+            other = Jobs(Store(database), bench.files, elsewhere, ModelStore(database))
+            feed = EventFeed(bench.store, bench.database)
+            following = asyncio.gather(bench.jobs.follow(feed, 0), other.follow(feed, 0))
+            await bench.in_a_sweep()
+            bench.drive.go.set()
+            bench.drive.go.clear()  # the next sweep is held
+            await until(lambda: bench.now.sweeps.get(SweepState.IDENTIFIED, 0) >= 1)
+            await bench.runner.abort(bench.campaign.id, "enough")
+            await until(lambda: "updates" not in bench.store.estimate(bench.campaign.id).document)
+            await until(lambda: bench.jobs.open == 0)
+            assert bench.now.state is CampaignState.ABORTED
+            feed.close()
+            await following
+            assert (other.open, other.troubles, elsewhere.jobs) == (0, (), [])
 
 
 async def test_a_job_waits_while_the_database_is_locked(
