@@ -39,16 +39,14 @@ class Column:
     @property
     def texts(self) -> tuple[str, ...]:
         """The values as a person reads them."""
-        return tuple(
-            "–"
-            if value is None
-            else str(value)
-            if not isinstance(value, float)
-            else with_std(value, std)[0]
-            if std is not None
-            else f"{value:{self.form}}"
-            for value, std in zip_longest(self.values, self.std)
-        )
+        return tuple(self._text(value, std) for value, std in zip_longest(self.values, self.std))
+
+    def _text(self, value: Value, std: float | None) -> str:
+        if value is None:
+            return "–"
+        if not isinstance(value, float):
+            return str(value)
+        return f"{value:{self.form}}" if std is None else with_std(value, std)[0]
 
 
 @dataclass(frozen=True)
