@@ -15,7 +15,7 @@ from drivers.errors import DriveError
 from service.diagnosis import model_document
 from service.diagnosis.verdict import Verdict
 from service.jobs.diagnosing import Diagnosing
-from service.jobs.rehearsal import Rehearsal
+from service.jobs.experiment_planner import ExperimentPlanner
 from service.machine.execution.permission import Intention
 from service.machine.execution.runner import Runner
 from service.model.errors import BadInput, Conflict, SweepidError
@@ -60,10 +60,10 @@ class Experiments:
         diagnoses: DiagnosisStore,
         runner: Runner,
         diagnosing: Diagnosing,
-        rehearsal: Rehearsal,
+        planner: ExperimentPlanner,
     ) -> None:
-        """`rehearsal`: for the machine that runs the experiments."""
-        self._rehearsal = rehearsal
+        """`planner`: for the machine that runs the experiments."""
+        self._planner = planner
         self._settings, self._store, self._diagnoses = settings, store, diagnoses
         self._runner, self._diagnosing = runner, diagnosing
         self._approving = asyncio.Lock()
@@ -79,9 +79,9 @@ class Experiments:
         by: str,
         test_mass: BoltedMass | None = None,
     ) -> ExperimentPlan:
-        """The plan of the next experiment of an axis (blocking), as `Rehearsal.plan`. Conflict if there is none."""
+        """The plan of the next experiment of an axis (blocking), as `ExperimentPlanner`. Conflict if there is none."""
         diagnosis = self._diagnoses.diagnosis(diagnosis_id)
-        return self._rehearsal.plan(diagnosis.robot_id, proposed(diagnosis, axis), cell, typed, by, test_mass)
+        return self._planner.plan(diagnosis.robot_id, proposed(diagnosis, axis), cell, typed, by, test_mass)
 
     def permit(self, diagnosis_id: int, intention: Intention) -> None:
         """The experiments of an unattended diagnosis and of those that follow from it are wanted."""

@@ -16,10 +16,10 @@ from drivers.errors import Cause, CauseCode, DriveError
 from drivers.registry import open_profile
 from service.diagnosis.effects import CATALOGUE
 from service.jobs.diagnosing import Diagnosing
+from service.jobs.experiment_planner import ExperimentPlanner
 from service.jobs.experiments import Experiments
 from service.jobs.jobs import Batches, Checking, Jobs
 from service.jobs.recording_uploads import RecordingUploads, Transfers
-from service.jobs.rehearsal import Rehearsal
 from service.jobs.worker import Worker, open_worker
 from service.machine.execution.machine import Machine, listening, watching
 from service.machine.execution.permission import Approvals
@@ -360,10 +360,10 @@ async def _open_cell(
     runner = Runner(store, machine, executor, jobs, partial(compile_plan, store, settings, setup), approvals)
     stack.push_async_callback(runner.close)
 
-    rehearsal = Rehearsal(settings, store, setup)
-    diagnosing = Diagnosing(store, app.diagnoses, app.models, files, worker, rehearsal.refusal)
+    planner = ExperimentPlanner(settings, store, setup)
+    diagnosing = Diagnosing(store, app.diagnoses, app.models, files, worker, planner.refusal)
     stack.push_async_callback(diagnosing.close)
-    experiments = Experiments(settings, store, app.diagnoses, runner, diagnosing, rehearsal)
+    experiments = Experiments(settings, store, app.diagnoses, runner, diagnosing, planner)
     stack.push_async_callback(experiments.close)
     last_event = await asyncio.to_thread(store.last_event_id)
     await diagnosing.recover()

@@ -8,8 +8,8 @@ import pytest
 
 from service.jobs.dask_workers import DaskWorkers
 from service.jobs.diagnosing import Diagnosing
+from service.jobs.experiment_planner import ExperimentPlanner
 from service.jobs.experiments import ROUNDS, Experiments
-from service.jobs.rehearsal import Rehearsal
 from service.model.errors import BadInput, Conflict
 from service.model.robot import Robot
 from service.planning.campaigns.live import EventFeed
@@ -36,8 +36,8 @@ class Loop:
         """Experiments of a machine with these axes."""
         bench = self.bench
         setup = MachineSetup("machine", axes, robot=bench.store.robot(self.new.robot_id), cell="workshop")
-        rehearsal = Rehearsal(Settings(), bench.store, setup)
-        return Experiments(Settings(), bench.store, self.diagnoses, bench.runner, self.diagnosing, rehearsal)
+        planner = ExperimentPlanner(Settings(), bench.store, setup)
+        return Experiments(Settings(), bench.store, self.diagnoses, bench.runner, self.diagnosing, planner)
 
     def done(
         self, kind: str | None, new: NewDiagnosis | None = None, verdict: str = "ambiguous", *, sweeps: bool = False
@@ -70,9 +70,9 @@ async def loop(again: Again, robot: Robot) -> AsyncIterator[Loop]:
         diagnoses = DiagnosisStore(bench.database)
         nobody = DaskWorkers(Cluster("tcp://127.0.0.1:1"))
         setup = MachineSetup("machine", robot=bench.store.robot(bench.campaign.robot_id), cell="workshop")
-        rehearsal, models = Rehearsal(Settings(), bench.store, setup), ModelStore(bench.database)
-        diagnosing = Diagnosing(bench.store, diagnoses, models, bench.files, nobody, rehearsal.refusal)
-        experiments = Experiments(Settings(), bench.store, diagnoses, bench.runner, diagnosing, rehearsal)
+        planner, models = ExperimentPlanner(Settings(), bench.store, setup), ModelStore(bench.database)
+        diagnosing = Diagnosing(bench.store, diagnoses, models, bench.files, nobody, planner.refusal)
+        experiments = Experiments(Settings(), bench.store, diagnoses, bench.runner, diagnosing, planner)
         new = NewDiagnosis(
             robot_id=bench.campaign.robot_id, campaigns=(bench.campaign.id,), axes=("joint_1",), unattended=True
         )
@@ -90,7 +90,7 @@ def test_an_experiment_keeps_the_lower_limits_of_the_drive(loop: Loop, robot: Ro
         assert {(sweep.velocity_limit, sweep.effort_limit) for sweep in plan.sweeps} == {limits}
 
 
-def test_an_experiment_that_the_machine_cannot_run_is_refused_when_it_is_rehearsed(loop: Loop) -> None:
+def test_an_experiment_that_the_machine_cannot_run_is_refused_when_it_is_planned(loop: Loop) -> None:
     """As of an axis whose drive permits less than every sweep needs."""
     wanted = loop.done("reversal", sweeps=True).found().axes["joint_1"].next_experiment
     assert wanted is not None
@@ -102,7 +102,7 @@ def test_an_experiment_that_the_machine_cannot_run_is_refused_when_it_is_rehears
         (replace(own, robot=None), ""),  # a person confirms the robot
         (replace(own, axes=(weak,)), "experiment: none of its sweeps can be run; reason for the first: "),
     ):
-        told = Rehearsal(Settings(), bench.store, setup).refusal(loop.new.robot_id, wanted)
+        told = ExperimentPlanner(Settings(), bench.store, setup).refusal(loop.new.robot_id, wanted)
         assert told.startswith(reason) if reason else told == "", told
 
 

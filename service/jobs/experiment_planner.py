@@ -16,7 +16,7 @@ from service.store.store import Store
 
 
 @dataclass(frozen=True)
-class Rehearsal:
+class ExperimentPlanner:
     """Plans for the machine `setup`. Methods block."""
 
     settings: Settings
