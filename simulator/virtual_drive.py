@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 class FieldbusKind(Enum):
-    """FieldbusKind of the virtual machine."""
+    """Fieldbus of the virtual machine."""
 
     CANOPEN = "canopen"
     MODBUS_TCP = "modbus-tcp"

@@ -51,7 +51,7 @@ class StreamStart:
 class CanopenDevice:
     """One node. See `Device`."""
 
-    reset = 0  # used as error code: the node booted, for which there is no code
+    restart_code = 0  # used as error code: the node booted, for which there is no code
 
     def __init__(self, profile: CanopenAxis, machine: CanopenProfile, bus: CanopenBus, dictionary_sha256: str) -> None:
         self.profile = profile
@@ -146,7 +146,7 @@ class CanopenDevice:
         announced = self._bus.emergency(self.profile.node)
         if announced is not None:
             return announced.code
-        return CanopenDevice.reset if self._bus.restarted(self.profile.node) else None
+        return CanopenDevice.restart_code if self._bus.restarted(self.profile.node) else None
 
     def forget_error(self) -> None:
         self._bus.forget_emergency(self.profile.node)
@@ -160,7 +160,7 @@ class CanopenDevice:
         return self.sdo.integer(self._map.entry("error_code"))
 
     def error_text(self, code: int) -> str:
-        if code == CanopenDevice.reset and self._bus.restarted(self.profile.node):
+        if code == CanopenDevice.restart_code and self._bus.restarted(self.profile.node):
             return "node restarted, its settings are lost"
         history = self._history()
         return f"error {code:04X}h" + (f", history {history:08X}h" if history else "")

@@ -33,7 +33,7 @@ logger = logging.getLogger(__name__)
 class ModbusDevice:
     """One unit. See `Device`."""
 
-    reset = 0  # used as error code of a restart
+    restart_code = 0  # used as error code of a restart
 
     injector = None  # a register map has no torque noise
 
@@ -117,7 +117,7 @@ class ModbusDevice:
         """Result of the heartbeat, because a Modbus drive only answers requests. A restart is detected by its watchdog,
         which is off after it. The code of a fault is `error_code`.
         """
-        return ModbusDevice.reset if self._restarted or self._faulty else None
+        return ModbusDevice.restart_code if self._restarted or self._faulty else None
 
     def forget_error(self) -> None:
         self._faulty = False
@@ -129,7 +129,7 @@ class ModbusDevice:
         return self._unit.integer("error_code")
 
     def error_text(self, code: int) -> str:
-        if code == ModbusDevice.reset and self._restarted:
+        if code == ModbusDevice.restart_code and self._restarted:
             return "drive restarted, its settings are lost"
         return f"error {code:04X}h"
 
@@ -178,7 +178,7 @@ class ModbusDevice:
             raise WrongIdentity(self.place, f"serial is {found[3]:08X}h, at connect it was {self._serial:08X}h")
         self.look_for_restart()
         if self._restarted:
-            raise DriveFault(self.place, f"{self.error_text(ModbusDevice.reset)}")
+            raise DriveFault(self.place, f"{self.error_text(ModbusDevice.restart_code)}")
         self._settle_session()
 
     def settle_limits(self, velocity: float, effort: float, window: tuple[float, float]) -> None:

@@ -17,7 +17,7 @@ from simulator.waveform import Array, Waveform, torque_noise
 
 
 class ExcitationKind(IntEnum):
-    """ExcitationKind of excitation, 2100h:0C."""
+    """Kind of excitation, 2100h:0C."""
 
     MULTI_SINE = 0
     TORQUE_NOISE = 1
