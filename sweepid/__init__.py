@@ -197,6 +197,7 @@ def identify(
     *,
     torque_gain: Mapping[str, TorqueGain] | str | Path | None = None,
     effects: Diagnosis | str | Path | None = None,
+    prior_from: Sequence[str | Path] = (),
     progress: ProgressBar = _silent,
 ) -> Estimate:
     """Identify a robot: inertia about each axis in each pose, base parameters, and their standard deviations.
@@ -211,6 +212,8 @@ def identify(
         Reported torque over true torque by joint, or the file of ``sweepid estimate torque-gain --json``.
     effects
         Known effects of the axes: a diagnosis, or the file of ``sweepid diagnose --model``.
+    prior_from
+        Files of ``sweepid identify --json`` of at least four other robots of the type: their prior.
     progress
         Called with the sweeps, to show how many are done.
 
@@ -238,7 +241,7 @@ def identify(
     from service.identification.motion.free_motion import at_once, free_motions
     from service.identification.motion.trajectory_record import runs_at_once
     from service.identification.spectra.noise_response import has_reference
-    from sweepid.files import effects_of, gains_of
+    from sweepid.files import effects_of, gains_of, type_of
 
     measured = _read(bundle)
     robot = measured.robot
@@ -261,7 +264,8 @@ def identify(
         of_joint = "" if axis is None else f" of joint {axis}"
         raise BadInput(measured.place, f"has no sweep{of_joint} with sines, a trajectory or injected torque noise")
     spectra = [sweep_spectrum(robot, sweep) for sweep in progress(sweeps, "Sweeps")]
-    return estimate_document(robot, spectra, gains=gains, known=known, motions=motions)
+    earlier = type_of(prior_from, robot)
+    return estimate_document(robot, spectra, gains=gains, known=known, motions=motions, earlier=earlier)
 
 
 def combine(*bundles: Bundle | str | Path) -> Combination:
@@ -394,7 +398,13 @@ def payload(
 
 
 def plan(
-    robot: Robot, cell: Cell | str | Path, *, axes: Sequence[str], varied: Sequence[str], **request: Any
+    robot: Robot,
+    cell: Cell | str | Path,
+    *,
+    axes: Sequence[str],
+    varied: Sequence[str],
+    prior_from: Sequence[str | Path] = (),
+    **request: Any,
 ) -> PlanDocument:
     """Choose poses and design sweeps. Nothing moves; a service plans what it measures itself (`Client.add_plan`).
 
@@ -408,6 +418,8 @@ def plan(
         Joints to measure.
     varied
         Joints whose positions make the grid of poses.
+    prior_from
+        As in `identify`: with a ``confidence`` as the budget, less is left to measure.
     **request
         Other fields of a plan's request (docs/reference/plan.md), as ``poses``, ``confidence`` or ``step``.
 
@@ -434,6 +446,7 @@ def plan(
 
     from service.model.configuration import Cell, bad_field, read_cell
     from service.planning.plan import PlanRequest, build_plan
+    from sweepid.files import type_of
 
     around = cell if isinstance(cell, Cell) else read_cell(Path(cell))
     try:
@@ -441,7 +454,7 @@ def plan(
         wanted = PlanRequest.model_validate({"robot_id": 1, "axes": axes, "varied": varied, **request})
     except ValidationError as error:
         raise bad_field("plan", error) from None
-    return build_plan(robot, wanted, around)
+    return build_plan(robot, wanted, around, earlier=type_of(prior_from, robot))
 
 
 def export(robot: Robot, estimate: Estimate, folder: str | Path, *, place: str = "estimate") -> IdentifiedModel:

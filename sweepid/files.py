@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar, cast
 
@@ -10,6 +10,7 @@ from pydantic import ConfigDict, Field
 
 from service.identification.axis.known_effects import KnownEffects, known_effects
 from service.identification.axis.nominal_priors import TorqueGain
+from service.identification.estimates.robot_type import RobotType, robot_type
 from service.model.configuration import read_text, read_yaml
 from service.model.errors import BadInput
 from service.model.results.diagnosis import Diagnosis
@@ -86,6 +87,12 @@ def effects_of(given: Diagnosis | str | Path | None, robot: Robot) -> KnownEffec
 
     model = KnownModel.read(model_document(robot, given.as_json()), "diagnosis")
     return known_effects(model, robot.joints, ModelFile(file="diagnosis"))
+
+
+def type_of(given: Sequence[str | Path], robot: Robot) -> RobotType | None:
+    """Of files of `sweepid identify --json`; None without any."""
+    files = list(map(Path, given))
+    return robot_type(robot, {str(path): read_document(path, Estimate) for path in files}) if files else None
 
 
 def started(robot: Robot, given: Estimate | str | Path) -> Robot:

@@ -12,6 +12,7 @@ from service.identification.estimates.combination import combination_document, c
 from service.identification.estimates.document import as_document, nothing_known
 from service.identification.estimates.estimate import RobotEstimate, identify
 from service.identification.estimates.initial_analysis import analyse, analyses_document
+from service.identification.estimates.robot_type import RobotType
 from service.identification.estimates.update import Condensed
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.trajectory_record import AxisTrack, axis_track, runs_at_once, trajectories
@@ -51,6 +52,7 @@ def estimate_document(
     gains: Mapping[str, TorqueGain] | None = None,
     known: KnownEffects | None = None,
     motions: Sequence[FreeMotion] = (),
+    earlier: RobotType | None = None,
 ) -> results.Estimate:
     """Identify, and compare with the nominal model over the poses of the workspace without self-collision.
 
@@ -58,9 +60,10 @@ def estimate_document(
     its axes' drive trains, as are `analyses` of other campaigns for axes without one. `gains`: calibrated with a test
     mass, by joint. `known`: effects of the robot's model, for the sweeps with lines. With trajectories of several axes
     and free `motions`, "combination" is the joint estimate from sweeps and these; else it is null.
-    Spectra of sweeps in `motions` contain no information about a single axis and are ignored.
+    Spectra of sweeps in `motions` contain no information about a single axis and are ignored. `earlier`: robots of the
+    type, a prior of the axis inertias' base parameters.
     """
-    return _fitted(robot, spectra, analyses or {}, gains or {}, known, motions).document
+    return _fitted(robot, spectra, analyses or {}, gains or {}, known, motions, earlier).document
 
 
 def condensed_estimate(
@@ -90,6 +93,7 @@ def _fitted(
     gains: Mapping[str, TorqueGain],
     known: KnownEffects | None,
     motions: Sequence[FreeMotion],
+    earlier: RobotType | None = None,
 ) -> _Fitted:
     sweeps = [each for each in spectra if isinstance(each, Spectrum)]
     together = {id for motion in motions for id in motion.ids}
@@ -98,7 +102,7 @@ def _fitted(
     own = analyse(robot, runs, [sweep for sweep in sweeps if sweep.spec.stepped])
     estimate = None
     if any(sweep.spec.shows_inertia for sweep in sweeps):
-        estimate = identify(robot, sweeps, {**analyses, **own}, gains, known)
+        estimate = identify(robot, sweeps, {**analyses, **own}, gains, known, earlier)
     tracks = [each for each in spectra if isinstance(each, AxisTrack)]
     combination = _combination(robot, estimate, tracks, motions, gains)
     also: dict[str, object] = {"analysis": analyses_document(own), "combination": combination}

@@ -21,7 +21,7 @@ from service.jobs.work import CheckJob, Job, JobFailed, RecordedSweep, Reidentif
 from service.model.errors import BadInput, NotFound, NotNow
 from service.planning.campaigns.live import EventFeed
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
-from service.planning.campaigns.stored_results import analysis_behind, campaign_beside
+from service.planning.campaigns.stored_results import analysis_behind, campaign_beside, siblings_behind
 from service.process.telemetry import TRACING
 from service.store.database import refusal
 from service.store.diagnoses import ModelStore
@@ -294,6 +294,7 @@ class Jobs(OpenJobs):
             sweeps=new,
             earlier=tuple(map(self._files.spectrum, (*others, *self._store.spectra(campaign.id)))),
             analyses=analysis_behind(self._store, beside or campaign),
+            siblings=siblings_behind(self._store, beside or campaign),
             model=model,
             last=open_sweeps <= len(sweeps),
         )
@@ -444,6 +445,7 @@ class Batches(OpenJobs):
             urdf_text=robot.urdf_text,
             sweeps=tuple(sweeps),
             analyses=analysis_behind(self._store, beside or campaign),
+            siblings=siblings_behind(self._store, beside or campaign),
             model=model,
             before=self._store.estimate(campaign_id).document,
         )

@@ -37,6 +37,7 @@ from service.store.files.recordings import SpectrumFile, read_spectrum
 if TYPE_CHECKING:  # numerical modules, and the report
     from service.diagnosis.fit.fitted import Parameter
     from service.identification.axis.known_effects import KnownEffects
+    from service.identification.estimates.robot_type import RobotType
     from service.identification.estimates.torque_gain import KnownMass
     from service.identification.estimates.update import Condensed
     from service.identification.estimation import SweepSpectrum
@@ -149,6 +150,7 @@ class Job(OfRobot):
     sweeps: tuple[RecordedSweep, ...]
     earlier: tuple[SpectrumFile, ...]
     analyses: Analyses  # of the campaign that the plan names; {} without one
+    siblings: Mapping[str, Estimate]  # of the other robots of the type that it names; {} without
     model: ModelDocument | None = None  # the robot's model; None: it has none yet
     last: bool = True  # no sweep follows: all are fitted at once
 
@@ -177,7 +179,7 @@ class Revisions:
         from service.identification.estimation import condensed_estimate, estimate_document, updated_estimate
 
         kept, self._kept = self._kept, None
-        inputs = (job.robot, job.urdf_text, job.analyses, job.model)
+        inputs = (job.robot, job.urdf_text, job.analyses, job.siblings, job.model)
         if kept is not None and not job.last and kept.inputs == inputs and kept.made_from(job.earlier):
             condensed = updated_estimate(kept.condensed, new)
             if condensed is not None:
@@ -185,8 +187,10 @@ class Revisions:
                 return condensed.document
         spectra = [*map(_spectrum, job.earlier), *new]
         analyses, known = analyses_from(job.analyses), _known(job.model, robot)
-        if job.last:
-            return estimate_document(robot, spectra, analyses, known=known).as_json()
+        if job.last or job.siblings:
+            return estimate_document(
+                robot, spectra, analyses, known=known, earlier=_of_type(robot, job.siblings)
+            ).as_json()
         found, condensed = condensed_estimate(robot, spectra, analyses, known)
         if condensed is not None:
             self._kept = _Kept(inputs, frozenset(job.earlier), tuple(new), condensed)
@@ -210,6 +214,12 @@ class _Kept:
 
 
 _REVISIONS = Revisions()
+
+
+def _of_type(robot: Robot, siblings: Mapping[str, Estimate]) -> "RobotType | None":
+    from service.identification.estimates.robot_type import robot_type
+
+    return robot_type(robot, siblings) if siblings else None
 
 
 def _known(model: ModelDocument | None, robot: Robot) -> "KnownEffects | None":
@@ -273,6 +283,7 @@ class ReidentifyJob(OfRobot):
 
     sweeps: tuple[RecordedSweep, ...]
     analyses: Analyses
+    siblings: Mapping[str, Estimate]
     model: ModelDocument | None
     before: Mapping[str, JsonValue]
 
@@ -288,7 +299,8 @@ class ReidentifyJob(OfRobot):
             if sweep.file.store is None:
                 check_file(sweep.file.path, sweep.file.sha256)
         spectra = [sweep_spectrum(robot, sweep.read()) for sweep in self.sweeps]
-        found = estimate_document(robot, spectra, analyses_from(self.analyses), known=_known(self.model, robot))
+        analyses, known = analyses_from(self.analyses), _known(self.model, robot)
+        found = estimate_document(robot, spectra, analyses, known=known, earlier=_of_type(robot, self.siblings))
         before = Estimate.read(self.before, "stored estimate") if self.before else None
         return Reidentified(found.as_json(), len(spectra), _largest_change(before, found))
 

@@ -1,7 +1,7 @@
 """Requests and documents of the plans of every kind: sweeps, initial analysis, trajectories, diagnosis, experiment."""
 
 from collections.abc import Iterable
-from typing import Literal, cast
+from typing import Annotated, Literal, cast
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -60,6 +60,8 @@ class PlanRequest(_PlanModel):
     locked_rotor: dict[str, float] = {}  # lowest first locked-rotor frequency by joint, Hz, if known
     # campaign of an initial analysis: its locked-rotor and ideal frequencies are used, its drive trains are the prior
     analysis: int | None = Field(default=None, ge=1, le=LARGEST_ID)
+    # campaigns of other robots of the type, at least four: their estimates are the prior of plan and estimate
+    prior_from: tuple[Annotated[int, Field(ge=1, le=LARGEST_ID)], ...] = Field(default=(), max_length=100)
 
     @model_validator(mode="before")
     @classmethod

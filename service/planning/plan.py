@@ -24,6 +24,7 @@ from drivers.ports import SweepMode
 from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.design.excitation import Excitation, realisations
 from service.identification.design.pose_selection import without_gain
+from service.identification.estimates.robot_type import RobotType
 from service.model.arrays import Array
 from service.model.configuration import Cell
 from service.model.errors import BadInput, EnvelopeViolation
@@ -45,11 +46,16 @@ from service.planning.safety.travel import order_poses
 
 
 def build_plan(
-    robot: Robot, request: PlanRequest, cell: Cell, analyses: Mapping[str, InitialAnalysis] | None = None
+    robot: Robot,
+    request: PlanRequest,
+    cell: Cell,
+    analyses: Mapping[str, InitialAnalysis] | None = None,
+    earlier: RobotType | None = None,
 ) -> PlanDocument:
     """The plan of a request; BadInput names the field that is impossible.
 
-    `analyses`: the initial analysis that the request names, by joint.
+    `analyses`: the initial analysis that the request names, by joint. `earlier`: robots of the type; with a confidence
+    as the budget, their estimates leave less to measure.
     """
     request.check(robot)
     envelope = Envelope(robot, cell)
@@ -65,7 +71,7 @@ def build_plan(
         )
     observed = observe(robot, request, home)
     design = SweepDesign(robot, request, envelope, candidates, analyses or {})
-    chooser = PoseChooser(request, envelope, design, observed, candidates)
+    chooser = PoseChooser(request, envelope, design, observed, candidates, earlier)
     itinerary = _Sequence(robot, request, envelope)
     dropped: tuple[DroppedPose, ...] = ()
     while True:

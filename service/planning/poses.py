@@ -23,6 +23,7 @@ from service.identification.design.pose_selection import (
     sweep_information,
 )
 from service.identification.estimates.estimate import RobotEstimate
+from service.identification.estimates.robot_type import RobotType
 from service.identification.model.base_parameters import base_parameters, joint_ranges, spread_evenly
 from service.identification.model.regressor import axis_rows, gravity_terms, inertia_rows, lock
 from service.model.arrays import Array
@@ -283,14 +284,30 @@ class PoseChooser:
     """Chooses among the `candidates` (m, n) of a request."""
 
     def __init__(
-        self, request: PlanRequest, envelope: Envelope, design: SweepDesign, observed: Observability, candidates: Array
+        self,
+        request: PlanRequest,
+        envelope: Envelope,
+        design: SweepDesign,
+        observed: Observability,
+        candidates: Array,
+        earlier: RobotType | None = None,
     ) -> None:
         self._request, self._envelope, self._design = request, envelope, design
         self._observed, self._candidates = observed, candidates
         self._rows = observed.rows(candidates)
         workspace = observed.workspace(candidates)
         inertia = observed.inertia(workspace)
-        self._workspace = observed.rows(workspace), inertia, observed.spread(float(inertia.max()))
+        known = None
+        if earlier is not None:
+            locked = {
+                joint: float(observed.home[k])
+                for k, joint in enumerate(observed.robot.joints)
+                if k not in observed.free
+            }
+            earlier.check(observed.names, locked)
+            known = earlier.information.matrix
+        self._known = known
+        self._workspace = observed.rows(workspace), inertia, observed.spread(float(inertia.max())), known
         self._sweeps: dict[int, tuple[Excitation, ...]] = {}
         self._shown: dict[int, Array] = {}  # information of the sweeps in a candidate
 
@@ -300,8 +317,9 @@ class PoseChooser:
         refused = list(without)
         closed = {one.pose for one in without}
         picks = choices(
-            *(self._rows, request.criterion, self._candidates, self._observed.home),
+            *(self._weighted(closed), request.criterion, self._candidates, self._observed.home),
             lambda candidate: self._accepted(candidate, closed, refused),
+            self._known,
         )
         prediction = self._prediction()
         chosen: list[int] = []
@@ -337,6 +355,15 @@ class PoseChooser:
             for pick, number in zip(chosen, condition, strict=True)
         ]
         return Choice(chosen_poses, prediction.percent, prediction.determined, reported)
+
+    def _weighted(self, closed: set[tuple[float, ...]]) -> Array:
+        """The rows of the candidates, with earlier robots by what a sweep of each axis shows of J: then both are
+        information in the same units.
+        """
+        first = next((k for k in range(len(self._candidates)) if self._accepted(k, closed, [])), None)
+        if self._known is None or first is None:
+            return self._rows
+        return self._rows * np.sqrt(self._shows(first)[1][:, 0, 0])[:, None]
 
     def _accepted(self, candidate: int, closed: set[tuple[float, ...]], refused: list[DroppedPose]) -> bool:
         """Whether the candidate has a path from home and its sweeps; otherwise its reason is added to `refused`."""

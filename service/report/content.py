@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.ports import AxisIdentity
 from service.identification.model.base_parameters import base_parameters
-from service.identification.model.regressor import axis_rows, lock
+from service.identification.model.regressor import SAME_POSITION, axis_rows, lock
 from service.model.arrays import Array
 from service.model.collision import reachable
 from service.model.recording import Sweep, SweepSpec
@@ -21,8 +21,6 @@ from service.model.results.diagnosis import DataCheck, Diagnosis
 from service.model.results.estimate import BaseParameter, Estimate
 from service.model.robot import INERTIAL_NAMES, Robot
 from service.report.drawing import slides
-
-SAME_POSITION = 2e-3  # rad (m): joints that differ by less between poses are constant
 
 
 @dataclass(frozen=True, slots=True)

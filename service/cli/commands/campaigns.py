@@ -67,6 +67,10 @@ def plan(
     analysis: Annotated[
         int | None, typer.Option(help="Campaign whose initial analysis is used to design the sweeps.")
     ] = None,
+    prior_from: Annotated[
+        list[int] | None,
+        typer.Option(help="Campaign of another robot of the type; four or more are a prior.", metavar="N", min=1),
+    ] = None,
     elsewhere: Annotated[
         bool,
         typer.Option(
@@ -106,6 +110,7 @@ def plan(
         "blocks": None if blocks is None else _names(blocks),
         "repeats": repeats,
         "analysis": analysis,
+        "prior_from": prior_from or None,
     }
     request: Json = {name: value for name, value in options.items() if value is not None}
     request |= {"axes": _names(axes), "varied": _names(varied)}

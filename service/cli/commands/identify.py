@@ -30,6 +30,12 @@ def identify(
         Path | None, typer.Option(help="Known effects: JSON file of `sweepid diagnose --model`.", metavar="FILE")
     ] = None,
     report: Annotated[Path | None, typer.Option(help="Write the result with figures to this HTML file.")] = None,
+    prior_from: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Estimate of another robot of the type (JSON file); four or more are a prior.", metavar="FILE"
+        ),
+    ] = None,
 ) -> None:
     """Identify a robot from the sweeps of a bundle."""
     from service.cli.terminal import counted, show, waiting, write_file
@@ -37,7 +43,9 @@ def identify(
     with waiting("reading the bundle"):
         measured = sweepid.read_bundle(bundle)
     with waiting("estimating"):
-        found = sweepid.identify(measured, axis, torque_gain=gains, effects=model, progress=counted)
+        found = sweepid.identify(
+            measured, axis, torque_gain=gains, effects=model, prior_from=prior_from or (), progress=counted
+        )
     if report is not None:
         from service.cli.report_pages import bundle_page
 

@@ -88,14 +88,15 @@ def choices(
     poses: Array | None = None,
     start: Sequence[float] | Array = (),
     accept: Callable[[int], bool] = lambda _: True,
+    known: Array | None = None,
 ) -> Iterator[tuple[int, float]]:
     """All candidates in the order of selection, each with the condition number after it; computed lazily.
 
     `poses` (m, n) and `start` (n,), the initial pose of the robot: for condition_and_travel, whose path length is
     the sum over the joints, rad (m), because one joint moves at a time. A candidate that `accept` refuses is left
-    out.
+    out. `known` (p, p): information before the first choice, in the units of `rows`.
     """
-    greedy = _Greedy(rows)
+    greedy = _Greedy(rows, known)
     away = np.zeros(len(rows)) if poses is None else _way(poses, np.asarray(start, dtype=float))
     slack = 1.0
     if criterion is Criterion.CONDITION_AND_TRAVEL:
@@ -145,13 +146,14 @@ def condition_bounds(rows: Array, eigenvalues: Array, vectors: Array, width: int
 class _Greedy:
     """The remaining candidates and the Gram matrix of those selected."""
 
-    def __init__(self, rows: Array) -> None:
+    def __init__(self, rows: Array, known: Array | None = None) -> None:
         length = np.sqrt(np.sum(rows**2, axis=(0, 1)))
-        self._rows = np.ascontiguousarray(rows / np.where(length > 0, length, 1.0))
+        length = np.where(length > 0, length, 1.0)
+        self._rows = np.ascontiguousarray(rows / length)
         count, _, size = rows.shape
         self._ridge = PoseLimits.ridge * float(np.sum(self._rows**2)) / count / size
         self._left: Indices = np.arange(count)
-        self._gram = np.zeros((size, size))
+        self._gram = np.zeros((size, size)) if known is None else known / np.outer(length, length)
 
     def leave_out(self, pick: int) -> None:
         """Remove a candidate without selecting it."""
@@ -260,9 +262,10 @@ def sweep_information(
 class PredictedConfidence:
     """Confidence updated pose by pose. a axes are measured in each pose; p base parameters."""
 
-    def __init__(self, rows: Array, inertia: Array, spread: Array) -> None:
+    def __init__(self, rows: Array, inertia: Array, spread: Array, known: Array | None = None) -> None:
         """`rows` (w, a, p) and the model's `inertia` (w, a) of the axes in the poses of the workspace; `spread` (p,):
-        standard deviations of the base parameters in the nominal model.
+        standard deviations of the base parameters in the nominal model; `known` (p, p): information that earlier robots
+        of the type give.
         """
         count, axes, size = rows.shape
         self._axes, self._size, self._spread = axes, size, spread
@@ -270,6 +273,8 @@ class PredictedConfidence:
         self._workspace[:, :size] = rows.reshape(-1, size) / inertia.reshape(-1, 1)
         softest = 1 / (np.median(inertia, axis=0) * (2 * np.pi * Assumed.softest) ** 2)
         self._information = np.diag(np.concatenate([np.zeros(size), softest**-2]))
+        if known is not None:
+            self._information[:size, :size] += known
 
     def add(self, rows: Array, information: Array) -> None:
         """Add a pose with its rows (a, p) and the `sweep_information` (a, 2, 2) of its sweeps."""

@@ -230,6 +230,7 @@ def as_document(estimate: RobotEstimate, workspace: Array) -> results.Estimate:
         suspect=estimate.suspects,
         effects=used_effects(estimate.known, estimate.axes),
         model=estimate.known.source,
+        prior=estimate.prior,
     )
 
 

@@ -30,6 +30,7 @@ from functools import cached_property
 from itertools import accumulate, pairwise
 
 import numpy as np
+from scipy import linalg
 from scipy.special import chdtri, ndtri
 
 from service.identification.axis.axis_estimate import AxisEstimate, identify_axis
@@ -37,6 +38,7 @@ from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.axis.joint_fit import FitLimits
 from service.identification.axis.known_effects import KnownEffects
 from service.identification.axis.nominal_priors import MeasuredInertias, TorqueGain, base_spread, torque_gain
+from service.identification.estimates.robot_type import RobotType
 from service.identification.model.base_parameters import (
     BaseParameters,
     base_parameters,
@@ -45,11 +47,11 @@ from service.identification.model.base_parameters import (
     spread_evenly,
 )
 from service.identification.model.least_squares import Information, LeftOut, Solution
-from service.identification.model.regressor import axis_rows, inertial_parameters, lock
+from service.identification.model.regressor import SAME_POSITION, axis_rows, inertial_parameters, lock
 from service.identification.spectra.frequency_response import Spectrum, check_moved_alone
 from service.model.arrays import Array
 from service.model.errors import BadInput
-from service.model.results.estimate import Suspect
+from service.model.results.estimate import Suspect, TypePrior
 from service.model.robot import Robot
 from service.model.urdf import Chain
 
@@ -111,9 +113,6 @@ def judge(rows: Array, values: Array, covariances: Sequence[Array], rounds: int 
     return Judged(extra, errors, left_out, ended)
 
 
-SAME_POSITION = 2e-3  # rad (m): positions that differ by less are one; a joint that did not move more was locked
-
-
 @dataclass(frozen=True)
 class HeldOutPoses:
     """Inertias (n,) of an axis predicted from the sweeps of other poses.
@@ -148,6 +147,7 @@ class RobotEstimate:
     errors: dict[str, Array]  # (n,) from the prediction by all others, in its standard deviations
     held_out: dict[str, HeldOutPoses]
     known: KnownEffects
+    prior: TypePrior | None = None  # what earlier robots of its type tell
 
     @cached_property
     def workspace(self) -> Array:
@@ -199,12 +199,14 @@ def identify(
     analyses: Mapping[str, InitialAnalysis] | None = None,
     gains: Mapping[str, TorqueGain] | None = None,
     known: KnownEffects | None = None,
+    earlier: RobotType | None = None,
 ) -> RobotEstimate:
     """The estimate from these spectra. Raises BadInput if none of them contains inertia (noise runs and stepped sines
     do not), or if axes moved together.
 
     `analyses` and `gains` by joint: initial analyses, and torque gains calibrated by a test mass. `known`: effects
-    of the robot's model in addition to its rigid body.
+    of the robot's model in addition to its rigid body. `earlier`: what other robots of its type tell; not used if this
+    one differs from them beyond chance.
     """
     known = known or KnownEffects()
     spectra = sorted((s for s in spectra if s.spec.shows_inertia), key=lambda spectrum: spectrum.spec.id)
@@ -236,6 +238,15 @@ def identify(
     for axis in judged.axes:
         information = information.add(observation[axis.joint], axis.values, axis.covariance)
     start, rows = base.combination @ nominal, np.vstack(list(observation.values()))
+    prior = None
+    if earlier is not None:
+        earlier.check(
+            base.names, {j: float(poses[:, k].mean()) for k, j in enumerate(robot.joints) if k not in unlocked}
+        )
+        own = linalg.block_diag(*(axis.covariance for axis in judged.axes))
+        prior = earlier.compared(rows, np.concatenate([axis.values for axis in judged.axes]), own)
+        if prior.used:
+            information = information.plus(earlier.information)
     measured = MeasuredInertias(
         values=np.concatenate([axis.values for axis in judged.axes]),
         variance=np.concatenate([np.diag(axis.covariance) for axis in judged.axes]),
@@ -261,6 +272,7 @@ def identify(
         errors=judged.errors,
         held_out=judged.held_out,
         known=known,
+        prior=prior,
     )
 
 

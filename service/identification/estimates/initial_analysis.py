@@ -16,8 +16,7 @@ from service.identification.axis.ideal_frequency import (
     analyse_axis,
 )
 from service.identification.axis.nominal_priors import pose_prior, shared_prior
-from service.identification.estimates.estimate import SAME_POSITION
-from service.identification.model.regressor import axis_rows, gravity_terms, inertial_parameters
+from service.identification.model.regressor import SAME_POSITION, axis_rows, gravity_terms, inertial_parameters
 from service.identification.spectra.frequency_response import Spectrum
 from service.identification.spectra.noise_response import (
     FrequencyResponse,

@@ -18,9 +18,14 @@ from scipy.special import chdtri
 
 from service.identification.axis.joint_fit import FitLimits, JointFit, fit_axis
 from service.identification.axis.nominal_priors import NOISE_GUESS, TorqueGain, pose_prior, shared_prior
-from service.identification.estimates.estimate import SAME_POSITION
 from service.identification.model.least_squares import Information, LeftOut
-from service.identification.model.regressor import axis_rows, gravity_terms, inertia_rows, inertial_parameters
+from service.identification.model.regressor import (
+    SAME_POSITION,
+    axis_rows,
+    gravity_terms,
+    inertia_rows,
+    inertial_parameters,
+)
 from service.identification.spectra.frequency_response import Spectrum
 from service.model.arrays import Array
 from service.model.errors import BadInput

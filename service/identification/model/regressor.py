@@ -96,6 +96,9 @@ def gravity_rows(chain: Chain, gravity: Array, joint: int, poses: Array) -> Arra
     return rows.reshape(len(poses), 2, -1)
 
 
+SAME_POSITION = 2e-3  # rad (m): positions that differ by less are one; a joint that did not move more was locked
+
+
 def lock(chain: Chain, fixed: dict[int, float]) -> Chain:
     """The chain with the joints of `fixed` locked at the given positions, and their links merged into the previous one.
 

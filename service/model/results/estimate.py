@@ -262,6 +262,41 @@ class Suspect(Part):
     weight: float
 
 
+class TypeMember(Part):
+    """An earlier robot of the type, and the probability that it is as far from the others by chance."""
+
+    name: str
+    probability: float
+    belongs: bool
+
+
+class TypePrior(Part):
+    """What earlier robots of the type told; `probability`: that this one differs as much from them by chance. Not used
+    below 1 %.
+    """
+
+    members: tuple[TypeMember, ...]
+    probability: float
+    used: bool
+
+    def told(self) -> list[str]:
+        """Sentences on which robots were used, and which are no robots of the type."""
+        strangers = [one for one in self.members if not one.belongs]
+        used = len(self.members) - len(strangers)
+        of_type = (
+            f"{used} earlier robots of the type; probability of such a difference by chance {self.probability:.2g}"
+        )
+        return [
+            f"Prior: {of_type}."
+            if self.used
+            else f"Not used as a prior, because this robot differs from them: {of_type}.",
+            *(
+                f"{one.name} is no robot of this type: probability of its difference by chance {one.probability:.2g}."
+                for one in strangers
+            ),
+        ]
+
+
 class UsedEffect(Part):
     """A known effect, and whether and how it was used in the estimate."""
 
@@ -275,8 +310,8 @@ class UsedEffect(Part):
 class Estimate(Shown, Document):
     """Axes by joint, base parameters, the initial analysis and the combination with trajectories.
 
-    `model`: the model that contains the effects, null if there are none. `updates`: sweeps that were added to the last
-    fit of all sweeps; a campaign ends with such a fit.
+    `model`: the model that contains the effects, null if there are none. `prior`: earlier robots of the type, null if
+    none were named. `updates`: sweeps that were added to the last fit of all sweeps; a campaign ends with such a fit.
     """
 
     axes: dict[str, EstimatedAxis]
@@ -291,6 +326,7 @@ class Estimate(Shown, Document):
     model: ModelSource | None = None
     analysis: dict[str, AxisAnalysis] = Field(default={})
     combination: Combination | None = None
+    prior: TypePrior | None = None
     updates: int = 0
 
     def table(self) -> Table:
@@ -322,6 +358,8 @@ class Estimate(Shown, Document):
         parts += [f"Suspect: sweep {one.sweep} of {one.axis}, {one.why}" for one in self.suspect]
         for one in self.effects:
             parts.append(f"{'Taken into account' if one.used else 'Left out'}: {one.effect} of {one.axis}, {one.how}")
+        if self.prior is not None:
+            parts += self.prior.told()
         condition = "undetermined" if self.condition_number is None else f"{self.condition_number:.3g}"
         return [*parts, f"Condition number of the observation matrix: {condition}"]
 

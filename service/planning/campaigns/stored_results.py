@@ -1,7 +1,7 @@
 """Reads the stored results of campaigns: those that a plan names, quality and confidence of an estimate, the fleet."""
 
 from collections import defaultdict
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import lru_cache
@@ -65,6 +65,21 @@ def latest_analysis(store: Store, campaign_id: int) -> Analyses:
     if not found:
         raise BadInput("analysis", f"campaign {campaign_id} has no noise runs or stepped sines that were identified")
     return found
+
+
+def siblings_behind(store: Store, campaign: CampaignDocument) -> dict[str, Estimate]:
+    """The estimates of other robots of the type that a campaign uses; {} if there is none."""
+    request = None if campaign.plan_id is None else store.plan(campaign.plan_id).document.get("request")
+    named = request.get("prior_from") if isinstance(request, dict) else None
+    return siblings(store, [one for one in named if isinstance(one, int)] if isinstance(named, list) else [])
+
+
+def siblings(store: Store, campaigns: Sequence[int]) -> dict[str, Estimate]:
+    """The estimates of campaigns, by name; BadInput (field `prior_from`) for one that has none."""
+    try:
+        return {f"campaign {one}": store.estimate(one).content for one in campaigns}
+    except NotFound as error:
+        raise BadInput("prior_from", str(error)) from None
 
 
 @dataclass(frozen=True, slots=True)

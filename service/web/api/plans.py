@@ -9,6 +9,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, JsonValue, StringConstraints, Tag, computed_field
 
 from service.identification.estimates.initial_analysis import analyses_from
+from service.identification.estimates.robot_type import robot_type
 from service.model.configuration import read_cell
 from service.model.errors import BadInput
 from service.model.results.estimate import Analyses
@@ -16,7 +17,7 @@ from service.model.results.part import JsonOf
 from service.model.robot import RobotDescription, robot_from_outside
 from service.planning.analysis import build_analysis_plan
 from service.planning.campaigns.stored_plan import PlanSubject, planned_times
-from service.planning.campaigns.stored_results import check_beside, latest_analysis
+from service.planning.campaigns.stored_results import check_beside, latest_analysis, siblings
 from service.planning.compiled_plan import Plan, other_machine, present_motion_sha256
 from service.planning.diagnosis import build_diagnosis_plan
 from service.planning.documents import AnalysisRequest, DiagnosisRequest, TrajectoryRequest
@@ -179,7 +180,9 @@ def add_plan(
         document = build_diagnosis_plan(robot, wanted, cell)
     else:
         analysed: Analyses = {} if wanted.analysis is None else latest_analysis(application.store, wanted.analysis)
-        document = build_plan(robot, wanted, cell, analyses_from(analysed))
+        earlier = siblings(application.store, wanted.prior_from)
+        of_type = robot_type(robot, earlier) if earlier else None
+        document = build_plan(robot, wanted, cell, analyses_from(analysed), of_type)
     document = document.model_copy(update={"made_for": made_for})
     plan = application.store.add_plan(wanted.robot_id, document.model_dump(mode="json"))
     response.headers["Location"] = str(request.url_for("get_plan", plan_id=plan.id))

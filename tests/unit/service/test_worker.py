@@ -37,7 +37,7 @@ async def job(tmp_path: Path, robot: Robot) -> Job:
     """The second sweep of a formula campaign, with the spectrum of the first."""
 
     def of_one(sweep: RecordedSweep, number: int, earlier: tuple[SpectrumFile, ...] = ()) -> Job:
-        return Job(f"job-{number}", robot.description, robot.urdf_text, (sweep,), earlier, {})
+        return Job(f"job-{number}", robot.description, robot.urdf_text, (sweep,), earlier, {}, {})
 
     async with open_bench(tmp_path, robot, Envelope(robot, Cell(name="empty"))) as bench:
         await bench.start()

@@ -149,7 +149,9 @@ def test_a_worker_continues_only_what_it_made(tmp_path: Path) -> None:
 
     def job(count: int, last: bool = False) -> Job:
         earlier = tuple(map(file, range(count - 1)))
-        return Job("", robot.description, robot.urdf_text, sweeps=(), earlier=earlier, analyses={}, last=last)
+        return Job(
+            "", robot.description, robot.urdf_text, sweeps=(), earlier=earlier, analyses={}, siblings={}, last=last
+        )
 
     def updates(revisions: Revisions, count: int, last: bool = False) -> object:
         return revisions.next(job(count, last), robot, spectra[count - 1 : count]).get("updates", 0)
