@@ -415,7 +415,7 @@ def _longest(lines: Sequence[str], skip: int, delimiter: str, is_number: Callabl
     best, score, start, width, count = (0, 0), 0, 0, 0, 0
     firm = 10  # lines after which another kind of line is a fault in the data, and not their end
     for k, line in enumerate(lines):
-        cells = _cells(line, delimiter) if k >= skip and line.strip() else []
+        cells = _cells(line, delimiter) if k >= skip and line.strip() and not line.startswith("#") else []
         numbers = sum(map(is_number, cells)) if len(cells) > 1 else 0
         stamps = sum(timelike(cell) for cell in cells) if 2 * numbers <= len(cells) else 0
         filled = sum(cell != "" for cell in cells)
@@ -442,7 +442,14 @@ def _head(rows: Sequence[list[str]], width: int) -> _Head:
     ]
     fitting = [row + [""] * (width - len(row)) for row in fitting]
     units = next((row for row in fitting if _are_units(row)), None)
-    named = [row for row in fitting if row is not units and not all(_TYPE.fullmatch(cell) for cell in row if cell)]
+    values = [
+        row for row in fitting if width > 1 and all(_is_number(cell, ".") for cell in row[1:])
+    ]  # as "# Scale: 1;2"
+    named = [
+        row
+        for row in fitting
+        if row is not units and row not in values and not all(_TYPE.fullmatch(cell) for cell in row if cell)
+    ]
     found = max(
         named, key=lambda row: len({cell for cell in row if cell}), default=[f"column {k + 1}" for k in range(width)]
     )
@@ -502,7 +509,7 @@ def _stated_interval(lines: Sequence[str]) -> float | None:
     interval = re.compile(
         r"(?i)(?:sampl\w*[ _-]?(?:time|period|interval)|abtast(?:zeit|intervall|periode)|cycle[ _-]?time|zykluszeit"
         r"|interval|dt)"
-        r"\W*?(?:[\[(]?(ms|us|µs|ns|s)[\])]?)?[\s:=;,\t]+([\d.,]+(?:e-?\d+)?)\s*(n?sec|ms|us|µs|ns|s)?\b"
+        r"\W*?(?:[\[(]?(ms|us|µs|ns|s)[\])]?)?(?:\s+is)?[\s:=;,\t]+([\d.,]+(?:e-?\d+)?)\s*(n?sec|ms|us|µs|ns|s)?\b"
     )
     for line in lines:
         if found := interval.search(line):
