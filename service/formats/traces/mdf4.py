@@ -78,7 +78,7 @@ def _opened(path: Path) -> Any:
         raise BadInput(
             str(path), f"is not a finalised MDF file: it begins with {head[:8]!r}, flags {head[60:64].hex()}"
         )
-    version = int.from_bytes(head[28:30], "big" if any(head[24:26]) and head[8:9] == b"3" else "little")
+    version = min(int.from_bytes(head[28:30], order) for order in ("little", "big"))  # version 3 has both
     if 300 <= version < 400:
         with closing(MDF(str(path))) as old:
             return old.convert("4.10")
