@@ -140,6 +140,15 @@ def in_rows(columns: Iterable[np.ndarray[Any, Any]], count: int, length: int) ->
     return rows
 
 
+def matlab_object(name: str, kind: str, path: Path) -> BadInput:
+    """The refusal of a table, timetable or other object, whose values MATLAB alone can take out."""
+    return BadInput(
+        f"{path} variable {name!r}",
+        f"is an object of MATLAB ({kind}): write its columns as a struct, s = table2struct(timetable2table({name}), "
+        "'ToScalar', true); s.Time = seconds(s.Time); save('trace.mat', '-struct', 's')",
+    )
+
+
 def check_numbers(rows: int, columns: int, most: int, place: str) -> None:
     """BadInput if the sizes that the file states exceed the limit."""
     if not 0 <= rows * columns <= most:

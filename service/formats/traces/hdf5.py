@@ -16,6 +16,7 @@ from service.formats.traces.containers import (
     Taken,
     check_numbers,
     columns_in,
+    matlab_object,
     one_column,
     shown,
     split_source,
@@ -45,7 +46,20 @@ def read(path: Path, sweeps: Sequence[Sequence[ChannelName]]) -> Iterator[Taken]
 def listed(path: Path) -> tuple[ListedChannel, ...]:
     """The columns of numbers, reached only by links inside the file."""
     with _h5.File(str(path), "r") as file:
-        return tuple(_below(file, ""))
+        found = tuple(_below(file, ""))
+        objects = [name for name in map(str, file) if _is_object(file.get(name))] if not found else []
+        if objects:
+            raise matlab_object(objects[0], _class(file[objects[0]]), path)
+        return found
+
+
+def _is_object(here: Any) -> bool:
+    return here is not None and "MATLAB_object_decode" in here.attrs
+
+
+def _class(here: Any) -> str:
+    kind: Any = here.attrs.get("MATLAB_class", b"object")
+    return kind.decode("utf-8", "replace") if isinstance(kind, bytes) else str(kind)
 
 
 def _below(group: Any, path: str) -> Iterator[ListedChannel]:
@@ -56,6 +70,8 @@ def _below(group: Any, path: str) -> Iterator[ListedChannel]:
         here = group[name]
         if isinstance(here, _h5.Group):
             yield from _below(here, f"{place}/")
+        elif _is_object(here):
+            continue
         elif not (here.is_virtual or here.external) and here.shape:
             shape = np.lib.stride_tricks.as_strided(np.zeros(1, here.dtype), here.shape, (0,) * len(here.shape))
             yield from (ListedChannel(name=each, unit=_unit(here)) for each in columns_in(place, shape))
@@ -81,6 +97,8 @@ def _dataset(file: Any, name: str, path: str) -> Any:
                 f"{part!r} is a link to {getattr(link, 'path', 'elsewhere')}; give the name of the dataset itself",
             )
         here = here[part]
+    if _is_object(here):
+        raise matlab_object(name, _class(here), Path(path))
     if not isinstance(here, _h5.Dataset):
         raise BadInput(place, "is a group, not a dataset")
     if here.is_virtual or here.external:

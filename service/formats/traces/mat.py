@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from scipy.io import loadmat, whosmat
-from scipy.io.matlab import MatReadError
+from scipy.io.matlab import MatlabOpaque, MatReadError
 
 from service.formats.traces.containers import (
     ChannelName,
@@ -14,6 +14,7 @@ from service.formats.traces.containers import (
     Taken,
     check_numbers,
     columns_in,
+    matlab_object,
     one_column,
     shown,
     taken_of,
@@ -29,7 +30,7 @@ def read(path: Path, sweeps: Sequence[Sequence[ChannelName]]) -> Iterator[Taken]
 
     The shapes in the file header are compared with the limit before values are read.
     """
-    stated = {str(name): shape for name, shape, _ in whosmat(str(path))}
+    stated = _stated(path)
     for channels in sweeps:
         present = sorted({_root(channel.source) for channel in channels} & set(stated))
         content = _load(path, stated, present)
@@ -39,10 +40,27 @@ def read(path: Path, sweeps: Sequence[Sequence[ChannelName]]) -> Iterator[Taken]
 
 def listed(path: Path) -> tuple[ListedChannel, ...]:
     """The columns of numbers."""
-    stated = {str(name): shape for name, shape, _ in whosmat(str(path))}
+    stated = _stated(path)
     content = _load(path, stated, sorted(stated))
     found = [pair for name in stated if name in content for pair in _leaves(name, content[name])]
     return tuple(ListedChannel(name=name) for name, value in found for name in columns_in(name, value))
+
+
+def _stated(path: Path) -> dict[str, tuple[int, ...]]:
+    """Shape by variable. BadInput for a file of objects alone; SciPy lists no file that has one."""
+    try:
+        return {str(name): shape for name, shape, _ in whosmat(str(path))}
+    except TypeError:
+        content: dict[str, Any] = loadmat(str(path), struct_as_record=True)
+    held: Any = content.pop("None", None)  # objects have no name there
+    stated = {name: value.shape for name, value in content.items() if not name.startswith("__")}
+    if not stated and isinstance(held, MatlabOpaque):
+        raise matlab_object(_plain(held["s0"].ravel()[0]), _plain(held["s2"].ravel()[0]), path)
+    return stated
+
+
+def _plain(value: Any) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
 def _load(path: Path, stated: dict[str, tuple[int, ...]], names: list[str]) -> dict[str, object]:

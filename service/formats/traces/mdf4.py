@@ -1,4 +1,4 @@
-"""Channels of an ASAM MDF file of version 4. Needs `sweepid[mdf4]`.
+"""Channels of an ASAM MDF file of version 4, or of version 3, which is converted first. Needs `sweepid[mdf4]`.
 
 Only identity and linear conversions are applied; formulas in a file are not evaluated. Samples that the file marks as
 invalid become NaN, which a bundle does not accept. Channels of groups with different clocks are rejected.
@@ -11,6 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 import zstd
+from asammdf import MDF
 from asammdf.blocks import v4_constants
 from asammdf.blocks.mdf_v4 import MDF4
 from asammdf.blocks.utils import MdfException
@@ -52,17 +53,15 @@ class _Mdf4(MDF4):
 
 def read(path: Path, sweeps: Sequence[Sequence[ChannelName]]) -> Iterator[Taken]:
     """The channels, one sweep after the other, with the clock of their group."""
-    _check_head(path)
-    with path.open("rb") as stream, closing(_Mdf4(stream, **_OPENED)) as file:
+    with closing(_opened(path)) as file:
         for channels in sweeps:
             yield _sweep(file, channels, str(path))
 
 
 def listed(path: Path) -> tuple[ListedChannel, ...]:
     """The channels but for the clocks."""
-    _check_head(path)
-    with path.open("rb") as stream, closing(_Mdf4(stream, **_OPENED)) as file:
-        groups = cast("list[Any]", cast(Any, file).groups)
+    with closing(_opened(path)) as file:
+        groups = cast("list[Any]", file.groups)
         return tuple(
             ListedChannel(name=str(channel.name), unit=_unit(file, (k, number)), group=k)
             for k, group in enumerate(groups)
@@ -71,17 +70,21 @@ def listed(path: Path) -> tuple[ListedChannel, ...]:
         )
 
 
-def _check_head(path: Path) -> None:
-    """Reject unfinished files, which asammdf would repair in a copy, and older versions, which need another reader."""
+def _opened(path: Path) -> Any:
+    """Rejects unfinished files, which asammdf would repair in a copy."""
     with path.open("rb") as file:
         head = file.read(64)
     if not head.startswith(b"MDF     ") or len(head) < 64 or any(head[60:64]):
         raise BadInput(
             str(path), f"is not a finalised MDF file: it begins with {head[:8]!r}, flags {head[60:64].hex()}"
         )
-    version = int.from_bytes(head[28:30], "little")
+    version = min(int.from_bytes(head[28:30], order) for order in ("little", "big"))  # version 3 has both
+    if 300 <= version < 400:
+        with closing(MDF(str(path))) as old:
+            return old.convert("4.10")
     if not 400 <= version < 500:
-        raise BadInput(str(path), f"is an MDF file of version {version / 100:.2f}; version 4 is read")
+        raise BadInput(str(path), f"is an MDF file of version {version / 100:.2f}; versions 3 and 4 are read")
+    return _Mdf4(str(path), **_OPENED)
 
 
 def _sweep(file: Any, channels: Sequence[ChannelName], path: str) -> Taken:

@@ -6,8 +6,10 @@ each channel (``Name<tab>M<tab>Name<tab>n``); its channels have a column of time
 """
 
 import csv
+import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import date
 from functools import partial
@@ -40,9 +42,8 @@ def timelike(cell: str) -> bool:
     return _STAMP.fullmatch(cell.strip()) is not None
 
 
-def seconds_of(cells: Sequence[str | None], place: str) -> Array:
+def _unwrapped(found: Array) -> Array:
     """Stamps of a wall clock in s from the first; midnight and the change to or from summer time are taken out."""
-    found = np.array([_seconds(cell, place, row) for row, cell in enumerate(cells, start=1)])
     steps = np.diff(found)
     for jump in (86400.0, 3600.0):
         for sign in (1, -1):
@@ -134,24 +135,42 @@ class _Head:
     intervals: dict[int, float]  # s, by column of values
 
 
+class _Data(io.RawIOBase):
+    """The lines of the data in UTF-8 for Arrow, read as they are wanted; blanks that separate become tabs."""
+
+    def __init__(self, text: io.TextIOWrapper, blanks: bool) -> None:
+        self._text, self._blanks = text, blanks
+        self._left = memoryview(b"")
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any, /) -> int:
+        if not self._left:
+            body = "".join(self._text.readlines(2**18))  # characters at once
+            if self._blanks:
+                body = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", body))
+            self._left = memoryview(body.encode())
+        part = self._left[: len(buffer)]
+        buffer[: len(part)] = part
+        self._left = self._left[len(part) :]
+        return len(part)
+
+
 class TextTable:
-    """One table. BadInput if the file has none, or is too large."""
+    """One table, whose data stay in the file until a sweep is read. BadInput if the file has none, or is too large."""
 
     def __init__(self, path: Path, form: Csv) -> None:
-        self._place = str(path)
-        text, encoding = decoded(path)
-        self.notes = () if encoding in ("utf-8", "utf-8-sig") else (f"{path.name} is read as {encoding}",)
-        sample = 2**18  # characters in which the form is found
-        lines = text[:sample].split("\n")
-        if len(text) > sample:
-            lines.pop()
+        self._path, self._place = path, str(path)
+        self._encoding, self._lines = _measured(path)
+        plain = self._encoding in ("utf-8", "utf-8-sig")
+        self.notes = () if plain else (f"{path.name} is read as {self._encoding}",)
+        with _text(path, self._encoding) as text:
+            lines = text.read(2**18).split("\n")  # characters in which the form is found
+            if text.read(1):
+                lines.pop()
         self._odd: list[tuple[int, int, str]] = []  # lines of another number of cells
         self._delimiter, self._point, self._first = _form(lines, form, self._place)
-        body = text.split("\n", self._first)[-1]
-        del text
-        if self._delimiter == " ":
-            body = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", body))
-        self._body = body.encode()
         cells = partial(_cells, delimiter=self._delimiter)
         self._width = len(cells(lines[self._first]))
         heading = [cells(line) for line in lines[form.skip_rows : self._first]]
@@ -171,16 +190,17 @@ class TextTable:
         """The columns; the clock is that of a channel's own time, or the interval in the heading."""
         found = [self._index(channel.source) for channel in channels]
         times = [self._head.clocks.get(k) for k in found]
-        columns = self._columns(tuple(dict.fromkeys((*found, *(k for k in times if k is not None)))))
-        values = [columns[k] for k in found]
+        wanted = tuple(dict.fromkeys((*found, *(k for k in times if k is not None))))
+        rows = self._columns(wanted)
         units = tuple(self._head.units[k] for k in found)
-        own = {k: self._scaled(columns[at], k) for k, at in zip(found, times, strict=True) if at is not None}
-        if not own:
-            rows = np.arange(len(values[0]), dtype=np.float64)
-            clock = None if self._interval is None else rows * self._interval
-            return Taken(np.array(values), units, clock, self.notes)
-        clocks = [own.get(k) for k in found]
-        return _on_one_clock(values, clocks, units, self.notes, self._place)
+        clocks = [
+            None if at is None else self._scaled(rows[wanted.index(at)], k) for k, at in zip(found, times, strict=True)
+        ]
+        if any(clock is not None for clock in clocks):
+            return _on_one_clock([rows[wanted.index(k)] for k in found], clocks, units, self.notes, self._place)
+        values = rows if len(rows) == len(found) else rows[[wanted.index(k) for k in found]]
+        clock = None if self._interval is None else np.arange(values.shape[1], dtype=np.float64) * self._interval
+        return Taken(values, units, clock, self.notes)
 
     def _scaled(self, time: Array, column: int) -> Array:
         """s; TwinCAT writes ms, or a count of samples, and states the interval."""
@@ -212,43 +232,58 @@ class TextTable:
         there = shown([name for name in names if name])
         raise BadInput(self._place, f"column {source!r} is missing; there are {there}")
 
-    def _columns(self, wanted: tuple[int, ...]) -> dict[int, Array]:
-        lines = self._body.count(b"\n") + 1
-        check_numbers(lines, len(wanted), MOST_NUMBERS, self._place)
+    def _columns(self, wanted: tuple[int, ...]) -> Array:
+        """(columns, n); a missing value is NaN."""
+        check_numbers(self._lines, len(wanted), MOST_NUMBERS, self._place)
         stamps = {k for k in wanted if k < len(self._sample) and timelike(self._sample[k])}
+        rows, end = np.empty((len(wanted), self._lines)), 0
         try:
-            table = self._parsed(wanted, stamps)
+            for batch in self._parsed(wanted, stamps):
+                start, end = end, end + batch.num_rows
+                for k, row, column in zip(wanted, rows, batch.columns, strict=True):
+                    if k in stamps:
+                        place = f"{self._place} column {self._head.names[k]!r}"
+                        row[start:end] = [
+                            _seconds(cell, place, n) for n, cell in enumerate(column.to_pylist(), start + 1)
+                        ]
+                    else:  # without a null Arrow converts nothing, for which it would reserve 1 GiB
+                        row[start:end] = column.fill_null(np.nan).to_numpy(zero_copy_only=False)
         except _arrow.ArrowInvalid as error:
             self._tell_text(wanted, stamps)
             raise BadInput(self._place, f"cannot be read: {' '.join(str(error).split())}") from None
         for line, cells, text in self._odd:
             told = f"has {cells} cells, the lines before have {self._width}: {text[:60]!r}"
             raise BadInput(f"{self._place} line {line}", told)
-        return {
-            k: seconds_of(table.column(str(k)).to_pylist(), f"{self._place} column {self._head.names[k]!r}")
-            if k in stamps
-            else _numbers(table.column(str(k)))
-            for k in wanted
-        }
+        for k, row in zip(wanted, rows, strict=True):
+            if k in stamps and end:
+                row[:end] = _unwrapped(row[:end])
+        return rows[:, :end]
 
-    def _parsed(self, wanted: tuple[int, ...], text: set[int]) -> Any:
-        with _csv.open_csv(
-            _arrow.py_buffer(self._body),
-            read_options=_csv.ReadOptions(column_names=[str(k) for k in range(self._width)], use_threads=False),
-            parse_options=_csv.ParseOptions(
-                delimiter="\t" if self._delimiter == " " else self._delimiter, invalid_row_handler=self._odd_row
-            ),
-            convert_options=_csv.ConvertOptions(
-                decimal_point=self._point,
-                include_columns=[str(k) for k in wanted],
-                column_types={str(k): _arrow.string() if k in text else _arrow.float64() for k in wanted},
-                null_values=(
-                    sorted({form for one in _MISSING for form in (one, one.upper(), one.capitalize(), "NaN", "None")})
+    def _parsed(self, wanted: tuple[int, ...], text: set[int]) -> Iterator[Any]:
+        """The wanted columns by batches of rows; those of `text` as text."""
+        with _text(self._path, self._encoding) as file:
+            for _ in range(self._first):
+                file.readline()
+            data = io.BufferedReader(_Data(file, self._delimiter == " "))
+            with _csv.open_csv(
+                data,
+                read_options=_csv.ReadOptions(column_names=[str(k) for k in range(self._width)], use_threads=False),
+                parse_options=_csv.ParseOptions(
+                    delimiter="\t" if self._delimiter == " " else self._delimiter, invalid_row_handler=self._odd_row
                 ),
-                strings_can_be_null=True,
-            ),
-        ) as file:
-            return file.read_all()
+                convert_options=_csv.ConvertOptions(
+                    decimal_point=self._point,
+                    include_columns=[str(k) for k in wanted],
+                    column_types={str(k): _arrow.string() if k in text else _arrow.float64() for k in wanted},
+                    null_values=(
+                        sorted(
+                            {form for one in _MISSING for form in (one, one.upper(), one.capitalize(), "NaN", "None")}
+                        )
+                    ),
+                    strings_can_be_null=True,
+                ),
+            ) as batches:
+                yield from batches
 
     def _odd_row(self, row: Any) -> str:
         """A line with another number of cells, as ``EOF``, is passed over if it holds no number."""
@@ -258,29 +293,23 @@ class TextTable:
 
     def _tell_text(self, wanted: tuple[int, ...], stamps: set[int]) -> None:
         """BadInput with line and column of the first cell that is no number."""
-        try:
-            table = self._parsed(wanted, set(wanted))
-        except _arrow.ArrowInvalid:
-            return  # what is wrong is not in a cell
-        for k in wanted:
-            if k in stamps:
-                continue
-            for row, cell in enumerate(table.column(str(k)).to_pylist()):
-                if cell is not None and not _is_number(cell.strip(), self._point):
-                    name = self._head.names[k]
-                    raise BadInput(
-                        f"{self._place} line {self._first + row + 1}, column {name!r}", f"{cell[:40]!r} is not a number"
-                    )
+        row = 0
+        with suppress(_arrow.ArrowInvalid):  # what is wrong is not in a cell
+            for batch in self._parsed(wanted, set(wanted)):
+                for k, column in zip(wanted, batch.columns, strict=True):
+                    for n, cell in enumerate(() if k in stamps else column.to_pylist(), row + self._first + 1):
+                        if cell is not None and not _is_number(cell.strip(), self._point):
+                            name = self._head.names[k]
+                            raise BadInput(f"{self._place} line {n}, column {name!r}", f"{cell[:40]!r} is not a number")
+                row += batch.num_rows
 
 
-def _numbers(column: Any) -> Array:
-    """Missing values as NaN; without them Arrow converts nothing, for which it would reserve 1 GiB."""
-    parts = [np.array(part.fill_null(np.nan).to_numpy(), dtype=np.float64) for part in column.chunks]
-    return np.concatenate(parts) if parts else np.empty(0)
+def _text(path: Path, encoding: str) -> io.TextIOWrapper:
+    return path.open(encoding=encoding, errors="replace" if encoding == "cp1252" else "strict")
 
 
-def decoded(path: Path) -> tuple[str, str]:
-    """Text and encoding: by byte order mark, NUL bytes of UTF-16, else UTF-8, else the Windows code page 1252."""
+def _measured(path: Path) -> tuple[str, int]:
+    """Encoding, by byte order mark, NUL bytes of UTF-16, else UTF-8, else the Windows code page 1252; lines."""
     boms = (
         (b"\xef\xbb\xbf", "utf-8-sig"),
         (b"\xff\xfe\x00\x00", "utf-32"),
@@ -292,25 +321,26 @@ def decoded(path: Path) -> tuple[str, str]:
         size = path.stat().st_size
         if size > LARGEST_CSV:
             raise BadInput(str(path), f"is {size} bytes large, limit {LARGEST_CSV} bytes")
-        content = path.read_bytes()
+        with path.open("rb") as file:
+            head = file.read(4096)
     except FileNotFoundError:
         raise BadInput(str(path), "file does not exist") from None
     except (OSError, ValueError) as error:
         raise BadInput(str(path), f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
-    head = content[:4096]
-    encoding = next((name for mark, name in boms if content.startswith(mark)), "utf-8")
+    encoding = next((name for mark, name in boms if head.startswith(mark)), "utf-8")
     if encoding == "utf-8" and b"\0" in head:
         odd, even = head[1::2].count(0), head[::2].count(0)
         encoding = "utf-16-le" if odd > even else "utf-16-be"
         if max(odd, even) < len(head) // 4 or min(odd, even) > max(odd, even) // 8:
-            raise BadInput(str(path), f"is not a trace that is known: it begins with {content[:8]!r}")
-    try:
-        text = content.decode(encoding)
-    except UnicodeDecodeError as error:
-        if encoding != "utf-8":
-            raise BadInput(str(path), f"cannot be read as {encoding}: {error}") from None
-        text, encoding = content.decode("cp1252", "replace"), "cp1252"
-    return text.replace("\r\n", "\n").replace("\r", "\n"), encoding
+            raise BadInput(str(path), f"is not a trace that is known: it begins with {head[:8]!r}")
+    for tried in (encoding, "cp1252"):
+        try:
+            with _text(path, tried) as text:
+                return tried, 1 + sum(part.count("\n") for part in iter(partial(text.read, 2**18), ""))
+        except UnicodeDecodeError as error:
+            if encoding != "utf-8":
+                raise BadInput(str(path), f"cannot be read as {encoding}: {error}") from None
+    raise AssertionError(path)  # code page 1252 reads all
 
 
 def _on_one_clock(
@@ -385,7 +415,7 @@ def _longest(lines: Sequence[str], skip: int, delimiter: str, is_number: Callabl
     best, score, start, width, count = (0, 0), 0, 0, 0, 0
     firm = 10  # lines after which another kind of line is a fault in the data, and not their end
     for k, line in enumerate(lines):
-        cells = _cells(line, delimiter) if k >= skip and line.strip() else []
+        cells = _cells(line, delimiter) if k >= skip and line.strip() and not line.startswith("#") else []
         numbers = sum(map(is_number, cells)) if len(cells) > 1 else 0
         stamps = sum(timelike(cell) for cell in cells) if 2 * numbers <= len(cells) else 0
         filled = sum(cell != "" for cell in cells)
@@ -412,7 +442,14 @@ def _head(rows: Sequence[list[str]], width: int) -> _Head:
     ]
     fitting = [row + [""] * (width - len(row)) for row in fitting]
     units = next((row for row in fitting if _are_units(row)), None)
-    named = [row for row in fitting if row is not units and not all(_TYPE.fullmatch(cell) for cell in row if cell)]
+    values = [
+        row for row in fitting if width > 1 and all(_is_number(cell, ".") for cell in row[1:])
+    ]  # as "# Scale: 1;2"
+    named = [
+        row
+        for row in fitting
+        if row is not units and row not in values and not all(_TYPE.fullmatch(cell) for cell in row if cell)
+    ]
     found = max(
         named, key=lambda row: len({cell for cell in row if cell}), default=[f"column {k + 1}" for k in range(width)]
     )
@@ -472,7 +509,7 @@ def _stated_interval(lines: Sequence[str]) -> float | None:
     interval = re.compile(
         r"(?i)(?:sampl\w*[ _-]?(?:time|period|interval)|abtast(?:zeit|intervall|periode)|cycle[ _-]?time|zykluszeit"
         r"|interval|dt)"
-        r"\W*?(?:[\[(]?(ms|us|µs|ns|s)[\])]?)?[\s:=;,\t]+([\d.,]+(?:e-?\d+)?)\s*(n?sec|ms|us|µs|ns|s)?\b"
+        r"\W*?(?:[\[(]?(ms|us|µs|ns|s)[\])]?)?(?:\s+is)?[\s:=;,\t]+([\d.,]+(?:e-?\d+)?)\s*(n?sec|ms|us|µs|ns|s)?\b"
     )
     for line in lines:
         if found := interval.search(line):

@@ -112,6 +112,7 @@ def read_traces(mapping: Mapping, mapping_file: Path, source: Path | None = None
         notes |= dict.fromkeys((*raw.notes, *train.notes))
         columns = converted.columns
         made.append((entry, converted, place))
+        del raw  # as large as what came of it
     if isinstance(given, SingleAxis):
         given, robot, told = _drafted(given, [one.taken for _, one, _ in made], str(mapping_file))
         notes |= dict.fromkeys(told)

@@ -188,7 +188,7 @@ def _free(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> Spect
         names, signals = tuple(name for name, keep in zip(names, kept, strict=True) if keep), signals[kept]
     speed = record.velocity[part]
     rests = _rests(speed, spec.sample_rate)
-    names, signals = (*names, *["rest"] * len(rests)), np.vstack([signals, rests])
+    names, signals = (*names, *["rest"] * len(rests)), np.vstack([signals, rests]) if len(rests) else signals
     velocity = _trapezoidal_dft(speed, bins)
     # by parts: DFT[dv/dt] = [v e^(-iwt)]/T + iw DFT[v]; at the bins e^(-iwT) = 1. No differentiation, no noise gain
     acceleration = 2j * np.pi * frequency * velocity + (speed[-1] - speed[0]) / length
@@ -235,6 +235,9 @@ def _dft(signals: Array, bins: Bins) -> Complex:
 
 def _trapezoidal_dft(signals: Array, bins: Bins) -> Complex:
     """The same by the trapezoidal rule, over a record (..., n) including both ends."""
+    if signals.ndim > 1:  # one after the other: a record of hours is large
+        rows = [_trapezoidal_dft(row, bins) for row in signals]
+        return np.array(rows, dtype=np.complex128).reshape(*signals.shape[:-1], len(bins))
     folded = signals[..., :-1].copy()
     folded[..., 0] = (signals[..., 0] + signals[..., -1]) / 2
     return _dft(folded, bins)

@@ -228,8 +228,8 @@ def test_a_file_of_a_name_alone(tmp_path: Path) -> None:
         (tmp_path / f"a{suffix}").write_bytes(b"UnFinMF 4.10    ".ljust(100))
         assert told in refusal(tmp_path / f"a{suffix}", "effort")
         assert "file does not exist" in refusal(tmp_path / f"b{suffix}", "effort")
-    (tmp_path / "old.mf4").write_bytes(b"MDF     3.30    ".ljust(28) + (330).to_bytes(2, "little").ljust(40, b"\0"))
-    assert "is an MDF file of version 3.30; version 4 is read" in refusal(tmp_path / "old.mf4", "effort")
+    (tmp_path / "old.mf4").write_bytes(b"MDF     2.14    ".ljust(28) + (214).to_bytes(2, "little").ljust(40, b"\0"))
+    assert "is an MDF file of version 2.14; versions 3 and 4 are read" in refusal(tmp_path / "old.mf4", "effort")
 
 
 def test_the_reader_has_its_limits(tmp_path: Path) -> None:

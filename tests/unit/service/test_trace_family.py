@@ -1,8 +1,12 @@
 """Traces as controls, drives and robots write them, each made from one stated motion: what comes out is that motion."""
 
+import json
 import math
+import struct
+import tracemalloc
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
+from itertools import permutations
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,10 +18,14 @@ import yaml
 from asammdf.blocks.v4_blocks import ChannelConversion
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
+from service.formats.traces.containers import ChannelName
+from service.formats.traces.mapping import Csv
+from service.formats.traces.tables import TextTable
 from service.formats.traces.trace_import import Imported, import_trace, mapping_of, mapping_text, read_traces
 from service.model.errors import BadInput
 from service.model.recording import Recording
@@ -115,6 +123,14 @@ HEADINGS: dict[str, tuple[str, str, str]] = {
     "quoted": (",", ".", '"t [s]","M [Nm]","n [rad/s]","phi [rad]"'),
     "a comment": (" ", ".", "# t_s M_Nm qd_rad_s q_rad"),
     "a comment without blank": (",", ".", "%t (s),M (Nm),n (rad/s),phi (rad)"),
+    "a trace of CODESYS as text": (
+        " ",
+        ".",
+        "BODAS Trace\nD:\\P.PRO\nZeit_s PLC_PRG.fTorque_Nm GVL.n_rad_s GVL.phi_rad",
+    ),
+    "ctrlX": (";", ".", "Time;A1.ActualTorque;A1.ActualVelocity;A1.ActualPosition\n[s];[Nm];[rad/s];[rad]"),
+    "a log of a KUKA": (";", ",", "Zeit [s];Moment_Ist_A1 [Nm];Achsgeschw_Ist_A1 [rad/s];Achspos_Ist_A1 [rad]"),
+    "a log of an ABB": ("\t", ".", "Time (s)\tTorque_J1 (Nm)\tSpeed_J1 (rad/s)\tPos_J1 (rad)"),
     "variables of a PLC": (
         ";",
         ".",
@@ -221,6 +237,27 @@ def test_an_interval_in_the_heading_is_the_clock(tmp_path: Path) -> None:
         shows(imported(written(tmp_path, f"{told}\n\n" + text(columns, ";"))))
 
 
+@pytest.mark.parametrize(
+    "kept", ["", "# Position: 0.5;0.5;0.75\n# Scale: -2;0;1\n"], ids=["names", "set-up of its view"]
+)
+@pytest.mark.parametrize("order", list(permutations(range(3))))
+def test_halscope(kept: str, order: tuple[int, ...], tmp_path: Path) -> None:
+    """LinuxCNC's: no units, so that what has none is what physics says."""
+    known = list({"joint.0.torque": TORQUE, "joint.0.vel-fb": SPEED, "joint.0.pos-fb": WAY}.items())
+    body = text(dict(known[k] for k in order), ";").partition("\n")
+    shows(imported(written(tmp_path, f"# Sampling period is 4000000 ns\n{body[0]}\n{kept}{body[2]}")))
+
+
+def test_a_text_is_read_in_less_memory_than_three_times_its_size(tmp_path: Path) -> None:
+    path = written(tmp_path, text({name: np.tile(column, 100) for name, column in PLAIN.items()}), encoding="utf-16")
+    channels = [ChannelName(source=name.split(" ")[0], group=None) for name in PLAIN]
+    tracemalloc.start()
+    TextTable(path, Csv()).read(channels)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2.0 * path.stat().st_size  # Arrow adds two blocks of 1 MiB
+
+
 def test_an_uneven_rate_is_interpolated_and_told_and_a_gap_is_refused(tmp_path: Path) -> None:
     uneven = TIME + 0.0016 * np.sin(12 * TIME)
     columns = {
@@ -296,6 +333,10 @@ REFUSED: dict[str, tuple[str, str]] = {
     "cells": (text(PLAIN).replace(f"\n{TIME[300]:.9f},", "\n"), r"line 302: has 3 cells, the lines before have 4"),
     "no torque": (
         text({"#time": TIME, "accel_x": SPEED, "accel_y": SPEED}),
+        r"no channel that is known as effort or position",
+    ),
+    "accelerations by frequency": (
+        text({"freq": TIME, "psd_x": SPEED, "psd_y": SPEED}),
         r"no channel that is known as effort or position",
     ),
     "no table": ("<html>no\n", r"has no table of numbers; it begins with '<html>no'"),
@@ -548,6 +589,50 @@ def imported_with(folder: Path, content: dict[str, Any], source: str) -> None:
     import_trace(folder / "mapping.yaml")
 
 
+def written_object(folder: Path, version: str, besides: Mapping[str, Any]) -> Path:
+    """A timetable beside other variables, as MATLAB saves it: a number in place of its values."""
+
+    def element(kind: int, data: bytes) -> bytes:
+        return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
+
+    path = write_matlab(folder / "trace.mat", besides, version)
+    number = np.array([[0xDD000000, 2, 1, 1, 1, 1]], np.uint32)
+    if version == "7.3":
+        with _h5.File(str(path), "r+") as file:
+            file["tt"] = number
+            file["tt"].attrs["MATLAB_class"] = np.bytes_("timetable")
+            file["tt"].attrs["MATLAB_object_decode"] = np.int32(3)
+        return path
+    names = b"".join(element(1, name) for name in (b"tt", b"MCOS", b"timetable"))
+    inner = element(6, struct.pack("<II", 13, 0)) + element(5, struct.pack("<ii", 6, 1)) + element(1, b"")
+    whole = element(6, struct.pack("<II", 17, 0)) + names + element(14, inner + element(6, number.tobytes()))
+    with path.open("ab") as file:
+        file.write(element(14, whole))
+    return path
+
+
+@pytest.mark.parametrize("version", ["5", "7.3"])
+def test_a_timetable_of_matlab_is_refused_with_the_way_out_and_hides_nothing(version: str, tmp_path: Path) -> None:
+    shows(imported(written_object(tmp_path, version, NAMES)))
+    told = r"variable 'tt': is an object of MATLAB \(timetable\): write its columns as a struct, s = table2struct"
+    with pytest.raises(BadInput, match=told):
+        imported(written_object(tmp_path, version, {}))
+
+
+@pytest.mark.parametrize("version", ["3.00", "3.30", "4.00", "4.10", "4.20"])
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1)])
+def test_mdf(version: Any, order: tuple[int, ...], tmp_path: Path) -> None:
+    known = (("M_ist", "Nm", TORQUE), ("n_ist", "min-1", SPEED * RPM), ("phi_ist", "Grad", np.degrees(WAY)))
+    signals = [
+        asammdf.Signal(samples=column, timestamps=TIME, name=name, unit=unit)
+        for name, unit, column in (known[k] for k in order)
+    ]
+    with asammdf.MDF(version=version) as file:
+        file.append(signals, common_timebase=True)
+        path = file.save(tmp_path / "trace.bin")
+    shows(imported(path))
+
+
 def test_mdf4_with_rational_conversions_that_are_linear(tmp_path: Path) -> None:
     halved = ChannelConversion(conversion_type=2, P1=0.0, P2=1.0, P3=6.0, P4=0.0, P5=0.0, P6=2.0)
     signals = [
@@ -590,3 +675,41 @@ def test_ros_bag(storage: StoragePlugin, stamped: bool, alone: bool, tmp_path: P
     shows(imported(path, axis="elbow"))
     with pytest.raises(BadInput, match="has channels of axes elbow, shoulder"):
         imported(path)
+
+
+def joint_states(row: int, at: int) -> dict[str, Any]:
+    stamp = {"sec": at // 10**9, "nsec" if row % 2 else "nanosec": at % 10**9}
+    names = ["shoulder", "elbow"][:: 1 if row % 3 else -1]
+    values = [[0.0 if name == "shoulder" else float(column[row]) for name in names] for column in (WAY, SPEED, TORQUE)]
+    return {
+        "header": {"stamp": stamp},
+        "name": names,
+        **dict(zip(("position", "velocity", "effort"), values, strict=True)),
+    }
+
+
+def joints_of_foxglove(row: int, at: int) -> dict[str, Any]:
+    said = joint_states(row, at)
+    rows = zip(said["name"], said["position"], said["velocity"], said["effort"], strict=True)
+    joints = [dict(zip(("name", "position", "velocity", "effort"), one, strict=True)) for one in rows]
+    return {"timestamp": said["header"]["stamp"], "joints": joints}
+
+
+def one_joint(row: int, at: int) -> dict[str, Any]:
+    return {"sweep": "1", "time": at * 1e-9, "effort": TORQUE[row], "velocity": SPEED[row], "position": WAY[row]}
+
+
+@pytest.mark.parametrize("message", [joint_states, joints_of_foxglove, one_joint])
+def test_mcap_of_json(message: Callable[[int, int], dict[str, Any]], tmp_path: Path) -> None:
+    path = tmp_path / "trace.mcap"
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start()
+        schema = writer.register_schema("any", "jsonschema", b"{}")
+        channel, other = (writer.register_channel(name, "json", schema) for name in ("/elbow", "/log"))
+        for row, at in enumerate(TIME):
+            now = 10**18 + round(at * 1e9)
+            writer.add_message(channel, log_time=now, publish_time=now, data=json.dumps(message(row, now)).encode())
+            writer.add_message(other, log_time=now, publish_time=now, data=b'{"text": "moves", "name": "node"}')
+        writer.finish()
+    shows(imported(path, axis="elbow"))
