@@ -303,9 +303,13 @@ def _with_trains(
     equations: Sequence["_Equations"],
     values: Array,
 ) -> list["_Equations"]:
-    """With a column for every parameter of a train with a std: the change of the equations by one std, at base
-    parameters `values`.
+    """With a column for every parameter of a train with a std: the change of the equations of simultaneous sweeps by
+    one std, at base parameters `values`. At the low frequencies of other trajectories it is negligible.
     """
+    sloped = [record for record in records if record.sloped]
+    if not sloped:
+        return list(equations)
+    owners = [record for record in records for _ in record.tracks]
     trains = {axis.joint: axis.train for axis in inertias if axis.train is not None}
     columns: list[list[Array]] = [[] for _ in equations]
     for axis in inertias:
@@ -314,8 +318,9 @@ def _with_trains(
         for number in np.flatnonzero(axis.train_std).tolist():
             changed = axis.train.as_array()
             changed[number] += axis.train_std[number]
-            others = _all_equations(robot, base, records, trains | {axis.joint: TwoMassTrain.of(changed)})
-            for own, one, other in zip(columns, equations, others, strict=True):
+            others = iter(_all_equations(robot, base, sloped, trains | {axis.joint: TwoMassTrain.of(changed)}))
+            for own, one, record in zip(columns, equations, owners, strict=True):
+                other = next(others) if record.sloped else one
                 own.append((other.rows - one.rows) @ values - (other.values - one.values))
     return [replace(one, rows=np.column_stack([one.rows, *own])) for one, own in zip(equations, columns, strict=True)]
 
@@ -354,7 +359,7 @@ def _equations(
     links = link_rows(robot.chain, robot.gravity, record.motion(robot, slow, load=True))
     # a base parameter may contain the rotor and its link: both with the load's acceleration
     drive = JointMotion(motor.position, motor.velocity, load.acceleration)
-    count, sloped = len(record.frequency), any(track.slope for track in record.tracks)
+    count, sloped = len(record.frequency), record.sloped
     equations: list[_Equations] = []
     for track in record.tracks:
         index = robot.index(track.joint)

@@ -86,6 +86,11 @@ class TrajectoryRecord:
         """Of the effort's harmonics (h + 1,), Hz."""
         return np.arange(len(self.tracks[0].effort)) / self.period
 
+    @property
+    def sloped(self) -> bool:
+        """Whether it is a simultaneous sweep."""
+        return any(track.slope for track in self.tracks)
+
     def motion(self, robot: Robot, samples: int, *, load: bool) -> JointMotion:
         """Motion (samples, all joints) over one period, of the loads if they were measured, or of the motors."""
         position, velocity, acceleration = np.zeros((3, samples, len(robot.axes)))
