@@ -26,7 +26,7 @@ rest.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import reduce
 
@@ -80,7 +80,8 @@ class AxisInertias:
     """Inertias of one axis from its sweeps: (m,) with covariance (m, m) at poses (m, n), kg m^2 (kg).
 
     `train`: drive train of their joint fit, None if there was none. `gain`: effort reported by the drive over true
-    effort, already removed from the inertias, and removed from the trajectories' efforts here.
+    effort, already removed from the inertias, and removed from the trajectories' efforts here. `train_std` (5,): of
+    the train's parameters; None: they count as exact.
     """
 
     joint: str
@@ -89,6 +90,7 @@ class AxisInertias:
     covariance: Array
     train: TwoMassTrain | None
     gain: float
+    train_std: Array | None = None
 
 
 class Source(Enum):
@@ -164,6 +166,21 @@ class JointEstimate:
         """Identified inertia (m,) of an axis at poses (m, n), kg m^2 (kg)."""
         return _inertia_rows(self.robot, self.base, joint, poses) @ self.solution.values
 
+    def inertia_matrix(self, poses: Array) -> tuple[Array, Array]:
+        """M(q) (m, n, n) with the motors at poses (m, n), and its standard deviation without that of the torque
+        constants, kg m^2 (kg, kg m).
+        """
+        still = np.zeros_like(poses)
+        columns = [
+            dynamics_rows(self.robot.chain, np.zeros(3), JointMotion(poses, still, still + unit))
+            for unit in np.eye(len(self.robot.axes))
+        ]
+        rows = np.stack(columns, 2)
+        rows[..., 11 * len(self.robot.axes) :] = 0.0  # friction and offsets
+        rows = rows[..., list(self.base.columns)]
+        variance = np.sum((rows @ self.solution.covariance) * rows, -1)
+        return rows @ self.solution.values, np.sqrt(np.maximum(variance, 0.0))
+
 
 def inertias_of(estimate: RobotEstimate) -> tuple[AxisInertias, ...]:
     """The measured inertias of an estimate, by axis."""
@@ -177,6 +194,7 @@ def inertias_of(estimate: RobotEstimate) -> tuple[AxisInertias, ...]:
             covariance=axis.covariance,
             train=None if axis.fit is None else axis.fit.train,
             gain=axis.gain.gain,
+            train_std=None if axis.fit is None else axis.fit.train_std,
         )
         for axis in estimate.axes
     )
@@ -205,8 +223,8 @@ def combine(
     start, prior = base.combination @ nominal_parameters(robot), prior_information(robot, base, of)
     trains = {axis.joint: axis.train for axis in inertias if axis.train is not None}
     gain = {joint: one.gain for joint, one in (gains or {}).items()} | {axis.joint: axis.gain for axis in inertias}
-    records = [with_loads(calibrated(record, gain), trains) for record in records]
-    equations = [equation for record in records for equation in _equations(robot, base, record)]
+    records = [calibrated(record, gain) for record in records]
+    equations = _all_equations(robot, base, records, trains)
     sweeps = _sweep_information(robot, base, inertias)
     free, evidence, free_gains = None, Information.empty(len(start)), np.zeros((len(start), len(robot.axes)))
     if motions:
@@ -219,12 +237,17 @@ def combine(
     # start value only
     noise = {joint: value or 1e-4 * robot.axis(joint).rated_effort for joint, value in scatter.items()}
     at_once = _motion_information(equations, noise, len(start))
-    before = noise
+    values = _sum(at_once, len(start)).plus(others).solve(start).values
+    equations = _with_trains(robot, base, records, inertias, equations, values)
+    size = equations[0].rows.shape[1] if equations else len(start)
+    before, begin, further = noise, np.zeros(size), np.diag(np.arange(size) >= len(start)).astype(float)
+    begin[: len(start)] = start
+    known = Information(further, np.zeros(size)).plus(extended(others, size))
     for _ in range(3):  # rounds of weighting
-        values = _sum(at_once, len(start)).plus(others).solve(start).values
+        values = _sum(_motion_information(equations, noise, size), size).plus(known).solve(begin).values
         before, noise = noise, {joint: max(scatter[joint] or 0.0, _misfit(equations, joint, values)) for joint in noise}
         finite(np.array(list(noise.values())), ", ".join(noise), "the noise of its trajectories")
-        at_once = _motion_information(equations, noise, len(start))
+    at_once = _marginal(_motion_information(equations, noise, size), len(start))
     alone, moved = _sum(sweeps, len(start)), _sum(at_once, len(start))
     moved = moved.plus(evidence)
     solution = alone.plus(moved).plus(prior).solve(start)
@@ -265,6 +288,58 @@ def combine(
     )
 
 
+def _all_equations(
+    robot: Robot, base: BaseParameters, records: Sequence[TrajectoryRecord], trains: Mapping[str, TwoMassTrain]
+) -> list["_Equations"]:
+    loads = [with_loads(record, trains) for record in records]
+    return [equation for record in loads for equation in _equations(robot, base, record, trains)]
+
+
+def _with_trains(
+    robot: Robot,
+    base: BaseParameters,
+    records: Sequence[TrajectoryRecord],
+    inertias: Sequence[AxisInertias],
+    equations: Sequence["_Equations"],
+    values: Array,
+) -> list["_Equations"]:
+    """With a column for every parameter of a train with a std: the change of the equations of simultaneous sweeps by
+    one std, at base parameters `values`. At the low frequencies of other trajectories it is negligible.
+    """
+    sloped = [record for record in records if record.sloped]
+    if not sloped:
+        return list(equations)
+    owners = [record for record in records for _ in record.tracks]
+    trains = {axis.joint: axis.train for axis in inertias if axis.train is not None}
+    columns: list[list[Array]] = [[] for _ in equations]
+    for axis in inertias:
+        if axis.train is None or axis.train_std is None:
+            continue
+        for number in np.flatnonzero(axis.train_std).tolist():
+            changed = axis.train.as_array()
+            changed[number] += axis.train_std[number]
+            others = iter(_all_equations(robot, base, sloped, trains | {axis.joint: TwoMassTrain.of(changed)}))
+            for own, one, record in zip(columns, equations, owners, strict=True):
+                other = next(others) if record.sloped else one
+                own.append((other.rows - one.rows) @ values - (other.values - one.values))
+    return [replace(one, rows=np.column_stack([one.rows, *own])) for one, own in zip(equations, columns, strict=True)]
+
+
+def _marginal(parts: Mapping[str, Information], size: int) -> dict[str, Information]:
+    """By joint, on the first `size` parameters alone; the others have a prior with information 1. They are shared, so
+    only the sum over the joints is an information.
+    """
+    whole = reduce(Information.plus, parts.values()) if parts else Information.empty(size)
+    inner = whole.matrix[size:, size:]
+    through = np.linalg.solve(inner + np.eye(len(inner)), whole.matrix[size:, :size])
+    found: dict[str, Information] = {}
+    for joint, own in parts.items():
+        share = own.matrix[:size, size:] @ through
+        matrix = own.matrix[:size, :size] - (share + share.T) / 2
+        found[joint] = Information(matrix, own.vector[:size] - through.T @ own.vector[size:], own.count)
+    return found
+
+
 @dataclass(frozen=True)
 class _Equations:
     """Harmonics of one axis along one trajectory, real and imaginary parts, with ripple and reversals eliminated."""
@@ -275,21 +350,31 @@ class _Equations:
     freedom: int  # m minus the number of eliminated parameters
 
 
-def _equations(robot: Robot, base: BaseParameters, record: TrajectoryRecord) -> list[_Equations]:
+def _equations(
+    robot: Robot, base: BaseParameters, record: TrajectoryRecord, trains: Mapping[str, TwoMassTrain]
+) -> list[_Equations]:
     # Hz; sign and cogging extend far above the band
     slow, fast = (round(rate * record.period) for rate in (Sampling.link_rate, 2000.0))
     motor, load = (record.motion(robot, fast, load=of_load) for of_load in (False, True))
     links = link_rows(robot.chain, robot.gravity, record.motion(robot, slow, load=True))
-    count = len(record.frequency)
+    # a base parameter may contain the rotor and its link: both with the load's acceleration
+    drive = JointMotion(motor.position, motor.velocity, load.acceleration)
+    count, sloped = len(record.frequency), record.sloped
     equations: list[_Equations] = []
     for track in record.tracks:
         index = robot.index(track.joint)
-        drives = _harmonics(drive_rows(motor)[:, index], count)
+        drives = _harmonics(drive_rows(drive)[:, index], count)
         rows = _real(np.hstack([_harmonics(links[:, index], count), drives])[:, list(base.columns)])
-        values = _real(track.effort[:, None])[:, 0]
+        train = trains.get(track.joint)
+        rotor = train.motor_inertia if train else robot.axis(track.joint).reflected_motor_inertia or 0.0
+        ahead = _harmonics(motor.acceleration[:, [index]] - load.acceleration[:, [index]], count)
+        values = _real(track.effort[:, None] - rotor * ahead)[:, 0]
         ripple = cogging(robot, index, motor.position[:, index])
         reversals = _reversals(motor.velocity[:, index], load.velocity[:, index])
-        spanned = span(_real(_harmonics(np.hstack([ripple, reversals]), count)))
+        beside = _harmonics(np.hstack([ripple, reversals]), count)
+        if sloped:
+            beside = np.hstack([beside, _jump(count)])
+        spanned = span(_real(beside))
         equations.append(
             _Equations(
                 joint=track.joint,
@@ -305,6 +390,13 @@ def _harmonics(signals: Array, count: int) -> Complex:
     """Harmonics 0 to count - 1 (count, p) of signals (n, p) over one period."""
     transform: Complex = np.fft.rfft(signals, axis=0)
     return transform[:count] / len(signals)
+
+
+def _jump(count: int) -> Complex:
+    """(count, 2): harmonics of a straight line over the window, and of the instant at which it jumps back."""
+    number = np.arange(count)
+    line: Complex = np.where(number > 0, 1j / (2 * np.pi * np.maximum(number, 1)), 0)
+    return np.stack([line, np.ones(count, dtype=complex)], -1)
 
 
 def _real(harmonics: Complex) -> Array:

@@ -40,7 +40,7 @@ def inertia_rows(chain: Chain, joint: int, poses: Array) -> Array:
         rows[:, body, 0] = np.sum(v * v, -1)
         rows[:, body, 1:4] = 2 * np.cross(v, w)
         rows[:, body, 4:10] = np.stack([wx * wx, 2 * wx * wy, wy * wy, 2 * wx * wz, 2 * wy * wz, wz * wz], -1)
-    return rows.reshape(len(poses), -1)
+    return rows.reshape(len(poses), 10 * count)
 
 
 def axis_rows(chain: Chain, joint: int, poses: Array) -> Array:

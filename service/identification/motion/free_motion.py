@@ -34,6 +34,8 @@ class MotionBand:
 
     roll_off: float = 0.2  # of the cut-off
     band: float = 10.0  # Hz, of the equations: below the springs of industrial robots
+    # Hz, of simultaneous sweeps, 1 Hz above their lines: the higher, the more the noise of an effort moves its load
+    simultaneous: float = 6.0
     motion: float = 3.0  # times the band: cut-off of the smoothed motion, high enough to keep the whole band
     same_path: float = 0.01  # maximum difference of the paths of repeats: relative, and rad (m)
     same_place: float = 1e-3

@@ -5,6 +5,10 @@ between them contain only noise. The position is the measured motion: its deriva
 signals below the band's end, so velocity and acceleration need no difference quotient and gravity no integration.
 
 X_h = 1/N sum_n x_n exp(-2 pi i h n P / N) as in `frequency_response`; X_0 is the mean.
+
+A simultaneous sweep is such a record over one period, its window, in which axes also turn with a constant offset. The
+path of the offset is kept as a slope beside the harmonics. Gravity changes along it, so efforts do not return to where
+they began: their straight line is removed here, and a jump between end and start is eliminated from the equations.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +19,7 @@ import numpy as np
 from service.identification.axis.drive_train import TwoMassTrain
 from service.identification.model.inverse_dynamics import JointMotion
 from service.identification.motion.free_motion import MotionBand
-from service.identification.spectra.frequency_response import check_numbers, from_pairs, pairs, window
+from service.identification.spectra.frequency_response import check_numbers, from_pairs, pairs, way_of, window
 from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
 from service.model.recording import Sweep, SweepSpec
@@ -28,7 +32,8 @@ class AxisTrack:
     """One axis: harmonics 0 to h of effort (h + 1,), more of the positions, and the noise of an effort harmonic.
 
     `noise`: standard deviation of its real and of its imaginary part, N m (N), from the scatter between periods;
-    None with a single period. `load_position`: None without a direct encoder.
+    None with a single period. `load_position`: None without a direct encoder. `slope`, rad/s (m/s): mean velocity of a
+    simultaneous sweep, whose path is not in the harmonics of the positions; 0 for other trajectories.
     """
 
     spec: SweepSpec
@@ -36,6 +41,7 @@ class AxisTrack:
     position: Complex
     load_position: Complex | None
     noise: float | None
+    slope: float = 0.0
 
     @property
     def joint(self) -> str:
@@ -49,6 +55,7 @@ class AxisTrack:
             "position": pairs(self.position),
             "load_position": None if self.load_position is None else pairs(self.load_position),
             "noise": self.noise,
+            "slope": self.slope,
         }
 
     @classmethod
@@ -61,6 +68,7 @@ class AxisTrack:
             position=from_pairs(document["position"]),
             load_position=None if load is None else from_pairs(load),
             noise=document["noise"],
+            slope=document.get("slope", 0.0),
         )
 
 
@@ -78,6 +86,11 @@ class TrajectoryRecord:
         """Of the effort's harmonics (h + 1,), Hz."""
         return np.arange(len(self.tracks[0].effort)) / self.period
 
+    @property
+    def sloped(self) -> bool:
+        """Whether it is a simultaneous sweep."""
+        return any(track.slope for track in self.tracks)
+
     def motion(self, robot: Robot, samples: int, *, load: bool) -> JointMotion:
         """Motion (samples, all joints) over one period, of the loads if they were measured, or of the motors."""
         position, velocity, acceleration = np.zeros((3, samples, len(robot.axes)))
@@ -86,8 +99,9 @@ class TrajectoryRecord:
             index = robot.index(track.joint)
             harmonics = track.load_position if load and track.load_position is not None else track.position
             omega = 2j * np.pi * np.arange(len(harmonics)) / self.period
-            position[:, index] = in_time(harmonics, samples)
-            velocity[:, index] = in_time(omega * harmonics, samples)
+            along = track.slope * self.period * np.arange(samples) / samples
+            position[:, index] = in_time(harmonics, samples) + along
+            velocity[:, index] = in_time(omega * harmonics, samples) + track.slope
             acceleration[:, index] = in_time(omega**2 * harmonics, samples)
         return JointMotion(position, velocity, acceleration)
 
@@ -97,29 +111,45 @@ class TrajectoryRecord:
 
 
 def axis_track(sweep: Sweep) -> AxisTrack:
-    """What is kept of one axis' recording; BadInput where it does not hold the whole periods, or a
-    sample is not a finite number."""
+    """What is kept of one axis' recording; BadInput where it does not hold the whole periods, a sample is not a finite
+    number, or an axis with an offset has several periods."""
     spec, record = sweep.spec, sweep.recording
     check_numbers(spec, record)
     first, count = window(spec, record.time)
     part, periods = slice(first, first + count), spec.periods or 1
+    if spec.offset_velocity and periods > 1:
+        raise BadInput(
+            f"sweep {spec.id}",
+            f"has an offset of {spec.offset_velocity:.4g} and {periods} periods; limit 1 for axes that move at once: "
+            "state the whole window as its period",
+        )
+    time = np.arange(count) / spec.sample_rate
+    slope, trend = 0.0, 0.0
+    if spec.offset_velocity:
+        # of a periodic velocity, so that the rest of the path is periodic
+        slope = float(way_of(record.position, first, count)[-1]) * spec.sample_rate / count
+        trend = float(np.polyfit(time, record.effort[part], 1)[0])
     # sticking before a reversal is only visible far above `BAND`
     of_motion = round(0.4 * spec.sample_rate * (spec.period or 0.0))
-    highest = min(round(MotionBand.band * (spec.period or 0.0)), of_motion)
+    band = MotionBand.simultaneous if slope else MotionBand.band
+    highest = min(round(band * (spec.period or 0.0)), of_motion)
     effort: Complex = np.fft.rfft(record.effort[part])[: periods * (highest + 1)] / count
     between = np.arange(len(effort)) % periods != 0
     noise = float(np.sqrt(np.mean(np.abs(effort[between]) ** 2) / 2)) if periods > 1 else None
 
-    def harmonics(signal: Array, last: int) -> Complex:
-        transform: Complex = np.fft.rfft(signal[part])
+    def harmonics(signal: Array, last: int, line: Array) -> Complex:
+        transform: Complex = np.fft.rfft(signal[part] - line)
         return transform[: periods * last + 1 : periods] / count
 
     return AxisTrack(
         spec=spec,
-        effort=harmonics(record.effort, highest),
-        position=harmonics(record.position, of_motion),
-        load_position=None if record.load_position is None else harmonics(record.load_position, of_motion),
+        effort=harmonics(record.effort, highest, trend * (time - time.mean())),
+        position=harmonics(record.position, of_motion, slope * time),
+        load_position=None
+        if record.load_position is None
+        else harmonics(record.load_position, of_motion, slope * time),
         noise=noise,
+        slope=slope,
     )
 
 
@@ -179,7 +209,8 @@ def with_loads(record: TrajectoryRecord, trains: Mapping[str, TwoMassTrain]) -> 
         train = trains.get(track.joint)
         if track.load_position is None and train is not None:
             motor = track.position[: len(omega)]
-            twist = train.compliance * (track.effort - train.motor_inertia * omega**2 * motor)
+            drive = (train.motor_inertia * omega + train.motor_friction) * omega * motor
+            twist = train.compliance * (track.effort - drive) / (1 + train.damping_time * omega)
             track = replace(track, load_position=motor - twist)
         tracks.append(track)
     return replace(record, tracks=tuple(tracks))

@@ -156,7 +156,7 @@ def _load_velocity(spec: SweepSpec, record: Recording, first: int, count: int, b
     same_way = 0.5  # allowed relative difference of load and motor travel over the window
     if record.load_position is None:
         return None if record.load_velocity is None else _dft(record.load_velocity[first : first + count], bins)
-    way, motor = _way(record.load_position, first, count), _way(record.position, first, count)
+    way, motor = way_of(record.load_position, first, count), way_of(record.position, first, count)
     if spec.offset_velocity and not abs(way[-1] / motor[-1] - 1) < same_way:
         raise BadInput(
             f"sweep {spec.id} load_position",
@@ -167,7 +167,7 @@ def _load_velocity(spec: SweepSpec, record: Recording, first: int, count: int, b
     return np.asarray(1j * omega * _dft(way[:-1] - ramp, bins), dtype=np.complex128)
 
 
-def _way(position: Array, first: int, count: int) -> Array:
+def way_of(position: Array, first: int, count: int) -> Array:
     """Travel (count + 1,) since the window's start, including the sample after it, which is extrapolated if missing."""
     way = position[first : first + count + 1] - position[first]
     return way if len(way) > count else np.append(way, 2 * way[-1] - way[-2])

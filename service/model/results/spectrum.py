@@ -4,7 +4,7 @@ These are typed dictionaries, not models: the job of a campaign reads those of a
 that they are unchanged, and validation of a million numbers would take longer than the identification.
 """
 
-from typing import TypedDict, final
+from typing import NotRequired, TypedDict, final
 
 from pydantic import JsonValue
 
@@ -47,6 +47,7 @@ class TrackDocument(TypedDict):
     position: Pairs
     load_position: Pairs | None
     noise: float | None
+    slope: NotRequired[float]  # not in files from before simultaneous sweeps
 
 
 AnySpectrum = SpectrumDocument | NoiseDocument | TrackDocument

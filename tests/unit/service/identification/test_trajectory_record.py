@@ -65,6 +65,23 @@ def test_motion_is_exact_and_the_others_stand() -> None:
     assert (motion.velocity[:, 0] == 0).all()
 
 
+def test_the_path_of_an_offset_is_beside_the_harmonics() -> None:
+    whole = sweep("joint_2", offset_velocity=0.01, period=PERIOD * PERIODS, periods=1)
+    since = TIME - START
+    turned = replace(
+        whole.recording, position=whole.recording.position + 0.01 * since, effort=whole.recording.effort + 3 * since
+    )
+    track = axis_track(Sweep(whole.spec, turned))
+    again = AxisTrack.from_document(json.loads(json.dumps(track.to_document())))
+    assert again.slope == track.slope == pytest.approx(0.01, abs=1e-9)
+    motion = trajectory(robot(), [track]).motion(robot(), 1200, load=False)
+    np.testing.assert_allclose(motion.position[:, 1], turned.position[200:1400], atol=1e-9)
+    assert motion.velocity[:, 1].mean() == pytest.approx(0.01, abs=1e-9)
+    assert abs(track.effort[1]) < 0.01 * abs(track.effort[9])
+    with pytest.raises(BadInput, match=r"sweep joint_2: has an offset of 0.01 and 3 periods; limit 1"):
+        axis_track(sweep("joint_2", offset_velocity=0.01))
+
+
 def test_effort_and_noise() -> None:
     clean, noisy = record(), record(noise=2.0)
     np.testing.assert_allclose(in_time(clean.tracks[0].effort, 400).max(), 25.0, atol=1e-9)

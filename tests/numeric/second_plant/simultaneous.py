@@ -1,0 +1,182 @@
+"""Simultaneous sweeps of a random arm: all links free in MuJoCo, motors behind springs or rigid, dry friction that can
+stick, a cascade for every axis. Axes that are not named are braked.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from service.identification.axis.drive_train import TwoMassTrain
+from service.identification.design.excitation import Excitation, design_together, velocity_setpoint
+from service.identification.motion.trajectory_record import TrajectoryRecord, axis_track, trajectory
+from service.model.recording import Recording, Sweep, SweepSpec
+from service.model.robot import Axis, Prior, Robot, RobotDescription, build_robot
+from tests.numeric.second_plant.bodies import Rigid
+from tests.numeric.second_plant.machine import STEP
+from tests.numeric.second_plant.robots import Mechanism, put_off, random_mechanism, urdf
+
+Array = NDArray[np.float64]
+
+RATE = 1000.0  # Hz
+REACH = 2e-6  # rad, over which friction builds up
+BRAKED = 1e9  # kg m^2: rotor of an axis that is braked
+
+
+@dataclass(frozen=True)
+class Arm:
+    """As on paper (`robot`) and as built; arrays (n,), SI on the joint side. `stiffness` is infinite for a rigid gear.
+
+    `trains`: what an initial analysis says of the elastic axes, 2 % off in compliance.
+    """
+
+    robot: Robot
+    built: Mechanism
+    motor: Array
+    viscous: Array
+    dry: Array
+    stiffness: Array
+    rated: Array
+    trains: dict[str, TwoMassTrain]
+    locked: Array  # Hz, as on paper
+
+    def matrix(self, pose: Array) -> Array:
+        """True M(q) with the motors."""
+        return Rigid(self.built).matrix(pose) + np.diag(self.motor)
+
+
+def arm(seed: int, axes: int) -> Arm:
+    """CAD off by 10 to 18 %; every second axis or so elastic, 11 to 16 Hz; dry friction of 3 to 8 % of rated."""
+    random = np.random.default_rng([33, seed, axes])
+    while True:
+        cad = random_mechanism(random, "arm", "arm")
+        if len(cad.joints) == axes:
+            break
+    built = put_off(cad, 0.10, 0.18, random)
+    limits = np.array([(joint.lower, joint.upper) for joint in cad.joints])
+    poses = random.uniform(limits[:, 0] + 0.4, limits[:, 1] - 0.4, (12, axes))
+    rigid = Rigid(cad)
+    inertia = np.array([np.diag(rigid.matrix(pose)) for pose in poses]).mean(axis=0)
+    weight = np.array([np.abs(rigid.holding(pose)) for pose in poses]).max(axis=0)
+    rated = np.maximum(np.round(np.maximum(5.5 * inertia, 1.75 * weight), -1), 10.0)
+    on_paper = inertia * random.uniform(0.2, 0.7, axes)
+    motor = on_paper * (1 + 0.1 * np.clip(random.normal(size=axes), -1.5, 1.5))
+    viscous, ratios = rated * random.uniform(0.2, 0.4, axes), np.round(random.uniform(60.0, 250.0, axes), 1)
+    elastic = random.random(axes) < 0.5
+    elastic[random.integers(axes)] = True
+    locked = np.where(elastic, random.uniform(11.0, 16.0, axes), np.inf)
+    stiffness = np.where(elastic, inertia * (2 * np.pi * np.where(elastic, locked, 1.0)) ** 2, np.inf)
+    description = RobotDescription(
+        name="arm", urdf="robot.urdf",
+        axes=tuple(
+            Axis(joint=joint, gear_ratio=float(u), motor_inertia=float(jm / u**2), rated_effort=float(effort),
+                 viscous_friction=float(v), cogging_orders=())
+            for joint, u, jm, effort, v in zip(cad.names, ratios, on_paper, rated, viscous, strict=True)
+        ),
+        prior=Prior(inertia=0.3, gravity=0.3, viscous_friction=0.5, motor_inertia=0.1, effort_gain=0.05),
+    )  # fmt: skip
+    trains = {
+        joint: TwoMassTrain(float(on_paper[k]), float(viscous[k] / 2), float(viscous[k] / 2),
+                            float((1 + 0.02 * random.normal()) / stiffness[k]), 0.0)
+        for k, joint in enumerate(cad.names) if elastic[k]
+    }  # fmt: skip
+    return Arm(
+        build_robot(description, urdf(cad)), built, motor, viscous * random.uniform(0.75, 1.3, axes),
+        rated * random.uniform(0.03, 0.08, axes), stiffness, rated, trains, locked,
+    )  # fmt: skip
+
+
+def measured(
+    plant: Arm, moving: Sequence[int], pose: Array, seed: int, *, sticking: int | None = None
+) -> TrajectoryRecord:
+    """One simultaneous sweep; the axis `sticking` oscillates with 1.5 times its offset, so that it stands again and
+    again. Effort noise of 0.15 % of rated."""
+    random = np.random.default_rng([7, seed])
+    joints = [plant.robot.joints[k] for k in moving]
+    ways = [int(way) for way in random.choice([-1, 1], len(moving))]
+    runs = list(
+        design_together(
+            plant.robot,
+            joints,
+            seed=[seed],
+            directions=ways,
+            locked_rotor_frequencies=[plant.locked[k] for k in moving],
+        )
+    )
+    if sticking is not None:
+        own = runs[moving.index(sticking)]
+        sines = tuple(sine.model_copy(update={"amplitude": 1.9 * sine.amplitude}) for sine in own.sines)
+        runs[moving.index(sticking)] = Excitation(
+            own.offset_velocity, sines, own.period, own.periods, own.ramp, own.settle
+        )
+    torque, position = _run(plant, moving, pose, runs)
+    every = round(1 / STEP / RATE)
+    torque, position = torque[::every], position[::every]
+    time = np.arange(len(torque)) / RATE
+    noise = 0.0015 * plant.rated[list(moving)]
+    torque = torque + noise * random.normal(size=torque.shape)
+    position = position + 5e-9 * random.normal(size=position.shape)
+    tracks = [
+        axis_track(
+            Sweep(
+                SweepSpec(
+                    id=f"{seed}-{joint}", axis=joint, pose=tuple(pose.tolist()), offset_velocity=run.offset_velocity,
+                    excitation="trajectory", sines=run.sines, period=run.period, periods=1,
+                    measure_from=run.measure_from, sample_rate=RATE, block=f"trajectory {seed} of {len(joints)} axes",
+                ),
+                Recording(time, torque[:, k], np.gradient(position[:, k], 1 / RATE), position[:, k]),
+            )
+        )
+        for k, (joint, run) in enumerate(zip(joints, runs, strict=True))
+    ]  # fmt: skip
+    return trajectory(plant.robot, tracks)
+
+
+def _run(plant: Arm, moving: Sequence[int], pose: Array, runs: Sequence[Excitation]) -> tuple[Array, Array]:
+    """Torque asked for and motor position, (steps, moving), as seen at the instants between two steps."""
+    rigid, own = Rigid(plant.built), list(moving)
+    model, data = rigid.model, rigid.data
+    held = rigid.holding(pose)
+    elastic = np.isfinite(plant.stiffness[own])
+    stiffness = np.where(elastic, plant.stiffness[own], 0.0)
+    damping = 0.002 * stiffness
+    model.opt.timestep, model.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_EULER
+    model.jnt_limited[:] = 0
+    model.dof_armature[:] = BRAKED
+    model.dof_armature[own] = np.where(elastic, 0.0, plant.motor[own])
+    mujoco.mj_resetData(model, data)
+    data.qpos[:] = pose
+    time = STEP * np.arange(round(runs[0].duration / STEP), dtype=np.float64)
+    wanted = np.stack([velocity_setpoint(run, time) for run in runs], -1)
+    change = np.gradient(wanted, STEP, axis=0)
+    goal = np.cumsum(wanted, axis=0) * STEP
+    motor, viscous, dry = plant.motor[own], plant.viscous[own], plant.dry[own]
+    load = np.diag(plant.matrix(pose))[own]
+    speed = load * 2 * np.pi * np.where(elastic, 4.0, 10.0)
+    begin = pose[own] + np.divide(held[own], stiffness, out=np.zeros(len(own)), where=elastic)
+    angle, velocity, force = begin.copy(), np.zeros(len(own)), np.zeros(len(own))
+    integral = held[own].copy()
+    torque, position = np.empty((len(time), len(own))), np.empty((len(time), len(own)))
+    for n in range(len(time)):
+        q, v = data.qpos[own].copy(), data.qvel[own].copy()
+        angle, velocity = np.where(elastic, angle, q), np.where(elastic, velocity, v)
+        position[n] = angle
+        error = wanted[n] + 2.0 * (goal[n] - angle + begin) - velocity
+        integral += STEP * 8.0 * speed * error
+        asked = load * change[n] + viscous * wanted[n] + speed * error + integral
+        torque[n] = asked
+        # Dahl's friction, exact for a constant velocity over the step
+        towards = dry * np.sign(velocity)
+        force = towards + (force - towards) * np.exp(-np.abs(velocity) * STEP / REACH)
+        net = asked - viscous * velocity - force
+        spring = stiffness * (angle - q) + damping * (velocity - v)
+        data.qfrc_applied[:] = held
+        data.qfrc_applied[own] = np.where(elastic, spring, net)
+        velocity = velocity + STEP * (net - spring) / motor
+        angle = angle + STEP * velocity
+        mujoco.mj_step(model, data)
+    told = torque.copy()
+    told[1:] = (torque[1:] + torque[:-1]) / 2
+    return told, position
