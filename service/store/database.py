@@ -6,12 +6,13 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from uuid import uuid4
 
 from alembic import command
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import Connection, Engine, Table, select
+from sqlalchemy import Connection, Engine, Table, insert, select
 from sqlalchemy.exc import DBAPIError, OperationalError, SQLAlchemyError
 from sqlalchemy.orm import Session
 
@@ -218,9 +219,16 @@ def unknown_schema(found: str) -> str:
 
 
 def migrate(engine: Engine) -> None:
-    """Migrate the schema to the newest revision, in one transaction."""
+    """Migrate the schema to the newest revision, in one transaction. A new database gets the tables as they are."""
     with engine.execution_options(**{WRITE: True}).begin() as connection:
-        command.upgrade(alembic_config(connection), "head")
+        if MigrationContext.configure(connection).get_current_revision() is not None:
+            command.upgrade(alembic_config(connection), "head")
+            return
+        t.StoredRow.metadata.create_all(connection, checkfirst=False)
+        connection.execute(insert(t.IdentityRow).values(id=uuid4().hex))
+        # not by an explicit id: the sequence of a server would not know of it
+        connection.execute(insert(t.MachineRow).values(name=MACHINE))
+        command.stamp(alembic_config(connection), "head")
 
 
 def alembic_config(connection: Connection) -> Config:

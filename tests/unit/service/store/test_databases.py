@@ -1,5 +1,6 @@
 """Durability settings, migrations, transactions."""
 
+import hashlib
 import json
 import subprocess
 import sys
@@ -13,9 +14,11 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy import create_engine, select, text
+from sqlalchemy.dialects.sqlite import dialect
 from sqlalchemy.exc import IntegrityError, OperationalError
 from sqlalchemy.exc import TimeoutError as NoConnection
 from sqlalchemy.orm import Session
+from sqlalchemy.schema import CreateTable
 
 from service.model.errors import BadInput
 from service.model.recording import SweepSpec
@@ -24,7 +27,7 @@ from service.store import tables as t
 from service.store.access.audit_chain import verify
 from service.store.access.permissions import Role
 from service.store.copying import RowsNotCopied, copy_rows
-from service.store.database import Database, open_database, refusal
+from service.store.database import Database, known_schemas, open_database, refusal
 from service.store.documents import NewRecording, NewSweep, RecordingState
 from service.store.engines import NotReached, parsed_url
 from service.store.examination import examine, examined
@@ -54,6 +57,13 @@ def test_migrations_give_exactly_the_tables(url: str, database: Database) -> Non
         context = MigrationContext.configure(connection, opts={"compare_type": True})
         assert compare_metadata(context, t.StoredRow.metadata) == []
     engine.dispose()
+
+
+def test_a_changed_table_needs_a_migration() -> None:
+    """A new database gets the tables as they are, so a revision must take the stored ones there: `alembic revision`."""
+    tables = [str(CreateTable(table).compile(dialect=dialect())) for table in t.StoredRow.metadata.tables.values()]
+    told = hashlib.sha256("".join(sorted(tables)).encode()).hexdigest()[:12]
+    assert (known_schemas()[-1], told) == ("0001", "d0fdcd1dfec2")
 
 
 def test_a_transaction_that_fails_leaves_nothing(database: Database) -> None:
