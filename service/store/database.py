@@ -18,7 +18,7 @@ from sqlalchemy.orm import Session
 
 from service.model.errors import BadInput
 from service.store import tables as t
-from service.store.engines import BUSY_TIMEOUT, PATIENCE, WRITE, DatabaseKind, kind_of
+from service.store.engines import BUSY_TIMEOUT, PATIENCE, WRITE, Sqlite, kind_of
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 MACHINE = "machine"  # default name of a machine
@@ -63,7 +63,7 @@ class Database:
     `machine`: written rows belong to it; None if the service owns none: then nothing of a machine can be written.
     """
 
-    def __init__(self, engine: Engine, kind: DatabaseKind, machine: t.OwnMachine | None, clock: SteadyClock) -> None:
+    def __init__(self, engine: Engine, kind: Sqlite, machine: t.OwnMachine | None, clock: SteadyClock) -> None:
         self._reading, self._kind, self.machine, self.clock = engine, kind, machine, clock
         self._writing = engine.execution_options(**{WRITE: True})
         self._listeners: list[Callable[[], None]] = []
