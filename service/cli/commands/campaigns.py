@@ -295,12 +295,10 @@ def _stopped(client: ServiceClient, campaign_id: int, why: str, url: str) -> Not
     return NotCompleted(f"campaign {campaign_id}: machine stopped; {then}")
 
 
-def plan_number(plan: str) -> int:
-    """The number of a plan given as such or as the file of a plan."""
+def plan_number(plan: str, largest: int = 2**26) -> int:
+    """The number of a plan given as such or as the file of a plan, of at most `largest` bytes."""
 
     from pydantic import BaseModel
-
-    from service.model.configuration import read_text
 
     class NumberedPlan(BaseModel):
         """What `sweepid plan --out` writes; only the number matters here."""
@@ -310,9 +308,13 @@ def plan_number(plan: str) -> int:
     if plan.isascii() and plan.isdigit():
         return int(plan)
     try:
-        return NumberedPlan.model_validate_json(read_text(Path(plan))).id
-    except BadInput as error:
-        raise BadInput(plan, f"neither the number of a plan nor a readable file: {error.reason}") from None
+        with Path(plan).open("rb") as file:
+            content = file.read(largest + 1)
+        if len(content) > largest:
+            raise BadInput(plan, f"is larger than {largest} bytes")
+        return NumberedPlan.model_validate_json(content).id
+    except OSError as error:
+        raise BadInput(plan, f"neither the number of a plan nor a readable file: {error.strerror}") from None
     except ValueError:
         raise BadInput(plan, "is not a plan that `sweepid plan --out` wrote") from None
 

@@ -14,11 +14,9 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy import create_engine, select, text
-from sqlalchemy.dialects.sqlite import dialect
 from sqlalchemy.exc import IntegrityError, OperationalError
 from sqlalchemy.exc import TimeoutError as NoConnection
 from sqlalchemy.orm import Session
-from sqlalchemy.schema import CreateTable
 
 from service.model.errors import BadInput
 from service.model.recording import SweepSpec
@@ -61,9 +59,14 @@ def test_migrations_give_exactly_the_tables(url: str, database: Database) -> Non
 
 def test_a_changed_table_needs_a_migration() -> None:
     """A new database gets the tables as they are, so a revision must take the stored ones there: `alembic revision`."""
-    tables = [str(CreateTable(table).compile(dialect=dialect())) for table in t.StoredRow.metadata.tables.values()]
-    told = hashlib.sha256("".join(sorted(tables)).encode()).hexdigest()[:12]
-    assert (known_schemas()[-1], told) == ("0001", "d0fdcd1dfec2")
+    found = [
+        f"{column} {column.type} {column.nullable} {column.primary_key} {column.unique} {column.index} "
+        + " ".join(key.target_fullname for key in column.foreign_keys)
+        for table in t.StoredRow.metadata.tables.values()
+        for column in table.columns
+    ]
+    told = hashlib.sha256("\n".join(sorted(found)).encode()).hexdigest()[:12]
+    assert (known_schemas()[-1], told) == ("0001", "9f92e5b992db")
 
 
 def test_a_transaction_that_fails_leaves_nothing(database: Database) -> None:
