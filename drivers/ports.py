@@ -165,62 +165,23 @@ class SineCommand:
     phase: float
 
 
-@dataclass(frozen=True, slots=True)
-class SweepCommand:
-    """One sweep of one axis from standstill to standstill.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExcitationCommand:
+    """One run of one axis from standstill to standstill.
 
-    Velocity set-point: ``e(t) (offset_velocity + sum of sines)``. The envelope e rises as a raised cosine over
-    `ramp`, is one during `settle` and the measured window of ``periods * period``, and falls over another `ramp`.
-    The measured window starts at ``t0 = ramp + settle``. The limits are those of the envelope check on the host; an
-    adapter also writes them to the drive if the drive has objects for them.
+    The envelope e rises as a raised cosine over `ramp`, is one during `settle` and the measured window of
+    ``periods * period``, and falls over another `ramp`. The measured window starts at ``t0 = ramp + settle``. The
+    limits are those of the envelope check on the host; an adapter also writes them to the drive if the drive has
+    objects for them.
     """
 
     joint: str
-    mode: SweepMode
     offset_velocity: float  # rad/s (m/s), signed
-    sines: tuple[SineCommand, ...]
     period: float  # s
     periods: int
     ramp: float  # s
     settle: float  # s
     sample_rate: float  # Hz, requested; the time column of the blocks has the actual rate
-    velocity_limit: float  # rad/s (m/s), absolute
-    effort_limit: float  # N m (N), absolute
-    position_window: tuple[float, float]  # rad (m), absolute joint positions never to be left
-
-    @property
-    def measure_from(self) -> float:
-        """Start of the measured window, s."""
-        return self.ramp + self.settle
-
-    @property
-    def duration(self) -> float:
-        """From standstill to standstill, s."""
-        return 2 * self.ramp + self.settle + self.period * self.periods
-
-
-@dataclass(frozen=True, slots=True)
-class NoiseCommand:
-    """Pseudo-random torque during a slow motion, from standstill to standstill; generated and recorded by the drive.
-
-    Velocity set-point ``e(t) offset_velocity`` and injected torque ``e(t) sum_k a sin(2 pi f_k t + phi_k)`` with the
-    envelope and times of `SweepCommand`. f_k are all multiples of 1/`period` in the band, a is equal for all lines,
-    phi_k is random by `seed`. During the run the gain of the drive's speed control is multiplied, and its reset time
-    divided, by `softening`. The commissioned values are restored however the run ends.
-    """
-
-    joint: str
-    offset_velocity: float  # rad/s (m/s), signed
-    effort: float  # N m (N), RMS of the injected torque
-    lowest: float  # Hz
-    highest: float  # Hz
-    period: float  # s
-    periods: int
-    seed: int  # 32 bits
-    softening: float  # above 0, at most 1
-    ramp: float  # s
-    settle: float  # s
-    sample_rate: float  # Hz, requested
     velocity_limit: float  # rad/s (m/s), absolute
     effort_limit: float  # N m (N), absolute; of control and injection together
     position_window: tuple[float, float]  # rad (m), absolute joint positions never to be left
@@ -234,6 +195,31 @@ class NoiseCommand:
     def duration(self) -> float:
         """From standstill to standstill, s."""
         return 2 * self.ramp + self.settle + self.period * self.periods
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SweepCommand(ExcitationCommand):
+    """One sweep: velocity set-point ``e(t) (offset_velocity + sum of sines)``."""
+
+    mode: SweepMode
+    sines: tuple[SineCommand, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoiseCommand(ExcitationCommand):
+    """Pseudo-random torque during a slow motion; generated and recorded by the drive.
+
+    Velocity set-point ``e(t) offset_velocity`` and injected torque ``e(t) sum_k a sin(2 pi f_k t + phi_k)``. f_k are
+    all multiples of 1/`period` in the band, a is equal for all lines, phi_k is random by `seed`. During the run the
+    gain of the drive's speed control is multiplied, and its reset time divided, by `softening`. The commissioned values
+    are restored however the run ends.
+    """
+
+    effort: float  # N m (N), RMS of the injected torque
+    lowest: float  # Hz
+    highest: float  # Hz
+    seed: int  # 32 bits
+    softening: float  # above 0, at most 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,22 +4,21 @@
 where that folder is absent.
 """
 
-import json
 import os
-import socket
 import threading
 import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from simulator.canopen.cabinet import ForeignCabinet
 from simulator.machine import LiveMachine
 from simulator.scenario import load_scenario
 from simulator.virtual_drive import VirtualDrive
 from tests.conftest import shared_folder
+from tests.ports import ordered
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENARIO = ROOT / "config" / "scenarios" / "max100-full.yaml"
@@ -49,11 +48,7 @@ class Foreign:
 
     def order(self, order: str, **fields: object) -> dict[str, Any]:
         """Any order of the control port."""
-        with socket.create_connection(("127.0.0.1", self.control_port), timeout=10) as client:
-            client.sendall(json.dumps({"order": order, **fields}).encode() + b"\n")
-            reply = cast("dict[str, Any]", json.loads(client.makefile().readline()))
-        assert reply["ok"], reply
-        return reply
+        return ordered(self.control_port, order, **fields)
 
     def truth(self, joint: str = "joint_1") -> dict[str, Any]:
         """What the machine really does, SI units of the joint."""

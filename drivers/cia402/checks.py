@@ -7,7 +7,7 @@ import numpy as np
 
 from drivers.cia402.profile import AxisProfile
 from drivers.errors import LimitExceeded, Measured, distinct
-from drivers.ports import Array, NoiseCommand, SweepCommand, SweepMode
+from drivers.ports import Array, ExcitationCommand, NoiseCommand, SweepCommand, SweepMode
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ def check_noise(axis: AxisProfile, command: NoiseCommand, start: float) -> None:
 
     The additional motion caused by the noise depends on the plant; the envelope monitors it.
     """
-    common = {name: getattr(command, name) for name in SweepCommand.__dataclass_fields__ if hasattr(command, name)}
+    common = {name: getattr(command, name) for name in ExcitationCommand.__dataclass_fields__}
     turn = SweepCommand(mode=SweepMode.DRIVE_SIDE, sines=(), **common)
     check_sweep(axis, turn, start, math.inf)
     _at_most(axis, "RMS of the injected effort", command.effort, command.effort_limit, axis.effort_unit)

@@ -6,18 +6,19 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from uuid import uuid4
 
 from alembic import command
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import Connection, Engine, Table, select
+from sqlalchemy import Connection, Engine, Table, insert, select
 from sqlalchemy.exc import DBAPIError, OperationalError, SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from service.model.errors import BadInput
 from service.store import tables as t
-from service.store.engines import BUSY_TIMEOUT, PATIENCE, WRITE, DatabaseKind, kind_of
+from service.store.engines import BUSY_TIMEOUT, PATIENCE, WRITE, Sqlite, kind_of
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 MACHINE = "machine"  # default name of a machine
@@ -62,7 +63,7 @@ class Database:
     `machine`: written rows belong to it; None if the service owns none: then nothing of a machine can be written.
     """
 
-    def __init__(self, engine: Engine, kind: DatabaseKind, machine: t.OwnMachine | None, clock: SteadyClock) -> None:
+    def __init__(self, engine: Engine, kind: Sqlite, machine: t.OwnMachine | None, clock: SteadyClock) -> None:
         self._reading, self._kind, self.machine, self.clock = engine, kind, machine, clock
         self._writing = engine.execution_options(**{WRITE: True})
         self._listeners: list[Callable[[], None]] = []
@@ -218,9 +219,16 @@ def unknown_schema(found: str) -> str:
 
 
 def migrate(engine: Engine) -> None:
-    """Migrate the schema to the newest revision, in one transaction."""
+    """Migrate the schema to the newest revision, in one transaction. A new database gets the tables as they are."""
     with engine.execution_options(**{WRITE: True}).begin() as connection:
-        command.upgrade(alembic_config(connection), "head")
+        if MigrationContext.configure(connection).get_current_revision() is not None:
+            command.upgrade(alembic_config(connection), "head")
+            return
+        t.StoredRow.metadata.create_all(connection, checkfirst=False)
+        connection.execute(insert(t.IdentityRow).values(id=uuid4().hex))
+        # not by an explicit id: the sequence of a server would not know of it
+        connection.execute(insert(t.MachineRow).values(name=MACHINE))
+        command.stamp(alembic_config(connection), "head")
 
 
 def alembic_config(connection: Connection) -> Config:

@@ -8,7 +8,7 @@ chain of the audit has no fork, the outbox is in order, and no writer reads rows
 import sqlite3
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from sqlalchemy import URL, Connection, Engine, Table, create_engine, event, func, make_url, select
 from sqlalchemy.engine import ExceptionContext
@@ -22,46 +22,20 @@ WRITE = "write"  # execution option of an engine: its transactions write
 PATIENCE = "patience"  # the same: s that such a transaction waits for another writer
 
 
-class DatabaseKind(Protocol):
-    """Common requirements for every database.
+class Sqlite:
+    """SQLite, and what every database must give; its writers are serialised by its own lock, its readers do not wait.
 
     A writing transaction is exclusive: it waits at its begin, and sees everything committed before it. A reading
     transaction sees one consistent state and blocks no other. Committed data is on disk.
     """
 
-    def engine(self) -> Engine:
-        """Connections with these properties. Raises BadInput if their driver is not installed."""
-        ...
-
-    def check(self, engine: Engine) -> None:
-        """Raises NotReached or BadInput if the database cannot be used; called once, before the migrations."""
-        ...
-
-    def is_away(self, error: OperationalError) -> bool:
-        """Whether the database is unavailable: a transaction without changes so far may begin again."""
-        ...
-
-    def continue_ids(self, connection: Connection, tables: Sequence[Table]) -> None:
-        """After rows were inserted with their ids: the next row of each table gets an unused id."""
-        ...
-
-    def token(self, connection: Connection) -> str:
-        """Token of the transaction that writes on this connection, for `was_committed`."""
-        ...
-
-    def was_committed(self, engine: Engine, token: str) -> bool | None:
-        """Whether the transaction without answer to its COMMIT was committed; None: not decided yet."""
-        ...
-
-
-class Sqlite:
-    """`DatabaseKind` for SQLite. Its writers are serialised by SQLite's own lock; readers of a WAL do not wait."""
-
     def __init__(self, url: URL) -> None:
         self._url = url
 
     def engine(self) -> Engine:
-        """Creates the folder of the file."""
+        """Connections with these properties, to a file whose folder is created. Raises BadInput if their driver is not
+        installed.
+        """
         if self._url.database:
             Path(self._url.database).parent.mkdir(parents=True, exist_ok=True)
         engine = create_engine(self._url, connect_args={"timeout": BUSY_TIMEOUT})
@@ -70,20 +44,21 @@ class Sqlite:
         return engine
 
     def check(self, engine: Engine) -> None:
-        """Nothing to check for a file."""
+        """Raises NotReached or BadInput if the database cannot be used; called once, before the migrations."""
 
     def is_away(self, error: OperationalError) -> bool:
-        """Never: SQLite itself has waited for the lock of the file."""
+        """Whether it is unavailable: a transaction without changes may begin again. SQLite has waited for its lock."""
         return False
 
     def continue_ids(self, connection: Connection, tables: Sequence[Table]) -> None:
-        """SQLite continues from the largest id."""
+        """After rows were inserted with their ids: the next row of each table gets an unused id, as always here."""
 
     def token(self, connection: Connection) -> str:
+        """Token of the transaction that writes on this connection, for `was_committed`."""
         return ""
 
     def was_committed(self, engine: Engine, token: str) -> bool | None:
-        """A COMMIT that raises did not commit."""
+        """Whether the transaction without answer to its COMMIT was committed; None: not decided yet."""
         return False
 
 
@@ -105,12 +80,13 @@ class NotReached(SweepidError):
     """The server of the database does not answer or refuses the login (exit code 1)."""
 
 
-class Postgresql:
-    """`DatabaseKind` for PostgreSQL."""
+class Postgresql(Sqlite):
+    """PostgreSQL, a server."""
 
     def __init__(self, url: URL, password: str | None = None) -> None:
         """`password`: None if libpq finds it (``PGPASSFILE``), or none is needed."""
-        self._url, self._password = url, password
+        super().__init__(url)
+        self._password = password
 
     def engine(self) -> Engine:
         connecting: dict[str, str | int] = {
@@ -213,7 +189,7 @@ def _as_operational(context: ExceptionContext) -> None:
         raise OperationalError(context.statement, None, context.original_exception, connection_invalidated=True)
 
 
-def kind_of(url: str, password_file: Path | None = None) -> DatabaseKind:
+def kind_of(url: str, password_file: Path | None = None) -> Sqlite:
     """Raises BadInput for another database, a password in the URL, or a password file that cannot be read."""
     parsed = parsed_url(url)
     if parsed.get_backend_name() == "sqlite":

@@ -12,9 +12,10 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any, TypeVar
 
 from pydantic import JsonValue
-from sqlalchemy import ColumnElement, delete, func, select
+from sqlalchemy import ColumnElement, Select, delete, func, select
 from sqlalchemy.orm import Session
 
 from service.model.errors import Conflict, NotFound
@@ -331,29 +332,27 @@ class Backlog:
     trouble: str = ""
 
 
+Query = TypeVar("Query", bound=Select[*tuple[Any, ...]])
+
+
+def _unmoved(query: Query) -> Query:
+    """Of recordings, in no store yet and not removed, with their campaigns."""
+    query = query.join(t.SweepRow, t.SweepRow.id == t.RecordingRow.sweep_id)
+    query = query.join(t.CampaignRow, t.CampaignRow.id == t.SweepRow.campaign_id)
+    return query.where(t.RecordingRow.moved_at.is_(None), t.RecordingRow.pruned_at.is_(None))
+
+
 class MoveStore(rows.Transactions):
     """Every method is one transaction and blocks, as in `service.store.store`."""
 
     def backlog(self) -> Backlog:
-        query = (
-            select(func.count(), func.min(t.RecordingRow.created_at))
-            .join(t.SweepRow, t.SweepRow.id == t.RecordingRow.sweep_id)
-            .join(t.CampaignRow, t.CampaignRow.id == t.SweepRow.campaign_id)
-            .where(t.RecordingRow.moved_at.is_(None), t.RecordingRow.pruned_at.is_(None))
-        )
+        query = _unmoved(select(func.count(), func.min(t.RecordingRow.created_at)))
         with self._database.read() as session:
             return Backlog(*session.execute(query.where(rows.of_own(session))).one())
 
     def waiting(self, after: int, limit: int) -> dict[int, RecordingDocument]:
         """Recordings not moved yet, by the id of their row above `after`, the oldest first."""
-        query = (
-            select(t.RecordingRow)
-            .join(t.SweepRow, t.SweepRow.id == t.RecordingRow.sweep_id)
-            .join(t.CampaignRow, t.CampaignRow.id == t.SweepRow.campaign_id)
-            .where(t.RecordingRow.moved_at.is_(None), t.RecordingRow.pruned_at.is_(None), t.RecordingRow.id > after)
-            .order_by(t.RecordingRow.id)
-            .limit(limit)
-        )
+        query = _unmoved(rows.page(t.RecordingRow, after, limit))
         with self._database.read() as session:
             found = session.scalars(query.where(rows.of_own(session)))
             return {row.id: rows.document(RecordingDocument, row) for row in found}

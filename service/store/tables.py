@@ -6,7 +6,20 @@ from enum import Enum
 from typing import ClassVar, NamedTuple, cast
 
 from pydantic import JsonValue
-from sqlalchemy import JSON, DateTime, Dialect, ForeignKey, Index, String, TypeDecorator, UniqueConstraint, func, select
+from sqlalchemy import (
+    DDL,
+    JSON,
+    DateTime,
+    Dialect,
+    ForeignKey,
+    Index,
+    String,
+    TypeDecorator,
+    UniqueConstraint,
+    event,
+    func,
+    select,
+)
 from sqlalchemy import Enum as SqlEnum
 from sqlalchemy.orm import DeclarativeBase, Mapped, Session, column_property, mapped_column, object_session
 
@@ -445,3 +458,39 @@ class AuditRow(StoredRow):
     number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
     entry: Mapped[str]
     sha256: Mapped[str] = mapped_column(String(64))
+
+
+def _protect_audit() -> None:
+    """A database refuses every change of the audit but the next entry."""
+    only_added = "the audit is only ever added to"
+    # INSERT OR REPLACE removes the row that is in the way without firing a trigger of DELETE
+    follows = "(SELECT coalesce(max(number), 0) + 1 FROM audit)"
+    refuse = f"RAISE EXCEPTION '{only_added}' USING ERRCODE = 'integrity_constraint_violation';"
+    function = "CREATE FUNCTION {}() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN {} END $$".format
+    statements = {
+        "sqlite": (
+            *(
+                f"CREATE TRIGGER audit_no_{change.lower()} BEFORE {change} ON audit "
+                f"BEGIN SELECT RAISE(ABORT, '{only_added}'); END"
+                for change in ("UPDATE", "DELETE")
+            ),
+            f"CREATE TRIGGER audit_no_replace BEFORE INSERT ON audit WHEN NEW.number <> {follows} "
+            f"BEGIN SELECT RAISE(ABORT, '{only_added}'); END",
+        ),
+        "postgresql": (
+            function("audit_only_added", refuse),
+            function("audit_follows", f"IF NEW.number <> {follows} THEN {refuse} END IF; RETURN NEW;"),
+            *(
+                f"CREATE TRIGGER audit_no_{change.lower()} BEFORE {change} ON audit "
+                "FOR EACH STATEMENT EXECUTE FUNCTION audit_only_added()"
+                for change in ("UPDATE", "DELETE", "TRUNCATE")
+            ),
+            "CREATE TRIGGER audit_no_replace BEFORE INSERT ON audit FOR EACH ROW EXECUTE FUNCTION audit_follows()",
+        ),
+    }
+    for dialect, each in statements.items():
+        for statement in each:
+            event.listen(AuditRow.__table__, "after_create", DDL(statement).execute_if(dialect=dialect))
+
+
+_protect_audit()

@@ -130,9 +130,7 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
 
     def sign_of_life(self, campaign_id: int) -> Json | None:
         """Send a sign of life; None if the campaign requires none."""
-        response = self._send("POST", f"/campaigns/{campaign_id}/sign_of_life")
-        check(response)
-        return cast("Json | None", response.json())
+        return cast("Json | None", check(self._send("POST", f"/campaigns/{campaign_id}/sign_of_life")).json())
 
     def pause(self, campaign_id: int) -> Json:
         return self._post(f"/campaigns/{campaign_id}/pause")
@@ -337,9 +335,8 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
     def import_bundle(self, archive: Path) -> Json:
         """Upload a zip file."""
         headers = {"Content-Type": "application/zip", "Idempotency-Key": str(uuid.uuid4())}
-        response = self._send("POST", "/bundles", content=archive.read_bytes(), headers=headers, timeout=LONG_TIMEOUT)
-        check(response)
-        return cast("Json", response.json())
+        options = {"content": archive.read_bytes(), "headers": headers, "timeout": LONG_TIMEOUT}
+        return cast("Json", check(self._send("POST", "/bundles", **options)).json())
 
     def export_bundle(self, campaign_id: int, archive: Path) -> None:
         """Download a campaign's bundle as a zip file."""
@@ -406,9 +403,8 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         return items
 
     def _post(self, path: str, body: Json | None = None, timeout: httpx.Timeout = _TIMEOUT) -> Json:
-        response = self._send("POST", path, json=body, headers={"Idempotency-Key": str(uuid.uuid4())}, timeout=timeout)
-        check(response)
-        return cast("Json", response.json())
+        headers = {"Idempotency-Key": str(uuid.uuid4())}
+        return cast("Json", check(self._send("POST", path, json=body, headers=headers, timeout=timeout)).json())
 
     def _send(self, method: str, path: str, **options: Any) -> httpx.Response:
         try:

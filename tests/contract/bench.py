@@ -4,7 +4,6 @@ import json
 import math
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -28,6 +27,7 @@ from simulator.virtual_drive import VirtualDrive
 from tests.contract import makers
 from tests.foreign_bench import bench as foreign_bench
 from tests.independent_bench import machine as independent_machine
+from tests.ports import ordered
 
 ROOT = Path(__file__).parents[2]
 DRIVES = ROOT / "config" / "drives"
@@ -53,11 +53,7 @@ class Virtual:
     process: subprocess.Popen[bytes] | None = None
 
     def order(self, order: str, **fields: object) -> dict[str, Any]:
-        with socket.create_connection(("127.0.0.1", self.control_port), timeout=10) as client:
-            client.sendall(json.dumps({"order": order, **fields}).encode() + b"\n")
-            reply = cast("dict[str, Any]", json.loads(client.makefile().readline()))
-        assert reply["ok"], reply
-        return reply
+        return ordered(self.control_port, order, **fields)
 
     def truth(self, joint: str = AXIS) -> dict[str, Any]:
         return self.order("status")["axes"][joint]

@@ -42,11 +42,14 @@ def import_bundle(
     import asyncio
 
     from service.cli.terminal import waiting
+    from service.store.files.bundle import pack
     from service.store.files.isolated_reader import read_isolated
     from service.web.client import ServiceClient
 
     with ServiceClient(url) as client, tempfile.TemporaryDirectory() as folder:
-        archive = _pack(bundle, Path(folder) / "bundle.zip") if bundle.is_dir() else bundle
+        if bundle.is_dir() and not (bundle / "bundle.json").is_file():
+            raise BadInput(str(bundle / "bundle.json"), "does not exist")
+        archive = pack(bundle, Path(folder) / "bundle.zip") if bundle.is_dir() else bundle
         if not zipfile.is_zipfile(archive):
             raise BadInput(str(bundle), "is neither the folder of a bundle nor a zip file")
         with waiting("the service reads the bundle"):
@@ -58,15 +61,6 @@ def import_bundle(
             lines = [f"not checked: {error}"]
         for line in lines:
             typer.echo(line, err=True)
-
-
-def _pack(folder: Path, target: Path) -> Path:
-    if not (folder / "bundle.json").is_file():
-        raise BadInput(str(folder / "bundle.json"), "does not exist")
-    with zipfile.ZipFile(target, "w", zipfile.ZIP_STORED) as archive:  # Parquet is compressed already
-        for path in sorted(folder.rglob("*")):
-            archive.write(path, path.relative_to(folder))
-    return target
 
 
 def import_trace(

@@ -5,6 +5,8 @@ from __future__ import annotations
 import getpass
 import json
 import sys
+from collections.abc import Generator
+from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,7 +17,9 @@ from service.cli.options import Config, DataDir
 from service.model.errors import BadInput
 
 if TYPE_CHECKING:
+    from service.store.access.audit_chain import Entry
     from service.store.access.permissions import Role
+    from service.store.people.users import UserStore
 
 Name = Annotated[str, typer.Argument(metavar="NAME", help="A person or a program.")]
 _ROLES = "viewer, operator, engineer, admin"
@@ -29,39 +33,37 @@ def add_user(
     data_dir: DataDir = None,
 ) -> None:
     """Add a person, with a password: asked for at the terminal, or the first line of stdin."""
-    from service.cli.database import opened, shell_entry
-    from service.store.people.users import UserStore
-
     name, what = name_of(name), role_of(role)
-    with opened(config, data_dir, make=True) as database:
-        typer.echo(UserStore(database).add(name, what, password_for(name), shell_entry()).name)
+    with _users(config, data_dir, make=True) as (users, entry):
+        typer.echo(users.add(name, what, password_for(name), entry).name)
 
 
 def change_password(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
     """Set another password, and end the person's sessions."""
-    from service.cli.database import opened, shell_entry
-    from service.store.people.users import UserStore
-
-    with opened(config, data_dir) as database:
-        typer.echo(UserStore(database).change_password(name, password_for(name), shell_entry()).name)
+    with _users(config, data_dir) as (users, entry):
+        typer.echo(users.change_password(name, password_for(name), entry).name)
 
 
 def disable_user(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
     """From now on nobody logs in by this name, and its sessions are over."""
-    from service.cli.database import opened, shell_entry
-    from service.store.people.users import UserStore
-
-    with opened(config, data_dir) as database:
-        typer.echo(UserStore(database).shut_out(name, shell_entry()).name)
+    with _users(config, data_dir) as (users, entry):
+        typer.echo(users.shut_out(name, entry).name)
 
 
 def enable_user(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
     """Let one who was disabled log in again, with the same password and role."""
+    with _users(config, data_dir) as (users, entry):
+        typer.echo(users.let_in(name, entry).name)
+
+
+@contextmanager
+def _users(config: Path | None, data_dir: Path | None, make: bool = False) -> Generator[tuple[UserStore, Entry]]:
+    """The users, and the entry of the audit for the person at the terminal."""
     from service.cli.database import opened, shell_entry
     from service.store.people.users import UserStore
 
-    with opened(config, data_dir) as database:
-        typer.echo(UserStore(database).let_in(name, shell_entry()).name)
+    with opened(config, data_dir, make) as database:
+        yield UserStore(database), shell_entry()
 
 
 def sessions(config: Config = None, data_dir: DataDir = None) -> None:

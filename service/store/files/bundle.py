@@ -250,6 +250,14 @@ def take_in(source: Path, work: Path) -> dict[str, Any]:
     return save_bundle(RecordingFiles(work), read_from(source, work / "bundle")).model_dump(mode="json")
 
 
+def pack(folder: Path, archive: Path) -> Path:
+    """Write the folder of a bundle as a zip, whose path is returned."""
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_STORED) as content:  # Parquet is already compressed
+        for path in sorted(folder.rglob("*")):
+            content.write(path, path.relative_to(folder))
+    return archive
+
+
 def read_from(source: Path, folder: Path) -> Bundle:
     """The bundle in a folder or a zip, which is unpacked into `folder`; BadInput then names places in the bundle."""
     if source.is_dir():

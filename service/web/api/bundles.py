@@ -3,9 +3,7 @@
 import hashlib
 import shutil
 import tempfile
-import zipfile
 from pathlib import Path
-from pathlib import Path as FilePath
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
@@ -15,6 +13,7 @@ from starlette.concurrency import run_in_threadpool
 
 from service.process.tasks import run_to_end
 from service.store.access.permissions import Role
+from service.store.files.bundle import pack
 from service.web.api.campaigns import CampaignView, view
 from service.web.api.dependencies import ApplicationOf, Id, media, set_etag
 from service.web.api.idempotent import Handler, IdempotentRoute, head_of
@@ -86,10 +85,10 @@ async def import_bundle(request: Request, response: Response, application: Appli
 @allow(Role.VIEWER)
 async def export_bundle(campaign_id: Id, application: ApplicationOf) -> FileResponse:
     """A bundle with the completely recorded sweeps of a campaign."""
-    folder = FilePath(await run_in_threadpool(tempfile.mkdtemp, prefix="export-", dir=application.files.transfer()))
+    folder = Path(await run_in_threadpool(tempfile.mkdtemp, prefix="export-", dir=application.files.transfer()))
     try:
         await application.export_bundle(campaign_id, folder / "bundle")
-        packed = await run_in_threadpool(_pack, folder / "bundle", folder / "bundle.zip")
+        packed = await run_in_threadpool(pack, folder / "bundle", folder / "bundle.zip")
     except BaseException:
         await run_to_end(run_in_threadpool(shutil.rmtree, folder))
         raise
@@ -99,10 +98,3 @@ async def export_bundle(campaign_id: Id, application: ApplicationOf) -> FileResp
         filename=f"campaign-{campaign_id}.zip",
         background=BackgroundTask(shutil.rmtree, folder),
     )
-
-
-def _pack(folder: FilePath, target: FilePath) -> FilePath:
-    with zipfile.ZipFile(target, "w", zipfile.ZIP_STORED) as archive:  # Parquet is already compressed
-        for path in sorted(folder.rglob("*")):
-            archive.write(path, path.relative_to(folder))
-    return target

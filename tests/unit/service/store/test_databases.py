@@ -1,5 +1,6 @@
 """Durability settings, migrations, transactions."""
 
+import hashlib
 import json
 import subprocess
 import sys
@@ -24,7 +25,7 @@ from service.store import tables as t
 from service.store.access.audit_chain import verify
 from service.store.access.permissions import Role
 from service.store.copying import RowsNotCopied, copy_rows
-from service.store.database import Database, open_database, refusal
+from service.store.database import Database, known_schemas, open_database, refusal
 from service.store.documents import NewRecording, NewSweep, RecordingState
 from service.store.engines import NotReached, parsed_url
 from service.store.examination import examine, examined
@@ -54,6 +55,18 @@ def test_migrations_give_exactly_the_tables(url: str, database: Database) -> Non
         context = MigrationContext.configure(connection, opts={"compare_type": True})
         assert compare_metadata(context, t.StoredRow.metadata) == []
     engine.dispose()
+
+
+def test_a_changed_table_needs_a_migration() -> None:
+    """A new database gets the tables as they are, so a revision must take the stored ones there: `alembic revision`."""
+    found = [
+        f"{column} {column.type} {column.nullable} {column.primary_key} {column.unique} {column.index} "
+        + " ".join(key.target_fullname for key in column.foreign_keys)
+        for table in t.StoredRow.metadata.tables.values()
+        for column in table.columns
+    ]
+    told = hashlib.sha256("\n".join(sorted(found)).encode()).hexdigest()[:12]
+    assert (known_schemas()[-1], told) == ("0001", "9f92e5b992db")
 
 
 def test_a_transaction_that_fails_leaves_nothing(database: Database) -> None:
