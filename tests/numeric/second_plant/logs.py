@@ -12,7 +12,7 @@ from service.model.recording import Recording, Sweep, SweepSpec
 from service.model.robot import Axis, Prior, Robot, RobotDescription, build_robot
 from tests.numeric.second_plant.bodies import Rigid
 from tests.numeric.second_plant.friction import Bristle, Now
-from tests.numeric.second_plant.robots import Body, Mechanism, put_off, random_mechanism, urdf
+from tests.numeric.second_plant.robots import Body, Mechanism, joined, put_off, random_mechanism, urdf
 from tests.numeric.second_plant.sensors import Sensors, noise
 
 Array = NDArray[np.float64]
@@ -36,6 +36,8 @@ class Kind:
     unknown_rotors: bool
     wall: bool  # gravity along x
     rough: bool  # 25 % Stribeck friction and a ripple of 0.5 % of the largest effort
+    payload: float = 0.0  # of the mass of the first link, on the last one and unknown to CAD
+    balance: float = 0.0  # of the largest torque of the second axis, by a spring unknown to CAD
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,15 @@ class Log:
         rigid = Rigid(self._built)
         return np.array([np.diag(rigid.matrix(pose)) for pose in poses]) + self.rotors
 
+    def holding(self, poses: Array) -> Array:
+        """Torques that hold poses (m, n), with the spring of the counterbalance."""
+        rigid, held = Rigid(self._built, self._gravity), np.zeros_like(poses)
+        held[:, 1] = -self._spring * np.sin(poses[:, 1])
+        return held + np.array([rigid.holding(pose) for pose in poses])
+
     _built: Mechanism
+    _gravity: tuple[float, float, float]
+    _spring: float
 
 
 def kind_of(seed: int) -> Kind:
@@ -84,6 +94,10 @@ def log(seed: int, **fixed: object) -> Log:
     cad = random_mechanism(random, "robot", kind.family)
     cad = _scaled(cad, 0.5, 0.05) if kind.small else cad
     built = put_off(cad, 0.10, 0.18, random)
+    if kind.payload:
+        mass, last = kind.payload * cad.bodies[0].mass, built.bodies[-1]
+        body = Body(mass, built.flange, mass * np.diag([0.01, 0.02, 0.03]) * (0.25 if kind.small else 1.0))
+        built = replace(built, bodies=(*built.bodies[:-1], joined(last, body)))
     gravity = (-9.81, 0.0, 0.0) if kind.wall else (0.0, 0.0, -9.81)
     rigid = Rigid(built, gravity)
     count = len(cad.joints)
@@ -94,6 +108,9 @@ def log(seed: int, **fixed: object) -> Log:
     rotors[wrists] = own[wrists] * np.exp(random.uniform(*np.log((20, 550) if kind.small else (2, 40)), count))[wrists]
     paths = [_path(kind, cad, random) for _ in range(2)]
     torques, motors = zip(*(_torques(kind, rigid, path, own, random) for path in paths), strict=True)
+    spring = kind.balance * float(np.abs(torques[0][:, 1]).max())
+    for torque, path in zip(torques, paths, strict=True):
+        torque[:, 1] -= spring * np.sin(path[:, 1])
     weights = np.sqrt(np.mean(torques[0] ** 2, axis=0)) + rotors * 2.0
     coulomb, viscous = weights * random.uniform(0.1, 0.4, count), weights * random.uniform(0.05, 0.3, count)
     offset = 0.02 * weights * random.standard_normal(count)
@@ -116,7 +133,9 @@ def log(seed: int, **fixed: object) -> Log:
     )
     described = RobotDescription(name="log", urdf="robot.urdf", gravity=gravity, axes=axes, prior=Prior())
     links = np.array([_ten(body) for body in built.bodies])
-    return Log(kind, build_robot(described, urdf(cad)), *records, links, rotors, viscous, coulomb, built)
+    return Log(
+        kind, build_robot(described, urdf(cad)), *records, links, rotors, viscous, coulomb, built, gravity, spring
+    )
 
 
 def _scaled(cad: Mechanism, length: float, mass: float) -> Mechanism:
