@@ -282,6 +282,7 @@ class PayloadFit:
     deviation: float
     ended: SearchEnded
     evidence: tuple[BodyEvidence, ...]
+    repeats: tuple[float, ...] = ()  # kg, by each motion alone, if there are several
 
 
 def payload(
@@ -292,14 +293,20 @@ def payload(
     """
     known = gains or {}
     values = {joint: one.gain for joint, one in known.items()}
+    empty, loaded = free_motions(robot, before), free_motions(robot, after)
     evidence = [
         *sweep_evidence(robot, before, after, values),
-        *motion_evidence(robot, free_motions(robot, before), free_motions(robot, after), values),
+        *motion_evidence(robot, empty, loaded, values),
     ]
     if not evidence:
         raise BadInput("payload", "no sweep in the same pose and no motion of several axes is in both bundles")
     spread = [one.std / one.gain for one in (known.get(joint) or uncalibrated(robot) for joint in robot.joints)]
-    return _solve(robot, evidence, np.array(spread))
+    found = _solve(robot, evidence, np.array(spread))
+    matched = [one for one in loaded if _match(empty, one) is not None]
+    if len(matched) < 2:
+        return found
+    alone = [_solve(robot, motion_evidence(robot, empty, [one], values), np.array(spread)) for one in matched]
+    return replace(found, repeats=tuple(float(one.body[0]) for one in alone if one.excited[0]))
 
 
 def body_of(parameters: Array) -> Array:
@@ -411,9 +418,18 @@ def sentences(found: PayloadFit) -> list[str]:
     """Notes for the user in addition to the values."""
     notes: list[str] = []
     if not abs(found.parameters[0]) > 3 * np.sqrt(found.covariance[0, 0]) and found.excited[0]:
-        notes.append(f"No mass detected: {found.body[0]:.3g} kg, standard deviation {found.body_std[0]:.2g} kg.")
+        notes.append(
+            f"No mass detected: {found.body[0]:.3g} kg, standard deviation {found.body_std[0]:.2g} kg. If the torques "
+            "differ, it is not a load but friction or the torque constants: warm up and record both again."
+        )
     if found.parameters[0] < -3 * np.sqrt(found.covariance[0, 0]):
         notes.append("The mass is negative: exchange the bundles before and after, or check the signs of the efforts.")
+    if len(found.repeats) > 1:
+        low, high = min(found.repeats), max(found.repeats)
+        notes.append(
+            f"Repeatability: {len(found.repeats)} motions, each alone, give {low:.4g} to {high:.4g} kg, a range of "
+            f"{100 * (high - low) / abs(found.body[0]):.2g} %."
+        )
     missing = [name for name, seen in zip(("mass", *CENTER, *TENSOR), found.excited, strict=True) if not seen]
     if missing:
         notes.append(f"The motions do not excite {', '.join(missing)}: these remain unknown.")

@@ -5,6 +5,7 @@ frequency, and weighted with a ridge. Parameters (14 n,) are in the order of `se
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -20,8 +21,19 @@ Moves = NDArray[np.bool_]
 CUT = 8.0  # Hz
 
 
-def samples(robot: Robot, sweeps: Sequence[Sweep], cut: float = CUT) -> tuple[Array, Array, Moves]:
-    """Rows (m, n, 14 n), efforts (m, n) and whether an axis moves (m, n), filtered and thinned."""
+@dataclass(frozen=True)
+class FilteredMotion:
+    """Efforts of all axes with the motion of motors and loads, (m, n) each, filtered and thinned; where axes move."""
+
+    effort: Array
+    speed: Array
+    gain: Array
+    load: tuple[Array, Array, Array]  # position, speed, acceleration
+    moves: Moves
+
+
+def motion(sweeps: Sequence[Sweep], cut: float = CUT) -> FilteredMotion:
+    """Of one log."""
     rate = sweeps[0].spec.sample_rate
     filtered = butter(4, min(cut, 0.3 * rate), fs=rate, output="sos")
     effort, motor, load = (
@@ -34,16 +46,21 @@ def samples(robot: Robot, sweeps: Sequence[Sweep], cut: float = CUT) -> tuple[Ar
     )
     speed, load_speed = (np.gradient(x, 1 / rate, axis=0) for x in (motor, load))
     gain, load_gain = (np.gradient(x, 1 / rate, axis=0) for x in (speed, load_speed))
+    kept = slice(round(rate / 2), -round(rate / 2), max(1, round(rate / 50)))
+    moves = np.abs(speed[kept]) > 0.02 * np.abs(speed).max(axis=0)
+    return FilteredMotion(effort[kept], speed[kept], gain[kept], (load[kept], load_speed[kept], load_gain[kept]), moves)
+
+
+def samples(robot: Robot, sweeps: Sequence[Sweep], cut: float = CUT) -> tuple[Array, Array, Moves]:
+    """Rows (m, n, 14 n), efforts (m, n) and whether an axis moves (m, n)."""
+    moved = motion(sweeps, cut)
     model = pin.buildModelFromXML(robot.urdf_text)
     model.gravity.linear = np.array(robot.gravity)
-    data, kept = model.createData(), slice(round(rate / 2), -round(rate / 2), max(1, round(rate / 50)))
-    links = [
-        pin.computeJointTorqueRegressor(model, data, *x).copy()
-        for x in zip(load[kept], load_speed[kept], load_gain[kept], strict=True)
-    ]
-    own = (gain[kept], speed[kept], np.sign(speed[kept]), np.ones_like(speed[kept]))
+    data = model.createData()
+    links = [pin.computeJointTorqueRegressor(model, data, *x).copy() for x in zip(*moved.load, strict=True)]
+    own = (moved.gain, moved.speed, np.sign(moved.speed), np.ones_like(moved.speed))
     rows = np.concatenate([np.array(links), *(part[..., None] * np.eye(part.shape[1]) for part in own)], axis=-1)
-    return rows, effort[kept], np.abs(speed[kept]) > 0.02 * np.abs(speed).max(axis=0)
+    return rows, moved.effort, moved.moves
 
 
 def simple(robot: Robot, sweeps: Sequence[Sweep]) -> dict[str, Array]:

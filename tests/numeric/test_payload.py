@@ -18,8 +18,10 @@ from sweepid import payload as payload_of
 from tests.command import sweepid
 from tests.numeric.campaign import measure_at, scenario_named
 from tests.numeric.free_motion import PAYLOAD, Truth, draw, log, program, wander
+from tests.numeric.second_plant.logs import log as log_of_plant
 
 ROBOTS = range(200, 212)
+OTHER_ARMS = [300, 301, 302, 304, 305, 306, 308, 309, 310, 312]  # seeds % 4 < 3: arms
 
 
 def warmer(truth: Truth) -> Truth:
@@ -60,6 +62,32 @@ def test_free_motions_tell_the_payload() -> None:
     assert np.mean(np.isfinite(errors[:, :4])) > 0.9
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_payload_of_another_plant() -> None:
+    """Arms of the second plant with stiff gears, hours later: mass within 2 % or its std, repeats within 2 %."""
+    found: list[tuple[float, float, float]] = []
+    for seed in OTHER_ARMS:
+        bare, loaded = (log_of_plant(seed, family="arm", elastic=False, payload=part) for part in (0.0, 0.1))
+        true = float((loaded.links - bare.links)[-1, 0])
+        before, after = (
+            [_begun(sweep, 1000.0 * later) for sweep in (*one.sweeps, *one.held_out)]
+            for later, one in enumerate((bare, loaded))
+        )
+        fit = payload(bare.robot, before, after)
+        spread = (max(fit.repeats) - min(fit.repeats)) / true
+        mass, std = fit.body[0] / true - 1, fit.body_std[0] / true
+        print(f"{seed} {bare.kind.motion}: {true:.3f} kg, off {mass:+.2%}, std {std:.2%}, repeats {spread:.2%}")
+        assert any("Repeatability: 2 motions" in note for note in sentences(fit))
+        found.append((abs(mass), std, spread))
+    off_by, std, spread = np.array(found).T
+    assert np.mean(off_by <= np.maximum(0.02, std)) >= 0.9
+    assert np.median(spread) <= 0.02
+
+
+def _begun(sweep: Sweep, at: float) -> Sweep:
+    return replace(sweep, spec=sweep.spec.model_copy(update={"started_at": sweep.spec.started_at + at}))
+
+
 def test_a_torque_constant_is_in_the_total() -> None:
     truth = draw(230, 4)
     before, after = before_and_after(truth, 230)
@@ -88,6 +116,7 @@ def test_nothing_mounted_is_no_mass() -> None:
     truth = draw(232, 4)
     found = payload(truth.robot, *before_and_after(truth, 232, np.zeros(10)))
     assert abs(found.body[0]) < 3 * found.body_std[0]
+    assert any("not a load but friction" in note for note in sentences(found))
 
 
 def test_the_command_tells_the_payload(tmp_path: Path) -> None:

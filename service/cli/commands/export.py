@@ -61,12 +61,6 @@ def export_model(
 
     known, estimate, _ = read_estimate(source, robot)
     model = sweepid.export(known, estimate, folder, place=str(source))
-    if model.deviation_in_std:
-        typer.echo(
-            "the model is the most probable physical robot, given CAD and the sweeps: its base parameters are "
-            f"{model.deviation_in_std:.2g} standard deviations from the identified ones",
-            err=True,
-        )
     for warning in model.warnings:
         typer.echo(warning, err=True)
     typer.echo(str(folder))

@@ -8,8 +8,8 @@ element, is in the side file. MuJoCo would compute the mass of links without ``<
 element ``<mujoco>``, ignored by other programs, disables that.
 
 **MJCF** has one body per moving link, armature = motor inertia, damping and frictionloss = identified viscous and dry
-friction. Collision shapes that are boxes, cylinders or spheres become visual geoms without collision, because shapes of
-neighbours may overlap. Meshes are omitted.
+friction, and an actuator with the drive's offset. Collision shapes that are boxes, cylinders or spheres become visual
+geoms without collision, because shapes of neighbours may overlap. Meshes are omitted.
 """
 
 import xml.etree.ElementTree as ET
@@ -24,6 +24,7 @@ from service.formats.export.model import IdentifiedModel, LinkBody, body_of
 from service.identification.model.physical_consistency import SearchEnded, nearest_physical
 from service.model.arrays import Array
 from service.model.errors import BadInput, writing
+from service.model.results.combination import FrictionPoint
 from service.model.robot import INERTIAL_NAMES
 from service.model.urdf import read_inertial, read_origin, transform_inertial
 
@@ -49,6 +50,7 @@ def model_files(model: IdentifiedModel) -> dict[str, str]:
     return {
         "model.urdf": as_urdf(model),
         "model.xml": as_mjcf(model),
+        **({"model_elastic.xml": as_mjcf(model, elastic=True)} if model.springs else {}),
         "model.yaml": as_yaml(model),
         "robot.yaml": as_side_file(model),
     }
@@ -76,14 +78,22 @@ def as_yaml(model: IdentifiedModel) -> str:
             "motor_inertia": float(motor),
             "viscous_friction": friction,
             "dry_friction": dry,
+            "offset": offset,
+            "friction_curve": _curve(model.curves.get(joint.name, ())),
+            "gear": _gear(model.springs.get(joint.name)),
             "effects": {
                 effect.effect: {name: value.model_dump() for name, value in effect.parameters.items()}
                 for effect in model.effects
                 if effect.axis == joint.name
             },
         }
-        for joint, motor, friction, dry in zip(
-            model.robot.chain.joints, model.motor_inertias, model.friction, model.dry_friction, strict=True
+        for joint, motor, friction, dry, offset in zip(
+            model.robot.chain.joints,
+            model.motor_inertias,
+            model.friction,
+            model.dry_friction,
+            model.offset,
+            strict=True,
         )
     }
     return _dump(
@@ -114,6 +124,14 @@ def as_yaml(model: IdentifiedModel) -> str:
             },
         }
     )
+
+
+def _curve(points: Sequence[FrictionPoint]) -> Yaml:
+    return [{"velocity": one.velocity, "effort": one.effort, "std": one.std} for one in points]
+
+
+def _gear(spring: tuple[float, float] | None) -> Yaml:
+    return None if spring is None else {"stiffness": spring[0], "damping": spring[1]}
 
 
 def as_side_file(model: IdentifiedModel) -> str:
@@ -201,8 +219,12 @@ def _child(element: ET.Element, tag: str) -> ET.Element:
     return ET.SubElement(element, tag) if found is None else found
 
 
-def as_mjcf(model: IdentifiedModel) -> str:
-    """The text of the file. Angles in radian; joint ranges as in the URDF, none for a continuous joint."""
+def as_mjcf(model: IdentifiedModel, *, elastic: bool = False) -> str:
+    """The text of the file. Angles in radian; joint ranges as in the URDF, none for a continuous joint.
+
+    Each joint has an actuator whose control is the effort that the drive indicates, its offset included. `elastic`: a
+    known gear is a second joint on the same axis: the first is the motor, with its inertia, the sum of both the load.
+    """
     root = ET.Element("mujoco", model=model.robot.name)
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
     ET.SubElement(root, "option", gravity=_text(model.robot.gravity))
@@ -224,7 +246,15 @@ def as_mjcf(model: IdentifiedModel) -> str:
         element.set("frictionloss", repr(dry or 0.0))
         if np.isfinite([joint.lower, joint.upper]).all():
             element.set("range", _text([joint.lower, joint.upper]))
+        if elastic and joint.name in model.springs:
+            gear = ET.SubElement(carrier, "joint", name=f"{joint.name}_gear", axis=_text(joint.axis))
+            gear.set("type", element.get("type", ""))
+            for name, value in zip(("stiffness", "damping"), model.springs[joint.name], strict=True):
+                gear.set(name, repr(value))
         _add_shapes(carrier, (link for link in links if link.carrier == body.link))
+    drives = ET.SubElement(root, "actuator")
+    for joint, offset in zip(model.robot.joints, model.offset, strict=True):
+        ET.SubElement(drives, "general", name=joint, joint=joint, biastype="affine", biasprm=_text([-offset, 0.0, 0.0]))
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
 

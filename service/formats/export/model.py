@@ -9,9 +9,11 @@ import numpy as np
 
 from service.identification.estimates.standard_parameters import AxisWorth, NominalModel, ObservedCombinations
 from service.identification.model.base_parameters import base_parameters
+from service.identification.model.inverse_dynamics import dynamic_base
 from service.identification.model.regressor import fold, lock
 from service.model.arrays import Array
 from service.model.errors import BadInput
+from service.model.results.combination import Combination, FrictionPoint
 from service.model.results.estimate import (
     BaseParameter,
     Estimate,
@@ -44,7 +46,10 @@ class IdentifiedModel(Shown):
     bodies: tuple[LinkBody, ...]
     motor_inertias: Array  # (n,) kg m^2 (kg) on the joint side, 0 if unknown
     friction: tuple[float | None, ...]  # viscous, N m s/rad (N s/m); None: the axis was not measured
-    dry_friction: tuple[float | None, ...]  # Coulomb, N m (N); None: no effect of the accepted model states it
+    dry_friction: tuple[float | None, ...]  # Coulomb, N m (N); None: neither a motion nor an accepted effect states it
+    offset: tuple[float, ...]  # constant effort of the drive, N m (N)
+    curves: dict[str, tuple[FrictionPoint, ...]]  # by joint, friction that has another law than these two
+    springs: dict[str, tuple[float, float]]  # by joint, stiffness and damping of the gear, N m/rad and N m s/rad
     effects: tuple[UsedEffect, ...]  # of the accepted model
     base_parameters: tuple[BaseParameter, ...]
     symbols: dict[str, Symbol]
@@ -60,7 +65,26 @@ class IdentifiedModel(Shown):
     @property
     def warnings(self) -> tuple[str, ...]:
         """What to know before the model is used."""
-        return tuple(axis.warning for axis in self.worth if axis.warning)
+        found = [axis.warning for axis in self.worth if axis.warning]
+        if self.deviation_in_std:
+            found.append(
+                "the model is the most probable physical robot, given CAD and the sweeps: its base parameters are "
+                f"{self.deviation_in_std:.2g} standard deviations from the identified ones"
+            )
+        return (*found, *map(self._off_the_line, self.curves))
+
+    def _off_the_line(self, joint: str) -> str:
+        """How far MJCF and URDF are from the friction of an axis that has another law than they can hold."""
+        k = self.robot.index(joint)
+        points = [(abs(self._line(k, one.velocity) - one.effort), abs(one.velocity)) for one in self.curves[joint]]
+        most, velocity = max(points)
+        return (
+            f"friction of {joint} is no straight line: damping and friction of URDF and MJCF are off by up to "
+            f"{most:.3g} N m (N), at {velocity:.3g} rad/s (m/s); use friction_curve of model.yaml"
+        )
+
+    def _line(self, k: int, velocity: float) -> float:
+        return (self.friction[k] or 0.0) * velocity + math.copysign(self.dry_friction[k] or 0.0, velocity)
 
     def table(self) -> Table:
         """One row a joint."""
@@ -95,15 +119,16 @@ def model_of(robot: Robot, found: Estimate, place: str = "estimate") -> Identifi
     for name, symbol in found.symbols.items():
         _finite(symbol.value, f"{place} symbols {name}")
     standard = found.standard_parameters
+    drives = [_of_motion(found, joint) or _of_sweeps(found, joint, place) for joint in robot.joints]
     return IdentifiedModel(
         robot=robot,
         bodies=tuple(_body(standard, joint.link, place) for joint in robot.chain.joints),
         motor_inertias=np.array([_motor(standard, joint, place) for joint in robot.joints]),
-        friction=tuple(
-            _friction(found.axes[joint], f"{place} axes {joint}") if joint in found.axes else _of_motion(found, joint)
-            for joint in robot.joints
-        ),
-        dry_friction=tuple(_dry_friction(found.effects, joint, place) for joint in robot.joints),
+        friction=tuple(drive[0] for drive in drives),
+        dry_friction=tuple(drive[1] for drive in drives),
+        offset=tuple(drive[2] for drive in drives),
+        curves={} if found.combination is None else _curves(found.combination),
+        springs={joint: spring for joint, axis in found.axes.items() if (spring := _spring(axis)) is not None},
         effects=found.effects,
         base_parameters=found.base_parameters,
         symbols=found.symbols,
@@ -137,11 +162,50 @@ def _motor(standard: StandardParameters, joint: str, place: str) -> float:
     return _finite(value, f"{place} standard_parameters Jm({joint})")
 
 
-def _of_motion(found: Estimate, joint: str) -> float | None:
-    """Viscous friction that trajectories or free motions identified."""
-    parameters = () if found.combination is None else found.combination.base_parameters
-    values = [one.value for one in parameters if one.name == f"Fv({joint})" and one.identified]
-    return max(values[0], 0.0) if values else None
+def _of_sweeps(found: Estimate, joint: str, place: str) -> tuple[float | None, float | None, float]:
+    """Viscous friction of the sweeps; dry friction and offset of the accepted effects, which sweeps do not show."""
+    viscous = _friction(found.axes[joint], f"{place} axes {joint}") if joint in found.axes else None
+    stated = [
+        _finite(one.parameters["offset"].value, f"{place} effects {joint} offset")
+        for one in found.effects
+        if (one.axis, one.effect) == (joint, "effort_offset") and "offset" in one.parameters
+    ]
+    return viscous, _dry_friction(found.effects, joint, place), sum(stated)
+
+
+def _of_motion(found: Estimate, joint: str) -> tuple[float, float, float] | None:
+    """Viscous and dry friction and offset that trajectories or free motions determine together; None without them.
+
+    Friction with another law becomes the straight line nearest to it over the speeds of the motion.
+    """
+    if found.combination is None:
+        return None
+    named = {one.name: one for one in found.combination.base_parameters}
+    own = [named.get(f"{name}({joint})") for name in ("Fv", "Fc", "offset")]
+    values = [one.value for one in own if one is not None]
+    if len(values) < len(own) or all(one is None or one.std is None for one in own):
+        return None
+    viscous, dry, offset = values
+    if curve := _curves(found.combination).get(joint):
+        weights = 1 / np.array([one.std for one in curve])
+        rows = np.array([(one.velocity, np.sign(one.velocity)) for one in curve]) * weights[:, None]
+        viscous, dry = np.linalg.lstsq(rows, np.array([one.effort for one in curve]) * weights, rcond=None)[0].tolist()
+    return max(viscous, 0.0), max(dry, 0.0), offset
+
+
+def _curves(found: Combination) -> dict[str, tuple[FrictionPoint, ...]]:
+    return {joint: axis.friction for joint, axis in found.free_motion_axes.items() if axis.friction}
+
+
+def _spring(axis: EstimatedAxis) -> tuple[float, float] | None:
+    """Of the joint fit, where its sweeps show that the gear gives way: two standard deviations."""
+    train = axis.drive_train or {}
+    if not {"compliance", "damping_time"} <= set(train):
+        return None
+    compliance, time = train["compliance"], train["damping_time"]
+    if not compliance.value > 2 * (compliance.std or 0.0):
+        return None
+    return 1 / compliance.value, max(time.value, 0.0) / compliance.value
 
 
 def _friction(axis: EstimatedAxis, place: str) -> float | None:
@@ -198,10 +262,23 @@ def observation(robot: Robot, found: Estimate, place: str) -> ObservedCombinatio
     )
 
 
+def _of_combination(robot: Robot, found: Combination | None) -> ObservedCombinations | None:
+    """The base parameters of links and motors that motions determine; None if they are of another robot."""
+    base, count = dynamic_base(robot), 11 * len(robot.axes)
+    if found is None or tuple(one.name for one in found.base_parameters) != base.names or not found.covariance:
+        return None
+    own = [k for k, one in enumerate(found.base_parameters) if base.columns[k] < count and one.std is not None]
+    return ObservedCombinations(
+        base.combination[own, :count],
+        np.array([found.base_parameters[k].value for k in own]),
+        np.array(found.covariance)[np.ix_(own, own)],
+    )
+
+
 def _worth_of(robot: Robot, found: Estimate, parameters: Array) -> tuple[AxisWorth, ...]:
     """Of the parameters (11 n,) of an estimate; empty if it determines none, or is of another robot."""
     try:
-        observed = observation(robot, found, "") if found.axes else None
+        observed = observation(robot, found, "") if found.axes else _of_combination(robot, found.combination)
     except BadInput:
         observed = None
     if observed is None or not len(observed.values):

@@ -99,7 +99,8 @@ def _floor(records: Sequence[FreeMotion], parts: Sequence[AxisEquations], values
 
 SIMPLE = "least squares weighted by axis, Coulomb and viscous friction, no nominal model"
 OPEN = 1e4  # times the prior: no nominal model
-SPEEDS = (0.05, 0.1, 0.2, 0.5, 0.9)  # of the highest speed, in either direction, at which friction is told
+# of the highest speed, in either direction, at which friction is told
+SPEEDS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.9)
 
 
 @dataclass(frozen=True)

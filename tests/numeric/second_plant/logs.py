@@ -12,7 +12,7 @@ from service.model.recording import Recording, Sweep, SweepSpec
 from service.model.robot import Axis, Prior, Robot, RobotDescription, build_robot
 from tests.numeric.second_plant.bodies import Rigid
 from tests.numeric.second_plant.friction import Bristle, Now
-from tests.numeric.second_plant.robots import Body, Mechanism, put_off, random_mechanism, urdf
+from tests.numeric.second_plant.robots import Body, Mechanism, joined, put_off, random_mechanism, urdf
 from tests.numeric.second_plant.sensors import Sensors, noise
 
 Array = NDArray[np.float64]
@@ -36,6 +36,8 @@ class Kind:
     unknown_rotors: bool
     wall: bool  # gravity along x
     rough: bool  # 25 % Stribeck friction and a ripple of 0.5 % of the largest effort
+    payload: float = 0.0  # of the mass of the first link, on the last one and unknown to CAD
+    balance: float = 0.0  # of the largest torque of the second axis, by a spring unknown to CAD
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,15 @@ class Log:
         rigid = Rigid(self._built)
         return np.array([np.diag(rigid.matrix(pose)) for pose in poses]) + self.rotors
 
+    def holding(self, poses: Array) -> Array:
+        """Torques that hold poses (m, n), with the spring of the counterbalance."""
+        rigid, held = Rigid(self._built, self._gravity), np.zeros_like(poses)
+        held[:, 1] = -self._spring * np.sin(poses[:, 1])
+        return held + np.array([rigid.holding(pose) for pose in poses])
+
     _built: Mechanism
+    _gravity: tuple[float, float, float]
+    _spring: float
 
 
 def kind_of(seed: int) -> Kind:
@@ -85,21 +95,33 @@ def log(seed: int, **fixed: object) -> Log:
     cad = _scaled(cad, 0.5, 0.05) if kind.small else cad
     built = put_off(cad, 0.10, 0.18, random)
     gravity = (-9.81, 0.0, 0.0) if kind.wall else (0.0, 0.0, -9.81)
+    bare = Rigid(built, gravity)
+    if kind.payload:
+        mass, last = kind.payload * cad.bodies[0].mass, built.bodies[-1]
+        body = Body(mass, built.flange, mass * np.diag([0.01, 0.02, 0.03]) * (0.25 if kind.small else 1.0))
+        built = replace(built, bodies=(*built.bodies[:-1], joined(last, body)))
     rigid = Rigid(built, gravity)
     count = len(cad.joints)
     middle = np.mean([(j.lower, j.upper) for j in cad.joints], axis=1)
-    own = np.array([np.diag(rigid.matrix(pose)) for pose in middle + random.uniform(-1, 1, (20, count))]).mean(axis=0)
+    own = np.array([np.diag(bare.matrix(pose)) for pose in middle + random.uniform(-1, 1, (20, count))]).mean(axis=0)
     rotors = own * random.uniform(0.2, 1.0, count)
     wrists = slice(3, None)
     rotors[wrists] = own[wrists] * np.exp(random.uniform(*np.log((20, 550) if kind.small else (2, 40)), count))[wrists]
     paths = [_path(kind, cad, random) for _ in range(2)]
     torques, motors = zip(*(_torques(kind, rigid, path, own, random) for path in paths), strict=True)
-    weights = np.sqrt(np.mean(torques[0] ** 2, axis=0)) + rotors * 2.0
+    spring = kind.balance * float(np.abs(torques[0][:, 1]).max())
+    for torque, path in zip(torques, paths, strict=True):
+        torque[:, 1] -= spring * np.sin(path[:, 1])
+    unloaded = _inverse(bare, paths[0]) if kind.payload else torques[0]
+    weights = np.sqrt(np.mean(unloaded**2, axis=0)) + rotors * 2.0
     coulomb, viscous = weights * random.uniform(0.1, 0.4, count), weights * random.uniform(0.05, 0.3, count)
     offset = 0.02 * weights * random.standard_normal(count)
     drives = (rotors, viscous, coulomb, offset)
+    noises = random
+    if kind.payload:  # recorded hours later
+        drives, noises = (rotors, 0.93 * viscous, 1.04 * coulomb, 1.1 * offset), np.random.default_rng([32, seed])
     records = [
-        _recorded(kind, cad, drives, run, path, torque, motor, weights, random)
+        _recorded(kind, cad, drives, run, path, torque, motor, weights, noises)
         for run, (path, torque, motor) in enumerate(zip(paths, torques, motors, strict=True))
     ]
     known = not kind.unknown_rotors
@@ -116,7 +138,9 @@ def log(seed: int, **fixed: object) -> Log:
     )
     described = RobotDescription(name="log", urdf="robot.urdf", gravity=gravity, axes=axes, prior=Prior())
     links = np.array([_ten(body) for body in built.bodies])
-    return Log(kind, build_robot(described, urdf(cad)), *records, links, rotors, viscous, coulomb, built)
+    return Log(
+        kind, build_robot(described, urdf(cad)), *records, links, rotors, viscous, coulomb, built, gravity, spring
+    )
 
 
 def _scaled(cad: Mechanism, length: float, mass: float) -> Mechanism:
@@ -162,6 +186,13 @@ def _path(kind: Kind, cad: Mechanism, random: Random) -> Array:
 
 def _torques(kind: Kind, rigid: Rigid, path: Array, own: Array, random: Random) -> tuple[Array, Array]:
     """On the loads (samples, n), and the positions of the motors."""
+    torque = _inverse(rigid, path)
+    if not kind.elastic:
+        return torque, path
+    return torque, path + torque / (own * (2 * np.pi * random.uniform(8.0, 14.0, len(own))) ** 2)
+
+
+def _inverse(rigid: Rigid, path: Array) -> Array:
     velocity = np.gradient(path, 1 / FINE, axis=0)
     acceleration = np.gradient(velocity, 1 / FINE, axis=0)
     model, data = rigid.model, rigid.data
@@ -170,9 +201,7 @@ def _torques(kind: Kind, rigid: Rigid, path: Array, own: Array, random: Random) 
     for k, (data.qpos[:], data.qvel[:], data.qacc[:]) in enumerate(zip(path, velocity, acceleration, strict=True)):
         mujoco.mj_inverse(model, data)
         torque[k] = data.qfrc_inverse
-    if not kind.elastic:
-        return torque, path
-    return torque, path + torque / (own * (2 * np.pi * random.uniform(8.0, 14.0, len(own))) ** 2)
+    return torque
 
 
 def _recorded(

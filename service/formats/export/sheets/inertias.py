@@ -127,7 +127,10 @@ def _inertias(
 
 @dataclass(frozen=True)
 class LoadData:
-    """A physical body, in the frame of a joint: kg, m, kg m^2; the columns of `axes` (3, 3) are principal axes."""
+    """A physical body, in the frame of a joint: kg, m, kg m^2; the columns of `axes` (3, 3) are principal axes.
+
+    `tensor` (3, 3) about the centre, along the axes of the frame.
+    """
 
     frame: str
     mass: float
@@ -135,6 +138,7 @@ class LoadData:
     centre: tuple[float, float, float]
     moments: tuple[float, float, float]
     axes: Array
+    tensor: Array
 
 
 def load_of(found: Payload) -> LoadData:
@@ -162,7 +166,7 @@ def load_of(found: Payload) -> LoadData:
     if not moments[0] > 0 or moments[2] > moments[0] + moments[1] + 1e-9:
         raise BadInput(place, "has moments of inertia that are not physically possible")
     least, middle, most = moments.tolist()
-    return LoadData(found.frame, near.mass, found.mass.std_total, near.center, (least, middle, most), axes)
+    return LoadData(found.frame, near.mass, found.mass.std_total, near.center, (least, middle, most), axes, tensor)
 
 
 def zyx(rotation: Array) -> tuple[float, float, float]:

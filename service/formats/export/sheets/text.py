@@ -48,6 +48,7 @@ def as_markdown(sheet: Sheet, load: LoadData | None = None) -> str:
         no_load if load is None else _kuka(load),
         "## ABB",
         no_load if load is None else _abb(load),
+        *([] if load is None else _other_loads(load)),
         "## ros2_control and MoveIt",
         "Both read the URDF: `sweepid export model` writes `model.urdf` with these parameters, and the motors' "
         "inertia, for which URDF has no place, into `robot.yaml`.",
@@ -207,6 +208,54 @@ def _abb(load: LoadData) -> str:
             f"Mass {' ± '.join(with_std(load.mass, load.mass_std))} kg (one standard deviation).",
         ]
     )
+
+
+def _other_loads(load: LoadData) -> list[str]:
+    """Of the controls that take a load in the axes of the flange, which are taken to be those of `load.frame`.
+
+    UR: Script manual, `set_target_payload`. Franka: `franka_msgs/SetLoad`, libfranka `setLoad`. FANUC: screen
+    MOTION/PAYLOAD SET, 1 kg m^2 = 100 / 9.80665 kgf cm s^2. Yaskawa: manual of the DX200, 8.4 ARM control.
+    """
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = load.tensor.tolist()
+    x, y, z = load.centre
+    mass = f"{load.mass:.4g}"
+    metres, diagonal, products = _listed(x, y, z), (xx, yy, zz), _listed(xy, xz, yz)
+    where = f"About the frame of {load.frame}: turn centre and inertia into the axes of the flange where these differ."
+    loose = f"Left out, no field: the products of inertia ({products} kg m²)."
+    too_large = max(abs(value) for value in (*diagonal, xy, xz, yz)) > 133
+    return [
+        "## Universal Robots",
+        where,
+        f"```\nset_target_payload({mass}, [{metres}], [{_listed(*diagonal, xy, xz, yz)}])\n```",
+        "kg, m, kg m² (Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre; a product is minus the integral of x y)."
+        + (" It refuses more than 133 kg m²: this load has more." if too_large else ""),
+        "## Franka",
+        where,
+        f"```\nset_load: mass {mass}, center_of_mass [{metres}], "
+        f"load_inertia [{_listed(xx, xy, xz, xy, yy, yz, xz, yz, zz)}]\n```",
+        "kg, m, kg m² by columns. It does not take the end effector: that is set in Desk, and both are added.",
+        "## FANUC",
+        where,
+        _table(
+            ("PAYLOAD kg", "PAYLOAD CENTER X Y Z cm", "PAYLOAD INERTIA X Y Z kgf cm s²"),
+            [(mass, _listed(*(100 * value for value in load.centre)), _listed(*(100 / 9.80665 * i for i in diagonal)))],
+        ),
+        f"MOTION/PAYLOAD SET; Z points out of the faceplate. {loose} Inertia about the centre.",
+        "## Yaskawa",
+        where,
+        _table(
+            ("W kg", "Xg Yg Zg mm", "Ix Iy Iz kg m²"),
+            [(mass, _listed(*(1e3 * value for value in load.centre)), _listed(*diagonal))],
+        ),
+        f"Tool file, axes of the flange, inertia about the centre. {loose}",
+        "## Sinumerik, the load",
+        "Left out: an axis has no field for mass and centre. `MD32650` takes the load only as inertia of the axis: "
+        "measure the axes with the load on, and make this sheet of that bundle.",
+    ]
+
+
+def _listed(*values: float) -> str:
+    return ", ".join(f"{value + 0.0:.4g}" for value in values)
 
 
 def _left_out(sheet: Sheet) -> list[str]:

@@ -156,6 +156,17 @@ def test_a_load_that_was_measured_stands_in_the_words_of_kuka_and_abb(made: tupl
     assert rotation @ np.diag(moments) @ rotation.T == pytest.approx(TENSOR, abs=1e-3)
 
 
+def test_a_load_stands_in_the_units_of_the_other_controls(made: tuple[Sheet, str]) -> None:
+    text = as_markdown(made[0], load(payload()))
+    assert "set_target_payload(12, [0.01, 0, 0.15], [0.3, 0.25, 0.2, 0.02, 0, 0.01])" in text
+    assert "load_inertia [0.3, 0.02, 0, 0.02, 0.25, 0.01, 0, 0.01, 0.2]" in text  # columns
+    assert "| 12 | 1, 0, 15 | 3.059, 2.549, 2.039 |" in text  # FANUC: cm, kgf cm s²
+    assert "| 12 | 10, 0, 150 | 0.3, 0.25, 0.2 |" in text  # Yaskawa: mm, kg m²
+    assert text.count("Left out, no field: the products of inertia") == 2
+    assert "It refuses more than 133 kg m²" not in text
+    assert "an axis has no field for mass and centre" in text
+
+
 TENSOR = np.array([[0.3, 0.02, 0.0], [0.02, 0.25, 0.01], [0.0, 0.01, 0.2]])
 
 

@@ -72,6 +72,11 @@ def test_every_file_holds_what_it_can_of_the_accepted_model(max100: Robot, docum
         "coulomb_friction": {"coulomb": 100.0},
         "stribeck_friction": {"coulomb": 120.0, "extra": 9.0},
         "measurement_delay": {"delay": 1e-3},
+        "effort_offset": {"offset": -7.0},
+    }
+    document["axes"]["joint_1"]["drive_train"] = {
+        "compliance": {"value": 1e-6, "std": 1e-7},
+        "damping_time": {"value": 2e-3, "std": 1e-3},
     }
     document["effects"] = [
         {
@@ -91,7 +96,19 @@ def test_every_file_holds_what_it_can_of_the_accepted_model(max100: Robot, docum
     loaded = _mujoco.MjModel.from_xml_string(files["model.xml"])
     np.testing.assert_allclose(loaded.dof_frictionloss, [120, 0, 0, 0, 0, 0])
     np.testing.assert_allclose(loaded.dof_damping, [150.5, 0, 0, 0, 0, 0])
+    np.testing.assert_allclose(loaded.actuator_biasprm[:, 0], [7, 0, 0, 0, 0, 0])
     joints = yaml.safe_load(files["model.yaml"])["joints"]
+    assert joints["joint_1"]["offset"] == -7.0
+    assert joints["joint_1"]["gear"] == pytest.approx({"stiffness": 1e6, "damping": 2e3})
+    elastic = _mujoco.MjModel.from_xml_string(files["model_elastic.xml"])
+    gear = elastic.joint("joint_1_gear")
+    assert (elastic.nv, float(gear.stiffness[0]), float(gear.damping[0])) == (7, 1e6, pytest.approx(2e3))
+    state, full = _mujoco.MjData(elastic), np.zeros((7, 7))
+    _mujoco.mj_forward(elastic, state)
+    _mujoco.mj_fullM(elastic, state, full)
+    # the motor turns the load too, the gear the load alone
+    assert full[0, 0] - full[1, 1] == pytest.approx(MOTORS[0])
+    assert full[0, 1] == pytest.approx(full[1, 1])
     assert (joints["joint_1"]["dry_friction"], joints["joint_2"]["dry_friction"]) == (120.0, None)
     assert joints["joint_1"]["effects"]["measurement_delay"]["delay"] == {"value": 1e-3, "std": 0.1, "unit": "x"}
 
