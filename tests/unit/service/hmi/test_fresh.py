@@ -33,7 +33,8 @@ def test_the_whole_time_since_the_drives_were_asked_counts(
     """`waited`: s since the page sent its request."""
     shutil.copy(str(files("service.web.hmi") / "static" / "fresh.js"), tmp_path / "fresh.mjs")
     (tmp_path / "run.mjs").write_text(RUN, "utf-8")
-    report = state and {"statement": {"state": state, "age": age, "reason": "why", "axes": {}}, "asked": 5000.0}
+    statement: dict[str, object] = {"state": state, "age": age, "reason": "why", "axes": {}}
+    report = {"statement": statement, "asked": 5000.0} if state else None
     given = json.dumps([report, 5000.0 + 1000.0 * waited])
     run = subprocess.run([NODE, tmp_path / "run.mjs", given], capture_output=True, check=True, timeout=60)
     answer = json.loads(run.stdout)
