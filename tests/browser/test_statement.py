@@ -49,6 +49,45 @@ def test_the_state_that_is_shown_is_the_statement(stated: Json, shown: str, is_g
         assert (faint(page), small(page)) == ([], [])
 
 
+def test_what_was_measured_too_long_ago_is_not_said() -> None:
+    old = statement() | {"age": 3.1}
+    with scripted(answers={"drives": drives(statement=old)}) as service, window() as context:
+        service.answers["stop"] = service.answers["stop"] | {"statement": old}
+        page = opened(context, service)
+        expect(page.locator("#machine")).to_have_text("the state of the axes is not known")
+        expect(page.locator("#intent")).to_contain_text("no report of the last 3 s")
+        assert green(page) == []
+
+
+def test_a_statement_ages_while_the_next_one_is_awaited() -> None:
+    with scripted() as service, window() as context:
+        page = opened(context, service)
+        expect(page.locator("#machine")).to_have_text("all axes stand without energy")
+        page.evaluate("""() => {
+          window.read = [];
+          const note = () => read.push(document.getElementById("machine").textContent);
+          new MutationObserver(note).observe(document.getElementById("machine"), { childList: true });
+        }""")
+        service.frozen |= {"stop", "drives"}
+        expect(page.locator("#silence")).to_be_visible(timeout=30_000)
+        assert page.evaluate("read[0]") == "the state of the axes is not known"
+
+
+def test_the_head_goes_on_while_a_campaign_is_not_answered() -> None:
+    """The database is slow: what the drives report is asked all the same."""
+    runs = campaign(state="running")
+    answers: dict[str, Json] = {"campaigns": {"items": [runs], "next": None}, "campaigns/1": runs}
+    with scripted(answers=answers) as service, window() as context:
+        page = opened(context, service)
+        expect(page.locator("#campaign-state")).to_have_class("badge running")
+        service.frozen.add("campaigns/1")
+        asked = service.requests["campaigns/1"]
+        until(lambda: service.requests["campaigns/1"] > asked, "the campaign is asked for")
+        before = service.requests["drives"], service.requests["stop"]
+        until(lambda: service.requests["stop"] >= before[1] + 2, "the state is asked for")
+        assert service.requests["drives"] <= before[0] + 1
+
+
 @pytest.mark.parametrize(
     ("locale", "pill", "what", "way"),
     [

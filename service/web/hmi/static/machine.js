@@ -3,6 +3,7 @@
 import { call, get, Refused, Silent, Unknown } from "./api.js";
 import { byFault, causeParts, stopParts } from "./causes.js";
 import { byId, complain, complainAgain, tell } from "./elements.js";
+import { asOf, LIMIT } from "./fresh.js";
 import { showDoubt } from "./intent.js";
 import { askWho, identify, showRights, watchLogin } from "./login.js";
 import { keepMoving } from "./moving.js";
@@ -10,6 +11,8 @@ import { stated } from "./statement.js";
 import { settleStop, showStop, stop } from "./stop.js";
 import { showWayOut } from "./wayout.js";
 import { foreign, joined, parts, text, told, watchLanguage } from "./words.js";
+
+/** @typedef {import("./fresh.js").Report} Report */
 
 const PATIENCE = 5000; // ms until the service counts as not answering
 const STOP_KEY = "F8";
@@ -19,31 +22,70 @@ let stopPort = null; // port of the stop process, which works while the service 
 /** @type {number[]} */
 let shown = []; // the displayed stops; only these are released, not later ones
 
-// null: state of its axes not known. Only GET /stop tells whether the service is silent: it
-// needs neither login nor database nor drives, and is not late because a plan is computed or an axis answers slowly
+/** @type {Api.StopView | null} */
+let held = null; // of the last answer
+/** @type {Report | null} */
+let report = null; // the youngest statement
+const asked = { stop: -Infinity, drives: -Infinity }; // ms, when the shown answers were asked for: an earlier one may come later
+let draw = () => {}; // the head, with the statement as old as it is now
+
+const statement = () => asOf(report, performance.now());
+
+/** @param {"stop" | "drives"} what @param {number} at @param {Api.StatementView} statement */
+function overtaken(what, at, statement) {
+  if (at < asked[what]) return true;
+  asked[what] = at;
+  if (!report || at >= report.asked) report = { statement, asked: at };
+  return false;
+}
+
+// only this tells whether the service is silent: it needs neither login nor database nor drives, and is not late because
+// a plan is computed or an axis answers slowly
+async function hear() {
+  const at = performance.now();
+  const stop = await get("/stop", PATIENCE);
+  if (overtaken("stop", at, stop.statement)) return;
+  held = stop;
+  stopPort = stop.port;
+  showSilence(false);
+  showHeld(stop);
+}
+
+// null: state of its axes not known
 /** @param {Api.CampaignDocument} [paused] @returns {Promise<Machine | null>} */
 async function ask(paused) {
-  /** @type {Api.StopView | null} */
-  let stop = null;
+  const began = performance.now();
+  let heard = false;
   try {
-    stop = await get("/stop", PATIENCE);
-    stopPort = stop.port;
-    showSilence(false);
-    showHeld(stop);
+    await hear();
+    heard = true;
     await identify(PATIENCE);
+    const at = performance.now();
     const drives = await get("/drives", PATIENCE);
-    showState(drives, stop, paused);
-    return { drives, stop };
+    if (overtaken("drives", at, drives.statement)) return null;
+    draw = () => showState(drives, held, paused);
+    draw();
+    return { drives, stop: held };
   } catch (error) {
+    if (began < asked.drives) return null;
     const nobody = error instanceof Unknown;
     if (nobody) askWho(error);
-    if (!stop) showSilence(!(error instanceof Refused));
-    tell("machine", nobody ? text("machine.nobody") : error instanceof Silent ? text(stop ? "machine.late" : "machine.silent") : told(error));
-    tell("stated", stop ? stated(stop.statement) : "");
-    byId("machine").className = nobody ? "state" : "state bad";
-    showDoubt(stop?.statement.state === "unknown" ? stop.statement : null, false);
+    if (!heard && began >= asked.stop) showSilence(!(error instanceof Refused));
+    draw = () => {
+      tell("machine", nobody ? text("machine.nobody") : error instanceof Silent ? text(silent() ? "machine.silent" : "machine.late") : told(error));
+      showStated(!silent());
+      byId("machine").className = nobody ? "state" : "state bad";
+      showDoubt(!silent() && statement().state === "unknown" ? statement() : null, false);
+    };
+    draw();
     return null;
   }
+}
+
+/** @param {boolean} shown */
+function showStated(shown) {
+  tell("stated", shown ? stated(statement()) : "");
+  tell("within", silent() || statement().state === "unknown" ? "" : text("head.within", { seconds: LIMIT }));
 }
 
 /** @param {Api.StopView} stop */
@@ -60,11 +102,11 @@ function showState(drives, stop, paused) {
   const broken = paused && byFault(paused.structured_cause);
   const troubles = inTrouble(drives, stop);
   if (broken && !troubles.length) troubles.push(text("machine.broken", { id: paused.id }));
-  tell("machine", troubles.length ? joined(troubles, ", ") : stated(drives.statement));
-  tell("stated", troubles.length && drives.connected ? stated(drives.statement) : "");
-  byId("machine").className = `state ${troubles.length ? "bad" : LOOKS[drives.statement.state]}`;
+  tell("machine", troubles.length ? joined(troubles, ", ") : stated(statement()));
+  showStated(troubles.length > 0 && drives.connected);
+  byId("machine").className = `state ${troubles.length ? "bad" : LOOKS[statement().state]}`;
   byId("connect").hidden = drives.connected;
-  showDoubt(drives.statement, !troubles.length, drives.trouble_cause);
+  showDoubt(statement(), !troubles.length, drives.trouble_cause);
 }
 
 // old values are grey and disabled because they may be out of date. STOP stays enabled
@@ -140,9 +182,11 @@ export function watchMachine(refresh, paused, show = () => {}) {
   byId("connect").addEventListener("click", () => command(() => call("POST", "/drives/connect")));
   const watch = async () => {
     if (!document.hidden) {
+      const meanwhile = setInterval(() => hear().catch(() => {}), 1000); // while the database or a drive lets the rest wait
       await now();
       const moving = machine && (await keepMoving(refresh).catch(() => undefined));
       if (moving) show(machine, moving);
+      clearInterval(meanwhile);
     }
     setTimeout(watch, 1000);
   };
@@ -152,6 +196,10 @@ export function watchMachine(refresh, paused, show = () => {}) {
     showStop();
     Promise.all([now(), refresh()]);
   });
-  document.addEventListener("visibilitychange", () => document.hidden || now());
+  document.addEventListener("visibilitychange", () => {
+    draw();
+    if (!document.hidden) now();
+  });
+  setInterval(() => draw(), 250);
   watch();
 }

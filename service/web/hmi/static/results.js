@@ -102,7 +102,8 @@ function showTaken() {
 /** @param {number} id */
 async function showConvergence(id) {
   const { wanted, revisions } = await get(`/campaigns/${id}/estimates/convergence`);
-  tell("wanted", wanted === null ? text("results.all-sweeps") : text("results.wanted", { percent: wanted }));
+  const gap = revisions.some((one) => Object.values(one.percent).includes(null)) ? text("results.gap") : "";
+  tell("wanted", `${wanted === null ? text("results.all-sweeps") : text("results.wanted", { percent: wanted })} ${gap}`);
   if (!revisions.length) return clear("convergence");
   const x = revisions.map((one) => one.sweep);
   const joints = Object.keys(revisions[0].percent);

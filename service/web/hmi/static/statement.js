@@ -1,5 +1,6 @@
 // The state of the machine as the service states it: moves, energised, stands (reported and fresh), or unknown.
 
+import { LIMIT } from "./fresh.js";
 import { foreign, joined, text, word } from "./words.js";
 
 // joints in that state
@@ -20,6 +21,7 @@ export function stated(statement) {
 export function reasonOf(statement) {
   if (statement.reason) return [foreign(statement.reason)];
   const silent = Object.entries(statement.axes).filter(([, axis]) => axis.state === "unknown");
+  if (!silent.length) return [text("intent.old", { seconds: LIMIT })];
   const told = silent.filter(([, axis]) => axis.reason).map(([joint, axis]) => [`${joint}: `, foreign(axis.reason)]);
   return told.length ? joined(told, "; ") : [text("intent.no-word", { axes: silent.map(([joint]) => joint).join(", ") })];
 }

@@ -1,0 +1,97 @@
+"""Each view in its main states is as the stored one: what it says, its controls, its alarms, in their order.
+
+The tree that a screen reader gets, not pixels: those differ with the fonts and the load of a computer. Texts in the
+colours of warnings are listed under it, so that no red appears unseen. To renew: delete a state's file, run its test.
+"""
+
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.browser.browsing import window
+from tests.browser.looking import settled, too_wide
+from tests.browser.scripted import Json, axis, campaign, cause, drives, scripted, statement
+from tests.programs import needs
+
+pytestmark = needs("chromium")
+STORED = Path(__file__).parent / "views"
+MOVES = statement("moves", joint_1="moves")
+RUNS = campaign(
+    state="running",
+    motion=[{"kind": "travel", "axes": ["joint_1"], "target": 0.5, "seconds": 4.0}],
+    progress={"done": 1, "total": 4, "remaining": 90.0, "repeat": 0.0, "current": 2},
+)
+FAULT = {"code": 0x2310, "text": "2310h overcurrent", "emergency_stop": False}
+
+
+def of(one: Json, **more: Json) -> dict[str, Json]:
+    """Answers with one campaign."""
+    return {"campaigns": {"items": [one], "next": None}, "campaigns/1": one} | more
+
+
+# by name: the page, its answers, and what says that it is drawn
+STATES: dict[str, tuple[str, dict[str, Json], str]] = {
+    "operator-rest": ("", {}, "all axes stand without energy"),
+    "operator-planned": ("", of(campaign(state="planned")), "all axes stand without energy"),
+    "operator-running": ("", of(RUNS, drives=drives(statement=MOVES)), "moves: joint_1"),
+    "operator-fault": (
+        "",
+        of(
+            campaign(structured_cause=cause("drive_fault", joint="joint_1", value=0x2310, unit="hex")),
+            drives=drives(axes=[axis("joint_1", state="fault", fault=FAULT), axis("joint_2")]),
+        ),
+        "fault",
+    ),
+    "operator-unknown": ("", {"drives": drives(statement=statement("unknown", joint_2="unknown"))}, "not known"),
+    "operator-disconnected": ("", {"drives": drives(connected=False, trouble="no bus", axes=[])}, "no bus"),
+    "plan": ("plan", {}, "all axes stand without energy"),
+    "results": ("results", {}, "all axes stand without energy"),
+    "diagnosis": ("diagnosis", {}, "all axes stand without energy"),
+    "fleet": ("fleet", {}, "all axes stand without energy"),
+}
+_ALARMS = """() => {
+  const alarm = new Set(["rgb(185, 14, 42)", "rgb(200, 16, 46)", "rgb(143, 82, 0)"]);
+  return [...document.querySelectorAll("body *")].filter((one) => one.checkVisibility() && one.id !== "stop")
+    .filter((one) => [...one.childNodes].some((node) => node.nodeType === 3 && node.textContent.trim()))
+    .filter((one) => [getComputedStyle(one).color, getComputedStyle(one).backgroundColor].some((own) => alarm.has(own)))
+    .map((one) => one.textContent.trim());
+}"""
+
+
+def seen(page: Page) -> str:
+    """The tree of the page and its texts in the colours of warnings and alarms."""
+    settled(page)
+    alarms: list[str] = page.evaluate(_ALARMS)
+    return "\n".join([page.locator("body").aria_snapshot(), *(f"alarm: {one}" for one in alarms), ""])
+
+
+def matches(page: Page, name: str) -> None:
+    """Raises AssertionError if the page does not come to look as stored, within 10 s."""
+    path = STORED / f"{name}.txt"
+    stored = path.read_text("utf-8") if path.exists() else None
+    now = ""
+    for _ in range(40):  # the answers at the start come in any order
+        page.wait_for_timeout(250)
+        if (now := seen(page)) == stored:
+            return
+    if stored is None:
+        path.write_text(now, "utf-8")
+    assert stored == now, f"{path}: written anew if it was missing; look at it"
+
+
+@pytest.mark.parametrize("locale", ["en-GB", "de-DE"])
+@pytest.mark.parametrize("name", STATES)
+def test_a_view_is_the_stored_one(name: str, locale: str) -> None:
+    path, answers, drawn = STATES[name]
+    with scripted(answers=answers) as service, window(locale) as context:
+        service.answers["stop"] |= {"statement": service.answers["drives"]["statement"]}
+        page = context.new_page()
+        page.goto(f"{service.url}/{path}", wait_until="commit")
+        expect(page.locator("#machine")).not_to_be_empty()
+        if locale == "en-GB":
+            expect(page.locator("#machine")).to_contain_text(drawn)
+        matches(page, f"{name}-{locale[:2]}")
+        for width in (768, 1920):
+            page.set_viewport_size({"width": width, "height": 800})
+            assert not too_wide(page), width
