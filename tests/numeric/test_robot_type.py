@@ -46,18 +46,20 @@ class Type:
     def _sweep(self, rigid: Rigid, spec: SweepSpec, random: np.random.Generator) -> Spectrum:
         index, pose = self.robot.index(spec.axis), np.array(spec.pose)
         axis = self.robot.axes[index]
+        viscous = axis.viscous_friction or 0.0
         inertia = rigid.inertia(index, pose) + self.rotors[index]
         away = 1e-3 * np.eye(len(pose))[index]
         weight, stiffness = rigid.holding(pose)[index], (rigid.holding(pose + away) - rigid.holding(pose - away)) / 2e-3
 
         def effort(turning: Turning) -> np.ndarray:
             gravity = weight + stiffness[index] * (turning.position - turning.position.mean())
-            friction = 0.02 * axis.rated_effort + (axis.viscous_friction or 0.0) * turning.velocity
+            friction = 0.02 * axis.rated_effort + viscous * turning.velocity
             noise = 0.0014 * axis.rated_effort * random.normal(size=len(turning.time))
             return inertia * turning.acceleration + gravity + friction + noise
 
         return spectrum(
-            self.robot, by_formula(effort, spec.measure_from + spec.periods * spec.period, **spec.model_dump())
+            self.robot,
+            by_formula(effort, spec.measure_from + (spec.periods or 0) * (spec.period or 0.0), **spec.model_dump()),
         )
 
     def error(self, found: RobotEstimate, mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray]:
