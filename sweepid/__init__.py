@@ -343,6 +343,7 @@ def diagnose(
         No sweep moves an axis, or the estimate is of another robot.
     """
     from service.diagnosis import as_document, diagnose_axis, is_evidence
+    from service.identification.motion.free_motion import at_once
     from service.model.errors import BadInput
     from service.model.results.diagnosis import Diagnosis
     from sweepid.files import started
@@ -351,10 +352,13 @@ def diagnose(
     robot = measured.robot if start is None else started(measured.robot, start)
     if axis is not None:
         measured.robot.index(axis)
-    swept = {sweep.spec.axis for sweep in measured.sweeps if is_evidence(sweep.spec)}
+    together = {spec.id for group in at_once([sweep.spec for sweep in measured.sweeps]) for spec in group}
+    alone = [sweep.spec for sweep in measured.sweeps if sweep.spec.id not in together]
+    swept = {spec.axis for spec in alone if is_evidence(spec)}
     joints = [joint for joint in measured.robot.joints if joint in swept and axis in (None, joint)]
     if not joints:
-        raise BadInput(measured.place, "has no sweep that moves" + ("" if axis is None else f" joint {axis}"))
+        moved = "an axis alone" if axis is None else f"joint {axis} alone"
+        raise BadInput(measured.place, f"has no sweep that moves {moved}: measure it (`sweepid plan --diagnosis`)")
     found = [
         diagnose_axis(robot, joint, measured.sweeps, known={name: {} for name in known}, twin=twin)
         for joint in progress(joints, "Axes")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import sweepid
+from service.formats.export.sheets.making import sheet
 from service.identification.estimates.combination import AxisInertias, JointEstimate, Source, combine
 from service.identification.model.inverse_dynamics import JointMotion
 from service.identification.motion.free_motion import free_motions
@@ -111,8 +112,13 @@ def test_a_bundle_of_free_motions_alone_is_identified(tmp_path: Path) -> None:
     truth = draw(160, 3)
     write_bundle(tmp_path / "b", truth.robot, logs(truth, 160))
     bundle = read_bundle(tmp_path / "b")
-    document: Any = sweepid.identify(bundle).as_json()
+    estimate = sweepid.identify(bundle)
+    document: Any = estimate.as_json()
     assert document["axes"] == {}
+    with pytest.raises(BadInput, match=r"a sheet is made of: export the model instead"):
+        sheet(truth.robot, estimate, "estimate")
+    with pytest.raises(BadInput, match=r"moves an axis alone: measure it \(`sweepid plan --diagnosis`\)"):
+        sweepid.diagnose(bundle)
     combination = document["combination"]
     assert [len(ids) for ids in combination["free_motions"]] == [3, 3]
     found = {parameter["name"]: parameter for parameter in combination["base_parameters"]}

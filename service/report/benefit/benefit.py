@@ -166,7 +166,10 @@ def benefit(robot: Robot, sweeps: Sequence[Sweep], place: str = "recordings") ->
     """
     used = [sweep for sweep in sweeps if sweep.spec.periodic and sweep.spec.shows_inertia]
     if not used:
-        raise BadInput(place, "has no sweep of one axis with offset and sines; nothing can be held out")
+        raise BadInput(
+            place,
+            "has no sweep of one axis with offset and sines, so none can be held out: measure some (`sweepid plan`)",
+        )
     spectra = {sweep.spec.id: spectrum(robot, sweep) for sweep in used}
     joints = [joint for joint in robot.joints if any(sweep.spec.axis == joint for sweep in used)]
     poses = {

@@ -59,7 +59,15 @@ def sheet(
     URDF at which a KUKA displays A2 = -90 deg.
     """
     if not estimate.axes:
-        raise BadInput(place, "contains no identified parameters: there was no sweep that shows the inertia of an axis")
+        # motions of all axes give a model, but a sheet compares inertias that sweeps measured
+        way = (
+            "export the model instead (`sweepid export model`)"
+            if estimate.combination is not None
+            else "measure one (`sweepid plan`)"
+        )
+        raise BadInput(
+            place, f"contains no identified parameters of a sweep of one axis, which a sheet is made of: {way}"
+        )
     _check_physical(estimate.standard_parameters, place)
     for joint, axis in estimate.axes.items():
         if not np.isfinite(share_of_value(axis)):

@@ -88,7 +88,7 @@ def test_the_rigid_model_starts_from_an_estimate_and_says_so(bundle: Path, tmp_p
     [
         ("{}", ["--estimate", "estimate.json"], "estimate.json.axes"),
         ("", ["--axis", "joint_9"], "joint_9: unknown joint"),
-        ("", ["--axis", "joint_2"], "has no sweep that moves joint joint_2"),
+        ("", ["--axis", "joint_2"], "has no sweep that moves joint joint_2 alone: measure it"),
         ("", ["--known", "magic"], "magic: unknown effect"),
     ],
 )
