@@ -9,10 +9,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.axis.drive_train import TwoMassTrain
-from service.identification.design.excitation import Excitation, design_together, velocity_setpoint
-from service.identification.motion.trajectory_record import TrajectoryRecord, axis_track, trajectory
-from service.model.recording import Recording, Sweep, SweepSpec
 from service.model.robot import Axis, Prior, Robot, RobotDescription, build_robot
 from tests.numeric.second_plant.bodies import Rigid
 from tests.numeric.second_plant.machine import STEP
@@ -29,7 +25,8 @@ BRAKED = 1e9  # kg m^2: rotor of an axis that is braked
 class Arm:
     """As on paper (`robot`) and as built; arrays (n,), SI on the joint side. `stiffness` is infinite for a rigid gear.
 
-    `trains`: what an initial analysis says of the elastic axes, 2 % off in compliance.
+    `rotors`, `friction`, `locked` (Hz): motor inertia, viscous friction and locked-rotor frequency as on paper.
+    `compliance`: what an initial analysis says of the elastic axes, 2 % off.
     """
 
     robot: Robot
@@ -39,8 +36,10 @@ class Arm:
     dry: Array
     stiffness: Array
     rated: Array
-    trains: dict[str, TwoMassTrain]
-    locked: Array  # Hz, as on paper
+    compliance: dict[str, float]
+    rotors: Array
+    friction: Array
+    locked: Array
 
     def matrix(self, pose: Array) -> Array:
         """True M(q) with the motors."""
@@ -77,64 +76,30 @@ def arm(seed: int, axes: int) -> Arm:
         ),
         prior=Prior(inertia=0.3, gravity=0.3, viscous_friction=0.5, motor_inertia=0.1, effort_gain=0.05),
     )  # fmt: skip
-    trains = {
-        joint: TwoMassTrain(float(on_paper[k]), float(viscous[k] / 2), float(viscous[k] / 2),
-                            float((1 + 0.02 * random.normal()) / stiffness[k]), 0.0)
-        for k, joint in enumerate(cad.names) if elastic[k]
-    }  # fmt: skip
+    compliance = {
+        joint: float((1 + 0.02 * random.normal()) / stiffness[k]) for k, joint in enumerate(cad.names) if elastic[k]
+    }
     return Arm(
         build_robot(description, urdf(cad)), built, motor, viscous * random.uniform(0.75, 1.3, axes),
-        rated * random.uniform(0.03, 0.08, axes), stiffness, rated, trains, locked,
+        rated * random.uniform(0.03, 0.08, axes), stiffness, rated, compliance,
+        on_paper, viscous, locked,
     )  # fmt: skip
 
 
-def measured(
-    plant: Arm, moving: Sequence[int], pose: Array, seed: int, *, sticking: int | None = None
-) -> TrajectoryRecord:
-    """One simultaneous sweep; the axis `sticking` oscillates with 1.5 times its offset, so that it stands again and
-    again. Effort noise of 0.15 % of rated."""
-    random = np.random.default_rng([7, seed])
-    joints = [plant.robot.joints[k] for k in moving]
-    ways = [int(way) for way in random.choice([-1, 1], len(moving))]
-    runs = list(
-        design_together(
-            plant.robot,
-            joints,
-            seed=[seed],
-            directions=ways,
-            locked_rotor_frequencies=[plant.locked[k] for k in moving],
-        )
-    )
-    if sticking is not None:
-        own = runs[moving.index(sticking)]
-        sines = tuple(sine.model_copy(update={"amplitude": 1.9 * sine.amplitude}) for sine in own.sines)
-        runs[moving.index(sticking)] = Excitation(
-            own.offset_velocity, sines, own.period, own.periods, own.ramp, own.settle
-        )
-    torque, position = _run(plant, moving, pose, runs)
-    every = round(1 / STEP / RATE)
-    torque, position = torque[::every], position[::every]
-    time = np.arange(len(torque)) / RATE
+def run(
+    plant: Arm, moving: Sequence[int], pose: Array, wanted: Array, random: np.random.Generator
+) -> tuple[Array, Array, Array]:
+    """Time (n,), torque asked for and motor position (n, moving) as recorded at `RATE`, for the velocities `wanted`
+    (steps, moving) of `STEP`. Effort noise of 0.15 % of rated.
+    """
+    torque, position = (signal[:: round(1 / STEP / RATE)] for signal in _stepped(plant, moving, pose, wanted))
     noise = 0.0015 * plant.rated[list(moving)]
     torque = torque + noise * random.normal(size=torque.shape)
     position = position + 5e-9 * random.normal(size=position.shape)
-    tracks = [
-        axis_track(
-            Sweep(
-                SweepSpec(
-                    id=f"{seed}-{joint}", axis=joint, pose=tuple(pose.tolist()), offset_velocity=run.offset_velocity,
-                    excitation="trajectory", sines=run.sines, period=run.period, periods=1,
-                    measure_from=run.measure_from, sample_rate=RATE, block=f"trajectory {seed} of {len(joints)} axes",
-                ),
-                Recording(time, torque[:, k], np.gradient(position[:, k], 1 / RATE), position[:, k]),
-            )
-        )
-        for k, (joint, run) in enumerate(zip(joints, runs, strict=True))
-    ]  # fmt: skip
-    return trajectory(plant.robot, tracks)
+    return np.arange(len(torque)) / RATE, torque, position
 
 
-def _run(plant: Arm, moving: Sequence[int], pose: Array, runs: Sequence[Excitation]) -> tuple[Array, Array]:
+def _stepped(plant: Arm, moving: Sequence[int], pose: Array, wanted: Array) -> tuple[Array, Array]:
     """Torque asked for and motor position, (steps, moving), as seen at the instants between two steps."""
     rigid, own = Rigid(plant.built), list(moving)
     model, data = rigid.model, rigid.data
@@ -148,8 +113,6 @@ def _run(plant: Arm, moving: Sequence[int], pose: Array, runs: Sequence[Excitati
     model.dof_armature[own] = np.where(elastic, 0.0, plant.motor[own])
     mujoco.mj_resetData(model, data)
     data.qpos[:] = pose
-    time = STEP * np.arange(round(runs[0].duration / STEP), dtype=np.float64)
-    wanted = np.stack([velocity_setpoint(run, time) for run in runs], -1)
     change = np.gradient(wanted, STEP, axis=0)
     goal = np.cumsum(wanted, axis=0) * STEP
     motor, viscous, dry = plant.motor[own], plant.viscous[own], plant.dry[own]
@@ -158,8 +121,8 @@ def _run(plant: Arm, moving: Sequence[int], pose: Array, runs: Sequence[Excitati
     begin = pose[own] + np.divide(held[own], stiffness, out=np.zeros(len(own)), where=elastic)
     angle, velocity, force = begin.copy(), np.zeros(len(own)), np.zeros(len(own))
     integral = held[own].copy()
-    torque, position = np.empty((len(time), len(own))), np.empty((len(time), len(own)))
-    for n in range(len(time)):
+    torque, position = np.empty_like(wanted), np.empty_like(wanted)
+    for n in range(len(wanted)):
         q, v = data.qpos[own].copy(), data.qvel[own].copy()
         angle, velocity = np.where(elastic, angle, q), np.where(elastic, velocity, v)
         position[n] = angle

@@ -5,18 +5,24 @@ below 100 were used while the method was made.
 """
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from service.identification.axis.drive_train import TwoMassTrain
+from service.identification.design.excitation import Excitation, design_together, velocity_setpoint
 from service.identification.estimates.combination import AxisInertias, JointEstimate, combine
 from service.identification.model.inverse_dynamics import nominal_parameters, prior_information
 from service.identification.model.regressor import axis_rows
+from service.identification.motion.trajectory_record import TrajectoryRecord, axis_track, trajectory
+from service.model.recording import Recording, Sweep, SweepSpec
 from service.model.robot import build_robot
+from tests.numeric.second_plant.machine import STEP
 from tests.numeric.second_plant.robots import urdf
-from tests.numeric.second_plant.simultaneous import Arm, arm, measured
+from tests.numeric.second_plant.simultaneous import RATE, Arm, arm, run
 
 Array = NDArray[np.float64]
 
@@ -36,6 +42,49 @@ class Score:
     z_new: Array
 
 
+def measured(
+    plant: Arm, moving: Sequence[int], pose: Array, seed: int, *, sticking: int | None = None
+) -> TrajectoryRecord:
+    """One simultaneous sweep; the axis `sticking` oscillates with 1.5 times its offset, so that it stands again and
+    again.
+    """
+    random = np.random.default_rng([7, seed])
+    joints = [plant.robot.joints[k] for k in moving]
+    ways = [int(way) for way in random.choice([-1, 1], len(moving))]
+    runs = list(
+        design_together(
+            plant.robot,
+            joints,
+            seed=[seed],
+            directions=ways,
+            locked_rotor_frequencies=[plant.locked[k] for k in moving],
+        )
+    )
+    if sticking is not None:
+        own = runs[moving.index(sticking)]
+        sines = tuple(sine.model_copy(update={"amplitude": 1.9 * sine.amplitude}) for sine in own.sines)
+        runs[moving.index(sticking)] = Excitation(
+            own.offset_velocity, sines, own.period, own.periods, own.ramp, own.settle
+        )
+    steps = STEP * np.arange(round(runs[0].duration / STEP), dtype=np.float64)
+    wanted = np.stack([velocity_setpoint(own, steps) for own in runs], -1)
+    time, torque, position = run(plant, moving, pose, wanted, random)
+    tracks = [
+        axis_track(
+            Sweep(
+                SweepSpec(
+                    id=f"{seed}-{joint}", axis=joint, pose=tuple(pose.tolist()), offset_velocity=own.offset_velocity,
+                    excitation="trajectory", sines=own.sines, period=own.period, periods=1,
+                    measure_from=own.measure_from, sample_rate=RATE, block=f"trajectory {seed} of {len(joints)} axes",
+                ),
+                Recording(time, torque[:, k], np.gradient(position[:, k], 1 / RATE), position[:, k]),
+            )
+        )
+        for k, (joint, own) in enumerate(zip(joints, runs, strict=True))
+    ]  # fmt: skip
+    return trajectory(plant.robot, tracks)
+
+
 def campaign(seed: int, axes: int, sweeps: int) -> Score:
     """Sweeps of all axes at once in random poses; in every third one a random axis sticks."""
     plant, random = arm(seed, axes), np.random.default_rng([seed, 5])
@@ -48,13 +97,13 @@ def campaign(seed: int, axes: int, sweeps: int) -> Score:
         )
         for k in range(sweeps)
     ]  # fmt: skip
-    analysed = [
-        AxisInertias(
-            joint, np.zeros((0, axes)), np.zeros(0), np.zeros((0, 0)), train, 1.0,
-            np.array([0.1 * train.motor_inertia, train.motor_friction, 0.0, 0.02 * train.compliance, 0.002]),
-        )
-        for joint, train in plant.trains.items()
-    ]  # fmt: skip
+    analysed: list[AxisInertias] = []
+    for joint, compliance in plant.compliance.items():
+        k = plant.robot.index(joint)
+        rotor, friction = float(plant.rotors[k]), float(plant.friction[k]) / 2
+        std = np.array([0.1 * rotor, friction, 0.0, 0.02 * compliance, 0.002])
+        train = TwoMassTrain(rotor, friction, friction, compliance, 0.0)
+        analysed.append(AxisInertias(joint, np.zeros((0, axes)), np.zeros(0), np.zeros((0, 0)), train, 1.0, std))
     return score(plant, combine(plant.robot, analysed, records), random.uniform(low, high, (60, axes)))
 
 
