@@ -218,7 +218,7 @@ def _tables(page: ReportPage, estimate: Estimate) -> None:
     ]
     head = ["axis", "reference − measurement", "identified − measurement", "reference − identified, workspace"]
     page.table(head, fits)
-    parameters_section(page, estimate, {})
+    parameters_section(page, estimate)
 
 
 def _combination(page: ReportPage, combination: Combination) -> None:

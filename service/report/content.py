@@ -12,7 +12,6 @@ from itertools import product
 import numpy as np
 
 from drivers.ports import AxisIdentity
-from service.identification.model.base_parameters import base_parameters
 from service.identification.model.regressor import SAME_POSITION, axis_rows, lock
 from service.model.arrays import Array
 from service.model.collision import reachable
@@ -145,18 +144,6 @@ def revision(parameters: Sequence[BaseParameter], names: Sequence[str], sweeps: 
         np.array([_number(value.get(name)) for name in names]),
         np.array([_number(std.get(name)) for name in names]),
     )
-
-
-def nominal_parameters(content: Content) -> dict[str, float]:
-    """The base parameters of CAD by name."""
-    robot, estimate = content.robot, content.estimate
-    fixed = {robot.index(joint): position for joint, position in estimate.base.locked.items()}
-    free = [k for k in range(len(robot.joints)) if k not in fixed]
-    chain = lock(robot.chain, fixed)
-    base = base_parameters(chain, tuple(sorted(free.index(robot.index(joint)) for joint in estimate.axes)))
-    motors = [robot.axes[k].reflected_motor_inertia or 0.0 for k in free]
-    values = base.combination @ np.concatenate([chain.inertial.ravel(), motors])
-    return dict(zip(base.names, values.tolist(), strict=True))
 
 
 class _Models:

@@ -1,7 +1,7 @@
 """Content and order of the report."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from html import escape
 
 from service.identification.estimates.initial_analysis import analyses_from
@@ -17,7 +17,7 @@ from service.model.results.estimate import (
 )
 from service.model.robot import Robot
 from service.report import figures, initial_analysis
-from service.report.content import Content, ReportedAxis, axes_of, nominal_parameters
+from service.report.content import Content, ReportedAxis, axes_of
 from service.report.drawing import slides
 from service.report.html import ReportPage
 
@@ -61,7 +61,7 @@ def estimate_sections(page: ReportPage, content: Content) -> None:
     _accuracy(page, content, axes)
     _convergence(page, content)
     _example(page, content)
-    parameters_section(page, content.estimate, nominal_parameters(content))
+    parameters_section(page, content.estimate)
 
 
 def analysis_page(robot: Robot, analysis: Analyses) -> ReportPage:
@@ -196,8 +196,8 @@ def _place(position: float, linear: bool) -> str:
     return f"{1e3 * position:.0f} mm" if linear else f"{math.degrees(position):.0f}°"
 
 
-def parameters_section(page: ReportPage, estimate: Estimate, nominal: Mapping[str, float]) -> None:
-    """The base parameters beside those of CAD (`nominal`, where known), and which of them must not be used."""
+def parameters_section(page: ReportPage, estimate: Estimate) -> None:
+    """The base parameters beside those of CAD, and which of them must not be used."""
     condition = estimate.condition_number
     page.add(
         "<h2>Base parameters</h2>",
@@ -207,7 +207,7 @@ def parameters_section(page: ReportPage, estimate: Estimate, nominal: Mapping[st
     rows = [
         [
             entry.name if entry.symbolic is None else entry.symbolic,
-            with_std(nominal[entry.name], entry.std)[0] if entry.name in nominal else "–",
+            "–" if entry.reference is None else with_std(entry.reference, entry.std)[0],
             *with_std(entry.value, entry.std),
             figures.parameter_unit(entry.name),
             not_for_use(entry),

@@ -78,8 +78,8 @@ def of_command(found: Estimate) -> Told:
     for joint, percent in re.findall(r"(joint_\d) (\S+) %", stated[1]):
         yield from _axis(joint, confidence=percent)
     for row in text.partition("Base parameters")[2].splitlines():
-        if cells := re.fullmatch(r"(\S.*\S)  +(\S+)  +(\S+)", row):
-            yield from _axis(cells[1].strip(), value=cells[2], std=cells[3])
+        if cells := re.fullmatch(r"(\S.*\S)  +(\S+)  +(\S+)  +(\S+)", row):
+            yield from _axis(cells[1].strip(), CAD=cells[2], value=cells[3], std=cells[4])
     rows = re.findall(r"^(?:reference|identified) - .*?  +(\S+)  +(\S+)  +(\S+)$", text, re.MULTILINE)
     for k, joint in enumerate(AXES):
         yield from _rmse(joint, [row[k] for row in rows])
@@ -99,8 +99,8 @@ def of_results(page: Page) -> Told:
 def of_operator_page(page: Page) -> Told:
     expect(page.locator("#parameters tr").first).to_be_visible()
     for row in page.locator("#parameters tr").all():
-        name, value, std = row.locator("td").all_inner_texts()
-        yield from _axis(name, value=value.replace("−", "-"), std=std)
+        name, cad, value, std = row.locator("td").all_inner_texts()
+        yield from _axis(name, CAD=cad.replace("−", "-"), value=value.replace("−", "-"), std=std)
 
 
 def _axis(name: str, **values: str) -> Told:
@@ -130,8 +130,8 @@ def test_a_number_in_two_places_is_one_number(bundle: tuple[Bundle, Path]) -> No
             places[what][place] = number
     several = {what: numbers for what, numbers in places.items() if len(numbers) > 1}
     assert {what: numbers for what, numbers in several.items() if len(set(numbers.values())) > 1} == {}
-    # each axis: J, std, low, high, CAD, difference, confidence, three deviations; each base parameter: value, std
-    assert len(several) == len(AXES) * 10 + 2 * len(found.base_parameters)
+    # each axis: J, std, low, high, CAD, difference, confidence, three deviations; each base parameter: CAD, value, std
+    assert len(several) == len(AXES) * 10 + 3 * len(found.base_parameters)
 
 
 def answers(found: Estimate) -> dict[str, Json]:

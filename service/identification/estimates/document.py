@@ -216,7 +216,7 @@ def as_document(estimate: RobotEstimate, workspace: Array) -> results.Estimate:
     symbolic, symbols = _in_words(estimate)
     return results.Estimate(
         axes={axis.joint: axis_document(estimate, axis, workspace) for axis in estimate.axes},
-        base_parameters=base_document(estimate.base.names, symbolic, estimate.solution, estimate.spread),
+        base_parameters=base_document(estimate, symbolic, estimate.solution, estimate.spread),
         base=results.Base(
             locked=_locked(estimate), covariance=tuple(map(tuple, estimate.solution.covariance.tolist()))
         ),
@@ -251,16 +251,19 @@ def nothing_known() -> results.Estimate:
 
 
 def base_document(
-    names: Sequence[str], symbolic: Sequence[str], solution: Solution, spread: Array
+    estimate: RobotEstimate, symbolic: Sequence[str], solution: Solution, spread: Array
 ) -> tuple[results.BaseParameter, ...]:
-    """The base parameters, each in its two names; `spread` (r,) in the nominal model."""
-    each = zip(names, symbolic, solution.values, solution.std, spread, strict=True)
+    """The base parameters of an estimate, each in its two names; `spread` (r,) in the nominal model."""
+    nominal = estimate.base.combination @ estimate.nominal
+    each = zip(estimate.base.names, symbolic, solution.values, solution.std, nominal, spread, strict=True)
     return tuple(_base_parameter(name, words, *map(float, numbers)) for name, words, *numbers in each)
 
 
-def _base_parameter(name: str, symbolic: str, value: float, std: float, spread: float) -> results.BaseParameter:
+def _base_parameter(
+    name: str, symbolic: str, value: float, std: float, reference: float, spread: float
+) -> results.BaseParameter:
     """With the reason if it has no standard deviation."""
-    found = results.BaseParameter(name=name, symbolic=symbolic, value=value, std=_finite(std))
+    found = results.BaseParameter(name=name, symbolic=symbolic, value=value, std=_finite(std), reference=reference)
     if found.std is not None:
         return found
     why = (

@@ -416,9 +416,7 @@ class Condensed:
                 name: _axis_document(axis, solution, values[name], stds[name], *tests[name][:2])
                 for name, axis in axes.items()
             },
-            "base_parameters": [
-                one.as_json() for one in base_document(estimate.base.names, self.symbolic, solution, spread)
-            ],
+            "base_parameters": [one.as_json() for one in base_document(estimate, self.symbolic, solution, spread)],
             "base": self.base.model_copy(update={"covariance": covariance}).as_json(),
             "condition_number": condition_number(rows),
             "standard_parameters": standard_document(estimate.robot, parameters).as_json(),

@@ -229,12 +229,16 @@ class EstimatedAxis(Shown, Part):
 
 
 class BaseParameter(Part):
-    """A combination of inertial parameters, kg, kg m or kg m^2; std null: not identified, for the given `reason`."""
+    """A combination of inertial parameters, kg, kg m or kg m^2; std null: not identified, for the given `reason`.
+
+    `reference`: that of the nominal model, null in documents that do not state it.
+    """
 
     name: str
     symbolic: str | None = None
     value: Bounded
     std: float | None
+    reference: float | None = None
     reason: str = ""
 
 
@@ -336,6 +340,7 @@ class Estimate(Shown, Document):
             "Base parameters, SI, about the joints' axes",
             (
                 Column("parameter", tuple(one.symbolic or one.name for one in self.base_parameters)),
+                Column("CAD", tuple(one.reference for one in self.base_parameters), std=std),
                 Column("value", tuple(one.value for one in self.base_parameters), std=std),
                 Column("std", std, std=std),
             ),

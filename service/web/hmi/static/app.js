@@ -152,8 +152,8 @@ async function showEstimate(id) {
   byId("report").href = address(`/campaigns/${id}/report`);
   byId("report").hidden = byId("estimate").hidden = false; // a plot needs the width of its element
   tell("estimate-text", estimateTold(estimate));
-  byId("parameters").replaceChildren(...found.base_parameters.map(({ symbolic, name, value, std }) => row([
-    [symbolic ?? formula(name)], ...measured(std, value, std).map((shown) => [shown, "number"]),
+  byId("parameters").replaceChildren(...found.base_parameters.map(({ symbolic, name, reference, value, std }) => row([
+    [symbolic ?? formula(name)], ...measured(std, reference ?? null, value, std).map((shown) => [shown, "number"]),
   ])));
   choices(byId("axis"), Object.keys(found.axes).map((joint) => [joint, joint]));
   drawChart(found);
