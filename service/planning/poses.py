@@ -360,8 +360,10 @@ class PoseChooser:
         """The rows of the candidates, with earlier robots by what a sweep of each axis shows of J: then both are
         information in the same units.
         """
+        if self._known is None:
+            return self._rows
         first = next((k for k in range(len(self._candidates)) if self._accepted(k, closed, [])), None)
-        if self._known is None or first is None:
+        if first is None:
             return self._rows
         return self._rows * np.sqrt(self._shows(first)[1][:, 0, 0])[:, None]
 
