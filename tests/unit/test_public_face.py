@@ -47,7 +47,7 @@ def test_an_estimate_is_a_table_arrays_and_a_frame(desk: Path) -> None:
     assert found["value"].shape == found["std"].shape == (len(found.base_parameters),)
     frame = found.to_pandas()
     assert isinstance(frame, pd.DataFrame)
-    assert list(frame) == ["parameter", "value", "std"]
+    assert list(frame) == ["parameter", "CAD", "value", "std"]
     assert frame["value"].to_numpy() == pytest.approx(found["value"])
     for words in ("RMSE of the axis inertias in percent", "Base parameters", "Condition number"):
         assert words in repr(found)
