@@ -94,10 +94,11 @@ def robot_type(robot: Robot, estimates: Mapping[str, Estimate]) -> RobotType:
     # values by which each size of the scatter is known: those of links and motors, and the common change
     freedom = (len(values) - 1) * len(names) / (len(shapes) + 1)
     probability = np.ones(len(values))
+    common = np.zeros_like(values)  # change of the others, without each
     while True:
         for k in range(len(values)):
             others = belongs & (np.arange(len(values)) != k)
-            mean, covariance, _ = _next_robot(values[others], own[others], shapes)
+            mean, covariance, common[k] = _next_robot(values[others], own[others], shapes)
             probability[k] = _by_chance(values[k] - mean, covariance + own[k], freedom)
         worst = int(np.argmin(np.where(belongs, probability, 1.0)))
         if probability[worst] > CHANCE / len(values):
@@ -107,11 +108,9 @@ def robot_type(robot: Robot, estimates: Mapping[str, Estimate]) -> RobotType:
             raise BadInput(
                 "prior", f"of {len(values)} earlier robots fewer than {LEAST_ROBOTS} are alike: none is a type"
             )
-    values, own = values[belongs], own[belongs]
-    mean, covariance, common = _next_robot(values, own, shapes)
-    without = [_next_robot(np.delete(values, k, 0), np.delete(own, k, 0), shapes)[2] for k in range(len(values))]
-    turned = np.array([one * np.sign(one @ common) - common for one in without])
-    covariance = covariance + (1 - 1 / len(values)) * turned.T @ turned  # jackknife of the common change
+    mean, covariance, of_all = _next_robot(values[belongs], own[belongs], shapes)
+    turned = common[belongs] * np.sign(common[belongs] @ of_all)[:, None] - of_all
+    covariance = covariance + (1 - 1 / len(turned)) * turned.T @ turned  # jackknife of the common change
     members = tuple(
         TypeMember(name=name, probability=float(chance), belongs=bool(own))
         for name, chance, own in zip(estimates, probability, belongs, strict=True)

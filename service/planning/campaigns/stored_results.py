@@ -1,13 +1,14 @@
 """Reads the stored results of campaigns: those that a plan names, quality and confidence of an estimate, the fleet."""
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import lru_cache
 from typing import Literal
 
 import structlog
+from pydantic import JsonValue
 
 from service.identification.fleet.document import Fleet
 from service.identification.fleet.survey import (
@@ -27,10 +28,15 @@ from service.store.plant import FleetStore, MeasuredCampaign
 from service.store.store import Store
 
 
-def _named(store: Store, campaign: CampaignDocument, field: Literal["analysis", "sweeps"]) -> int | None:
-    """The campaign that this field of the plan's request names; None without a plan, too."""
+def _request(store: Store, campaign: CampaignDocument) -> Mapping[str, JsonValue]:
+    """The request of a campaign's plan; {} without a plan."""
     request = None if campaign.plan_id is None else store.plan(campaign.plan_id).document.get("request")
-    named = request.get(field) if isinstance(request, dict) else None
+    return request if isinstance(request, dict) else {}
+
+
+def _named(store: Store, campaign: CampaignDocument, field: Literal["analysis", "sweeps"]) -> int | None:
+    """The campaign that this field of the plan's request names."""
+    named = _request(store, campaign).get(field)
     return named if isinstance(named, int) else None
 
 
@@ -69,8 +75,7 @@ def latest_analysis(store: Store, campaign_id: int) -> Analyses:
 
 def siblings_behind(store: Store, campaign: CampaignDocument) -> dict[str, Estimate]:
     """The estimates of other robots of the type that a campaign uses; {} if there is none."""
-    request = None if campaign.plan_id is None else store.plan(campaign.plan_id).document.get("request")
-    named = request.get("prior_from") if isinstance(request, dict) else None
+    named = _request(store, campaign).get("prior_from")
     return siblings(store, [one for one in named if isinstance(one, int)] if isinstance(named, list) else [])
 
 
