@@ -39,8 +39,8 @@ The spring transmits the torque of the load, so at every line, with E = Omega - 
 
     E (1 + s h) = s c T,    T = s J_l Omega_l + mu_l Omega_l + G0 R0 + k_g (R1 + Omega_l / s) + t0
 
-which is linear in c and h. mu_l is poorly separated from mu_m; its possible error is added to the standard
-deviations.
+which is linear in c and h. T has the errors of the load's inertia and friction, which the sweeps share: they are added
+to the covariance. A fit of sweeps with and without the encoder takes c and h so found as a prior (`joint_fit`).
 """
 
 from collections.abc import Sequence
@@ -268,14 +268,18 @@ def effort_residual(spectrum: Spectrum, shared: Array, own: Array) -> tuple[Comp
 
 
 def spring(
-    parts: Sequence[Stack], shared: Array, own: Sequence[Array], load_friction_std: float
+    parts: Sequence[Stack], shared: Array, own: Sequence[Array], moves: Sequence[tuple[Array, Sequence[Array]]]
 ) -> tuple[Array, Array]:
-    """Compliance and damping time [c, h] and their standard deviations, (2,) each; parameters as in `drive_train`."""
+    """Compliance and damping time [c, h] (2,) from stacks with a direct encoder, and their covariance (2, 2).
+
+    `moves`: independent changes of one standard deviation, of the shared (5 + u,) and with them the own parameters.
+    """
     values, covariance = _solve(parts, shared, own)
-    other = shared.copy()
-    other[2] += load_friction_std
-    moved = _solve(parts, other, own)[0] - values
-    return values, np.sqrt(np.diag(covariance) + moved**2)
+    for change, changes in moves:
+        others = [one + by for one, by in zip(own, changes, strict=True)]
+        moved = _solve(parts, shared + change, others)[0] - values
+        covariance = covariance + np.outer(moved, moved)
+    return values, covariance
 
 
 def _solve(parts: Sequence[Stack], shared: Array, own: Sequence[Array]) -> tuple[Array, Array]:

@@ -2,7 +2,8 @@
 
 The equations are those of `drive_train`. Gauss-Newton with Levenberg's damping on the real and imaginary parts, with
 one additional row for every prior of the data sheet. The own parameters are eliminated sweep by sweep (Schur
-complement), so the cost grows linearly with the number of sweeps. The noise variance is pooled over the sweeps of
+complement), so the cost grows linearly with the number of sweeps. Where some sweeps have a direct encoder and some not,
+what the encoder says of the spring is a prior of all. The noise variance is pooled over the sweeps of
 one sample rate, from residuals corrected for the degrees of freedom.
 
 Known effects are removed before (`known_effects`); their uncertainty enters as further shared parameters, 0 +- 1.
@@ -174,7 +175,11 @@ def fit_axis(
     rate = np.array([spectrum.spec.sample_rate for spectrum in spectra])
     noise = _Noise(sigma, np.ones(len(spectra)), np.ones(len(spectra)), 0.0)
     ended, before = FitEnded.UNFINISHED, noise
-    for _ in range(FitLimits.rounds):
+    nominal = priors
+    mixed = len({stack.load_velocity is None for stack in parts}) > 1
+    for count in range(FitLimits.rounds):
+        if mixed and count:
+            priors = _with_encoder(parts, nominal, priors, noise.sigma, point)
         minimum = _minimise(parts, priors, noise.sigma, point, FitLimits.iterations)
         if minimum.ended is FitEnded.LOST or not np.isfinite(minimum.cost):
             what = "has no finite residual or derivative: effort, motion or prior overflow"
@@ -413,34 +418,72 @@ def _pool(squares: Array, freedom: Array, immaterial: Array, guess: float) -> tu
     return variance, sound
 
 
+@dataclass(frozen=True)
+class _Uncertainty:
+    """At a point: precision (5 + u, 5 + u) and covariance of the shared parameters; of each stack the inverse
+    (n, p, p) of the own block, and by how much own parameters follow the shared ones, (n, p, 5 + u).
+    """
+
+    precision: Array
+    covariance: Array
+    inverses: tuple[Array, ...]
+    follow: tuple[Array, ...]
+    normals: tuple[_Normal, ...]
+
+    @classmethod
+    def at(cls, parts: Sequence[Stack], priors: Priors, sigma: Array, point: Point) -> "_Uncertainty":
+        normals = _equations(parts, priors, sigma, point)[1]
+        inverses = tuple(scaled_inverse(normal.own) for normal in normals)
+        follow = tuple(-inverse @ normal.coupling for inverse, normal in zip(inverses, normals, strict=True))
+        matrix = priors.precision.copy()
+        for normal, by in zip(normals, follow, strict=True):
+            matrix += normal.shared + np.einsum("npi,npj->ij", normal.coupling, by)
+        return cls(matrix, scaled_inverse(matrix), inverses, follow, normals)
+
+    def spring(self, parts: Sequence[Stack], point: Point) -> tuple[Array, Array]:
+        """[c, h] and their covariance from the stacks with a direct encoder."""
+        direct = [k for k, stack in enumerate(parts) if stack.load_velocity is not None]
+        steps = np.linalg.cholesky(self.covariance).T
+        moves = [(step, [self.follow[k] @ step for k in direct]) for step in steps]
+        return spring([parts[k] for k in direct], point.shared, [point.own[k] for k in direct], moves)
+
+
+def _with_encoder(parts: Sequence[Stack], nominal: Priors, priors: Priors, sigma: Array, point: Point) -> Priors:
+    """The nominal priors and what direct encoders say of the spring: their sweeps' effort alone does not show it."""
+    values, covariance = _Uncertainty.at(parts, priors, sigma, point).spring(parts, point)
+    told = np.zeros_like(nominal.precision)
+    told[3:SHARED, 3:SHARED] = scaled_inverse(covariance)
+    precision = nominal.precision + told
+    right = nominal.precision @ nominal.mean + told[:, 3:SHARED] @ values
+    return replace(nominal, mean=scaled_inverse(precision) @ right, precision=precision)
+
+
 def _result(parts: Sequence[Stack], priors: Priors, noise: _Noise, point: Point, ended: FitEnded) -> JointFit:
     count = len(noise.sigma)
     load, own_variance, bound = np.zeros((3, count))
     gravity, by_shared = np.zeros((count, 2)), np.zeros((count, len(point.shared)))
-    matrix = priors.precision.copy()
-    normals = _equations(parts, priors, noise.sigma, point)[1]
-    for stack, own, normal, precision in zip(parts, point.own, normals, priors.own_precision, strict=True):
-        inverse = scaled_inverse(normal.own)
-        gain = inverse @ normal.coupling
-        matrix += normal.shared - np.einsum("npi,npj->ij", normal.coupling, gain)
-        by_shared[stack.place] = -gain[:, 0]  # d J_l / d shared
+    known = _Uncertainty.at(parts, priors, noise.sigma, point)
+    for stack, own, normal, inverse, follow, precision in zip(
+        parts, point.own, known.normals, known.inverses, known.follow, priors.own_precision, strict=True
+    ):
+        by_shared[stack.place] = follow[:, 0]  # d J_l / d shared
         own_variance[stack.place] = inverse[:, 0, 0]
         told = normal.own[:, 0, 0] - precision[:, 0]
         # least information of the data, relative to the prior's
         bound[stack.place] = 1 / np.sqrt(np.maximum(told, 1e-12 * precision[:, 0]))
         load[stack.place], gravity[stack.place] = own[:, 0], own[:, 1:3]
     by_shared[:, 0] += 1  # J = Jm + J_l
-    shared_covariance = scaled_inverse(matrix)
-    shared, shared_std = point.shared[:SHARED].copy(), np.sqrt(np.diag(shared_covariance))[:SHARED]
+    shared, shared_std = point.shared[:SHARED].copy(), np.sqrt(np.diag(known.covariance))[:SHARED]
     if all(stack.load_velocity is not None for stack in parts):  # the inertias did not need the spring
-        shared[3:], shared_std[3:] = spring(parts, point.shared, point.own, float(shared_std[2]))
+        shared[3:], covariance = known.spring(parts, point)
+        shared_std[3:] = np.sqrt(np.diag(covariance))
     return JointFit(
         train=TwoMassTrain.of(shared),
         train_std=shared_std,
         load_inertia=load,
         gravity=gravity,
         inertia=load + float(shared[0]),
-        covariance=by_shared @ shared_covariance @ by_shared.T + np.diag(own_variance),
+        covariance=by_shared @ known.covariance @ by_shared.T + np.diag(own_variance),
         own_variance=own_variance,
         bound=bound,
         noise=noise.sigma,
@@ -449,7 +492,7 @@ def _result(parts: Sequence[Stack], priors: Priors, noise: _Noise, point: Point,
         freedom=noise.freedom,
         moved=point.shared[SHARED:],
         by_shared=by_shared,
-        precision=matrix,
+        precision=known.precision,
         shared=point.shared,
         own=_by_sweep(parts, point),
         ended=ended,

@@ -28,9 +28,18 @@ NOMINAL_MOTOR = 57.0
 
 
 def _measure(
-    robot: Robot, number: int, load: float, noise: float, rng: np.random.Generator, periods: int | None = None
+    robot: Robot,
+    number: int,
+    load: float,
+    noise: float,
+    rng: np.random.Generator,
+    periods: int | None = None,
+    *,
+    encoder: bool = False,
 ) -> Spectrum:
-    """A speed-controlled two-mass axis with gravity stiffness, started at rest, sampled at 1 kHz."""
+    """A speed-controlled two-mass axis with gravity stiffness, started at rest, sampled at 1 kHz; `encoder`: one on the
+    load too, with 1e-6 rad of noise.
+    """
     excitation = design_sweep(
         robot,
         "lift",
@@ -55,13 +64,14 @@ def _measure(
         ]
     )
     b = np.array([[proportional / jm], [0], [0], [1], [0], [0]])
-    c = np.array([[-proportional, 0, 0, integral, 0, 0], [1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 1]])
+    c = np.array([[-proportional, 0, 0, integral, 0, 0], [1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 1], [0, 0, 0, 0, 1, 0]])
     time = np.arange(round(excitation.duration * 4000)) / 4000
-    _, out, _ = lsim((a, b, c, [[proportional], [0], [0]]), velocity_setpoint(excitation, time), time)
-    effort, velocity, position = out[::4].T
+    _, out, _ = lsim((a, b, c, [[proportional], [0], [0], [0]]), velocity_setpoint(excitation, time), time)
+    effort, velocity, position, at_load = out[::4].T
     spec = spec_of(excitation, number, "lift", (0.0, 0.0), periods=periods or excitation.periods)
     effort = effort + rng.normal(0, noise, len(effort))
-    return spectrum(robot, Sweep(spec, Recording(time[::4], effort, velocity, position)))
+    load_position = at_load + rng.normal(0, 1e-6, len(at_load)) if encoder else None
+    return spectrum(robot, Sweep(spec, Recording(time[::4], effort, velocity, position, load_position=load_position)))
 
 
 def _measured(robot: Robot, seed: int, noise: float = 6.0, periods: int | None = None) -> list[Spectrum]:
@@ -87,6 +97,24 @@ def test_recovers_the_inertia_of_an_elastic_axis(robot: Robot, seed: int) -> Non
     assert fit.noise * np.sqrt(2 * 3000) == pytest.approx(np.full(len(LOADS), 6.0), rel=0.15)
     resonance = [fit.train.locked_rotor_frequency(load) for load in fit.load_inertia]
     np.testing.assert_allclose(resonance, [TRAIN.locked_rotor_frequency(load) for load in LOADS], rtol=0.03)
+
+
+@pytest.mark.parametrize("with_encoder", [len(LOADS), len(LOADS) - 1, 2])
+def test_sweeps_without_a_direct_encoder_have_the_spring_from_the_others(robot: Robot, with_encoder: int) -> None:
+    """The effort alone knows the compliance to 1.5 %, and without the others' encoder it would be that of one sweep."""
+    away: list[float] = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        spectra = [
+            _measure(robot, k, load, 6.0, rng, encoder=k >= len(LOADS) - with_encoder) for k, load in enumerate(LOADS)
+        ]
+        fit = fit_axis(spectra, *_priors(), noise_guess=6.0)
+        assert fit.train_std[3] < 0.01 * TRAIN.compliance
+        away += [(fit.train.compliance - TRAIN.compliance) / fit.train_std[3]]
+        own = (fit.inertia - LOADS - TRAIN.motor_inertia) / np.sqrt(np.diag(fit.covariance))
+        away += list(own[: len(LOADS) - with_encoder])
+    assert np.abs(away).max() < 4.0
+    assert np.sqrt(np.mean(np.square(away))) < 1.5
 
 
 def test_derivatives_equal_difference_quotients(robot: Robot) -> None:
@@ -134,7 +162,10 @@ def test_reversing_about_standstill_costs_dry_friction_not_inertia(robot: Robot)
 
 
 def test_the_stacked_fit_is_the_least_of_the_plain_sum(robot: Robot) -> None:
-    """Sweeps of three lengths, two of them with a direct encoder: SciPy on the sum over single sweeps agrees."""
+    """Sweeps of three lengths, two of them with a direct encoder: SciPy on the sum over single sweeps agrees.
+
+    The prior of the spring is that of the fit: data sheet and encoders.
+    """
     rng = np.random.default_rng(8)
     spectra = [_measure(robot, k, load, 6.0, rng, periods=3 - (k == 4)) for k, load in enumerate(LOADS[:6])]
     for k in (1, 2):
@@ -143,10 +174,11 @@ def test_the_stacked_fit_is_the_least_of_the_plain_sum(robot: Robot) -> None:
     shared, poses = _priors()
     fit = fit_axis(spectra, shared, poses[:6], noise_guess=6.0)
     priors = [complete_prior(*pair) for pair in zip(spectra, poses[:6], strict=True)]
+    mean, root = fit.priors.mean, np.linalg.cholesky(fit.priors.precision).T
     edges = np.cumsum([SHARED, *(len(prior.mean) for prior in priors)])
 
     def rows(values: np.ndarray) -> np.ndarray:
-        parts = [(values[:SHARED] - shared.mean) / shared.sigma]
+        parts = [root @ (values[:SHARED] - mean)]
         for one, prior, noise, a, b in zip(spectra, priors, fit.noise, edges[:-1], edges[1:], strict=True):
             residual = effort_residual(one, values[:SHARED], values[a:b])[0] / noise
             parts += [residual.real, residual.imag, (values[a:b] - prior.mean) / prior.sigma]
