@@ -16,7 +16,7 @@ BENCH ?=  # more words for the benchmarks, as: make bench BENCH="--only wire ser
 
 PART ?=  # of the second tier, as: make test-long PART=3
 
-PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+PYTEST := $(BIN)/python -m pytest -n 3 --dist worksteal  # two cores; a test often waits
 TIER = $(PYTEST) --durations 20 --tier 1 $(if $(PART),--part $(PART))
 GUEST := VCAN_OPTIONAL=1 VCAN_TIMEOUT=1800 tests/vcan/run $(BIN)/python -m pytest --vcan --color=no tests/vcan tests/contract
 NODES := $(BIN)/python -m tests.node_canopen.install  # the guest has no network
