@@ -2,7 +2,8 @@
 
 import asyncio
 import re
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Mapping
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -241,7 +242,7 @@ class DrivePortSuite(Suite):
         here = (await port.status())[axis].position
         (low, high), fastest = virtual.bench.position_limits, virtual.bench.velocity_limit
         strongest = 1.8 * virtual.bench.effort
-        bad: dict[str, dict[str, Any]] = {
+        bad: dict[str, Mapping[str, float | tuple[float, float]]] = {
             f"peak velocity {0.0105 + 2 * virtual.bench.amplitude:.4g} rad/s is beyond": {"velocity_limit": 0.012},
             "highest position": {"position_window": (here - 0.1, here + 0.001)},
             "start": {"position_window": (here + 0.1, here + 0.2)},
@@ -251,7 +252,7 @@ class DrivePortSuite(Suite):
             "ramp": {"ramp": 0.0},
         }
         for message, change in bad.items():
-            command = await virtual.bench.sweep(port, mode, **change)
+            command = replace(await virtual.bench.sweep(port, mode), **change)
             with pytest.raises(LimitExceeded, match=message):
                 await consume(port, command)
         status = (await port.status())[axis]
