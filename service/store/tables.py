@@ -11,6 +11,7 @@ from sqlalchemy import (
     JSON,
     DateTime,
     Dialect,
+    Enum as SqlEnum,
     ForeignKey,
     Index,
     String,
@@ -20,7 +21,6 @@ from sqlalchemy import (
     func,
     select,
 )
-from sqlalchemy import Enum as SqlEnum
 from sqlalchemy.orm import DeclarativeBase, Mapped, Session, column_property, mapped_column, object_session
 
 from drivers.ports import SweepMode

@@ -24,8 +24,7 @@ from tests.system.rest_bench import (
     until,
     virtual_machine,
 )
-from tests.unit.service.api.conftest import bundle, profile, robot  # noqa: F401 - three sweeps, and no machine
-from tests.unit.service.api.conftest import serving as serving_alone
+from tests.unit.service.api.conftest import bundle, profile, robot, serving as serving_alone  # noqa: F401 - three sweeps, and no machine
 from tests.unit.service.people.conftest import certificate
 
 pytestmark = needs("chromium")

@@ -20,8 +20,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from service.model.errors import SweepidError
-from service.store import rows
-from service.store import tables as t
+from service.store import rows, tables as t
 from service.store.access.audit_chain import FIRST, Entry, Head, Link, canonical, sha256
 from service.store.access.credentials import Callers
 from service.store.tables import now

@@ -12,8 +12,7 @@ from pydantic import BaseModel, ConfigDict
 from sqlalchemy import delete, func, select, update
 
 from service.model.errors import NotFound
-from service.store import rows
-from service.store import tables as t
+from service.store import rows, tables as t
 from service.store.access.audit_chain import Entry
 from service.store.access.credentials import key_sha256, new_key
 from service.store.access.permissions import Role

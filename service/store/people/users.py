@@ -16,8 +16,7 @@ from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
 from service.model.errors import BadInput, Conflict, NotFound
-from service.store import rows
-from service.store import tables as t
+from service.store import rows, tables as t
 from service.store.access.audit_chain import Entry, Fact
 from service.store.access.credentials import key_sha256, new_key, unique_name
 from service.store.access.permissions import Role

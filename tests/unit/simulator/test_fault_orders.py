@@ -4,8 +4,7 @@ import json
 from collections.abc import Callable
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from simulator import Scenario, load_scenario
 from simulator.canopen.cabinet import CanopenCabinet

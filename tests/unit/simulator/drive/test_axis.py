@@ -5,8 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from simulator.drive.dictionary import ObjectDictionary
 from simulator.drive.power_drive import ENERGISED, Command, DriveState, FaultCode
