@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from simulator.effects import Turn as Turn, warmth as warmth
-    from simulator.replaying import Motion as Motion, replay as replay
     from simulator.rigid_body import Gravity as Gravity, MovingAxis as MovingAxis, true_inertia as true_inertia
     from simulator.scenario import (
         Appendage as Appendage,
@@ -35,8 +34,10 @@ if TYPE_CHECKING:
         load_scenario as load_scenario,
     )
     from simulator.sweeps import (
+        Motion as Motion,
         NoiseRun as NoiseRun,
         SweepRun as SweepRun,
+        replay as replay,
         run_sweeps as run_sweeps,
         run_trajectories as run_trajectories,
     )
@@ -44,11 +45,10 @@ if TYPE_CHECKING:
 
 _PAGES = {
     "effects": "Turn warmth",
-    "replaying": "Motion replay",
     "rigid_body": "Gravity MovingAxis true_inertia",
     "scenario": "Appendage DriveTrain DrivenAxis Friction GearError Hose LinkDeviation LuGre Measurement Patch "
     "PowerLaw Cogging Scenario ScenarioError SpeedControl Spring Stribeck Warming load_scenario",
-    "sweeps": "NoiseRun SweepRun run_sweeps run_trajectories",
+    "sweeps": "Motion NoiseRun SweepRun replay run_sweeps run_trajectories",
     "waveform": "Waveform",
 }
 

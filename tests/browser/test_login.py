@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, Response, expect
 
-from service.store.access.permissions import Role
+from service.store.access import Role
 from service.store.database import open_database
 from service.store.people.users import KeyStore, UserStore
 from service.web.client import ServiceClient

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from service.formats.export.sheets.text import as_markdown
-from service.model.results.digits import with_std
+from service.model.results.part import with_std
 from service.model.results.sheet import Sheet
 from tests.stored.documents import stored
 
