@@ -10,45 +10,45 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from simulator.effects import Turn as Turn
-    from simulator.effects import warmth as warmth
-    from simulator.replaying import Motion as Motion
-    from simulator.replaying import replay as replay
-    from simulator.rigid_body import Gravity as Gravity
-    from simulator.rigid_body import MovingAxis as MovingAxis
-    from simulator.rigid_body import true_inertia as true_inertia
-    from simulator.scenario import Appendage as Appendage
-    from simulator.scenario import Cogging as Cogging
-    from simulator.scenario import DrivenAxis as DrivenAxis
-    from simulator.scenario import DriveTrain as DriveTrain
-    from simulator.scenario import Friction as Friction
-    from simulator.scenario import GearError as GearError
-    from simulator.scenario import Hose as Hose
-    from simulator.scenario import LinkDeviation as LinkDeviation
-    from simulator.scenario import LuGre as LuGre
-    from simulator.scenario import Measurement as Measurement
-    from simulator.scenario import Patch as Patch
-    from simulator.scenario import PowerLaw as PowerLaw
-    from simulator.scenario import Scenario as Scenario
-    from simulator.scenario import ScenarioError as ScenarioError
-    from simulator.scenario import SpeedControl as SpeedControl
-    from simulator.scenario import Spring as Spring
-    from simulator.scenario import Stribeck as Stribeck
-    from simulator.scenario import Warming as Warming
-    from simulator.scenario import load_scenario as load_scenario
-    from simulator.sweeps import NoiseRun as NoiseRun
-    from simulator.sweeps import SweepRun as SweepRun
-    from simulator.sweeps import run_sweeps as run_sweeps
-    from simulator.sweeps import run_trajectories as run_trajectories
+    from simulator.effects import Turn as Turn, warmth as warmth
+    from simulator.rigid_body import Gravity as Gravity, MovingAxis as MovingAxis, true_inertia as true_inertia
+    from simulator.scenario import (
+        Appendage as Appendage,
+        Cogging as Cogging,
+        DrivenAxis as DrivenAxis,
+        DriveTrain as DriveTrain,
+        Friction as Friction,
+        GearError as GearError,
+        Hose as Hose,
+        LinkDeviation as LinkDeviation,
+        LuGre as LuGre,
+        Measurement as Measurement,
+        Patch as Patch,
+        PowerLaw as PowerLaw,
+        Scenario as Scenario,
+        ScenarioError as ScenarioError,
+        SpeedControl as SpeedControl,
+        Spring as Spring,
+        Stribeck as Stribeck,
+        Warming as Warming,
+        load_scenario as load_scenario,
+    )
+    from simulator.sweeps import (
+        Motion as Motion,
+        NoiseRun as NoiseRun,
+        SweepRun as SweepRun,
+        replay as replay,
+        run_sweeps as run_sweeps,
+        run_trajectories as run_trajectories,
+    )
     from simulator.waveform import Waveform as Waveform
 
 _PAGES = {
     "effects": "Turn warmth",
-    "replaying": "Motion replay",
     "rigid_body": "Gravity MovingAxis true_inertia",
     "scenario": "Appendage DriveTrain DrivenAxis Friction GearError Hose LinkDeviation LuGre Measurement Patch "
     "PowerLaw Cogging Scenario ScenarioError SpeedControl Spring Stribeck Warming load_scenario",
-    "sweeps": "NoiseRun SweepRun run_sweeps run_trajectories",
+    "sweeps": "Motion NoiseRun SweepRun replay run_sweeps run_trajectories",
     "waveform": "Waveform",
 }
 

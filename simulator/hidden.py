@@ -5,15 +5,14 @@ warming (it takes hours), no backlash. The axis carries weight, so that every ef
 the rated effort.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulator.rigid_body import RigidBody
-from simulator.scenario import Scenario, ScenarioError
+from simulator.scenario import DrivenAxis, DriveTrain, LinkDeviation, Scenario, ScenarioError
 
 SLOW = 0.0105
 """rad/s: 0.1 rev/min."""
@@ -30,20 +29,28 @@ class HiddenEffect:
 
 @dataclass
 class _ScenarioDraft:
-    """A scenario as nested data that can be changed; `size` in N m."""
+    """A scenario, and what becomes of it; `size` in N m."""
 
     random: np.random.Generator
     scenario: Scenario
     joint: str
     size: float
-    data: dict[str, Any]
+    changed: Scenario
 
     @property
-    def train(self) -> dict[str, Any]:
-        return self.data["axes"][self.joint]["train"]
+    def train(self) -> DriveTrain:
+        return self.scenario.axes[self.joint].train
+
+    def change(self, joint: str, train: Mapping[str, object], **control: object) -> None:
+        axis = self.changed.axes[joint].model_dump()
+        axis |= {"train": axis["train"] | train, "control": axis["control"] | control}
+        self.replace(axes=self.changed.axes | {joint: DrivenAxis.model_validate(axis)})
+
+    def replace(self, **parts: object) -> None:
+        self.changed = self.changed.model_copy(update=parts)
 
     def rub(self, **parts: object) -> None:
-        self.train["motor_friction"] |= parts
+        self.change(self.joint, {"motor_friction": self.train.motor_friction.model_dump() | parts})
 
     def weight(self) -> float:
         """Largest gravity torque about the axis over its revolution, N m, with the other joints at zero."""
@@ -61,9 +68,9 @@ def hide(scenario: Scenario, seed: int) -> tuple[Scenario, HiddenEffect]:
     joint = joints[random.integers(len(joints))]
     effect = list(EFFECTS)[random.integers(len(EFFECTS))]
     size = float(random.uniform(0.02, 0.05)) * scenario.nominal(joint).rated_effort
-    machine = _ScenarioDraft(random, scenario, joint, size, scenario.model_dump())
+    machine = _ScenarioDraft(random, scenario, joint, size, scenario)
     parameters = EFFECTS[effect](machine)
-    return Scenario.model_validate(machine.data), HiddenEffect(joint, effect, parameters)
+    return Scenario.model_validate(machine.changed.model_dump()), HiddenEffect(joint, effect, parameters)
 
 
 def _coulomb_friction(machine: _ScenarioDraft) -> dict[str, float]:
@@ -92,31 +99,35 @@ def _load_dependent_friction(machine: _ScenarioDraft) -> dict[str, float]:
 def _gravity_error(machine: _ScenarioDraft) -> dict[str, float]:
     """The centre of mass of the link after the axis is further out, or nearer, than in CAD."""
     link = f"link_{machine.scenario.joints.index(machine.joint) + 1}"
-    entry = machine.data["links"].setdefault(link, {})
+    links = machine.scenario.links
+    deviation = links.get(link, LinkDeviation())
+
+    def move(shift: float) -> None:
+        machine.replace(links=links | {link: deviation.model_copy(update={"shift": (shift, 0.0, 0.0)})})
+
     probe = 0.01  # m
-    entry["shift"] = (probe, 0.0, 0.0)
-    before, after = (_pull(one, machine.joint) for one in (machine.scenario, Scenario.model_validate(machine.data)))
-    shift = probe * machine.size / float(np.hypot(*(after - before))) * machine.random.choice([-1.0, 1.0])
-    entry["shift"] = (float(shift), 0.0, 0.0)
+    move(probe)
+    before, after = (_pull(one, machine.joint) for one in (machine.scenario, machine.changed))
+    move(float(probe * machine.size / float(np.hypot(*(after - before))) * machine.random.choice([-1.0, 1.0])))
     return {}
 
 
 def _hose_spring(machine: _ScenarioDraft) -> dict[str, float]:
     rest = machine.random.uniform(-0.5, 0.5)
-    machine.train["hose"] = {"stiffness": machine.size, "rest": rest}
+    machine.change(machine.joint, {"hose": {"stiffness": machine.size, "rest": rest}})
     return {"stiffness": machine.size, "torque_at_zero": -machine.size * rest}
 
 
 def _measurement_delay(machine: _ScenarioDraft) -> dict[str, float]:
     delay = machine.random.uniform(0.8e-3, 2.5e-3)
-    machine.data["measurement"]["effort_delay"] = delay
+    machine.replace(measurement=machine.scenario.measurement.model_copy(update={"effort_delay": delay}))
     return {"delay": delay}
 
 
 def _cogging_torque(machine: _ScenarioDraft) -> dict[str, float]:
     order = machine.scenario.nominal(machine.joint).cogging_orders[0]
     phase = machine.random.uniform(0, 2 * np.pi)
-    machine.train["cogging"] = ({"order": order, "amplitude": machine.size, "phase": phase},)
+    machine.change(machine.joint, {"cogging": ({"order": order, "amplitude": machine.size, "phase": phase},)})
     return {f"sine_{order:g}": machine.size * np.cos(phase), f"cosine_{order:g}": machine.size * np.sin(phase)}
 
 
@@ -124,14 +135,15 @@ def _presliding_hysteresis(machine: _ScenarioDraft) -> dict[str, float]:
     way = SLOW / (2 * np.pi) * machine.random.uniform(0.05, 0.2)
     stiffness = machine.size / way
     ratio = machine.scenario.nominal(machine.joint).gear_ratio
-    damping = 0.3 * float(np.sqrt(stiffness * machine.train["motor_inertia"])) * ratio
-    machine.train["lugre"] = {
+    damping = 0.3 * float(np.sqrt(stiffness * machine.train.motor_inertia)) * ratio
+    lugre = {
         "stiffness": stiffness,
         "damping": damping,
         "coulomb": machine.size,
         "breakaway": machine.size,
         "stribeck_velocity": 0.1 * SLOW,
     }
+    machine.change(machine.joint, {"lugre": lugre})
     return {"coulomb": machine.size}
 
 
@@ -139,24 +151,22 @@ def _joint_elasticity(machine: _ScenarioDraft) -> dict[str, float]:
     """Locked rotor at 9 to 13 Hz, speed control of 6 Hz; the other axes get springs that are not visible: 350 Hz."""
     body, zero = RigidBody(machine.scenario), np.zeros(len(machine.scenario.joints))
     found = 0.0
-    for joint, axis in machine.data["axes"].items():
+    for joint, axis in machine.scenario.axes.items():
         load = float(body.inertia(zero)[machine.scenario.joints.index(joint)])
         own = joint == machine.joint
         stiffness = load * (2 * np.pi * (machine.random.uniform(9.0, 13.0) if own else 350.0)) ** 2
-        axis["train"]["spring"] = {
-            "stiffness": stiffness,
-            "damping": (0.08 if own else 0.3) * np.sqrt(stiffness * load),
-        }
+        gain = axis.control.gain
         if own:
-            motor = axis["train"]["motor_inertia"] * machine.scenario.nominal(joint).gear_ratio ** 2
-            axis["control"]["gain"] = 2 * np.pi * 6.0 * (load + motor)
-            found = 1 / stiffness
+            motor = axis.train.motor_inertia * machine.scenario.nominal(joint).gear_ratio ** 2
+            gain, found = 2 * np.pi * 6.0 * (load + motor), 1 / stiffness
+        damping = (0.08 if own else 0.3) * np.sqrt(stiffness * load)
+        machine.change(joint, {"spring": {"stiffness": stiffness, "damping": damping}}, gain=gain)
     return {"compliance": found}
 
 
 def _effort_offset(machine: _ScenarioDraft) -> dict[str, float]:
     offset = machine.size * machine.random.choice([-1.0, 1.0])
-    machine.train["effort_offset"] = offset
+    machine.change(machine.joint, {"effort_offset": offset})
     return {"offset": offset}
 
 

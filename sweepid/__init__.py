@@ -182,8 +182,7 @@ def check(bundle: Bundle | str | Path) -> DataCheck:
     >>> sweepid.check("bundle")
     Nothing found in 4 sweeps.
     """
-    from service.data_check import check as check_data
-    from service.data_check import findings_document
+    from service.data_check import check as check_data, findings_document
     from service.model.results.diagnosis import DataCheck
 
     measured = _read(bundle)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from simulator.canopen.cabinet import ForeignCabinet
+from simulator.canopen.line import ForeignCabinet
 from simulator.machine import LiveMachine
 from simulator.scenario import load_scenario
 from simulator.virtual_drive import VirtualDrive

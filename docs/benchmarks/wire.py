@@ -25,9 +25,8 @@ from docs.benchmarks.measured import Measured
 from drivers.canopen import frames
 from drivers.canopen.bus import CanopenBus, SocketcandBus
 from drivers.canopen.host_sweep import HostSweep
-from drivers.canopen.profile import BusProfile, CanopenAxis
+from drivers.canopen.profile import BusProfile, CanopenAxis, Codec
 from drivers.canopen.streamed_axis import StreamedAxis, StreamRequest
-from drivers.canopen.units import Codec
 from drivers.cia402.checks import DriveEnvelope
 from drivers.cia402.profile import IdentityProfile
 from drivers.ports import SweepCommand, SweepMode

@@ -7,7 +7,7 @@ from drivers.canopen import frames, measuring
 from drivers.canopen.bus import CanopenBus
 from drivers.canopen.device_map import Cia301, Entry, SetPointWay
 from drivers.canopen.measuring import MeasuringObject
-from drivers.canopen.profile import CanopenAxis, CanopenProfile
+from drivers.canopen.profile import CanopenAxis, CanopenProfile, codec
 from drivers.canopen.sdo import (
     ObjectAbsent,
     PdoMapping,
@@ -19,7 +19,6 @@ from drivers.canopen.sdo import (
     session_settings,
     streaming_pdos,
 )
-from drivers.canopen.units import codec
 from drivers.cia402.device import (
     Abilities,
     Feedback,

@@ -10,8 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from drivers.canopen import frames
-from drivers.canopen.bcm import set_point_source
-from drivers.canopen.bus import CanopenBus
+from drivers.canopen.bus import CanopenBus, set_point_source
 from drivers.canopen.device import CanopenDevice
 from drivers.canopen.device_map import bits
 from drivers.canopen.host_sweep import HostSweep

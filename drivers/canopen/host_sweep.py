@@ -19,8 +19,7 @@ from contextlib import suppress
 import numpy as np
 
 from drivers.canopen import frames
-from drivers.canopen.bcm import Cycle, KernelRefused, KernelStream, set_point_source
-from drivers.canopen.bus import CanopenBus
+from drivers.canopen.bus import CanopenBus, Cycle, KernelRefused, KernelStream, set_point_source
 from drivers.canopen.profile import BusProfile
 from drivers.canopen.streamed_axis import (
     Ending,

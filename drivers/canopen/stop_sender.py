@@ -16,8 +16,7 @@ from contextlib import suppress
 
 from drivers.canopen import frames
 from drivers.canopen.device_map import DeviceMap, Entry
-from drivers.canopen.profile import BusProfile, CanopenAxis, CanopenProfile
-from drivers.canopen.units import codec
+from drivers.canopen.profile import BusProfile, CanopenAxis, CanopenProfile, codec
 from drivers.cia402 import states
 from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady
 

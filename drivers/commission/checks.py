@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from drivers.canopen.device_map import NEEDED, STANDARD, Cia301, Entry, SetPointWay
 from drivers.canopen.fieldbus import check_bus_load
-from drivers.canopen.profile import CanopenAxis
+from drivers.canopen.profile import CanopenAxis, Codec
 from drivers.canopen.sdo import (
     ObjectAbsent,
     OtherType,
@@ -21,7 +21,6 @@ from drivers.canopen.sdo import (
     session_settings,
     streaming_pdos,
 )
-from drivers.canopen.units import Codec
 from drivers.cia402 import states
 from drivers.cia402.device import OperationMode
 from drivers.cia402.states import PowerState, Statusword

@@ -14,9 +14,8 @@ from drivers.canopen.device_map import (
     Cia301,
     Entry,
 )
-from drivers.canopen.profile import CanopenAxis, CanopenProfile
+from drivers.canopen.profile import CanopenAxis, CanopenProfile, Codec, codec, velocity_unit
 from drivers.canopen.sdo import ObjectAbsent, OtherType
-from drivers.canopen.units import Codec, codec, velocity_unit
 from drivers.commission.checks import rated_torque
 from drivers.commission.drive import CheckedNode, CheckRow, CheckVerdict, ReadOnlySdo, read_dictionary
 from drivers.errors import BadProfile, CommunicationLost, LimitExceeded, WrongConfiguration

@@ -11,7 +11,10 @@ import pytest
 pytest.register_assert_rewrite(*(f"drivers.contract.{name}" for name in ("bench", "faults", "motion")))
 
 from drivers.contract.bench import Bench, MachineUnderTest, lacking, needs  # noqa: E402
-from drivers.contract.faults import FaultSuite  # noqa: E402
-from drivers.contract.motion import DrivePortSuite, NoiseSuite  # noqa: E402
+from drivers.contract.motion import (  # noqa: E402
+    DrivePortSuite,
+    FaultSuite,
+    NoiseSuite,
+)
 
 __all__ = ["Bench", "DrivePortSuite", "FaultSuite", "MachineUnderTest", "NoiseSuite", "lacking", "needs"]

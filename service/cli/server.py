@@ -21,7 +21,7 @@ from service.machine.stop_process.handle import StopNotStarted, StopProcess
 from service.model.errors import SweepidError
 from service.process.logs import configure_logs
 from service.process.settings import Settings
-from service.store.access.permissions import LOCAL
+from service.store.access import LOCAL
 from service.web.app import create_app, end_motion, end_streams, halt
 
 _log = structlog.get_logger(__name__)

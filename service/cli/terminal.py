@@ -23,9 +23,8 @@ if TYPE_CHECKING:
 
     from service.model.results.diagnosis import DataCheck, Diagnosis
     from service.model.results.estimate import Estimate
-    from service.model.results.part import Part
+    from service.model.results.part import Part, Shown, Table
     from service.model.results.payload import Payload
-    from service.model.results.table import Shown, Table
 
 
 def put_json(document: Part, json_to: str | None) -> bool:
@@ -97,7 +96,7 @@ def print_result(found: Shown, console: Console | None = None) -> None:
     """Its tables, fitted to the terminal, and its sentences. `console` None: stdout."""
     from rich.console import Console
 
-    from service.model.results.table import Table
+    from service.model.results.part import Table
 
     console = console or Console()
     for part in found.shown():

@@ -14,7 +14,6 @@ from enum import Enum
 from functools import partial
 
 import structlog
-from pydantic import JsonValue
 
 from service.diagnosis import compose, is_evidence
 from service.diagnosis.fit.fitted import Parameter
@@ -278,19 +277,15 @@ class Diagnosing(OpenJobs):
             document = await self._worker.run_patiently(job)
         except JobFailed as error:
             raise JobFailed(f"{job.joint}: {error}") from None
-        document = await asyncio.to_thread(self._runnable, diagnosis.robot_id, job.joint, document)
+        if document["next_experiment"] is not None:
+            proposed = Experiment.model_validate(document["next_experiment"])
+            reason = await asyncio.to_thread(self._refusal, diagnosis.robot_id, proposed)
+            if reason:  # the machine cannot run it
+                document |= {"next_experiment": None}
+                ended = f"This machine cannot be diagnosed further, because of the next {reason}."
+                document |= {"summary": f"{summary(job.joint, document)} {ended}"}
         verdict = str(document["verdict"])
         await asyncio.to_thread(self._diagnoses.add_result, diagnosis.id, job.joint, verdict, document)
-
-    def _runnable(self, robot_id: int, joint: str, document: dict[str, JsonValue]) -> dict[str, JsonValue]:
-        """The result of an axis, without an experiment that the machine cannot run; then it says why."""
-        proposed = document["next_experiment"]
-        reason = "" if proposed is None else self._refusal(robot_id, Experiment.model_validate(proposed))
-        if not reason:
-            return document
-        document = document | {"next_experiment": None}
-        ended = f"This machine cannot be diagnosed further, because of the next {reason}."
-        return document | {"summary": f"{summary(joint, document)} {ended}"}
 
     def _job(self, diagnosis: DiagnosisEntry, joint: str) -> DiagnosisJob:
         robot = self._store.robot(diagnosis.robot_id)

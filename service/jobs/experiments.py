@@ -1,11 +1,8 @@
-"""The diagnosis loop: the proposed experiment, the approval by a user, and the following diagnosis.
-
-Nothing moves without approval. Only if the settings declare the machine as virtual may a diagnosis approve its own
-experiments (`unattended`): at most `ROUNDS` per axis, never with a test mass, and not after a restart.
-"""
+"""Experiments of a diagnosis: planned before they are proposed, to know that they can be run, and when wanted."""
 
 import asyncio
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import cast
 
@@ -14,16 +11,19 @@ import structlog
 from drivers.errors import DriveError
 from service.diagnosis import model_document
 from service.diagnosis.verdict import Verdict
+from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.jobs.diagnosing import Diagnosing
-from service.jobs.experiment_planner import ExperimentPlanner
 from service.machine.execution.permission import Intention
 from service.machine.execution.runner import Runner
+from service.model.configuration import read_cell
 from service.model.errors import BadInput, Conflict, SweepidError
 from service.model.results.diagnosis import AxisDiagnosis, Experiment
 from service.model.results.effect import RevisedAxis
 from service.planning.campaigns.live import EventFeed
 from service.planning.compiled_plan import Range
-from service.planning.documents import ExperimentPlan
+from service.planning.diagnosis import build_experiment_plan
+from service.planning.documents import ExperimentPlan, ExperimentRequest
+from service.planning.machine_setup import MachineSetup, NeedsConfirmation, on_machine
 from service.process.settings import Settings
 from service.process.tasks import Background
 from service.store.diagnoses import DiagnosisStore, ModelStore, check_free
@@ -42,6 +42,50 @@ from service.store.documents import (
     Weighing,
 )
 from service.store.store import Store
+
+
+@dataclass(frozen=True)
+class ExperimentPlanner:
+    """Plans for the machine `setup`. Methods block."""
+
+    settings: Settings
+    store: Store
+    setup: MachineSetup
+
+    def plan(
+        self,
+        robot_id: int,
+        experiment: Experiment,
+        cell: str | None,
+        typed: Mapping[str, str | None],
+        by: str,
+        test_mass: BoltedMass | None = None,
+    ) -> ExperimentPlan:
+        """BadInput if none of its sweeps can be run.
+
+        `cell`: None means that of the machine. `typed`, `by`: as in `MachineSetup.confirmed`. `test_mass`: its weight
+        adds effort.
+        """
+        designed = [DesignedSweep(sweep.spec, sweep.ramp, sweep.settle) for sweep in experiment.sweeps]
+        origin, name = self.store.robot(robot_id), self.setup.own_cell(cell)
+        made_for = self.setup.confirmed(origin, name, typed, by)
+        request = ExperimentRequest(robot_id=robot_id, cell=name, test_mass=test_mass)
+        robot = on_machine(origin.build(), self.setup.axes)
+        plan = build_experiment_plan(robot, request, designed, read_cell(self.settings.cells_dir / f"{name}.yaml"))
+        return plan.model_copy(update={"made_for": made_for})
+
+    def refusal(self, robot_id: int, experiment: Experiment) -> str:
+        """Why the machine cannot run the experiment, or "": also if only a person can tell its robot or cell."""
+        if self.setup.cell is None:
+            return ""
+        try:
+            self.plan(robot_id, experiment, None, {}, "")
+        except NeedsConfirmation:
+            return ""
+        except BadInput as error:
+            return str(error)
+        return ""
+
 
 _log = structlog.get_logger(__name__)
 

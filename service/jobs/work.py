@@ -184,7 +184,7 @@ class Revisions:
             condensed = updated_estimate(kept.condensed, new)
             if condensed is not None:
                 self._kept = _Kept(inputs, frozenset(job.earlier), tuple(new), condensed)
-                return condensed.document
+                return condensed.document.as_json()
         spectra = [*map(_spectrum, job.earlier), *new]
         analyses, known = analyses_from(job.analyses), _known(job.model, robot)
         if job.last or job.siblings:

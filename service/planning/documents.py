@@ -12,7 +12,7 @@ from service.identification.design.pose_selection import Criterion
 from service.identification.estimates.torque_gain import KnownMass
 from service.model.errors import BadInput
 from service.model.recording import SweepSpec
-from service.model.results.table import Shown, Table, columns_of_sweeps
+from service.model.results.part import Shown, Table, columns_of_sweeps
 from service.model.robot import Robot
 from service.planning.campaigns.stored_plan import MadeFor
 from service.planning.safety.envelope import MethodLimits

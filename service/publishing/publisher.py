@@ -21,7 +21,7 @@ from service.publishing.state import Configuration, FromPublisher, Notice, Publi
 
 if TYPE_CHECKING:
     from service.publishing.mqtt import Broker
-    from service.publishing.opcua.server import OpcUaServer
+    from service.publishing.opcua import OpcUaServer
 
 
 _log = structlog.get_logger(__name__)
@@ -197,7 +197,7 @@ def _opened(configuration: Configuration, background: Background) -> "tuple[OpcU
     """Each library is only imported if used: both belong to extras."""
     opcua = mqtt = None
     if configuration.opcua is not None:
-        from service.publishing.opcua.server import OpcUaServer
+        from service.publishing.opcua import OpcUaServer
 
         opcua = OpcUaServer(configuration.opcua, configuration.machine, _report)
         background.begin("opcua", opcua.run())

@@ -7,8 +7,8 @@ from html import escape
 
 from service.model.results.combination import Combination
 from service.model.results.diagnosis import DataCheck, Diagnosis, standing_of
-from service.model.results.digits import two_digits, with_std
 from service.model.results.estimate import CONFIDENCE, UNSURE, Estimate, Suspect, share_of_sweeps, share_of_value
+from service.model.results.part import two_digits, with_std
 from service.report.content import CampaignReport, Content
 from service.report.diagnosis import diagnosis_section, findings, not_looked_at
 from service.report.gap_figures import plain

@@ -6,8 +6,8 @@ from html import escape
 import numpy as np
 
 from service.model.results.diagnosis import AxisDiagnosis, Diagnosis, Finding, Gap, RigidParameter, standing_of
-from service.model.results.digits import with_std
 from service.model.results.effect import AxisFit, Effect, Value
+from service.model.results.part import with_std
 from service.report import gap_figures as drawn
 from service.report.drawing import DrawnFigure
 from service.report.gap_figures import plain

@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 
 from service.identification.fleet.document import Fleet, FleetAxis, FleetRobot, FleetType
-from service.model.results.digits import with_std
+from service.model.results.part import with_std
 from service.report.drawing import DrawnFigure, Part, figure, line, looks, points, scale
 from service.report.html import ReportPage
 

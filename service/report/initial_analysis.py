@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from service.identification.axis.drive_train import impedance
 from service.identification.axis.ideal_frequency import InitialAnalysis, PoseAnalysis
 from service.model.arrays import Array
-from service.model.results.digits import with_std
+from service.model.results.part import with_std
 from service.report.drawing import (
     DECADES,
     IDENTIFIED,

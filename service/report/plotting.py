@@ -346,7 +346,7 @@ def _is_solid(line: Words) -> bool:
     return line.get("dash", "solid") == "solid"
 
 
-def _marker(marker: Words) -> dict[str, Any]:
+def _marker(marker: Words) -> Words:
     markers = {
         "circle": "o",
         "square": "s",

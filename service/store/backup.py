@@ -30,8 +30,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 from service.model.errors import BadInput, SweepidError
 from service.store.database import known_schemas, unknown_schema
 from service.store.engines import BUSY_TIMEOUT, parsed_url
-from service.store.files.data_folder import FILE as OWNER
-from service.store.files.data_folder import read_owner
+from service.store.files.data_folder import FILE as OWNER, read_owner
 from service.store.files.recordings import RecordingFiles, file_sha256, place_folder, sync
 
 FILE = "manifest.json"

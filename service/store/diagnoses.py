@@ -11,8 +11,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from service.model.errors import Conflict
-from service.store import rows
-from service.store import tables as t
+from service.store import rows, tables as t
 from service.store.documents import (
     BoltedMass,
     CampaignDocument,

@@ -17,8 +17,7 @@ from sqlalchemy.orm import Session
 
 from drivers.errors import Cause
 from service.model.errors import Conflict, NotFound
-from service.store import rows
-from service.store import tables as t
+from service.store import rows, tables as t
 from service.store.database import Database
 from service.store.documents import EventKind, StopDocument, StoredAnswer, StoredDocument
 

@@ -15,8 +15,7 @@ from sqlalchemy.orm import Session
 from service.model.errors import BadInput, NotFound
 from service.model.results.estimate import Estimate
 from service.model.results.part import JsonOf
-from service.store import rows
-from service.store import tables as t
+from service.store import rows, tables as t
 from service.store.database import Database
 from service.store.documents import BatchState, CampaignState, EstimateDocument, EventKind, StoredDocument, SweepState
 from service.store.store import OVER, Store

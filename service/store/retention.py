@@ -19,13 +19,11 @@ from sqlalchemy import ColumnElement, Select, delete, func, select
 from sqlalchemy.orm import Session
 
 from service.model.errors import Conflict, NotFound
-from service.store import rows
-from service.store import tables as t
-from service.store.access.audit_chain import Entry
+from service.store import rows, tables as t
 from service.store.database import Database
 from service.store.documents import BatchState, CampaignState, DiagnosisState, RecordingDocument, StoredDocument
 from service.store.objects import ObjectStore
-from service.store.people.audit import append
+from service.store.people.audit import Entry, append
 
 
 @dataclass(frozen=True, slots=True)

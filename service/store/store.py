@@ -15,8 +15,7 @@ from drivers.errors import Cause
 from service.model.errors import Conflict, NotFound
 from service.model.recording import SweepSpec
 from service.model.robot import Robot
-from service.store import rows
-from service.store import tables as t
+from service.store import rows, tables as t
 from service.store.documents import (
     CampaignDocument,
     CampaignState,

@@ -11,6 +11,7 @@ from sqlalchemy import (
     JSON,
     DateTime,
     Dialect,
+    Enum as SqlEnum,
     ForeignKey,
     Index,
     String,
@@ -20,11 +21,10 @@ from sqlalchemy import (
     func,
     select,
 )
-from sqlalchemy import Enum as SqlEnum
 from sqlalchemy.orm import DeclarativeBase, Mapped, Session, column_property, mapped_column, object_session
 
 from drivers.ports import SweepMode
-from service.store.access.permissions import Role
+from service.store.access import Role
 from service.store.documents import BatchState, CampaignState, DiagnosisState, EventKind, RecordingState, SweepState
 
 
@@ -452,7 +452,7 @@ class SteadyTimeRow(StoredRow):
 
 
 class AuditRow(StoredRow):
-    """Append-only, by a trigger. `entry` is canonical JSON; `sha256`: see `service.store.access.audit_chain`."""
+    """Append-only, by a trigger. `entry` is canonical JSON; `sha256`: see `service.store.people.audit`."""
 
     __tablename__ = "audit"
     number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)

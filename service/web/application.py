@@ -16,8 +16,7 @@ from drivers.errors import Cause, CauseCode, DriveError
 from drivers.registry import open_profile
 from service.diagnosis.effects import CATALOGUE
 from service.jobs.diagnosing import Diagnosing
-from service.jobs.experiment_planner import ExperimentPlanner
-from service.jobs.experiments import Experiments
+from service.jobs.experiments import ExperimentPlanner, Experiments
 from service.jobs.jobs import Batches, Checking, Jobs
 from service.jobs.recording_uploads import RecordingUploads, Transfers
 from service.jobs.worker import Worker, open_worker
@@ -41,8 +40,7 @@ from service.process.telemetry import traced
 from service.publishing.following import Following
 from service.publishing.publisher import Publisher
 from service.publishing.state import Configuration
-from service.store.access.audit_chain import Entry
-from service.store.access.credentials import masked
+from service.store.access import masked
 from service.store.database import Database, open_database
 from service.store.diagnoses import DiagnosisStore, ModelStore
 from service.store.documents import CampaignDocument, RobotDocument
@@ -52,9 +50,15 @@ from service.store.files.isolated_reader import LIMITS, Limits, read_isolated
 from service.store.files.recordings import RecordingFiles
 from service.store.lease_and_latch import ApprovalStore, IdempotencyKeys, MachineLease, StopLatch
 from service.store.objects import check_usable
-from service.store.people.audit import AuditStore, AuditWriter
-from service.store.people.sessions import SessionStore, begin_time, keeping_time_and_head
-from service.store.people.users import ExternalUsers, KeyStore, UserStore
+from service.store.people.audit import AuditStore, AuditWriter, Entry
+from service.store.people.users import (
+    ExternalUsers,
+    KeyStore,
+    SessionStore,
+    UserStore,
+    begin_time,
+    keeping_time_and_head,
+)
 from service.store.plant import BatchStore, FleetStore, PlantStore
 from service.store.retention import MoveStore
 from service.store.rows import NoMachine

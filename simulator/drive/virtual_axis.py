@@ -12,8 +12,7 @@ from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
 from simulator.drive.limits import INCREMENTS, PER_MILLE, DriveLimits
 from simulator.drive.measuring import DriveSamples, FunctionState, MeasuringFunction
 from simulator.drive.power_drive import DriveState, FaultCode, Mode, PowerDrive
-from simulator.drive.profile import RampProfile, brake, travel
-from simulator.waveform import Array
+from simulator.waveform import Array, RampProfile, brake, travel
 
 
 class ControlParameters:

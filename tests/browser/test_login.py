@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, Response, expect
 
-from service.store.access.permissions import Role
+from service.store.access import Role
 from service.store.database import open_database
 from service.store.people.users import KeyStore, UserStore
 from service.web.client import ServiceClient
@@ -24,8 +24,7 @@ from tests.system.rest_bench import (
     until,
     virtual_machine,
 )
-from tests.unit.service.api.conftest import bundle, profile, robot  # noqa: F401 - three sweeps, and no machine
-from tests.unit.service.api.conftest import serving as serving_alone
+from tests.unit.service.api.conftest import bundle, profile, robot, serving as serving_alone  # noqa: F401 - three sweeps, and no machine
 from tests.unit.service.people.conftest import certificate
 
 pytestmark = needs("chromium")

@@ -17,8 +17,8 @@ from service.formats.export.sheets.making import sheet
 from service.formats.export.sheets.text import as_markdown
 from service.identification.design.diagnosis_sweeps import paper_design
 from service.model.configuration import read_robot
-from service.model.results.digits import two_digits
 from service.model.results.estimate import CONFIDENCE, Estimate
+from service.model.results.part import two_digits
 from service.store.files.bundle import Bundle, write_bundle
 from simulator import load_scenario
 from tests.browser.browsing import browsing

@@ -16,8 +16,7 @@ from typing import Any, cast
 
 import pyarrow
 import pytest
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
+from hypothesis import Phase, given, settings, strategies as st
 
 from service.model.errors import BadInput
 from tests.forked import copied

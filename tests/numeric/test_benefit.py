@@ -8,8 +8,7 @@ import pytest
 
 from service.report.benefit import AxisBenefit, benefit, feed_forward
 from service.store.files.bundle import read_bundle
-from simulator.follow import Path as Wanted
-from simulator.follow import follow
+from simulator.follow import Path as Wanted, follow
 from tests.numeric.campaign import AXES, SimulatedCampaign, measure
 
 

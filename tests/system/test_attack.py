@@ -16,11 +16,9 @@ import httpx
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from service.store.access.audit_chain import verify
-from service.store.access.credentials import new_key
-from service.store.access.permissions import Role
+from service.store.access import Role, new_key
 from service.store.database import open_database
-from service.store.people.audit import AuditStore
+from service.store.people.audit import AuditStore, verify
 from service.store.people.users import KeyStore
 from service.web.client import ServiceClient
 from tests.system.rest_bench import Service, add_plan, serving, until, virtual_machine

@@ -26,9 +26,8 @@ import pytest
 from websockets.sync.client import connect
 
 from drivers.canopen import frames
-from service.store.access.audit_chain import verify
 from service.store.database import open_database
-from service.store.people.audit import AuditStore
+from service.store.people.audit import AuditStore, verify
 from service.web.client import ServiceClient, ServiceProblem
 from tests.system.bus_listener import Ear, listening
 from tests.system.rest_bench import (

@@ -13,8 +13,7 @@ import sweepid
 from service.model.errors import BadInput
 from service.model.results.diagnosis import Diagnosis
 from service.model.results.estimate import Estimate
-from service.model.results.part import Part
-from service.model.results.table import Column, Table
+from service.model.results.part import Column, Part, Table
 from tests.command import sweepid as command
 from tests.stored.documents import stored
 from tests.unit.service.cli.test_identify import INERTIA, bundle

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from drivers.canopen import frames
-from drivers.canopen.bcm import KernelStream, set_point_source
+from drivers.canopen.bus import KernelStream, set_point_source
 from drivers.canopen.streamed_axis import Ending
 from drivers.errors import CommunicationLost
 from drivers.ports import SampleBlock

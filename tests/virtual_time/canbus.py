@@ -16,7 +16,7 @@ import can
 import can.interface
 
 import drivers.canopen.stop_sender
-from simulator.canopen.cabinet import CanopenCabinet
+from simulator.canopen.line import CanopenCabinet
 from simulator.canopen.pdo import Frame
 from simulator.machine import LiveMachine
 from tests.virtual_time import primitives

@@ -17,7 +17,7 @@ from pymodbus.pdu import DecodePDU
 import drivers.modbus.line
 import drivers.modbus.stop_sender
 from simulator.machine import LiveMachine
-from simulator.modbus.cabinet import ModbusCabinet
+from simulator.modbus.line import ModbusCabinet
 from simulator.modbus.registers import RegisterLayout
 from tests.virtual_time import primitives
 from tests.virtual_time.cabinets import EventDriven, Powered

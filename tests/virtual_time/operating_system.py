@@ -14,8 +14,7 @@ from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
 
-from service.machine.stop_process import __main__ as stop_process
-from service.machine.stop_process import handle
+from service.machine.stop_process import __main__ as stop_process, handle
 from service.machine.stop_process.listener import BEAT, Answer, Answered, Request
 from tests.virtual_time import primitives
 from tests.virtual_time.primitives import SimpleQueue

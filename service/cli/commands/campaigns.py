@@ -185,7 +185,7 @@ def _tell_plan(document: Json, seconds: float) -> None:
     if document["request"].get("kind") in ("analysis", "diagnosis"):
         sys.stderr.write(f"{len(document['sweeps'])} runs, {seconds / 60:.0f} min\n")
         return
-    from service.model.results.digits import two_digits
+    from service.model.results.part import two_digits
 
     confidence, spare = document["confidence"], document["spare"]
     stated = "none is expected everywhere" if confidence[-1] is None else f"expected {two_digits(confidence[-1])} %"

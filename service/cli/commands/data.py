@@ -127,8 +127,7 @@ def prune(
     """
     from service.cli.database import shell_entry
     from service.store.objects import ObjectStore
-    from service.store.retention import RetentionRules
-    from service.store.retention import prune as prune_store
+    from service.store.retention import RetentionRules, prune as prune_store
 
     with _retention(config, data_dir) as (store, settings):
         rules = RetentionRules(settings.keep_samples_days, settings.keep_spectra_days, settings.keep_estimates_days)

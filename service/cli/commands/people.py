@@ -17,8 +17,8 @@ from service.cli.options import Config, DataDir
 from service.model.errors import BadInput
 
 if TYPE_CHECKING:
-    from service.store.access.audit_chain import Entry
-    from service.store.access.permissions import Role
+    from service.store.access import Role
+    from service.store.people.audit import Entry
     from service.store.people.users import UserStore
 
 Name = Annotated[str, typer.Argument(metavar="NAME", help="A person or a program.")]
@@ -132,7 +132,7 @@ def list_people(config: Config = None, data_dir: DataDir = None) -> None:
 
 def name_of(given: str) -> str:
     """A name that may be given. BadInput."""
-    from service.store.access.credentials import LONGEST_NAME, is_name
+    from service.store.access import LONGEST_NAME, is_name
 
     name = given.strip()
     if not is_name(name):
@@ -142,7 +142,7 @@ def name_of(given: str) -> str:
 
 def role_of(word: str) -> Role:
     """BadInput."""
-    from service.store.access.permissions import Role
+    from service.store.access import Role
 
     roles = {role.word: role for role in Role}
     if word not in roles:
@@ -152,7 +152,7 @@ def role_of(word: str) -> Role:
 
 def scopes_of(words: list[str]) -> tuple[str, ...] | None:
     """None where there are none: all that the role may. BadInput."""
-    from service.store.access.permissions import SCOPES
+    from service.store.access import SCOPES
 
     for word in words:
         if word not in SCOPES:
@@ -185,8 +185,7 @@ def verify_audit(
     the first entry that does not fit.
     """
     from service.cli.database import audit_heads_file, opened
-    from service.store.access.audit_chain import heads_in, read_head, verify
-    from service.store.people.audit import AuditStore
+    from service.store.people.audit import AuditStore, heads_in, read_head, verify
 
     file = Path(head) if head is not None else audit_heads_file(config, data_dir)
     if file.is_file():

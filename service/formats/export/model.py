@@ -22,7 +22,7 @@ from service.model.results.estimate import (
     Symbol,
     UsedEffect,
 )
-from service.model.results.table import Column, Shown, Table
+from service.model.results.part import Column, Shown, Table
 from service.model.robot import INERTIAL_NAMES, Robot
 from service.model.urdf import inertia_matrix
 

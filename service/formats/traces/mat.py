@@ -51,7 +51,7 @@ def _stated(path: Path) -> dict[str, tuple[int, ...]]:
     try:
         return {str(name): shape for name, shape, _ in whosmat(str(path))}
     except TypeError:
-        content: dict[str, Any] = loadmat(str(path), struct_as_record=True)
+        content = loadmat(str(path), struct_as_record=True)
     held: Any = content.pop("None", None)  # objects have no name there
     stated = {name: value.shape for name, value in content.items() if not name.startswith("__")}
     if not stated and isinstance(held, MatlabOpaque):

@@ -14,8 +14,7 @@ should be at least five times higher.
 """
 
 import math
-from collections.abc import Mapping as Mapping_
-from collections.abc import Sequence
+from collections.abc import Mapping as Mapping_, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast

@@ -21,10 +21,8 @@ first realisation of another.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import cast
 
 import numpy as np
-from pydantic import JsonValue
 from scipy.special import chdtri, ndtri
 
 from service.identification.axis.axis_estimate import (
@@ -71,8 +69,6 @@ from service.model.results.estimate import Estimate
 
 TRUST = 0.25  # standard deviations of the drive train since the last fit of all sweeps of the axis
 NOISE = 0.1  # relative change of the noise variance since the last fit of all axes
-
-Json = dict[str, JsonValue]
 
 
 @dataclass(frozen=True)
@@ -155,8 +151,7 @@ class _Axis:
     squares: float
     workspace: Array  # (m, r) rows in the poses of the workspace, and the nominal inertia there
     nominal: Array
-    entries: tuple[Json, ...]  # of the sweeps, and
-    document: Json  # of the axis, from which a revision begins
+    document: results.EstimatedAxis  # from which a revision begins
 
     @property
     def ratio(self) -> float:
@@ -229,16 +224,14 @@ class _Axis:
 
 @dataclass(frozen=True)
 class Condensed:
-    """All sweeps of an estimate for its next revision; `updates` of them since the last fit of all. `document`: JSON of
-    the estimate.
-    """
+    """All sweeps of an estimate for its next revision; `updates` of them since the last fit of all."""
 
     estimate: RobotEstimate  # the last fit of all sweeps
     standard: StandardModel
     symbolic: tuple[str, ...]
     base: results.Base
     axes: Mapping[str, _Axis]
-    document: Json
+    document: Estimate
     updates: int = 0
 
     @classmethod
@@ -266,7 +259,7 @@ class Condensed:
             tuple(one.symbolic or one.name for one in found.base_parameters),
             found.base,
             axes,
-            found.as_json(),
+            found,
         )
 
     def updated(self, spectrum: Spectrum) -> "Condensed | None":
@@ -361,7 +354,7 @@ class Condensed:
         entry = inertia_document(from_joint_fit(spectrum, reference, fit, 0, axis.gain, axis.distortion), value)
         moved = replace(
             moved,
-            entries=(*axis.entries, entry.as_json()),
+            document=axis.document.model_copy(update={"inertia": (*axis.document.inertia, entry)}),
             sweeps=moved.sweeps.and_one(one),
             pose=moved.pose.plus(pose),
             squares=moved.squares + squared,
@@ -411,19 +404,19 @@ class Condensed:
         solution = absolute.solve(nominal, spread)
         parameters = self.standard.parameters(rows, solution)
         covariance = tuple(tuple(map(float, row)) for row in solution.covariance)
-        document: dict[str, object] = {
+        revision = {
             "axes": {
                 name: _axis_document(axis, solution, values[name], stds[name], *tests[name][:2])
                 for name, axis in axes.items()
             },
-            "base_parameters": [one.as_json() for one in base_document(estimate, self.symbolic, solution, spread)],
-            "base": self.base.model_copy(update={"covariance": covariance}).as_json(),
+            "base_parameters": base_document(estimate, self.symbolic, solution, spread),
+            "base": self.base.model_copy(update={"covariance": covariance}),
             "condition_number": condition_number(rows),
-            "standard_parameters": standard_document(estimate.robot, parameters).as_json(),
-            "physical": physical_document(parameters).as_json(),
+            "standard_parameters": standard_document(estimate.robot, parameters),
+            "physical": physical_document(parameters),
             "updates": self.updates + 1,
         }
-        return replace(self, axes=axes, document=self.document | cast(Json, document), updates=self.updates + 1)
+        return replace(self, axes=axes, document=self.document.model_copy(update=revision), updates=self.updates + 1)
 
 
 def _condensed(
@@ -475,12 +468,13 @@ def _condensed(
             estimate.chain, estimate.unlocked.index(number), workspace[:, list(estimate.unlocked)]
         ),
         nominal=estimate.reference(axis.joint, workspace),
-        entries=tuple(one.as_json() for one in found.inertia),
-        document=found.as_json(),
+        document=found,
     )
 
 
-def _axis_document(axis: _Axis, solution: Solution, values: Array, std: Array, squares: float, freedom: float) -> Json:
+def _axis_document(
+    axis: _Axis, solution: Solution, values: Array, std: Array, squares: float, freedom: float
+) -> results.EstimatedAxis:
     """The axis' part of the document, with inertias (n,) of its sweeps and their standard deviations."""
     sweeps, train = axis.sweeps, axis.train
     identified, there = sweeps.rows @ solution.values, axis.workspace @ solution.values
@@ -493,22 +487,23 @@ def _axis_document(axis: _Axis, solution: Solution, values: Array, std: Array, s
     total = np.hypot(std, axis.gain.std / axis.gain.gain * values)
     friction = float(train.mean[1] + train.mean[2])
     columns = (values.tolist(), std.tolist(), total.tolist(), identified.tolist())
-    document: dict[str, object] = {
-        "inertia": [
-            {**one, "value": value, "std": own, "std_total": whole, "identified": model, "viscous_friction": friction}
-            for one, value, own, whole, model in zip(axis.entries, *columns, strict=True)
-        ],
+    names = ("value", "std", "std_total", "identified")
+    revision = {
+        "inertia": tuple(
+            one.model_copy(update={**dict(zip(names, row, strict=True)), "viscous_friction": friction})
+            for one, *row in zip(axis.document.inertia, *columns, strict=True)
+        ),
         "rmse_percent": results.Rmse(
             reference_measured=rmse_percent(sweeps.reference, values),
             identified_measured=rmse_percent(identified, values),
             reference_identified=rmse_percent(axis.nominal, there),
-        ).as_json(),
-        "drive_train": {name: value.as_json() for name, value in parameters.items()},
+        ),
+        "drive_train": parameters,
         "effects_moved_in_std": float(np.abs(moved).max()) if len(moved) else None,
         "confidence_percent": None if spread is None else spread.worst,
-        "workspace_std_percent": None if spread is None else spread.as_json(),
+        "workspace_std_percent": spread,
         "reduced_chi_squared": squares / freedom if freedom > 0.5 else None,
-        "held_out": None if held_out is None else held_out.as_json(),
-        "cramer_rao": cramer_rao_document(sweeps.bound, std, values).as_json(),
+        "held_out": held_out,
+        "cramer_rao": cramer_rao_document(sweeps.bound, std, values),
     }
-    return axis.document | cast(Json, document)
+    return axis.document.model_copy(update=revision)

@@ -23,7 +23,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from drivers.errors import Cause, CauseCode, DriveError, StopNotConfirmed
 from service.model.errors import Conflict, NotFound, NotNow
 from service.process.tasks import Background
-from service.store.access.credentials import masked
+from service.store.access import masked
 from service.store.database import refusal
 from service.store.documents import StopDocument
 from service.store.lease_and_latch import MachineLease, StopLatch

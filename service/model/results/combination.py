@@ -5,8 +5,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from service.model.results.part import Part
-from service.model.results.table import Column, Shown, Table
+from service.model.results.part import Column, Part, Shown, Table
 
 LARGEST = 1e15  # of a value in SI, as in a URDF: above any robot; its square does not overflow
 Bounded = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]

@@ -9,8 +9,7 @@ from pydantic import Field, JsonValue
 
 from service.model.recording import SweepSpec
 from service.model.results.effect import AxisFit, Effect, Value
-from service.model.results.part import Document, Part
-from service.model.results.table import Column, Shown, Table
+from service.model.results.part import Column, Document, Part, Shown, Table
 
 
 @dataclass(frozen=True, slots=True)

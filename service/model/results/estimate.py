@@ -8,10 +8,8 @@ import numpy as np
 from pydantic import Field
 
 from service.model.results.combination import Bounded, Combination, Physical, StandardParameters
-from service.model.results.digits import two_digits
 from service.model.results.effect import ModelSource, Value
-from service.model.results.part import Document, Part
-from service.model.results.table import Column, Shown, Table
+from service.model.results.part import Column, Document, Part, Shown, Table, two_digits
 
 
 class Figure(Part):

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from pydantic import AliasChoices, ConfigDict, Field
 
 from service.model.results.effect import Number
-from service.model.results.part import Document, Part
-from service.model.results.table import Column, Shown, Table
+from service.model.results.part import Column, Document, Part, Shown, Table
 
 
 class BodyFigure(Part):

@@ -8,8 +8,7 @@ from enum import Enum
 from typing import TypeVar
 
 from service.model.errors import Conflict
-from service.store.documents import CampaignState as C
-from service.store.documents import SweepState as S
+from service.store.documents import CampaignState as C, SweepState as S
 
 State = TypeVar("State", bound=Enum)
 Event = TypeVar("Event", bound=Enum)

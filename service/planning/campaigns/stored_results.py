@@ -5,10 +5,9 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, cast
 
 import structlog
-from pydantic import JsonValue
 
 from service.identification.fleet.document import Fleet
 from service.identification.fleet.survey import (
@@ -28,7 +27,7 @@ from service.store.plant import FleetStore, MeasuredCampaign
 from service.store.store import Store
 
 
-def _request(store: Store, campaign: CampaignDocument) -> Mapping[str, JsonValue]:
+def _request(store: Store, campaign: CampaignDocument) -> Mapping[str, object]:
     """The request of a campaign's plan; {} without a plan."""
     request = None if campaign.plan_id is None else store.plan(campaign.plan_id).document.get("request")
     return request if isinstance(request, dict) else {}
@@ -76,7 +75,9 @@ def latest_analysis(store: Store, campaign_id: int) -> Analyses:
 def siblings_behind(store: Store, campaign: CampaignDocument) -> dict[str, Estimate]:
     """The estimates of other robots of the type that a campaign uses; {} if there is none."""
     named = _request(store, campaign).get("prior_from")
-    return siblings(store, [one for one in named if isinstance(one, int)] if isinstance(named, list) else [])
+    return siblings(
+        store, [one for one in cast(list[object], named) if isinstance(one, int)] if isinstance(named, list) else []
+    )
 
 
 def siblings(store: Store, campaigns: Sequence[int]) -> dict[str, Estimate]:

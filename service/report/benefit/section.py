@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from html import escape
 
-from service.model.results.digits import with_std
+from service.model.results.part import with_std
 from service.report.benefit.benefit import AxisBenefit, Benefit, ModelBenefit, Tracking
 from service.report.drawing import IDENTIFIED, REFERENCE, Drawn, DrawnFigure, Part, figure, scale
 from service.report.html import ReportPage

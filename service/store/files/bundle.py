@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, StringConstraints, ValidationError
 from service.model.configuration import bad_field, read_text
 from service.model.errors import BadInput
 from service.model.recording import Sweep, SweepSpec
-from service.model.results.table import Column, Shown, Table, columns_of_sweeps
+from service.model.results.part import Column, Shown, Table, columns_of_sweeps
 from service.model.robot import Robot, RobotDescription, robot_from_outside
 from service.store.documents import NewRecording, RecordingState
 from service.store.files.columns import check_possible, check_samples, columns_of, read_columns, write_columns

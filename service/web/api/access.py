@@ -21,10 +21,8 @@ from starlette.datastructures import Headers
 from starlette.requests import Request, cookie_parser
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.store.access.audit_chain import Entry, Fact
-from service.store.access.credentials import Caller, bearer, key_sha256, masked
-from service.store.access.permissions import LOCAL, Role
-from service.store.people.audit import NotAudited
+from service.store.access import LOCAL, Caller, Role, bearer, key_sha256, masked
+from service.store.people.audit import Entry, Fact, NotAudited
 from service.store.rows import NoMachine
 from service.web.api.gate import from_own_page
 from service.web.api.problem import AGAIN, RequestRefused, problem_response

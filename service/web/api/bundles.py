@@ -12,11 +12,10 @@ from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
 
 from service.process.tasks import run_to_end
-from service.store.access.permissions import Role
+from service.store.access import Role
 from service.store.files.bundle import pack
 from service.web.api.campaigns import CampaignView, view
-from service.web.api.dependencies import ApplicationOf, Id, media, set_etag
-from service.web.api.idempotent import Handler, IdempotentRoute, head_of
+from service.web.api.dependencies import ApplicationOf, Handler, Id, IdempotentRoute, head_of, media, set_etag
 from service.web.api.route_roles import allow
 
 

@@ -20,8 +20,7 @@ from service.machine.execution.sweep_executor import DURATION, CheckMove, Curren
 from service.model.results.diagnosis import DataCheck
 from service.planning.campaigns.stored_plan import PlannedTime, PlanSubject
 from service.planning.compiled_plan import Range
-from service.store.access.credentials import masked
-from service.store.access.permissions import Role
+from service.store.access import Role, masked
 from service.store.documents import (
     LARGEST_ID,
     CampaignDocument,
@@ -37,6 +36,7 @@ from service.web.api.dependencies import (
     ApplicationOf,
     FilesOf,
     Id,
+    IdempotentRoute,
     IfMatch,
     IntentionOf,
     Limit,
@@ -47,7 +47,6 @@ from service.web.api.dependencies import (
     page,
     set_etag,
 )
-from service.web.api.idempotent import IdempotentRoute
 from service.web.api.route_roles import allow
 from service.web.application import Application
 

@@ -17,8 +17,7 @@ from service.model.errors import Conflict
 from service.planning.compiled_plan import Range
 from service.planning.documents import CELL_NAME
 from service.report.diagnosis import diagnosis_figures
-from service.store.access.credentials import PersonName
-from service.store.access.permissions import Role
+from service.store.access import PersonName, Role
 from service.store.documents import LARGEST_ID, BoltedMass, DiagnosisDocument, DiagnosisEntry, ModelDocument, PlanRecord
 from service.web.api.campaigns import CampaignView, view
 from service.web.api.dependencies import (
@@ -29,6 +28,7 @@ from service.web.api.dependencies import (
     DiagnosingOf,
     ExperimentsOf,
     Id,
+    IdempotentRoute,
     IntentionOf,
     Limit,
     ModelsOf,
@@ -40,7 +40,6 @@ from service.web.api.dependencies import (
     page,
     set_etag,
 )
-from service.web.api.idempotent import IdempotentRoute
 from service.web.api.plans import PlanView, Typed
 from service.web.api.route_roles import allow
 

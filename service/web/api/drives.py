@@ -12,11 +12,10 @@ from drivers.ports import AxisIdentity, AxisState, AxisStatus, Capabilities, Swe
 from service.machine.execution.machine import Machine
 from service.machine.execution.statement import NO_MACHINE, Condition, Statement
 from service.model.errors import NotFound
-from service.store.access.permissions import Role
+from service.store.access import Role
 from service.store.plant import MachineDocument
 from service.store.rows import NoMachine
-from service.web.api.dependencies import ApplicationOf, MachineOf
-from service.web.api.idempotent import IdempotentRoute
+from service.web.api.dependencies import ApplicationOf, IdempotentRoute, MachineOf
 from service.web.api.problem import Problem
 from service.web.api.route_roles import allow
 

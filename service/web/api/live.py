@@ -19,7 +19,7 @@ from starlette.concurrency import run_in_threadpool
 
 from service.model.errors import BadInput, NotFound
 from service.planning.campaigns.live import Array, LiveBlock
-from service.store.access.permissions import Role
+from service.store.access import Role
 from service.store.documents import LARGEST_ID, EventKind
 from service.web.api.access import LIVE
 from service.web.api.dependencies import ApplicationOf, Id

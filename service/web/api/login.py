@@ -13,9 +13,8 @@ from pydantic import BaseModel, ConfigDict, SecretStr, StringConstraints
 from starlette.concurrency import run_in_threadpool
 
 from service.model.errors import Conflict
-from service.store.access.audit_chain import Fact
-from service.store.access.permissions import Role
-from service.store.people.audit import AuditDocument
+from service.store.access import Role
+from service.store.people.audit import AuditDocument, Fact
 from service.store.people.users import UserDocument, UserStore
 from service.web.api.access import AuditTrail, Guesses, audit_trail_of, cookie_name, too_many, unauthorized
 from service.web.api.dependencies import After, ApplicationOf, AuditOf, Limit, Page, SessionsOf

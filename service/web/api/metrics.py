@@ -20,7 +20,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from service.machine.execution.statement import Condition
 from service.planning.campaigns.stored_results import Quality
 from service.process.telemetry import TRACING
-from service.store.access.permissions import Role
+from service.store.access import Role
 from service.store.database import refusal
 from service.web.api.dependencies import ApplicationOf
 from service.web.api.route_roles import allow

@@ -25,8 +25,7 @@ from starlette.datastructures import Headers
 
 from service.model.errors import BadInput, Conflict, NotNow, SweepidError
 from service.process.settings import Address, IdentityProvider, is_loopback
-from service.store.access.credentials import is_name, unique_name
-from service.store.access.permissions import Role
+from service.store.access import Role, is_name, unique_name
 from service.web.api.access import AuditTrail, Guesses, audit_trail_of, cookie_name, too_many, unauthorized
 from service.web.api.dependencies import ApplicationOf, SettingsOf
 from service.web.api.gate import from_own_page

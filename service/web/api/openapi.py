@@ -8,7 +8,7 @@ from typing import Any, cast
 from fastapi import FastAPI
 
 from service.process.settings import Settings
-from service.store.access.permissions import Role
+from service.store.access import Role
 from service.web.api.problem import MEDIA_TYPE, Problem
 from service.web.api.route_roles import Permissions
 

@@ -24,8 +24,7 @@ from service.planning.documents import AnalysisRequest, DiagnosisRequest, Trajec
 from service.planning.machine_setup import narrowed, on_machine
 from service.planning.plan import PlanRequest, build_plan
 from service.planning.trajectories import build_trajectory_plan
-from service.store.access.credentials import PersonName
-from service.store.access.permissions import Role
+from service.store.access import PersonName, Role
 from service.store.documents import PlanRecord, RobotDocument
 from service.store.lease_and_latch import ApprovalDocument
 from service.store.tables import now
@@ -37,13 +36,13 @@ from service.web.api.dependencies import (
     ApprovalsOf,
     CallerOf,
     Id,
+    IdempotentRoute,
     IntentionOf,
     Limit,
     Page,
     StoreOf,
     page,
 )
-from service.web.api.idempotent import IdempotentRoute
 from service.web.api.problem import TAG
 from service.web.api.route_roles import allow
 from service.web.application import Application

@@ -31,7 +31,7 @@ from service.planning.documents import PlannedLeg
 from service.planning.plan import PlanDocument
 from service.planning.poses import grid, has_room
 from service.planning.safety.envelope import Envelope
-from service.store.access.permissions import Role
+from service.store.access import Role
 from service.store.documents import PlanRecord
 from service.web.api.dependencies import ApplicationOf, Id, SettingsOf, StoreOf
 from service.web.api.route_roles import allow

@@ -23,7 +23,7 @@ from service.planning.campaigns.stored_results import campaign_beside
 from service.planning.compiled_plan import plan_of
 from service.planning.plan import PlanDocument
 from service.report import Form
-from service.store.access.permissions import LOCAL, Role
+from service.store.access import LOCAL, Role
 from service.store.documents import LARGEST_ID, EstimateDocument
 from service.store.plant import BatchDocument, BatchEntry, BatchEstimate
 from service.web.api.dependencies import (
@@ -33,6 +33,7 @@ from service.web.api.dependencies import (
     CallerOf,
     FleetOf,
     Id,
+    IdempotentRoute,
     Limit,
     Page,
     ReidentifyingOf,
@@ -43,7 +44,6 @@ from service.web.api.dependencies import (
     media,
     page,
 )
-from service.web.api.idempotent import IdempotentRoute
 from service.web.api.route_roles import allow
 
 estimate_routes = APIRouter(prefix="/campaigns/{campaign_id}/estimates", tags=["estimates"])

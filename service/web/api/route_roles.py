@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from starlette.routing import compile_path
 
-from service.store.access.permissions import MEANING, SCOPES, Role
+from service.store.access import MEANING, SCOPES, Role
 
 SOCKET = "WEBSOCKET"
 """Used in place of the method for a WebSocket."""

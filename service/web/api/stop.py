@@ -12,8 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from drivers.errors import StopNotConfirmed
 from service.machine.execution.statement import NO_MACHINE
 from service.machine.stop_process.listener import LONGEST_WAIT, not_confirmed, waiting_time
-from service.store.access.credentials import PersonName, masked
-from service.store.access.permissions import Role
+from service.store.access import PersonName, Role, masked
 from service.store.documents import LARGEST_ID, StopDocument
 from service.store.rows import NoMachine
 from service.web.api.access import audit_trail_of

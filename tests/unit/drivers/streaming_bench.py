@@ -13,9 +13,8 @@ import can
 from drivers.canopen import frames
 from drivers.canopen.bus import CanopenBus
 from drivers.canopen.host_sweep import HostSweep
-from drivers.canopen.profile import BusProfile
+from drivers.canopen.profile import BusProfile, Codec
 from drivers.canopen.streamed_axis import StreamRequest
-from drivers.canopen.units import Codec
 from drivers.cia402.checks import DriveEnvelope
 from drivers.ports import SampleBlock, SineCommand, SweepMode
 from tests.unit.drivers import given

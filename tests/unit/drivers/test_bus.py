@@ -12,11 +12,9 @@ from types import SimpleNamespace
 
 import can
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
-from drivers.canopen import bus as bus_module
-from drivers.canopen import frames
+from drivers.canopen import bus as bus_module, frames
 from drivers.canopen.bus import CanopenBus, SocketcandBus
 from drivers.canopen.device_map import SetPointWay, load_device_map
 from drivers.canopen.fieldbus import bus_load, check_bus_load

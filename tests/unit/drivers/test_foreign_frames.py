@@ -7,8 +7,7 @@ from pathlib import Path
 import can
 import pytest
 import yaml
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from drivers.canopen import frames
 from drivers.canopen.bus import CanopenBus, ForeignFrames

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from drivers.canopen import frames, host_sweep
-from drivers.canopen.bcm import KernelRefused
+from drivers.canopen.bus import KernelRefused
 from drivers.canopen.host_sweep import HostSweep
 from drivers.canopen.streamed_axis import Ending, StreamedAxis
 from drivers.contract.bench import eventually

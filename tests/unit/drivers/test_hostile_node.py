@@ -13,8 +13,7 @@ from pathlib import Path
 import can
 import pytest
 from canopen.sdo.client import SdoClient
-from hypothesis import HealthCheck, example, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, example, given, settings, strategies as st
 
 from drivers.canopen import frames
 from drivers.canopen.bus import CanopenBus

@@ -7,8 +7,7 @@ from typing import Any, cast
 
 import pytest
 import yaml
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from drivers.errors import BadProfile, LimitExceeded
 from drivers.modbus import from_profile

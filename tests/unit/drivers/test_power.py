@@ -4,8 +4,7 @@ import threading
 from collections.abc import Sequence
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from drivers.cia402 import states
 from drivers.cia402.axis import Cia402Axis

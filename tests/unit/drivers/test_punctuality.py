@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from drivers.canopen.bcm import Steering, set_point_source
+from drivers.canopen.bus import Steering, set_point_source
 from drivers.canopen.frames import Wires
 from drivers.canopen.host_sweep import Punctuality
 from drivers.canopen.profile import BusProfile

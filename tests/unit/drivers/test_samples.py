@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from itertools import combinations, pairwise
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from drivers.canopen.frames import MotionPdo, PositionPdo
-from drivers.canopen.samples import CounterPairing, SyncSample, Windows
+from drivers.canopen.streamed_axis import CounterPairing, SyncSample, Windows
 
 SYNCS = 7
 Item = MotionPdo | PositionPdo | None  # None: SYNC

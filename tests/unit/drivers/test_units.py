@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from drivers.canopen import measuring
 from drivers.canopen.device_map import Entry, load_device_map
-from drivers.canopen.units import Codec, velocity_unit
-from drivers.canopen.units import codec as codec_of
+from drivers.canopen.profile import Codec, codec as codec_of, velocity_unit
 from drivers.errors import CommunicationLost, LimitExceeded, WrongConfiguration
 from drivers.ports import NoiseCommand
 from tests.unit.drivers.given import axis, sweep

@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
+from drivers.canopen.profile import Codec
 from drivers.canopen.streamed_axis import Positions, Velocities
-from drivers.canopen.units import Codec
 from drivers.cia402.checks import DriveEnvelope, check_move, check_sweep, envelope, set_point, travel
 from drivers.errors import LimitExceeded, distinct
 from drivers.ports import SineCommand, SweepCommand, SweepMode

@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 import yaml
 from asammdf.blocks.v4_blocks import ChannelConversion
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore

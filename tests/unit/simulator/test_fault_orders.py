@@ -4,11 +4,10 @@ import json
 from collections.abc import Callable
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from simulator import Scenario, load_scenario
-from simulator.canopen.cabinet import CanopenCabinet
+from simulator.canopen.line import CanopenCabinet
 from simulator.canopen.pdo import Frame
 from simulator.control import ORDERS, OrderTarget, carry_out
 from simulator.machine import LiveMachine

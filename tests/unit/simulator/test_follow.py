@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulator.follow import Path as Wanted
-from simulator.follow import follow
+from simulator.follow import Path as Wanted, follow
 from simulator.rigid_body import true_inertia
 from simulator.scenario import ScenarioError, load_scenario
 from tests.command import sweepid

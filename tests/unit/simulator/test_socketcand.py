@@ -5,8 +5,7 @@ import socket
 from collections.abc import Iterator
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from simulator.canopen.line import SentFrame, SocketcandServer, parse_send
 from simulator.canopen.pdo import Frame

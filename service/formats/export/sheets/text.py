@@ -4,7 +4,7 @@ import math
 
 from service.formats.export.files import quaternion
 from service.formats.export.sheets.inertias import LoadData, zyx
-from service.model.results.digits import with_std
+from service.model.results.part import with_std
 from service.model.results.sheet import AxisSheet, Sheet, SheetBody, Supplementary, SupplementaryLoad
 
 

@@ -10,8 +10,7 @@ import jsonschema_rs
 import pytest
 import requests
 import schemathesis
-from hypothesis import HealthCheck, Phase, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, Phase, settings, strategies as st
 from schemathesis.checks import not_a_server_error
 from schemathesis.specs.openapi.checks import (
     content_type_conformance,
@@ -22,8 +21,7 @@ from schemathesis.specs.openapi.checks import (
     unsupported_method,
 )
 
-from service.web.api.openapi import COMMITTED
-from service.web.api.openapi import document as made_now
+from service.web.api.openapi import COMMITTED, document as made_now
 from tests.unit.service.api.conftest import identified
 
 pytestmark = pytest.mark.slow

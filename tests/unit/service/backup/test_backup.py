@@ -15,8 +15,7 @@ from service.process.settings import load_settings
 from service.store.backup import FILE, make_backup, read_manifest, restore, sqlite_file
 from service.store.database import open_database
 from service.store.examination import examine
-from service.store.files.data_folder import FILE as OWNER
-from service.store.files.data_folder import claim_folder
+from service.store.files.data_folder import FILE as OWNER, claim_folder
 from service.store.files.recordings import RecordingFiles, SweepAttempt, file_sha256
 from service.store.lease_and_latch import MachineLease
 from service.store.store import Store

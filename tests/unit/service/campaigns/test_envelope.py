@@ -5,8 +5,7 @@ from math import inf, nan, pi, radians
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from drivers.ports import SampleBlock, SineCommand, SweepCommand, SweepMode
 from service.identification.estimates.torque_gain import KnownMass

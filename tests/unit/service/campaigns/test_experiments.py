@@ -8,8 +8,7 @@ import pytest
 
 from service.jobs.dask_workers import DaskWorkers
 from service.jobs.diagnosing import Diagnosing
-from service.jobs.experiment_planner import ExperimentPlanner
-from service.jobs.experiments import ROUNDS, Experiments
+from service.jobs.experiments import ROUNDS, ExperimentPlanner, Experiments
 from service.model.errors import BadInput, Conflict
 from service.model.robot import Robot
 from service.planning.campaigns.live import EventFeed

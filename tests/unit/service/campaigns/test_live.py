@@ -15,8 +15,7 @@ from service.planning.campaigns.live import EventFeed, LiveBlock, LiveHub, thin
 from service.store.database import open_database
 from service.store.lease_and_latch import StopLatch
 from service.store.store import Store
-from service.web.api.live import message
-from service.web.api.live import text as json_text
+from service.web.api.live import message, text as json_text
 from tests.unit.service.campaigns.conftest import until
 
 TIMEOUT = 60.0  # s

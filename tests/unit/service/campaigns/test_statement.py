@@ -4,8 +4,7 @@ import math
 from dataclasses import dataclass, field
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from drivers.ports import AxisState, AxisStatus
 from service.machine.execution.statement import Condition, Reports

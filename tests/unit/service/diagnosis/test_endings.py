@@ -28,11 +28,9 @@ from service.model.errors import BadInput
 from service.model.recording import Sweep
 from service.report import diagnosis_page
 from tests.numeric.campaign import max100
-from tests.stored.documents import axis_document as stored_axis
-from tests.stored.documents import diagnosis
+from tests.stored.documents import axis_document as stored_axis, diagnosis
 from tests.unit.service.diagnosis.following import equations_of, known_to, swept
-from tests.unit.service.diagnosis.test_calibration import MASS, SLOW, TIGHT, measured
-from tests.unit.service.diagnosis.test_calibration import POSES as MASS_POSES
+from tests.unit.service.diagnosis.test_calibration import MASS, POSES as MASS_POSES, SLOW, TIGHT, measured
 from tests.unit.service.diagnosis.test_twin import axis_of
 
 JOINT = "joint_2"

@@ -13,7 +13,7 @@ from service.diagnosis.experiments import FULL_DESIGN, MORE_POSES, TEST_MASS, WA
 from service.identification.design.diagnosis_sweeps import BLOCKS
 from service.model.results.diagnosis import Verdict
 from service.process.settings import Settings
-from service.store.access.permissions import Role
+from service.store.access import Role
 from service.store.documents import CampaignState, DiagnosisState
 from service.web.app import create_app
 from service.web.hmi.pages import texts

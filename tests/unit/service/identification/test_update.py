@@ -57,7 +57,7 @@ def test_an_update_is_the_fit_of_all_sweeps(seed: int) -> None:
     for last in (34, 48):
         found = updated(robot, spectra[:last], 24)
         most = max(most, found.updates)
-        new: dict[str, Any] = found.document
+        new: dict[str, Any] = found.document.as_json()
         whole: dict[str, Any] = estimate_document(robot, spectra[:last]).as_json()
         for joint, axis in whole["axes"].items():
             for name, of in axis["drive_train"].items():
@@ -96,7 +96,7 @@ def test_the_linear_part_is_the_least_squares_of_all_sweeps(seed: int) -> None:
             squares, freedom = np.sum((right - white @ solution)[a:b] ** 2), b - a - np.sum(basis[a:b] ** 2)
             if squares > chi2.isf(joint_fit.FitLimits.chance, freedom):
                 scales[k] = squares / freedom
-    document: dict[str, Any] = found.document
+    document: dict[str, Any] = found.document.as_json()
     told = np.array([one["value"] for one in document["base_parameters"]])
     assert all(one["std"] is not None for one in document["base_parameters"])
     np.testing.assert_allclose(told, solution, rtol=1e-9, atol=1e-9 * np.abs(solution).max())

@@ -4,8 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from service.formats.maker_urdf import UrdfCheck, check_urdf, read_description, side_file_text
 from service.formats.maker_urdf.packages import Packages

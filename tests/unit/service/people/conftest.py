@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
-from service.store.access.permissions import Role
+from service.store.access import Role
 from service.store.database import Database, open_database
 from service.store.people.audit import AuditStore
 from service.store.people.users import KeyStore

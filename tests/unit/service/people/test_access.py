@@ -15,11 +15,9 @@ import pytest
 from sqlalchemy import text
 
 from service.process.settings import Settings
-from service.store.access.audit_chain import verify
-from service.store.access.credentials import new_key
-from service.store.access.permissions import Role
+from service.store.access import Role, new_key
 from service.store.database import Database, open_database
-from service.store.people.audit import AuditDocument, AuditStore, AuditUnreadable
+from service.store.people.audit import AuditDocument, AuditStore, AuditUnreadable, verify
 from service.store.people.users import KeyStore
 from service.web.api.access import WINDOW, Guesses
 from service.web.api.route_roles import SOCKET

@@ -12,10 +12,21 @@ from structlog.testing import capture_logs
 
 from service.cli.commands.people import add_key, export_audit, list_people
 from service.model.errors import BadInput, Conflict
-from service.store.access.audit_chain import FIRST, AuditBroken, canonical, heads_in, read_head, sha256, verify
-from service.store.access.permissions import LOCAL
+from service.store.access import LOCAL
 from service.store.database import Database, open_database
-from service.store.people.audit import AuditHeads, AuditStore, AuditWriter, NotAudited
+from service.store.people.audit import (
+    FIRST,
+    AuditBroken,
+    AuditHeads,
+    AuditStore,
+    AuditWriter,
+    NotAudited,
+    canonical,
+    heads_in,
+    read_head,
+    sha256,
+    verify,
+)
 from service.store.people.users import KeyStore
 from tests.command import sweepid
 from tests.unit.service.api.conftest import serving

@@ -11,7 +11,7 @@ from urllib.parse import parse_qs, urlsplit
 import httpx
 import pytest
 
-from service.store.access.permissions import Role
+from service.store.access import Role
 from service.store.database import Database
 from service.store.people.users import UserStore
 from tests.command import sweepid

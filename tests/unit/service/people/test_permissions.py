@@ -6,8 +6,7 @@ import pytest
 from fastapi import FastAPI
 
 from service.process.settings import Settings
-from service.store.access.credentials import key_sha256, masked, new_key
-from service.store.access.permissions import SCOPES, Role
+from service.store.access import SCOPES, Role, key_sha256, masked, new_key
 from service.web.api.route_roles import LOGINS, SOCKET, STOP, Permissions, RouteKey, allow, page
 from service.web.app import create_app
 
@@ -96,7 +95,7 @@ def test_what_a_key_lacks(
 
 
 def test_the_page_is_fresh(root: Path, permissions: Permissions) -> None:
-    told = "run: python -m service.web.api.route_roles > docs/reference/permissions.md"
+    told = "run: python -m service.web.api.gate > docs/reference/permissions.md"
     assert (root / PAGE).read_text("utf-8") == page(permissions), told
 
 

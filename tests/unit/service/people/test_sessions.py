@@ -21,11 +21,21 @@ from sqlalchemy import select, text
 from service.cli.commands.people import revoke_session, sessions
 from service.model.errors import BadInput, Conflict, NotFound
 from service.store import tables as t
-from service.store.access.permissions import Role
+from service.store.access import Role
 from service.store.database import Database, SteadyClock, open_database
 from service.store.people.audit import AuditStore
-from service.store.people.sessions import SessionStore, begin_time, keep_time
-from service.store.people.users import LEAST, KeyStore, UserDocument, UserStore, fits, outdated, password_hash
+from service.store.people.users import (
+    LEAST,
+    KeyStore,
+    SessionStore,
+    UserDocument,
+    UserStore,
+    begin_time,
+    fits,
+    keep_time,
+    outdated,
+    password_hash,
+)
 from tests.command import SWEEPID, sweepid
 from tests.unit.service.hosting import hosting
 from tests.unit.service.people.conftest import Since, calling, stored_in

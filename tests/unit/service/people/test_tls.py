@@ -15,7 +15,7 @@ from websockets.sync.client import connect
 
 from service.model.errors import BadInput
 from service.process.settings import Settings
-from service.store.access.permissions import Role
+from service.store.access import Role
 from service.store.database import open_database
 from service.store.people.users import KeyStore, UserStore
 from service.web.client import ServiceClient, ServiceUnreachable

@@ -15,8 +15,7 @@ from asyncua.ua.status_codes import StatusCodes
 
 from service.model.errors import BadInput
 from service.process.settings import OpcUa
-from service.publishing.opcua.nodes import load_of
-from service.publishing.opcua.server import OpcUaServer
+from service.publishing.opcua import OpcUaServer, load_of
 from service.publishing.state import FromPublisher, PublishedState
 from tests.node_opcua import NodeClient, node_client
 from tests.node_opcua.certificates import certificate

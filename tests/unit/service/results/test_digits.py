@@ -1,11 +1,10 @@
 """Digits of a value and its standard deviation, and where they stand: one rule for report and sheet."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from service.formats.export.sheets.text import as_markdown
-from service.model.results.digits import with_std
+from service.model.results.part import with_std
 from service.model.results.sheet import Sheet
 from tests.stored.documents import stored
 

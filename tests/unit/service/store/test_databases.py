@@ -14,16 +14,14 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy import create_engine, select, text
-from sqlalchemy.exc import IntegrityError, OperationalError
-from sqlalchemy.exc import TimeoutError as NoConnection
+from sqlalchemy.exc import IntegrityError, OperationalError, TimeoutError as NoConnection
 from sqlalchemy.orm import Session
 
 from service.model.errors import BadInput
 from service.model.recording import SweepSpec
 from service.model.robot import Robot
 from service.store import tables as t
-from service.store.access.audit_chain import verify
-from service.store.access.permissions import Role
+from service.store.access import Role
 from service.store.copying import RowsNotCopied, copy_rows
 from service.store.database import Database, known_schemas, open_database, refusal
 from service.store.documents import NewRecording, NewSweep, RecordingState
@@ -31,7 +29,7 @@ from service.store.engines import NotReached, parsed_url
 from service.store.examination import examine, examined
 from service.store.files.data_folder import FILE, claim_folder
 from service.store.lease_and_latch import MachineLease, MachineTaken, StopLatch
-from service.store.people.audit import AuditStore
+from service.store.people.audit import AuditStore, verify
 from service.store.people.users import UserStore
 from service.store.store import Store
 from tests.command import sweepid

@@ -14,7 +14,6 @@ from service.model.errors import BadInput, Conflict, NotFound
 from service.model.recording import Recording
 from service.model.robot import Robot
 from service.store import tables as t
-from service.store.access.audit_chain import Entry
 from service.store.database import Database, open_database
 from service.store.diagnoses import DiagnosisStore, ModelStore
 from service.store.documents import (
@@ -29,7 +28,7 @@ from service.store.documents import (
 from service.store.files.data_folder import claim_folder
 from service.store.files.recordings import RecordingFiles
 from service.store.objects import ObjectStore
-from service.store.people.audit import AuditStore
+from service.store.people.audit import AuditStore, Entry
 from service.store.plant import BatchStore
 from service.store.retention import Pruned, RetentionRules, RetentionStore, prune
 from service.store.store import Store

@@ -11,7 +11,7 @@ import pytest
 import structlog.testing
 
 from simulator import Scenario
-from simulator.canopen.cabinet import CanopenCabinet
+from simulator.canopen.line import CanopenCabinet
 from simulator.canopen.pdo import Frame
 from simulator.control import OrderTarget, carry_out
 from simulator.machine import LiveMachine

@@ -6,13 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from simulator import Scenario
-from simulator.canopen.cabinet import CanopenCabinet
+from simulator.canopen.line import CanopenCabinet
+from simulator.canopen.node import SdoServer
 from simulator.canopen.pdo import Frame, PdoChannel, process_data
-from simulator.canopen.sdo import SdoServer
 from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
 from simulator.drive.virtual_axis import VirtualAxis
 from simulator.machine import LiveMachine

@@ -5,13 +5,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from simulator.drive.dictionary import ObjectDictionary
 from simulator.drive.power_drive import ENERGISED, Command, DriveState, FaultCode
-from simulator.drive.profile import brake, travel
 from simulator.drive.virtual_axis import VirtualAxis
+from simulator.waveform import brake, travel
 
 REV = 1 << 20
 Turn = Callable[..., np.ndarray]

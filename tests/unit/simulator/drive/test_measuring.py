@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from simulator import Scenario
-from simulator.canopen.cabinet import CanopenCabinet
+from simulator.canopen.line import CanopenCabinet
 from simulator.canopen.pdo import Frame
 from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
 from simulator.drive.measuring import FunctionState, Rejection

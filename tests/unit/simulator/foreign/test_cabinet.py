@@ -9,10 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
-from simulator.canopen.cabinet import ForeignCabinet
+from simulator.canopen.line import ForeignCabinet
 from simulator.canopen.pdo import Frame
 from simulator.control import OrderTarget, carry_out
 from simulator.machine import LiveMachine

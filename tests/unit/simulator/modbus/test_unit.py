@@ -17,7 +17,7 @@ from pymodbus.pdu.register_message import (
 
 from simulator import load_scenario
 from simulator.machine import LiveMachine
-from simulator.modbus.cabinet import ModbusCabinet, ModbusUnit, Refusal
+from simulator.modbus.line import ModbusCabinet, ModbusUnit, Refusal
 from simulator.modbus.registers import RegisterLayout, load_register_map
 
 CONFIG = Path(__file__).parents[4] / "config"
