@@ -142,11 +142,9 @@ def test_every_answer_keeps_the_invariants(seed: int) -> None:
         assert parameter.std <= 0.5 * abs(parameter.value), parameter.name
 
 
-def test_what_no_robot_can_have_is_told() -> None:
-    """The efforts of one axis have the wrong sign."""
+def test_efforts_that_all_have_the_wrong_sign_are_told() -> None:
     one = log(224, family="arm", motion="wander", duration=30.0)
-    first, *rest = one.sweeps
-    warnings = document(one.robot, (with_effort(first, -first.recording.effort), *rest)).warnings
+    warnings = document(one.robot, tuple(with_effort(s, -s.recording.effort) for s in one.sweeps)).warnings
     assert any("Fc(joint_1) is -" in warning and "change the sign" in warning for warning in warnings)
     assert not document(one.robot, one.sweeps).warnings
 
@@ -160,6 +158,11 @@ def test_the_model_of_a_free_motion_is_exported(tmp_path: Path) -> None:
         assert friction == pytest.approx(true, rel=0.3)
     again = sweepid.export(one.robot, Estimate.read(estimate.as_json(), "file"), tmp_path / "again")
     np.testing.assert_allclose(again.motor_inertias, model.motor_inertias)
+
+
+def opposite(one: Log) -> tuple[Robot, list[Sweep]]:
+    first, *rest = one.sweeps
+    return one.robot, [with_effort(first, -first.recording.effort), *rest]
 
 
 def exchanged(one: Log) -> tuple[Robot, list[Sweep]]:
@@ -184,6 +187,7 @@ def with_effort(sweep: Sweep, effort: np.ndarray) -> Sweep:
 @pytest.mark.parametrize(
     ("fault", "told"),
     [
+        (opposite, "the effort of joint_1 seems to have the wrong sign"),
         (exchanged, "the efforts of joint_1 and joint_2 seem to be exchanged"),
         (late, "the efforts seem to be 200 ms late"),
         (turned, "gravity seems to act along -z of the base"),
