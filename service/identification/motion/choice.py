@@ -10,7 +10,7 @@ the least error is used,
 
 where the simple estimator is the same without nominal model: what anybody would try first. It is not a candidate: where
 an axis moves alone, or briefly, held-out parts are near the others, and do not show how far its parameters are wrong in
-other poses.
+other poses. A nominal model that is worse than its prior says is met by ten times its standard deviations.
 
 Prediction error of a fit of free motions on held-out parts of them.
 
@@ -248,7 +248,8 @@ def choose(
     # standard deviations: the prior is too narrow
     if contradicted > 1.5:
         best = min(best, candidate(best.laws, contradicted), key=lambda one: one.score)
-    return best
+    # where the model is worse than its prior says, and beside other errors cannot be seen to contradict
+    return min(best, candidate(best.laws, 10.0), key=lambda one: one.score)
 
 
 def contradiction(data: Information, prior: Information, start: Array) -> float:
@@ -304,8 +305,8 @@ def faults(
     """The most certain, or none; `of`: `scales` of the records."""
     least = chosen.least_errors
     limit = {joint: 0.25 * (of.get(joint, Scale()).effort or np.inf) for joint in least}
-    # errors below, and below twice the simple estimator's, raise no question
-    if all(least[joint] < limit[joint] and chosen.errors[joint] < 2 * chosen.simple[joint] for joint in least):
+    # a nominal model that the data do not contradict, and errors below the limits, raise no question
+    if chosen.widened == 1 and all(error < limit[joint] for joint, error in least.items()):
         return ()
     found: list[tuple[float, str]] = []
     for one in _hypotheses(robot, base, records):
