@@ -226,12 +226,13 @@ def combine(
     records = [calibrated(record, gain) for record in records]
     equations = _all_equations(robot, base, records, trains)
     sweeps = _sweep_information(robot, base, inertias)
-    free, evidence, free_gains = None, Information.empty(len(start)), np.zeros((len(start), len(robot.axes)))
+    free, free_gains = None, np.zeros((len(start), len(robot.axes)))
+    evidence = honest = Information.empty(len(start))
     if motions:
         motions = [free_motion.with_loads(free_motion.calibrated(motion, gain), trains) for motion in motions]
         free = choose(robot, base, motions, _sum(sweeps, len(start)), prior, start, of)
         prior = wider(prior, free.widened)
-        evidence, free_gains = free.evidence(len(start))
+        (evidence, free_gains), honest = free.evidence(len(start)), free.honest(len(start))
     others = _sum(sweeps, len(start)).plus(prior).plus(evidence)
     scatter = {joint: _scatter(records, joint) for joint in dict.fromkeys(each.joint for each in equations)}
     # start value only
@@ -249,8 +250,7 @@ def combine(
         finite(np.array(list(noise.values())), ", ".join(noise), "the noise of its trajectories")
     at_once = _marginal(_motion_information(equations, noise, size), len(start))
     alone, moved = _sum(sweeps, len(start)), _sum(at_once, len(start))
-    moved = moved.plus(evidence)
-    solution = alone.plus(moved).plus(prior).solve(start)
+    solution = alone.plus(moved).plus(evidence).plus(prior).solve(start)
     by_gain = np.zeros((len(start), len(robot.axes)))
     for joint, own in [*sweeps.items(), *at_once.items()]:
         by_gain[:, robot.index(joint)] += own.vector
@@ -263,7 +263,7 @@ def combine(
         std,
         np.where(np.isfinite(std), total, np.inf),
         _shown(alone.plus(prior).solve(start).std, left_open),
-        _shown(moved.plus(prior).solve(start).std, left_open),
+        _shown(moved.plus(honest).plus(prior).solve(start).std, left_open),
         np.sqrt(base.combination**2 @ parameter_spread(robot, of) ** 2),
     )
     of_runs = _sum(at_once, len(start))
@@ -284,7 +284,7 @@ def combine(
         free_axes={} if free is None else held_out(motions, free.fit, free.others.plus(of_runs), free.start),
         friction={} if free is None else free.friction(robot, base, of_runs, of),
         chosen=free,
-        faults=() if free is None else faults(robot, base, motions, of, free.least_errors),
+        faults=() if free is None else faults(robot, base, motions, of, free),
     )
 
 
@@ -566,7 +566,7 @@ def _fit(combination: JointEstimate) -> results.FreeMotionFit | None:
     chosen = combination.chosen
     if chosen is None:
         return None
-    return results.FreeMotionFit(simple_estimator=SIMPLE, coloured=chosen.coloured, prior_widened=chosen.widened)
+    return results.FreeMotionFit(simple_estimator=SIMPLE, prior_widened=chosen.widened)
 
 
 def _free_motion_axis(combination: JointEstimate, joint: str) -> results.FreeMotionAxis:

@@ -1,15 +1,16 @@
-r"""How free motions are weighted is chosen by their own held-out parts, beside plain least squares.
+r"""Friction and the nominal model's weight in the fit of free motions are chosen by held-out parts of them.
 
-No weighting is best for every robot. The colour of the residuals (`noise`) is right if they are noise, and costs an
-error of the model twice: it gives up the low frequencies, where gravity and friction are, for the high ones, where the
-spring is. Friction beyond Coulomb and viscous (`friction_laws`) takes an error away, or only adds parameters. A
-nominal model that the data contradict must weigh less. So every candidate predicts parts of the motion that
-it has not seen, and the one with the least error is used,
+All axes are fitted together, each weighted by the size of its residuals. Whitening by the residuals' colour gives up
+the low frequencies, where gravity and friction are, for the high ones, where the spring is: it is not used. Friction
+beyond Coulomb and viscous (`friction_laws`) takes an error away, or only adds parameters. A nominal model that the data
+contradict must weigh less. So these candidates predict parts of the motion that they have not seen, and the one with
+the least error is used,
 
     mean over the axes of log(error / error of the simple estimator) + sum over the axes above 1.05 times it,
 
-where the simple estimator is least squares weighted by axis, with Coulomb and viscous friction and no nominal model:
-what anybody would try first. It is itself a candidate, so the result is no worse on these parts.
+where the simple estimator is the same without nominal model: what anybody would try first. It is not a candidate: where
+an axis moves alone, or briefly, held-out parts are near the others, and do not show how far its parameters are wrong in
+other poses. A nominal model that is worse than its prior says is met by ten times its standard deviations.
 
 Prediction error of a fit of free motions on held-out parts of them.
 
@@ -19,10 +20,11 @@ was run twice.
 
 Faults of the records of free motions, where the whole inverse dynamics fits them badly.
 
-Each hypothesis changes the records or the robot file: the efforts of two axes are exchanged, all efforts are late, or
-gravity has another direction. The simple estimator (`choice`), which knows no nominal model, then predicts
-held-out parts. A hypothesis that leaves less than 0.5 of the error of its axes is told, with the evidence and what
-to change. A wrong sign of an effort needs no hypothesis: its Coulomb friction is negative.
+Each hypothesis changes the records or the robot file: an effort has the wrong sign, the efforts of two axes are
+exchanged, all efforts are late, or gravity has another direction. The simple estimator (`choice`), which knows no
+nominal model, then predicts held-out parts. A hypothesis that leaves less than 0.5 of the error of its axes, and less
+than 0.25 of their efforts, is told, with the evidence and what to change.
+Where all signs are wrong, or an axis is alone, friction is negative instead.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -35,7 +37,7 @@ from service.identification.model.base_parameters import BaseParameters
 from service.identification.model.inverse_dynamics import Scale, dynamic_base, nominal_parameters, prior_information
 from service.identification.model.least_squares import Information
 from service.identification.motion.equations import AxisEquations, Sampling, all_equations, friction_laws
-from service.identification.motion.fit import FOLDS, ORDER, FreeFit, fit_equations
+from service.identification.motion.fit import FOLDS, FreeFit, fit_equations
 from service.identification.motion.free_motion import FreeMotion, low_pass
 from service.model.arrays import Array
 from service.model.robot import Robot
@@ -54,7 +56,7 @@ def held_out(
     records: Sequence[FreeMotion], fit: FreeFit, others: Information, start: Array
 ) -> dict[str, HeldOutMotion]:
     """By joint. `others`: information without the free motions, including the nominal model's prior."""
-    values = fit.evidence.honest.plus(others).solve(start).values
+    values = fit.information.plus(others).solve(start).values
     return {
         joint: HeldOutMotion(
             residual=_rms([each.values - each.rows @ values for each in _of(fit, joint)], _of(fit, joint)),
@@ -133,7 +135,6 @@ class Chosen:
     others: Information
     start: Array
     widened: float
-    coloured: bool
     laws: frozenset[str]
     errors: dict[str, float]
     simple: dict[str, float]
@@ -155,7 +156,7 @@ class Chosen:
         """By joint, with `more` information on the parameters; empty without laws."""
         if not self.laws:
             return {}
-        count, found = len(robot.axes), self.fit.evidence.honest.plus(self.others).plus(more).solve(self.start)
+        count, found = len(robot.axes), self.fit.beside(self.others)[0].plus(self.others).plus(more).solve(self.start)
         laws: dict[str, IdentifiedFriction] = {}
         for joint in sorted(self.laws):
             index, reference = robot.index(joint), of[joint].speed or 1.0
@@ -173,12 +174,21 @@ class Chosen:
         return laws
 
     def evidence(self, size: int) -> tuple[Information, Array]:
-        """`honest` and `gain_vector` of the fit for the base parameters (size,) alone, whatever the laws are."""
-        whole, gains = self.fit.evidence.honest, self.fit.evidence.gain_vector
+        """Of the fit beside `others` for the base parameters (size,) alone, whatever the laws are; and its gains."""
+        whole, gains = self.fit.beside(self.others)
+        found, through = self._marginal(whole, size)
+        return found, gains[:size] - through.T @ gains[size:]
+
+    def honest(self, size: int) -> Information:
+        """The same from the motions alone."""
+        return self._marginal(self.fit.evidence.honest, size)[0]
+
+    def _marginal(self, whole: Information, size: int) -> tuple[Information, Array]:
         left = whole.matrix[:size, size:]
-        through = np.linalg.solve(whole.matrix[size:, size:] + self.others.matrix[size:, size:], left.T)
-        vector = gains[:size] - through.T @ gains[size:]
-        return Information(whole.matrix[:size, :size] - left @ through, vector.sum(axis=1), whole.count), vector
+        inner = whole.matrix[size:, size:] + self.others.matrix[size:, size:]
+        through = np.asarray(np.linalg.solve(inner, left.T), dtype=float)
+        vector = whole.vector[:size] - through.T @ whole.vector[size:]
+        return Information(whole.matrix[:size, :size] - left @ through, vector, whole.count), through
 
 
 def scales(records: Sequence[FreeMotion]) -> dict[str, Scale]:
@@ -218,29 +228,28 @@ def choose(
     # one sigma of a law's friction is 0.3 of the RMS effort
     law_prior = np.repeat([(0.3 * effort) ** -2 for effort in efforts], len(Sampling.low_speeds))
 
-    def candidate(order: int, laws: frozenset[str], widened: float) -> Chosen:
+    def candidate(laws: frozenset[str], widened: float) -> Chosen:
         own, begin, equations = sweeps.plus(wider(prior, widened)), start, parts
         if laws:
             matrix, begin = np.diag(np.append(0 * start, law_prior)), np.append(start, 0 * law_prior)
             own = Information(matrix, 0 * begin).plus(extended(own, len(begin)))
             equations = _with_laws(robot, parts, laws)
-        fit = fit_equations(robot, records, equations, own, begin, order)
+        fit = fit_equations(robot, records, equations, own, begin, order=0)
         errors = held_out_errors(fit, own, begin)
-        return Chosen(fit, own, begin, widened, order > 0, laws, errors, simple)
+        return Chosen(fit, own, begin, widened, laws, errors, simple)
 
-    best = min((candidate(order, frozenset(), 1.0) for order in (0, ORDER)), key=lambda one: one.score)
-    order = ORDER if best.coloured else 0
-    everywhere = candidate(order, frozenset(best.errors), 1.0).errors
-    # laws of friction must take a tenth of an axis' error
-    better = frozenset(joint for joint, error in everywhere.items() if error < 0.9 * best.errors[joint])
+    best = candidate(frozenset(), 1.0)
+    everywhere = candidate(frozenset(best.errors), 1.0).errors
+    # laws of friction must take three tenths of an axis' error
+    better = frozenset(joint for joint, error in everywhere.items() if error < 0.7 * best.errors[joint])
     if better:
-        best = min(best, candidate(order, better, 1.0), key=lambda one: one.score)
-    others = [candidate(0, frozenset(), OPEN)]
-    contradicted = contradiction(best.evidence(len(start))[0], prior, start)
+        best = min(best, candidate(better, 1.0), key=lambda one: one.score)
+    contradicted = contradiction(best.honest(len(start)), prior, start)
     # standard deviations: the prior is too narrow
     if contradicted > 1.5:
-        others.append(candidate(order, best.laws, contradicted))
-    return min(best, *others, key=lambda one: one.score)
+        best = min(best, candidate(best.laws, contradicted), key=lambda one: one.score)
+    # where the model is worse than its prior says, and beside other errors cannot be seen to contradict
+    return min(best, candidate(best.laws, 10.0), key=lambda one: one.score)
 
 
 def contradiction(data: Information, prior: Information, start: Array) -> float:
@@ -291,17 +300,20 @@ def faults(
     base: BaseParameters,
     records: Sequence[FreeMotion],
     of: Mapping[str, Scale],
-    least: Mapping[str, float],
+    chosen: Chosen,
 ) -> tuple[str, ...]:
-    """The most certain, or none; `least`: held-out errors of the fit, `of`: `choice.scales`."""
-    # a held-out error below a quarter of the RMS effort raises no question
-    if all(error < 0.25 * (of[joint].effort or np.inf) for joint, error in least.items() if joint in of):
+    """The most certain, or none; `of`: `scales` of the records."""
+    least = chosen.least_errors
+    limit = {joint: 0.25 * (of.get(joint, Scale()).effort or np.inf) for joint in least}
+    # a nominal model that the data do not contradict, and errors below the limits, raise no question
+    if chosen.widened == 1 and all(error < limit[joint] for joint, error in least.items()):
         return ()
     found: list[tuple[float, str]] = []
     for one in _hypotheses(robot, base, records):
         errors = _errors(one, records, of)
         left = float(np.exp(np.mean([np.log(errors[joint] / least[joint]) for joint in one.joints])))
-        if left < 0.5:  # a mended fault leaves less than half
+        # a mended fault leaves less than half
+        if left < 0.5 and all(errors[joint] < limit[joint] for joint in one.joints):
             found.append((left, f"{one.told}: the held-out error falls to {100 * left:.0f} %"))
     return tuple(told for _, told in sorted(found)[:1])
 
@@ -318,6 +330,10 @@ def _hypotheses(robot: Robot, base: BaseParameters, records: Sequence[FreeMotion
     parts = all_equations(robot, base, records)
     joints = tuple(dict.fromkeys(each.joint for each in parts))
     efforts = {(each.record, each.joint): each.values for each in parts}
+    for joint in joints:
+        opposite = [replace(each, values=-each.values) if each.joint == joint else each for each in parts]
+        told = f"the effort of {joint} seems to have the wrong sign: change it"
+        yield _Hypothesis(robot, base, opposite, (joint,), told)
     for pair in combinations(joints, 2):
         other = dict(zip(pair, reversed(pair), strict=True))
         if all((each.record, other[each.joint]) in efforts for each in parts if each.joint in pair):

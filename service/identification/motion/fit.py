@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, stdtr, stdtrit
 
-from service.identification.model.least_squares import Information, Rank, finite, span
+from service.identification.model.least_squares import Information, Rank, finite, scaled_inverse, span
 from service.identification.motion.equations import LACKS, AxisEquations
 from service.identification.motion.free_motion import FreeMotion, memory
 from service.model.arrays import Array, Mask
@@ -115,11 +115,14 @@ FOLDS = 5  # every fifth block is held out together
 @dataclass(frozen=True)
 class FitEvidence:
     """`honest`: information with a covariance consistent with the residuals. `gain_vector` (r, n): contribution of the
-    efforts of each axis to `honest.vector`. `lacks`: by joint, what the residual shows that the model lacks.
+    efforts of each axis to `honest.vector`. `scores` (r, r): covariance of A beta - b, of `efforts` (r, n) the sum b of
+    the axes. `lacks`: by joint, what the residual shows that the model lacks.
     """
 
     honest: Information
     gain_vector: Array
+    scores: Array
+    efforts: Array
     lacks: dict[str, tuple[str, ...]]
 
 
@@ -156,7 +159,20 @@ class FreeFit:
             own[:, self.joints.index(each.joint)] += each.rows.T @ each.values
         gain_vector = from_white.T @ shrunk @ (to_white.T @ own)
         honest = Information(from_white.T @ shrunk @ from_white, gain_vector.sum(axis=1), self.information.count)
-        return FitEvidence(honest, gain_vector, lacks)
+        return FitEvidence(honest, gain_vector, from_white.T @ spread @ from_white, own, lacks)
+
+    def beside(self, others: Information) -> tuple[Information, Array]:
+        """Information that gives with `others` (P, p) least squares of both and its own covariance,
+
+            beta = (A + P)^-1 (b + p),    cov beta = (A + P)^-1 (C + P) (A + P)^-1,
+
+        and the contribution (r, n) of the efforts of each axis to its vector. Where C exceeds A, it takes from P.
+        """
+        whole = self.information.matrix + others.matrix
+        share = whole @ scaled_inverse(self.evidence.scores + others.matrix)
+        matrix, gains = share @ whole, share @ self.evidence.efforts
+        vector = gains.sum(axis=1) + share @ others.vector - others.vector
+        return Information((matrix + matrix.T) / 2 - others.matrix, vector, self.information.count), gains
 
 
 @dataclass(frozen=True)

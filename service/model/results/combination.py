@@ -79,14 +79,12 @@ class FreeMotionAxis(Part):
 
 
 class FreeMotionFit(Part):
-    """How free motions are weighted, chosen by held-out parts.
+    """How free motions are fitted, chosen by held-out parts.
 
-    `simple_estimator`: the one beside it; `coloured`: whether residuals are whitened; `prior_widened`: factor of the
-    nominal model's standard deviations.
+    `simple_estimator`: the one beside it; `prior_widened`: factor of the nominal model's standard deviations.
     """
 
     simple_estimator: str
-    coloured: bool
     prior_widened: float
 
 
