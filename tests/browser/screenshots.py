@@ -22,8 +22,8 @@ from tests.browser.conftest import connected
 from tests.browser.looking import settled
 from tests.system.rest_bench import CONFIG, PATIENT_LEASE, Service, VirtualMachine, serving, until, virtual_machine
 
-SIZES = (1280, 768)  # px wide
-HEIGHT = 900  # px
+SIZES = (1280, 768, 1920)  # px wide
+HEIGHT = 800  # px
 SCHEMES = ("light", "dark")
 COLOURS = 64
 AXES = ["joint_2", "joint_3"]
@@ -85,11 +85,11 @@ def _pages(page: Page, service: Service, machine: VirtualMachine, poses: int, ta
         expect(page.locator("#live-chart .scatterlayer .trace")).to_have_count(2)
         expect(page.locator("#campaign-state")).to_have_class("badge running")
         take("page-running")
+        page.evaluate("localStorage.setItem('sweepid-names', JSON.stringify(['Ada', 'Grace']))")
         page.locator("#stop").click()
         expect(page.locator("#held")).to_be_visible()
         take("page-stopped")
-        page.locator("#reset-by").fill("Ada")
-        page.locator("#held button").click()
+        page.locator("#release-as button").first.click()
         expect(page.locator("#held")).to_be_hidden()
         page.locator("#resume").click()
         expect(page.locator("#campaign-state")).to_have_class("badge running")

@@ -89,7 +89,7 @@ def test_nothing_is_green_in_trouble_and_the_way_out_stands_there(machine: Virtu
     page.get_by_role("button", name="STOP").click()
     expect(page.locator("#machine")).to_have_text("stopped")
     assert green(page) == []
-    expect(way_out).to_contain_text(["Check the machine", "Type your name and release"])
+    expect(way_out).to_contain_text(["Check the machine", "Release the stop with your name"])
 
     machine.power_off()
     expect(page.locator("#machine")).to_contain_text("no machine")

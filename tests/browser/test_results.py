@@ -5,9 +5,10 @@ import re
 import pytest
 from playwright.sync_api import expect
 
-from tests.browser.browsing import browsing
+from tests.browser.browsing import browsing, window
 from tests.browser.scripted import Json, campaign, scripted
 from tests.stored.documents import stored
+from tests.system.rest_bench import until
 
 
 def test_earlier_estimates_are_earlier_and_the_scale_of_convergence_has_its_numbers_in_full() -> None:
@@ -56,6 +57,20 @@ def test_what_accepted_effects_did_to_the_estimate_is_told() -> None:
                 "The accepted effects moved J of joint_1 by up to 2.3 standard deviations.",
             ]
         )
+
+
+def test_what_one_failed_request_left_out_is_drawn_later() -> None:
+    with scripted(answers=of_one(stored("estimate"))) as service, window() as context:
+        page = context.new_page()
+        page.route("**/convergence", lambda route: route.abort())
+        page.goto(f"{service.url}/results#campaign-1", wait_until="commit")
+        expect(page.locator("#wanted")).to_be_empty()
+        expect(page.locator("#table tbody tr")).to_have_count(3)
+        page.unroute("**/convergence")
+        until(lambda: service.streams > 0, "the page follows the events")
+        service.tell("estimate")
+        expect(page.locator("#sweep option").first).to_be_attached()
+        expect(page.locator("#earlier tbody tr").first).to_be_visible()
 
 
 def of_one(document: Json) -> dict[str, Json]:

@@ -4,7 +4,7 @@ import pytest
 from playwright.sync_api import BrowserContext, Page, expect
 
 from tests.browser.browsing import window
-from tests.browser.looking import faint, green
+from tests.browser.looking import faint, green, small
 from tests.browser.scripted import JOINTS, Json, Scripted, campaign, scripted
 from tests.programs import needs
 from tests.system.rest_bench import until
@@ -142,6 +142,29 @@ def test_what_was_said_of_a_stop_goes_with_its_release() -> None:
         assert green(page) == []
         service.answers["stop"] = free
         expect(page.locator("#stop-told")).to_be_hidden()
+
+
+def test_a_name_that_was_typed_once_releases_with_one_press() -> None:
+    """With gloves; each of the names of this browser has a button, and only the displayed stops are released."""
+    held = {"id": 7, "by": "operator page", "why": "stop button", "at": "2026-03-02T12:00:00Z", "cause": None}
+    with scripted() as service, window() as context:
+        free = service.answers["stop"]
+        for name, known in (("Ada", []), ("Grace", ["Ada"]), ("Grace", ["Grace", "Ada"])):
+            service.answers["stop"] = free
+            page = opened(context, service)
+            service.answers["stop"] = free | {"latched": True, "stops": [held]}
+            expect(page.locator("#held")).to_be_visible()
+            offered = page.locator("#release-as button")
+            expect(offered).to_have_text([f"Machine looked at: release as {one}" for one in known])
+            with page.expect_request("**/stop/reset") as sent:
+                if name in known:
+                    assert small(page) == []
+                    offered.first.click()
+                else:
+                    page.locator("#reset-by").fill(name)
+                    page.locator("#held > button").click()
+            assert sent.value.post_data_json == {"by": name, "stops": [7]}
+            page.close()
 
 
 @pytest.mark.parametrize(

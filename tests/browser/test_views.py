@@ -4,6 +4,8 @@ The tree that a screen reader gets, not pixels: those differ with the fonts and 
 colours of warnings are listed under it, so that no red appears unseen. To renew: delete a state's file, run its test.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ from playwright.sync_api import Page, expect
 from tests.browser.browsing import window
 from tests.browser.looking import settled, too_wide
 from tests.browser.scripted import Json, axis, campaign, cause, drives, scripted, statement
+from tests.browser.test_german import everything
 from tests.programs import needs
 
 pytestmark = needs("chromium")
@@ -22,6 +25,8 @@ RUNS = campaign(
     motion=[{"kind": "travel", "axes": ["joint_1"], "target": 0.5, "seconds": 4.0}],
     progress={"done": 1, "total": 4, "remaining": 90.0, "repeat": 0.0, "current": 2},
 )
+AT = "2026-03-02T12:00:00Z"
+FILLED = everything(Path(__file__).parents[2])
 FAULT = {"code": 0x2310, "text": "2310h overcurrent", "emergency_stop": False}
 
 
@@ -43,12 +48,32 @@ STATES: dict[str, tuple[str, dict[str, Json], str]] = {
         ),
         "fault",
     ),
+    "operator-stopped": (
+        "",
+        of(
+            campaign(structured_cause=cause("stopped", by="operator page", detail="stop button")),
+            stop={
+                "latched": True,
+                "stop": None,
+                "stops": [{"id": 7, "by": "operator page", "why": "stop button", "at": AT, "cause": None}],
+                "port": None,
+                "process_trouble": "",
+            },
+        ),
+        "stopped",
+    ),
+    "operator-login": ("", {}, "nobody is logged in"),
+    "operator-silent": ("", of(RUNS), "all axes stand without energy"),
     "operator-unknown": ("", {"drives": drives(statement=statement("unknown", joint_2="unknown"))}, "not known"),
     "operator-disconnected": ("", {"drives": drives(connected=False, trouble="no bus", axes=[])}, "no bus"),
     "plan": ("plan", {}, "all axes stand without energy"),
     "results": ("results", {}, "all axes stand without energy"),
     "diagnosis": ("diagnosis", {}, "all axes stand without energy"),
     "fleet": ("fleet", {}, "all axes stand without energy"),
+    "operator-filled": ("#campaign-1", FILLED, "all axes stand without energy"),
+    "results-filled": ("results#campaign-1", FILLED, "all axes stand without energy"),
+    "diagnosis-filled": ("diagnosis#1", FILLED, "all axes stand without energy"),
+    "fleet-filled": ("fleet", FILLED, "all axes stand without energy"),
 }
 _ALARMS = """() => {
   const alarm = new Set(["rgb(185, 14, 42)", "rgb(200, 16, 46)", "rgb(143, 82, 0)"]);
@@ -80,18 +105,50 @@ def matches(page: Page, name: str) -> None:
     assert stored == now, f"{path}: written anew if it was missing; look at it"
 
 
-@pytest.mark.parametrize("locale", ["en-GB", "de-DE"])
-@pytest.mark.parametrize("name", STATES)
-def test_a_view_is_the_stored_one(name: str, locale: str) -> None:
+@contextmanager
+def opened(name: str, locale: str) -> Iterator[Page]:
+    """A view in one of its states."""
     path, answers, drawn = STATES[name]
     with scripted(answers=answers) as service, window(locale) as context:
         service.answers["stop"] |= {"statement": service.answers["drives"]["statement"]}
+        service.known = set() if name == "operator-login" else None
         page = context.new_page()
         page.goto(f"{service.url}/{path}", wait_until="commit")
         expect(page.locator("#machine")).not_to_be_empty()
         if locale == "en-GB":
             expect(page.locator("#machine")).to_contain_text(drawn)
+        if name == "operator-silent":
+            expect(page.locator("#live")).to_be_visible()
+            expect(page.locator("#axes tr")).to_have_count(2)
+            service.frozen.update(("stop", "drives"))
+            expect(page.locator("#silence")).to_be_visible(timeout=15_000)
+        yield page
+
+
+@pytest.mark.parametrize("locale", ["en-GB", "de-DE"])
+@pytest.mark.parametrize("name", STATES)
+def test_a_view_is_the_stored_one(name: str, locale: str) -> None:
+    with opened(name, locale) as page:
         matches(page, f"{name}-{locale[:2]}")
         for width in (768, 1920):
             page.set_viewport_size({"width": width, "height": 800})
             assert not too_wide(page), width
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [
+        "document.querySelector('main').prepend(Object.assign(document.createElement('p'), "
+        "{className: 'banner', textContent: 'Overheated'}))",
+        "document.getElementById('stated').className = document.getElementById('machine').className = 'state bad'",
+        "document.querySelector('main h2').style.background = '#c8102e'",
+    ],
+    ids=["banner", "text", "ground"],
+)
+def test_a_planted_red_is_seen(plant: str) -> None:
+    with opened("operator-rest", "en-GB") as page:
+        matches(page, "operator-rest-en")
+        page.evaluate(plant)
+        stored = (STORED / "operator-rest-en.txt").read_text("utf-8").splitlines()
+        new = [line for line in seen(page).splitlines() if line not in stored]
+        assert any(line.startswith("alarm: ") for line in new), new

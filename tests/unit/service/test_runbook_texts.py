@@ -117,6 +117,23 @@ def test_a_campaign_of_too_few_poses_says_what_to_measure(runbook: Any, monkeypa
         before_and_after.known(None, after, {}, "turn", None, before)
 
 
+@pytest.mark.parametrize(
+    ("after", "expected"),
+    [
+        ([[0.0, 1.0], [0.5, 2.0]], [[0.0, 1.0]]),
+        ([[0.5, 2.0]], [[0.0, 1.0], [0.0, 2.0], [0.5, 2.0]]),  # no common pose: that of what a person would try first
+        ([], []),
+    ],
+)
+def test_campaigns_are_compared_at_common_poses_or_else_at_all(runbook: Any, after: Any, expected: Any) -> None:
+    sweeps = [
+        [{"spec": {"pose": pose}, "state": "identified"} for pose in poses]
+        + [{"spec": {"pose": [9.0, 9.0]}, "state": "failed"}]
+        for poses in ([[0.0, 1.0], [0.0, 2.0]], after)
+    ]
+    assert runbook("before_and_after").compared_at(sweeps).tolist() == expected
+
+
 def test_a_diagnosis_says_that_it_takes_time_before_it_is_waited_for(runbook: Any) -> None:
     happened: list[str] = []
 

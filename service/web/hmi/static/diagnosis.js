@@ -149,8 +149,8 @@ async function showAxis(campaign, after) {
   await showAcceptance(axis);
   const wanted = `${shown.id}/${joint}/${language()}`;
   if (wanted === drawn) return;
-  drawn = wanted;
   const figures = await get(`/diagnoses/${shown.id}/figures`);
+  drawn = wanted;
   byId("pictures").hidden = false;
   drawFigures(byId("pictures"), figures.axes[joint], axis);
 }

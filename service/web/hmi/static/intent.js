@@ -94,7 +94,7 @@ function atRest(campaigns, diagnoses) {
   const working = diagnoses.find(alone);
   if (working) return [text("intent.alone", { id: working.id })];
   const paused = held(campaigns);
-  if (paused) return parts("intent.paused", { campaign: campaignLink(paused.id), cause: causeParts(paused.structured_cause) });
+  if (paused) return parts("intent.paused", { campaign: campaignLink(paused.id), cause: paused.structured_cause ? [" (", ...causeParts(paused.structured_cause), ")"] : "" });
   return [text("intent.rest")];
 }
 

@@ -4,9 +4,10 @@ import { authorization, bearer, call, forget, get, keep, Refused, Unknown } from
 import { PAGE } from "./causes.js";
 import { byId, complain, element, tell } from "./elements.js";
 import { cameBack, leaveForOidc, showOidc } from "./oidc.js";
-import { text, told, word } from "./words.js";
+import { kept, store, text, told, word } from "./words.js";
 
 const NAME = "sweepid-name"; // kept until the tab is closed
+const KNOWN = "sweepid-names"; // last ones of this browser
 const NAMES = "input[autocomplete=name]";
 
 /** @type {Api.Me | null} */
@@ -39,6 +40,19 @@ export async function identify(patience) {
   known();
 }
 
+/** @returns {string[]} */
+const namesKnown = () => (me.login ? [me.name] : JSON.parse(kept(KNOWN) ?? "[]"));
+
+// a stop is released by one press of a glove; drawn when a stop is shown, not while a finger is on the form
+export function offerNames() {
+  const names = !me || mayNot("POST /stop/reset") ? [] : namesKnown();
+  byId("release-as").replaceChildren(...names.map((name) => {
+    const button = element("button", text("stop.release-as", { name }));
+    button.addEventListener("click", () => (byId("reset-by").value = name)); // before it submits the form
+    return button;
+  }));
+}
+
 // a person types the name once: with gloves every letter is work
 /** @param {string} name */
 function fillIn(name) {
@@ -51,12 +65,15 @@ function remember({ target }) {
   if (!input.matches(NAMES)) return;
   sessionStorage.setItem(NAME, input.value);
   fillIn(input.value);
+  if (!me || me.login || !input.value.trim()) return;
+  store(KNOWN, JSON.stringify([...new Set([input.value.trim(), ...namesKnown()])].slice(0, 4)));
 }
 
 // shows the user, and next to each disabled button the reason
 export function showRights() {
   if (refusal) tellWhy();
   if (!me) return;
+  offerNames();
   tell("me-who", `${me.name}, ${word("role", me.role)}`);
   for (const old of document.querySelectorAll("small.needs")) old.remove();
   for (const button of /** @type {NodeListOf<HTMLButtonElement>} */ (document.querySelectorAll("[data-needs]"))) {

@@ -5,7 +5,7 @@ import { byFault, causeParts, stopParts } from "./causes.js";
 import { byId, complain, complainAgain, tell } from "./elements.js";
 import { asOf, LIMIT } from "./fresh.js";
 import { showDoubt } from "./intent.js";
-import { askWho, identify, showRights, watchLogin } from "./login.js";
+import { askWho, identify, offerNames, showRights, watchLogin } from "./login.js";
 import { keepMoving } from "./moving.js";
 import { stated } from "./statement.js";
 import { settleStop, showStop, stop } from "./stop.js";
@@ -91,6 +91,7 @@ function showStated(shown) {
 /** @param {Api.StopView} stop */
 function showHeld(stop) {
   shown = stop.stops.map(({ id }) => id);
+  if (stop.latched && byId("held").hidden) offerNames();
   byId("held").hidden = !stop.latched;
   if (stop.latched) tell("held-by", joined(stop.stops.map(stopParts), "; "));
   settleStop(stop.latched);

@@ -45,7 +45,6 @@ async function showCampaign() {
   const [estimate, itsUnits] = await Promise.all([latest(campaign.id), unitsOf(campaign.robot_id)]);
   const now = `${campaign.id}/${estimate?.revision}/${campaign.state}/${campaign.progress.done}/${language()}`;
   if (now === shown) return;
-  shown = now;
   found = estimate?.document ?? null;
   units = itsUnits;
   tell("told", estimate ? estimateTold(estimate) : text("estimate.none"));
@@ -57,6 +56,7 @@ async function showCampaign() {
   showSweeps();
   await showEarlier(campaign);
   await showModels(campaign.robot_id);
+  shown = now; // not before: what failed is asked for again
 }
 
 /** @param {number} id @returns {Promise<Api.EstimateDocument | null>} */

@@ -13,22 +13,24 @@ export const language = () => now;
 export const isMain = () => now === MAIN;
 
 function preferred() {
-  const asked = [kept(), ...navigator.languages].map((tag) => tag?.split("-")[0]);
+  const asked = [kept(KEPT), ...navigator.languages].map((tag) => tag?.split("-")[0]);
   return asked.find((tag) => Object.hasOwn(TEXTS, tag)) ?? MAIN;
 }
 
 // a browser may refuse to store data: then the page does not remember the language, but works
-function kept() {
+/** @param {string} name */
+export function kept(name) {
   try {
-    return localStorage.getItem(KEPT);
+    return localStorage.getItem(name);
   } catch {
     return null;
   }
 }
 
-function keep(chosen) {
+/** @param {string} name @param {string} value */
+export function store(name, value) {
   try {
-    localStorage.setItem(KEPT, chosen);
+    localStorage.setItem(name, value);
   } catch {
     // see above
   }
@@ -149,7 +151,7 @@ export function watchLanguage(changed) {
   translate();
   select.addEventListener("change", () => {
     now = select.value;
-    keep(now);
+    store(KEPT, now);
     translate();
     changed();
   });
