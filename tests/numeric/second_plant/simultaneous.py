@@ -100,7 +100,10 @@ def run(
 
 
 def _stepped(plant: Arm, moving: Sequence[int], pose: Array, wanted: Array) -> tuple[Array, Array]:
-    """Torque asked for and motor position, (steps, moving), as seen at the instants between two steps."""
+    """Torque asked for and motor position, (steps, moving), of one instant.
+
+    A step's velocity belongs to its middle: half a step's viscous friction counts as inertia, which centres it.
+    """
     rigid, own = Rigid(plant.built), list(moving)
     model, data = rigid.model, rigid.data
     held = rigid.holding(pose)
@@ -110,7 +113,7 @@ def _stepped(plant: Arm, moving: Sequence[int], pose: Array, wanted: Array) -> t
     model.opt.timestep, model.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_EULER
     model.jnt_limited[:] = 0
     model.dof_armature[:] = BRAKED
-    model.dof_armature[own] = np.where(elastic, 0.0, plant.motor[own])
+    model.dof_armature[own] = np.where(elastic, 0.0, plant.motor[own] + STEP / 2 * plant.viscous[own])
     mujoco.mj_resetData(model, data)
     data.qpos[:] = pose
     change = np.gradient(wanted, STEP, axis=0)
@@ -137,9 +140,7 @@ def _stepped(plant: Arm, moving: Sequence[int], pose: Array, wanted: Array) -> t
         spring = stiffness * (angle - q) + damping * (velocity - v)
         data.qfrc_applied[:] = held
         data.qfrc_applied[own] = np.where(elastic, spring, net)
-        velocity = velocity + STEP * (net - spring) / motor
+        velocity = velocity + STEP * (net - spring) / (motor + STEP / 2 * viscous)
         angle = angle + STEP * velocity
         mujoco.mj_step(model, data)
-    told = torque.copy()
-    told[1:] = (torque[1:] + torque[:-1]) / 2
-    return told, position
+    return torque, position

@@ -147,6 +147,7 @@ def test_the_inertia_matrix_and_what_single_axes_leave_open() -> None:
         assert np.quantile(np.abs(one.off_diagonal), 0.95) < 0.01
         assert np.quantile(np.abs(one.diagonal), 0.95) < 0.02
     assert np.mean(np.abs(np.concatenate([one.z_off_diagonal.ravel() for one in scores])) < 3) > 0.9
+    assert np.mean(np.abs(np.concatenate([one.z_diagonal.ravel() for one in scores])) < 2) > 0.9
     new = np.concatenate([one.z_new for one in scores])
     assert len(new) >= 2
     assert np.sqrt(np.mean(np.square(new))) < 2
