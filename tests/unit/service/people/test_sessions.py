@@ -11,7 +11,7 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 
 import httpx
 import pytest
@@ -206,15 +206,15 @@ def test_sessions_are_told_and_revoked(url: str, person: str, folder: Path, caps
 
 
 def test_an_unknown_name_has_the_same_answer_after_the_same_time(url: str, person: str) -> None:
-    """By the shortest of 7 attempts each, of which one may take twice the other: a hash is some 50 times a look."""
+    """Processor time of the service, in this process: a hash is some 50 times a look, and of the lowest priority."""
     seconds: dict[str, list[float]] = {person: [], "nobody here": []}
     answers: set[str] = set()
     with calling(url, None) as http:
         for _ in range(7):
             for name, taken in seconds.items():
-                began = perf_counter()
+                began = process_time()
                 refused = log_in(http, name, WRONG)
-                taken.append(perf_counter() - began)
+                taken.append(process_time() - began)
                 answers.add(refused.text)
                 assert refused.status_code == 401
     assert len(answers) == 1
