@@ -85,7 +85,7 @@ def _pages(page: Page, service: Service, machine: VirtualMachine, poses: int, ta
         expect(page.locator("#live-chart .scatterlayer .trace")).to_have_count(2)
         expect(page.locator("#campaign-state")).to_have_class("badge running")
         take("page-running")
-        page.evaluate("localStorage.setItem('sweepid-names', JSON.stringify(['Ada', 'Grace']))")
+        page.evaluate("localStorage.setItem('sweepid-names', 'Ada\\nGrace')")
         page.locator("#stop").click()
         expect(page.locator("#held")).to_be_visible()
         take("page-stopped")

@@ -7,7 +7,7 @@ import { cameBack, leaveForOidc, showOidc } from "./oidc.js";
 import { kept, store, text, told, word } from "./words.js";
 
 const NAME = "sweepid-name"; // kept until the tab is closed
-const KNOWN = "sweepid-names"; // last ones of this browser
+const KNOWN = "sweepid-names"; // last ones of this browser, a line each
 const NAMES = "input[autocomplete=name]";
 
 /** @type {Api.Me | null} */
@@ -41,7 +41,7 @@ export async function identify(patience) {
 }
 
 /** @returns {string[]} */
-const namesKnown = () => (me.login ? [me.name] : JSON.parse(kept(KNOWN) ?? "[]"));
+const namesKnown = () => (me.login ? [me.name] : kept(KNOWN)?.split("\n") ?? []);
 
 // a stop is released by one press of a glove; drawn when a stop is shown, not while a finger is on the form
 export function offerNames() {
@@ -66,7 +66,7 @@ function remember({ target }) {
   sessionStorage.setItem(NAME, input.value);
   fillIn(input.value);
   if (!me || me.login || !input.value.trim()) return;
-  store(KNOWN, JSON.stringify([...new Set([input.value.trim(), ...namesKnown()])].slice(0, 4)));
+  store(KNOWN, [...new Set([input.value.trim(), ...namesKnown()])].slice(0, 4).join("\n"));
 }
 
 // shows the user, and next to each disabled button the reason
