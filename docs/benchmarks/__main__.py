@@ -23,7 +23,7 @@ from docs.benchmarks.measured import Measured
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs/reference/benchmarks.md"
-NAMES = ("planning", "identification", "plant", "wire", "service", "stop", "help")
+NAMES = ("planning", "identification", "peer_estimators", "plant", "wire", "service", "stop", "help")
 SHORT = ("planning", "identification", "plant", "help")
 PACKAGES = ("numpy", "scipy", "mujoco-core", "pin", "python-can", "fastapi", "uvicorn", "pyarrow")
 HEAD = ("what", "ours (repeats, spread)", "peer or limit", "times better", "target; note")
@@ -56,6 +56,9 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def section(name: str) -> str:
     """One benchmark, measured now."""
+    if name == "peer_estimators":
+        head, *answers = import_module("docs.benchmarks.peer_estimators").rows()
+        return f"{table(head, answers)}\n{datetime.now(UTC):%Y-%m-%d}.\n"
     before, began, rows = os.getloadavg()[0], time.process_time(), list[Measured]()
     for found in short() if name == "short" else import_module(f"docs.benchmarks.{name}").run():
         rows.append(found)
