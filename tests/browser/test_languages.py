@@ -53,7 +53,9 @@ def test_german_from_standstill_to_a_stop_and_its_release(
     until(machine.stands, "standing axes")
     expect(page.locator("#campaign-state")).to_have_text("unterbrochen")
     expect(page.locator("#cause")).to_have_text("gestoppt von Bedienseite: STOP-Taste")
-    expect(page.locator("#way-out li")).to_contain_text(["Maschine pr\u00fcfen", "Stopp mit Ihrem Namen freigeben", "fortsetzen"])
+    expect(page.locator("#way-out li")).to_contain_text(
+        ["Maschine pr\u00fcfen", "Stopp mit Ihrem Namen freigeben", "fortsetzen"]
+    )
     look(page)
     with ServiceClient(service.url) as client:  # what is stored of it is the same in each language
         assert [(stop["by"], stop["why"]) for stop in client.stops()] == [("operator page", "stop button")]
