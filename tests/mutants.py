@@ -17,16 +17,41 @@ from collections.abc import Callable, Iterator
 from functools import cache, partial
 from importlib import import_module
 from importlib.machinery import SourceFileLoader
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-CAMPAIGNS, DRIVERS, MODEL = (
-    f"tests/unit/{name}" for name in ("service/campaigns", "drivers", "service/identification")
-)
-ROOMS = {"service/machine/execution": CAMPAIGNS, "service/planning/safety": CAMPAIGNS, "service/planning": CAMPAIGNS}
-ROOMS |= {"drivers/cia402": DRIVERS, "drivers/canopen": DRIVERS}
-ROOMS |= {"service/identification/model": MODEL, "service/identification/axis": MODEL}
+ROOMS = {  # its unit tests, folders or files below tests/unit; the first row that a file is in
+    "service/machine/execution": "service/campaigns",
+    "service/machine/paths": "service/paths",
+    "service/machine/stop_process": "service/test_stop_process.py service/campaigns",
+    "service/machine": "service/campaigns service/test_tasks.py",
+    "service/planning/safety": "service/campaigns service/test_collision.py",
+    "service/planning": "service/campaigns",
+    "drivers/cia402": "drivers",
+    "drivers/canopen": "drivers",
+    "drivers/commission": "drivers",
+    "drivers/modbus": "drivers",
+    "simulator": "simulator",
+    "service/identification/model": "service/identification",
+    "service/identification/axis": "service/identification",
+    "service/identification": "service/identification service/fleet",
+    "service/data_check": "service/data_check",
+    "service/diagnosis": "service/diagnosis",
+    "service/store": "service/store service/backup service/objects service/people",
+    "service/jobs": "service/store service/test_worker.py service/campaigns",
+    "service/formats/traces": "service/test_trace_*.py",
+    "service/formats/maker_urdf": "service/maker_urdf service/test_urdf.py",
+    "service/formats": "service/export service/sinumerik service/test_trace_*.py",
+    "service/model": "service/results service/test_robot.py service/test_settings.py service/test_channels.py",
+    "service/web": "service/api service/people service/hmi",
+    "service/report": "service/report service/benefit",
+    "service/publishing": "service/publishing",
+    "service/cli": "service/cli",
+}
+SAFETY_AND_CORE = ["service/machine/execution", "service/planning/safety", "service/planning"]
+SAFETY_AND_CORE += ["drivers/cia402", "drivers/canopen", "service/identification/model", "service/identification/axis"]
 CPU = 120  # s for the tests of one mutant: one that goes round for ever is noticed
 HEAVY = ("canopen", "pydantic", "scipy.linalg", "scipy.optimize", "sqlalchemy")  # imported once
 NOTHING_FAILED, GONE = (0, 5), 99  # pytest's codes: all passed, none left by the mark; ours: the code has changed
@@ -114,11 +139,15 @@ def sound(files: tuple[str, ...]) -> bool:
     return tested(list(files), None) in NOTHING_FAILED
 
 
+def room_of(file: str) -> str:
+    return next(room for room in ROOMS if file.startswith(f"{room}/"))
+
+
 def outcome(mutant: dict[str, Any]) -> str:
     """First the tests that name the module, then the others of the room; one that fails as well without is no proof."""
     module = mutant["file"].removesuffix(".py").replace("/", ".")
-    folder = next(tests for room, tests in ROOMS.items() if mutant["file"].startswith(f"{room}/"))
-    files = sorted(map(str, (ROOT / folder).glob("test_*.py")))
+    found = [path for name in ROOMS[room_of(mutant["file"])].split() for path in (ROOT / "tests/unit").glob(name)]
+    files = sorted({str(file) for path in found for file in (path.rglob("test_*.py") if path.is_dir() else [path])})
     near = [file for file in files if module in Path(file).read_text("utf-8")]
     for some in filter(None, (near, [file for file in files if file not in near])):
         if (code := tested(some, mutant)) not in NOTHING_FAILED:
@@ -134,7 +163,7 @@ def chosen(room: str, each: int, seed: int) -> list[dict[str, Any]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--room", nargs="+", choices=list(ROOMS), default=list(ROOMS))
+    parser.add_argument("--room", nargs="+", choices=list(ROOMS), default=SAFETY_AND_CORE)
     parser.add_argument("--each", type=int, default=15, help="mutants of each room")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--list", type=Path, default=Path(os.devnull), help="where to keep them")
@@ -148,8 +177,8 @@ def main() -> None:
         each["before"], each["outcome"] = each.get("outcome", ""), outcome(each)
         print(f"{each['outcome']}: {each['file']}:{each['line']}: {each['code']} -> {each['error']}", flush=True)
         options.list.write_text(json.dumps(todo, indent=1) + "\n", "utf-8")
-    for room in ROOMS:
-        print(room, dict(Counter(each["outcome"] for each in todo if each["file"].startswith(f"{room}/"))))
+    for room, each in groupby(sorted(todo, key=lambda one: room_of(one["file"])), lambda one: room_of(one["file"])):
+        print(room, dict(Counter(one["outcome"] for one in each)))
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     print(f"processor time {used.ru_utime + used.ru_stime:.0f} s")
 
