@@ -63,6 +63,25 @@ def test_each_kind_of_result_shows_itself() -> None:
     assert all(axis.summary in str(named) for axis in named.axes.values())
 
 
+def test_results_draw_themselves() -> None:
+    estimate = Estimate.read(stored("estimate"), "estimate")
+    for panel, (joint, axis) in zip(estimate.plot(), estimate.axes.items(), strict=True):
+        [measured] = panel.containers
+        assert panel.get_title() == joint
+        assert measured[0].get_ydata() == pytest.approx(axis["measured"])
+        assert panel.lines[1].get_ydata() == pytest.approx(axis["identified"])
+    [sources] = Estimate.read(stored("estimate-free-motion"), "estimate").plot()
+    assert [line.get_label() for line in sources.lines] == [
+        "of the model",
+        "std by sweeps",
+        "by trajectories",
+        "together",
+    ]
+    named = Diagnosis.read(stored("diagnosis-named"), "diagnosis")
+    gaps = {line.get_label(): line.get_ydata() for line in named.plot().lines}
+    assert gaps == {name: pytest.approx(named[name]) for name in ("before", "after", "noise floor")}
+
+
 def test_a_table_marks_what_is_missing_and_escapes_what_it_shows() -> None:
     table = Table("a < b", (Column("name", ("x", "<i>")), Column("value", (1.23456789, None), ".3g")))
     assert np.isnan(table["value"][1])

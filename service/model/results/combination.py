@@ -1,11 +1,14 @@
 """Joint estimate from sweeps and trajectories: "combination" of an estimate."""
 
 from collections.abc import Sequence
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
 from service.model.results.part import Column, Part, Shown, Table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 LARGEST = 1e15  # of a value in SI, as in a URDF: above any robot; its square does not overflow
 Bounded = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
@@ -125,6 +128,12 @@ class Combination(Shown, Part):
                 Column("determined by", by),
             ),
         )
+
+    def plot(self) -> "Axes":
+        """Draws how well each source determines each base parameter."""
+        from service.model.results import plots  # matplotlib
+
+        return plots.sources(self)
 
     def shown(self) -> Sequence[Table | str]:
         """Also how well efforts of free motions are predicted along parts that the fit has not seen."""

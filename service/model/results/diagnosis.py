@@ -3,13 +3,16 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field, JsonValue
 
 from service.model.recording import SweepSpec
 from service.model.results.effect import AxisFit, Effect, Value
 from service.model.results.part import Column, Document, Part, Shown, Table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, slots=True)
@@ -309,6 +312,12 @@ class Diagnosis(Shown, Document):
                 Column("", tuple(axis.unit for axis in axes)),
             ),
         )
+
+    def plot(self) -> "Axes":
+        """Draws the gap of each axis before and after the named effects, and its noise floor."""
+        from service.model.results import plots  # matplotlib
+
+        return plots.gaps(self)
 
     def shown(self) -> Sequence[Table | str]:
         """Also the same in words, where the gap is, the parameters, and what to measure next."""

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import Field
@@ -10,6 +11,9 @@ from pydantic import Field
 from service.model.results.combination import Bounded, Combination, Physical, StandardParameters
 from service.model.results.effect import ModelSource, Value
 from service.model.results.part import Column, Document, Part, Shown, Table, two_digits
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 class Figure(Part):
@@ -343,6 +347,14 @@ class Estimate(Shown, Document):
                 Column("std", std, std=std),
             ),
         )
+
+    def plot(self) -> "Sequence[Axes]":
+        """Draws the inertias of each axis; where only motions were measured, what determines the parameters."""
+        from service.model.results import plots  # matplotlib
+
+        if not self.axes and self.combination is not None:
+            return (plots.sources(self.combination),)
+        return plots.inertias(self.axes)
 
     def shown(self) -> Sequence[Table | str]:
         """Initial analysis, Table 1 of the paper for this robot, base parameters, and what to know of them."""
