@@ -11,7 +11,7 @@ import { showMoving } from "./moving.js";
 import { refresher } from "./refresh.js";
 import { events } from "./stream.js";
 import { verdictParts } from "./verdicts.js";
-import { foreign, formula, joined, language, parts, text, word } from "./words.js";
+import { foreign, formula, joined, knows, language, parts, text, word } from "./words.js";
 
 const FINISHED = ["measured", "completed"];
 const OPEN = ["waiting", "running"];
@@ -178,7 +178,8 @@ const significant = ({ value, std }) => std === null || std <= Math.abs(value) /
 /** @param {Api.Effect} effect */
 function effectParts(effect) {
   const heading = element("h3", effectName(effect.effect));
-  const sentence = element("p", [foreign(effect.sentence), " "]);
+  const told = `effect-told.${effect.effect}`;
+  const sentence = element("p", [knows(told) ? text(told) : foreign(effect.sentence), " "]);
   sentence.append(element("code", effect.physics));
   const table = element("table");
   const [shown, open] = [true, false].map((kind) => Object.entries(effect.parameters).filter(([, value]) => significant(value) === kind));

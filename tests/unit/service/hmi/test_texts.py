@@ -7,7 +7,7 @@ import pytest
 
 from drivers.errors import CauseCode
 from drivers.ports import AxisState
-from service.data_check.finding import Severity
+from service.data_check.finding import Code, Severity
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.experiments import FULL_DESIGN, MORE_POSES, TEST_MASS, WARM_UP
 from service.identification.design.diagnosis_sweeps import BLOCKS
@@ -36,6 +36,8 @@ FAMILIES = {
     "role": {role.word for role in Role},
     "block": {"sweep", "forward", "backward", *BLOCKS, FULL_DESIGN, MORE_POSES, TEST_MASS, WARM_UP},
     "effect": set(CATALOGUE),
+    "effect-told": set(CATALOGUE),
+    "finding": set(get_args(Code)),
     "column": {"pose", "axis", "block", "sweeps", "from", "goes", "speed", "time"},
     "pose-state": {"chosen", "free", "no_room", "collides"},
     "cause": set(CauseCode),
@@ -88,6 +90,11 @@ def test_a_text_that_counts_has_one_and_many() -> None:
 @pytest.mark.parametrize("family", FAMILIES)
 def test_each_code_of_the_service_has_its_word(family: str) -> None:
     assert {key.removeprefix(f"{family}.") for key in KEYS if key.startswith(f"{family}.")} == FAMILIES[family]
+
+
+def test_an_effect_is_told_as_the_service_tells_it() -> None:
+    told = {name: TEXTS["en"][f"effect-told.{name}"] for name in CATALOGUE}
+    assert told == {name: effect.sentence for name, effect in CATALOGUE.items()}
 
 
 PERMISSIONS = create_app(Settings()).state.permissions.roles
