@@ -195,6 +195,7 @@ def _set_scale(axes: Axes, which: str, words: Words, names: Sequence[str], label
     if kind == "log":
         (axes.set_xscale if which == "x" else axes.set_yscale)("log")
         axes.minorticks_off()
+        axis.set_major_formatter(_power)  # matplotlib's own would parse a formula for each label
     set_limits, low_high = (axes.set_xlim, axes.get_xlim()) if which == "x" else (axes.set_ylim, axes.get_ylim())
     if names:
         axis.set_ticks(range(len(names)), [_plain(name) for name in names])
@@ -220,6 +221,11 @@ def _set_scale(axes: Axes, which: str, words: Words, names: Sequence[str], label
     )
     if labelled:
         axis.set_label_text(_plain(words["title"]["text"]))
+
+
+def _power(value: float, _: object) -> str:
+    """A power of ten, with its exponent raised."""
+    return f"10{str(round(np.log10(value))).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
 
 
 def _curve(
