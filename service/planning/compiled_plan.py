@@ -17,6 +17,7 @@ from service.planning.documents import (
     PlannedNoise,
     PlannedSweep,
     TrajectoryPlan,
+    at_once,
 )
 from service.planning.machine_setup import DriveAxis, MachineSetup, differences, on_machine, sha256_of
 from service.planning.safety.envelope import Command, Envelope
@@ -151,9 +152,9 @@ def compile_record(
         ),
         move_velocity=plan.request.move_velocity,
         pose_tolerance=settings.pose_tolerance,
-        trajectories=plan.at_once if isinstance(plan, TrajectoryPlan) else (),
+        trajectories=() if isinstance(plan, AnalysisPlan) else at_once(plan.sweeps),
         confidence=plan.request.confidence if isinstance(plan, PlanDocument) else None,
-        base_parameters=len(plan.base_parameters) if isinstance(plan, PlanDocument) else 0,
+        base_parameters=len(plan.base_parameters) if isinstance(plan, PlanDocument) and not plan.groups else 0,
         sha256=motion_sha256(record, origin, cell, settings, machine.sha256),
     )
 

@@ -1,6 +1,6 @@
 """Requests and documents of the plans of every kind: sweeps, initial analysis, trajectories, diagnosis, experiment."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Annotated, Literal, cast
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -49,6 +49,8 @@ class PlanRequest(_PlanModel):
     # sweeps of an axis in a pose with different phases: two or more separate noise from nonlinear distortion
     realisations: int = Field(default=1, ge=1, le=20)
     modes: Literal["drive_side", "host_streamed", "one_host_streamed"] = "drive_side"  # the last: one sweep an axis
+    # simultaneous sweeps, host-streamed, where they need less robot time than one axis at a time
+    simultaneous: bool = False
     lines: tuple[float, ...] = Field(
         default=(), max_length=16
     )  # integer Hz, sines of every sweep; (): those of the method
@@ -92,6 +94,9 @@ class PlanRequest(_PlanModel):
                 raise BadInput("lines", f"{line} Hz is not a whole number of Hz above 0: a sweep's period is 1 s")
         if len(set(self.lines)) < len(self.lines):
             raise BadInput("lines", "names a frequency twice")
+        for field in ("lines", "prior_from", "warm_up"):
+            if self.simultaneous and getattr(self, field):
+                raise BadInput(field, "cannot be combined with simultaneous sweeps: leave it out, or plan single axes")
         least = 10 * max(self.lines or Sines.lines)
         if self.sample_rate < least:
             raise BadInput("sample_rate", f"{self.sample_rate} Hz is below {least} Hz, 10 times the highest line")
@@ -150,6 +155,26 @@ class SparePose(_PlanModel):
     pose: tuple[float, ...]
 
 
+class Alternative(_PlanModel):
+    """A plan that was compared: groups of axes that move at once, () for one axis at a time; what it needs, s, and
+    predicts, percent of J. `reason`: why it is not possible.
+    """
+
+    groups: tuple[tuple[str, ...], ...]
+    duration: float | None = None
+    confidence: float | None = None
+    reason: str = ""
+
+
+def at_once(sweeps: Sequence[PlannedSweep]) -> tuple[tuple[int, ...], ...]:
+    """Numbers, from 1, of the sweeps that run at the same time, by their block."""
+    blocks: dict[str, list[int]] = {}
+    for number, sweep in enumerate(sweeps, 1):
+        if sweep.spec.axes_at_once > 1:
+            blocks.setdefault(sweep.spec.block, []).append(number)
+    return tuple(map(tuple, blocks.values()))
+
+
 class PlanDocument(Shown, _PlanModel):
     """A complete campaign in the order of its sweeps.
 
@@ -172,6 +197,8 @@ class PlanDocument(Shown, _PlanModel):
     candidates: int  # poses of the grid
     measurable: int  # collision-free, with room for every sweep
     duration: float  # s
+    groups: tuple[tuple[str, ...], ...] = ()  # axes that move at once; (): one axis at a time
+    compared: tuple[Alternative, ...] = ()  # for a request of simultaneous sweeps
     made_for: MadeFor | None = None  # None: for any other machine
 
     def table(self) -> Table:
@@ -304,14 +331,6 @@ class TrajectoryPlan(_PlanModel):
     condition: tuple[float, ...]
     duration: float  # s
     made_for: MadeFor | None = None  # as in a plan of sweeps
-
-    @property
-    def at_once(self) -> tuple[tuple[int, ...], ...]:
-        """Numbers of the sweeps, from 1, of each trajectory."""
-        blocks: dict[str, list[int]] = {}
-        for number, sweep in enumerate(self.sweeps, 1):
-            blocks.setdefault(sweep.spec.block, []).append(number)
-        return tuple(tuple(numbers) for numbers in blocks.values())
 
 
 class AnalysisRequest(_PlanModel):

@@ -64,15 +64,22 @@ class SweepPath(Generic[Planned]):
 
     def add(self, sweep: Planned, travel: float) -> None:
         """Add a sweep that moves its axis by `travel`, rad (m). EnvelopeViolation if it may not."""
-        pose = sweep.spec.pose
+        self.add_together([sweep], [travel])
+
+    def add_together(self, sweeps: Sequence[Planned], travels: Sequence[float]) -> None:
+        """Add sweeps that run at the same time; the first contains the legs. EnvelopeViolation if they may not."""
+        pose = sweeps[0].spec.pose
         legs, travelling = self.way_to(pose)
-        self._envelope.check_sweep(sweep.command(), pose)
-        started = {"id": f"{len(self.sweeps) + 1:04d}", "started_at": self.duration + travelling}
-        spec, duration = sweep.spec.model_copy(update=started), travelling + sweep.duration
-        self.sweeps.append(sweep.model_copy(update={"spec": spec, "legs": legs, "duration": duration}))
-        self.duration += duration
-        self.here = list(pose)
-        self.here[self._robot.index(sweep.spec.axis)] += travel
+        self._envelope.check_run([sweep.command() for sweep in sweeps], pose)
+        started_at, self.here = self.duration + travelling, list(pose)
+        for number, (sweep, travel) in enumerate(zip(sweeps, travels, strict=True)):
+            first = number == 0
+            spec = sweep.spec.model_copy(update={"id": f"{len(self.sweeps) + 1:04d}", "started_at": started_at})
+            duration = travelling + sweep.duration if first else 0.0
+            change = {"spec": spec, "legs": legs if first else (), "duration": duration}
+            self.sweeps.append(sweep.model_copy(update=change))
+            self.duration += duration
+            self.here[self._robot.index(spec.axis)] += travel
 
     @contextmanager
     def all_or_none(self) -> Generator[None]:

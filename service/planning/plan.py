@@ -28,12 +28,21 @@ from service.identification.estimates.robot_type import RobotType
 from service.model.arrays import Array
 from service.model.configuration import Cell
 from service.model.errors import BadInput, EnvelopeViolation
-from service.model.recording import SweepPurpose, SweepSpec
+from service.model.recording import SweepPurpose, SweepSpec, together
 from service.model.robot import Robot
-from service.planning.documents import DroppedPose, PlanDocument, PlannedSweep, PlanRequest, SparePose
+from service.planning.documents import (
+    Alternative,
+    DroppedPose,
+    PlanDocument,
+    PlannedSweep,
+    PlanRequest,
+    SparePose,
+    at_once,
+)
 from service.planning.path import SweepPath
 from service.planning.poses import (
     ChosenPose,
+    Groups,
     PoseChooser,
     SweepDesign,
     grid,
@@ -58,6 +67,48 @@ def build_plan(
     as the budget, their estimates leave less to measure.
     """
     request.check(robot)
+    possible: list[PlanDocument] = []
+    compared: list[Alternative] = []
+    for groups in ((), *_groupings(request.axes)) if request.simultaneous else ((),):
+        try:
+            possible.append(_build(robot, request, cell, analyses or {}, earlier, groups))
+            predicted = possible[-1].confidence[-1]
+            compared.append(Alternative(groups=groups, duration=possible[-1].duration, confidence=predicted))
+        except BadInput as error:
+            if not request.simultaneous:
+                raise
+            compared.append(Alternative(groups=groups, reason=str(error)))
+    if not possible:
+        raise BadInput("simultaneous", compared[-1].reason)
+    best = min(possible, key=lambda plan: _robot_time(plan, request))
+    return best.model_copy(update={"compared": tuple(compared)}) if request.simultaneous else best
+
+
+def _groupings(axes: Sequence[str]) -> list[Groups]:
+    """Axes, base to tip, all at once and in equal parts of two or more."""
+    parts = [np.array_split(np.array(axes), number) for number in range(1, len(axes) // 2 + 1)]
+    return [tuple(tuple(map(str, part)) for part in own) for own in parts if max(map(len, own)) <= 6]
+
+
+def _robot_time(plan: PlanDocument, request: PlanRequest) -> float:
+    """Robot time to the request's confidence or, without one, to 1 %, s: a standard deviation falls as the square root
+    of time.
+    """
+    predicted = plan.confidence[-1] if plan.confidence else None
+    if predicted is None:
+        return math.inf
+    return plan.duration * max(predicted / (request.confidence or 1.0), 1.0 if request.confidence else 0.0) ** 2
+
+
+def _build(
+    robot: Robot,
+    request: PlanRequest,
+    cell: Cell,
+    analyses: Mapping[str, InitialAnalysis],
+    earlier: RobotType | None,
+    groups: Groups,
+) -> PlanDocument:
+    """The plan with the axes of `groups` at once; (): one at a time."""
     envelope = Envelope(robot, cell)
     home = np.array(cell.home_pose(robot.joints))
     poses = grid(robot, request, envelope, home)
@@ -69,19 +120,18 @@ def build_plan(
             f"{request.poses or 1} requested, but of {len(poses)} poses of the grid only "
             f"{len(candidates)} are collision-free and have room for a sweep of every axis in cell {cell.name}",
         )
-    observed = observe(robot, request, home)
-    design = SweepDesign(robot, request, envelope, candidates, analyses or {})
-    chooser = PoseChooser(request, envelope, design, observed, candidates, earlier)
-    itinerary = _Sequence(robot, request, envelope)
+    observed = observe(robot, request, home, groups)
+    design = SweepDesign(robot, request, envelope, candidates, analyses)
+    chooser = PoseChooser(request, envelope, design, observed, candidates, earlier, groups)
+    itinerary = _Sequence(robot, request, envelope, groups)
     dropped: tuple[DroppedPose, ...] = ()
     while True:
         choice = chooser.choose(dropped)
         chosen = choice.poses
-        sweeps, unreached = _within_duration(itinerary, request, chosen, home)
+        sweeps, unreached, count = _within_duration(itinerary, request, chosen, home)
         dropped = (*choice.refused, *unreached)
         if request.confidence is None or not unreached:
             break
-    count = len({sweep.spec.pose for sweep in sweeps}) + len(unreached)
     if not sweeps:
         raise BadInput("poses", f"none of the chosen poses can be measured; reason for the first: {dropped[0].reason}")
     return PlanDocument(
@@ -102,19 +152,22 @@ def build_plan(
         candidates=len(poses),
         measurable=len(candidates),
         duration=sum(sweep.duration for sweep in sweeps),
+        groups=groups,
     )
 
 
 def _within_duration(
     itinerary: "_Sequence", request: PlanRequest, chosen: Sequence[ChosenPose], home: Array
-) -> tuple[tuple[PlannedSweep, ...], tuple[DroppedPose, ...]]:
-    """The sweeps of as many of the first poses as fit into the request's duration, or of all; and the dropped poses."""
+) -> tuple[tuple[PlannedSweep, ...], tuple[DroppedPose, ...], int]:
+    """The sweeps of as many of the first poses as fit into the request's duration, or of all; the dropped poses; and
+    the number of poses.
+    """
     count = len(chosen)
     while True:
         sweeps, dropped = itinerary.through(chosen[:count], home)
         duration = sum(sweep.duration for sweep in sweeps)
         if request.duration is None or duration <= request.duration:
-            return sweeps, dropped
+            return sweeps, dropped, count
         if count <= 1:
             raise BadInput(
                 "duration",
@@ -136,12 +189,18 @@ class _Run:
     purpose: SweepPurpose = SweepPurpose.INERTIA
     repeat: int = 0
 
+    @property
+    def back(self) -> "_Run":
+        """In the opposite direction."""
+        return replace(self, excitation=replace(self.excitation, offset_velocity=-self.excitation.offset_velocity))
+
 
 class _Sequence:
     """The sweeps of the request in chosen poses."""
 
-    def __init__(self, robot: Robot, request: PlanRequest, envelope: Envelope) -> None:
+    def __init__(self, robot: Robot, request: PlanRequest, envelope: Envelope, groups: Groups) -> None:
         self._robot, self._request, self._envelope = robot, request, envelope
+        self._groups = groups
 
     def through(
         self, chosen: Sequence[ChosenPose], home: Array
@@ -158,13 +217,34 @@ class _Sequence:
             warm_up = () if path.sweeps else self._warm_up(one.sweeps)
             try:
                 with path.all_or_none():
-                    for run in (*warm_up, *self._measuring(one.pose, one.sweeps)):
+                    if self._groups:
+                        self._at_once(path, one)
+                    for run in () if self._groups else (*warm_up, *self._measuring(one.pose, one.sweeps)):
                         spec, travel = self._spec(goal, run), run.excitation.travel
                         path.add(path.of_sines(spec, self._mode(run, streamed), run.excitation, travel), travel)
             except (EnvelopeViolation, BadInput) as error:
                 dropped.append(DroppedPose(pose=goal, reason=str(error)))
             streamed |= {each.spec.axis for each in path.sweeps[count:] if each.mode is SweepMode.HOST_STREAMED}
         return tuple(path.sweeps), tuple(dropped)
+
+    def _at_once(self, path: SweepPath[PlannedSweep], chosen: ChosenPose) -> None:
+        """The simultaneous sweeps of each group; every second realisation is the way back."""
+        runs, count = self._measuring(chosen.pose, chosen.sweeps), self._request.realisations
+        for group in self._groups:
+            pose = tuple(chosen.pose.tolist())
+            for number in range(count):
+                moving = [run.back if number % 2 else run for run in runs[number::count] if run.joint in group]
+                change = {"excitation": "trajectory", "block": together(len(at_once(path.sweeps)) + 1, len(group))}
+                specs = [self._spec(pose, run).model_copy(update=change) for run in moving]
+                travels = [run.excitation.travel for run in moving]
+                path.add_together(
+                    [
+                        path.of_sines(spec, SweepMode.HOST_STREAMED, run.excitation, travel)
+                        for spec, run, travel in zip(specs, moving, travels, strict=True)
+                    ],
+                    travels,
+                )
+                pose = tuple(path.here)
 
     def _runs(self, excitations: Sequence[Excitation]) -> list[_Run]:
         """One sweep of each axis."""

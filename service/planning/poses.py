@@ -7,14 +7,14 @@ after each chosen pose.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import accumulate, combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.axis.nominal_priors import model_spread, pose_prior
-from service.identification.design.excitation import Excitation, design_sweep
+from service.identification.design.excitation import Excitation, design_sweep, zippered_lines
 from service.identification.design.pose_selection import (
     PredictedConfidence,
     choices,
@@ -24,8 +24,15 @@ from service.identification.design.pose_selection import (
 )
 from service.identification.estimates.estimate import RobotEstimate
 from service.identification.estimates.robot_type import RobotType
-from service.identification.model.base_parameters import base_parameters, joint_ranges, spread_evenly
-from service.identification.model.regressor import axis_rows, gravity_terms, inertia_rows, lock
+from service.identification.model.base_parameters import (
+    Independence,
+    base_parameters,
+    joint_ranges,
+    reduce_columns,
+    spread_evenly,
+)
+from service.identification.model.inverse_dynamics import coupling_rows
+from service.identification.model.regressor import axis_rows, gravity_terms, inertia_rows, lock, parameter_names
 from service.model.arrays import Array
 from service.model.collision import reachable
 from service.model.configuration import Cell
@@ -34,6 +41,8 @@ from service.model.robot import Robot
 from service.planning.documents import LARGEST_CHOICE, USUAL_CHOICE, DroppedPose, PlanRequest
 from service.planning.path import LEG_OVERHEAD
 from service.planning.safety.envelope import Envelope
+
+Groups = tuple[tuple[str, ...], ...]  # of joints that move at once, in the order of the request's axes
 
 
 def workspace_grid(robot: Robot, request: PlanRequest, cell: Cell) -> Array:
@@ -99,12 +108,19 @@ class Observability:
     names: tuple[str, ...]  # base parameters
     columns: tuple[int, ...]
     combination: Array  # (p, 11 n) of the parameters of the free joints in the base parameters
+    pairs: tuple[tuple[int, int], ...] = ()  # measured joints that move at once: their M_kj is measured as well
 
     def rows(self, poses: Array) -> Array:
-        """Rows (m, axes, base parameters) at poses (m, n)."""
+        """Rows (m, axes, base parameters) of J at poses (m, n)."""
         chain = lock(self.robot.chain, _locked(self.home, self.free))
         own = [self.free.index(axis) for axis in self.axes]
         return np.stack([axis_rows(chain, k, poses[:, self.free])[:, self.columns] for k in own], axis=1)
+
+    def measured(self, poses: Array) -> Array:
+        """Rows (m, axes + pairs, base parameters) of J and M_kj at poses (m, n)."""
+        chain = lock(self.robot.chain, _locked(self.home, self.free))
+        coupled = coupling_rows(chain, _numbers(self.pairs, self.free), poses[:, self.free])
+        return np.concatenate([self.rows(poses), coupled[..., self.columns]], axis=1)
 
     def inertia(self, poses: Array) -> Array:
         """Inertia (m, axes) of the CAD model about the axes, kg m^2 (kg)."""
@@ -127,13 +143,30 @@ class Observability:
         return reachable(self.robot, stood, poses)
 
 
-def observe(robot: Robot, request: PlanRequest, home: Array) -> Observability:
-    """Observability with the sweeps of the request; joints neither measured nor varied are locked at `home` (n,)."""
+def observe(robot: Robot, request: PlanRequest, home: Array, groups: Groups = ()) -> Observability:
+    """Observability with the sweeps of the request; joints neither measured nor varied are locked at `home` (n,).
+
+    `groups`: axes that move at once.
+    """
     axes = tuple(robot.index(joint) for joint in request.axes)
     free = tuple(sorted(robot.index(joint) for joint in {*request.axes, *request.varied}))
     chain = lock(robot.chain, _locked(home, free))
-    base = base_parameters(chain, tuple(sorted(free.index(axis) for axis in axes)))
-    return Observability(robot, axes, free, home, base.names, base.columns, base.combination)
+    own = tuple(sorted(free.index(axis) for axis in axes))
+    pairs = tuple(pair for group in groups for pair in combinations(map(robot.index, group), 2))
+    if pairs:
+        poses = spread_evenly(Independence.samples, *joint_ranges(chain))
+        rows = [
+            *(axis_rows(chain, k, poses) for k in own),
+            *coupling_rows(chain, _numbers(pairs, free), poses).swapaxes(0, 1),
+        ]
+        base = reduce_columns(np.vstack(rows), parameter_names(chain))
+    else:
+        base = base_parameters(chain, own)
+    return Observability(robot, axes, free, home, base.names, base.columns, base.combination, pairs)
+
+
+def _numbers(pairs: Sequence[tuple[int, int]], free: tuple[int, ...]) -> list[tuple[int, int]]:
+    return [(free.index(k), free.index(j)) for k, j in pairs]
 
 
 def _locked(home: Array, free: tuple[int, ...]) -> dict[int, float]:
@@ -162,11 +195,18 @@ class SweepDesign:
             joint: gravity_terms(chain, parameters, robot.gravity, k, candidates) for joint, k in index.items()
         }
 
-    def excitation(self, joint: str, candidate: int) -> Excitation:
-        """The sweep of one axis in a candidate pose, forward if there is room, else backward.
+    def excitations(self, candidate: int, groups: Groups) -> tuple[Excitation, ...]:
+        """The sweeps of the request's axes in a candidate pose; of `groups` at once. BadInput if one does not fit."""
+        zippered: dict[str, tuple[Sequence[float], int]] = {}
+        for group in groups:
+            window, lines = zippered_lines(len(group))
+            zippered |= {joint: (own, window) for joint, own in zip(group, lines, strict=True)}
+        return tuple(
+            self._excitation(joint, candidate, *zippered.get(joint, ((), None))) for joint in self._request.axes
+        )
 
-        BadInput if no sweep fits.
-        """
+    def _excitation(self, joint: str, candidate: int, zippered: Sequence[float], window: int | None) -> Excitation:
+        """The sweep of one axis, forward if there is room, else backward."""
         envelope, index, pose = self._envelope, self._robot.index(joint), self._candidates[candidate]
         direction = 1 if room(envelope, pose[None], index, 1)[0] else -1
         load = float(self._load[joint][candidate])
@@ -185,13 +225,22 @@ class SweepDesign:
             joint,
             pose,
             load_inertia=load,
-            lines=self._lines(joint, load),
+            lines=zippered or self._lines(joint, load),
+            window=window,
             locked_rotor_frequency=self._locked_rotor(joint, candidate),
             direction=direction,
             travel=SweepDesign.travel_share * envelope.limits.travel,
             velocity_limit=velocity,
             effort_limit=spare / (1 + 2 * prior.inertia) / 2,
         )
+
+    def coupled(self, one: str, other: str, excitations: Mapping[str, Excitation]) -> Array:
+        """As `information`, of M_kj: each torque at the other's lines."""
+        shown = np.zeros((2, 2))
+        for torque, motion in ((one, other), (other, one)):
+            sweep, rated = excitations[motion], self._robot.axis(torque).rated_effort
+            shown[0, 0] += sweep_information(sweep.sines, sweep.period * sweep.periods, rated, 0.0, 0.0)[0, 0]
+        return shown
 
     def information(self, joint: str, candidate: int, excitation: Excitation) -> Array:
         """Predicted information of a sweep in a candidate on inertia and compliance: `sweep_information` (2, 2)."""
@@ -231,8 +280,13 @@ class ChosenPose:
     sweeps: tuple[Excitation, ...]
 
 
-def least_duration(sweeps: Sequence[Excitation]) -> float:
-    """The time for a pose without the path to it, s: its sweeps, each with its way back and switching on and off."""
+def least_duration(sweeps: Sequence[Excitation], groups: Groups = ()) -> float:
+    """The time for a pose without the path to it, s: its sweeps, each with its way back and switching on and off.
+
+    The first sweeps of `groups`, whose axes move at once, one after the other.
+    """
+    if groups:
+        sweeps = [sweeps[n] for n in accumulate(map(len, groups[:-1]), initial=0)]
     return sum(sweep.duration + 2 * LEG_OVERHEAD for sweep in sweeps)
 
 
@@ -291,10 +345,12 @@ class PoseChooser:
         observed: Observability,
         candidates: Array,
         earlier: RobotType | None = None,
+        groups: Groups = (),
     ) -> None:
+        """`groups`: axes that move at once; then CAD is a prior, as in the joint estimate (`combination`)."""
         self._request, self._envelope, self._design = request, envelope, design
-        self._observed, self._candidates = observed, candidates
-        self._rows = observed.rows(candidates)
+        self._observed, self._candidates, self._groups = observed, candidates, groups
+        self._rows = observed.measured(candidates)
         workspace = observed.workspace(candidates)
         inertia = observed.inertia(workspace)
         known = None
@@ -306,8 +362,11 @@ class PoseChooser:
             }
             earlier.check(observed.names, locked)
             known = earlier.information.matrix
+        spread = observed.spread(float(inertia.max()))
+        if groups:
+            known, spread = np.diag(spread**-2.0), 10 * spread  # with a prior, nothing is left undetermined
         self._known = known
-        self._workspace = observed.rows(workspace), inertia, observed.spread(float(inertia.max())), known
+        self._workspace = observed.rows(workspace), inertia, spread, known
         self._sweeps: dict[int, tuple[Excitation, ...]] = {}
         self._shown: dict[int, Array] = {}  # information of the sweeps in a candidate
 
@@ -329,7 +388,7 @@ class PoseChooser:
             prediction.add(*self._shows(pick))
             chosen.append(pick)
             condition.append(number)
-            duration += request.realisations * least_duration(self._sweeps[pick])
+            duration += request.realisations * least_duration(self._sweeps[pick], self._groups)
             reached = prediction.percent[-1] <= (request.confidence or 0.0) and prediction.all_determined
             full = len(chosen) == (request.poses or LARGEST_CHOICE) or (request.duration or math.inf) < duration
             if reached or full:
@@ -376,7 +435,7 @@ class PoseChooser:
             return True
         try:
             self._envelope.order_of_legs(tuple(self._observed.home), pose)
-            self._sweeps[candidate] = tuple(self._design.excitation(joint, candidate) for joint in self._request.axes)
+            self._sweeps[candidate] = self._design.excitations(candidate, self._groups)
         except (EnvelopeViolation, BadInput) as error:
             refused.append(DroppedPose(pose=pose, reason=str(error)))
             return False
@@ -388,9 +447,10 @@ class PoseChooser:
     def _shows(self, pick: int) -> tuple[Array, Array]:
         """Rows of an accepted candidate and the information of its sweeps, as `PredictedConfidence.add` takes them."""
         if pick not in self._shown:
-            sweeps = zip(self._request.axes, self._sweeps[pick], strict=True)
-            once = np.array([self._design.information(joint, pick, sweep) for joint, sweep in sweeps])
-            self._shown[pick] = self._request.realisations * once
+            sweeps, joints = dict(zip(self._request.axes, self._sweeps[pick], strict=True)), self._observed.robot.joints
+            once = [self._design.information(joint, pick, sweep) for joint, sweep in sweeps.items()]
+            once += [self._design.coupled(joints[k], joints[j], sweeps) for k, j in self._observed.pairs]
+            self._shown[pick] = self._request.realisations * np.array(once)
         return self._rows[pick], self._shown[pick]
 
     def _out_of_reach(self, wanted: float, count: int, predicted: PredictedConfidence) -> str:

@@ -53,13 +53,13 @@ def build_trajectory_plan(robot: Robot, request: TrajectoryRequest, cell: Cell) 
                 "harmonics",
                 f"{request.harmonics} are too few to determine the {len(base.columns)} base parameters of the axes",
             )
+        travels = (run.path(np.array([run.duration]))[0] - run.start)[[robot.index(joint) for joint in request.axes]]
         try:
-            sweeps = _sweeps(path, robot, request, envelope, run)
+            path.add_together(
+                _sweeps(robot, request, envelope, run, together(number, len(request.axes))), travels.tolist()
+            )
         except EnvelopeViolation as error:
             raise BadInput("seed", f"trajectory {number} of seed {request.seed} cannot be run: {error}") from None
-        path.sweeps += sweeps
-        path.duration += sweeps[0].duration
-        path.here = run.path(np.array([run.duration]))[0].tolist()
         condition.append(run.condition)
     return TrajectoryPlan(
         robot=robot.name,
@@ -92,23 +92,21 @@ def _limits(robot: Robot, request: TrajectoryRequest, envelope: Envelope, home: 
 
 
 def _sweeps(
-    path: SweepPath[PlannedSweep], robot: Robot, request: TrajectoryRequest, envelope: Envelope, run: Trajectory
+    robot: Robot, request: TrajectoryRequest, envelope: Envelope, run: Trajectory, block: str
 ) -> list[PlannedSweep]:
-    """The sweeps of the axes of the next trajectory; the first contains the legs to its start."""
-    start = tuple(run.start.tolist())
-    legs, travelling = path.way_to(start)
+    """The sweeps of the axes of a trajectory."""
     way = run.path(np.linspace(0.0, run.duration, 1000))
-    margin, count = envelope.limits.trajectory_deviation, len(request.axes)
+    margin = envelope.limits.trajectory_deviation
     sweeps: list[PlannedSweep] = []
     for joint in request.axes:
-        index, first = robot.index(joint), not sweeps
+        index = robot.index(joint)
         design = run.excitations[index]
         sweeps.append(
             PlannedSweep(
                 spec=SweepSpec(
-                    id=f"{len(path.sweeps) + len(sweeps) + 1:04d}",
+                    id="0000",  # the path numbers it
                     axis=joint,
-                    pose=start,
+                    pose=tuple(run.start.tolist()),
                     offset_velocity=0.0,
                     excitation="trajectory",
                     sines=design.sines,
@@ -116,8 +114,7 @@ def _sweeps(
                     periods=design.periods,
                     measure_from=design.measure_from,
                     sample_rate=request.sample_rate,
-                    started_at=path.duration + travelling,
-                    block=together(len(path.sweeps) // count + 1, count),
+                    block=block,
                 ),
                 mode=SweepMode.HOST_STREAMED,
                 ramp=design.ramp,
@@ -125,9 +122,8 @@ def _sweeps(
                 velocity_limit=min(envelope.limits.trajectory_velocity, robot.chain.joints[index].velocity),
                 effort_limit=envelope.effort_limit(index),
                 position_window=(float(way[:, index].min()) - margin, float(way[:, index].max()) + margin),
-                legs=legs if first else (),
-                duration=travelling + run.duration if first else 0.0,
+                legs=(),
+                duration=run.duration,
             )
         )
-    envelope.check_trajectory([sweep.command() for sweep in sweeps], start)
     return sweeps

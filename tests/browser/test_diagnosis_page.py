@@ -155,7 +155,9 @@ def test_what_is_known_in_part_the_check_of_the_data_and_where_it_started_are_sh
         expect(page.locator("#part")).to_contain_text("Known in part; a part of the gap")
         expect(page.locator("#part")).to_contain_text("Coulomb")
         expect(page.locator("#effects")).to_be_empty()
-        expect(page.locator("#data")).to_contain_text("warning, resolution too coarse: Torque has steps of 4 N m. Record finer.")
+        expect(page.locator("#data")).to_contain_text(
+            "warning, resolution too coarse: Torque has steps of 4 N m. Record finer."
+        )
         expect(page.locator("#rigid-before")).to_have_text("Estimate")
         expect(page.locator("#shown-about")).to_contain_text("rigid model from the estimate of campaign 7, revision 3")
         page.unroute_all(behavior="wait")

@@ -93,7 +93,7 @@ def with_known_hose(prior: PosePrior, known: KnownAxis, gain: float) -> PosePrio
 
 def _typical(robot: Robot, number: int, reference: Array, spectra: list[Spectrum]) -> float:
     """Typical inertia of an axis: that of the model; the measured one if the rotor, which may dominate, is unknown."""
-    if robot.axes[number].reflected_motor_inertia:
+    if robot.axes[number].reflected_motor_inertia or not spectra:
         return float(np.median(reference))
     first = [int(np.argmax(spectrum.line)) for spectrum in spectra]
     response = [abs((s.effort[k] / s.velocity[k]).imag) / s.frequency[k] for s, k in zip(spectra, first, strict=True)]

@@ -72,7 +72,6 @@ class Sines:
 
 
 RAMP = 0.5  # s
-WINDOWS = (5, 7, 9, 11)  # s, of simultaneous sweeps
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,13 +113,15 @@ def design_sweep(
     travel: float = Sines.travel,
     velocity_limit: float = np.inf,
     effort_limit: float = np.inf,
+    window: int | None = None,
 ) -> Excitation:
     """The sweep of `joint` in `pose` within `travel` rad (m). Raises BadInput if the limits leave no room for one.
 
     `load_inertia`: predicted inertia behind the spring, kg m^2 (kg); `locked_rotor_frequency`: predicted one at that
     inertia, Hz (None: the drive train is treated as stiff). `effort_limit`: limit of the effort of the sines alone,
     N m (N), after gravity and friction. `lines`, whole Hz, are used as given; None: those of the paper, without
-    those too close to the locked-rotor frequency.
+    those too close to the locked-rotor frequency. `window`, s: of a simultaneous sweep, one period, with `lines` of
+    `zippered_lines`; the offset puts the ripple on even multiples of 1/window.
     """
     axis = robot.axis(joint)
     if not effort_limit > 0:
@@ -135,13 +136,16 @@ def design_sweep(
     share = Sines.load_margin / len(frequency) / gain  # amplitude of each line relative to the offset
 
     speed_limit = velocity_limit / (1.0 + float(share.sum()))
-    periods, offset = max(
-        (
-            (n, ripple_free_offset(axis, min(travel / (RAMP + Sines.settle + n), speed_limit), 1.0, n))
-            for n in (3, 5, 7)  # whole periods of 1 s; prime by the cogging rule
-        ),
-        key=lambda choice: choice[1] ** 2 * choice[0],
-    )
+
+    def fastest(seconds: int) -> float:
+        return min(travel / (RAMP + Sines.settle + seconds), speed_limit)
+
+    if window is None:
+        # whole periods of 1 s; prime by the cogging rule
+        offsets = [(n, ripple_free_offset(axis, fastest(n), 1.0, n)) for n in (3, 5, 7)]
+    else:
+        offsets = [(window, _even_offset(axis, fastest(window), window))]
+    seconds, offset = max(offsets, key=lambda choice: choice[1] ** 2 * choice[0])
     if offset <= 0:
         raise BadInput(
             f"{joint}", f"no sweep fits into a travel of {travel:.4g} and a velocity of {velocity_limit:.4g}"
@@ -155,55 +159,22 @@ def design_sweep(
         Sine(frequency=float(f), amplitude=float(a), phase=float(p % (2 * np.pi)))
         for f, a, p in zip(frequency, amplitudes, phases, strict=True)
     )
-    return Excitation(direction * offset, sines, 1.0, periods, RAMP, Sines.settle)
+    period, periods = (1.0, seconds) if window is None else (float(window), 1)
+    return Excitation(direction * offset, sines, period, periods, RAMP, Sines.settle)
 
 
 def zippered_lines(axes: int) -> tuple[int, tuple[tuple[float, ...], ...]]:
-    """The window, s, and the lines, Hz, of 2 to 6 axes that move at once, at least two for each.
+    """The window, s, and the lines, Hz, of 2 to 6 axes that move at once, a low and a high one for each.
 
     All lines are odd multiples of 1/window between 2 and 5 Hz: their sums, differences and doubles are even, so no
-    product of two motions has the frequency of a line. Triples are above 5 Hz. The axes take turns, forward and
-    backward alternately, so that each has low and high lines. Raises BadInput for another number of axes.
+    product of two motions has the frequency of a line. Triples are above 5 Hz. Two lines are what inertia and
+    compliance need; more would have smaller amplitudes. Raises BadInput for another number of axes.
     """
-    for window in WINDOWS:
-        odd = [n for n in range(2 * window, 5 * window + 1) if n % 2]
-        rounds = len(odd) // max(axes, 1)
-        if rounds >= 2 and 2 <= axes <= 6:
-            taken = [odd[turn * axes : (turn + 1) * axes][:: -1 if turn % 2 else 1] for turn in range(rounds)]
-            return window, tuple(tuple(n / window for n in own) for own in zip(*taken, strict=True))
+    for window in (3, 5, 7, 9):  # s
+        odd = [n / window for n in range(2 * window, 5 * window + 1) if n % 2]
+        if 2 <= axes <= min(6, len(odd) // 2):
+            return window, tuple(zip(odd[:axes], odd[-axes:], strict=True))
     raise BadInput("simultaneous sweep", f"{axes} axes; limits 2 and 6: choose other axes")
-
-
-def design_together(
-    robot: Robot,
-    joints: Sequence[str],
-    *,
-    seed: Sequence[int],
-    locked_rotor_frequencies: Sequence[float] | None = None,
-    travel: float = Sines.travel,
-    velocity_limit: float = np.inf,
-    directions: Sequence[int] | None = None,
-) -> tuple[Excitation, ...]:
-    """One simultaneous sweep of `joints`, as `design_sweep`, with random phases.
-
-    The offset of each axis puts its ripple on even multiples of 1/window. Raises BadInput if the travel leaves no room.
-    """
-    window, lines = zippered_lines(len(joints))
-    rng = np.random.default_rng(list(seed))
-    found: list[Excitation] = []
-    for k, (joint, own) in enumerate(zip(joints, lines, strict=True)):
-        locked = np.inf if locked_rotor_frequencies is None else locked_rotor_frequencies[k]
-        frequency = np.array(own)
-        gain = np.maximum(1.0, 1.0 / np.abs(1.0 - (frequency / locked) ** 2))
-        share = Sines.load_margin / len(own) / gain
-        fastest = min(travel / (RAMP + Sines.settle + window), velocity_limit / (1.0 + float(share.sum())))
-        offset = _even_offset(robot.axis(joint), fastest, window)
-        if offset <= 0:
-            raise BadInput(joint, f"no simultaneous sweep fits into a travel of {travel:.4g} and its velocity limit")
-        sines = tuple(Sine(frequency=f, amplitude=float(a * offset)) for f, a in zip(own, share, strict=True))
-        plain = Excitation((directions or [1] * len(joints))[k] * offset, sines, float(window), 1, RAMP, Sines.settle)
-        found.append(_with_random_phases(plain, rng))
-    return tuple(found)
 
 
 def realisations(excitation: Excitation, count: int, seed: Sequence[int]) -> tuple[Excitation, ...]:

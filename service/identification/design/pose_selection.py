@@ -277,11 +277,14 @@ class PredictedConfidence:
             self._information[:size, :size] += known
 
     def add(self, rows: Array, information: Array) -> None:
-        """Add a pose with its rows (a, p) and the `sweep_information` (a, 2, 2) of its sweeps."""
+        """Add a pose with its rows (a, p) and the `sweep_information` (a, 2, 2) of its sweeps.
+
+        Further rows, of M_kj, have no information on a compliance.
+        """
         for axis, (row, about) in enumerate(zip(rows, information, strict=True)):
             parts = np.zeros((2, len(self._information)))
             parts[0, : self._size] = row
-            parts[1, self._size + axis] = 1.0
+            parts[1, self._size + axis : self._size + self._axes] = np.arange(self._axes - axis) == 0
             self._information += parts.T @ about @ parts
 
     def remove(self, rows: Array, information: Array) -> None:

@@ -32,8 +32,8 @@ from functools import reduce
 
 import numpy as np
 
-from service.identification.axis.drive_train import TwoMassTrain
-from service.identification.axis.nominal_priors import TorqueGain, uncalibrated
+from service.identification.axis.drive_train import SHARED, TwoMassTrain
+from service.identification.axis.nominal_priors import SharedPrior, TorqueGain, shared_prior, uncalibrated
 from service.identification.estimates.estimate import RobotEstimate
 from service.identification.estimates.standard_parameters import RobotParameters, physical_document, standard_document
 from service.identification.model.base_parameters import BaseParameters, joint_ranges, spread_evenly
@@ -49,7 +49,7 @@ from service.identification.model.inverse_dynamics import (
 )
 from service.identification.model.least_squares import Information, Solution, finite, span, unsettled
 from service.identification.model.physical_consistency import nearest_physical
-from service.identification.model.regressor import axis_rows, inertia_rows
+from service.identification.model.regressor import axis_rows, inertia_rows, inertial_parameters
 from service.identification.motion import free_motion
 from service.identification.motion.choice import (
     SIMPLE,
@@ -206,11 +206,13 @@ def combine(
     records: Sequence[TrajectoryRecord],
     motions: Sequence[FreeMotion] = (),
     gains: Mapping[str, TorqueGain] | None = None,
+    analysed: Mapping[str, SharedPrior] | None = None,
 ) -> JointEstimate:
     """Joint estimate of sweeps (optional), trajectories and free motions of the whole robot.
 
-    `gains`: calibrated with a test mass, by joint. BadInput if neither contains a common motion of axes, or an inertia,
-    a harmonic or the noise of one is not finite.
+    `gains`: calibrated with a test mass, by joint. `analysed`: drive trains of an initial analysis, by joint, for
+    simultaneous sweeps of axes that `inertias` do not contain. BadInput if neither contains a common motion of axes, or
+    an inertia, a harmonic or the noise of one is not finite.
     """
     if not records and not motions:
         raise BadInput("combination", "there is no trajectory and no free motion of several axes")
@@ -224,7 +226,8 @@ def combine(
     trains = {axis.joint: axis.train for axis in inertias if axis.train is not None}
     gain = {joint: one.gain for joint, one in (gains or {}).items()} | {axis.joint: axis.gain for axis in inertias}
     records = [calibrated(record, gain) for record in records]
-    equations = _all_equations(robot, base, records, trains)
+    priors = _train_priors(robot, records, inertias, analysed or {})
+    equations = _all_equations(robot, base, records, trains, {})
     sweeps = _sweep_information(robot, base, inertias)
     free, free_gains = None, np.zeros((len(start), len(robot.axes)))
     evidence = honest = Information.empty(len(start))
@@ -239,16 +242,18 @@ def combine(
     noise = {joint: value or 1e-4 * robot.axis(joint).rated_effort for joint, value in scatter.items()}
     at_once = _motion_information(equations, noise, len(start))
     values = _sum(at_once, len(start)).plus(others).solve(start).values
-    equations = _with_trains(robot, base, records, inertias, equations, values)
-    size = equations[0].rows.shape[1] if equations else len(start)
+    count = int(sum(np.count_nonzero(prior.sigma) for prior in priors.values()))
+    size, by_train = len(start) + count, np.zeros(count)
     before, begin, further = noise, np.zeros(size), np.diag(np.arange(size) >= len(start)).astype(float)
     begin[: len(start)] = start
-    known = Information(further, np.zeros(size)).plus(extended(others, size))
-    for _ in range(3):  # rounds of weighting
-        values = _sum(_motion_information(equations, noise, size), size).plus(known).solve(begin).values
-        before, noise = noise, {joint: max(scatter[joint] or 0.0, _misfit(equations, joint, values)) for joint in noise}
+    known, linear = Information(further, np.zeros(size)).plus(extended(others, size)), equations
+    for _ in range(3):  # rounds of weighting, and of the drive trains
+        linear = _with_trains(robot, base, records, trains, priors, equations, values[: len(start)], by_train)
+        values = _sum(_motion_information(linear, noise, size), size).plus(known).solve(begin).values
+        by_train = values[len(start) :]
+        before, noise = noise, {joint: max(scatter[joint] or 0.0, _misfit(linear, joint, values)) for joint in noise}
         finite(np.array(list(noise.values())), ", ".join(noise), "the noise of its trajectories")
-    at_once = _marginal(_motion_information(equations, noise, size), len(start))
+    at_once = _marginal(_motion_information(linear, noise, size), len(start))
     alone, moved = _sum(sweeps, len(start)), _sum(at_once, len(start))
     solution = alone.plus(moved).plus(evidence).plus(prior).solve(start)
     by_gain = np.zeros((len(start), len(robot.axes)))
@@ -289,40 +294,88 @@ def combine(
 
 
 def _all_equations(
-    robot: Robot, base: BaseParameters, records: Sequence[TrajectoryRecord], trains: Mapping[str, TwoMassTrain]
+    robot: Robot,
+    base: BaseParameters,
+    records: Sequence[TrajectoryRecord],
+    trains: Mapping[str, TwoMassTrain],
+    of_sweeps: Mapping[str, TwoMassTrain],
 ) -> list["_Equations"]:
-    loads = [with_loads(record, trains) for record in records]
-    return [equation for record in loads for equation in _equations(robot, base, record, trains)]
+    """`of_sweeps`: further trains, for simultaneous sweeps."""
+    both = {**trains, **of_sweeps}
+    loads = [with_loads(record, both if record.sloped else trains) for record in records]
+    return [
+        equation for record in loads for equation in _equations(robot, base, record, both if record.sloped else trains)
+    ]
+
+
+def _train_priors(
+    robot: Robot,
+    records: Sequence[TrajectoryRecord],
+    inertias: Sequence[AxisInertias],
+    analysed: Mapping[str, SharedPrior],
+) -> dict[str, SharedPrior]:
+    """Drive trains of the axes of simultaneous sweeps before these: of their other sweeps, of an initial analysis, or
+    of the data sheet with a compliance that may be anything.
+    """
+    poses = np.array([record.pose for record in records if record.sloped])
+    joints = dict.fromkeys(track.joint for record in records if record.sloped for track in record.tracks)
+    found: dict[str, SharedPrior] = {}
+    for joint in joints:
+        index = robot.index(joint)
+        sheet = shared_prior(robot, index, axis_rows(robot.chain, index, poses) @ inertial_parameters(robot), [])
+        # the friction, which the sweeps determine, and the damping are kept
+        variance = np.diag(sheet.covariance) * np.array([1.0, 0.0, 0.0, 1.0, 0.0])
+        found[joint] = SharedPrior(sheet.mean, np.diag(variance))
+    for axis in inertias:
+        if axis.joint in joints and axis.train is not None:
+            std = np.zeros(SHARED) if axis.train_std is None else axis.train_std
+            found[axis.joint] = SharedPrior(axis.train.as_array(), np.diag(std**2))
+    fitted = {axis.joint for axis in inertias if axis.train is not None}
+    return found | {joint: prior for joint, prior in analysed.items() if joint in joints and joint not in fitted}
 
 
 def _with_trains(
     robot: Robot,
     base: BaseParameters,
     records: Sequence[TrajectoryRecord],
-    inertias: Sequence[AxisInertias],
+    trains: Mapping[str, TwoMassTrain],
+    priors: Mapping[str, SharedPrior],
     equations: Sequence["_Equations"],
     values: Array,
+    moved: Array,
 ) -> list["_Equations"]:
-    """With a column for every parameter of a train with a std: the change of the equations of simultaneous sweeps by
-    one std, at base parameters `values`. At the low frequencies of other trajectories it is negligible.
+    """With a column for every parameter of a train with a std, in units of that: the equations of simultaneous sweeps
+    linear about trains that differ by `moved` (u,) from their priors, and base parameters `values`. At the low
+    frequencies of other trajectories a train is negligible.
     """
     sloped = [record for record in records if record.sloped]
     if not sloped:
         return list(equations)
+    here = {joint: prior.mean.copy() for joint, prior in priors.items()}
+    parameters = [(joint, n) for joint, prior in priors.items() for n in np.flatnonzero(prior.sigma).tolist()]
+    for (joint, number), away in zip(parameters, moved, strict=True):
+        here[joint][number] += away * priors[joint].sigma[number]
+
+    def with_one(joint: str, number: int) -> list[_Equations]:
+        changed = {**here, joint: here[joint] + priors[joint].sigma * (np.arange(SHARED) == number)}
+        return _all_equations(
+            robot, base, sloped, trains, {name: TwoMassTrain.of(own) for name, own in changed.items()}
+        )
+
+    now = with_one(next(iter(here)), SHARED)
+    others = [with_one(*parameter) for parameter in parameters]
+    found: list[_Equations] = []
+    of_sweeps = iter(range(len(now)))
     owners = [record for record in records for _ in record.tracks]
-    trains = {axis.joint: axis.train for axis in inertias if axis.train is not None}
-    columns: list[list[Array]] = [[] for _ in equations]
-    for axis in inertias:
-        if axis.train is None or axis.train_std is None:
+    for one, owner in zip(equations, owners, strict=True):
+        if not owner.sloped:
+            found.append(replace(one, rows=np.hstack([one.rows, np.zeros((len(one.rows), len(parameters)))])))
             continue
-        for number in np.flatnonzero(axis.train_std).tolist():
-            changed = axis.train.as_array()
-            changed[number] += axis.train_std[number]
-            others = iter(_all_equations(robot, base, sloped, trains | {axis.joint: TwoMassTrain.of(changed)}))
-            for own, one, record in zip(columns, equations, owners, strict=True):
-                other = next(others) if record.sloped else one
-                own.append((other.rows - one.rows) @ values - (other.values - one.values))
-    return [replace(one, rows=np.column_stack([one.rows, *own])) for one, own in zip(equations, columns, strict=True)]
+        k = next(of_sweeps)
+        columns = [(each[k].rows - now[k].rows) @ values - (each[k].values - now[k].values) for each in others]
+        beside = np.stack(columns, -1) if columns else np.zeros((len(one.rows), 0))
+        found.append(replace(now[k], rows=np.hstack([now[k].rows, beside]), values=now[k].values + beside @ moved))
+    return found
 
 
 def _marginal(parts: Mapping[str, Information], size: int) -> dict[str, Information]:

@@ -17,7 +17,7 @@ What no data sheet gives may be anything that the measured efforts allow: an unk
 times as heavy as the wrist that it turns, so the model of the links says nothing about it (`Scale`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,6 +83,15 @@ def link_rows(chain: Chain, gravity: Array, motion: JointMotion) -> Array:
             sway = apply_each(to_body, np.cross(axes[:, k], origins[:, body] - origins[:, k]))
             rows[:, k, body] = np.einsum("mi,mij->mj", sway, force) + np.einsum("mi,mij->mj", pull, moment)
     return rows.reshape(samples, count, 10 * count)
+
+
+def coupling_rows(chain: Chain, pairs: Sequence[tuple[int, int]], poses: Array) -> Array:
+    """Rows (m, pairs, 11 n) of the off-diagonal inertias M_kj(q) at poses (m, n), kg m^2 (kg, kg m)."""
+    rows, still = np.zeros((len(poses), len(pairs), 11 * len(chain.joints))), np.zeros_like(poses)
+    for number, (k, j) in enumerate(pairs):
+        motion = JointMotion(poses, still, still + np.eye(len(chain.joints))[j])
+        rows[:, number, : 10 * len(chain.joints)] = link_rows(chain, np.zeros(3), motion)[:, k]
+    return rows
 
 
 def dynamics_names(chain: Chain) -> tuple[str, ...]:

@@ -13,7 +13,13 @@ import pytest
 from numpy.typing import NDArray
 
 from service.identification.axis.drive_train import TwoMassTrain
-from service.identification.design.excitation import Excitation, design_together, velocity_setpoint
+from service.identification.design.excitation import (
+    Excitation,
+    design_sweep,
+    realisations,
+    velocity_setpoint,
+    zippered_lines,
+)
 from service.identification.estimates.combination import AxisInertias, JointEstimate, combine
 from service.identification.model.inverse_dynamics import nominal_parameters, prior_information
 from service.identification.model.regressor import axis_rows
@@ -50,16 +56,20 @@ def measured(
     """
     random = np.random.default_rng([7, seed])
     joints = [plant.robot.joints[k] for k in moving]
-    ways = [int(way) for way in random.choice([-1, 1], len(moving))]
-    runs = list(
-        design_together(
+    window, lines = zippered_lines(len(moving))
+    runs: list[Excitation] = []
+    for k, joint, own in zip(moving, joints, lines, strict=True):
+        designed = design_sweep(
             plant.robot,
-            joints,
-            seed=[seed],
-            directions=ways,
-            locked_rotor_frequencies=[plant.locked[k] for k in moving],
+            joint,
+            pose,
+            load_inertia=float(np.diag(plant.matrix(pose))[k]),
+            lines=own,
+            window=window,
+            direction=int(random.choice([-1, 1])),
+            locked_rotor_frequency=None if np.isinf(plant.locked[k]) else float(plant.locked[k]),
         )
-    )
+        runs.append(realisations(designed, 2, [seed, k])[0])
     if sticking is not None:
         own = runs[moving.index(sticking)]
         sines = tuple(sine.model_copy(update={"amplitude": 1.9 * sine.amplitude}) for sine in own.sines)

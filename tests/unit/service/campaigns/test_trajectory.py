@@ -18,7 +18,7 @@ from service.model.recording import SweepSpec
 from service.model.robot import Robot
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move
 from service.planning.compiled_plan import CompiledPlan
-from service.planning.documents import TrajectoryPlan, TrajectoryRequest
+from service.planning.documents import TrajectoryPlan, TrajectoryRequest, at_once
 from service.planning.safety.envelope import Envelope, commanded_motion, path_of
 from service.planning.trajectories import build_trajectory_plan
 from service.store.documents import CampaignDocument, CampaignState, NewSweep, RecordingState, SweepState
@@ -108,11 +108,11 @@ def test_a_plan_moves_all_axes_of_a_trajectory_at_once() -> None:
     cell = Cell(name="test", home={"j1": -1.0})
     plan = build_trajectory_plan(small_arm(), request(), cell)
     assert TrajectoryPlan.model_validate_json(plan.model_dump_json()) == plan
-    assert plan.at_once == ((1, 2), (3, 4))
+    assert at_once(plan.sweeps) == ((1, 2), (3, 4))
     assert [sweep.spec.block for sweep in plan.sweeps] == ["trajectory 1 of 2 axes"] * 2 + [
         "trajectory 2 of 2 axes"
     ] * 2
-    for numbers in plan.at_once:
+    for numbers in at_once(plan.sweeps):
         commands = [plan.sweeps[number - 1].command() for number in numbers]
         pose = plan.sweeps[numbers[0] - 1].spec.pose
         Envelope(small_arm(), cell).check_trajectory(commands, pose)

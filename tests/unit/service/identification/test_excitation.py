@@ -8,7 +8,6 @@ from service.identification.design.excitation import (
     Excitation,
     Sines,
     design_sweep,
-    design_together,
     peak_jerk,
     velocity_setpoint,
     way,
@@ -189,11 +188,32 @@ def test_other_numbers_of_axes_have_no_simultaneous_sweep() -> None:
 
 def test_a_simultaneous_sweep_turns_no_axis_back_and_keeps_ripple_off_the_lines() -> None:
     r = random_arm(3, 3, rated_effort=300.0, cogging_orders=(6, 12))
-    for run in design_together(r, r.joints, seed=(1,), directions=(1, -1, 1)):
+    window, lines = zippered_lines(3)
+    for joint, own, direction in zip(r.joints, lines, (1, -1, 1), strict=True):
+        run = design_sweep(
+            r,
+            joint,
+            np.zeros(3),
+            load_inertia=9.0,
+            lines=own,
+            window=window,
+            locked_rotor_frequency=None,
+            direction=direction,
+        )
+        assert (run.period, run.periods, np.sign(run.offset_velocity)) == (window, 1, direction)
         assert sum(sine.amplitude for sine in run.sines) < abs(run.offset_velocity)
         assert abs(run.travel) <= np.radians(4.0)
         for order in (6, 12):
             number = order * 100.0 * abs(run.offset_velocity) * run.period / (2 * np.pi)
             assert number / 2 == pytest.approx(round(number / 2), abs=1e-9)
-    with pytest.raises(BadInput, match="no simultaneous sweep fits"):
-        design_together(r, r.joints, seed=(1,), travel=1e-6)
+    with pytest.raises(BadInput, match="no sweep fits"):
+        design_sweep(
+            r,
+            r.joints[0],
+            np.zeros(3),
+            load_inertia=9.0,
+            lines=lines[0],
+            window=window,
+            locked_rotor_frequency=None,
+            travel=1e-6,
+        )
