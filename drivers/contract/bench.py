@@ -124,7 +124,6 @@ class MachineUnderTest(Protocol):
 
     def recover(self) -> None:
         """Removes every lasting disturbance; faults stay until they are acknowledged."""
-        ...
 
 
 async def consume(
