@@ -13,6 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import partial
 from math import inf, tau
 from pathlib import Path
@@ -304,17 +305,17 @@ def parse_send(identifier: str, length: str, data: Sequence[str]) -> SentFrame |
     return SentFrame(Frame(number, bytes(int(byte, 16) for byte in data)), extended)
 
 
+@dataclass(eq=False, slots=True)
 class _Client:
     """One connection: ``hi`` sent, channel open, raw mode (on the bus)."""
 
-    def __init__(self, connection: socket.socket) -> None:
-        self.connection = connection
-        self.received = bytearray()
-        self.unsent = bytearray()
-        self.opened = False
-        self.raw = False
-        self.joining = 0.0
-        """Until then frames are buffered: python-can treats data directly after the last ``< ok >`` as an error."""
+    connection: socket.socket
+    received: bytearray = field(default_factory=bytearray)
+    unsent: bytearray = field(default_factory=bytearray)
+    opened: bool = False
+    raw: bool = False
+    joining: float = 0.0
+    """Until then frames are buffered: python-can treats data directly after the last ``< ok >`` as an error."""
 
 
 class SocketcandServer:

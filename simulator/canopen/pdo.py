@@ -93,11 +93,6 @@ class PdoChannel:
         return self._mapped
 
     @property
-    def entries(self) -> frozenset[Key]:
-        """The mapped objects."""
-        return frozenset(self.keys)
-
-    @property
     def size(self) -> int:
         """Bytes of the mapped objects."""
         return sum(self._dictionary.bits(key) for key in self.keys) // 8

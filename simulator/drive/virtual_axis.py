@@ -280,7 +280,7 @@ class VirtualAxis(PowerDrive):
             d.set_actual(0x6064, round(d[0x6064, 0] + off * INCREMENTS))
             d.set_actual(0x606C, round(d[0x606C, 0] + off / span * self.limits.speed_unit))
             if recorded and glitch.at_sample is not None:
-                self.measuring.falsify(glitch.at_sample, off)
+                self.measuring.trace.falsify(glitch.at_sample, off)
             if abs(off) > self.limits.following_window:
                 self.fail(FaultCode.ENCODER)
         if code is not None:
