@@ -273,7 +273,6 @@ class DeviceMap(Frozen):
             )
 
     def entry(self, name: str) -> Entry:
-        """The object of this name."""
         standard, place = STANDARD[name], self.objects.get(name)
         return standard if place is None else Entry(place.index, place.sub, TYPES[place.type], standard.name)
 

@@ -195,7 +195,6 @@ class CanBus:
         """Nothing to do: nothing is buffered."""
 
     def close(self) -> None:
-        """Release the bus."""
         self._unregister()
         if isinstance(self._inbox, _Inbox):
             self._inbox.close()
@@ -342,7 +341,6 @@ class SocketcandServer:
         selector.register(self._listener, selectors.EVENT_READ, self._accept)
 
     def send(self, frame: Frame) -> None:
-        """Send a frame to every client."""
         if not self._off:
             self._broadcast(frame, None)
 
@@ -364,7 +362,6 @@ class SocketcandServer:
         return max(min((c.joining for c in self._clients if c.joining), default=float("inf")) - now, 0.0)
 
     def run(self, now: float) -> None:
-        """Send buffered frames."""
         for client in list(self._clients):
             if client.joining and now >= client.joining:
                 self._join(client)
@@ -528,11 +525,9 @@ class CanLine:
         return self.bus.due(now)
 
     def run(self, now: float) -> None:
-        """Send buffered frames."""
         self.bus.run(now)
 
     def close(self) -> None:
-        """Release the bus."""
         self.bus.close()
 
     def _receive(self, frame: Frame) -> None:

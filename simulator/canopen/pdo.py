@@ -53,12 +53,10 @@ class PdoChannel:
 
     @property
     def cob_id(self) -> int:
-        """The identifier on the bus."""
         return self._dictionary[self._communication, 1] & 0x7FF
 
     @property
     def valid(self) -> bool:
-        """Whether the PDO is in use."""
         return not self._dictionary[self._communication, 1] & _INVALID
 
     @property

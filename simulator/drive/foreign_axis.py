@@ -385,7 +385,6 @@ class ForeignAxis(PowerDrive):
         return np.full(cycles, offset * 1e-3 * self.units.rated_torque) if offset else None
 
     def observe(self, samples: DriveSamples) -> None:
-        """Samples of the last cycles."""
         self.position, self.speed = float(samples.position[-1]), float(samples.speed.mean())
         self.torque = float(samples.torque.mean())
         span = len(samples.speed) * self._cycle

@@ -138,7 +138,6 @@ class MeasuringFunction:
 
     @property
     def count(self) -> int:
-        """DriveSamples recorded so far."""
         return self.trace.count
 
     def reset(self) -> None:

@@ -29,7 +29,6 @@ class ControlParameters:
 
     @property
     def active(self) -> tuple[float, float]:
-        """Present gain and reset time."""
         return self._dictionary[0x2140, 1], self._dictionary[0x2140, 2]
 
     @property
@@ -38,7 +37,6 @@ class ControlParameters:
         return self.active != (self._dictionary[0x2140, 3], self._dictionary[0x2140, 4])
 
     def restore(self) -> None:
-        """Set the commissioned values."""
         d = self._dictionary
         d[0x2140, 1], d[0x2140, 2] = d[0x2140, 3], d[0x2140, 4]
 
@@ -248,7 +246,6 @@ class VirtualAxis(PowerDrive):
         return np.clip(speeds + correction, -limit, limit)
 
     def observe(self, samples: DriveSamples) -> None:
-        """Samples of the last cycles."""
         self.position, self.speed = float(samples.position[-1]), float(samples.speed.mean())
         if self.energised:
             d, torque = self._dictionary, float(samples.torque.mean())
