@@ -152,9 +152,9 @@ def replied(entry: Entry, value: int) -> bytes:
     return struct.pack("<BHB", {2: 0x4B, 4: 0x43}[len(data)], entry.index, entry.sub) + data.ljust(4, b"\0")
 
 
-def exchanged(heard: HeardState, entry: Entry, value: int, at: float) -> None:
-    heard.requested(upload_request(entry), at)
-    heard.answered(replied(entry, value), at + 0.001)
+def exchanged(heard: HeardState, name: str, value: int, at: float) -> None:
+    heard.requested(upload_request(STANDARD[name]), at)
+    heard.answered(replied(STANDARD[name], value), at + 0.001)
 
 
 def test_process_data_confirm_standstill_without_energy(heard: HeardState) -> None:
@@ -168,31 +168,33 @@ def test_process_data_confirm_standstill_without_energy(heard: HeardState) -> No
 
 
 def test_answers_to_the_service_confirm_it_if_the_velocity_is_not_older_than_the_state(heard: HeardState) -> None:
-    exchanged(heard, STANDARD["velocity"], 0, 1.0)
-    exchanged(heard, STANDARD["statusword"], OFF, 2.0)
-    assert heard.doubt(0.5) != ""  # it may have begun to turn since
-    exchanged(heard, STANDARD["velocity"], 0, 3.0)
-    assert heard.doubt(0.5) == ""
-    exchanged(heard, STANDARD["statusword"], ON, 4.0)
-    assert heard.doubt(0.5) == "is 'operation enabled'"
+    for at, name, value, doubt in (
+        (1.0, "velocity", 0, "its state cannot be heard here"),
+        (2.0, "statusword", OFF, "its state cannot be heard here"),  # it may have begun to turn since
+        (3.0, "velocity", 0, ""),
+        (4.0, "statusword", ON, "is 'operation enabled'"),
+    ):
+        exchanged(heard, name, value, at)
+        assert heard.doubt(0.5) == doubt
 
 
 def test_a_segment_that_looks_like_an_answer_is_none(heard: HeardState) -> None:
-    exchanged(heard, STANDARD["statusword"], ON, 1.0)
-    heard.answered(replied(STANDARD["statusword"], OFF), 1.1)
+    off = replied(STANDARD["statusword"], OFF)
+    exchanged(heard, "statusword", ON, 1.0)
+    heard.answered(off, 1.1)
     heard.answered(replied(STANDARD["velocity"], 0), 1.2)
     assert heard.doubt(0.5) == "is 'operation enabled'"
     heard.requested(b"\xa0" + upload_request(STANDARD["statusword"])[1:], 1.3)  # a block upload
-    heard.answered(replied(STANDARD["statusword"], OFF), 1.4)
+    heard.answered(off, 1.4)
     assert heard.doubt(0.5) == "is 'operation enabled'"
 
 
 def test_a_velocity_within_the_noise_counts_only_in_a_unit_that_was_heard(heard: HeardState) -> None:
     heard.note(frames.MotionPdo(1, OFF, 1, 0), 1.0)
     assert heard.doubt(0.5).startswith("turns at 1 velocity units, standstill is at most 0")
-    exchanged(heard, STANDARD["velocity_unit"], 0xFDB44700, 0.1)  # 1e-3 rev/min
-    exchanged(heard, STANDARD["increments"], 1048576, 0.1)
-    exchanged(heard, STANDARD["motor_revolutions"], 1, 0.1)
+    exchanged(heard, "velocity_unit", 0xFDB44700, 0.1)  # 1e-3 rev/min
+    exchanged(heard, "increments", 1048576, 0.1)
+    exchanged(heard, "motor_revolutions", 1, 0.1)
     assert heard.doubt(0.5) == ""
 
 
