@@ -101,12 +101,14 @@ def test_a_changed_description_is_another_robot_and_another_file_name_is_not(
     made_for = setup.confirmed(changed, "workshop", {"robot": " max100-class "}, "Ada")
     assert (made_for.confirmed, made_for.by) == ({"robot": "max100-class"}, "Ada")
     setup.check(changed, "workshop", made_for)
-    with pytest.raises(Conflict, match="the plan is of cell hall"):
-        setup.check(changed, "hall", made_for)
-    with pytest.raises(Conflict, match="make the plan again"):
-        setup.check(changed, "workshop", made_for.model_copy(update={"machine": "cell 2"}))
-    with pytest.raises(Conflict, match="has none that is known"):
-        dataclasses.replace(setup, cell=None, missing=("set it",)).check(robot, "workshop", None)
+    unknown = dataclasses.replace(setup, cell=None, missing=("set it",))
+    for machine, which, cell, of, told in (
+        (setup, changed, "hall", made_for, "the plan is of cell hall"),
+        (setup, changed, "workshop", made_for.model_copy(update={"machine": "cell 2"}), "make the plan again"),
+        (unknown, robot, "workshop", None, "has none that is known"),
+    ):
+        with pytest.raises(Conflict, match=told):
+            machine.check(which, cell, of)
 
 
 def copy_of(store: Store, robot: RobotDocument, name: str) -> RobotDocument:
