@@ -76,7 +76,7 @@ class UserStore(rows.Transactions):
             append(session, [{**entry, "event": "password changed", "user": name}])
             return rows.document(UserDocument, row)
 
-    def enable(self, name: str, entry: Entry, enabled: bool = True) -> UserDocument:
+    def set_enabled(self, name: str, entry: Entry, enabled: bool = True) -> UserDocument:
         """Enable a user, or disable at once and end all sessions for ever; a second call changes nothing. NotFound."""
         with self._database.write(quiet=True) as session:
             row = _row(session, name)

@@ -155,7 +155,7 @@ def test_who_is_disabled_or_gets_another_password_is_out(url: str, person: str, 
         assert "was ended" in http.get("/api/v1/me").json()["detail"]
         assert log_in(http, person, WRONG).status_code == 200
         assert http.get("/api/v1/me").status_code == 200
-        users.enable(person, WHO, enabled=False)
+        users.set_enabled(person, WHO, enabled=False)
         assert f"{person} was disabled on" in http.get("/api/v1/me").json()["detail"]
         assert log_in(http, person, WRONG).json()["detail"] == "name or password is wrong"
 
@@ -488,15 +488,15 @@ def test_users(own: Database) -> None:
     assert users.change_password("anna", OTHER, WHO) == anna
     assert users.check("anna", PASSWORD) is None
     assert users.check("anna", OTHER) == anna
-    disabled = users.enable("anna", WHO, enabled=False)
-    assert users.enable("anna", WHO, enabled=False) == disabled
+    disabled = users.set_enabled("anna", WHO, enabled=False)
+    assert users.set_enabled("anna", WHO, enabled=False) == disabled
     assert users.check("anna", OTHER) is None
     with pytest.raises(Conflict, match="anna was disabled on"):
         users.change_password("anna", PASSWORD, WHO)
-    enabled = users.enable("anna", WHO)
-    assert users.enable("anna", WHO) == enabled == anna
+    enabled = users.set_enabled("anna", WHO)
+    assert users.set_enabled("anna", WHO) == enabled == anna
     assert users.check("anna", OTHER) == anna
-    for change in (lambda: users.change_password("nobody", PASSWORD, WHO), lambda: users.enable("nobody", WHO)):
+    for change in (lambda: users.change_password("nobody", PASSWORD, WHO), lambda: users.set_enabled("nobody", WHO)):
         with pytest.raises(NotFound, match="user nobody does not exist"):
             change()
     assert told(own) == ["user added", "password changed", "user disabled", "user enabled"]
