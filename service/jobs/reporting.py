@@ -83,7 +83,7 @@ class Reporting:
                 ("ordered by", _ordered(campaign, None if approved is None else approved.approved_by)),
                 ("measured", _measured(campaign)),
                 ("estimate", f"revision {estimate.revision}, {_time(estimate.created_at)}"),
-                *_beside(beside),
+                *([] if beside is None else [("with the sweeps of", f"campaign {beside.id}")]),
                 ("newest diagnosis", _diagnosis(diagnosis)),
                 (
                     "recordings",
@@ -210,10 +210,6 @@ def _diagnosis(diagnosis: DiagnosisDocument | None) -> str:
     campaigns = ", ".join(str(number) for number in diagnosis.campaigns)
     at = "" if diagnosis.finished_at is None else f", {_time(diagnosis.finished_at)}"
     return f"number {diagnosis.id}, of campaign {campaigns}{at}"
-
-
-def _beside(beside: CampaignDocument | None) -> Iterable[tuple[str, str]]:
-    return () if beside is None else (("with the sweeps of", f"campaign {beside.id}"),)
 
 
 def _listing(recordings: Sequence[RecordingDocument]) -> str:

@@ -251,29 +251,24 @@ def test_a_stop_is_not_refused_for_a_badwaiting_time(word: str, wait: float) -> 
 
 
 SENT = StopOutcome({"joint_1": "", "joint_2": ""})
-ANSWERS: dict[str, tuple[StopOutcome, StopOutcome | None, int, str]] = {
-    "confirmed": (SENT, SENT, 200, ""),
-    "not waited for": (SENT, None, 202, ""),
-    "one moves": (
-        SENT,
-        StopOutcome({"joint_1": "turns", "joint_2": ""}),
-        503,
-        "stop sent, not confirmed within 1 s: joint_1: turns; use the emergency stop",
-    ),
-    "nobody known": (StopOutcome(trouble="x"), StopOutcome(trouble="x"), 503, "stop not sent: stop process: x; use"),
-    "nothing sent": (
-        StopOutcome({"joint_1": "x"}, "x"),
-        StopOutcome({"joint_1": "x"}, "x"),
-        503,
-        "stop not sent: joint_1: x",
-    ),
-    "nothing sent, not waited for": (StopOutcome({"joint_1": "x"}, "x"), None, 503, "stop not sent: joint_1: x; use"),
-}
+NOT_SENT = StopOutcome({"joint_1": "x"}, "x")
+ONE_MOVES = StopOutcome({"joint_1": "turns", "joint_2": ""})
 
 
-@pytest.mark.parametrize("case", ANSWERS)
-def test_the_answer_says_what_was_sent_and_what_is_confirmed(case: str) -> None:
-    sent, confirmed, status, detail = ANSWERS[case]
+@pytest.mark.parametrize(
+    ("sent", "confirmed", "status", "detail"),
+    [
+        (SENT, SENT, 200, ""),
+        (SENT, None, 202, ""),  # not waited for
+        (SENT, ONE_MOVES, 503, "stop sent, not confirmed within 1 s: joint_1: turns; use the emergency stop"),
+        (StopOutcome(trouble="x"), StopOutcome(trouble="x"), 503, "stop not sent: stop process: x; use"),
+        (NOT_SENT, NOT_SENT, 503, "stop not sent: joint_1: x"),
+        (NOT_SENT, None, 503, "stop not sent: joint_1: x; use"),
+    ],
+)
+def test_the_answer_says_what_was_sent_and_what_is_confirmed(
+    sent: StopOutcome, confirmed: StopOutcome | None, status: int, detail: str
+) -> None:
     found = answer_to(Request("Ada", "smoke", "", "::1"), sent, confirmed)
     assert found[0] == status
     assert str(found[1].get("detail", "")).startswith(detail)

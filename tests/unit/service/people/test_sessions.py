@@ -155,7 +155,7 @@ def test_who_is_disabled_or_gets_another_password_is_out(url: str, person: str, 
         assert "was ended" in http.get("/api/v1/me").json()["detail"]
         assert log_in(http, person, WRONG).status_code == 200
         assert http.get("/api/v1/me").status_code == 200
-        users.shut_out(person, WHO)
+        users.set_enabled(person, WHO, enabled=False)
         assert f"{person} was disabled on" in http.get("/api/v1/me").json()["detail"]
         assert log_in(http, person, WRONG).json()["detail"] == "name or password is wrong"
 
@@ -488,18 +488,17 @@ def test_users(own: Database) -> None:
     assert users.change_password("anna", OTHER, WHO) == anna
     assert users.check("anna", PASSWORD) is None
     assert users.check("anna", OTHER) == anna
-    disabled = users.shut_out("anna", WHO)
-    assert users.shut_out("anna", WHO) == disabled
+    disabled = users.set_enabled("anna", WHO, enabled=False)
+    assert users.set_enabled("anna", WHO, enabled=False) == disabled
     assert users.check("anna", OTHER) is None
     with pytest.raises(Conflict, match="anna was disabled on"):
         users.change_password("anna", PASSWORD, WHO)
-    enabled = users.let_in("anna", WHO)
-    assert users.let_in("anna", WHO) == enabled == anna
+    enabled = users.set_enabled("anna", WHO)
+    assert users.set_enabled("anna", WHO) == enabled == anna
     assert users.check("anna", OTHER) == anna
-    for name in ("change_password", "shut_out", "let_in"):
-        arguments = ("nobody", PASSWORD, WHO) if name == "change_password" else ("nobody", WHO)
+    for change in (lambda: users.change_password("nobody", PASSWORD, WHO), lambda: users.set_enabled("nobody", WHO)):
         with pytest.raises(NotFound, match="user nobody does not exist"):
-            getattr(users, name)(*arguments)
+            change()
     assert told(own) == ["user added", "password changed", "user disabled", "user enabled"]
 
 

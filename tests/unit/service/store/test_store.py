@@ -47,9 +47,14 @@ SPECTRUM = SpectrumRecord(path="recordings/x.spectrum.json", sha256="1" * 64)
 
 
 @pytest.fixture
-def campaign(store: Store, robot: Robot, specs: Specs) -> CampaignDocument:
+def sweeps(specs: Specs) -> list[NewSweep]:
+    return [NewSweep(spec=spec, mode=None) for spec in specs]
+
+
+@pytest.fixture
+def campaign(store: Store, robot: Robot, sweeps: list[NewSweep]) -> CampaignDocument:
     plan = store.add_plan(store.add_robot(robot).id, {"any": "document"})
-    return store.add_campaign(plan.id, [NewSweep(spec=spec, mode=None) for spec in specs])
+    return store.add_campaign(plan.id, sweeps)
 
 
 Record = Callable[[int], SweepDocument]
@@ -111,13 +116,16 @@ def test_two_campaigns_are_told_apart(store: Store, campaign: CampaignDocument) 
     assert (estimate, estimate.number) == (store.estimate(other.id), 1)
 
 
-def test_a_result_counts_once(store: Store, campaign: CampaignDocument, record: Record) -> None:
+def test_a_result_counts_once(database: Database, store: Store, campaign: CampaignDocument, record: Record) -> None:
+    """The database itself refuses a second one."""
     sweep = record(1)
     identify = sweep_move(SweepEvent.IDENTIFY)
     first = store.add_estimate([(sweep, SPECTRUM)], identify, {"value": 0.1})
     events = store.last_event_id()
     assert first is not None
     assert store.add_estimate([(sweep, SPECTRUM)], identify, {"value": 0.1}) is None
+    with pytest.raises(IntegrityError, match=r"(?i)unique"), database.write() as session:
+        session.add(t.EstimateRow(campaign_id=sweep.campaign_id, revision=2, sweep_id=1, document={}))
     assert store.estimates(campaign.id) == (first,)
     assert store.estimate(campaign.id, 1) == first
     assert store.spectra(campaign.id) == (SPECTRUM,)
@@ -134,15 +142,6 @@ def test_the_result_of_an_earlier_attempt_has_no_effect(
     assert (old.attempt, new.attempt) == (1, 2)
     assert store.add_estimate([(old, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), {}) is None
     assert store.add_estimate([(new, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), {}) is not None
-
-
-def test_the_database_itself_refuses_a_second_estimate_of_a_sweep(
-    database: Database, store: Store, record: Record
-) -> None:
-    sweep = record(1)
-    store.add_estimate([(sweep, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), {})
-    with pytest.raises(IntegrityError, match=r"(?i)unique"), database.write() as session:
-        session.add(t.EstimateRow(campaign_id=sweep.campaign_id, revision=2, sweep_id=1, document={}))
 
 
 def test_every_change_is_told_in_order(store: Store, campaign: CampaignDocument, record: Record) -> None:
@@ -185,11 +184,6 @@ def diagnoses(database: Database) -> DiagnosisStore:
 @pytest.fixture
 def models(database: Database) -> ModelStore:
     return ModelStore(database)
-
-
-@pytest.fixture
-def sweeps(specs: Specs) -> list[NewSweep]:
-    return [NewSweep(spec=spec, mode=None) for spec in specs]
 
 
 @pytest.fixture
@@ -270,13 +264,15 @@ def test_an_experiment_is_one_and_leads_to_one_diagnosis(
 
 
 def test_after_a_restart_nothing_is_unattended(diagnoses: DiagnosisStore, new: NewDiagnosis) -> None:
-    parent = done(diagnoses, new)
+    parent, failed = done(diagnoses, new), diagnoses.add(new)
     child = diagnoses.go_on(new.model_copy(update={"parent": parent.id}), ())
     assert child is not None
+    diagnoses.fail(failed.id, "recording file was changed", {"axes": {}})
     diagnoses.attend("restarted")
     assert diagnoses.diagnosis(parent.id).unattended  # as it was: its loop went on
-    found = diagnoses.diagnosis(child.id)
-    assert (found.unattended, found.cause, found.state) == (False, "restarted", DiagnosisState.WAITING)
+    failed, child = (diagnoses.diagnosis(one.id) for one in (failed, child))
+    assert (child.unattended, child.cause, child.state) == (False, "restarted", DiagnosisState.WAITING)
+    assert (failed.unattended, failed.cause, failed.document) == (False, "recording file was changed", {"axes": {}})
 
 
 def test_models_are_numbered_robot_by_robot_and_a_diagnosis_becomes_one(
@@ -297,17 +293,6 @@ def test_models_are_numbered_robot_by_robot_and_a_diagnosis_becomes_one(
     assert models.models(new.robot_id, after=first.id) == (second,)
     assert models.models(new.robot_id + 1) == ()
     assert models.model(first.id) == first
-
-
-def test_what_failed_stays_failed_for_its_own_reason(diagnoses: DiagnosisStore, new: NewDiagnosis) -> None:
-    unattended = new.model_copy(update={"unattended": True})
-    failed, waiting = diagnoses.add(unattended), diagnoses.add(unattended)
-    diagnoses.fail(failed.id, "recording file was changed", {"axes": {}})
-    diagnoses.attend("the service was restarted")
-    found = [diagnoses.diagnosis(one.id) for one in (failed, waiting)]
-    assert [one.cause for one in found] == ["recording file was changed", "the service was restarted"]
-    assert not any(one.unattended for one in found)
-    assert found[0].document == {"axes": {}}
 
 
 def test_a_diagnosis_or_model_that_is_not_there_is_not_found(
