@@ -2,19 +2,11 @@
 priors.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from service.identification.axis.ideal_frequency import (
-    IdealFrequency,
-    InertiaClass,
-    InitialAnalysis,
-    PoseAnalysis,
-    Uncertain,
-    analyse_axis,
-)
+from service.identification.axis.ideal_frequency import InitialAnalysis, PoseAnalysis, analyse_axis
 from service.identification.axis.nominal_priors import pose_prior, shared_prior
 from service.identification.model.regressor import SAME_POSITION, axis_rows, gravity_terms, inertial_parameters
 from service.identification.spectra.frequency_response import Spectrum
@@ -128,17 +120,8 @@ def _axis_analysis(analysis: InitialAnalysis) -> results.AxisAnalysis:
         },
         covariance=tuple(map(tuple, analysis.covariance.tolist())),
         chi_squared=analysis.chi_squared,
-        classes=tuple(_class(each) for each in analysis.classes),
+        classes=analysis.classes,
         poses=tuple(_pose(pose) for pose in analysis.poses),
-    )
-
-
-def _class(each: InertiaClass) -> results.PoseClass:
-    return results.PoseClass(
-        name=each.name,
-        inertia_up_to=_finite(each.up_to),
-        locked_rotor=_finite(each.locked_rotor),
-        sweep_frequency=each.sweep_frequency,
     )
 
 
@@ -148,8 +131,8 @@ def _pose(pose: PoseAnalysis) -> results.AnalysedPose:
     return results.AnalysedPose(
         pose=pose.pose,
         load_inertia=pose.load_inertia,
-        fit=_ideal(pose.fit),
-        asymptotes=_ideal(pose.asymptotes),
+        fit=pose.fit,
+        asymptotes=pose.asymptotes,
         frequency_response=tuple(
             results.AnalysedLine(
                 frequency=float(response.frequency[k]),
@@ -161,21 +144,6 @@ def _pose(pose: PoseAnalysis) -> results.AnalysedPose:
             for k in range(len(std))
         ),
     )
-
-
-def _ideal(ideal: IdealFrequency) -> results.Ideal:
-    return results.Ideal(
-        inertia=_figure(ideal.inertia),
-        friction=_figure(ideal.friction),
-        locked_rotor=_figure(ideal.locked_rotor),
-        corner=_figure(ideal.corner),
-        frequency=_figure(ideal.frequency),
-        sweep_frequency=ideal.sweep_frequency,
-    )
-
-
-def _figure(figure: Uncertain) -> results.Figure:
-    return results.Figure(value=_finite(figure.value), std=_finite(figure.std))
 
 
 def _axis_from(joint: str, document: results.AxisAnalysis) -> InitialAnalysis:
@@ -204,28 +172,6 @@ def _pose_from(document: results.AnalysedPose) -> PoseAnalysis:
             np.array([line.coherence for line in lines]),
         ),
         load_inertia=document.load_inertia,
-        fit=_ideal_from(document.fit),
-        asymptotes=_ideal_from(document.asymptotes),
+        fit=document.fit,
+        asymptotes=document.asymptotes,
     )
-
-
-def _ideal_from(document: results.Ideal) -> IdealFrequency:
-    return IdealFrequency(
-        inertia=_figure_from(document.inertia),
-        friction=_figure_from(document.friction),
-        locked_rotor=_figure_from(document.locked_rotor),
-        corner=_figure_from(document.corner),
-        frequency=_figure_from(document.frequency),
-    )
-
-
-def _figure_from(figure: results.Figure) -> Uncertain:
-    return Uncertain(_number(figure.value), _number(figure.std))
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
-def _number(value: float | None) -> float:
-    return math.inf if value is None else value

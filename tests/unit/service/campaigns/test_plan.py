@@ -16,7 +16,7 @@ import pytest
 from pydantic import ValidationError
 
 from drivers.ports import NoiseCommand, SweepCommand, SweepMode
-from service.identification.axis.ideal_frequency import IdealFrequency, InitialAnalysis, PoseAnalysis, Uncertain
+from service.identification.axis.ideal_frequency import InitialAnalysis, PoseAnalysis
 from service.identification.design.diagnosis_sweeps import BLOCKS, DesignedSweep, full_design
 from service.identification.design.excitation import Excitation
 from service.identification.design.pose_selection import Criterion
@@ -27,6 +27,7 @@ from service.identification.spectra.noise_response import FrequencyResponse
 from service.model.configuration import Box, Cell, read_cell
 from service.model.errors import BadInput, EnvelopeViolation
 from service.model.recording import SweepPurpose
+from service.model.results.estimate import Ideal
 from service.model.robot import Robot, build_robot
 from service.planning.analysis import build_analysis_plan
 from service.planning.compiled_plan import plan_of
@@ -412,8 +413,10 @@ def test_a_plan_of_sweeps_stands_on_the_analysis(robot: Robot, cell: Cell) -> No
     nothing = FrequencyResponse(
         np.array([1.0]), np.ones(1, complex), np.ones(1, complex), np.zeros((1, 2, 2), complex), np.ones(1)
     )
-    figures = [Uncertain(value, 1.0) for value in (250.0, 200.0, 8.0, 0.2, 2.4)]
-    pose = PoseAnalysis((0.0,) * 6, nothing, 192.0, IdealFrequency(*figures), IdealFrequency(*figures))
+    names = ("inertia", "friction", "locked_rotor", "corner", "frequency")
+    figures = {name: {"value": v, "std": 1.0} for name, v in zip(names, (250.0, 200.0, 8.0, 0.2, 2.4), strict=True)}
+    ideal = Ideal.model_validate({**figures, "sweep_frequency": 2.0})
+    pose = PoseAnalysis((0.0,) * 6, nothing, 192.0, ideal, ideal)
     analyses = {"joint_1": InitialAnalysis("joint_1", mean, np.diag((0.01 * mean) ** 2), 1.0, (pose,))}
     request = PlanRequest(robot_id=1, axes=("joint_1",), varied=("joint_2", "joint_3"), step=20.0, poses=8, analysis=1)
     found = build_plan(robot, request, cell, analyses)
