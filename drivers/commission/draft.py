@@ -70,11 +70,11 @@ def shortcomings(dictionary: DriveDictionary) -> list[str]:
     found: list[str] = []
     if lost:
         shown = ", ".join(f"{entry.index:04X}h" for entry in lost)
-        found.append(f"{shown} are not in the file: without them the drive cannot be used")
+        found.append(f"not in the file: {shown}; without these the drive cannot be used")
     if not _efforts(dictionary):
         found.append(WITHOUT_EFFORT)
     if not able:
-        found.append("no object for set-points that 6502h allows: the axis can be moved, but not measured")
+        found.append("no excitation remains: no object for set-points that 6502h allows")
     elif found:
         found.append(f"excitation that remains: {able}")
     return found
