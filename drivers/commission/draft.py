@@ -45,13 +45,14 @@ def profile_text(
 def map_text(dictionary: DriveDictionary) -> str:
     """A device map."""
     able = ways(dictionary)
+    maker = ("vendor", dictionary.vendor), ("product", dictionary.product)
     excitation = (
         f"[{', '.join(way.value for way in able)}]" if able else _open("no object for set-points: none can be streamed")
     )
     lines = [
         f"# Drafted from a dictionary: compare it with its manual. Values that begin with {FILL_IN} are refused.",
         f"description: {_text(dictionary.name or 'unknown drive')}",
-        *(f"{key}: 0x{value:08X}" for key, value in _maker(dictionary) if value),
+        *(f"{key}: 0x{value:08X}" for key, value in maker if value),
         f"excitation: {excitation}",
         f"pdos: {_pdos(dictionary, able)}",
         "units:",
@@ -92,10 +93,6 @@ def _text(text: str) -> str:
 
 def _open(what: str) -> str:
     return json.dumps(f"{FILL_IN} {what}")
-
-
-def _maker(dictionary: DriveDictionary) -> tuple[tuple[str, int | None], ...]:
-    return ("vendor", dictionary.vendor), ("product", dictionary.product)
 
 
 def _axis(dictionary: DriveDictionary, device_map: DeviceMap | None) -> list[str]:
