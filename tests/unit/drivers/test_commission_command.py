@@ -117,13 +117,6 @@ def test_a_drive_that_cannot_be_measured_says_what_it_lacks(tmp_path: Path) -> N
     assert done.stderr.endswith(f"{eds}: excitation that remains: 60FFh (cyclic_velocity)\n")
 
 
-def test_a_file_that_is_no_dictionary_is_refused_by_name(tmp_path: Path) -> None:
-    (tmp_path / "x.eds").write_text("[1000\nno")
-    error = run("draft", "--eds", tmp_path / "x.eds", "--out", tmp_path, "--devices", DEVICES).exception
-    assert isinstance(error, BadProfile)
-    assert "x.eds: not an EDS or DCF" in str(error)
-
-
 @pytest.mark.parametrize("letter", ["\x7f", "\x85", "\u2028"])
 def test_a_makers_name_that_yaml_does_not_read_still_makes_a_draft(letter: str, tmp_path: Path) -> None:
     eds = tmp_path / "odd.eds"

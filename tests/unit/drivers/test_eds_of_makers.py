@@ -55,7 +55,7 @@ def typed(text: str) -> str:
         "7": "UNSIGNED32",
     }
     named = lines(r"^DataType=(?:0x)?0*([2-7])$", lambda found: f"DataType={names[found[1]]}")(text)
-    return lines("^ObjectType=(0x)?7$", "ObjectType=VAR")(lines("^ObjectType=(0x)?8$", "ObjectType=ARRAY")(named))
+    return lines("^ObjectType=(0x)?7$", "ObjectType=VAR ; 7")(lines("^ObjectType=(0x)?8$", "ObjectType=ARRAY")(named))
 
 
 SAME: dict[str, Callable[[str], str]] = {
@@ -185,6 +185,7 @@ def test_compact_objects_have_all_their_entries(written: str, entries: int, tmp_
         ("10", 10), ("010", 8), ("08", 8), ("10h", 16), ("10 ; ms", 10), ("10;ms", 10), ("10 [ms]", 10), ("10 %", 10),
         ("0x10 rpm", 16), ("-3", -3), ("", None), ("ten", None), ("1.5", None), ("1,5", None), ("$NODEID+x", None),
         ("9" * 5000, None), ("0x80000000", -(2**31)), ("4294967295", -1), ("0x7FFFFFFF", 2**31 - 1),
+        ("$NODEID+0x80000180", 0x80000185),
     ],
 )  # fmt: skip
 def test_values_in_every_notation(written: str, value: int | None, tmp_path: Path) -> None:
