@@ -101,9 +101,8 @@ def test_a_move_of_another_version_or_state_changes_nothing(store: Store, campai
     assert store.campaign(campaign.id) == started
 
 
-def test_two_campaigns_are_told_apart(store: Store, campaign: CampaignDocument) -> None:
-    assert campaign.plan_id is not None
-    other = store.add_campaign(campaign.plan_id, [NewSweep(spec=store.sweep(campaign.id, 1).spec, mode=None)])
+def test_two_campaigns_are_told_apart(store: Store, campaign: CampaignDocument, sweeps: list[NewSweep]) -> None:
+    other = store.add_campaign(campaign.plan_id or 0, sweeps[:1])
     assert other.sweeps == {SweepState.PLANNED: 1}
     assert (store.campaigns(limit=1), store.campaigns(after=campaign.id)) == ((campaign,), (other,))
     store.begin_sweep(other.id, 1, sweep_move(SweepEvent.BEGIN))
@@ -111,6 +110,8 @@ def test_two_campaigns_are_told_apart(store: Store, campaign: CampaignDocument) 
     found = store.recording(other.id, 1)
     assert (found.campaign_id, found.number) == (other.id, 1)
     assert (store.recordings(other.id), store.recordings(campaign.id)) == ({1: found}, {})
+    assert store.recorded_sweeps(other.id, {SweepState.RECORDED}) == [(sweep.spec, found)]
+    assert store.recorded_sweeps(other.id, {SweepState.IDENTIFIED}) == []
     estimate = store.add_estimate([(sweep, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), {})
     assert estimate is not None
     assert (estimate, estimate.number) == (store.estimate(other.id), 1)
@@ -189,9 +190,7 @@ def models(database: Database) -> ModelStore:
 @pytest.fixture
 def new(store: Store, robot: Robot, sweeps: list[NewSweep]) -> NewDiagnosis:
     """Of one measured campaign."""
-    recordings = [
-        NewRecording(state=RecordingState.COMPLETE, path=f"{n}", sha256="0" * 64, samples=9) for n in range(3)
-    ]
+    recordings = [RECORDING.model_copy(update={"path": f"{n}"}) for n in range(len(sweeps))]
     campaign = store.add_measured(store.add_robot(robot).id, sweeps, recordings)
     return NewDiagnosis(
         robot_id=campaign.robot_id, campaigns=(campaign.id,), axes=("joint_1", "joint_2"), unattended=True
@@ -298,11 +297,10 @@ def test_models_are_numbered_robot_by_robot_and_a_diagnosis_becomes_one(
 def test_a_diagnosis_or_model_that_is_not_there_is_not_found(
     diagnoses: DiagnosisStore, models: ModelStore, new: NewDiagnosis
 ) -> None:
-    for ask in (diagnoses.diagnosis, models.model):
+    unknown = new.model_copy(update={"model": 99})
+    for ask in (lambda: diagnoses.diagnosis(99), lambda: models.model(99), lambda: diagnoses.add(unknown)):
         with pytest.raises(NotFound, match="99 does not exist"):
-            ask(99)
-    with pytest.raises(NotFound, match="model 99 does not exist"):
-        diagnoses.add(new.model_copy(update={"model": 99}))
+            ask()
 
 
 def recording(seed: int) -> Recording:
@@ -344,9 +342,7 @@ def test_a_changed_or_missing_file_is_refused(store: Store, files: RecordingFile
 
 
 def test_a_campaign_without_samples_is_no_bundle(
-    store: Store, files: RecordingFiles, robot: Robot, specs: Specs
+    store: Store, files: RecordingFiles, campaign: CampaignDocument
 ) -> None:
-    plan = store.add_plan(store.add_robot(robot).id, {})
-    campaign = store.add_campaign(plan.id, [NewSweep(spec=specs[0], mode=None)])
     with pytest.raises(Conflict, match="no complete recording"):
         campaign_bundle(store, files, campaign.id)
