@@ -65,7 +65,6 @@ class InitialAnalysis:
     sheet's prior: this is the prior of the joint fit. `chi_squared` per degree of freedom of the fit.
     """
 
-    joint: str
     mean: Array
     covariance: Array
     chi_squared: float
@@ -132,7 +131,6 @@ def analyse_axis(
     values, chi_squared, covariance = _fit(joint, problem)
     asymptotes = [_asymptotes(response) for response in responses]
     return InitialAnalysis(
-        joint=joint,
         mean=values[:SHARED],
         covariance=covariance[:SHARED, :SHARED],
         chi_squared=chi_squared,

@@ -65,6 +65,7 @@ from service.identification.motion.choice import (
 from service.identification.motion.equations import Sampling, cogging
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.trajectory_record import TrajectoryRecord, calibrated, with_loads
+from service.identification.spectra.frequency_response import steps_and_slopes, stretches
 from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
 from service.model.results import combination as results
@@ -371,13 +372,7 @@ def _real(harmonics: Complex) -> Array:
 def _reversals(*velocities: Array) -> Array:
     """(n, 2 reversals): a step and a slope over every interval in which motor or load is near standstill."""
     still = np.any([np.abs(velocity) < Sampling.still * np.abs(velocity).max() for velocity in velocities], axis=0)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]])))
-    stretches = np.zeros((len(still), len(edges)))
-    for column in range(0, len(edges), 2):
-        first, last = edges[column : column + 2]
-        stretches[first:last, column] = 1.0
-        stretches[first:last, column + 1] = np.linspace(-1.0, 1.0, last - first)
-    return stretches
+    return steps_and_slopes(stretches(still), len(still)).T
 
 
 def _motion_information(equations: Sequence[_Equations], noise: dict[str, float], size: int) -> dict[str, Information]:

@@ -34,19 +34,17 @@ def analyse(
     for number, joint in enumerate(robot.joints):
         noise = [run for run in runs if run.spec.axis == joint]
         sines = [sweep for sweep in stepped if sweep.spec.axis == joint]
-        groups = (
-            [(found, noise_response([noise[k] for k in found])) for found in _poses(number, [r.spec for r in noise])]
-            if noise
-            else [
-                (found, stepped_response([sines[k] for k in found]))
-                for found in _poses(number, [s.spec for s in sines])
-            ]
-        )
         specs = [each.spec for each in (noise or sines)]
-        # with fewer lines, resonance and friction cannot be separated
-        enough = [(specs[found[0]], answer) for found, answer in groups if len(answer.frequency) >= 8]
+        enough: dict[int, FrequencyResponse] = {}
+        for found in _poses(number, specs):
+            response = (
+                noise_response([noise[k] for k in found]) if noise else stepped_response([sines[k] for k in found])
+            )
+            # with fewer lines, resonance and friction cannot be separated
+            if len(response.frequency) >= 8:
+                enough[found[0]] = response
         if enough:
-            analyses[joint] = _axis(robot, number, [spec for spec, _ in enough], [answer for _, answer in enough])
+            analyses[joint] = _axis(robot, number, [specs[k] for k in enough], list(enough.values()))
     return analyses
 
 
@@ -108,7 +106,7 @@ def analyses_document(analyses: Mapping[str, InitialAnalysis]) -> dict[str, resu
 
 def analyses_from(documents: results.Analyses) -> dict[str, InitialAnalysis]:
     """The inverse of `analyses_document`."""
-    return {joint: _axis_from(joint, axis) for joint, axis in documents.items()}
+    return {joint: _axis_from(axis) for joint, axis in documents.items()}
 
 
 def _axis_analysis(analysis: InitialAnalysis) -> results.AxisAnalysis:
@@ -146,9 +144,8 @@ def _pose(pose: PoseAnalysis) -> results.AnalysedPose:
     )
 
 
-def _axis_from(joint: str, document: results.AxisAnalysis) -> InitialAnalysis:
+def _axis_from(document: results.AxisAnalysis) -> InitialAnalysis:
     return InitialAnalysis(
-        joint=joint,
         mean=np.array([document.drive_train[name].value for name in TRAIN]),
         covariance=np.array(document.covariance),
         chi_squared=document.chi_squared,

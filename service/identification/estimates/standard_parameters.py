@@ -160,16 +160,12 @@ class StandardModel:
         stays 0.
         """
         seen, nominal, spread = _seen(rows), self.nominal.parameters, self.nominal.spread
-        combination, values, covariance = (
-            seen @ self.combination,
-            seen @ solution.values,
-            seen @ solution.covariance @ seen.T,
-        )
-        found = nearest_physical(nominal, spread, combination, values, covariance)
-        if found.ended is SearchEnded.EXACT:
-            observed = ObservedCombinations(combination, values, covariance)
-            if worse_than_cad(self.nominal.worth(observed, found.parameters)):
-                found = nearest_physical(nominal, spread, combination, values, covariance, exactly=False)
+        combination, values = seen @ self.combination, seen @ solution.values
+        observed = ObservedCombinations(combination, values, seen @ solution.covariance @ seen.T)
+        found = nearest_physical(nominal, spread, combination, values, observed.covariance)
+        exact = found.ended is SearchEnded.EXACT
+        if exact and worse_than_cad(self.nominal.worth(observed, found.parameters)):
+            return nearest_physical(nominal, spread, combination, values, observed.covariance, exactly=False)
         return found
 
 

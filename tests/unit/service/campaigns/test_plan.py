@@ -417,7 +417,7 @@ def test_a_plan_of_sweeps_stands_on_the_analysis(robot: Robot, cell: Cell) -> No
     figures = {name: {"value": v, "std": 1.0} for name, v in zip(names, (250.0, 200.0, 8.0, 0.2, 2.4), strict=True)}
     ideal = Ideal.model_validate({**figures, "sweep_frequency": 2.0})
     pose = PoseAnalysis((0.0,) * 6, nothing, 192.0, ideal, ideal)
-    analyses = {"joint_1": InitialAnalysis("joint_1", mean, np.diag((0.01 * mean) ** 2), 1.0, (pose,))}
+    analyses = {"joint_1": InitialAnalysis(mean, np.diag((0.01 * mean) ** 2), 1.0, (pose,))}
     request = PlanRequest(robot_id=1, axes=("joint_1",), varied=("joint_2", "joint_3"), step=20.0, poses=8, analysis=1)
     found = build_plan(robot, request, cell, analyses)
     for sweep in found.sweeps:
