@@ -20,7 +20,8 @@ from service.model.results.effect import ModelFile
 from service.model.results.estimate import Estimate
 from service.planning.campaigns.stored_plan import plan_subject
 from service.planning.campaigns.stored_results import campaign_beside
-from service.report import CampaignReport, Drive, Form, example_of, used_sweeps
+from service.report.content import CampaignReport, Drive, example_of, used_sweeps
+from service.report.html import Form
 from service.store.diagnoses import DiagnosisStore
 from service.store.documents import (
     CampaignDocument,

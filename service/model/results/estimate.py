@@ -283,18 +283,12 @@ class TypePrior(Part):
     def told(self) -> list[str]:
         """Sentences on which robots were used, and which are no robots of the type."""
         strangers = [one for one in self.members if not one.belongs]
-        used = len(self.members) - len(strangers)
-        of_type = (
-            f"{used} earlier robots of the type; probability of such a difference by chance {self.probability:.2g}"
-        )
+        chance = f"probability of such a difference by chance {self.probability:.2g}"
+        told = "Prior:" if self.used else "Not used as a prior, because this robot differs from them:"
+        other = "is no robot of this type: probability of its difference by chance"
         return [
-            f"Prior: {of_type}."
-            if self.used
-            else f"Not used as a prior, because this robot differs from them: {of_type}.",
-            *(
-                f"{one.name} is no robot of this type: probability of its difference by chance {one.probability:.2g}."
-                for one in strangers
-            ),
+            f"{told} {len(self.members) - len(strangers)} earlier robots of the type; {chance}.",
+            *(f"{one.name} {other} {one.probability:.2g}." for one in strangers),
         ]
 
 
@@ -375,19 +369,11 @@ class Estimate(Shown, Document):
 
     def _rmse_table(self) -> Table:
         rows = ("reference - measurement", "identified - measurement", "reference - identified (workspace)", "sweeps")
-        columns = [
-            Column(
-                joint,
-                (
-                    axis.rmse_percent.reference_measured,
-                    axis.rmse_percent.identified_measured,
-                    axis.rmse_percent.reference_identified,
-                    len(axis.inertia),
-                ),
-                ".2f",
-            )
-            for joint, axis in self.axes.items()
-        ]
+        columns: list[Column] = []
+        for joint, axis in self.axes.items():
+            of = axis.rmse_percent
+            sizes = (of.reference_measured, of.identified_measured, of.reference_identified, len(axis.inertia))
+            columns.append(Column(joint, sizes, ".2f"))
         return Table("RMSE of the axis inertias in percent", (Column("", rows), *columns))
 
     def _confidence(self) -> str:
@@ -403,15 +389,10 @@ class Estimate(Shown, Document):
             if sweep.terms
             for name, term in {"inertia": Value(value=sweep.value, std=sweep.std), **sweep.terms}.items()
         ]
+        axes, sweeps, terms, values, std = zip(*rows, strict=True)
+        texts = Column("axis", axes), Column("sweep", sweeps), Column("term", terms)
         return Table(
-            "Records without lines, SI",
-            (
-                Column("axis", tuple(row[0] for row in rows)),
-                Column("sweep", tuple(row[1] for row in rows)),
-                Column("term", tuple(row[2] for row in rows)),
-                Column("value", tuple(row[3] for row in rows), std=tuple(row[4] for row in rows)),
-                Column("std", tuple(row[4] for row in rows), std=tuple(row[4] for row in rows)),
-            ),
+            "Records without lines, SI", (*texts, Column("value", values, std=std), Column("std", std, std=std))
         )
 
 
@@ -439,14 +420,8 @@ def axis_figures(axis: EstimatedAxis) -> AxisFigures:
     """`axis` has at least one sweep."""
     identified = [sweep.identified for sweep in axis.inertia]
     value, cad = float(np.median(identified)), float(np.median([sweep.reference for sweep in axis.inertia]))
-    return AxisFigures(
-        value,
-        share_of_value(axis) * abs(value),
-        cad,
-        min(identified),
-        max(identified),
-        100 * (1 - cad / value) if cad > 0 and value > 0 else math.nan,
-    )
+    percent = 100 * (1 - cad / value) if cad > 0 and value > 0 else math.nan
+    return AxisFigures(value, share_of_value(axis) * abs(value), cad, min(identified), max(identified), percent)
 
 
 def share_of_value(axis: EstimatedAxis) -> float:

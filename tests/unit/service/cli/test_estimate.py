@@ -11,7 +11,7 @@ from service.cli.commands.estimate import as_document, profile_lines, torque_gai
 from service.identification.axis.channel_timing import ChannelLags, Lag
 from service.identification.axis.drive_train import TwoMassTrain
 from service.model.errors import BadInput
-from service.report.benefit import Benefit
+from service.report.benefit.benefit import Benefit
 from service.store.files.bundle import write_bundle
 from sweepid.files import read_gains
 from tests.command import carried_out, refused, sweepid

@@ -26,7 +26,7 @@ from service.diagnosis.unfinished import unfinished
 from service.identification.design.diagnosis_sweeps import full_design
 from service.model.errors import BadInput
 from service.model.recording import Sweep
-from service.report import diagnosis_page
+from service.report.diagnosis import diagnosis_page
 from tests.numeric.campaign import max100
 from tests.stored.documents import axis_document as stored_axis, diagnosis
 from tests.unit.service.diagnosis.following import equations_of, known_to, swept
