@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import canopen
-from canopen.objectdictionary import datatypes
+from canopen.objectdictionary import ODVariable, datatypes
 from canopen.objectdictionary.eds import ARR, DOMAIN, RECORD, VAR
 
 LARGEST = 2**22  # bytes; typical files of manufacturers have 0.1 MB
@@ -150,14 +150,16 @@ def _number(text: str) -> int | None:
     return int(sign + digits, 8 if octal else 10 if plain else 16)
 
 
-def _value(text: str) -> str:
-    """An integer as canopen reads it, "" if it is none."""
+def _value(text: str, signed_bits: int = 0) -> str:
+    """An integer as canopen reads it, "" if it is none. Tools write 0xFFFF for -1 in 16 `signed_bits`."""
     pattern = re.compile(r"\$NODEID(?:\s*\+\s*(\S.*))?|(\S.*?)\s*\+\s*\$NODEID", re.I)
     match = pattern.fullmatch(text)
     part = (match[1] or match[2] or "0") if match else text
     number = _number(part)
     if number is None:
         return ""
+    if signed_bits and not match and 2 ** (signed_bits - 1) <= number < 2**signed_bits:
+        return str(number - 2**signed_bits)
     written = part if re.fullmatch(r"-?(0x[0-9a-fA-F]+|[1-9][0-9]*|0)", part) else str(number)
     return f"$NODEID+{written}" if match else written
 
@@ -191,7 +193,7 @@ def _about(sections: Mapping[str, Section]) -> Iterator[str]:
     about = sections.get("deviceinfo", Section("DeviceInfo", 0))
     yield "[DeviceInfo]"
     for keys, read in ((("VendorName", "ProductName", "OrderCode"), str), (about_numbers, _value)):
-        yield from (f"{key}={value}" for key in keys if (value := read(about.text(key))))
+        yield from (f"{key}={value}" for key in keys if (value := read(about.text(key).strip('"'))))
     for name in ("devicecomissioning", "devicecommissioning"):  # CiA 306 has one m
         if name in sections:
             yield from ("[DeviceComissioning]", f"Baudrate={_number(sections[name].text('Baudrate')) or 0}")
@@ -205,19 +207,19 @@ def _object(
     index: int, parts: Mapping[int | str, Section], objects: Mapping[int, Mapping[int | str, Section]]
 ) -> Iterator[tuple[int | None, list[str]]]:
     """The sections of an object: itself (None) and its sub-indices."""
-    most_entries = 254  # maximum number of sub-indices of an object
+    most_entries = 254  # sub-index 255 describes the object itself (CiA 301)
     own = parts.get("", Section(f"{index:04X}", next(iter(parts.values())).line))
     subs = {sub: section for sub, section in parts.items() if isinstance(sub, int)}
     for section, key in ((own, "CompactSubObj"), *((parts[k], "NrOfEntries") for k in ("name", "value") if k in parts)):
-        if (_number(section.text(key)) or 0) > most_entries:
+        if (_number(section.text(key)) or 0) > most_entries + 1:  # tools write 255 for "all"
             stated = section.text(key)[:20]
             raise ValueError(f"{section.where(key)}: {key} is {stated}, limit {most_entries}")
-    compact = _number(own.text("CompactSubObj")) or 0
-    kind = _number(own.text("ObjectType")) or VAR
-    if own.text("ObjectType") and _number(own.text("ObjectType")) is None:
-        raise ValueError(
-            f"{own.where('ObjectType')}: ObjectType={own.text('ObjectType')[:40]} is not a number: 7 is VAR"
-        )
+    compact = min(_number(own.text("CompactSubObj")) or 0, most_entries)
+    text = own.text("ObjectType")
+    named = {"": VAR, "VAR": VAR, "ARRAY": ARR, "RECORD": RECORD, "DOMAIN": DOMAIN}
+    kind = named.get(text.upper(), _number(text))
+    if kind is None:
+        raise ValueError(f"{own.where('ObjectType')}: ObjectType={text[:40]} is not a number: 7 is VAR")
     if kind not in (ARR, RECORD) and not compact and not any(subs):
         yield None, [f"ObjectType={kind}", *_variable(index, None, own, kind, objects)]
         return
@@ -248,7 +250,8 @@ def _variable(
     data_type = _data_type(index, sub, section, kind, objects)
     access = section.text("AccessType").lower().split(";")[0].strip()
     numeric = data_type in datatypes.INTEGER_TYPES or data_type == datatypes.BOOLEAN
-    values = {key: _value(section.text(key)) if numeric else section.text(key) for key in names}
+    bits = ODVariable.STRUCT_TYPES[data_type].size * 8 if data_type in datatypes.SIGNED_TYPES else 0
+    values = {key: _value(section.text(key), bits) if numeric else section.text(key) for key in names}
     texts = {key: section.text(key) for key in ("ParameterName", "StorageLocation", "Factor", "Description", "Unit")}
     texts["ParameterName"] = texts["ParameterName"] or f"{index:04X}h:{sub or 0:02X}"
     return [
@@ -264,7 +267,8 @@ def _data_type(
 ) -> int:
     """Missing ones: sub-index 0 is UNSIGNED8 (CiA 301), a DOMAIN is one, objects of the manufacturer are bytes."""
     text = section.text("DataType")
-    number = _number(text)
+    named = cast(object, vars(datatypes).get(text.upper()))  # "INTEGER32"
+    number = named if isinstance(named, int) else _number(text)
     if number is not None and number > 0x1B:  # CANFestival: its own type, whose real one is the default of sub-index 1
         real = objects.get(number, {}).get(1)
         return (_number(real.text("DefaultValue")) if real else None) or datatypes.DOMAIN

@@ -249,11 +249,9 @@ class StopSender(Protocol):
 
     def open(self) -> None:
         """Open the connection; may be called again. Raises ConnectionFailed if that is not possible."""
-        ...
 
     def listen(self, within: float) -> None:
         """Receive for `within` s. Raises CommunicationLost if the connection is lost."""
-        ...
 
     def send(self) -> Mapping[str, str]:
         """Send the stop for every axis. Returns by joint why it may not have arrived ("": it arrived).
@@ -271,11 +269,9 @@ class StopSender(Protocol):
 
     def insist(self) -> None:
         """As `send`, and make the drives ignore a host that continues to send; used if no service takes over."""
-        ...
 
     def close(self) -> None:
         """Close the connection. May be called twice."""
-        ...
 
 
 class DrivePort(Protocol):
@@ -307,7 +303,6 @@ class DrivePort(Protocol):
 
     async def close(self) -> None:
         """Disable every axis and release the bus. May be called twice, and after any error."""
-        ...
 
     async def status(self) -> Mapping[str, AxisStatus]:
         """The state of every axis by joint name."""
@@ -318,15 +313,12 @@ class DrivePort(Protocol):
 
         Refused while a fault is pending or any other axis is enabled. Raises SweepInterrupted if stopped meanwhile.
         """
-        ...
 
     async def disable(self, joint: str) -> None:
         """Bring the axis to standstill and de-energise it."""
-        ...
 
     async def move_to(self, joint: str, position: float, velocity: float) -> None:
         """Move one enabled axis to `position`, rad (m), at most at `velocity`, rad/s (m/s); returns at standstill."""
-        ...
 
     def run_sweep(self, *commands: SweepCommand) -> AsyncGenerator[SampleBlock, None]:
         """Run one sweep on an enabled axis and yield samples as they arrive; ends at standstill.
@@ -348,18 +340,15 @@ class DrivePort(Protocol):
 
         From now on the host is watched, connected or not, and a finding outlives the connection; None: until `close`.
         """
-        ...
 
     def allow(self) -> None:
         """A person has checked the machine. This call causes no motion."""
-        ...
 
     def halt(self) -> None:
         """Send every axis a stop that needs no answer, at once. From any thread; does not wait and never raises.
 
         `stop` then confirms whether the axes stopped.
         """
-        ...
 
     async def stop(self) -> tuple[str, ...]:
         """Stop every axis now: `halt`, then the stop sequence, axis by axis, to standstill without energy.
@@ -379,4 +368,3 @@ class DrivePort(Protocol):
 
     async def acknowledge(self, joint: str) -> None:
         """Clear the fault of one axis after a person has checked it. The axis stays disabled."""
-        ...

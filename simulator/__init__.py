@@ -13,24 +13,14 @@ if TYPE_CHECKING:
     from simulator.effects import Turn as Turn, warmth as warmth
     from simulator.rigid_body import Gravity as Gravity, MovingAxis as MovingAxis, true_inertia as true_inertia
     from simulator.scenario import (
-        Appendage as Appendage,
-        Cogging as Cogging,
         DrivenAxis as DrivenAxis,
         DriveTrain as DriveTrain,
         Friction as Friction,
-        GearError as GearError,
-        Hose as Hose,
         LinkDeviation as LinkDeviation,
-        LuGre as LuGre,
         Measurement as Measurement,
-        Patch as Patch,
-        PowerLaw as PowerLaw,
         Scenario as Scenario,
         ScenarioError as ScenarioError,
         SpeedControl as SpeedControl,
-        Spring as Spring,
-        Stribeck as Stribeck,
-        Warming as Warming,
         load_scenario as load_scenario,
     )
     from simulator.sweeps import (
@@ -46,8 +36,8 @@ if TYPE_CHECKING:
 _PAGES = {
     "effects": "Turn warmth",
     "rigid_body": "Gravity MovingAxis true_inertia",
-    "scenario": "Appendage DriveTrain DrivenAxis Friction GearError Hose LinkDeviation LuGre Measurement Patch "
-    "PowerLaw Cogging Scenario ScenarioError SpeedControl Spring Stribeck Warming load_scenario",
+    "scenario": "DriveTrain DrivenAxis Friction LinkDeviation Measurement Scenario ScenarioError SpeedControl "
+    "load_scenario",
     "sweeps": "Motion NoiseRun SweepRun replay run_sweeps run_trajectories",
     "waveform": "Waveform",
 }

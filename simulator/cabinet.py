@@ -81,7 +81,6 @@ class DriveCabinet(Generic[AnyNode]):
         self._effort_limits = {info.joint: inf for info in machine.axes}
 
     def boot(self) -> None:
-        """Power on."""
         for (info, axis), position in zip(self._axes, self._machine.positions(), strict=True):
             axis.position = float(position) * info.gear_ratio / tau
         for node in self.nodes.values():
@@ -124,7 +123,6 @@ class DriveCabinet(Generic[AnyNode]):
         return {"axes": axes, "plant_time": self.cycles * self._machine.cycle}
 
     def axis_status(self, info: AxisInfo, axis: Any) -> dict[str, object]:
-        """Status of one axis."""
         return {
             "position": axis.position * tau / info.gear_ratio,
             "velocity": axis.speed * tau / info.gear_ratio,
@@ -216,7 +214,6 @@ class VirtualDriveCabinet(DriveCabinet[AnyVirtualNode]):
             self._controls[info.joint] = info.gain / info.gear_ratio**2, info.reset_time
 
     def axis_status(self, info: AxisInfo, axis: VirtualAxis) -> dict[str, object]:
-        """Also of the measuring function."""
         return super().axis_status(info, axis) | {
             "measuring": axis.measuring.run.name.lower(),
             "samples": axis.measuring.count,

@@ -14,9 +14,7 @@ do not touch each other and the step is that of the single axes.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, cast
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,8 +22,6 @@ from simulator.drive_train import DriveTrains, TrainAlone
 from simulator.rigid_body import MovingAxis, RigidBody, moving_axis
 from simulator.scenario import Scenario
 from simulator.waveform import Array
-
-_mujoco = cast(Any, mujoco)  # a binary module without type stubs
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,24 +35,6 @@ class _Masses:
     relax: Array  # (k,) of the projected Jacobi iteration
 
 
-class Dynamics(RigidBody):
-    """The real links in motion."""
-
-    def at(self, pose: Array, velocity: Array) -> tuple[Array, Array]:
-        """Inertia matrix (n, n) kg m^2 and bias effort (n,) N m: Coriolis, centrifugal and gravity."""
-        model, data = self._model, self._data
-        data.qpos[:] = pose
-        data.qvel[:] = velocity
-        _mujoco.mj_kinematics(model, data)
-        _mujoco.mj_comPos(model, data)
-        _mujoco.mj_crb(model, data)
-        _mujoco.mj_fullM(model, data, self._matrix)
-        _mujoco.mj_comVel(model, data)
-        bias = np.empty(model.nv)
-        _mujoco.mj_rne(model, data, 0, bias)
-        return self._matrix, bias
-
-
 class CoupledTrains(DriveTrains):
     """The driven axes of one robot, one row each. The other joints and those with a closed brake stand."""
 
@@ -66,7 +44,7 @@ class CoupledTrains(DriveTrains):
     """Steps with a constant inertia matrix: one cycle of 1 ms, in which the pose hardly changes."""
 
     def __init__(self, scenario: Scenario, step: float) -> None:
-        self._body = Dynamics(scenario)
+        self._body = RigidBody(scenario)
         self._scenario = scenario
         self._driven = [number for number, joint in enumerate(scenario.joints) if joint in scenario.axes]
         self.joints = tuple(scenario.joints[number] for number in self._driven)

@@ -52,10 +52,6 @@ class _ScenarioDraft:
     def rub(self, **parts: object) -> None:
         self.change(self.joint, {"motor_friction": self.train.motor_friction.model_dump() | parts})
 
-    def weight(self) -> float:
-        """Largest gravity torque about the axis over its revolution, N m, with the other joints at zero."""
-        return _weight(self.scenario, self.joint)
-
 
 def hide(scenario: Scenario, seed: int) -> tuple[Scenario, HiddenEffect]:
     """The scenario with one additional effect, and the effect. Raises ScenarioError if no axis carries weight."""
@@ -91,7 +87,7 @@ def _stribeck_friction(machine: _ScenarioDraft) -> dict[str, float]:
 
 
 def _load_dependent_friction(machine: _ScenarioDraft) -> dict[str, float]:
-    dependence = machine.size / machine.weight()
+    dependence = machine.size / _weight(machine.scenario, machine.joint)
     machine.rub(coulomb=machine.size / 2, load_dependence=dependence)
     return {"coulomb": machine.size / 2, "load_dependence": dependence}
 
@@ -177,7 +173,7 @@ def _pull(scenario: Scenario, joint: str) -> NDArray[np.float64]:
 
 
 def _weight(scenario: Scenario, joint: str) -> float:
-    """Largest gravity torque about the axis over its revolution, N m."""
+    """Largest gravity torque about the axis over its revolution, N m, with the other joints at zero."""
     return float(np.hypot(*_pull(scenario, joint)))
 
 

@@ -15,11 +15,10 @@ from simulator.waveform import Array
 
 @dataclass(frozen=True, slots=True)
 class AxisInfo:
-    """Data for the dictionary of an axis' drive; joint side, motor inertia on the motor side."""
+    """Data for the dictionary of an axis' drive, on the joint side."""
 
     joint: str
     gear_ratio: float
-    motor_inertia: float  # nominal, kg m^2
     rated_effort: float  # N m
     effort_limit: float  # N m
     gain: float  # N m s/rad, of the speed control; 0 where locked
@@ -140,7 +139,6 @@ def _info(scenario: Scenario, joint: str) -> AxisInfo:
     return AxisInfo(
         joint=joint,
         gear_ratio=nominal.gear_ratio,
-        motor_inertia=nominal.motor_inertia,
         rated_effort=nominal.rated_effort,
         effort_limit=driven.control.effort_limit if driven else nominal.rated_effort,
         gain=driven.control.gain if driven else 0.0,

@@ -59,32 +59,29 @@ class RigidBody:
 
     def inertia(self, pose: ArrayLike) -> Array:
         """Load inertia about every joint in one pose (n,): (n,) kg m^2 (prismatic: kg), without motors."""
-        self._data.qpos[:] = pose
-        _mujoco.mj_kinematics(self._model, self._data)
-        _mujoco.mj_comPos(self._model, self._data)
-        _mujoco.mj_crb(self._model, self._data)
-        _mujoco.mj_fullM(self._model, self._data, self._matrix)
-        return np.diag(self._matrix).copy()
+        return np.diag(self.at(pose)[0]).copy()
 
     def gravity(self, joint: int, pose: ArrayLike) -> Gravity:
         """Gravity about joint number `joint` as a function of its own position, with the others held at `pose` (n,)."""
         turned = np.array(pose, dtype=float)
         if self._slides[joint]:
-            return Gravity(constant=float(self._bias(turned)[joint]))
+            return Gravity(constant=float(self.at(turned)[1][joint]))
         turned[joint] = 0.0
-        cosine = self._bias(turned)[joint]
+        cosine = self.at(turned)[1][joint]
         turned[joint] = np.pi / 2
-        return Gravity(cosine=float(cosine), sine=float(self._bias(turned)[joint]))
+        return Gravity(cosine=float(cosine), sine=float(self.at(turned)[1][joint]))
 
-    def _bias(self, pose: Array) -> Array:
-        self._data.qpos[:] = pose
-        self._data.qvel[:] = 0.0
-        _mujoco.mj_kinematics(self._model, self._data)
-        _mujoco.mj_comPos(self._model, self._data)
-        _mujoco.mj_comVel(self._model, self._data)
-        force = np.zeros(self._model.nv)
-        _mujoco.mj_rne(self._model, self._data, 0, force)
-        return force
+    def at(self, pose: ArrayLike, velocity: ArrayLike = 0.0) -> tuple[Array, Array]:
+        """Inertia (n, n) kg m^2, until the next call, and bias effort (n,) N m: Coriolis, centrifugal, gravity."""
+        model, data, bias = self._model, self._data, np.empty(self._model.nv)
+        data.qpos[:], data.qvel[:] = pose, velocity
+        _mujoco.mj_kinematics(model, data)
+        _mujoco.mj_comPos(model, data)
+        _mujoco.mj_crb(model, data)
+        _mujoco.mj_fullM(model, data, self._matrix)
+        _mujoco.mj_comVel(model, data)
+        _mujoco.mj_rne(model, data, 0, bias)
+        return self._matrix, bias
 
 
 def real_urdf(scenario: Scenario) -> str:

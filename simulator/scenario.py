@@ -138,12 +138,8 @@ class Cogging(FileModel):
     phase: float = 0.0
 
 
-class GearError(FileModel):
+class GearError(Cogging):
     """The gear turns ahead by ``amplitude sin(order * motor angle + phase)``, rad; periods per motor turn."""
-
-    order: Positive
-    amplitude: NotNegative
-    phase: float = 0.0
 
 
 class Hose(FileModel):
@@ -243,10 +239,9 @@ class Measurement(FileModel):
     load_velocity_noise: NotNegative = 0.0  # rad/s
 
 
-class NominalAxis(BaseModel):
+class NominalAxis(FileModel, extra="ignore"):
     """Data of an axis in the robot file, as needed by the plant and its drive."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
     joint: str
     gear_ratio: float
     motor_inertia: Positive
@@ -254,10 +249,9 @@ class NominalAxis(BaseModel):
     cogging_orders: tuple[Positive, ...] = ()  # periods per motor revolution
 
 
-class NominalRobot(BaseModel):
+class NominalRobot(FileModel, extra="ignore"):
     """The robot file including its URDF."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
     name: str
     urdf: str  # the XML text
     gravity: Vector

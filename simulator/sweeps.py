@@ -179,8 +179,7 @@ def run_trajectories(
 
 
 def _run(scenario: Scenario, sweeps: Sequence[SweepRun], stream: np.random.SeedSequence) -> list[dict[str, Array]]:
-    block = _check(scenario, sweeps)
-    cycles = round(sweeps[0].waveform.duration / CYCLE) // block * block
+    cycles = _check(scenario, sweeps)
     trains = CoupledTrains(scenario, STEP)
     trains.stand(np.array(sweeps[0].pose))
     driven = [scenario.driven(joint) for joint in trains.joints]
@@ -195,40 +194,26 @@ def _run(scenario: Scenario, sweeps: Sequence[SweepRun], stream: np.random.SeedS
     rated = np.array([scenario.nominal(joint).rated_effort for joint in trains.joints])
     random = [np.random.default_rng(child) for child in stream.spawn(len(driven))]
     samples = measure(plant.advance(setpoints), scenario.measurement, rated, random)
-    recordings: list[dict[str, Array]] = []
-    for row in rows:
-        names = ["effort", "velocity", "position", "velocity_setpoint"]
-        if driven[row].load_encoder:
-            names += ["load_position", "load_velocity"]
-        columns = {"time": np.arange(cycles // block) / sweeps[0].sample_rate}
-        for name in names:
-            channel: Array = getattr(samples, name)
-            columns[name] = channel[:, row].reshape(-1, block).mean(axis=1)
-        recordings.append(columns)
-    return recordings
+    return [
+        _columns(samples, row, cycles, sweep, driven[row].load_encoder) for row, sweep in zip(rows, sweeps, strict=True)
+    ]
 
 
 def _check(scenario: Scenario, sweeps: Sequence[SweepRun]) -> int:
-    """Cycles per sample. Raises ScenarioError unless the sweeps are one trajectory."""
+    """Cycles of a sweep. Raises ScenarioError unless the sweeps are one trajectory."""
     if not sweeps:
         raise ScenarioError("a trajectory needs at least one axis")
     first = sweeps[0]
     for sweep in sweeps:
         scenario.driven(sweep.axis)
-        if (sweep.pose, sweep.waveform.duration, sweep.sample_rate) != (
-            first.pose,
-            first.waveform.duration,
-            first.sample_rate,
-        ):
+        common = [(each.pose, each.waveform.duration, each.sample_rate) for each in (sweep, first)]
+        if common[0] != common[1]:
             raise ScenarioError(f"{sweep.axis}: pose, duration or sample rate differ from {first.axis}'s")
     if len({sweep.axis for sweep in sweeps}) < len(sweeps):
         raise ScenarioError("an axis is listed twice in a trajectory")
     if len(first.pose) != len(scenario.joints):
         raise ScenarioError(f"pose has {len(first.pose)} positions, the robot {len(scenario.joints)} joints")
-    block = round(1 / (CYCLE * first.sample_rate))
-    if block < 1 or abs(block * CYCLE * first.sample_rate - 1) > 1e-9:
-        raise ScenarioError(f"sample rate {first.sample_rate} Hz is not {1 / CYCLE:g} Hz over a whole number")
-    return block
+    return _cycles(first)
 
 
 @dataclass(frozen=True)

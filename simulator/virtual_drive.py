@@ -116,7 +116,6 @@ class VirtualDrive:
         self._wake.send(b"\0")
 
     def close(self) -> None:
-        """Release line, ports and sockets."""
         self._control.close()
         self._line.close()
         self._selector.close()

@@ -88,7 +88,6 @@ class RampProfile:
 
     @property
     def distance(self) -> float:
-        """Total distance."""
         return float(self.position(np.array([self.duration]))[0])
 
     def position(self, time: Array) -> Array:

@@ -166,19 +166,12 @@ CASES = [
     ),
     # units, sign, gear
     Case("velocity unit of another quantity", {"units"}, holds(0x60A9, 0, 0x00C00300), kinds=OWN_ONLY),
-    Case(
-        "velocity unit of the map, not of the drive",
-        {"velocity-unit"},
-        change=device(units={"velocity": "rev/min"}),
-        kinds=OWN_ONLY,
-        joints=ALL,
-    ),
-    Case(
-        "increments of the map, not of the drive",
-        {"increments"},
-        change=device(units={"increments": 65536.0}),
-        kinds=OWN_ONLY,
-        joints=ALL,
+    *(
+        Case(f"{unit} of the map, not of the drive", {told}, change=device(units=units), kinds=OWN_ONLY, joints=ALL)
+        for unit, told, units in (
+            ("velocity unit", "velocity-unit", {"velocity": "rev/min"}),
+            ("increments", "increments", {"increments": 65536.0}),
+        )
     ),
     Case(
         "velocity unit too coarse",
@@ -188,23 +181,20 @@ CASES = [
     ),
     Case("no increments at all", {"increments"}, holds(0x608F, 1, 0), kinds=OWN_ONLY),
     Case("no increments at all", {"increments"}, holds(0x3000, 5, 0), kinds=EPOS4_ONLY),
-    Case(
-        "sign of the gear",
-        {"sign"},
-        holds(0x607D, 2, 57_080_000),
-        axis(gear_ratio=-171.0, position_limits=[-2.96, 2.0]),
-        kinds=OWN_ONLY,
+    *(
+        Case(
+            "sign of the gear",
+            {"sign"},
+            holds(0x607D, 2, limit),
+            axis(gear_ratio=-171.0, position_limits=[-2.96, 2.0]),
+            kinds,
+        )
+        for limit, kinds in ((57_080_000, OWN_ONLY), (174_200, EPOS4_ONLY))
     ),
-    Case(
-        "sign of the gear",
-        {"sign"},
-        holds(0x607D, 2, 174_200),
-        axis(gear_ratio=-171.0, position_limits=[-2.96, 2.0]),
-        kinds=EPOS4_ONLY,
+    *(
+        Case(f"polarity of {what}", {"polarity"}, holds(0x607E, 0, bits), kinds=GOLD_ONLY)
+        for what, bits in (("position", 0x80), ("velocity", 0x40), ("both", 0xC0))
     ),
-    Case("polarity of position", {"polarity"}, holds(0x607E, 0, 0x80), kinds=GOLD_ONLY),
-    Case("polarity of velocity", {"polarity"}, holds(0x607E, 0, 0x40), kinds=GOLD_ONLY),
-    Case("polarity of both", {"polarity"}, holds(0x607E, 0, 0xC0), kinds=GOLD_ONLY),
     Case("gear ratio in the drive", {"gear"}, holds(0x6091, 1, 171), kinds=WITH_GEAR),
     Case("gear ratio of shaft to motor", {"gear"}, holds(0x6091, 2, 2), kinds=WITH_GEAR),
     Case("gear too high", {"velocity-limit", "position-limits"}, change=axis(gear_ratio=342.0)),

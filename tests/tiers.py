@@ -13,7 +13,6 @@ PARTS = 10  # each `.ci/run` runs one of them
 
 _TABLE = "tests/system/test_fault_table.py::test_a_fault_ends_in_standstill_and_waits_for_a_person"
 _STOP = "tests/system/test_stop.py"
-_DIAGNOSIS = "tests/browser/test_diagnosis_page.py"
 _PORT = "tests/contract/test_drive_port.py"
 _DEATH = "tests/contract/test_death.py"
 _PORT_FAULTS = "tests/contract/test_faults.py"
@@ -155,24 +154,9 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     f"{_STOP}::test_told_to_end_the_machine_comes_before_open_requests[SIGHUP": 8,
     f"{_STOP}::test_told_to_end_the_machine_comes_before_open_requests[SIGINT": 8,
     # further states of the page
-    "tests/browser/test_accessibility.py::test_who_is_not_logged_in": 3,
-    f"{_DIAGNOSIS}::test_a_test_mass_is_told_with_its_place_in_units_of_the_shop": 9,
-    f"{_DIAGNOSIS}::test_a_measured_campaign_tells_of_its_data_and_no_name_lies_over_another": 9,
-    f"{_DIAGNOSIS}::test_what_is_known_in_part_the_check_of_the_data_and_where_it_started_are_shown": 9,
-    "tests/browser/test_report_print.py::test_it_is_accessible_and_on_paper_no_figure_is_cut_and_none_is_empty": 5,
-    "tests/browser/test_languages.py::test_a_language_that_there_is_not_is_english": 2,
-    "tests/browser/test_languages.py::test_dates_and_decimal_signs_are_those_of_the_country": 2,
-    "tests/browser/test_languages.py::test_the_language_changes_while_a_campaign_runs_and_is_remembered": 9,
-    "tests/browser/test_login.py::test_a_key_that_is_revoked_ends_the_page": 9,
     "tests/browser/test_login.py::test_events_and_reports_come_with_the_key": 9,
-    "tests/browser/test_login.py::test_the_live_chart_comes_with_a_key": 9,
-    "tests/browser/test_login.py::test_the_page_is_what_the_role_is": 9,
-    "tests/browser/test_operator_page.py::test_a_check_move_is_told_while_it_is_under_way": 9,
-    "tests/browser/test_operator_page.py::test_what_start_will_move_stands_beside_it": 9,
     "tests/browser/test_page_truth.py::test_resume_shows_what_it_moves_and_what_cannot_work_says_why": 9,
-    "tests/browser/test_page_truth.py::test_the_axis_that_really_moves_is_named_and_what_follows": 11,
-    "tests/browser/test_work_on_the_page.py::test_an_amount_that_is_no_number_is_told": 9,
-    "tests/browser/test_work_on_the_page.py::test_from_the_plan_to_the_results[de-DE": 30,
+    "tests/browser/test_report_print.py::test_it_is_accessible_and_on_paper_no_figure_is_cut_and_none_is_empty": 5,
     # further effects, faults, robots and seeds; statistics over many campaigns
     "tests/numeric/test_data_check.py::test_a_fault_of_the_second_plant_is_told": 9,
     "tests/numeric/second_plant/test_cases.py::test_a_large_effect_is_seen_and_no_monster": 20,

@@ -171,13 +171,10 @@ class ObjectPlace(Frozen):
     type: WireType
 
 
-class MapSetting(Frozen):
+class MapSetting(ObjectPlace):
     """An object that must hold this value, in drive units, before the units are read; otherwise it is refused."""
 
     name: str
-    index: int = Field(ge=0x1000, le=0x9FFF)
-    sub: int = Field(default=0, ge=0, le=255)
-    type: WireType
     value: int
 
     @property
@@ -276,7 +273,6 @@ class DeviceMap(Frozen):
             )
 
     def entry(self, name: str) -> Entry:
-        """The object of this name."""
         standard, place = STANDARD[name], self.objects.get(name)
         return standard if place is None else Entry(place.index, place.sub, TYPES[place.type], standard.name)
 

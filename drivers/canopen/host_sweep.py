@@ -47,7 +47,6 @@ class Punctuality:
         """The next deadline, s on the monotonic clock."""
 
     def begin(self, at: float) -> None:
-        """Set the first deadline."""
         self.due = at
 
     def sent(self, at: float) -> float:

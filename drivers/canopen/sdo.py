@@ -238,7 +238,8 @@ def configure_pdos(sdo: Sdo, wanted: tuple[PdoMapping, ...], device_map: DeviceM
     """Map the PDOs unless they are already mapped as required. Returns False if the drive lacks an object for that."""
     fixed = device_map.pdos.cob_id == "fixed"
     try:
-        for pdo in _unused(device_map, node):
+        receive = [_rpdo(number, node) for number in device_map.pdos.unused_rpdos]
+        for pdo in (*receive, *(_tpdo(number, node) for number in device_map.pdos.unused_tpdos)):
             _switch_off(sdo, pdo, fixed)
         for pdo in wanted:
             if not _is_mapped(sdo, pdo):
@@ -261,12 +262,6 @@ def configure_pdos(sdo: Sdo, wanted: tuple[PdoMapping, ...], device_map: DeviceM
 def pdos_are_mapped(sdo: Sdo, wanted: tuple[PdoMapping, ...]) -> bool:
     """Whether the PDOs are mapped as required; read before each host-streamed sweep."""
     return all(_is_mapped(sdo, pdo) for pdo in wanted)
-
-
-def _unused(device_map: DeviceMap, node: int) -> list[PdoMapping]:
-    numbers = device_map.pdos
-    receive = [_rpdo(number, node) for number in numbers.unused_rpdos]
-    return [*receive, *(_tpdo(number, node) for number in numbers.unused_tpdos)]
 
 
 def _identifier(pdo: PdoMapping) -> Entry:

@@ -400,7 +400,6 @@ class StreamedAxis:
 
     @property
     def counts(self) -> bool:
-        """Whether the drive counts its samples."""
         return isinstance(self._pairing, CounterPairing)
 
     def planned(self, number: int) -> bytes:
@@ -409,7 +408,6 @@ class StreamedAxis:
         return frames.rpdo1(Controlword.ENABLE_OPERATION | bits, self._set_points.planned(number))
 
     def was_sent(self, number: int) -> None:
-        """This cycle was sent as planned."""
         self.velocity = self._set_points.velocity(number)
 
     def command(self, number: int, now: float) -> bytes:

@@ -89,15 +89,12 @@ class RunningSweep(Protocol):
 
     def halt(self) -> None:
         """Continue with the quick stop, whatever is in progress. From any thread."""
-        ...
 
     async def interrupted(self) -> None:
         """After the stop event was set: wait until the stop sequence may talk to the drives."""
-        ...
 
     async def over(self) -> None:
         """Wait until the run has ended, in whatever way. Its error is raised to the consumer, not here."""
-        ...
 
     def timing(self) -> SetPointTiming | None:
         """Punctuality of the host's set-points; None if the drive generates them."""
@@ -133,11 +130,9 @@ class DriveConnection(Protocol):
 
         `streaming`: a run is sending at this moment and was already halted.
         """
-        ...
 
     async def close(self) -> None:
         """Release the bus; the axes are disabled."""
-        ...
 
 
 class Fieldbus(Protocol):

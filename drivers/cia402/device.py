@@ -74,15 +74,12 @@ class Injector(Protocol):
 
     def prepare_noise(self, command: NoiseCommand) -> None:
         """Write the parameters of the run, with read-back. `Device.start_measuring` starts it."""
-        ...
 
     def soften(self, softening: float) -> None:
         """Multiply the commissioned gain by `softening` and divide the reset time by it, with read-back."""
-        ...
 
     def restore_control(self) -> None:
         """Set the commissioned gain and reset time, with read-back."""
-        ...
 
 
 class Device(Protocol):
@@ -110,11 +107,9 @@ class Device(Protocol):
 
     def allow_motion(self) -> None:
         """Let the drive accept process data and motion commands (CANopen: NMT start)."""
-        ...
 
     def forbid_motion(self) -> None:
         """Undo `allow_motion`."""
-        ...
 
     def statusword(self) -> int: ...
 
@@ -122,15 +117,12 @@ class Device(Protocol):
 
     def set_mode(self, mode: OperationMode) -> None:
         """Returns when the drive reports the mode."""
-        ...
 
     def check_alive(self) -> None:
         """Raises CommunicationLost if the drive was silent for longer than the profile allows."""
-        ...
 
     def look_for_restart(self) -> None:
         """Check for a restart that the fieldbus does not report, for `announced_error`. CommunicationLost."""
-        ...
 
     def announced_error(self) -> int | None:
         """Code of an error that the drive announced (EMCY, restart) and has not cleared; None if there is none."""
@@ -138,7 +130,6 @@ class Device(Protocol):
 
     def forget_error(self) -> None:
         """A person has acknowledged the error; a drive that restarted is configured again."""
-        ...
 
     def error_code(self) -> int:
         """603Fh; 0 if there is no error."""
@@ -153,11 +144,9 @@ class Device(Protocol):
 
     def reopen(self) -> None:
         """Restore communication with a drive that an unanswered stop had cut off (CANopen: NMT stop)."""
-        ...
 
     def stop_unheard(self) -> None:
         """Strongest stop that needs no answer, for a drive that does not answer but may still receive."""
-        ...
 
     # -- motion
 
@@ -165,19 +154,15 @@ class Device(Protocol):
 
     def read_back(self) -> None:
         """Raises WrongConfiguration if a session setting has changed, e.g. by another host."""
-        ...
 
     def settle_limits(self, velocity: float, effort: float, window: tuple[float, float]) -> None:
         """Write the limits of a motion, rad/s (m/s), N m (N) and rad (m), to the drive, if it has objects for them."""
-        ...
 
     def hold_target(self) -> None:
         """Set the target of the next move to the actual position."""
-        ...
 
     def set_target(self, position: float, velocity: float) -> None:
         """Set target and speed of the next move, with read-back."""
-        ...
 
     # -- measuring function
 
@@ -188,7 +173,6 @@ class Device(Protocol):
 
     def prepare_measuring(self, command: SweepCommand) -> None:
         """Write the parameters of the sweep, with read-back."""
-        ...
 
     def start_measuring(self) -> None: ...
 

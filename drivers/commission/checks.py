@@ -130,15 +130,6 @@ def present(node: CheckedNode) -> Iterator[CheckRow]:
     yield _there(node, "heartbeat consumer", Cia301.HEARTBEAT_CONSUMER, False)
 
 
-def mappable(node: CheckedNode, way: SetPointWay) -> Iterator[CheckRow]:
-    """Whether PDOs may carry the objects according to the EDS; `mapping` checks whether the drive accepts it."""
-    for pdo in streaming_pdos(node.map, way, node.axis.node):
-        for entry in pdo.mapped:
-            listed = node.dictionary.objects.get((entry.index, entry.sub))
-            if listed is not None and not listed.mappable:
-                yield node.row("not-mappable", False, f"{entry}: the EDS says that no PDO may carry it")
-
-
 def _used(node: CheckedNode) -> set[str]:
     """Objects that the map requires. One of its ways of excitation is sufficient (`settings` selects it)."""
     targets = {way.target for way in node.map.excitation}
@@ -243,7 +234,7 @@ def way_of(node: CheckedNode) -> tuple[SetPointWay | None, list[CheckRow]]:
                 "no-excitation", False, f"6502h is {modes or 0:08X}h: none of the map's excitation modes: {wanted}"
             )
         )
-    elif node.value(node.map.entry(way.target)) is None and not _own_sweep(node):
+    elif node.value(node.map.entry(way.target)) is None and node.map.measuring is None:
         target = node.map.entry(way.target)
         rows.append(node.row("no-excitation", False, f"{target}: the drive does not give the target of {way.value}"))
         way = None
@@ -253,12 +244,14 @@ def way_of(node: CheckedNode) -> tuple[SetPointWay | None, list[CheckRow]]:
 
 
 def mapping(node: CheckedNode, way: SetPointWay) -> Iterator[CheckRow]:
-    """The PDOs of a streamed sweep, written and read back, and the bus load."""
-    refused = [*mappable(node, way)]
-    yield from refused
+    """The PDOs of a streamed sweep, by the EDS and as the drive holds them, and the bus load."""
+    pdos = streaming_pdos(node.map, way, node.axis.node)
+    listed = node.dictionary.objects
+    entries = [entry for pdo in pdos for entry in pdo.mapped if (entry.index, entry.sub) in listed]
+    refused = [entry for entry in entries if not listed[entry.index, entry.sub].mappable]
+    yield from (node.row("not-mappable", False, f"{each}: the EDS says that no PDO may carry it") for each in refused)
     if refused:
         return
-    pdos = streaming_pdos(node.map, way, node.axis.node)
     try:
         mapped = [pdos_are_mapped(node.sdo, (pdo,)) for pdo in pdos]
     except ObjectAbsent:
@@ -287,10 +280,6 @@ def mapping(node: CheckedNode, way: SetPointWay) -> Iterator[CheckRow]:
         if bus.bitrate is None
         else node.row("bus-load", True, f"a sweep of this axis leaves room at {bus.bitrate} bit/s")
     )
-
-
-def _own_sweep(node: CheckedNode) -> bool:
-    return node.map.measuring is not None
 
 
 def _all(node: CheckedNode, check: str, make: Callable[[], tuple[Setting, ...]]) -> Iterator[CheckRow]:

@@ -45,13 +45,14 @@ def profile_text(
 def map_text(dictionary: DriveDictionary) -> str:
     """A device map."""
     able = ways(dictionary)
+    maker = ("vendor", dictionary.vendor), ("product", dictionary.product)
     excitation = (
         f"[{', '.join(way.value for way in able)}]" if able else _open("no object for set-points: none can be streamed")
     )
     lines = [
         f"# Drafted from a dictionary: compare it with its manual. Values that begin with {FILL_IN} are refused.",
         f"description: {_text(dictionary.name or 'unknown drive')}",
-        *(f"{key}: 0x{value:08X}" for key, value in _maker(dictionary) if value),
+        *(f"{key}: 0x{value:08X}" for key, value in maker if value),
         f"excitation: {excitation}",
         f"pdos: {_pdos(dictionary, able)}",
         "units:",
@@ -70,11 +71,11 @@ def shortcomings(dictionary: DriveDictionary) -> list[str]:
     found: list[str] = []
     if lost:
         shown = ", ".join(f"{entry.index:04X}h" for entry in lost)
-        found.append(f"{shown} are not in the file: without them the drive cannot be used")
+        found.append(f"not in the file: {shown}; without these the drive cannot be used")
     if not _efforts(dictionary):
         found.append(WITHOUT_EFFORT)
     if not able:
-        found.append("no object for set-points that 6502h allows: the axis can be moved, but not measured")
+        found.append("no excitation remains: no object for set-points that 6502h allows")
     elif found:
         found.append(f"excitation that remains: {able}")
     return found
@@ -92,10 +93,6 @@ def _text(text: str) -> str:
 
 def _open(what: str) -> str:
     return json.dumps(f"{FILL_IN} {what}")
-
-
-def _maker(dictionary: DriveDictionary) -> tuple[tuple[str, int | None], ...]:
-    return ("vendor", dictionary.vendor), ("product", dictionary.product)
 
 
 def _axis(dictionary: DriveDictionary, device_map: DeviceMap | None) -> list[str]:

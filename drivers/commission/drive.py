@@ -51,7 +51,7 @@ class ListedObject:
 @dataclass(frozen=True, slots=True)
 class DriveDictionary:
     """The objects of a file by index and sub-index, and the manufacturer of the drive; None if the file does not state
-    it, or states 0, which no manufacturer has.
+    it, or states 0 or FFFFFFFFh as templates do.
     """
 
     objects: Mapping[Key, ListedObject]
@@ -77,14 +77,14 @@ def read_dictionary(path: Path, node: int) -> DriveDictionary:
         for variable in [entry] if isinstance(entry, ODVariable) else entry.values():
             objects[variable.index, variable.subindex] = _described(variable)
     about = whole.device_information
-    identity = [objects[0x1018, sub].value if (0x1018, sub) in objects else None for sub in (1, 2, 3)]
-    return DriveDictionary(
-        objects,
-        vendor=about.vendor_number or identity[0] or None,
-        product=about.product_number or identity[1] or None,
-        revision=about.revision_number or identity[2] or None,
-        name=_printable(f"{about.vendor_name or ''} {about.product_name or ''}"),
+    numbers = enumerate((about.vendor_number, about.product_number, about.revision_number), 1)
+    both = [(number, objects.get((0x1018, sub))) for sub, number in numbers]
+    vendor, product, revision = (
+        next((value for value in (number, listed and listed.value) if value not in (None, 0, 0xFFFFFFFF)), None)
+        for number, listed in both
     )
+    name = _printable(f"{about.vendor_name or ''} {about.product_name or ''}")
+    return DriveDictionary(objects, vendor, product, revision, name)
 
 
 def _printable(name: str) -> str:

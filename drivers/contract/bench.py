@@ -3,7 +3,7 @@
 import asyncio
 import threading
 import time
-from collections.abc import AsyncGenerator, Callable, Iterable, Mapping
+from collections.abc import AsyncGenerator, Callable, Mapping, Set
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeVar
@@ -124,7 +124,6 @@ class MachineUnderTest(Protocol):
 
     def recover(self) -> None:
         """Removes every lasting disturbance; faults stay until they are acknowledged."""
-        ...
 
 
 async def consume(
@@ -163,46 +162,30 @@ Test = TypeVar("Test", bound=Callable[..., object])
 _NAME = "contract_needs"
 
 
-@dataclass(frozen=True, slots=True)
-class Needs:
-    """See `needs`."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class needs:
+    """Marks a test that needs these sweep modes and orders, a drive with or without torque noise, a bus for one host or
+    for several, a load encoder, a second axis.
 
-    modes: frozenset[SweepMode] = frozenset()
-    orders: frozenset[str] = frozenset()
+    `missing`: a test over the fixture `mode` covers a mode that the bench does not have.
+    """
+
+    modes: Set[SweepMode] = frozenset()
+    orders: Set[str] = frozenset()
     injects: bool | None = None
     exclusive: bool | None = None
     load_encoder: bool = False
     other: bool = False
     missing: bool = False
 
-
-def needs(
-    *,
-    modes: Iterable[SweepMode] = (),
-    orders: Iterable[str] = (),
-    injects: bool | None = None,
-    exclusive: bool | None = None,
-    load_encoder: bool = False,
-    other: bool = False,
-    missing: bool = False,
-) -> Callable[[Test], Test]:
-    """Marks a test that needs these sweep modes and orders, a drive with or without torque noise, a bus for one host or
-    for several, a load encoder, a second axis.
-
-    `missing`: a test over the fixture `mode` covers a mode that the bench does not have.
-    """
-    wanted = Needs(frozenset(modes), frozenset(orders), injects, exclusive, load_encoder, other, missing)
-
-    def mark(test: Test) -> Test:
-        setattr(test, _NAME, wanted)
+    def __call__(self, test: Test) -> Test:
+        setattr(test, _NAME, self)
         return test
-
-    return mark
 
 
 def lacking(test: object, bench: Bench, mode: SweepMode | None) -> str:
     """What the bench lacks for a test, including `mode` if it is given; "" if nothing."""
-    wanted: Needs = getattr(test, _NAME, Needs())
+    wanted: needs = getattr(test, _NAME, needs())
     if mode is not None and (mode in bench.modes) is wanted.missing:
         return f"it has {'' if wanted.missing else 'no '}sweep mode {mode.value}"
     if absent := sorted(each.value for each in wanted.modes - bench.modes):

@@ -16,6 +16,7 @@ from drivers.cia402.device import (
     rejection_text,
     require_identity,
     require_rated_torque,
+    trace_block,
     trace_cycle,
 )
 from drivers.cia402.states import Controlword, PowerState
@@ -254,7 +255,8 @@ class ModbusDevice:
         for start in range(0, count * trace.width, piece):
             number = min(piece, count * trace.width - start)
             registers += self._unit.registers(trace.address + start, number, f"trace from sample {first}")
-        return measuring.samples(registers, first, count, trace, self.profile, self._gear, self._trace_cycle)
+        columns = measuring.columns(registers, count, trace)
+        return trace_block(self.profile, self._gear, self.place, first, columns, self._trace_cycle)
 
     # -- inside --------------------------------------------------------------------------------------------------
 

@@ -6,7 +6,7 @@ import logging
 import math
 import secrets
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from drivers.cia402.axis import Cia402Axis
@@ -43,7 +43,7 @@ class ModbusFieldbus:
         axes = {device.profile.joint: Cia402Axis(device, self.watch) for device in devices}
         try:
             await thread.run(line.open)
-            identities = await thread.run(_introduce, axes.values())
+            identities = await thread.run(lambda: tuple(axis.introduce() for axis in axes.values()))
         except BaseException:
             await to_the_end(_release(thread, line, None, control))
             raise
@@ -110,10 +110,6 @@ def _halt(line: MasterLine, devices: Sequence[ModbusDevice]) -> None:
                 logger.error("halt: %s", error)
     finally:
         line.stopped()
-
-
-def _introduce(axes: Iterable[Cia402Axis]) -> tuple[AxisIdentity, ...]:
-    return tuple(axis.introduce() for axis in axes)
 
 
 async def _release(

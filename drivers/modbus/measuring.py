@@ -4,13 +4,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from drivers.cia402.device import trace_block, trace_cycle
+from drivers.cia402.device import trace_cycle
 from drivers.cia402.profile import Gear
 from drivers.errors import LimitExceeded
-from drivers.modbus.profile import ModbusAxis
 from drivers.modbus.registers import Array, RegisterSignal, TraceLayout
 from drivers.modbus.unit import RegisterSetting
-from drivers.ports import SampleBlock, SweepCommand
+from drivers.ports import SweepCommand
 
 
 def parameters(command: SweepCommand, signals: Mapping[str, RegisterSignal], gear: Gear) -> list[RegisterSetting]:
@@ -44,25 +43,15 @@ def parameters(command: SweepCommand, signals: Mapping[str, RegisterSignal], gea
     return settings
 
 
-def samples(
-    registers: Sequence[int], first: int, count: int, trace: TraceLayout, axis: ModbusAxis, gear: Gear, cycle_ms: int
-) -> SampleBlock:
-    """The samples `first` to `first + count` from the registers of a page. Raises CommunicationLost if it has others.
-
-    Raises WrongConfiguration if they lack the direct encoder of the profile.
-    """
-    return trace_block(axis, gear, axis.place, first, _columns(registers, count, trace), cycle_ms)
-
-
-def _columns(registers: Sequence[int], count: int, trace: TraceLayout) -> dict[str, Array]:
+def columns(registers: Sequence[int], count: int, trace: TraceLayout) -> dict[str, Array]:
     """(count,) of each signal. The lowest value of an integer register means that there is no load encoder: NaN."""
     table = np.asarray(registers, np.uint16).reshape(count, trace.width)
-    columns: dict[str, Array] = {}
+    found: dict[str, Array] = {}
     start = 0
     for name, each in trace.sample:
         values = each.decode(table[:, start : start + each.width])
         start += each.width
         if name == "load_position" and each.whole:
             values[values == each.least] = np.nan
-        columns[name] = values
-    return columns
+        found[name] = values
+    return found

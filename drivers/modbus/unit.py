@@ -48,9 +48,8 @@ class RegisterUnit:
 
     def write(self, values: Mapping[str, float]) -> None:
         """Write without read-back. Raises LimitExceeded if a register cannot hold its value."""
-        self._write(
-            {signal: self._encode(RegisterSetting(signal, values[signal.name])) for signal in self._named(values)}
-        )
+        settings = [RegisterSetting(self._map.signals[name], value) for name, value in values.items()]
+        self._write({setting.signal: self._encode(setting) for setting in settings})
 
     def settle(self, *settings: RegisterSetting) -> None:
         """Make the signals hold these values: write those that differ, and read them back.
@@ -81,9 +80,6 @@ class RegisterUnit:
         return self._line.read(self._number, address, count, f"{self._place}: {what}")
 
     # -- inside --------------------------------------------------------------------------------------------------
-
-    def _named(self, names: Iterable[str]) -> list[RegisterSignal]:
-        return [self._map.signals[name] for name in names]
 
     def _encode(self, setting: RegisterSetting) -> list[int]:
         signal, value = setting.signal, setting.value

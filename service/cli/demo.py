@@ -34,8 +34,11 @@ from service.model.results.estimate import Estimate
 from service.model.robot import Robot
 from service.planning.documents import PlanRequest
 from service.planning.poses import workspace_grid
-from service.report import Content, Drive, ReportedAxis, TruthRow, axes_of, campaign_page, content_of
-from service.report.benefit import Benefit, FollowingError, Tracking, benefit, benefit_section, feed_forward, sentence
+from service.report.benefit.benefit import Benefit, FollowingError, Tracking, benefit
+from service.report.benefit.prediction import feed_forward
+from service.report.benefit.section import benefit_section, sentence
+from service.report.campaign import campaign_page
+from service.report.content import Content, Drive, ReportedAxis, TruthRow, axes_of, content_of
 from service.report.diagnosis import diagnosis_section
 from service.store.files.bundle import Bundle, read_bundle
 from service.web.client import Json, ServiceClient

@@ -14,7 +14,10 @@ from service.model.errors import BadInput
 from service.model.results.diagnosis import DataCheck, Diagnosis
 from service.model.results.estimate import Estimate
 from service.model.results.part import Document, Part
-from service.report import CampaignReport, ReportPage, campaign_page, content_of, diagnosis_page, used_sweeps
+from service.report.campaign import campaign_page
+from service.report.content import CampaignReport, content_of, used_sweeps
+from service.report.diagnosis import diagnosis_page
+from service.report.html import ReportPage
 from service.store.files.bundle import Bundle
 from sweepid.files import read_document
 

@@ -22,7 +22,6 @@ from service.model.arrays import Array
 from service.model.collision import reachable
 from service.model.recording import Sweep
 from service.model.results import estimate as results
-from service.model.results.combination import Combination
 from service.model.results.spectrum import AnySpectrum
 from service.model.robot import Robot
 
@@ -103,8 +102,11 @@ def _fitted(
     estimate = None
     if any(sweep.spec.shows_inertia for sweep in sweeps):
         estimate = identify(robot, sweeps, {**analyses, **own}, gains, known, earlier)
-    tracks = [each for each in spectra if isinstance(each, AxisTrack)]
-    combination = _combination(robot, estimate, tracks, motions, gains)
+    records = trajectories(robot, [each for each in spectra if isinstance(each, AxisTrack)])
+    combination = None
+    if records or motions:
+        inertias = inertias_of(estimate) if estimate else ()
+        combination = combination_document(combine(robot, inertias, records, motions, gains))
     also: dict[str, object] = {"analysis": analyses_document(own), "combination": combination}
     if estimate is None and combination is not None:
         also |= {"standard_parameters": combination.standard_parameters, "physical": combination.physical}
@@ -120,16 +122,3 @@ def updated_estimate(before: Condensed, spectra: Sequence[SweepSpectrum]) -> Con
     for each in spectra:
         found = found.updated(each) if found is not None and isinstance(each, Spectrum) else None
     return found
-
-
-def _combination(
-    robot: Robot,
-    estimate: RobotEstimate | None,
-    tracks: Sequence[AxisTrack],
-    motions: Sequence[FreeMotion],
-    gains: Mapping[str, TorqueGain],
-) -> Combination | None:
-    records = trajectories(robot, tracks)
-    if not records and not motions:
-        return None
-    return combination_document(combine(robot, inertias_of(estimate) if estimate else (), records, motions, gains))

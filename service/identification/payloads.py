@@ -27,7 +27,7 @@ the paths are corrected by the model from the motions before; viscous friction, 
 have changed between the runs. Filter, whitening and covariance are those of `motion.fit`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,7 +52,7 @@ from service.identification.motion.free_motion import FreeMotion, calibrated, fr
 from service.identification.spectra.frequency_response import Spectrum, spectrum, window
 from service.model.arrays import Array, Mask
 from service.model.errors import BadInput
-from service.model.recording import Sweep
+from service.model.recording import Sweep, SweepSpec
 from service.model.results import payload as results
 from service.model.robot import INERTIAL_NAMES, Robot
 from service.model.urdf import inertia_matrix, inertia_vector
@@ -74,7 +74,7 @@ def sweep_evidence(
     robot: Robot, before: Sequence[Sweep], after: Sequence[Sweep], gains: Mapping[str, float]
 ) -> list[BodyEvidence]:
     """For every axis swept with lines in the same poses before and after; efforts are divided by `gains`."""
-    spectra = [[_true(spectrum(robot, s), gains) for s in part if s.spec.periodic] for part in _lines(before, after)]
+    spectra = [[_true(spectrum(robot, s), gains) for s in part if _alone(s.spec)] for part in (before, after)]
     found: list[BodyEvidence] = []
     for number, joint in enumerate(robot.joints):
         both = pairs(joint, *spectra)
@@ -95,10 +95,9 @@ def last_link(robot: Robot) -> slice:
     return slice(BODY * (len(robot.axes) - 1), BODY * len(robot.axes))
 
 
-def _lines(before: Sequence[Sweep], after: Sequence[Sweep]) -> tuple[list[Sweep], list[Sweep]]:
-    """Sweeps whose spectrum has lines and contains inertia, without trajectories of several axes."""
-    kept = [[s for s in part if s.spec.excitation == "multisine" and s.spec.shows_inertia] for part in (before, after)]
-    return kept[0], kept[1]
+def _alone(spec: SweepSpec) -> bool:
+    """Whether the spectrum has lines and contains inertia, and no other axis moves."""
+    return spec.periodic and spec.excitation == "multisine" and spec.shows_inertia
 
 
 def _true(one: Spectrum, gains: Mapping[str, float]) -> Spectrum:
@@ -327,7 +326,7 @@ def _solve(robot: Robot, evidence: Sequence[BodyEvidence], gain_spread: Array) -
         raise BadInput("payload", "no effort differs between the bundles: name one without the payload and one with it")
     by_gain = solution.covariance @ sum((each.gain_vector for each in evidence), np.zeros((BODY, len(robot.axes))))
     total = solution.covariance + (by_gain * gain_spread**2) @ by_gain.T
-    jacobian = _jacobian(body_of, solution.values)
+    jacobian = _jacobian(solution.values)
     body, (std, std_total) = body_of(solution.values), (_std(jacobian, c) for c in (solution.covariance, total))
     # for natural sizes
     mass = max(abs(solution.values[0]), 0.02 * float(robot.chain.inertial[:, 0].max()))
@@ -364,11 +363,11 @@ def _std(jacobian: Array, covariance: Array) -> Array:
     return np.sqrt(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian))
 
 
-def _jacobian(function: Callable[[Array], Array], at: Array) -> Array:
-    """By central differences, (10, 10)."""
+def _jacobian(at: Array) -> Array:
+    """Of `body_of` by central differences, (10, 10)."""
     # relative, and of a least size
     steps = 1e-6 * np.maximum(np.abs(at), 1e-3)
-    columns = [(function(at + h) - function(at - h)) / (2 * s) for s, h in zip(steps, np.diag(steps), strict=True)]
+    columns = [(body_of(at + h) - body_of(at - h)) / (2 * s) for s, h in zip(steps, np.diag(steps), strict=True)]
     return np.stack(columns, -1)
 
 

@@ -25,7 +25,6 @@ from service.jobs.work import DiagnosisJob, JobFailed, RecordedSweep, Worker
 from service.model.errors import BadInput, Conflict, NotFound
 from service.model.recording import SweepSpec
 from service.model.results.diagnosis import Diagnosis, Experiment
-from service.model.results.effect import Value
 from service.model.results.estimate import Estimate
 from service.planning.campaigns.stored_results import campaign_beside
 from service.store.diagnoses import DiagnosisStore, ModelStore
@@ -65,7 +64,7 @@ def campaigns_of(store: Store, campaigns: Sequence[int]) -> tuple[CampaignDocume
 
 def swept_axes(store: Store, campaigns: Sequence[CampaignDocument]) -> tuple[str, ...]:
     """The joints with complete sweeps that contain motion, in the order of the robot."""
-    swept = {spec.axis for campaign in campaigns for _, spec in _complete(store, campaign)}
+    swept = {spec.axis for campaign in campaigns for spec, _ in _complete(store, campaign)}
     return tuple(joint for joint in store.robot(campaigns[0].robot_id).build().joints if joint in swept)
 
 
@@ -84,35 +83,29 @@ def recorded_sweeps(
     start = campaigns[0].started_at or campaigns[0].created_at
     end = 0.0
     for campaign in campaigns:
-        own = [(recording, spec) for recording, spec in _complete(store, campaign) if spec.axis == joint]
+        own = [(spec, recording) for spec, recording in _complete(store, campaign) if spec.axis == joint]
         # an imported campaign starts at its import; it must not overlap the previous one
         shift = max(((campaign.started_at or campaign.created_at) - start).total_seconds(), end)
-        for recording, spec in own:
+        for spec, recording in own:
             file = files.named(recording)
             hashes.append(recording.sha256)
             moved = spec.model_copy(
                 update={
                     "id": f"{campaign.id}/{spec.id}",
                     "started_at": spec.started_at + shift,
-                    "block": _again(spec, campaign.id) if (spec.block, spec.pose) in visits else spec.block,
+                    "block": f"{spec.block} of campaign {campaign.id}".strip()
+                    if (spec.block, spec.pose) in visits
+                    else spec.block,
                 }
             )
             sweeps.append(RecordedSweep(moved, file))
             end = max(end, moved.started_at + recording.samples / spec.sample_rate)
-        visits.update((spec.block, spec.pose) for _, spec in own)
+        visits.update((spec.block, spec.pose) for spec, _ in own)
     return tuple(sweeps), tuple(hashes)
 
 
-def _again(spec: SweepSpec, campaign_id: int) -> str:
-    return f"{spec.block} of campaign {campaign_id}".strip()
-
-
-def _complete(store: Store, campaign: CampaignDocument) -> list[tuple[RecordingDocument, SweepSpec]]:
-    return [
-        (store.recording(campaign.id, sweep.number), sweep.spec)
-        for sweep in store.sweeps(campaign.id)
-        if sweep.state in COMPLETE and is_evidence(sweep.spec)
-    ]
+def _complete(store: Store, campaign: CampaignDocument) -> list[tuple[SweepSpec, RecordingDocument]]:
+    return [each for each in store.recorded_sweeps(campaign.id, COMPLETE) if is_evidence(each[0])]
 
 
 _log = structlog.get_logger(__name__)
@@ -328,7 +321,10 @@ class Diagnosing(OpenJobs):
             return {}
         axes = self._models.model(model_id).content.axes
         return {
-            effect.effect: {name: _parameter(value) for name, value in effect.parameters.items()}
+            effect.effect: {  # null in JSON means infinite
+                name: Parameter(value.value, math.inf if value.std is None else value.std, value.unit)
+                for name, value in effect.parameters.items()
+            }
             for effect in (axes[joint].effects if joint in axes else ())
         }
 
@@ -349,8 +345,3 @@ class Diagnosing(OpenJobs):
         robot = self._store.robot(diagnosis.robot_id).build()
         done = {joint: results[joint] for joint in diagnosis.axes if joint in results}
         return Diagnosis.read(compose(robot, done), f"diagnosis {diagnosis.id}") if done else None
-
-
-def _parameter(value: Value) -> Parameter:
-    """A parameter; null in JSON means infinite."""
-    return Parameter(value.value, math.inf if value.std is None else value.std, value.unit)

@@ -17,7 +17,7 @@ from sqlalchemy.exc import OperationalError
 from structlog.contextvars import bound_contextvars
 
 from drivers.errors import Cause, CauseCode
-from service.jobs.work import CheckJob, Job, JobFailed, RecordedSweep, ReidentifyJob, Result, Worker, WorkerLost
+from service.jobs.work import CheckJob, Job, JobFailed, RecordedSweep, ReidentifyJob, Worker, WorkerLost
 from service.model.errors import BadInput, NotFound, NotNow
 from service.planning.campaigns.live import EventFeed
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
@@ -32,7 +32,6 @@ from service.store.documents import (
     EstimateDocument,
     EventKind,
     RecordingDocument,
-    SpectrumRecord,
     SweepDocument,
     SweepState,
 )
@@ -222,57 +221,43 @@ class Jobs(OpenJobs):
 
     def _still_recorded(self, sweeps: Sequence[SweepDocument]) -> tuple[SweepDocument, ...]:
         """The sweeps that still wait for identification: after a repetition some of them are done."""
-        now = [self._store.sweep(sweep.campaign_id, sweep.number) for sweep in sweeps]
-        return tuple(
-            sweep
-            for sweep, found in zip(sweeps, now, strict=True)
-            if found.state is SweepState.RECORDED and found.attempt == sweep.attempt
-        )
+
+        def waits(sweep: SweepDocument) -> bool:
+            found = self._store.sweep(sweep.campaign_id, sweep.number)
+            return found.state is SweepState.RECORDED and found.attempt == sweep.attempt
+
+        return tuple(filter(waits, sweeps))
 
     async def _identified(self, sweeps: Sequence[SweepDocument]) -> bool:
         """False, without effect, if the job of several sweeps failed. A single sweep becomes failed with its job."""
-        first, last = sweeps[0], sweeps[-1]
+        last = sweeps[-1]
         try:
             with TRACING.span("identification", campaign=last.campaign_id, sweep=last.number):
                 await self._identify(sweeps)
         except (JobFailed, BadInput) as error:
             cause = Cause(CauseCode.NOT_IDENTIFIED, last.spec.axis, detail=f"identification: {error}")
+            log = _log.bind(campaign=last.campaign_id, cause=str(cause))
             if len(sweeps) > 1:
-                _log.warning(
-                    "sweeps_identified_singly",
-                    campaign=last.campaign_id,
-                    first=first.number,
-                    last=last.number,
-                    cause=str(cause),
-                )
+                log.warning("sweeps_identified_singly", first=sweeps[0].number, last=last.number)
                 return False
-            _log.error("identification_failed", campaign=last.campaign_id, sweep=last.number, cause=str(cause))
-            await asyncio.to_thread(
-                self._store.move_sweep, last.campaign_id, last.number, sweep_move(SweepEvent.FAIL), cause
-            )
+            log.error("identification_failed", sweep=last.number)
+            fail = sweep_move(SweepEvent.FAIL)
+            await asyncio.to_thread(self._store.move_sweep, last.campaign_id, last.number, fail, cause)
         return True
 
     async def _identify(self, sweeps: Sequence[SweepDocument]) -> None:
-        recordings = await asyncio.to_thread(self._recordings, sweeps)
+        recordings = await asyncio.to_thread(
+            lambda: [self._store.recording(sweep.campaign_id, sweep.number) for sweep in sweeps]
+        )
         job = await asyncio.to_thread(self._job, sweeps[0].campaign_id, sweeps, recordings)
         result = await self._worker.run_patiently(job)
-        spectra = await asyncio.to_thread(self._save, recordings, result)
+        paths = [recording.path for recording in recordings]
+        spectra = await asyncio.to_thread(lambda: list(map(self._files.save_spectrum, paths, result.spectra)))
+        identified, move = list(zip(sweeps, spectra, strict=True)), sweep_move(SweepEvent.IDENTIFY)
         with TRACING.span("store estimate"):
-            estimate = await asyncio.to_thread(
-                self._store.add_estimate,
-                list(zip(sweeps, spectra, strict=True)),
-                sweep_move(SweepEvent.IDENTIFY),
-                result.estimate,
-            )
+            estimate = await asyncio.to_thread(self._store.add_estimate, identified, move, result.estimate)
         if estimate is not None:
             _log.info("estimate", campaign=estimate.campaign_id, sweep=estimate.number, revision=estimate.revision)
-
-    def _recordings(self, sweeps: Sequence[SweepDocument]) -> list[RecordingDocument]:
-        return [self._store.recording(sweep.campaign_id, sweep.number) for sweep in sweeps]
-
-    def _save(self, recordings: Sequence[RecordingDocument], result: Result) -> list[SpectrumRecord]:
-        found = zip(recordings, result.spectra, strict=True)
-        return [self._files.save_spectrum(recording.path, spectrum) for recording, spectrum in found]
 
     def _job(self, campaign_id: int, sweeps: Sequence[SweepDocument], recordings: Sequence[RecordingDocument]) -> Job:
         """Of some recorded sweeps with all identified ones, or of these alone."""
@@ -298,6 +283,10 @@ class Jobs(OpenJobs):
             model=model,
             last=open_sweeps <= len(sweeps),
         )
+
+
+def _digest(*content: object) -> str:
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
 
 def sweeps_a_revision(count: int) -> int:
@@ -350,15 +339,10 @@ class Checking(OpenJobs):
 
     def _job(self, campaign_id: int) -> CheckJob:
         robot = self._store.robot(self._store.campaign(campaign_id).robot_id)
-        sweeps: list[RecordedSweep] = []
-        hashes: list[str] = []
-        for sweep in self._store.sweeps(campaign_id):
-            if sweep.state in COMPLETE:
-                recording = self._store.recording(campaign_id, sweep.number)
-                sweeps.append(RecordedSweep(sweep.spec, self._files.named(recording)))
-                hashes.append(recording.sha256)
-        digest = hashlib.sha256(json.dumps([campaign_id, hashes]).encode()).hexdigest()
-        return CheckJob(f"check-{digest}", robot.description, robot.urdf_text, tuple(sweeps))
+        found = self._store.recorded_sweeps(campaign_id, COMPLETE)
+        sweeps = tuple(RecordedSweep(spec, self._files.named(recording)) for spec, recording in found)
+        digest = _digest(campaign_id, [recording.sha256 for _, recording in found])
+        return CheckJob(f"check-{digest}", robot.description, robot.urdf_text, sweeps)
 
 
 class Batches(OpenJobs):
@@ -415,35 +399,27 @@ class Batches(OpenJobs):
             try:
                 job = await asyncio.to_thread(self._job, campaign_id)
                 found = await self._worker.run_patiently(job)
+                result = found.sweeps, found.estimate, found.change_percent, ""
             except (JobFailed, BadInput, NotFound) as error:
                 _log.warning("not_identified_again", batch=batch_id, campaign=campaign_id, cause=str(error))
-                write = partial(self._batches.add_result, batch_id, campaign_id, 0, None, cause=str(error))
-            else:
-                result = found.sweeps, found.estimate, found.change_percent
-                write = partial(self._batches.add_result, batch_id, campaign_id, *result)
-            await asyncio.to_thread(write)
+                result = 0, None, None, str(error)
+            await asyncio.to_thread(self._batches.add_result, batch_id, campaign_id, *result)
 
     def _job(self, campaign_id: int) -> ReidentifyJob:
         """The job, with the input of the stored estimate and the present model of the robot."""
         campaign = self._store.campaign(campaign_id)
         robot = self._store.robot(campaign.robot_id)
         beside = campaign_beside(self._store, campaign)
-        sweeps: list[RecordedSweep] = []
-        hashes: list[str] = []
-        for number in (campaign_id,) if beside is None else (beside.id, campaign_id):
-            recordings = self._store.recordings(number)
-            for sweep in self._store.sweeps(number):
-                if sweep.state is SweepState.IDENTIFIED:
-                    recording = recordings[sweep.number]
-                    sweeps.append(RecordedSweep(sweep.spec, self._files.reference(recording)))
-                    hashes.append(recording.sha256)
+        numbers = (campaign_id,) if beside is None else (beside.id, campaign_id)
+        found = [each for one in numbers for each in self._store.recorded_sweeps(one, {SweepState.IDENTIFIED})]
         model = self._models.newest(campaign.robot_id)
-        digest = hashlib.sha256(json.dumps([campaign_id, model.id if model else 0, hashes]).encode()).hexdigest()
+        hashes = [recording.sha256 for _, recording in found]
+        digest = _digest(campaign_id, model.id if model else 0, hashes)
         return ReidentifyJob(
             key=f"reidentify-{digest}",
             robot=robot.description,
             urdf_text=robot.urdf_text,
-            sweeps=tuple(sweeps),
+            sweeps=tuple(RecordedSweep(spec, self._files.reference(recording)) for spec, recording in found),
             analyses=analysis_behind(self._store, beside or campaign),
             siblings=siblings_behind(self._store, beside or campaign),
             model=model,

@@ -20,7 +20,8 @@ from service.model.results.effect import ModelFile
 from service.model.results.estimate import Estimate
 from service.planning.campaigns.stored_plan import plan_subject
 from service.planning.campaigns.stored_results import campaign_beside
-from service.report import CampaignReport, Drive, Form, example_of, used_sweeps
+from service.report.content import CampaignReport, Drive, example_of, used_sweeps
+from service.report.html import Form
 from service.store.diagnoses import DiagnosisStore
 from service.store.documents import (
     CampaignDocument,
@@ -83,7 +84,7 @@ class Reporting:
                 ("ordered by", _ordered(campaign, None if approved is None else approved.approved_by)),
                 ("measured", _measured(campaign)),
                 ("estimate", f"revision {estimate.revision}, {_time(estimate.created_at)}"),
-                *_beside(beside),
+                *([] if beside is None else [("with the sweeps of", f"campaign {beside.id}")]),
                 ("newest diagnosis", _diagnosis(diagnosis)),
                 (
                     "recordings",
@@ -210,10 +211,6 @@ def _diagnosis(diagnosis: DiagnosisDocument | None) -> str:
     campaigns = ", ".join(str(number) for number in diagnosis.campaigns)
     at = "" if diagnosis.finished_at is None else f", {_time(diagnosis.finished_at)}"
     return f"number {diagnosis.id}, of campaign {campaigns}{at}"
-
-
-def _beside(beside: CampaignDocument | None) -> Iterable[tuple[str, str]]:
-    return () if beside is None else (("with the sweeps of", f"campaign {beside.id}"),)
 
 
 def _listing(recordings: Sequence[RecordingDocument]) -> str:

@@ -41,7 +41,8 @@ if TYPE_CHECKING:  # numerical modules, and the report
     from service.identification.estimates.torque_gain import KnownMass
     from service.identification.estimates.update import Condensed
     from service.identification.estimation import SweepSpectrum
-    from service.report import CampaignReport, Form, ReportPage
+    from service.report.content import CampaignReport
+    from service.report.html import Form, ReportPage
     from service.store.files.recordings import RecordingFile
 
 _log = structlog.get_logger(__name__)
@@ -356,7 +357,8 @@ class ReportJob(OfRobot):
     priority = 0
 
     def __call__(self) -> "Written":
-        from service.report import campaign_page, content_of
+        from service.report.campaign import campaign_page
+        from service.report.content import content_of
 
         robot = self.built()
         content = None
@@ -387,7 +389,7 @@ class DiagnosisReportJob:
     priority = 0
 
     def __call__(self) -> "Written":
-        from service.report import diagnosis_page
+        from service.report.diagnosis import diagnosis_page
 
         return _written(diagnosis_page(self.diagnosis, self.title, self.subtitle, self.origin), self.form)
 
@@ -404,7 +406,7 @@ class FleetReportJob:
     priority = 0
 
     def __call__(self) -> "Written":
-        from service.report import fleet_page
+        from service.report.fleet import fleet_page
 
         return _written(fleet_page(self.fleet, self.origin), self.form)
 

@@ -10,12 +10,7 @@ from typing import Any
 
 from drivers.errors import Cause, CauseCode, distinct
 
-_UNITS = {
-    "rad": (math.degrees(1), "°"),
-    "rad/s": (math.degrees(1), "°/s"),
-    "m": (1e3, " mm"),
-    "m/s": (1e3, " mm/s"),
-}
+_UNITS = {"rad": (math.degrees(1), "°"), "rad/s": (math.degrees(1), "°/s"), "m": (1e3, " mm"), "m/s": (1e3, " mm/s")}
 
 
 @cache

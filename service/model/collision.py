@@ -24,7 +24,7 @@ from service.model.arrays import Array, Mask
 from service.model.configuration import Cell
 from service.model.errors import BadInput
 from service.model.robot import Robot
-from service.model.urdf import collision_meshes, read_hull
+from service.model.urdf import collision_meshes, joint_end, read_hull
 
 Integers = NDArray[np.int32]
 
@@ -36,14 +36,8 @@ class MjJoint(Protocol):
     bodyid: Integers
 
 
-class MjGeom(Protocol):
-    """A shape of a model."""
-
-    name: str
-
-
-class MjBody(Protocol):
-    """A body of a model or of its specification."""
+class MjNamed(Protocol):
+    """A shape of a model, or a body of a model or of its specification."""
 
     name: str
 
@@ -70,9 +64,9 @@ class MjModel(Protocol):
 
     def joint(self, name: str) -> MjJoint: ...
 
-    def body(self, index: int) -> MjBody: ...
+    def body(self, index: int) -> MjNamed: ...
 
-    def geom(self, index: int) -> MjGeom: ...
+    def geom(self, index: int) -> MjNamed: ...
 
 
 class Contacts(Protocol):
@@ -112,7 +106,7 @@ class MjSpec(Protocol):
     """A model before it is compiled."""
 
     meshes: Sequence[MjMesh]
-    bodies: Sequence[MjBody]
+    bodies: Sequence[MjNamed]
     worldbody: World
 
     def add_exclude(self, *, bodyname1: str, bodyname2: str) -> None: ...
@@ -134,7 +128,6 @@ class Shapes(Protocol):
     """Kinds of geoms."""
 
     mjGEOM_PLANE: int
-    mjGEOM_SPHERE: int
     mjGEOM_CAPSULE: int
     mjGEOM_ELLIPSOID: int
     mjGEOM_CYLINDER: int
@@ -321,11 +314,8 @@ def _line(error: ValueError) -> str:
 def _standing_links(urdf: str) -> list[str]:
     """Links that cannot move: the root and what is fixed to it."""
     root = ET.fromstring(urdf)
-    ends: list[tuple[str, str, str]] = []
-    for joint in root.findall("joint"):
-        parent, child = joint.find("parent"), joint.find("child")
-        if parent is not None and child is not None:
-            ends.append((joint.get("type", ""), parent.get("link", ""), child.get("link", "")))
+    joints = root.findall("joint")
+    ends = [(one.get("type"), joint_end(one, "parent", "urdf"), joint_end(one, "child", "urdf")) for one in joints]
     carried = {child for _, _, child in ends}
     standing = [name for link in root.findall("link") if (name := link.get("name", "")) not in carried]
     for link in standing:  # extended during the loop: fixed children are added

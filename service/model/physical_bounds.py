@@ -15,7 +15,7 @@ from pydantic import Field
 
 from service.model.arrays import Array
 from service.model.errors import BadInput
-from service.model.urdf import Chain, inertia_matrix, transform_inertial
+from service.model.urdf import Chain, inertia_at_centre
 
 
 @dataclass(frozen=True)
@@ -99,11 +99,9 @@ def _check_body(parameters: Array, here: str) -> None:
     """Positive semidefinite at the centre of mass. A principal inertia above the sum of the others is a usual mistake
     of CAD exports: `sweepid robot check` tells it.
     """
-    mass = float(parameters[0])
-    if mass <= 0:
+    if parameters[0] <= 0:
         return
-    own = transform_inertial(parameters, np.eye(3), -parameters[1:4] / mass)
-    principal = np.linalg.eigvalsh(inertia_matrix(own)).tolist()
+    principal = np.linalg.eigvalsh(inertia_at_centre(parameters)).tolist()
     # digits that CAD programs drop
     if principal[0] < -0.01 * max(abs(principal[0]), abs(principal[2])):
         shown = ", ".join(f"{value:.4g}" for value in principal)

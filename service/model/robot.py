@@ -160,8 +160,7 @@ def build_robot(description: RobotDescription, urdf_text: str, place: str = "rob
     moving = tuple(joint.name for joint in robot.chain.joints)
     if moving != robot.joints:
         raise BadInput(
-            f"{place}.axes",
-            f"joints {list(robot.joints)} differ from the URDF's moving joints {list(moving)}",
+            f"{place}.axes", f"joints {list(robot.joints)} differ from the URDF's moving joints {list(moving)}"
         )
     return robot
 

@@ -58,17 +58,16 @@ def read_chain(text: str, place: str = "urdf") -> Chain:
     look_over(text, place)
     root = ET.fromstring(text)
     links = {element.get("name", ""): element for element in root.findall("link")}
-    if len(links) > MOST_LINKS:
-        raise BadInput(place, f"has {len(links)} links, limit {MOST_LINKS}")
     joints = root.findall("joint")
-    if len(joints) > MOST_LINKS:
-        raise BadInput(place, f"has {len(joints)} joints, limit {MOST_LINKS}")
+    for what, count in (("links", len(links)), ("joints", len(joints))):
+        if count > MOST_LINKS:
+            raise BadInput(place, f"has {count} {what}, limit {MOST_LINKS}")
     children: dict[str, list[ET.Element]] = {}
     for element in joints:
-        children.setdefault(_ref(element, "parent", place), []).append(element)
+        children.setdefault(joint_end(element, "parent", place), []).append(element)
     _once([element.get("name", "") for element in root.findall("link")], place, "link {!r} occurs twice")
     _once([element.get("name", "") for element in joints], place, "joint {!r} occurs twice")
-    carried = [_ref(element, "child", place) for element in joints]
+    carried = [joint_end(element, "child", place) for element in joints]
     _once(carried, place, "link {!r} is the child of two joints")
     roots = [name for name in links if name not in carried]
     if len(roots) != 1:
@@ -82,15 +81,13 @@ def read_chain(text: str, place: str = "urdf") -> Chain:
         if link not in links:
             raise BadInput(place, f"link {link!r} of a joint is not defined")
         if body >= 0:
-            inertial[body] = inertial[body] + transform_inertial(
-                read_inertial(links[link], place), rotation, translation
-            )
+            own = read_inertial(links[link], place)
+            inertial[body] = inertial[body] + transform_inertial(own, rotation, translation)
         moving_children = 0
         for element in children.get(link, []):
-            own_rotation, own_translation = read_origin(element, f"{place} joint {element.get('name')}")
-            joint_rotation = rotation @ own_rotation
-            joint_translation = translation + rotation @ own_translation
-            child = _ref(element, "child", place)
+            turned, moved = read_origin(element, f"{place} joint {element.get('name')}")
+            joint_rotation, joint_translation = rotation @ turned, translation + rotation @ moved
+            child = joint_end(element, "child", place)
             if element.get("type") == "fixed":
                 walk(child, body, joint_rotation, joint_translation)
                 continue
@@ -192,11 +189,9 @@ def _joint(element: ET.Element, link: str, rotation: Array, translation: Array, 
     limit = element.find("limit")
     if limit is None and kind != "continuous":
         raise BadInput(here, "has no <limit>")
-    lower, upper = (
-        (-np.inf, np.inf) if kind == "continuous" else (_limit(limit, "lower", here), _limit(limit, "upper", here))
-    )
-    hard = lower, upper
+    hard = lower, upper = -np.inf, np.inf
     if kind != "continuous":
+        hard = _limit(limit, "lower", here), _limit(limit, "upper", here)
         lower, upper = _soft_limits(element, hard, here)
     if lower >= upper:
         raise BadInput(here, f"lower limit {lower} is not below upper limit {upper}")
@@ -261,12 +256,18 @@ def read_axis(joint: ET.Element, here: str) -> Array:
     return axis / norm
 
 
-def _ref(element: ET.Element, tag: str, place: str) -> str:
-    child = element.find(tag)
-    name = None if child is None else child.get("link")
+def joint_end(joint: ET.Element, tag: Literal["parent", "child"], place: str) -> str:
+    """The link at one end of a joint; BadInput if it is not stated."""
+    end = joint.find(tag)
+    name = None if end is None else end.get("link")
     if name is None:
-        raise BadInput(f"{place} joint {element.get('name')}", f"has no <{tag} link=...>")
+        raise BadInput(f"{place} joint {joint.get('name')}", f"has no <{tag} link=...>")
     return name
+
+
+def inertia_at_centre(parameters: Array) -> Array:
+    """Ten parameters of a body -> inertia (3, 3) about its centre of mass; the mass is not 0."""
+    return inertia_matrix(transform_inertial(parameters, np.eye(3), -parameters[1:4] / parameters[0]))
 
 
 def _once(names: list[str], place: str, complaint: str) -> None:

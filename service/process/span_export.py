@@ -4,7 +4,7 @@ import os
 import sys
 import threading
 from collections import deque
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
 
@@ -14,23 +14,12 @@ from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExport
 from opentelemetry.sdk.resources import Resource
 from opentelemetry.sdk.trace import ReadableSpan, SpanProcessor, TracerProvider
 from opentelemetry.sdk.trace.export import SpanExportResult
-from opentelemetry.trace import Span, Status, StatusCode, set_span_in_context
+from opentelemetry.trace import Status, StatusCode, set_span_in_context
 from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
 
 from service.process.settings import Telemetry
 
 _log = structlog.get_logger(__name__)
-
-
-class RecordedSpan:
-    """A span that has begun."""
-
-    def __init__(self, span: Span) -> None:
-        self._span = span
-
-    def note(self, name: str, value: str | float) -> None:
-        """Set an attribute."""
-        self._span.set_attribute(name, value)
 
 
 class SpanExport(SpanProcessor):
@@ -60,13 +49,15 @@ class SpanExport(SpanProcessor):
         self._provider.add_span_processor(self)
 
     @contextmanager
-    def span(self, name: str, parent: str, attributes: Mapping[str, str | float]) -> Generator[RecordedSpan]:
-        """`parent`: a traceparent, or "" for the enclosing span."""
+    def span(
+        self, name: str, parent: str, attributes: Mapping[str, str | float]
+    ) -> Generator[Callable[[str, str | float], None]]:
+        """`parent`: a traceparent, or "" for the enclosing span. Given is what sets an attribute."""
         around = self._context.extract({"traceparent": parent}) if parent else None
         span = self._tracer.start_span(name, around, attributes=attributes)
         token = contexts.attach(set_span_in_context(span, around))
         try:
-            yield RecordedSpan(span)
+            yield span.set_attribute
         except BaseException as error:
             span.set_status(Status(StatusCode.ERROR, f"{type(error).__name__}: {error}"))
             raise

@@ -4,23 +4,17 @@ Without the setting `otel` a span has no cost, and no library is loaded. A span 
 same context, also in tasks and threads started there; other processes get its `traceparent` (W3C Trace Context).
 """
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from service.process.settings import Telemetry
 
 if TYPE_CHECKING:  # needs the extra `otel`
-    from service.process.span_export import RecordedSpan, SpanExport
+    from service.process.span_export import SpanExport
 
 Attribute = str | int | float
-
-
-class UnrecordedSpan:
-    """Stands for a span while traces are disabled."""
-
-    def note(self, name: str, value: Attribute) -> None:
-        """No effect."""
+Note = Callable[[str, Attribute], None]
 
 
 class Tracing:
@@ -40,13 +34,15 @@ class Tracing:
         return None if self.export is None else self.export.dropped
 
     @contextmanager
-    def span(self, name: str, parent: str = "", **attributes: Attribute) -> Generator["RecordedSpan | UnrecordedSpan"]:
-        """The block is a span, by default of the one that encloses it. An attribute `a` is sent as `sweepid.a`."""
+    def span(self, name: str, parent: str = "", **attributes: Attribute) -> Generator[Note]:
+        """The block is a span, by default of the one that encloses it; with it comes what sets an attribute of it. An
+        attribute `a` given here is sent as `sweepid.a`.
+        """
         if self.export is None:
-            yield UnrecordedSpan()
+            yield lambda _name, _value: None
             return
-        with self.export.span(name, parent, {f"sweepid.{key}": value for key, value in attributes.items()}) as span:
-            yield span
+        with self.export.span(name, parent, {f"sweepid.{key}": value for key, value in attributes.items()}) as note:
+            yield note
 
 
 TRACING = Tracing()

@@ -29,10 +29,7 @@ class EstimateVerdict:
 
 
 def verdict(
-    estimate: Estimate,
-    check: DataCheck | None,
-    diagnosis: tuple[int, Diagnosis] | None,
-    test_mass: float | None = None,
+    estimate: Estimate, check: DataCheck | None, diagnosis: tuple[int, Diagnosis] | None, test_mass: float | None = None
 ) -> EstimateVerdict:
     """The verdict from an estimate, the findings of the data check, and number and document of the newest diagnosis."""
     parts = (_of_estimate(estimate), _of_mass(test_mass), _of_check(check), _of_diagnosis(estimate, diagnosis))
@@ -85,10 +82,7 @@ def _of_check(check: DataCheck | None) -> tuple[str, str]:
         codes = sorted({f"{one.code.replace('_', ' ')} of {one.axis or 'the robot'}" for one in wrong})
         return CONTRADICTED, f"but the data check says that the data cannot be trusted ({', '.join(codes)})"
     warnings = len(check.findings)
-    return (
-        CONFIRMED,
-        f"the data check found {_count(warnings, 'warning', 'warnings') if warnings else 'nothing'}",
-    )
+    return CONFIRMED, f"the data check found {_count(warnings, 'warning', 'warnings') if warnings else 'nothing'}"
 
 
 def _of_diagnosis(estimate: Estimate, diagnosis: tuple[int, Diagnosis] | None) -> tuple[str, str]:
@@ -177,18 +171,15 @@ def _origin(page: ReportPage, report: CampaignReport) -> None:
         page.add("<p>Not recorded: the sweeps were imported, or measured without a fieldbus.</p>")
         return
     page.add("<p>As reported by the drives when the sweeps were recorded; a drive that was changed has two lines.</p>")
-    page.table(
-        ["joint", "address", "vendor", "product", "revision", "serial number", "dictionary (SHA-256)", "sweeps"],
+    head = ["joint", "address", "vendor", "product", "revision", "serial number", "dictionary (SHA-256)", "sweeps"]
+    rows = [
         [
-            [
-                *(one.joint, one.address, f"{one.vendor:#x}", f"{one.product:#x}", f"{one.revision:#x}"),
-                str(one.serial) if one.serial else "not reported",
-                one.dictionary_sha256[:12],
-                str(one.sweeps),
-            ]
-            for one in report.drives
-        ],
-    )
+            *(one.joint, one.address, f"{one.vendor:#x}", f"{one.product:#x}", f"{one.revision:#x}"),
+            *(str(one.serial or "not reported"), one.dictionary_sha256[:12], str(one.sweeps)),
+        ]
+        for one in report.drives
+    ]
+    page.table(head, rows)
 
 
 def _tables(page: ReportPage, estimate: Estimate) -> None:
@@ -209,12 +200,9 @@ def _tables(page: ReportPage, estimate: Estimate) -> None:
         "<h2>How well the models fit</h2>",
         "<p>Root-mean-square error in percent of the second, as in Table 1 of the paper.</p>",
     )
+    names = ("reference_measured", "identified_measured", "reference_identified")
     fits = [
-        [
-            joint,
-            *(f"{size:.2f}" for size in (fit.reference_measured, fit.identified_measured, fit.reference_identified)),
-        ]
-        for joint, fit in ((joint, axis.rmse_percent) for joint, axis in estimate.axes.items())
+        [joint, *(f"{getattr(axis.rmse_percent, name):.2f}" for name in names)] for joint, axis in estimate.axes.items()
     ]
     head = ["axis", "reference − measurement", "identified − measurement", "reference − identified, workspace"]
     page.table(head, fits)
@@ -226,19 +214,11 @@ def _combination(page: ReportPage, combination: Combination) -> None:
         "<h2>Sweeps and trajectories together</h2>",
         "<p>The base parameters of the whole dynamics, SI, and what determines them.</p>",
     )
-    page.table(
-        ["parameter", "value", "± std", "determined by", "not for use"],
-        [
-            [
-                one.name,
-                *with_std(one.value, one.std),
-                one.reason or one.source,
-                "" if one.identified else "not identified",
-            ]
-            for one in combination.base_parameters
-        ],
-        "name",
-    )
+    rows = [
+        [one.name, *with_std(one.value, one.std), one.reason or one.source, "" if one.identified else "not identified"]
+        for one in combination.base_parameters
+    ]
+    page.table(["parameter", "value", "± std", "determined by", "not for use"], rows, "name")
 
 
 def _suspects(page: ReportPage, suspects: Sequence[Suspect]) -> None:
@@ -255,10 +235,8 @@ def _suspects(page: ReportPage, suspects: Sequence[Suspect]) -> None:
 def _check(page: ReportPage, check: DataCheck | None) -> None:
     page.add("<h2>Check of the data</h2>")
     if check is None:
-        page.add(
-            "<p>Not done yet: the service checks the data at the end of a campaign, <code>sweepid "
-            "check</code> checks a bundle.</p>"
-        )
+        how = "the service checks the data at the end of a campaign, <code>sweepid check</code> checks a bundle"
+        page.add(f"<p>Not done yet: {how}.</p>")
     elif not check.findings:
         page.add("<p>Nothing found.</p>")
     else:

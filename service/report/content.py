@@ -105,7 +105,7 @@ def axes_of(content: Content) -> tuple[ReportedAxis, ...]:
     poses = {spec.id: spec.pose for spec in content.specs}
     axes: list[ReportedAxis] = []
     for joint, found in content.estimate.axes.items():
-        sweeps = sorted(found.inertia, key=lambda sweep: order[sweep.sweep])
+        sweeps, rmse = sorted(found.inertia, key=lambda sweep: order[sweep.sweep]), found.rmse_percent
         own = np.array([poses[sweep.sweep] for sweep in sweeps])
         index = content.robot.index(joint)
         identified, reference = model.inertia(index, own)
@@ -125,11 +125,7 @@ def axes_of(content: Content) -> tuple[ReportedAxis, ...]:
                 identified_workspace=identified_workspace,
                 reference_workspace=reference_workspace,
                 varied=tuple(int(k) for k in np.flatnonzero(np.ptp(own, axis=0) > SAME_POSITION) if k > index),
-                rmse=(
-                    found.rmse_percent.reference_measured,
-                    found.rmse_percent.identified_measured,
-                    found.rmse_percent.reference_identified,
-                ),
+                rmse=(rmse.reference_measured, rmse.identified_measured, rmse.reference_identified),
             )
         )
     return tuple(axes)
@@ -137,13 +133,9 @@ def axes_of(content: Content) -> tuple[ReportedAxis, ...]:
 
 def revision(parameters: Sequence[BaseParameter], names: Sequence[str], sweeps: int) -> Revision:
     """The revision as one step of the convergence of the parameters `names` (those of the last estimate)."""
-    value = {entry.name: entry.value for entry in parameters}
-    std = {entry.name: entry.std for entry in parameters}
-    return Revision(
-        sweeps,
-        np.array([_number(value.get(name)) for name in names]),
-        np.array([_number(std.get(name)) for name in names]),
-    )
+    found = {entry.name: (entry.value, _number(entry.std)) for entry in parameters}
+    values = np.array([found.get(name, (math.nan, math.nan)) for name in names]).reshape(-1, 2)
+    return Revision(sweeps, values[:, 0], values[:, 1])
 
 
 class _Models:

@@ -148,29 +148,21 @@ def _how_judged(gap: Gap) -> str:
             "Before and after are those of one pose that was not used for naming or fit. In the figure pose "
             "by pose below, each pose is evaluated with parameters from the other poses."
         )
+    if not gap.cross_validated:
+        return "One pose without repeats: nothing could be held out, so the fit is evaluated on its own sweeps."
     return (
-        (
-            "Cross-validated: each pose is evaluated with parameters from the other poses; where only one "
-            "pose shows an effect, or there is only one pose, each sweep is evaluated with parameters from "
-            "its repeats."
-        )
-        if gap.cross_validated
-        else "One pose without repeats: nothing could be held out, so the fit is evaluated on its own sweeps."
+        "Cross-validated: each pose is evaluated with parameters from the other poses; where only one pose shows an "
+        "effect, or there is only one pose, each sweep is evaluated with parameters from its repeats."
     )
 
 
 def _known(page: ReportPage, axis: AxisDiagnosis) -> None:
     """Known effects: parameters from these sweeps, next to those in the model."""
     changed = {(change.effect, change.parameter): change.model for change in axis.changes}
+    named = [(effect.effect, name, value) for effect in axis.known for name, value in effect.parameters.items()]
     rows = [
-        [
-            drawn.effect_words(effect.effect),
-            plain(name),
-            *_value(value),
-            _model(changed.get((effect.effect, name))),
-        ]
-        for effect in axis.known
-        for name, value in effect.parameters.items()
+        [drawn.effect_words(effect), plain(name), *_value(value), _model(changed.get((effect, name)))]
+        for effect, name, value in named
     ]
     page.add("<h3>What the model has already</h3>", "<p>Fitted again to these sweeps.</p>")
     page.table(["effect", "parameter", "value", "± std", "unit", "the model says"], rows)
@@ -204,22 +196,18 @@ def _effects(page: ReportPage, axis: AxisDiagnosis, figures: Mapping[str, DrawnF
 
 def _parameter_rows(effects: Sequence[Effect]) -> list[list[str]]:
     """A coefficient of which the sweeps tell nothing has no value."""
+    nothing = ["not significant", "–", ""]
     return [
-        [drawn.effect_words(effect.effect), plain(name), *(_value(value) if value.significant else _NOT_SIGNIFICANT)]
+        [drawn.effect_words(effect.effect), plain(name), *(_value(value) if value.significant else nothing)]
         for effect in effects
         for name, value in effect.parameters.items()
     ]
 
 
-_NOT_SIGNIFICANT = ("not significant", "–", "")
-
-
 def findings(page: ReportPage, found: Sequence[Finding]) -> None:
     """Findings of the data check. If one is wrong, no physics was named."""
     ordered = sorted(found, key=lambda one: one.severity != "wrong")
-    page.add(
-        *(f"<p><b>{escape(one.severity)}:</b> {escape(one.sentence)} {escape(one.action)}</p>" for one in ordered),
-    )
+    page.add(*(f"<p><b>{escape(one.severity)}:</b> {escape(one.sentence)} {escape(one.action)}</p>" for one in ordered))
 
 
 def _rigid_model(page: ReportPage, parameters: Sequence[RigidParameter], started_from: str) -> None:
@@ -245,14 +233,9 @@ def _fit(page: ReportPage, fit: AxisFit) -> None:
     page.add(
         "<p>The axis again, with the effects in its model; kg m² and N m s/rad, of a linear axis kg and N s/m.</p>"
     )
-    rows = [
-        [f"inertia at {label}", *with_std(entry.value, entry.std)]
-        for label, entry in zip(labels, fit.inertia, strict=True)
-    ]
-    page.table(
-        ["", "value", "± std"],
-        [*rows, ["viscous friction", *with_std(fit.viscous_friction.value, fit.viscous_friction.std)]],
-    )
+    named = [*zip((f"inertia at {label}" for label in labels), fit.inertia, strict=True)]
+    rows = [[name, *with_std(one.value, one.std)] for name, one in (*named, ("viscous friction", fit.viscous_friction))]
+    page.table(["", "value", "± std"], rows)
 
 
 def _open_questions(page: ReportPage, joint: str, axis: AxisDiagnosis) -> None:

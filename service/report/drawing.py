@@ -40,14 +40,8 @@ def points(
     marker: dict[str, Drawn] = {"size": size, "color": colour, "symbol": symbol}
     if symbol.endswith("open"):
         marker["line"] = {"width": 1.8, "color": colour}
-    trace: dict[str, Drawn] = {
-        "type": "scatter",
-        "mode": "markers",
-        "name": name,
-        "x": x,
-        "y": rounded(y),
-        "marker": marker,
-    }
+    trace: dict[str, Drawn] = {"type": "scatter", "mode": "markers", "name": name, "x": x, "y": rounded(y)}
+    trace["marker"] = marker
     if error is not None:
         trace["error_y"] = {"array": rounded(error), "color": colour, "thickness": 1.1, "width": 3}
     return trace
@@ -87,6 +81,15 @@ def looks(things: Iterable[T]) -> Iterator[tuple[T, str, str]]:
     """
     symbols = ("circle", "square", "triangle-up", "diamond", "star", "hexagon2")
     return zip(things, cycle(_COLOURS), cycle(symbols), strict=False)
+
+
+def panels(count: int, columns: int = 3) -> Iterator[tuple[Part, float, float, float, float]]:
+    """The keys of the axes of each panel, its left and top edge, width and height, 0 ... 1; in rows from the top."""
+    rows = -(-count // columns)
+    for k in range(count):
+        row, column = divmod(k, columns)
+        number = "" if k == 0 else str(k + 1)
+        yield {"xaxis": f"x{number}", "yaxis": f"y{number}"}, column / columns, 1 - row / rows, 1 / columns, 1 / rows
 
 
 def note(text: str, left: float, top: float, **more: Drawn) -> Part:

@@ -21,6 +21,7 @@ from service.report.drawing import (
     line,
     looks,
     note,
+    panels,
     points,
     position_title,
     positions,
@@ -31,35 +32,24 @@ from service.report.drawing import (
 
 def inertia_map(robot: Robot, axis: ReportedAxis) -> DrawnFigure:
     """Inertia of the identified model over the two joints that vary most, and of each measured pose (Fig. 2)."""
-    first, second = axis.varied[:2]
     values = np.concatenate((axis.identified_workspace, axis.measured))
     ramp: Drawn = [[0, "#eff6ff"], [0.5, "#93c5fd"], [1, "#1e40af"]]
     ends = {"zmin": float(np.nanmin(values)), "zmax": float(np.nanmax(values))}
-    measured = points("measured", positions(robot, first, axis.poses[:, first]), axis.measured, MEASURED, size=9)
     return _map(
         robot,
         axis,
         axis.identified_workspace,
         {"colorscale": ramp, **ends, "colorbar": {"title": {"text": axis.unit}, "thickness": 12}},
+        "measured, in the same colours",
         {
-            **measured,
-            "name": "measured, in the same colours",
-            "y": positions(robot, second, axis.poses[:, second]),
-            "marker": {
-                "size": 9,
-                "color": rounded(axis.measured),
-                "colorscale": ramp,
-                "cmin": ends["zmin"],
-                "cmax": ends["zmax"],
-                "line": {"color": "#0f172a", "width": 1},
-            },
+            **{"size": 9, "color": rounded(axis.measured), "colorscale": ramp},
+            **{"cmin": ends["zmin"], "cmax": ends["zmax"], "line": {"color": "#0f172a", "width": 1}},
         },
     )
 
 
 def deviation_map(robot: Robot, axis: ReportedAxis) -> DrawnFigure:
     """Difference between identified model and reference over the workspace, of the identified, and measured poses."""
-    first, second = axis.varied[:2]
     deviation = 100 * (1 - axis.reference_workspace / axis.identified_workspace)
     low, high = float(deviation.min()), float(deviation.max())
     if low * high < 0:
@@ -75,34 +65,25 @@ def deviation_map(robot: Robot, axis: ReportedAxis) -> DrawnFigure:
         axis,
         deviation,
         {"colorscale": ramp, "zmin": low, "zmax": high, "colorbar": {"title": {"text": "%"}, "thickness": 12}},
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "name": "measured poses",
-            "x": positions(robot, first, axis.poses[:, first]),
-            "y": positions(robot, second, axis.poses[:, second]),
-            "marker": {"size": 8, "color": "#0f172a", "line": {"color": "white", "width": 1.5}},
-        },
+        "measured poses",
+        {"size": 8, "color": "#0f172a", "line": {"color": "white", "width": 1.5}},
     )
 
 
-def _map(robot: Robot, axis: ReportedAxis, values: Array, look: Part, poses: Part) -> DrawnFigure:
+def _map(robot: Robot, axis: ReportedAxis, values: Array, look: Part, name: str, marker: Part) -> DrawnFigure:
     """Values of the free poses of the workspace as a field with contour lines, and the measured poses."""
     first, second = axis.varied[:2]
+    places: Part = {kind: positions(robot, k, axis.poses[:, k]) for kind, k in (("x", first), ("y", second))}
     x, y, z = _mesh(axis.workspace, first, second, values)
     field: Part = {"x": positions(robot, first, x), "y": positions(robot, second, y), "z": rounded(z)}
     lines: Part = {"color": "#475569", "width": 0.8}
     return figure(
         [
             {"type": "heatmap", **field, **look},
-            {"type": "contour", **field, "line": lines, "ncontours": 8, "showlegend": False, "showscale": False},
-            poses,
+            {"type": "contour", **field, "line": lines, "ncontours": 8, "showlegend": False},
+            {"type": "scatter", "mode": "markers", "name": name, **places, "marker": marker},
         ],
-        {
-            "height": 430,
-            "xaxis": scale(position_title(robot, first)),
-            "yaxis": scale(position_title(robot, second)),
-        },
+        {"height": 430, "xaxis": scale(position_title(robot, first)), "yaxis": scale(position_title(robot, second))},
     )
 
 
@@ -133,102 +114,57 @@ def residuals(axes: Sequence[ReportedAxis]) -> DrawnFigure:
     traces: list[Part] = []
     for axis, colour, symbol in looks(axes):
         percent = 100 / axis.identified
-        traces.append(
-            points(
-                axis.joint,
-                list(axis.numbers),
-                (axis.measured - axis.identified) * percent,
-                colour,
-                error=2 * axis.std * percent,
-                symbol=symbol,
-            )
-        )
-    return figure(
-        traces,
-        {
-            "height": 360,
-            "xaxis": scale("sweep"),
-            "yaxis": scale("(measured − identified) in %", zeroline=True),
-        },
-    )
+        off, error = (axis.measured - axis.identified) * percent, 2 * axis.std * percent
+        traces.append(points(axis.joint, list(axis.numbers), off, colour, error, symbol))
+    title = scale("(measured − identified) in %", zeroline=True)
+    return figure(traces, {"height": 360, "xaxis": scale("sweep"), "yaxis": title})
 
 
 def paper_residuals(axes: Sequence[ReportedAxis]) -> DrawnFigure:
     """The paper's formula against the identified model, percent, over the inertia."""
-    traces = [
-        points(
-            axis.joint,
-            rounded(axis.measured),
-            100 * (axis.paper / axis.identified - 1),
-            colour,
-            symbol=f"{symbol}-open",
-        )
-        for axis, colour, symbol in looks(axes)
-    ]
+    traces: list[Part] = []
+    for axis, colour, symbol in looks(axes):
+        off = 100 * (axis.paper / axis.identified - 1)
+        traces.append(points(axis.joint, rounded(axis.measured), off, colour, symbol=f"{symbol}-open"))
     units = " or ".join(dict.fromkeys(axis.unit for axis in axes))
-    return figure(
-        traces,
-        {
-            "height": 360,
-            "xaxis": scale(f"J measured in {units}"),
-            "yaxis": scale("(paper's formula − identified) in %", zeroline=True),
-        },
-    )
+    title = scale("(paper's formula − identified) in %", zeroline=True)
+    return figure(traces, {"height": 360, "xaxis": scale(f"J measured in {units}"), "yaxis": title})
 
 
 def convergence(revisions: Sequence[Revision], names: Sequence[str]) -> DrawnFigure:
     """Each base parameter over the number of sweeps, with a band of two standard deviations: small multiples."""
     columns = 3
-    rows = -(-len(names) // columns)
     traces: list[Part] = []
     annotations: list[Drawn] = []
-    layout: dict[str, Drawn] = {
-        "height": 50 + 175 * rows,
-        "showlegend": False,
-        "annotations": annotations,
-        "margin": {"l": 20, "r": 0, "t": 25, "b": 20},
-    }
-    for k, name in enumerate(names):
-        number = "" if k == 0 else str(k + 1)
-        row, column = divmod(k, columns)
-        left, width = column / columns, 1 / columns
-        top, height = 1 - row / rows, 1 / rows
+    height = 50 + 175 * -(-len(names) // columns)
+    layout: dict[str, Drawn] = {"height": height, "showlegend": False, "annotations": annotations}
+    for k, (name, (here, left, top, width, high)) in enumerate(zip(names, panels(len(names), columns), strict=True)):
         # undetermined parameters would set the scale: start when the std has the order of its final value
         final = revisions[-1]
         shown = [r for r in revisions if r.std[k] < max(30 * final.std[k], 1e-12)]
         x = [r.sweeps for r in shown]
         value, std = np.array([r.values[k] for r in shown]), np.array([r.std[k] for r in shown])
-        band = {
-            "xaxis": f"x{number}",
-            "yaxis": f"y{number}",
-            "hoverinfo": "skip",
-            "mode": "lines",
-            "line": {"width": 0},
-        }
+        band: Part = {**here, "mode": "lines", "line": {"width": 0}}
         traces += [
             {**band, "x": x, "y": rounded(value - 2 * std)},
             {**band, "x": x, "y": rounded(value + 2 * std), "fill": "tonexty", "fillcolor": "#1d4ed82e"},
-            {
-                **line(name, x, value, IDENTIFIED),
-                "xaxis": f"x{number}",
-                "yaxis": f"y{number}",
-                "hovertemplate": "%{x} sweeps: %{y:.5g}<extra></extra>",
-            },
+            {**line(name, x, value, IDENTIFIED), **here},
         ]
+        number = str(here["xaxis"])[1:]
         layout[f"xaxis{number}"] = {
             **scale("sweeps" if k + columns >= len(names) else ""),
             "domain": [left + 0.13 * width, left + 0.98 * width],
-            "anchor": f"y{number}",
+            "anchor": here["yaxis"],
             "range": [0, revisions[-1].sweeps + 1],
         }
         layout[f"yaxis{number}"] = {
             **scale(""),
-            "domain": [top - 0.76 * height, top - 0.16 * height],
-            "anchor": f"x{number}",
+            "domain": [top - 0.76 * high, top - 0.16 * high],
+            "anchor": here["xaxis"],
             "nticks": 4,
         }
         told = f"{_short(name)} in {parameter_unit(name)}" if x else f"{_short(name)}: not identified"
-        annotations.append(note(told, left + 0.13 * width, top - 0.13 * height))
+        annotations.append(note(told, left + 0.13 * width, top - 0.13 * high))
     return figure(traces, layout)
 
 
@@ -239,18 +175,9 @@ def in_time(sweep: Sweep, *, linear: bool = False) -> DrawnFigure:
     time = rounded(recording.time[::step], 4)
     setpoint = recording.velocity_setpoint
     wanted = [] if setpoint is None else [line("set-point", time, 1e3 * setpoint[::step], REFERENCE)]
-    end = spec.measure_from + (spec.period or 0.0) * (spec.periods or 0)
-    window = {
-        "type": "rect",
-        "xref": "x",
-        "yref": "paper",
-        "x0": spec.measure_from,
-        "x1": end,
-        "y0": 0,
-        "y1": 1,
-        "fillcolor": "#f1f5f9",
-        "line": {"width": 0},
-        "layer": "below",
+    window: Part = {
+        **{"type": "rect", "xref": "x", "yref": "paper", "x0": spec.measure_from, "x1": _end(sweep), "y0": 0, "y1": 1},
+        **{"fillcolor": "#f1f5f9", "line": {"width": 0}, "layer": "below"},
     }
     return figure(
         [
@@ -258,22 +185,30 @@ def in_time(sweep: Sweep, *, linear: bool = False) -> DrawnFigure:
             line("velocity", time, 1e3 * recording.velocity[::step], IDENTIFIED),
             {**line("effort", time, recording.effort[::step], MEASURED), "yaxis": "y2"},
         ],
-        {
-            "height": 430,
-            "xaxis": {**scale("time in s"), "anchor": "y2"},
-            "yaxis": {**scale(f"velocity in {'mm' if linear else 'mrad'}/s"), "domain": [0.55, 1.0]},
-            "yaxis2": {**scale(f"effort in {'N' if linear else 'N m'}"), "domain": [0.0, 0.45]},
-            "shapes": [window] if spec.periodic else [],
-        },
+        {**_above("time in s", linear), "shapes": [window] if spec.periodic else []},
     )
+
+
+def _end(sweep: Sweep) -> float:
+    """Of the measured window, s."""
+    return sweep.spec.measure_from + (sweep.spec.period or 0.0) * (sweep.spec.periods or 0)
+
+
+def _above(title: str, linear: bool, kind: Part | None = None) -> Part:
+    """Velocity above effort."""
+    return {
+        "height": 430,
+        "xaxis": {**scale(title), "anchor": "y2"},
+        "yaxis": {**scale(f"velocity in {'mm' if linear else 'mrad'}/s"), "domain": [0.55, 1.0], **(kind or {})},
+        "yaxis2": {**scale(f"effort in {'N' if linear else 'N m'}"), "domain": [0.0, 0.45], **(kind or {})},
+    }
 
 
 def in_frequency(sweep: Sweep, *, linear: bool = False) -> DrawnFigure:
     """Amplitudes of velocity and effort over the measured complete periods; the excited lines are highlighted."""
     spec, recording = sweep.spec, sweep.recording
-    end = spec.measure_from + (spec.period or 0.0) * (spec.periods or 0)
     half = 0.5 / spec.sample_rate
-    inside = (recording.time >= spec.measure_from - half) & (recording.time < end - half)
+    inside = (recording.time >= spec.measure_from - half) & (recording.time < _end(sweep) - half)
     count = int(inside.sum())
     frequency = np.asarray(np.fft.rfftfreq(count, 1 / spec.sample_rate), dtype=float)
     shown = (frequency > 0) & (frequency <= 20.0)
@@ -287,20 +222,9 @@ def in_frequency(sweep: Sweep, *, linear: bool = False) -> DrawnFigure:
         amplitude = np.asarray(2 * factor * np.abs(np.fft.rfft(samples[inside])) / count, dtype=float)
         traces += [
             {**line(name, rounded(frequency[shown], 4), amplitude[shown], colour, width=1.2), "yaxis": y},
-            {
-                **points(f"{name}, excited", rounded(frequency[excited], 4), amplitude[excited], colour),
-                "yaxis": y,
-            },
+            {**points(f"{name}, excited", rounded(frequency[excited], 4), amplitude[excited], colour), "yaxis": y},
         ]
-    return figure(
-        traces,
-        {
-            "height": 430,
-            "xaxis": {**scale("frequency in Hz"), "anchor": "y2"},
-            "yaxis": {**scale(f"velocity in {'mm' if linear else 'mrad'}/s"), "domain": [0.55, 1.0], **DECADES},
-            "yaxis2": {**scale(f"effort in {'N' if linear else 'N m'}"), "domain": [0.0, 0.45], **DECADES},
-        },
-    )
+    return figure(traces, _above("frequency in Hz", linear, DECADES))
 
 
 def _mesh(poses: Array, first: int, second: int, values: Array) -> tuple[Array, Array, Array]:

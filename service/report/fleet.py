@@ -50,16 +50,8 @@ def _type_section(page: ReportPage, one: FleetType) -> None:
             f"deviation from campaign to campaign: {one.between_percent[axis]:.2f} %.</p>",
         )
         page.figure(control_chart(axis, robots))
-        head = [
-            "robot",
-            "change in %",
-            "\u00b1 std",
-            "kind",
-            "statistic (limit)",
-            "alarm",
-            "against the others in %",
-            "outlier",
-        ]
+        head = ["robot", "change in %", "\u00b1 std", "kind", "statistic (limit)", "alarm"]
+        head += ["against the others in %", "outlier"]
         page.table(head, [_axis_row(robot.label, robot.axes[axis]) for robot in robots])
 
 

@@ -6,18 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from service.model.results.diagnosis import AxisDiagnosis, Bin, Cell, Rival
-from service.report.drawing import (
-    IDENTIFIED,
-    Drawn,
-    DrawnFigure,
-    Part,
-    figure,
-    line,
-    note,
-    rounded,
-    scale,
-    upright,
-)
+from service.report.drawing import IDENTIFIED, Drawn, DrawnFigure, Part, figure, line, note, rounded, scale, upright
 
 BEFORE, AFTER, FLOOR, QUIET = "#c2410c", IDENTIFIED, "#15803d", "#e0b8a2"
 
@@ -32,8 +21,7 @@ def gap_map(axis: AxisDiagnosis) -> DrawnFigure | None:
     panels = [_panel(name, cells, axis.explained) for name, cells in dimensions.items()]
     panels.sort(key=lambda panel: -len(panel.labels))  # panels of one height in one row
     columns = 3
-    lines = [panels[k : k + columns] for k in range(0, len(panels), columns)]
-    heights = [20 * max(len(panel.labels) for panel in line) + 62 for line in lines]
+    heights = [20 * len(panels[k].labels) + 62 for k in range(0, len(panels), columns)]  # the first is the highest
     floor = axis.gap.noise_floor_rms
     largest = max(max(cell.rms for cell in axis.where), floor or 0.0)
     annotations: list[Drawn] = []
@@ -47,37 +35,28 @@ def gap_map(axis: AxisDiagnosis) -> DrawnFigure | None:
         "shapes": shapes,
     }
     traces = _keys(axis)
-    top, number = 1.0, 0
-    for height, row in zip(heights, lines, strict=True):
+    top = 1.0
+    for k, panel in enumerate(panels):
+        tail = "" if k == 0 else str(k + 1)
+        left, height = k % columns / columns, heights[k // columns]
         share = height / sum(heights)
-        for column, panel in enumerate(row):
-            number += 1
-            tail = "" if number == 1 else str(number)
-            left = column / columns
-            here = {"xaxis": f"x{tail}", "yaxis": f"y{tail}", "type": "bar", "orientation": "h", "showlegend": False}
-            traces += [{**here, **trace} for trace in panel.traces]
-            layout[f"xaxis{tail}"] = {
-                **scale(""),
-                "domain": [left + 0.12, left + 0.985 / columns],
-                "anchor": f"y{tail}",
-                "range": [0, 1.06 * largest],
-                "nticks": 5,
-                "tickfont": {"size": 11},
-            }
-            layout[f"yaxis{tail}"] = {
-                **scale(""),
-                "domain": [top - share * (height - 25) / height, top - share * 25 / height],
-                "anchor": f"x{tail}",
-                "type": "category",
-                "autorange": "reversed",
-                "automargin": False,
-                "tickfont": {"size": 11},
-                "showgrid": False,
-            }
-            annotations.append(note(panel.title, left, top - share * 23 / height))
-            if panel.with_floor and floor is not None:
-                shapes.append(upright(tail, floor, FLOOR))
-        top -= share
+        top -= heights[k // columns - 1] / sum(heights) if k and k % columns == 0 else 0.0
+        here = {"xaxis": f"x{tail}", "yaxis": f"y{tail}", "type": "bar", "orientation": "h", "showlegend": False}
+        traces += [{**here, **trace} for trace in panel.traces]
+        layout[f"xaxis{tail}"] = {
+            **scale(""),
+            "domain": [left + 0.12, left + 0.985 / columns],
+            **{"anchor": f"y{tail}", "range": [0, 1.06 * largest], "nticks": 5, "tickfont": {"size": 11}},
+        }
+        layout[f"yaxis{tail}"] = {
+            **scale(""),
+            "domain": [top - share * (height - 25) / height, top - share * 25 / height],
+            **{"anchor": f"x{tail}", "type": "category", "autorange": "reversed", "automargin": False},
+            **{"tickfont": {"size": 11}, "showgrid": False},
+        }
+        annotations.append(note(panel.title, left, top - share * 23 / height))
+        if panel.with_floor and floor is not None:
+            shapes.append(upright(tail, floor, FLOOR))
     annotations.append(
         note(f"bars: RMS of the repeatable gap in {axis.unit}", 1.0, 0.0, xanchor="right", yanchor="top", yshift=-14)
     )
@@ -212,9 +191,8 @@ def evidence(axis: AxisDiagnosis) -> DrawnFigure | None:
     if not rivals or not axis.effects:
         return None
     # a long name of several effects would leave no room for the others
-    chosen = (
-        effect_words(axis.effects[0].effect) if len(axis.effects) == 1 else f"The {len(axis.effects)} effects above"
-    )
+    count = len(axis.effects)
+    chosen = effect_words(axis.effects[0].effect) if count == 1 else f"The {count} effects above"
     rows = [(chosen, 0.0, AFTER), *((effect_words(r.effect), r.behind, _colour(axis, r)) for r in rivals)]
     names, behind, colours = zip(*rows, strict=True)
     places = [_signed_power(value) for value in behind]

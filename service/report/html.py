@@ -85,11 +85,9 @@ class ReportPage:
         """Add plain text in rows; `first`: CSS class of the first column."""
         head, rows = list(head), list(rows)
         top = "".join(f"<th>{escape(cell).replace('± ', '±&nbsp;')}</th>" for cell in head)
+        cell = (f'<td class="{first}">', "<td>")
         body = "".join(
-            f'<tr><td class="{first}">{escape(row[0])}</td>'
-            + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
-            + "</tr>"
-            for row in rows
+            f"<tr>{''.join(f'{cell[k > 0]}{escape(text)}</td>' for k, text in enumerate(row))}</tr>" for row in rows
         )
         table = f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
         self._parts.append(f'<div class="card scroll">{table}</div>')
@@ -107,32 +105,29 @@ class ReportPage:
 
     def html(self) -> str:
         """The file; nothing in it is loaded or run."""
-        return "\n".join(
-            (
-                "<!doctype html>",
-                '<html lang="en"><head><meta charset="utf-8">',
-                '<meta name="viewport" content="width=device-width, initial-scale=1">',
-                f"<title>{escape(self._title)}</title><style>{_style('screen')}</style></head><body><main>",
-                *_Typesetting(paper=False).pieces(self._parts),
-                "</main></body></html>",
-            )
-        )
+        parts = [
+            "<!doctype html>",
+            '<html lang="en"><head><meta charset="utf-8">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f"<title>{escape(self._title)}</title><style>{_style('screen')}</style></head><body><main>",
+            *_Typesetting(paper=False).pieces(self._parts),
+            "</main></body></html>",
+        ]
+        return "\n".join(parts)
 
     def paper_html(self) -> str:
         """As `html`, for paper; the table of contents is after the first page."""
         setting = _Typesetting(paper=True)
-        first = list(setting.pieces(self._parts[: self._first]))
-        rest = list(setting.pieces(self._parts[self._first :]))
-        return "\n".join(
-            (
-                '<!doctype html><html lang="en"><head><meta charset="utf-8">',
-                f"<title>{escape(self._title)}</title><style>{_style('paper')}</style></head><body>",
-                *first,
-                setting.contents(),
-                *rest,
-                "</body></html>",
-            )
-        )
+        first, rest = (list(setting.pieces(p)) for p in (self._parts[: self._first], self._parts[self._first :]))
+        parts = [
+            '<!doctype html><html lang="en"><head><meta charset="utf-8">',
+            f"<title>{escape(self._title)}</title><style>{_style('paper')}</style></head><body>",
+            *first,
+            setting.contents(),
+            *rest,
+            "</body></html>",
+        ]
+        return "\n".join(parts)
 
     def pdf(self) -> bytes:
         """A4, with table of contents and numbered figures; NoPdf says what must be installed."""

@@ -21,6 +21,7 @@ from service.report.drawing import (
     figure,
     line,
     note,
+    panels,
     points,
     rounded,
     scale,
@@ -40,11 +41,8 @@ def amplitude_responses(analysis: InitialAnalysis, *, linear: bool = False) -> D
     for number, pose in enumerate(poses):
         share = number / max(len(poses) - 1, 1)
         # colours of the lightest and the heaviest pose
-        # colours of the lightest and the heaviest pose
-        colour = "#" + "".join(
-            f"{int(value):02x}"
-            for value in (1 - share) * (np.array([14, 165, 233])) + share * (np.array([124, 45, 18]))
-        )
+        mixed = (1 - share) * np.array([14, 165, 233]) + share * np.array([124, 45, 18])
+        colour = "#" + "".join(f"{int(value):02x}" for value in mixed)
         frequency = pose.response.frequency
         name = f"J = {pose.fit.inertia.value:.0f} {_unit(linear)}"
         measured = points(name, rounded(frequency), 1 / np.abs(pose.response.impedance), colour, size=4)
@@ -64,43 +62,34 @@ def amplitude_responses(analysis: InitialAnalysis, *, linear: bool = False) -> D
 def ideal_frequencies(analysis: InitialAnalysis, *, linear: bool = False) -> DrawnFigure:
     """Fig. 1b in every pose: apparent inertia |Z|/ω, its asymptotes, and the ideal frequency between their ends."""
     poses = sorted(analysis.poses, key=lambda pose: pose.fit.inertia.value)
-    columns = 3
-    rows = -(-len(poses) // columns)
     traces: list[Part] = []
     annotations: list[Drawn] = []
     shapes: list[Drawn] = []
     layout: dict[str, Drawn] = {
-        "height": 40 + 290 * rows,
+        "height": 40 + 290 * -(-len(poses) // 3),
         "showlegend": False,
         "annotations": annotations,
         "shapes": shapes,
     }
-    for k, pose in enumerate(poses):
-        number = "" if k == 0 else str(k + 1)
-        row, column = divmod(k, columns)
-        left, top, width, height = column / columns, 1 - row / rows, 1 / columns, 1 / rows
-        here: Part = {"xaxis": f"x{number}", "yaxis": f"y{number}"}
-        ends = _ends(pose)
+    for pose, (here, left, top, width, height) in zip(poses, panels(len(poses)), strict=True):
+        number, ends = str(here["xaxis"])[1:], _ends(pose)
         traces += [{**trace, **here} for trace in _one_pose(analysis, pose, ends)]
         layout[f"xaxis{number}"] = {
             **scale("frequency in Hz"),
             **_LOG,
             "tickvals": [0.1, 1, 10],
             "domain": [left + 0.13 * width, left + 0.97 * width],
-            "anchor": f"y{number}",
+            "anchor": here["yaxis"],
             "range": [math.log10(end) for end in ends],
         }
         layout[f"yaxis{number}"] = {
-            **scale(f"|Γ/Ω|/ω in {_unit(linear)}" if column == 0 else ""),
+            **scale(f"|Γ/Ω|/ω in {_unit(linear)}" if left == 0 else ""),
             **DECADES,
             "domain": [top - 0.8 * height, top - 0.12 * height],
-            "anchor": f"x{number}",
+            "anchor": here["xaxis"],
         }
-        told = (
-            f"J = {pose.fit.inertia.value:.0f} {_unit(linear)}, ideal {_ideal(pose, '.2g')} Hz → "
-            f"{pose.fit.sweep_frequency:.0f} Hz"
-        )
-        annotations.append(note(told, left + 0.13 * width, top - 0.1 * height))
+        told = f"J = {pose.fit.inertia.value:.0f} {_unit(linear)}, ideal {_ideal(pose, '.2g')} Hz → "
+        annotations.append(note(f"{told}{pose.fit.sweep_frequency:.0f} Hz", left + 0.13 * width, top - 0.1 * height))
         shapes += [
             upright(number, frequency, colour, 1.2, "dot")
             for frequency, colour in (
@@ -130,10 +119,7 @@ def table(
             rows.append(
                 [
                     joint,
-                    ", ".join(
-                        f"{1e3 * place if number in slides else math.degrees(place):.0f}"
-                        for number, place in enumerate(pose.pose)
-                    ),
+                    ", ".join(f"{1e3 * at if k in slides else math.degrees(at):.0f}" for k, at in enumerate(pose.pose)),
                     " ± ".join(with_std(fit.inertia.value, fit.inertia.std)),
                     _locked_rotor(pose),
                     f"{' ± '.join(with_std(fit.corner.value, fit.corner.std))} ({read.corner.value:.2f})",
@@ -166,18 +152,12 @@ def _one_pose(analysis: InitialAnalysis, pose: PoseAnalysis, ends: tuple[float, 
     measured = points("measured", rounded(frequency), np.abs(pose.response.impedance) / omega, MEASURED, size=3.5)
     level = np.array([ends[0], read.locked_rotor.value])
     friction = np.array([ends[0], max(3 * read.corner.value, 3 * ends[0])])
+    resistance = max(read.friction.value, 1e-9) / (2 * np.pi * friction)
     return [
         measured,
         line("fit", rounded(fine), np.abs(_fitted(analysis, pose, fine)) / (2 * np.pi * fine), IDENTIFIED, width=1.2),
-        line("inertia", rounded(level), np.full(2, read.inertia.value), "#475569", dash="dash", width=1.2),
-        line(
-            "friction",
-            rounded(friction),
-            max(read.friction.value, 1e-9) / (2 * np.pi * friction),
-            "#475569",
-            dash="dash",
-            width=1.2,
-        ),
+        line("inertia", rounded(level), np.full(2, read.inertia.value), "#475569", "dash", 1.2),
+        line("friction", rounded(friction), resistance, "#475569", "dash", 1.2),
     ]
 
 

@@ -147,12 +147,10 @@ def _accuracy(page: ReportPage, content: Content, axes: Sequence[ReportedAxis]) 
             "each measured inertia. Workspace: the models that follow, over all free poses of the cell's grid. "
             "Median of the absolute errors, in brackets the 95th percentile.</p>"
         )
-        page.table(
-            ["error against the truth in %", *content.truth_columns], [[r.label, *r.figures] for r in content.truth]
-        )
-    page.add(
-        "<h3>Residuals</h3>", "<p>Each measured inertia against the identified model, with two standard deviations.</p>"
-    )
+        rows = [[row.label, *row.figures] for row in content.truth]
+        page.table(["error against the truth in %", *content.truth_columns], rows)
+    told = "Each measured inertia against the identified model, with two standard deviations."
+    page.add("<h3>Residuals</h3>", f"<p>{told}</p>")
     page.figure(figures.residuals(axes))
     if any(math.isfinite(value) for axis in axes for value in axis.paper):
         page.add(

@@ -86,8 +86,10 @@ def drawn(figure: DrawnFigure, width: float = WIDTH) -> Canvas:
             match trace.get("type", "scatter"):
                 case "bar":
                     _bars(panels.axes[pair], trace, x, y, bars, layout)
-                case "heatmap" | "contour" as kind:
-                    {"heatmap": _field, "contour": _levels}[kind](canvas, panels.axes[pair], trace, x, y)
+                case "heatmap":
+                    _field(canvas, panels.axes[pair], trace, x, y)
+                case "contour":
+                    _levels(panels.axes[pair], trace, x, y)
                 case "scatter" if trace["mode"] == "lines":
                     _curve(panels.axes[pair], trace, x, y, before, patterns)
                     before = y
@@ -268,12 +270,7 @@ def _points(axes: Axes, trace: Words, x: NDArray[np.float64], y: NDArray[np.floa
 
 
 def _bars(
-    axes: Axes,
-    trace: Words,
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    bars: Sequence[Words],
-    layout: Words,
+    axes: Axes, trace: Words, x: NDArray[np.float64], y: NDArray[np.float64], bars: Sequence[Words], layout: Words
 ) -> None:
     if trace not in bars:
         return
@@ -304,8 +301,7 @@ def _field(canvas: Canvas, axes: Axes, trace: Words, x: NDArray[np.float64], y: 
     key.set_title(_plain(trace["colorbar"]["title"]["text"]), size=12, loc="left")
 
 
-def _levels(canvas: Canvas, axes: Axes, trace: Words, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-    del canvas
+def _levels(axes: Axes, trace: Words, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
     if len(x) > 1 and len(y) > 1:
         drawn = axes.contour(
             x, y, _matrix(trace["z"]), trace["ncontours"], colors=trace["line"]["color"], linewidths=0.8

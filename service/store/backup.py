@@ -31,7 +31,7 @@ from service.model.errors import BadInput, SweepidError
 from service.store.database import known_schemas, unknown_schema
 from service.store.engines import BUSY_TIMEOUT, parsed_url
 from service.store.files.data_folder import FILE as OWNER, read_owner
-from service.store.files.recordings import RecordingFiles, file_sha256, place_folder, sync
+from service.store.files.recordings import RecordingFiles, check_new, file_sha256, place_folder, sync
 
 FILE = "manifest.json"
 DATA = "data"
@@ -290,7 +290,8 @@ def make_backup(database: Path, data_dir: Path, target: Path) -> Manifest:
         sync(copied)
         found = look(copied, contents).of_machine(machine_of(data_dir))
         stored = {DATABASE: StoredFile(size=copied.stat().st_size, sha256=file_sha256(copied))}
-        stored |= _copy_owner(data_dir, copied.parent, found)
+        if check_owner(data_dir, found):
+            stored[OWNER] = copy_file(data_dir / OWNER, copied.parent / OWNER)
         in_store: dict[str, str] = {}
         for path, sha256 in found.files.items():
             if sha256 is not None and not (data_dir / path).exists() and _is_moved(database, found, path):
@@ -332,10 +333,6 @@ def machine_of(data_dir: Path) -> int:
 def _is_moved(database: Path, found: Contents, path: str) -> bool:
     """Whether the recording is in the object store: it may have been moved after the copy was made."""
     return path in found.moved or path in look(database, contents).moved
-
-
-def _copy_owner(data_dir: Path, target: Path, found: Contents) -> dict[str, StoredFile]:
-    return {OWNER: copy_file(data_dir / OWNER, target / OWNER)} if check_owner(data_dir, found) else {}
 
 
 def _copy_named(data_dir: Path, target: Path, path: str, sha256: str | None) -> StoredFile:
@@ -380,8 +377,7 @@ def restore(backup: Path, data_dir: Path) -> Manifest:
     BadInput, and nothing is left, otherwise; NotCopied for disk errors.
     """
     backup, data_dir = backup.resolve(), data_dir.resolve()
-    if data_dir.exists() and (not data_dir.is_dir() or any(data_dir.iterdir())):
-        raise BadInput(str(data_dir), "exists already and is not an empty folder")
+    check_new(data_dir)
     if data_dir.is_mount():
         raise BadInput(str(data_dir), "is a mount point and cannot be replaced: give a new folder in it")
     manifest = check_backup(backup)

@@ -7,7 +7,7 @@ Every method is one transaction and blocks, as in `service.store.store`; raises 
 from collections.abc import Sequence
 
 from pydantic import JsonValue
-from sqlalchemy import select
+from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
 from service.model.errors import Conflict
@@ -51,7 +51,8 @@ class DiagnosisStore(rows.Transactions):
             row = _add(session, new)
             for result in parent.results:
                 if result.joint in kept:
-                    _add_result(session, row.id, result.joint, result.verdict, result.document)
+                    own = {"joint": result.joint, "verdict": result.verdict, "document": result.document}
+                    rows.added(session, t.AxisDiagnosisRow(diagnosis_id=row.id, **own))
             return rows.document(DiagnosisDocument, row)
 
     def diagnosis(self, diagnosis_id: int) -> DiagnosisDocument:
@@ -96,7 +97,8 @@ class DiagnosisStore(rows.Transactions):
         with self._database.write() as session:
             row = _own(session, diagnosis_id)
             if row.state in _OPEN and joint not in row.verdicts:
-                _add_result(session, diagnosis_id, joint, verdict, document)
+                new = t.AxisDiagnosisRow(diagnosis_id=diagnosis_id, joint=joint, verdict=verdict, document=document)
+                rows.added(session, new)
                 _emit(session, row)
 
     def finish(self, diagnosis_id: int, document: Document) -> None:
@@ -172,9 +174,7 @@ class DiagnosisStore(rows.Transactions):
     def of_experiment(self, campaign_id: int) -> DiagnosisEntry | None:
         """The diagnosis that has this campaign as its experiment."""
         query = select(t.DiagnosisRow).where(t.DiagnosisRow.experiment_campaign_id == campaign_id)
-        with self._database.read() as session:
-            row = session.scalar(query)
-            return None if row is None else rows.document(DiagnosisEntry, row)
+        return self._first(DiagnosisEntry, query)
 
     def attend(self, cause: str, diagnosis_id: int | None = None) -> None:
         """From now on a person approves experiments: of this diagnosis, or (None) all unattended of this machine."""
@@ -208,11 +208,6 @@ def _add(session: Session, new: NewDiagnosis) -> t.DiagnosisRow:
     rows.added(session, row)
     _emit(session, row)
     return row
-
-
-def _add_result(session: Session, diagnosis_id: int, joint: str, verdict: str, document: Document) -> None:
-    new = t.AxisDiagnosisRow(diagnosis_id=diagnosis_id, joint=joint, verdict=verdict, document=document)
-    rows.added(session, new)
 
 
 def _move(session: Session, row: t.DiagnosisRow, state: DiagnosisState, cause: str = "") -> None:
@@ -276,7 +271,7 @@ class ModelStore(rows.Transactions):
                     f"diagnosis {diagnosis_id} was already accepted as model {before.id}; diagnose again "
                     "from that model"
                 )
-            newest = _newest(session, diagnosis.robot_id)
+            newest = session.scalar(_by_revision(diagnosis.robot_id).limit(1))
             if (None if newest is None else newest.id) != parent:
                 raise Conflict(f"another model of robot {diagnosis.robot_id} was accepted in the meantime")
             row = t.ModelRow(
@@ -294,9 +289,7 @@ class ModelStore(rows.Transactions):
 
     def newest(self, robot_id: int) -> ModelDocument | None:
         """The last revision of a robot's model."""
-        with self._database.read() as session:
-            row = _newest(session, robot_id)
-            return None if row is None else rows.document(ModelDocument, row)
+        return self._first(ModelDocument, _by_revision(robot_id))
 
     def models(self, robot_id: int | None = None, after: int = 0, limit: int = 100) -> tuple[ModelDocument, ...]:
         """A page of all models, or of one robot's."""
@@ -306,6 +299,6 @@ class ModelStore(rows.Transactions):
         return self._all(ModelDocument, query)
 
 
-def _newest(session: Session, robot_id: int) -> t.ModelRow | None:
-    query = select(t.ModelRow).where(t.ModelRow.robot_id == robot_id).order_by(t.ModelRow.revision.desc()).limit(1)
-    return session.scalar(query)
+def _by_revision(robot_id: int) -> Select[t.ModelRow]:
+    """The models of a robot, the newest first."""
+    return select(t.ModelRow).where(t.ModelRow.robot_id == robot_id).order_by(t.ModelRow.revision.desc())

@@ -5,7 +5,6 @@ The states are defined here because rows contain them. `service.planning.campaig
 
 import hashlib
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from enum import Enum
@@ -22,8 +21,6 @@ from service.model.results.effect import ModelRevision
 from service.model.results.estimate import Estimate
 from service.model.results.part import JsonOf
 from service.model.robot import Robot, RobotDescription, build_robot
-
-Json = Mapping[str, JsonValue]
 
 LARGEST_ID = 2**31 - 1  # maximum of the integer column of every database
 

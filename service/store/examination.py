@@ -103,10 +103,8 @@ def examined(url: str, password_file: Path | None = None) -> SqliteFile | Server
 
 
 def _contents(connection: Connection) -> Contents:
-    def rows(statement: str) -> list[tuple[str, ...]]:
-        return [tuple(row) for row in connection.exec_driver_sql(statement)]
-
-    return contents_of(set(inspect(connection).get_table_names()), rows)
+    tables = set(inspect(connection).get_table_names())
+    return contents_of(tables, lambda statement: [tuple(row) for row in connection.exec_driver_sql(statement)])
 
 
 def _wrong(connection: Connection) -> Iterator[tuple[str, str]]:

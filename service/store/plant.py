@@ -296,11 +296,10 @@ class BatchStore(rows.Transactions):
     def result(self, batch_id: int, campaign_id: int) -> BatchEstimate:
         row = t.BatchResultRow
         query = select(row).where(row.batch_id == batch_id, row.campaign_id == campaign_id)
-        with self._database.read() as session:
-            found = session.scalar(query)
-            if found is None:
-                raise NotFound(f"job {batch_id} has no result of campaign {campaign_id}")
-            return rows.document(BatchEstimate, found)
+        found = self._first(BatchEstimate, query)
+        if found is None:
+            raise NotFound(f"job {batch_id} has no result of campaign {campaign_id}")
+        return found
 
 
 def _own(session: Session, batch_id: int) -> t.BatchRow:

@@ -11,12 +11,7 @@ from drivers.errors import Cause
 from service.model.errors import Conflict, NotFound
 from service.store import tables as t
 from service.store.database import Database
-from service.store.documents import (
-    EventKind,
-    NewSweep,
-    SweepDocument,
-    SweepState,
-)
+from service.store.documents import EventKind, NewSweep, SweepDocument, SweepState
 
 Row = TypeVar("Row", bound=t.StoredRow)
 Kind = TypeVar("Kind", bound=BaseModel)
@@ -43,6 +38,11 @@ class Transactions:
         """The row by its key, as a document. NotFound names it."""
         with self._database.read() as session:
             return document(kind, get(session, table, key, name))
+
+    def _first(self, kind: type[Kind], query: Select[Any]) -> Kind | None:
+        """The first row of a query, as a document; None if there is none."""
+        with self._database.read() as session:
+            return next(iter(documents(kind, session, query.limit(1))), None)
 
     def _all(
         self, kind: type[Kind], query: Select[Any], own: InstrumentedAttribute[int] | None = None
@@ -147,8 +147,7 @@ def add_sweeps(
 ) -> list[t.SweepRow]:
     """Insert a campaign of this service's machine with its sweeps, numbered from 1."""
     campaign.machine_id = own_id(session)
-    session.add(campaign)
-    session.flush()
+    added(session, campaign)
     new = [
         t.SweepRow(
             campaign_id=campaign.id,

@@ -5,7 +5,7 @@ Raises `NotFound` for what is not there, `Conflict` (from a move) for what does 
 A page of a list is what has an id (number, revision) above `after`, in that order, at most `limit`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from types import MappingProxyType
 
 from pydantic import JsonValue
@@ -136,6 +136,13 @@ class Store(rows.Transactions):
                 raise NotFound(f"campaign {campaign_id} sweep {number} has no recording")
             return rows.document(RecordingDocument, row)
 
+    def recorded_sweeps(
+        self, campaign_id: int, states: Collection[SweepState]
+    ) -> list[tuple[SweepSpec, RecordingDocument]]:
+        """The sweeps of a campaign that are in these states and their recordings, by number."""
+        recordings = self.recordings(campaign_id)
+        return [(sweep.spec, recordings[sweep.number]) for sweep in self.sweeps(campaign_id) if sweep.state in states]
+
     def recordings(self, campaign_id: int) -> dict[int, RecordingDocument]:
         """Of every sweep that has one, by number: that of its latest attempt."""
         query = (
@@ -160,15 +167,14 @@ class Store(rows.Transactions):
     def estimate(self, campaign_id: int, revision: int | None = None) -> EstimateDocument:
         """A revision, or the latest."""
         query = select(t.EstimateRow).where(t.EstimateRow.campaign_id == campaign_id)
-        query = query.order_by(t.EstimateRow.revision.desc()).limit(1)
+        query = query.order_by(t.EstimateRow.revision.desc())
         if revision is not None:
             query = query.where(t.EstimateRow.revision == revision)
-        with self._database.read() as session:
-            row = session.scalar(query)
-            if row is None:
-                which = "estimate" if revision is None else f"estimate revision {revision}"
-                raise NotFound(f"campaign {campaign_id} has no {which}")
-            return rows.document(EstimateDocument, row)
+        found = self._first(EstimateDocument, query)
+        if found is None:
+            which = "estimate" if revision is None else f"estimate revision {revision}"
+            raise NotFound(f"campaign {campaign_id} has no {which}")
+        return found
 
     def estimated(self, robot_id: int) -> tuple[EstimateOf, ...]:
         """The latest revision of each campaign of a robot that has an estimate, the newest first."""

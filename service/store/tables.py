@@ -21,7 +21,16 @@ from sqlalchemy import (
     func,
     select,
 )
-from sqlalchemy.orm import DeclarativeBase, Mapped, Session, column_property, mapped_column, object_session
+from sqlalchemy.orm import (
+    DeclarativeBase,
+    InstrumentedAttribute,
+    Mapped,
+    MappedSQLExpression,
+    Session,
+    column_property,
+    mapped_column,
+    object_session,
+)
 
 from drivers.ports import SweepMode
 from service.store.access import Role
@@ -46,8 +55,11 @@ def now() -> datetime:
     return datetime.now(UTC)
 
 
-def _states(kind: type[Enum]) -> SqlEnum:
-    # stored as their values, as everywhere outside
+KINDS = (CampaignState, SweepState, RecordingState, EventKind, DiagnosisState, BatchState, SweepMode, Role)
+
+
+def _stored(kind: type[Enum]) -> SqlEnum:
+    """By the values of its members, as everywhere outside."""
     return SqlEnum(kind, native_enum=False, length=16, values_callable=_values)
 
 
@@ -63,15 +75,14 @@ class StoredRow(DeclarativeBase):
         dict[str, JsonValue]: JSON(none_as_null=True),
         list[int]: JSON(),
         list[str]: JSON(),
-        CampaignState: _states(CampaignState),
-        SweepState: _states(SweepState),
-        RecordingState: _states(RecordingState),
-        EventKind: _states(EventKind),
-        DiagnosisState: _states(DiagnosisState),
-        BatchState: _states(BatchState),
-        SweepMode: _states(SweepMode),
-        Role: _states(Role),
-    }
+    } | {kind: _stored(kind) for kind in KINDS}
+
+
+class NumberedRow(StoredRow):
+    """A row with a number of its own."""
+
+    __abstract__ = True
+    id: Mapped[int] = mapped_column(primary_key=True, sort_order=-1)  # the first column
 
 
 class OwnMachine(NamedTuple):
@@ -105,23 +116,21 @@ def session_of(row: object) -> Session:
     return cast(Session, object_session(row))
 
 
-class MachineRow(StoredRow):
+class MachineRow(NumberedRow):
     """One row a cell's machine; `machine_id` elsewhere is its id."""
 
     __tablename__ = "machine"
-    id: Mapped[int] = mapped_column(primary_key=True)
     name: Mapped[str] = mapped_column(String(64), unique=True)
     robot_id: Mapped[int | None]  # robot and cell as its service has them configured; None: not configured
     cell: Mapped[str | None]
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
-class RobotRow(StoredRow):
+class RobotRow(NumberedRow):
     """`serial` and `revision` as the description has them: which robot of several of one name it is."""
 
     __tablename__ = "robot"
     __table_args__ = (Index("ix_robot_name_serial", "name", "serial"),)
-    id: Mapped[int] = mapped_column(primary_key=True)
     sha256: Mapped[str] = mapped_column(String(64), unique=True)  # of description and URDF
     name: Mapped[str]
     serial: Mapped[str | None] = mapped_column(String(100))
@@ -131,19 +140,17 @@ class RobotRow(StoredRow):
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
-class PlanRow(StoredRow):
+class PlanRow(NumberedRow):
     __tablename__ = "plan"
-    id: Mapped[int] = mapped_column(primary_key=True)
     robot_id: Mapped[int] = mapped_column(ForeignKey("robot.id"))
     document: Mapped[dict[str, JsonValue]]
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
-class ApprovalRow(StoredRow):
+class ApprovalRow(NumberedRow):
     """Append-only. It holds for one machine."""
 
     __tablename__ = "approval"
-    id: Mapped[int] = mapped_column(primary_key=True)
     machine_id: Mapped[int]
     plan_id: Mapped[int] = mapped_column(ForeignKey("plan.id"), index=True)
     sha256: Mapped[str] = mapped_column(String(64))  # of all that decides what the plan moves
@@ -153,9 +160,8 @@ class ApprovalRow(StoredRow):
     last_stop: Mapped[int]  # id of the machine's last stop before it, 0: none
 
 
-class CampaignRow(OfMachine, StoredRow):
+class CampaignRow(OfMachine, NumberedRow):
     __tablename__ = "campaign"
-    id: Mapped[int] = mapped_column(primary_key=True)
     machine_id: Mapped[int] = mapped_column(index=True)  # runs it, and has its files
     robot_id: Mapped[int] = mapped_column(ForeignKey("robot.id"))
     plan_id: Mapped[int | None] = mapped_column(ForeignKey("plan.id"))
@@ -173,10 +179,9 @@ class CampaignRow(OfMachine, StoredRow):
         return dict(session_of(self).execute(counts).all())
 
 
-class SweepRow(StoredRow):
+class SweepRow(NumberedRow):
     __tablename__ = "sweep"
     __table_args__ = (UniqueConstraint("campaign_id", "number"), Index("ix_sweep_state", "state"))
-    id: Mapped[int] = mapped_column(primary_key=True)
     campaign_id: Mapped[int] = mapped_column(ForeignKey("campaign.id"))
     number: Mapped[int]
     spec: Mapped[dict[str, JsonValue]]
@@ -187,10 +192,15 @@ class SweepRow(StoredRow):
     attempt: Mapped[int] = mapped_column(default=0)
 
 
-class RecordingRow(StoredRow):
+def _of_sweep(sweep_id: Mapped[int], value: InstrumentedAttribute[int]) -> MappedSQLExpression[int]:
+    """The value of the sweep that a row belongs to."""
+    query = select(value).where(SweepRow.id == sweep_id).correlate_except(SweepRow)
+    return column_property(query.scalar_subquery())
+
+
+class RecordingRow(NumberedRow):
     __tablename__ = "recording"
     __table_args__ = (UniqueConstraint("sweep_id", "attempt"),)
-    id: Mapped[int] = mapped_column(primary_key=True)
     sweep_id: Mapped[int] = mapped_column(ForeignKey("sweep.id"))
     attempt: Mapped[int]
     state: Mapped[RecordingState]
@@ -200,19 +210,14 @@ class RecordingRow(StoredRow):
     created_at: Mapped[datetime] = mapped_column(default=now)
     moved_at: Mapped[datetime | None] = mapped_column(index=True)  # read back from the object store as it was written
     pruned_at: Mapped[datetime | None]  # its samples were removed by the retention rule
-    campaign_id: Mapped[int] = column_property(
-        select(SweepRow.campaign_id).where(SweepRow.id == sweep_id).correlate_except(SweepRow).scalar_subquery()
-    )
-    number: Mapped[int] = column_property(
-        select(SweepRow.number).where(SweepRow.id == sweep_id).correlate_except(SweepRow).scalar_subquery()
-    )
+    campaign_id: Mapped[int] = _of_sweep(sweep_id, SweepRow.campaign_id)
+    number: Mapped[int] = _of_sweep(sweep_id, SweepRow.number)
 
 
-class SpectrumRow(StoredRow):
+class SpectrumRow(NumberedRow):
     """Where the spectrum of an identified sweep lies."""
 
     __tablename__ = "spectrum_file"
-    id: Mapped[int] = mapped_column(primary_key=True)
     sweep_id: Mapped[int] = mapped_column(ForeignKey("sweep.id"), unique=True)
     path: Mapped[str]
     sha256: Mapped[str] = mapped_column(String(64))
@@ -225,29 +230,25 @@ class IdentityRow(StoredRow):
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
 
 
-class EstimateRow(StoredRow):
+class EstimateRow(NumberedRow):
     """Append-only, but that a fit of all sweeps replaces the last one. The unique sweep makes a result that comes twice
     count once.
     """
 
     __tablename__ = "estimate"
     __table_args__ = (UniqueConstraint("campaign_id", "revision"),)
-    id: Mapped[int] = mapped_column(primary_key=True)
     campaign_id: Mapped[int] = mapped_column(ForeignKey("campaign.id"))
     revision: Mapped[int]
     sweep_id: Mapped[int] = mapped_column(ForeignKey("sweep.id"), unique=True)
     document: Mapped[dict[str, JsonValue]]
     created_at: Mapped[datetime] = mapped_column(default=now)
-    number: Mapped[int] = column_property(
-        select(SweepRow.number).where(SweepRow.id == sweep_id).correlate_except(SweepRow).scalar_subquery()
-    )
+    number: Mapped[int] = _of_sweep(sweep_id, SweepRow.number)
 
 
-class DiagnosisRow(OfMachine, StoredRow):
+class DiagnosisRow(OfMachine, NumberedRow):
     """The unique parent makes a diagnosis go on once only, the unique campaign an experiment belong to one."""
 
     __tablename__ = "diagnosis"
-    id: Mapped[int] = mapped_column(primary_key=True)
     robot_id: Mapped[int] = mapped_column(ForeignKey("robot.id"))
     parent: Mapped[int | None] = mapped_column("parent_id", ForeignKey("diagnosis.id"), unique=True)
     # diagnosis and model refer to each other: this one is added when both tables are there
@@ -279,24 +280,22 @@ class DiagnosisRow(OfMachine, StoredRow):
         return {result.joint: result.verdict for result in self.results}
 
 
-class AxisDiagnosisRow(StoredRow):
+class AxisDiagnosisRow(NumberedRow):
     """Result of one axis's job. The unique pair makes a result that comes twice count once."""
 
     __tablename__ = "axis_diagnosis"
     __table_args__ = (UniqueConstraint("diagnosis_id", "joint"),)
-    id: Mapped[int] = mapped_column(primary_key=True)
     diagnosis_id: Mapped[int] = mapped_column(ForeignKey("diagnosis.id"))
     joint: Mapped[str]
     verdict: Mapped[str] = mapped_column(String(16))
     document: Mapped[dict[str, JsonValue]] = mapped_column(deferred=True)
 
 
-class ModelRow(StoredRow):
+class ModelRow(NumberedRow):
     """Append-only; a diagnosis becomes one model at most."""
 
     __tablename__ = "model"
     __table_args__ = (UniqueConstraint("robot_id", "revision"),)
-    id: Mapped[int] = mapped_column(primary_key=True)
     robot_id: Mapped[int] = mapped_column(ForeignKey("robot.id"))
     revision: Mapped[int]
     parent: Mapped[int | None] = mapped_column("parent_id", ForeignKey("model.id"))
@@ -306,11 +305,10 @@ class ModelRow(StoredRow):
     document: Mapped[dict[str, JsonValue]]
 
 
-class DataCheckRow(StoredRow):
+class DataCheckRow(NumberedRow):
     """What the check of the data found. The unique campaign makes a result that comes twice count once."""
 
     __tablename__ = "data_check"
-    id: Mapped[int] = mapped_column(primary_key=True)
     campaign_id: Mapped[int] = mapped_column(ForeignKey("campaign.id"), unique=True)
     document: Mapped[dict[str, JsonValue]]
     at: Mapped[datetime] = mapped_column(default=now)
@@ -326,11 +324,10 @@ class HoldRow(StoredRow):
     at: Mapped[datetime] = mapped_column(default=now)
 
 
-class BatchRow(OfMachine, StoredRow):
+class BatchRow(OfMachine, NumberedRow):
     """A computation over stored campaigns; what of `campaigns` has no result yet is still to do."""
 
     __tablename__ = "batch"
-    id: Mapped[int] = mapped_column(primary_key=True)
     kind: Mapped[str] = mapped_column(String(16))
     campaigns: Mapped[list[int]]
     asked_by: Mapped[str]
@@ -340,12 +337,11 @@ class BatchRow(OfMachine, StoredRow):
     finished_at: Mapped[datetime | None]
 
 
-class BatchResultRow(StoredRow):
+class BatchResultRow(NumberedRow):
     """Of one campaign. The unique pair makes a result that comes twice count once. `document`: None for a `cause`."""
 
     __tablename__ = "batch_result"
     __table_args__ = (UniqueConstraint("batch_id", "campaign_id"),)
-    id: Mapped[int] = mapped_column(primary_key=True)
     batch_id: Mapped[int] = mapped_column(ForeignKey("batch.id"))
     campaign_id: Mapped[int] = mapped_column(ForeignKey("campaign.id"))
     sweeps: Mapped[int]
@@ -355,12 +351,11 @@ class BatchResultRow(StoredRow):
     at: Mapped[datetime] = mapped_column(default=now)
 
 
-class EventRow(StoredRow):
+class EventRow(NumberedRow):
     """The outbox. AUTOINCREMENT: an id is never given twice, even after the newest row went."""
 
     __tablename__ = "event"
     __table_args__ = ({"sqlite_autoincrement": True},)
-    id: Mapped[int] = mapped_column(primary_key=True)
     machine_id: Mapped[int]
     campaign_id: Mapped[int | None] = mapped_column(ForeignKey("campaign.id"), index=True)
     kind: Mapped[EventKind]
@@ -387,11 +382,10 @@ class LeaseRow(StoredRow):
     renewals: Mapped[int]
 
 
-class StopRow(StoredRow):
+class StopRow(NumberedRow):
     """Every stop there was; its machine is latched while one has no `reset_at`."""
 
     __tablename__ = "stop"
-    id: Mapped[int] = mapped_column(primary_key=True)
     machine_id: Mapped[int]
     by: Mapped[str]
     why: Mapped[str]
@@ -401,11 +395,10 @@ class StopRow(StoredRow):
     reset_at: Mapped[datetime | None]
 
 
-class ApiKeyRow(StoredRow):
+class ApiKeyRow(NumberedRow):
     """A name is given once, so that the audit tells who it was."""
 
     __tablename__ = "api_key"
-    id: Mapped[int] = mapped_column(primary_key=True)
     name: Mapped[str] = mapped_column(String(100), unique=True)
     role: Mapped[Role]
     scopes: Mapped[list[str] | None] = mapped_column(JSON(none_as_null=True))
@@ -415,12 +408,11 @@ class ApiKeyRow(StoredRow):
     revoked_at: Mapped[datetime | None]
 
 
-class UserRow(StoredRow):
+class UserRow(NumberedRow):
     """A person. `password`: argon2's hash; None where a provider says who it is, by `issuer` and `subject`."""
 
     __tablename__ = "user_account"
     __table_args__ = (Index("ix_user_account_external", "issuer", "subject", unique=True),)
-    id: Mapped[int] = mapped_column(primary_key=True)
     name: Mapped[str] = mapped_column(String(100), unique=True)
     role: Mapped[Role]
     password: Mapped[str | None] = mapped_column(String(255))
@@ -430,11 +422,10 @@ class UserRow(StoredRow):
     disabled_at: Mapped[datetime | None]
 
 
-class SessionRow(StoredRow):
+class SessionRow(NumberedRow):
     """A browser in which a person is logged in. `sha256`: of what its cookie has."""
 
     __tablename__ = "user_session"
-    id: Mapped[int] = mapped_column(primary_key=True)
     user_id: Mapped[int] = mapped_column(ForeignKey("user_account.id"))
     sha256: Mapped[str] = mapped_column(String(64), unique=True)
     address: Mapped[str] = mapped_column(String(100))

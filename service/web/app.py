@@ -11,7 +11,7 @@ from starlette.middleware.cors import CORSMiddleware
 
 from service.machine.stop_process.handle import StopProcess
 from service.process.settings import Settings
-from service.report import makes_pdf
+from service.report.html import makes_pdf
 from service.web.api import (
     bundles,
     campaigns,

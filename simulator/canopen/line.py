@@ -13,6 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import partial
 from math import inf, tau
 from pathlib import Path
@@ -194,7 +195,6 @@ class CanBus:
         """Nothing to do: nothing is buffered."""
 
     def close(self) -> None:
-        """Release the bus."""
         self._unregister()
         if isinstance(self._inbox, _Inbox):
             self._inbox.close()
@@ -304,17 +304,17 @@ def parse_send(identifier: str, length: str, data: Sequence[str]) -> SentFrame |
     return SentFrame(Frame(number, bytes(int(byte, 16) for byte in data)), extended)
 
 
+@dataclass(eq=False, slots=True)
 class _Client:
     """One connection: ``hi`` sent, channel open, raw mode (on the bus)."""
 
-    def __init__(self, connection: socket.socket) -> None:
-        self.connection = connection
-        self.received = bytearray()
-        self.unsent = bytearray()
-        self.opened = False
-        self.raw = False
-        self.joining = 0.0
-        """Until then frames are buffered: python-can treats data directly after the last ``< ok >`` as an error."""
+    connection: socket.socket
+    received: bytearray = field(default_factory=bytearray)
+    unsent: bytearray = field(default_factory=bytearray)
+    opened: bool = False
+    raw: bool = False
+    joining: float = 0.0
+    """Until then frames are buffered: python-can treats data directly after the last ``< ok >`` as an error."""
 
 
 class SocketcandServer:
@@ -341,7 +341,6 @@ class SocketcandServer:
         selector.register(self._listener, selectors.EVENT_READ, self._accept)
 
     def send(self, frame: Frame) -> None:
-        """Send a frame to every client."""
         if not self._off:
             self._broadcast(frame, None)
 
@@ -363,7 +362,6 @@ class SocketcandServer:
         return max(min((c.joining for c in self._clients if c.joining), default=float("inf")) - now, 0.0)
 
     def run(self, now: float) -> None:
-        """Send buffered frames."""
         for client in list(self._clients):
             if client.joining and now >= client.joining:
                 self._join(client)
@@ -527,11 +525,9 @@ class CanLine:
         return self.bus.due(now)
 
     def run(self, now: float) -> None:
-        """Send buffered frames."""
         self.bus.run(now)
 
     def close(self) -> None:
-        """Release the bus."""
         self.bus.close()
 
     def _receive(self, frame: Frame) -> None:

@@ -451,12 +451,12 @@ class ForeignNode(CanopenNode[ForeignAxis]):
     @property
     def led_by_sync(self) -> bool:
         """Whether the set-points of the axis come with SYNC, which is then the clock of the machine."""
-        set_points = ((0x607A, 0), (0x60B0, 0), (0x60B1, 0), (0x60B2, 0), (0x60C1, 1), (0x60FF, 0))
+        set_points = {(0x607A, 0), (0x60B0, 0), (0x60B1, 0), (0x60B2, 0), (0x60C1, 1), (0x60FF, 0)}
         return (
             self.axis.following
             and self.nmt is Nmt.OPERATIONAL
             and self._synced is not None
-            and any(p.valid and p.synchronous and not p.entries.isdisjoint(set_points) for p in self._receive)
+            and any(p.valid and p.synchronous and not set_points.isdisjoint(p.keys) for p in self._receive)
         )
 
     @property

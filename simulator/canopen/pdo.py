@@ -53,12 +53,10 @@ class PdoChannel:
 
     @property
     def cob_id(self) -> int:
-        """The identifier on the bus."""
         return self._dictionary[self._communication, 1] & 0x7FF
 
     @property
     def valid(self) -> bool:
-        """Whether the PDO is in use."""
         return not self._dictionary[self._communication, 1] & _INVALID
 
     @property
@@ -91,11 +89,6 @@ class PdoChannel:
             d = self._dictionary
             self._mapped = tuple(_key(d[self._mapping, sub]) for sub in range(1, d[self._mapping, 0] + 1))
         return self._mapped
-
-    @property
-    def entries(self) -> frozenset[Key]:
-        """The mapped objects."""
-        return frozenset(self.keys)
 
     @property
     def size(self) -> int:

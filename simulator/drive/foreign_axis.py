@@ -197,7 +197,7 @@ class Guide:
         self.running = True  # interpolated position starts with bit 4 of the controlword
         self.halted = False
         self.limited = False  # a target was limited
-        self.stopped = False  # braked by a command: targets are ignored until `resume` or `start`
+        self.stopped = False  # braked by a command: targets are ignored until `start`, or until a halt ends
         self.hold(position)
 
     def hold(self, position: float) -> None:
@@ -207,7 +207,7 @@ class Guide:
         self.ramping = False
         self._time = 0.0  # since the start of the motion
         self._origin = position  # of the motion
-        self._target: float | None = None  # of the last move or interpolation
+        self.target: float | None = None  # of the last move or interpolation
         self._left = 0  # remaining cycles of the interpolation
 
     # Commands
@@ -215,25 +215,21 @@ class Guide:
     def move(self, position: float, target: float, *, relative: bool) -> None:
         """Start a profile position move."""
         if relative:
-            target += self.reference if self._target is None else self._target
+            target += self.reference if self.target is None else self.target
         low, high = self._units.window
-        self._target = min(max(target, low), high)
-        self.limited = self._target != target
+        self.target = min(max(target, low), high)
+        self.limited = self.target != target
         self._origin = position if self.ramping else self.reference
         limit = min(self._units.profile_limit, self._dictionary.get(0x6081) / abs(self._units.velocity))
         if limit > 0.0:
             up, down = self._units.ramp(0x6083), self._units.ramp(0x6084)
-            self._motion = travel(self._target - self._origin, self.command, limit, up, down)
+            self._motion = travel(self.target - self._origin, self.command, limit, up, down)
             self._time, self.ramping, self.stopped = 0.0, False, False
 
     def ramp_down(self, deceleration: float) -> None:
         """Brake to standstill with `deceleration`, rev/s^2, in any mode."""
         self._motion, self._time, self.ramping = brake(self.command, deceleration), 0.0, True
         self.stopped = True
-
-    def resume(self) -> None:
-        """Accept targets again after a halt."""
-        self.stopped = False
 
     # State
 
@@ -255,11 +251,6 @@ class Guide:
         return (
             self.mode in (Mode.PROFILE_POSITION, Mode.INTERPOLATED_POSITION, Mode.CYCLIC_POSITION) and not self.ramping
         )
-
-    @property
-    def target(self) -> float | None:
-        """Target of the last profile position move, rev."""
-        return self._target
 
     # Cycles
 
@@ -296,8 +287,8 @@ class Guide:
 
     def _interpolate_velocity(self, cycles: int) -> Array:
         goal = self._velocity_goal(self._units.speed_limit)
-        if goal != self._target:
-            self._target, self._left = goal, self.period
+        if goal != self.target:
+            self.target, self._left = goal, self.period
         speeds = np.empty(cycles)
         for k in range(cycles):
             if self._left > 0:
@@ -323,8 +314,8 @@ class Guide:
         low, high = self._units.window
         goal = min(max(asked, low), high)
         self.limited = goal != asked
-        if goal != self._target:
-            self._target, self._left = goal, self.period
+        if goal != self.target:
+            self.target, self._left = goal, self.period
         ahead = d.get(0x60B1) / self._units.velocity if cyclic else 0.0
         speeds = np.empty(cycles)
         for k in range(cycles):
@@ -394,7 +385,6 @@ class ForeignAxis(PowerDrive):
         return np.full(cycles, offset * 1e-3 * self.units.rated_torque) if offset else None
 
     def observe(self, samples: DriveSamples) -> None:
-        """Samples of the last cycles."""
         self.position, self.speed = float(samples.position[-1]), float(samples.speed.mean())
         self.torque = float(samples.torque.mean())
         span = len(samples.speed) * self._cycle
@@ -433,7 +423,7 @@ class ForeignAxis(PowerDrive):
             if self._after is not None:
                 self._release(self._after)
             elif self.state is DriveState.OPERATION_ENABLED and not self.guide.halted:
-                self.guide.resume()
+                self.guide.stopped = False
         if self.mode != self._asked and not self.moving:
             self._take_mode(self._asked)
 
@@ -468,7 +458,7 @@ class ForeignAxis(PowerDrive):
         now, guide = self._controlword, self.guide
         guide.halted = bool(now & 0x100)
         if before & ~now & 0x100 and not guide.ramping:
-            guide.resume()
+            guide.stopped = False
         if now & ~before & 0x100 and guide.moving and not guide.ramping and self.mode is not Mode.PROFILE_VELOCITY:
             self._brake(fast=self._dictionary[0x605D, 0] == 2, then=None)
         if self.mode is Mode.INTERPOLATED_POSITION:

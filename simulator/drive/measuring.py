@@ -138,15 +138,14 @@ class MeasuringFunction:
 
     @property
     def count(self) -> int:
-        """DriveSamples recorded so far."""
-        return self._trace.count
+        return self.trace.count
 
     def reset(self) -> None:
         """Discard everything, as at power-on."""
         self._setpoints: Array = np.empty(0)
         self._injected: Array = np.empty(0)
         self._next = 0
-        self._trace = DriveTrace(1, 0, self._cycle)
+        self.trace = DriveTrace(1, 0, self._cycle)
 
     def start(self, position: float, *, ready: bool) -> None:
         """Check the parameters and start from `position`, rev; otherwise set the reason of the rejection."""
@@ -170,14 +169,10 @@ class MeasuringFunction:
         """Store samples; the state is DONE after the last set-point."""
         if not self._dictionary.load_encoder:
             samples = replace(samples, load=np.full_like(samples.load, np.nan))
-        self._trace.extend(samples)
-        self._dictionary[0x2100, 0x0B] = self._trace.count
+        self.trace.extend(samples)
+        self._dictionary[0x2100, 0x0B] = self.trace.count
         if not self.driving:
             self._dictionary[0x2100, 2] = FunctionState.DONE
-
-    def falsify(self, sample: int, revolutions: float) -> None:
-        """Shift the motor encoder of a sample that is already recorded."""
-        self._trace.falsify(sample, revolutions)
 
     def stop(self) -> None:
         """No more set-points, torque and samples; call `aborted` when the axis stands."""
@@ -212,7 +207,7 @@ class MeasuringFunction:
             return Rejection.TORQUE
         stride = round(d[0x2100, 0x0A] * 1e-3 / self._cycle)
         self._setpoints, self._injected, self._next = setpoints, injected, 0
-        self._trace = DriveTrace(stride, len(setpoints) // stride, self._cycle, kind)
+        self.trace = DriveTrace(stride, len(setpoints) // stride, self._cycle, kind)
         d[0x2100, 0x0B] = 0
         return Rejection.NONE
 
@@ -236,7 +231,7 @@ class MeasuringFunction:
         return sweep if within and all(0 < frequency <= self.highest for frequency, _, _ in sines) else None
 
     def _page(self) -> bytes:
-        page = self._trace.page(self._dictionary[0x2110, 1], self._dictionary[0x2110, 2])
+        page = self.trace.page(self._dictionary[0x2110, 1], self._dictionary[0x2110, 2])
         if not page:
             raise SdoAbort(AbortCode.NO_DATA)
         return page

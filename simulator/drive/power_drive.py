@@ -308,7 +308,6 @@ class PowerDrive:
             self.publish()
 
     def disable_voltage(self) -> None:
-        """Torque off now."""
         if self.state is not DriveState.FAULT:
             self._obey(Command.DISABLE_VOLTAGE)
             self.publish()

@@ -29,7 +29,6 @@ class ControlParameters:
 
     @property
     def active(self) -> tuple[float, float]:
-        """Present gain and reset time."""
         return self._dictionary[0x2140, 1], self._dictionary[0x2140, 2]
 
     @property
@@ -38,7 +37,6 @@ class ControlParameters:
         return self.active != (self._dictionary[0x2140, 3], self._dictionary[0x2140, 4])
 
     def restore(self) -> None:
-        """Set the commissioned values."""
         d = self._dictionary
         d[0x2140, 1], d[0x2140, 2] = d[0x2140, 3], d[0x2140, 4]
 
@@ -248,7 +246,6 @@ class VirtualAxis(PowerDrive):
         return np.clip(speeds + correction, -limit, limit)
 
     def observe(self, samples: DriveSamples) -> None:
-        """Samples of the last cycles."""
         self.position, self.speed = float(samples.position[-1]), float(samples.speed.mean())
         if self.energised:
             d, torque = self._dictionary, float(samples.torque.mean())
@@ -280,7 +277,7 @@ class VirtualAxis(PowerDrive):
             d.set_actual(0x6064, round(d[0x6064, 0] + off * INCREMENTS))
             d.set_actual(0x606C, round(d[0x606C, 0] + off / span * self.limits.speed_unit))
             if recorded and glitch.at_sample is not None:
-                self.measuring.falsify(glitch.at_sample, off)
+                self.measuring.trace.falsify(glitch.at_sample, off)
             if abs(off) > self.limits.following_window:
                 self.fail(FaultCode.ENCODER)
         if code is not None:

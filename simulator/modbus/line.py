@@ -308,7 +308,6 @@ class PtyPair:
             selector.register(source, selectors.EVENT_READ, partial(self._carry, source, sink))
 
     def close(self) -> None:
-        """Remove both terminals."""
         for master in self._masters:
             self._selector.unregister(master)
         for end in (*self._masters, self._near_end, self._far_end):
@@ -472,7 +471,6 @@ class ModbusLine:
         """Nothing to do: nothing is buffered."""
 
     def close(self) -> None:
-        """Release the line."""
         self._server.close()
         if self._pair is not None:
             self._pair.close()

@@ -1,12 +1,10 @@
 """Signals of a register map in the drive: object of the dictionary and unit."""
 
-import math
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,7 +104,7 @@ def factor(dictionary: ObjectDictionary, key: Key) -> float:
 WordOrder = Literal["high_first", "low_first"]
 WireType = Literal["u16", "i16", "u32", "i32", "f32"]
 
-FORMATS: dict[WireType, str] = {"u16": ">H", "i16": ">h", "u32": ">I", "i32": ">i", "f32": ">f"}
+Words = NDArray[np.uint16]
 
 
 class RegisterMapError(ValueError):
@@ -121,31 +119,34 @@ class Wire(FileModel):
     unit: str | None = None
 
     @property
+    def kind(self) -> np.dtype[Any]:
+        """As bytes on the wire."""
+        return np.dtype(f">{self.type[0]}{int(self.type[1:]) // 8}")
+
+    @property
     def registers(self) -> int:
-        return struct.calcsize(FORMATS[self.type]) // 2
+        return self.kind.itemsize // 2
+
+    def words(self, values: NDArray[np.float64], order: WordOrder) -> Words:
+        """(n, registers) of n physical values. An integer type uses the nearest value it can hold; its lowest value
+        means NaN.
+        """
+        with np.errstate(over="ignore"):  # then it is infinite
+            raw = values / self.scale
+        if self.kind.kind != "f":
+            limits = np.iinfo(self.kind)
+            raw = np.where(np.isnan(raw), limits.min, np.clip(np.rint(raw), limits.min, limits.max))
+        words = raw.astype(self.kind)[:, None].view(">u2").astype(np.uint16)
+        return words if order == "high_first" else words[:, ::-1]
 
     def encode(self, value: float, order: WordOrder) -> list[int]:
-        """Registers of a physical value. An integer type uses the nearest value it can hold; its lowest value means
-        NaN.
-        """
-        ranges = {
-            "u16": (0, 0xFFFF),
-            "i16": (-0x8000, 0x7FFF),
-            "u32": (0, 0xFFFFFFFF),
-            "i32": (-0x80000000, 0x7FFFFFFF),
-        }
-        raw = value / self.scale
-        if self.type in ranges:
-            low, high = ranges[self.type]
-            raw = low if math.isnan(raw) else round(max(low, min(high, raw)))
-        words = [int(word) for word in struct.unpack(f">{self.registers}H", struct.pack(FORMATS[self.type], raw))]
-        return words if order == "high_first" else words[::-1]
+        """Registers of a physical value, as `words`."""
+        return [int(word) for word in self.words(np.array([value], np.float64), order)[0]]
 
     def decode(self, registers: Sequence[int], order: WordOrder) -> float:
         """The physical value of as many registers as there are."""
         words = registers if order == "high_first" else registers[::-1]
-        (raw,) = struct.unpack(FORMATS[self.type], struct.pack(f">{len(words)}H", *words))
-        return raw * self.scale
+        return float(np.array(words, ">u2").view(self.kind)[0]) * self.scale
 
 
 class MappedSignal(Wire):
@@ -250,8 +251,6 @@ def _check(name: str, signal: MappedSignal) -> None:
         raise ValueError(f"signals.{name}: value is needed for {CONSTANT} and not allowed elsewhere")
 
 
-Words = NDArray[np.uint16]
-
 _RECORD = np.dtype([(name, layout) for name, layout, _ in PAGE_RECORD])
 
 
@@ -261,19 +260,7 @@ def page_registers(page: bytes, trace: TraceMap, order: WordOrder, first: int, c
     sample, skipped = divmod(first, width)
     last = min(-(-(first + count) // width), trace.capacity)
     records = np.frombuffer(page, _RECORD)[sample:last]
-    words = np.hstack([_words(records[field.signal], field, order) for field in trace.sample]).ravel()
+    columns = [field.words(records[field.signal].astype(np.float64), order) for field in trace.sample]
+    words = np.hstack(columns).ravel()
     registers = [int(word) for word in words[skipped : skipped + count]]
     return registers + [0] * (count - len(registers))
-
-
-def _words(values: NDArray[np.float64], field: SampleField, order: WordOrder) -> Words:
-    """(n, registers) of one field. An integer type uses the nearest value it can hold; its lowest value means NaN."""
-    raw = values.astype(np.float64) / field.scale
-    if field.type == "f32":
-        numbers = raw.astype(">f4")
-    else:
-        kind = np.dtype(f">{field.type[0]}{int(field.type[1:]) // 8}")
-        limits = np.iinfo(kind)
-        numbers = np.where(np.isnan(raw), limits.min, np.clip(np.rint(raw), limits.min, limits.max)).astype(kind)
-    words = numbers[:, None].view(">u2").astype(np.uint16)
-    return words if order == "high_first" else words[:, ::-1]

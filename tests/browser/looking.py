@@ -69,6 +69,20 @@ _OTHER_INK = """() => [...document.querySelectorAll(".js-plotly-plot text")]
   .map((one) => one.textContent)"""
 
 
+_OVERLAPS = """([labels, others]) => {
+  const boxes = (found) => [...document.querySelectorAll(found)].map((one) => one.getBoundingClientRect());
+  const taken = boxes(others).filter((one) => one.width >= 1);
+  const meet = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
+  const frame = document.querySelector(labels).closest("svg").getBoundingClientRect();
+  return boxes(labels).filter((one) => one.left < frame.left || taken.some((other) => meet(one, other))).length;
+}"""
+
+
+def overlaps(page: Page, labels: str, others: str) -> int:
+    """How many labels reach out of their figure or over other marks; both by their selectors."""
+    return int(page.evaluate(_OVERLAPS, [labels, others]))
+
+
 def unlike_ink(page: Page) -> list[str]:
     """Texts of charts in another colour than the page's own, as of a chart drawn before the scheme changed."""
     return cast("list[str]", page.evaluate(_OTHER_INK))

@@ -68,6 +68,10 @@ def campaign(number: int = 1, **changed: object) -> Json:
     return rest | changed
 
 
+HELD: Json = {"id": 7, "by": "operator page", "why": "stop button", "at": "2026-03-02T12:00:00Z", "cause": None}
+"""A latched stop."""
+
+
 def cause(code: str, **fields: object) -> Json:
     """As in GET /campaigns."""
     return {"code": code, "joint": "", "value": None, "limit": None, "unit": "", "by": "", "detail": ""} | fields
@@ -97,6 +101,8 @@ class Scripted:
     """Connections for events that are open."""
     sockets: int = 0
     """Connections for live samples that were opened."""
+    offered: list[str] = field(default_factory=list[str])
+    """Subprotocols of the last of them."""
     known: set[str | None] | None = None
     """The keys that are valid; None: all, and no key."""
     frozen: set[str] = field(default_factory=set[str])
@@ -192,6 +198,7 @@ class Scripted:
     async def _live(self, socket: WebSocket) -> None:
         await socket.accept("sweepid.live")
         self.sockets += 1
+        self.offered = socket.scope["subprotocols"]
         while (await socket.receive())["type"] != "websocket.disconnect":
             pass
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Page, Route, expect
+from playwright.sync_api import Page, expect
 
 from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design, paper_design
 from service.model.configuration import read_robot
@@ -14,7 +14,8 @@ from service.model.recording import Recording, Sweep
 from service.store.files.bundle import write_bundle
 from service.web.client import ServiceClient
 from simulator import Scenario, SweepRun, load_scenario, run_sweeps
-from tests.browser.browsing import browsing, load_again
+from tests.browser.browsing import browsing
+from tests.browser.looking import overlaps
 from tests.programs import needs
 from tests.system.rest_bench import ROBOT, Service, VirtualMachine, serving, until, virtual_machine
 from tests.system.test_diagnosis_campaign import AXIS, hiding
@@ -88,15 +89,6 @@ def diagnose(page: Page, campaign: int) -> None:
     expect(page.locator("#shown-state")).to_have_text("done")
 
 
-OVERLAPS = """([labels, others]) => {
-    const boxes = (found) => [...document.querySelectorAll(found)].map((one) => one.getBoundingClientRect());
-    const taken = boxes(others).filter((one) => one.width >= 1);
-    const meet = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
-    const frame = document.querySelector(labels).closest("svg").getBoundingClientRect();
-    return boxes(labels).filter((one) => one.left < frame.left || taken.some((other) => meet(one, other))).length;
-}"""  # how many labels reach out of their figure or over other marks
-
-
 def test_a_named_effect_is_shown_and_accepted(service: Service, page: Page) -> None:
     page.set_viewport_size({"width": 800, "height": 1000})
     diagnose(page, BOTH_WAYS)
@@ -110,7 +102,7 @@ def test_a_named_effect_is_shown_and_accepted(service: Service, page: Page) -> N
     rows = page.locator("#rigid-parameters tr")
     expect(rows.last).to_contain_text("viscous friction")
     assert rows.count() > 1
-    assert page.evaluate(OVERLAPS, ["#figure-map [class^='yaxislayer'] text", "#figure-map .bars .point path"]) == 0
+    assert overlaps(page, "#figure-map [class^='yaxislayer'] text", "#figure-map .bars .point path") == 0
     caption = page.locator("#pictures p", has_text="Every other candidate").inner_text()
     with page.expect_popup() as report:
         page.get_by_role("link", name="Report").click()
@@ -125,42 +117,6 @@ def test_a_named_effect_is_shown_and_accepted(service: Service, page: Page) -> N
     page.locator("#language").select_option("de")
     expect(page.locator("#verdict")).to_contain_text(f"{AXIS}: Dem Modell fehlt: ")
     expect(page.locator("#verdict small")).to_contain_text(f"{AXIS}: the model lacks")  # the service's own words
-
-
-def test_what_is_known_in_part_the_check_of_the_data_and_where_it_started_are_shown(
-    service: Service, page: Page
-) -> None:
-    """A real document, of which an effect is known in part only; so that no machine must be found that does it."""
-    finding = {
-        "severity": "warning",
-        "code": "coarse_steps",
-        "sentence": "Torque has steps of 4 N m.",
-        "action": "Record finer.",
-    }
-
-    def in_part(route: Route) -> None:
-        found = route.fetch().json()
-        if found["document"]:
-            axis = found["document"]["axes"][AXIS]
-            axis |= {"verdict": "unknown", "part": axis["effects"], "effects": [], "data": [finding]}
-            axis |= {"started_from": "campaign 7, revision 3"}
-            found["estimate"] = {"campaign_id": 7, "revision": 3}
-        route.fulfill(json=found)
-
-    with ServiceClient(service.url) as client:
-        diagnosis = int(client.diagnosed(int(client.add_diagnosis([BOTH_WAYS], start="cad")["id"]))["id"])
-        page.route(f"**/api/v1/diagnoses/{diagnosis}", in_part)
-        page.goto(f"{service.url}/diagnosis#{diagnosis}", wait_until="commit")
-        load_again(page)
-        expect(page.locator("#part")).to_contain_text("Known in part; a part of the gap")
-        expect(page.locator("#part")).to_contain_text("Coulomb")
-        expect(page.locator("#effects")).to_be_empty()
-        expect(page.locator("#data")).to_contain_text(
-            "warning, resolution too coarse: Torque has steps of 4 N m. Record finer."
-        )
-        expect(page.locator("#rigid-before")).to_have_text("Estimate")
-        expect(page.locator("#shown-about")).to_contain_text("rigid model from the estimate of campaign 7, revision 3")
-        page.unroute_all(behavior="wait")
 
 
 def test_nothing_moves_before_the_experiment_is_approved_and_the_stop_is_at_hand(
@@ -194,45 +150,3 @@ def test_nothing_moves_before_the_experiment_is_approved_and_the_stop_is_at_hand
         page.get_by_role("button", name="End campaign").click()
         expect(page.locator("#campaign-state")).to_have_text("aborted")
         assert len(client.diagnoses()) == diagnoses  # nothing went on
-
-
-def test_a_measured_campaign_tells_of_its_data_and_no_name_lies_over_another(service: Service, page: Page) -> None:
-    page.set_viewport_size({"width": 320, "height": 900})
-    page.goto(f"{service.url}/#campaign-{BOTH_WAYS}", wait_until="commit")
-    expect(page.locator("#data-check")).to_contain_text("Data check: no finding.")
-    expect(page.locator("#chart .xtick text").first).to_be_visible()
-    assert page.evaluate(OVERLAPS, ["#chart .xtick text", "#chart .xtitle"]) == 0
-
-
-def test_a_test_mass_is_told_with_its_place_in_units_of_the_shop(service: Service, page: Page) -> None:
-    """The kind of experiment is another here than the service proposed; its refusal must be told."""
-
-    def with_mass(route: Route) -> None:
-        found = route.fetch().json()
-        if found["document"]:
-            found["document"]["axes"][AXIS]["next_experiment"]["kind"] = "test_mass"
-        route.fulfill(json=found)
-
-    with ServiceClient(service.url) as client:
-        diagnosis = int(client.diagnosed(int(client.add_diagnosis([ONE_WAY])["id"]))["id"])
-        campaigns = len(client.campaigns())
-        page.route(f"**/api/v1/diagnoses/{diagnosis}", with_mass)
-        page.goto(f"{service.url}/diagnosis#{diagnosis}", wait_until="commit")
-        load_again(page)
-        page.get_by_role("textbox", name="Cell", exact=True).fill("workshop")
-        page.get_by_role("button", name="Prepare").click()
-        told = {"#mass-kg": "40", "#mass-x": "100", "#mass-y": "0", "#mass-z": "-12,5", "#approved-by": "Ada"}
-        for field, text in told.items():
-            page.locator(field).fill(text)
-        with page.expect_request("**/experiment") as request:
-            page.get_by_role("button", name="Approve").click()
-        sent = request.value.post_data_json
-        assert sent is not None
-        assert sent["test_mass"] == {
-            "mass": 40,
-            "center": [0.1, 0, -0.0125],
-            "inertia": [0, 0, 0, 0, 0, 0],
-        }
-        expect(page.locator("#error")).to_contain_text("remove the mass from the machine")
-        assert len(client.campaigns()) == campaigns
-        page.unroute_all(behavior="wait")

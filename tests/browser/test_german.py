@@ -14,9 +14,8 @@ from service.web.hmi.pages import texts
 from tests.browser.browsing import browsing
 from tests.browser.looking import settled
 from tests.browser.scripted import Json, campaign, drives, scripted
-from tests.browser.test_diagnosis_told import answers as of_diagnosis
 from tests.programs import needs
-from tests.stored.documents import axis_document, stored
+from tests.stored.documents import axis_document, diagnosis_document, stored
 
 pytestmark = needs("chromium")
 
@@ -58,6 +57,23 @@ def test_the_looking_finds_an_english_word_and_number() -> None:
     assert english(["Axis joint_1 with 2.5 kg", "02.03.2026", "2,5 kg", "Achse"]) == {"Axis", "with", "2.5"}
 
 
+def of_diagnosis(axis: Json) -> dict[str, Json]:
+    """One finished diagnosis of an axis."""
+    entry: Json = {
+        "id": 1, "machine": "M1", "here": True, "robot_id": 1, "campaigns": [1], "axes": ["joint_1"], "model": None,
+        "estimate": None, "state": "done", "cause": "", "verdicts": {"joint_1": axis["verdict"]}, "parent": None,
+        "experiment": None, "weighed": None, "unattended": False, "created_at": "2026-03-02T12:00:00Z",
+        "finished_at": "2026-03-02T12:01:00Z",
+    }  # fmt: skip
+    return {
+        "campaigns": {"items": [campaign(1, state="completed", machine="M1")], "next": None},
+        "diagnoses": {"items": [entry], "next": None},
+        "diagnoses/1": entry | {"document": diagnosis_document(joint_1=axis)},
+        "diagnoses/1/figures": {"axes": {"joint_1": {}}},
+        "machines": {"items": [], "next": None, "missing": []},
+    }
+
+
 def everything(root: Path) -> dict[str, Json]:
     """A service with a measured, identified and diagnosed campaign: the examples of the API document, and the rest."""
     given = (root / "service/web/api/examples.json").read_text("utf-8")
@@ -68,8 +84,7 @@ def everything(root: Path) -> dict[str, Json]:
         "next_experiment": stored("diagnosis-open")["axes"]["joint_1"]["next_experiment"]
     }
     one = campaign(1, plan_id=1, machine="M1", data_check=stored("check"))
-    diagnosed = json.loads(json.dumps(of_diagnosis(undecided)).replace('"machine": "cell"', '"machine": "M1"'))
-    return diagnosed | {
+    return of_diagnosis(undecided) | {
         "campaigns": {"items": [one], "next": None},
         "campaigns/1": one,
         "campaigns/1/sweeps": {"items": [examples["SweepDocument"]], "next": None},

@@ -1,7 +1,6 @@
 """With `login: true` the pages ask for a password or a key, let each do what the role may; STOP is free."""
 
 import shutil
-import subprocess
 from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
@@ -15,19 +14,14 @@ from service.store.people.users import KeyStore, UserStore
 from service.web.client import ServiceClient
 from tests.browser.browsing import browsing
 from tests.browser.looking import faint, small
+from tests.browser.scripted import Json, campaign, scripted
 from tests.programs import needs
-from tests.system.rest_bench import (
-    SWEEPID,
-    Service,
-    add_plan,
-    serving,
-    until,
-    virtual_machine,
-)
+from tests.system.rest_bench import Service, add_plan, serving, until, virtual_machine
 from tests.unit.service.api.conftest import bundle, profile, robot, serving as serving_alone  # noqa: F401 - three sweeps, and no machine
 from tests.unit.service.people.conftest import certificate
 
 pytestmark = needs("chromium")
+KEY = f"sweepid-{'0' * 64}"
 
 
 @pytest.fixture
@@ -35,11 +29,6 @@ def service(tmp_path: Path, profile: Path) -> Iterator[Service]:  # noqa: F811
     """No machine answers it."""
     with serving(tmp_path, profile, login=True) as service:
         yield service
-
-
-@pytest.fixture
-def keys(service: Service) -> dict[str, str]:
-    return keys_of(service)
 
 
 @pytest.fixture
@@ -80,68 +69,58 @@ def test_a_page_that_nobody_is_logged_in_to_stops_the_machine(tmp_path: Path) ->
         assert [stop["by"] for stop in engineer.stops()] == ["operator page"]
 
 
-def test_the_live_chart_comes_with_a_key(tmp_path: Path) -> None:
+def test_the_page_is_what_the_role_is() -> None:
+    planned = campaign(state="planned")
+    refused = {"POST /campaigns/{campaign_id}/start": "operator", "POST /diagnoses": "engineer"}
+    with scripted(answers={"campaigns": {"items": [planned], "next": None}, "campaigns/1": planned}) as service:
+        service.known = {KEY}
+        service.answers["me"] = {"login": True, "name": "Eva", "role": "viewer", "session": False, "refused": refused}
+        with browsing(service.url) as page:
+            expect(page.locator("#login")).to_be_visible()
+            expect(page.locator("#login-why")).to_have_text("")  # who has not tried yet did nothing wrong
+            log_in(page, KEY[:-1] + "1")
+            expect(page.locator("#login-why")).to_contain_text("not authenticated: ")
+            log_in(page, KEY)
+            expect(page.locator("#me-who")).to_have_text("Eva, viewer")
+            expect(page.locator("#login")).to_be_hidden()
+            expect(page.locator("#start")).to_be_disabled()
+            expect(page.locator("#why-start")).to_have_text("needs operator, you are viewer")
+            assert (faint(page), small(page)) == ([], [])
+            page.get_by_role("link", name="Diagnosis").click()  # the tab keeps the key
+            expect(page.locator("#me-who")).to_have_text("Eva, viewer")
+            diagnose = page.get_by_role("button", name="Diagnose")
+            expect(diagnose).to_be_disabled()
+            expect(page.locator("#new .needs")).to_have_text("needs engineer, you are viewer")
+            page.get_by_role("button", name="Log out").click()
+            expect(page.locator("#login")).to_be_visible()
+            service.answers["me"] |= {"role": "engineer", "refused": {}}
+            log_in(page, KEY)
+            expect(diagnose).to_be_enabled()
+            page.get_by_role("link", name="Campaigns").click()
+            expect(page.locator("#start")).to_be_enabled()
+            with page.expect_popup() as other:  # another tab asks anew
+                page.evaluate("open(location.href, '_blank', 'noopener')")
+            expect(other.value.locator("#login")).to_be_visible()
+
+
+def test_live_samples_come_with_the_key() -> None:
     """A browser sends no header when it opens a socket: the key is named as a subprotocol."""
-    with (
-        virtual_machine(tmp_path, speed_factor=2.0) as machine,  # some 24 s to the sweep, 60 s are the page's limit
-        serving(tmp_path, machine.profile, login=True) as service,
-        browsing(service.url) as page,
-    ):
-        keys = keys_of(service)
-        log_in(page, keys["operator"])
-        expect(page.locator("#login")).to_be_hidden()
-        with ServiceClient(service.url, keys["engineer"]) as engineer:
-            engineer.start(int(engineer.add_campaign(add_plan(engineer, axes=["joint_1"], poses=1))["id"]))
-            expect(page.locator("#live-title")).to_have_text("Live: sweep of joint_1")
-            expect(page.locator("#live-chart .scatterlayer .trace")).to_have_count(2)
-            engineer.stop("the test", "is over")
-        assert machine.stands()
-
-
-def test_the_page_is_what_the_role_is(service: Service, keys: dict[str, str], page: Page) -> None:
-    with ServiceClient(service.url, keys["engineer"]) as engineer:
-        engineer.add_campaign(add_plan(engineer, axes=["joint_1"], poses=1))
-    why = page.locator("#login-why")
-    expect(page.locator("#login")).to_be_visible()
-    expect(why).to_have_text("")  # who has not tried yet did nothing wrong
-    log_in(page, f"sweepid-{'0' * 64}")
-    expect(why).to_have_text(
-        "this key is not known to the service: log in again, or create a key with `sweepid people add-key`"
-    )
-
-    log_in(page, keys["viewer"])
-    expect(page.locator("#me-who")).to_have_text("the-viewer, viewer")
-    expect(page.locator("#login")).to_be_hidden()
-    expect(page.locator("#machine")).to_contain_text("no machine: ")
-    expect(page.locator("#campaign-state")).to_have_text("planned")
-    expect(page.locator("#start")).to_be_disabled()
-    expect(page.locator("#why-start")).to_have_text("needs operator, you are viewer")
-    assert (faint(page), small(page)) == ([], [])
-    page.get_by_role("link", name="Diagnosis").click()  # the tab keeps the key
-    expect(page.locator("#me-who")).to_have_text("the-viewer, viewer")
-    diagnose = page.get_by_role("button", name="Diagnose")
-    expect(diagnose).to_be_disabled()
-    expect(page.locator("#new .needs")).to_have_text("needs engineer, you are viewer")
-
-    page.get_by_role("button", name="Log out").click()
-    expect(page.locator("#login")).to_be_visible()
-    log_in(page, keys["engineer"])
-    expect(page.locator("#me-who")).to_have_text("the-engineer, engineer")
-    expect(diagnose).to_be_enabled()
-    page.get_by_role("link", name="Campaigns").click()
-    expect(page.locator("#start")).to_be_enabled()
-    with page.expect_popup() as other:  # another tab asks anew
-        page.evaluate("open(location.href, '_blank', 'noopener')")
-    expect(other.value.locator("#login")).to_be_visible()
+    runs = campaign(state="running", motion=[{"kind": "sweep", "axes": ["joint_1"], "target": None, "seconds": 9.0}])
+    answers: dict[str, Json] = {"campaigns": {"items": [runs], "next": None}, "campaigns/1": runs}
+    with scripted(answers=answers) as service:
+        service.known = {KEY}
+        with browsing(service.url) as page:
+            log_in(page, KEY)
+            until(lambda: service.offered == ["sweepid.live", f"sweepid.key.{KEY}"], "the live samples")
 
 
 def test_events_and_reports_come_with_the_key(
     service: Service,
-    keys: dict[str, str],
     page: Page,
     bundle: Path,  # noqa: F811
     tmp_path: Path,
 ) -> None:
+    keys = keys_of(service)
     log_in(page, keys["viewer"])
     expect(page.locator("#progress-text")).to_contain_text("no campaign yet")
     archive = shutil.make_archive(str(tmp_path / "three-sweeps"), "zip", bundle)
@@ -152,15 +131,6 @@ def test_events_and_reports_come_with_the_key(
         page.get_by_role("link", name="Report").click()
     assert saved.value.suggested_filename == "campaigns-1-report.html"
     assert "max100-class" in Path(saved.value.path()).read_text("utf-8")
-
-
-def test_a_key_that_is_revoked_ends_the_page(service: Service, keys: dict[str, str], page: Page) -> None:
-    log_in(page, keys["operator"])
-    expect(page.locator("#machine")).to_contain_text("no machine: ")
-    command = [SWEEPID, "people", "revoke-key", "the-operator", "--data-dir", str(service.data)]
-    subprocess.run(command, capture_output=True, timeout=120, check=True)
-    expect(page.locator("#login-why")).to_contain_text("the key of the-operator was revoked on")
-    expect(page.locator("main")).to_be_hidden()
 
 
 def test_a_person_logs_in_with_a_password_and_out(service: Service, page: Page) -> None:

@@ -5,7 +5,7 @@ from playwright.sync_api import BrowserContext, Page, expect
 
 from tests.browser.browsing import window
 from tests.browser.looking import faint, green, small
-from tests.browser.scripted import JOINTS, Json, Scripted, campaign, scripted
+from tests.browser.scripted import HELD, JOINTS, Json, Scripted, campaign, scripted
 from tests.programs import needs
 from tests.system.rest_bench import until
 
@@ -130,11 +130,10 @@ def test_sent_is_not_confirmed() -> None:
 
 
 def test_what_was_said_of_a_stop_goes_with_its_release() -> None:
-    held = {"id": 7, "by": "operator page", "why": "stop button", "at": "2026-03-02T12:00:00Z", "cause": None}
     with scripted() as service, window() as context:
         page = opened(context, service)
         free = service.answers["stop"]
-        service.answers["stop"] = free | {"latched": True, "stops": [held]}
+        service.answers["stop"] = free | {"latched": True, "stops": [HELD]}
         page.get_by_role("button", name="STOP").click()
         expect(page.locator("#stop-told")).to_have_text(CONFIRMED)
         expect(page.locator("#machine")).to_have_text("stopped")
@@ -146,13 +145,12 @@ def test_what_was_said_of_a_stop_goes_with_its_release() -> None:
 
 def test_a_name_that_was_typed_once_releases_with_one_press() -> None:
     """With gloves; each of the names of this browser has a button, and only the displayed stops are released."""
-    held = {"id": 7, "by": "operator page", "why": "stop button", "at": "2026-03-02T12:00:00Z", "cause": None}
     with scripted() as service, window() as context:
         free = service.answers["stop"]
         for name, known in (("Ada", []), ("Grace", ["Ada"]), ("Grace", ["Grace", "Ada"])):
             service.answers["stop"] = free
             page = opened(context, service)
-            service.answers["stop"] = free | {"latched": True, "stops": [held]}
+            service.answers["stop"] = free | {"latched": True, "stops": [HELD]}
             expect(page.locator("#held")).to_be_visible()
             offered = page.locator("#release-as button")
             expect(offered).to_have_text([f"Machine looked at: release as {one}" for one in known])

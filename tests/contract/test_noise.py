@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from drivers.contract.bench import closing, column, consume, eventually, needs
+from drivers.contract.bench import column, consume, eventually, needs
 from drivers.errors import DriveFault, EnvelopeLeft, LimitExceeded, SweepInterrupted, SweepRejected
 from drivers.ports import AxisState, DrivePort, SampleBlock, SweepMode
 from tests.contract.bench import AXIS, Virtual, noise, sweep
@@ -105,13 +105,12 @@ async def test_the_drive_refuses_peaks_above_its_torque_limit(port: DrivePort, v
 
 
 @injecting
-@pytest.mark.parametrize("way", ["closed", "cancelled", "stopped", "disabled"])
+@pytest.mark.parametrize("way", ["closed", "cancelled", "stopped", "disabled", "port closed"])
 async def test_every_early_end_leaves_the_axis_down_and_the_control_restored(
     port: DrivePort, virtual: Virtual, way: str
 ) -> None:
     await port.enable(AXIS)
-    command = await noise(port, **LONG)
-    running = port.run_noise(command)
+    running = port.run_noise(await noise(port, **LONG))
     await anext(running)
     assert virtual.truth()["softened"] is True
     if way == "closed":
@@ -124,29 +123,15 @@ async def test_every_early_end_leaves_the_axis_down_and_the_control_restored(
             await task
         await eventually(lambda: virtual.energised() == [])
     else:
-        await (port.stop() if way == "stopped" else port.disable(AXIS))
+        await {"stopped": port.stop, "disabled": lambda: port.disable(AXIS), "port closed": port.close}[way]()
         assert virtual.energised() == []
         with pytest.raises(SweepInterrupted):
             await _rest(running)
     await eventually(lambda: virtual.truth()["softened"] is False)
     assert virtual.energised() == []
     assert virtual.truth()["velocity"] == pytest.approx(0.0, abs=1e-3)
-    await port.enable(AXIS)
-
-
-@injecting
-async def test_closing_the_port_restores_the_control(virtual: Virtual) -> None:
-    async with closing(virtual.open()) as port:
-        await port.connect()
-        for joint in port.joints:
-            await port.acknowledge(joint)
+    if way != "port closed":
         await port.enable(AXIS)
-        running = port.run_noise(await noise(port, **LONG))
-        await anext(running)
-    assert virtual.energised() == []
-    assert virtual.truth()["softened"] is False
-    with pytest.raises(SweepInterrupted):
-        await _rest(running)
 
 
 @injecting

@@ -9,7 +9,7 @@ import pytest
 
 import sweepid
 from service.formats.export.sheets.making import sheet
-from service.identification.estimates.combination import AxisInertias, JointEstimate, Source, combine
+from service.identification.estimates.combination import AxisInertias, JointEstimate, combine
 from service.identification.model.inverse_dynamics import JointMotion
 from service.identification.motion.free_motion import free_motions
 from service.model.errors import BadInput
@@ -151,7 +151,7 @@ def test_sweeps_and_free_motion_are_one_estimate() -> None:
     assert (both.solution.std <= alone.solution.std * 1.2)[shown].all()
     assert np.median((both.solution.std / alone.solution.std)[shown]) < 0.9
     by_name = {parameter.name: parameter for parameter in both.parameters}
-    assert by_name["Fc(joint_1)"].source is Source.TRAJECTORIES
+    assert by_name["Fc(joint_1)"].source == "trajectories"
 
 
 def test_an_axis_without_a_record_stood(tmp_path: Path) -> None:

@@ -108,6 +108,26 @@ async def test_axes_that_move_at_once_are_identified_together(application: Appli
     assert sum(p["identified"] for p in found.values()) >= sum(p["identified"] for p in parts.values())
 
 
+async def simultaneous(application: Application) -> CampaignDocument:
+    wanted = {"axes": ("joint_3", "joint_5"), "varied": ("joint_5",), "step": 30.0, "poses": 2, "simultaneous": True}
+    return await planned(application, PlanRequest, build_plan, wanted)
+
+
+async def test_simultaneous_sweeps_give_the_inertia_matrix(application: Application) -> None:
+    campaign = await simultaneous(application)
+    await application.runner.start(campaign.id, Intention(application.machine.epochs.now))
+    done = await completed(application, campaign.id)
+    assert await standing(application)
+    specs = [sweep.spec for sweep in application.store.sweeps(campaign.id)]
+    assert done.sweeps == {SweepState.IDENTIFIED: len(specs)}
+    assert {spec.axes_at_once for spec in specs} == {2}
+    assert all(spec.offset_velocity for spec in specs)
+    estimate: Any = application.store.estimate(campaign.id).document
+    found = {parameter["name"]: parameter for parameter in estimate["combination"]["base_parameters"]}
+    print({name: (p["value"], p["std"], p["identified"]) for name, p in found.items()})
+    assert sum(parameter["identified"] for parameter in found.values()) > 3
+
+
 async def test_a_fault_on_a_trajectory_is_told_and_not_that_braking_axes_leave_it(
     application: Application, machine: VirtualMachine
 ) -> None:

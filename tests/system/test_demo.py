@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from service.report.benefit import Benefit
+from service.report.benefit.benefit import Benefit
 from service.store.files.bundle import read_bundle
 from tests.system.test_stop import INTERRUPTIBLE
 

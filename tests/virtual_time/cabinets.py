@@ -92,6 +92,9 @@ OnWire = TypeVar("OnWire", bound=EventDriven)
 class Powered(Generic[OnWire]):
     """A fieldbus and the cabinet on it, whose power is on until `close`."""
 
+    wire = 100e-6  # s from a host to the bus
+    late = 2e-3  # s by which something may come later than that; drawn on a logarithmic scale
+
     def __init__(self, cabinet: OnWire) -> None:
         self.world = primitives.world
         self.cabinet = cabinet
@@ -112,6 +115,12 @@ class Powered(Generic[OnWire]):
     def acted(self) -> None:
         self.cabinet.run(self.world.now)
         self._plan()
+
+    def delay(self) -> float:
+        chance = self.world.random
+        if not self.world.seed or chance.random() < 0.5:
+            return self.wire
+        return self.wire + self.late * 10 ** (-3 * chance.random())
 
     def freeze(self) -> None:
         """Stop the clock of plant and drives, at this moment."""

@@ -23,8 +23,6 @@ from tests.virtual_time import primitives
 from tests.virtual_time.cabinets import EventDriven, Powered
 from tests.virtual_time.primitives import SimpleQueue
 
-WIRE = 120e-6  # s that a frame takes on the wire at 1 Mbit/s
-LATE = 2e-3  # s by which a frame may reach a program later than that; drawn on a logarithmic scale
 ANSWER = 1e-3  # s that a drive takes to answer a request (SDO)
 _BUS_OFF, _SDO_ANSWER = 0x40, 0x580
 _VELOCITY = bytes.fromhex("6c60")  # 606Ch, as it stands in a frame
@@ -39,6 +37,8 @@ class EventDrivenCabinet(EventDriven, CanopenCabinet):
 
 class Wire(Powered[EventDrivenCabinet]):
     """The bus, the cabinet on it, and its hosts. Frames from one sender reach each receiver in their order."""
+
+    wire = 120e-6  # s that a frame takes on the wire at 1 Mbit/s
 
     def __init__(self, channel: str, machine: LiveMachine, eds: Path, speed_factor: float) -> None:
         self.channel = channel
@@ -84,9 +84,9 @@ class Wire(Powered[EventDrivenCabinet]):
             return
         for host in self.hosts:
             if host is not sender:
-                host.hear(identifier, data, self._delay())
+                host.hear(identifier, data, self.delay())
         frame = Frame(identifier, data)
-        self._reaches_cabinet = max(self._reaches_cabinet, self.world.now + self._delay())
+        self._reaches_cabinet = max(self._reaches_cabinet, self.world.now + self.delay())
         self.world.at(self._reaches_cabinet, lambda: self._arrives(frame))
         self.world.point()
 
@@ -107,13 +107,7 @@ class Wire(Powered[EventDrivenCabinet]):
     def _to_hosts(self, identifier: int, data: bytes, error: bool = False) -> None:
         self.world.trace(f"< {identifier:03x} {data.hex()}")
         for host in self.hosts:
-            host.hear(identifier, data, self._delay() + ANSWER * (identifier & ~0x7F == _SDO_ANSWER), error)
-
-    def _delay(self) -> float:
-        chance = self.world.random
-        if not self.world.seed or chance.random() < 0.5:
-            return WIRE
-        return WIRE + LATE * 10 ** (-3 * chance.random())
+            host.hear(identifier, data, self.delay() + ANSWER * (identifier & ~0x7F == _SDO_ANSWER), error)
 
 
 class Host:

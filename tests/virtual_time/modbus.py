@@ -23,8 +23,6 @@ from tests.virtual_time import primitives
 from tests.virtual_time.cabinets import EventDriven, Powered
 from tests.virtual_time.scheduler import SimThread
 
-WIRE = 100e-6  # s from a host to the gateway
-LATE = 2e-3  # s by which bytes may come later than that; drawn on a logarithmic scale
 ANSWER = 2e-3  # s that the gateway takes to answer a request
 
 Address = tuple[str, int]
@@ -63,20 +61,14 @@ class Gateway(Powered[EventDrivenModbusCabinet]):
         """OSError."""
         if timeout < 0:
             raise ValueError("Timeout value out of range")
-        primitives.sleep(min(timeout, 2 * WIRE if self.gone != "silent" else timeout))
+        primitives.sleep(min(timeout, 2 * self.wire if self.gone != "silent" else timeout))
         if self.gone == "refused":
             raise ConnectionRefusedError("connection refused")
-        if self.gone == "silent" or timeout < 2 * WIRE:
+        if self.gone == "silent" or timeout < 2 * self.wire:
             raise TimeoutError("timed out")
         connection = Connection(self)
         self._connections.append(connection)
         return connection.host
-
-    def delay(self) -> float:
-        chance = self.world.random
-        if not self.world.seed or chance.random() < 0.5:
-            return WIRE
-        return WIRE + LATE * 10 ** (-3 * chance.random())
 
     def asked(self, data: bytes, answer: Callable[[bytes], None]) -> int:
         """Bytes of a client have arrived; how many of them were used."""

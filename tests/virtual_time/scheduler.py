@@ -48,6 +48,12 @@ HORIZON = (30, 100_000)  # points within which preemptions happen: between these
 _HISTORY = 40  # last switches that are kept for a message
 
 
+def drawn(chance: Random, between: tuple[float, float]) -> float:
+    """On a logarithmic scale."""
+    low, high = between
+    return low * (high / low) ** chance.random()
+
+
 class Deadlock(BaseException):
     """Nobody can run and nobody ever will; or a run takes more than `LONGEST`."""
 
@@ -100,8 +106,7 @@ class Scheduler:
     def seed_with(self, seed: int) -> None:
         """From now on the interleaving is that of `seed`."""
         self.seed, self.random = seed, Random(seed)
-        low, high = HORIZON
-        horizon = self.points + round(low * (high / low) ** self.random.random())
+        horizon = self.points + round(drawn(self.random, HORIZON))
         many = self.random.choice(PREEMPTIONS) if seed else 0
         self._preemptions = sorted((self.random.randint(self.points, horizon) for _ in range(many)), reverse=True)
         self._lowest = 0.0

@@ -19,6 +19,7 @@ from tests.virtual_time import primitives
 from tests.virtual_time.clock import Clock
 from tests.virtual_time.machine import VirtualMachine
 from tests.virtual_time.oracle import BY_THEMSELVES, IN_FLIGHT, RAMPED, REACTION, Oracle
+from tests.virtual_time.scheduler import drawn
 from tests.virtual_time.service import VirtualService
 
 PATIENCE = 60.0  # s for an answer that a person waits for
@@ -102,9 +103,7 @@ class Session:
         self.oracle.did.append(f"{self.clock.now:.4f} {what}")
 
     def draw(self, between: tuple[float, float]) -> float:
-        """On a logarithmic scale."""
-        low, high = between
-        return low * (high / low) ** self.chance.random()
+        return drawn(self.chance, between)
 
     def look(self) -> None:
         self.oracle.judge()

@@ -15,6 +15,7 @@ from tests.virtual_time.canbus import Wire
 from tests.virtual_time.clock import Clock
 from tests.virtual_time.machine import VirtualMachine
 from tests.virtual_time.modbus import Gateway
+from tests.virtual_time.scheduler import drawn
 from tests.virtual_time.service import VirtualService
 
 ANSWERED = 1.2  # s
@@ -109,12 +110,6 @@ def truth_of(machine: VirtualMachine) -> Truth:
     return {joint: why(axis) for joint, axis in machine.axes().items()}
 
 
-def _drawn(chance: Random, ends: tuple[float, float]) -> float:
-    """On a logarithmic scale."""
-    low, high = ends
-    return low * (high / low) ** chance.random()
-
-
 # -- conditions: each returns what it is in detail
 
 Begin = Callable[[VirtualMachine, VirtualService, Clock, Random], str]
@@ -157,14 +152,14 @@ def gateway_gone(machine: VirtualMachine, service: VirtualService, clock: Clock,
 
 def suspended_host(machine: VirtualMachine, service: VirtualService, clock: Clock, chance: Random) -> str:
     del machine
-    seconds = _drawn(chance, HELD)
+    seconds = drawn(chance, HELD)
     clock.suspend(service.process, seconds)
     return f"{seconds:.3f} s"
 
 
 def busy_loop(machine: VirtualMachine, service: VirtualService, clock: Clock, chance: Random) -> str:
     del machine, clock
-    seconds = _drawn(chance, HELD)
+    seconds = drawn(chance, HELD)
     service.block_loop(seconds)
     return f"{seconds:.3f} s"
 
@@ -235,7 +230,7 @@ def press_stop(
     chance, stop = Random(f"{condition} {way} {seed}"), Stop(way, condition)
     begin = partial(CONDITIONS[condition], machine, service, clock, chance)
     moment = within * chance.random()
-    lead = chance.choice((0.0, _drawn(chance, BEFORE), -_drawn(chance, AFTER)))
+    lead = chance.choice((0.0, drawn(chance, BEFORE), -drawn(chance, AFTER)))
     clock.sleep(moment)
     detail = ""
     if lead >= 0:

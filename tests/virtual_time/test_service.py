@@ -2,7 +2,6 @@
 
 import pytest
 
-from tests.system.rest_bench import release
 from tests.virtual_time.clock import Clock
 from tests.virtual_time.machine import VirtualMachine
 from tests.virtual_time.service import VirtualService, add_campaign
@@ -17,16 +16,6 @@ def test_a_campaign_is_measured_and_identified(
     clock.wait_until(lambda: service.client.campaign(number)["state"] == "completed", "completed", 600.0, 1.0)
     assert service.client.campaign(number)["sweeps"] == {"identified": 2}
     assert machine.stands()
-
-
-def test_the_stop_process_stops_what_moves(service: VirtualService, machine: VirtualMachine, clock: Clock) -> None:
-    service.client.start(add_campaign(service))
-    clock.wait_until(lambda: abs(machine.axes()["joint_1"]["velocity"]) > 0.01, "moves")
-    status, answer = service.press_stop().get()
-    assert (status, answer["unconfirmed"]) == (200, {})
-    assert clock.wait_until(machine.stands, "stands") < 1.0
-    clock.wait_until(lambda: service.client.stops(), "latched")
-    release(service.client)
 
 
 def test_a_stop_that_is_not_waited_for_says_only_that_it_was_sent(

@@ -22,6 +22,7 @@ from tests.virtual_time.clock import Clock
 from tests.virtual_time.explore import Explorer, Outcome
 from tests.virtual_time.machine import VirtualMachine
 from tests.virtual_time.modbus import Gateway
+from tests.virtual_time.scheduler import drawn
 
 AXIS = "joint_1"
 BENCH: Bench = BENCHES["canopen-virtual"]
@@ -92,8 +93,7 @@ async def pressed(
 ) -> str:
     """One interleaving; what it was."""
     way = chance.choice(("stop", "halt, then stop", "another process, then stop"))
-    low, high = STALL
-    stall = low * (high / low) ** chance.random() if chance.random() < 0.3 else 0.0
+    stall = drawn(chance, STALL) if chance.random() < 0.3 else 0.0
     silent = {unit for unit in range(2, 7) if chance.random() < 0.5} if chance.random() < 0.3 else set[int]()
     sender = port.stop_sender()
     sender.open()

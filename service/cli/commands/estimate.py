@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from service.identification.axis.nominal_priors import TorqueGain
     from service.identification.estimates.torque_gain import Calibration, KnownMass
     from service.model.robot import Robot
-    from service.report.benefit import Benefit, ModelBenefit
+    from service.report.benefit.benefit import Benefit, ModelBenefit
     from service.store.files.bundle import Bundle
     from sweepid.files import AxisChannels, LagDocument
 
@@ -113,7 +113,7 @@ def benefit(
 
     from service.cli.terminal import put_json, waiting
     from service.model.configuration import read_robot
-    from service.report.benefit import benefit as benefit_of
+    from service.report.benefit.benefit import benefit as benefit_of
     from service.store.files.bundle import read_bundle
 
     measured = read_bundle(bundle)

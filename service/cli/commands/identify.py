@@ -89,7 +89,7 @@ def diagnose(
     if scenario is not None:
         write_scenario(scenario, measured.robot, found.model)
     if report is not None:
-        from service.report import diagnosis_page
+        from service.report.diagnosis import diagnosis_page
 
         write_file(report, diagnosis_page(found, f"Diagnosis of the robot {found.model.robot}", str(bundle)).html())
     show(found, json_to)

@@ -47,13 +47,13 @@ def change_password(name: Name, config: Config = None, data_dir: DataDir = None)
 def disable_user(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
     """From now on nobody logs in by this name, and its sessions are over."""
     with _users(config, data_dir) as (users, entry):
-        typer.echo(users.shut_out(name, entry).name)
+        typer.echo(users.set_enabled(name, entry, enabled=False).name)
 
 
 def enable_user(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
     """Let one who was disabled log in again, with the same password and role."""
     with _users(config, data_dir) as (users, entry):
-        typer.echo(users.let_in(name, entry).name)
+        typer.echo(users.set_enabled(name, entry).name)
 
 
 @contextmanager

@@ -26,7 +26,7 @@ from service.model.arrays import Array
 from service.model.errors import BadInput, writing
 from service.model.results.combination import FrictionPoint
 from service.model.robot import INERTIAL_NAMES
-from service.model.urdf import read_inertial, read_origin, transform_inertial
+from service.model.urdf import joint_end, read_inertial, read_origin, transform_inertial
 
 Yaml = str | float | None | Sequence["Yaml"] | Mapping[str, "Yaml"]
 
@@ -69,6 +69,7 @@ def write_model(folder: Path, model: IdentifiedModel) -> None:
 
 def as_yaml(model: IdentifiedModel) -> str:
     """All parameters, SI, for programs that read neither URDF nor MJCF. Inertias of motors are on the joint side."""
+    drives = model.motor_inertias, model.friction, model.dry_friction, model.offset
     joints = {
         joint.name: {
             "kind": joint.kind,
@@ -87,14 +88,7 @@ def as_yaml(model: IdentifiedModel) -> str:
                 if effect.axis == joint.name
             },
         }
-        for joint, motor, friction, dry, offset in zip(
-            model.robot.chain.joints,
-            model.motor_inertias,
-            model.friction,
-            model.dry_friction,
-            model.offset,
-            strict=True,
-        )
+        for joint, motor, friction, dry, offset in zip(model.robot.chain.joints, *drives, strict=True)
     }
     return _dump(
         {
@@ -313,12 +307,12 @@ def _placed_links(root: ET.Element) -> list[_PlacedLink]:
     links = {element.get("name", ""): element for element in root.findall("link")}
     children: dict[str, list[ET.Element]] = {}
     for joint in root.findall("joint"):
-        children.setdefault(_end_of(joint, "parent"), []).append(joint)
-    carried = {_end_of(joint, "child") for joint in root.findall("joint")}
+        children.setdefault(joint_end(joint, "parent", "urdf"), []).append(joint)
+    carried = {joint_end(joint, "child", "urdf") for joint in root.findall("joint")}
     found = [_PlacedLink(links[name], None, np.eye(3), np.zeros(3)) for name in links if name not in carried]
     for placed in found:  # extended during the loop
         for joint in children.get(placed.name, []):
-            child = links[_end_of(joint, "child")]
+            child = links[joint_end(joint, "child", "urdf")]
             if joint.get("type") != "fixed":
                 found.append(_PlacedLink(child, child.get("name", ""), np.eye(3), np.zeros(3)))
                 continue
@@ -326,8 +320,3 @@ def _placed_links(root: ET.Element) -> list[_PlacedLink]:
             place = placed.rotation @ rotation, placed.translation + placed.rotation @ translation
             found.append(_PlacedLink(child, placed.carrier, *place))
     return found
-
-
-def _end_of(joint: ET.Element, tag: str) -> str:
-    element = joint.find(tag)
-    return "" if element is None else element.get("link", "")

@@ -102,17 +102,14 @@ def _write_file(out: Path, recordings: _Recordings) -> None:
     }
     suffix = out.suffix.lower()
     if suffix not in writers:
-        raise BadInput(
-            str(out), f"recordings are written as {', '.join(writers)}, or without suffix as a folder of CSV"
-        )
+        told = f"recordings are written as {', '.join(writers)}, or without suffix as a folder of CSV"
+        raise BadInput(str(out), told)
     if out.exists():
         raise BadInput(str(out), "exists already")
     if suffix == ".csv" and len(recordings.sweeps) != 1:
         ids = ", ".join(sweep.spec.id for sweep in recordings.sweeps)
-        raise BadInput(
-            str(out),
-            f"can contain one sweep: choose it with --sweep ({ids}), or give a name without suffix for all sweeps",
-        )
+        told = f"choose it with --sweep ({ids}), or give a name without suffix for all sweeps"
+        raise BadInput(str(out), f"can contain one sweep: {told}")
     extra, write = writers[suffix]
     partial = out.with_name(f".{out.stem[:100]}.{uuid4().hex}.partial{suffix}")
     try:
@@ -147,20 +144,9 @@ def _write_hdf5(path: Path, recordings: _Recordings) -> None:
 
 
 def _write_group(group: Any, sweep: Sweep, prismatic: bool) -> None:
-    fields = (
-        "id",
-        "axis",
-        "pose",
-        "offset_velocity",
-        "excitation",
-        "measure_from",
-        "sample_rate",
-        "started_at",
-        "repeat",
-    )
-    for name in (*fields, "period", "periods", "block"):
+    for name in SweepSpec.model_fields:
         value = getattr(sweep.spec, name)
-        if value not in (None, ""):
+        if name != "sines" and value not in (None, ""):
             group.attrs[name] = value
     for name, column in columns_of(sweep.recording).items():
         dataset = group.create_dataset(name, data=column)
@@ -188,9 +174,8 @@ def _write_mdf4(path: Path, recordings: _Recordings) -> None:
         file.header.comment = f"sweeps of robot {robot.name}; what they are: {_DOCUMENT}"
         for sweep in recordings.sweeps:
             spec = sweep.spec
-            source = asammdf.Source(
-                spec.axis, robot.name, "a joint of the robot", v4_constants.SOURCE_OTHER, v4_constants.BUS_TYPE_NONE
-            )
+            kind = (v4_constants.SOURCE_OTHER, v4_constants.BUS_TYPE_NONE)
+            source = asammdf.Source(spec.axis, robot.name, "a joint of the robot", *kind)
             signals = [
                 asammdf.Signal(
                     samples=column,

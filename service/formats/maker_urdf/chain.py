@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from service.model.errors import BadInput
 from service.model.robot import rotation_about
-from service.model.urdf import read_axis, read_inertial, read_origin
+from service.model.urdf import joint_end, read_axis, read_inertial, read_origin
 
 MOVING = ("revolute", "continuous", "prismatic")
 
@@ -53,16 +53,13 @@ class _Tree:
         self._links = [link.get("name", "") for link in root.findall("link")]
         self._carrier: dict[str, ET.Element] = {}
         for joint in root.findall("joint"):
-            child = _end(joint, "child", place)
+            child = joint_end(joint, "child", place)
             if child in self._carrier:
                 both = f"{self._carrier[child].get('name')} and {joint.get('name')}"
-                raise BadInput(
-                    place,
-                    f"link {child!r} is the child of two joints, {both}: a closed chain (parallel linkage) is not a "
-                    "serial chain, and sweepid cannot measure its axes",
-                )
+                told = f"link {child!r} is the child of two joints, {both}: a closed chain (parallel linkage) is not a "
+                raise BadInput(place, f"{told}serial chain, and sweepid cannot measure its axes")
             self._carrier[child] = joint
-            for link in (child, _end(joint, "parent", place)):
+            for link in (child, joint_end(joint, "parent", place)):
                 if link not in self._links:
                     raise BadInput(place, f"link {link!r} of joint {joint.get('name')!r} is not defined")
 
@@ -73,7 +70,7 @@ class _Tree:
         way: list[ET.Element] = []
         while link in self._carrier:
             way.append(self._carrier[link])
-            link = _end(way[-1], "parent", self._place)
+            link = joint_end(way[-1], "parent", self._place)
             if len(way) > len(self._links):
                 raise BadInput(self._place, f"link {link!r} is its own ancestor")
         return way[::-1]
@@ -101,7 +98,7 @@ class _Tree:
         base = self._base(tip)
         others = {link for link in self._links if self._base(link) != base}
         for joint in self._root.findall("joint"):
-            if _end(joint, "child", self._place) in others:
+            if joint_end(joint, "child", self._place) in others:
                 self._root.remove(joint)
         for link in self._root.findall("link"):
             if link.get("name") in others:
@@ -116,13 +113,13 @@ class _Tree:
 
     def _base(self, link: str) -> str:
         way = self.way_to(link)
-        return _end(way[0], "parent", self._place) if way else link
+        return joint_end(way[0], "parent", self._place) if way else link
 
     def _forked(self, link: str, ways: list[list[ET.Element]]) -> str:
         """The link after which the path to `link` and another path separate."""
         way = self._moving(link)
         shared = max(_shared(way, other) for other in ways if other is not way and other[-1] is not way[-1])
-        return _end(way[shared], "parent", self._place)
+        return joint_end(way[shared], "parent", self._place)
 
 
 def _shared(one: list[ET.Element], other: list[ET.Element]) -> int:
@@ -151,7 +148,7 @@ def _linkages(root: ET.Element, axes: list[str], place: str) -> list[UrdfFinding
     }
     children: dict[str, list[str]] = {}
     for joint in joints:
-        children.setdefault(_end(joint, "parent", place), []).append(_end(joint, "child", place))
+        children.setdefault(joint_end(joint, "parent", place), []).append(joint_end(joint, "child", place))
     masses = {link.get("name", ""): float(read_inertial(link, place)[0]) for link in root.findall("link")}
     found: list[UrdfFinding] = []
     for joint in joints:
@@ -160,7 +157,7 @@ def _linkages(root: ET.Element, axes: list[str], place: str) -> list[UrdfFinding
             leader = leaders.get(leader, leader)
         if name == leader or name in axes or leader not in axes:
             continue
-        carried = [_end(joint, "child", place)]
+        carried = [joint_end(joint, "child", place)]
         for link in carried:  # extended during the loop
             carried += children.get(link, ())
         mass, at = sum(masses.get(link, 0.0) for link in carried), axes.index(leader)
@@ -216,23 +213,13 @@ def _shift(joint: ET.Element, position: float, here: str) -> None:
 
 def _with_ends(joint: ET.Element) -> UrdfFinding:
     """A continuous joint is limited to one turn: because of cables, and because a plan needs limits."""
-    limit = joint.find("limit")
-    if limit is None:
-        limit = ET.SubElement(joint, "limit")
+    found = joint.find("limit")
+    limit = ET.SubElement(joint, "limit") if found is None else found
     joint.set("type", "revolute")
     limit.set("lower", f"{-math.pi:.6f}")
     limit.set("upper", f"{math.pi:.6f}")
-    return UrdfFinding(
-        "changed", joint.get("name", ""), "turns without end (continuous): limited to half a turn either way"
-    )
-
-
-def _end(joint: ET.Element, tag: str, place: str) -> str:
-    element = joint.find(tag)
-    name = None if element is None else element.get("link")
-    if name is None:
-        raise BadInput(f"{place} joint {joint.get('name')}", f"has no <{tag} link=...>")
-    return name
+    told = "turns without end (continuous): limited to half a turn either way"
+    return UrdfFinding("changed", joint.get("name", ""), told)
 
 
 def _text(vector: np.ndarray) -> str:

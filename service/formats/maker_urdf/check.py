@@ -11,7 +11,14 @@ import numpy as np
 import yaml
 
 from service.formats.maker_urdf.chain import UrdfFinding, choose_chain
-from service.formats.maker_urdf.inertials import check_inertials, check_masses, embed_hulls, link_shapes
+from service.formats.maker_urdf.inertials import (
+    POSES,
+    check_inertials,
+    check_masses,
+    embed_hulls,
+    link_shapes,
+    random_poses,
+)
 from service.formats.maker_urdf.packages import Packages
 from service.model.arrays import Array
 from service.model.collision import CollisionChecker
@@ -23,7 +30,6 @@ from service.model.urdf import MOST_LINKS, Chain, Joint, look_over, read_chain
 
 Pair = tuple[str, str]
 CLEARANCE, MARGIN = 0.03, 0.02  # m; rad (m)
-POSES = 200  # random poses to find shapes that overlap by construction
 
 
 @dataclass(frozen=True)
@@ -91,15 +97,13 @@ def _shapes(root: ET.Element, chain: Chain, place: str) -> list[UrdfFinding]:
             del error  # a missing mesh was reported before
             continue
         if not shapes and name in moving:
-            reported.append(
-                UrdfFinding("unusual", name, "moves but has no collision shape: its collisions are not detected")
-            )
+            what = "moves but has no collision shape: its collisions are not detected"
+            reported.append(UrdfFinding("unusual", name, what))
         for shape in shapes:
             size = float(np.ptp(shape, axis=0).max())
             if not 0.002 <= size <= 5.0:  # m: outside, a mesh is probably in mm, or scaled twice
-                reported.append(
-                    UrdfFinding("unusual", name, f"has a collision shape of {size:.3g} m: is its unit the metre?")
-                )
+                what = f"has a collision shape of {size:.3g} m: is its unit the metre?"
+                reported.append(UrdfFinding("unusual", name, what))
     return reported
 
 
@@ -177,9 +181,8 @@ def _limits(joint: Joint) -> list[UrdfFinding]:
         ("effort", joint.effort, 1e5, effort),  # N m, N
     ):
         if value > most:
-            reported.append(
-                UrdfFinding("unusual", joint.name, f"{name} limit {value:g} {of} is not plausible: check its unit")
-            )
+            what = f"{name} limit {value:g} {of} is not plausible: check its unit"
+            reported.append(UrdfFinding("unusual", joint.name, what))
     return reported
 
 
@@ -197,20 +200,13 @@ def _gear_ratio(root: ET.Element, joint: str, place: str) -> float | None:
 def _drive_data(chain: Chain, ratios: Mapping[str, float | None]) -> list[UrdfFinding]:
     """Data that a URDF cannot contain: the user must complete the side file."""
     joints = [joint.name for joint in chain.joints]
-    bare = [joint for joint in joints if ratios[joint] is None]
-    reported = [UrdfFinding("missing", ", ".join(bare), "gear ratio")] if bare else []
-    reported.append(UrdfFinding("missing", ", ".join(joints), "rated effort: a URDF has only the limit"))
-    reported.append(
-        UrdfFinding("missing", ", ".join(joints), "motor inertia; left open it is found with the load, less well")
-    )
-    reported.append(
-        UrdfFinding(
-            "missing",
-            ", ".join(joints),
-            "cogging orders (torque ripple, periods per motor turn); without them J can be ten times less certain",
-        )
-    )
-    return reported
+    lacking = {
+        "gear ratio": [joint for joint in joints if ratios[joint] is None],
+        "rated effort: a URDF has only the limit": joints,
+        "motor inertia; left open it is found with the load, less well": joints,
+        "cogging orders (torque ripple, periods per motor turn); without them J can be ten times less certain": joints,
+    }
+    return [UrdfFinding("missing", ", ".join(of), what) for what, of in lacking.items() if of]
 
 
 def _dampings(root: ET.Element, chain: Chain, place: str) -> list[UrdfFinding]:
@@ -223,11 +219,8 @@ def _dampings(root: ET.Element, chain: Chain, place: str) -> list[UrdfFinding]:
         for dynamics in joint.findall("dynamics")
     }
     shown = ", ".join(f"{joint} {damping:g}" for joint, damping in dampings.items() if damping)
-    return (
-        [UrdfFinding("unusual", shown, "damping is not used as friction: it is mostly a value for simulators")]
-        if shown
-        else []
-    )
+    what = "damping is not used as friction: it is mostly a value for simulators"
+    return [UrdfFinding("unusual", shown, what)] if shown else []
 
 
 def _number(text: str | None, place: str) -> float:
@@ -283,16 +276,10 @@ def cell_text(robot: Robot, name: str) -> tuple[str, list[UrdfFinding]]:
     pairs = tuple(pair for pair, _ in nested)
     cell = Cell(name=name, clearance=CLEARANCE, joint_margin=MARGIN, ignored_pairs=pairs)
     home, met = _home(robot, CollisionChecker(robot, cell))
-    found = [
-        UrdfFinding(
-            "unusual", f"{a}, {b}", f"collide in {100 * share:.0f} % of {POSES} poses: treated as nested, not checked"
-        )
-        for (a, b), share in nested
-    ]
-    found += [
-        UrdfFinding("unusual", f"{a}, {b}", "collide with all joints at 0, or in the middle: home is another pose")
-        for a, b in met
-    ]
+    seen = {pair: f"collide in {100 * share:.0f} % of {POSES} poses" for pair, share in nested}
+    told = [(pair, f"{words}: treated as nested, not checked") for pair, words in seen.items()]
+    told += [(pair, "collide with all joints at 0, or in the middle: home is another pose") for pair in met]
+    found = [UrdfFinding("unusual", f"{a}, {b}", sentence) for (a, b), sentence in told]
     lines = [
         f"# Drafted for {name}: without obstacles. Add floor and boxes, m in the robot's base frame.",
         f"name: {_scalar(name)}",
@@ -300,10 +287,7 @@ def cell_text(robot: Robot, name: str) -> tuple[str, list[UrdfFinding]]:
         f"joint_margin: {MARGIN}",
         "boxes: []",
         "ignored_pairs:" if nested else "ignored_pairs: []",
-        *(
-            f"  - [{_scalar(a)}, {_scalar(b)}] # collide in {100 * share:.0f} % of {POSES} poses"
-            for (a, b), share in nested
-        ),
+        *(f"  - [{_scalar(a)}, {_scalar(b)}] # {words}" for (a, b), words in seen.items()),
         "home:" if home.any() else "home: {}",
         *(f"  {_scalar(joint)}: {at:.4f}" for joint, at in zip(robot.joints, home, strict=True) if at),
     ]
@@ -319,7 +303,7 @@ def bare_robot(check: UrdfCheck) -> Robot:
 def _nested(robot: Robot) -> Sequence[tuple[Pair, float]]:
     """Pairs of links that overlap in nearly all poses, with the fraction of the poses."""
     checker = CollisionChecker(robot, Cell(name="none", clearance=CLEARANCE))
-    counts = Counter(pair for pose in _drawn(robot, np.zeros(len(robot.joints))) for pair in checker.touching(pose))
+    counts = Counter(pair for pose in random_poses(robot.chain) for pair in checker.touching(pose))
     return [(pair, count / POSES) for pair, count in sorted(counts.items()) if count >= 0.9 * POSES]
 
 
@@ -329,29 +313,18 @@ def _home(robot: Robot, checker: CollisionChecker) -> tuple[Array, Sequence[Pair
     If there are collisions, the nearest of some random poses with room and without collision.
     """
     joints = robot.chain.joints
-    low, high = _ends(robot)
+    low, high = (np.array([getattr(joint, end) for joint in joints]) for end in ("lower", "upper"))
     room = np.minimum(math.radians(6.0), (high - low) / 4) + MARGIN  # for a sweep, rad (m)
     inside = [joint.lower + own <= 0.0 <= joint.upper - own for joint, own in zip(joints, room, strict=True)]
     home = np.round((low + high) / 2, 4)
     home[inside] = 0.0
     met = sorted(checker.touching(home))
-    poses = _drawn(robot, room)
+    poses = random_poses(robot.chain, room)
     free = poses[checker.collision_free(poses)] if met else poses[:0]
     if len(free):
         nearest = int(np.argmin(np.linalg.norm(free - home, axis=1)))
         home = free[nearest].round(4)
     return home, met
-
-
-def _drawn(robot: Robot, room: Array) -> Array:
-    """Poses (m, n) at least `room` (n,) from the limits, reproducible."""
-    low, high = _ends(robot)
-    return np.random.default_rng(1).uniform(low + room, high - room, (POSES, len(low)))
-
-
-def _ends(robot: Robot) -> tuple[Array, Array]:
-    joints = robot.chain.joints
-    return np.array([joint.lower for joint in joints]), np.array([joint.upper for joint in joints])
 
 
 def _scalar(text: str) -> str:

@@ -25,15 +25,16 @@ from service.model.robot import link_frames
 from service.model.urdf import (
     Chain,
     collision_meshes,
-    inertia_matrix,
+    inertia_at_centre,
+    joint_end,
     read_chain,
     read_hull,
     read_inertial,
     read_origin,
-    transform_inertial,
     write_hull,
 )
 
+POSES = 200  # random ones, to find shapes that overlap by construction, and loads
 FINEST = 1e-4  # m, edge of the grid's cells
 MOST_VERTICES = 250  # of a hull; with more, the cells are made larger
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
@@ -227,8 +228,7 @@ def _carried(root: ET.Element, chain: Chain) -> set[str]:
     """The links that the first moving joint carries."""
     children: defaultdict[str, list[str]] = defaultdict(list)
     for joint in root.findall("joint"):
-        ends = [end.get("link", "") for end in (joint.find("parent"), joint.find("child")) if end is not None]
-        children[ends[0]].append(ends[1])
+        children[joint_end(joint, "parent", "")].append(joint_end(joint, "child", ""))
     carried = [chain.joints[0].link]
     for link in carried:  # extended during the loop
         carried += children[link]
@@ -264,10 +264,10 @@ def check_masses(chain: Chain, extent: float) -> list[UrdfFinding]:
     return found
 
 
-def random_poses(chain: Chain) -> Array:
-    """(200, n) within the limits, always the same."""
+def random_poses(chain: Chain, room: Array | float = 0.0) -> Array:
+    """`POSES` (p, n) at least `room` (n,) from the limits, always the same."""
     low, high = (np.array([getattr(joint, end) for joint in chain.joints]) for end in ("lower", "upper"))
-    return np.random.default_rng(1).uniform(low, high, (200, len(low)))
+    return np.random.default_rng(1).uniform(low + room, high - room, (POSES, len(low)))
 
 
 def gravity_efforts(chain: Chain, poses: Array) -> Array:
@@ -311,7 +311,7 @@ def _impossible(link: ET.Element, bodies: Bodies | None, place: str) -> Iterator
         return
     if mass < PLAUSIBLE.lightest:
         bodies = None
-    own, rounding = _at_centre(parameters), 1e-3  # of the largest, by manufacturers
+    own, rounding = inertia_at_centre(parameters), 1e-3  # of the largest, by manufacturers
     principal = np.sort(np.linalg.eigvalsh(own))
     if bodies is not None and _is_point(parameters):
         yield UrdfFinding("unusual", name, f"has {mass:.3g} kg and no inertia, which no body has")
@@ -347,7 +347,7 @@ def _equal(links: dict[str, ET.Element], bodies: dict[str, Bodies], place: str) 
     for name, link in links.items():
         parameters = read_inertial(link, place)
         if (mass := float(parameters[0])) > 10 * PLAUSIBLE.lightest:
-            same[tuple(f"{value:.6g}" for value in (mass, *_at_centre(parameters).ravel()))].append(name)
+            same[tuple(f"{value:.6g}" for value in (mass, *inertia_at_centre(parameters).ravel()))].append(name)
     for (mass, *_), names in same.items():
         volumes = [_volume(bodies[name]) for name in names if bodies[name]]
         ratio = max(volumes, default=1.0) / min(volumes, default=1.0)
@@ -357,14 +357,9 @@ def _equal(links: dict[str, ET.Element], bodies: dict[str, Bodies], place: str) 
             yield UrdfFinding("unusual", ", ".join(names), sentence)
 
 
-def _at_centre(parameters: Array) -> Array:
-    """Inertia (3, 3) about the centre of mass, which is not 0."""
-    return inertia_matrix(transform_inertial(parameters, np.eye(3), -parameters[1:4] / parameters[0]))
-
-
 def _is_point(parameters: Array) -> bool:
     """Its radius of gyration is rounding, below 10 um."""
-    return bool(np.abs(_at_centre(parameters)).max() < parameters[0] * 1e-5**2)
+    return bool(np.abs(inertia_at_centre(parameters)).max() < parameters[0] * 1e-5**2)
 
 
 def _volume(bodies: Bodies) -> float:

@@ -8,14 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.formats.sinumerik.measurement import (
-    GAIN,
-    PARAMETERS,
-    LoopMeasurement,
-    Quantity,
-    SpeedController,
-    Tuning,
-)
+from service.formats.sinumerik.measurement import GAIN, PARAMETERS, LoopMeasurement, Quantity, SpeedController, Tuning
 from service.identification.spectra.speed_loop import LoopFit, fit_closed_loop, fit_torque_response
 from service.model.arrays import Array, Complex
 from service.model.errors import BadInput

@@ -7,6 +7,7 @@ import base64
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Protocol
 from xml.parsers import expat
 
 import numpy as np
@@ -115,39 +116,57 @@ class Member:
 
 def read_members(path: Path) -> Member:
     """The root of a file; BadInput if missing, too large, too deep, truncated, no XML, or with a DOCTYPE."""
-    try:
-        with path.open("rb") as file:
-            content = file.read(LARGEST + 1)
-    except OSError as error:
-        raise BadInput(str(path), f"cannot be read: {error.strerror or error}") from None
-    if len(content) > LARGEST:
-        raise BadInput(str(path), f"is larger than {LARGEST} bytes; a measurement of the control is not")
     builder = _MemberBuilder(str(path))
+    parse(path, builder, LARGEST, "; a measurement of the control is not")
+    return builder.top.children[0]
+
+
+class ElementBuilder(Protocol):
+    """Callbacks of expat."""
+
+    def start(self, kind: str, attributes: dict[str, str], /) -> None: ...
+
+    def end(self, kind: str, /) -> None: ...
+
+    def characters(self, text: str, /) -> None: ...
+
+
+def parse(path: Path, builder: ElementBuilder, largest: int, limit: str = "") -> None:
+    """All elements of a control's file; BadInput if it is missing, of more than `largest` bytes, truncated, no XML, or
+    with a DOCTYPE. `limit`: words on the size.
+    """
+
+    def doctype(*_: object) -> None:
+        raise BadInput(str(path), "declares a DOCTYPE, which no file of the control does; entities are not expanded")
+
     parser = expat.ParserCreate()
     parser.buffer_text = True
-    parser.StartDoctypeDeclHandler = builder.doctype
+    parser.StartDoctypeDeclHandler = doctype
     parser.StartElementHandler = builder.start
     parser.EndElementHandler = builder.end
     parser.CharacterDataHandler = builder.characters
     try:
-        parser.Parse(content, True)
+        fed, size = 0, path.stat().st_size
+        with path.open("rb") as file:
+            while max(fed, size) <= largest and (part := file.read(2**16)):
+                fed += len(part)
+                parser.Parse(part)
+        if max(fed, size) > largest:
+            raise BadInput(str(path), f"is larger than {largest} bytes{limit}")
+        parser.Parse(b"", True)
+    except OSError as error:
+        raise BadInput(str(path), f"cannot be read: {error.strerror or error}") from None
     except (expat.ExpatError, ValueError, LookupError) as error:  # truncated, no XML, or of an unknown encoding
         raise BadInput(str(path), f"is not a complete XML file: {error}") from None
-    return builder.top.children[0]
 
 
 class _MemberBuilder:
-    """Callbacks of expat."""
+    """The tree of all elements."""
 
     def __init__(self, place: str) -> None:
         self.top = Member("", "", "", place)
         self._open = [self.top]
         self._count = 0
-
-    def doctype(self, *_: object) -> None:
-        raise BadInput(
-            self.top.place, "declares a DOCTYPE, which no file of the control does; entities are not expanded"
-        )
 
     def start(self, kind: str, attributes: dict[str, str]) -> None:
         self._count += 1

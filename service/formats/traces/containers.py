@@ -93,20 +93,15 @@ def columns_in(name: str, value: np.ndarray[Any, Any]) -> tuple[str, ...]:
 
 def one_column(value: np.ndarray[Any, Any], source: str, place: str) -> np.ndarray[Any, Any]:
     """The array's column that the source names, (n,); samples run along the longer side of a matrix."""
-    column = split_source(source)[1]
-    if value.dtype.kind not in "iuf":
-        raise BadInput(place, f"is not a column of numbers: {value.dtype} {value.shape}")
-    if value.size == max(value.shape, default=0) and column in (None, 0):
+    column, told = split_source(source)[1], f"is not a column of numbers: {value.dtype} {value.shape}"
+    numeric = value.dtype.kind in "iuf"
+    if numeric and value.size == max(value.shape, default=0) and column in (None, 0):
         return value.ravel()
-    if value.ndim != 2:
-        raise BadInput(place, f"is not a column of numbers: {value.dtype} {value.shape}")
+    if not numeric or value.ndim != 2:
+        raise BadInput(place, told)
     if column is None:
         name = source.partition("[")[0]
-        raise BadInput(
-            place,
-            f"is not a column of numbers: {value.dtype} {value.shape}; "
-            f"give a column, {name}[0] to {name}[{min(value.shape) - 1}]",
-        )
+        raise BadInput(place, f"{told}; give a column, {name}[0] to {name}[{min(value.shape) - 1}]")
     if column >= min(value.shape):
         raise BadInput(place, f"has columns 0 to {min(value.shape) - 1}, not {column}")
     return value[:, column] if value.shape[0] >= value.shape[1] else value[column]
@@ -119,10 +114,8 @@ def taken_of(
     lengths = {channel.source: len(value) for channel, value in zip(channels, values, strict=True)}
     if len(set(lengths.values())) > 1:
         sizes = ", ".join(f"{name} has {length}" for name, length in lengths.items())
-        raise BadInput(
-            place.rpartition(" ")[0],
-            f"{place.rpartition(' ')[2]}s of one sweep differ in length, nothing is resampled: {sizes}",
-        )
+        path, _, kind = place.rpartition(" ")
+        raise BadInput(path, f"{kind}s of one sweep differ in length, nothing is resampled: {sizes}")
     return Taken(in_rows(values, len(values), len(values[0]) if values else 0), units, None)
 
 
@@ -155,22 +148,24 @@ def check_numbers(rows: int, columns: int, most: int, place: str) -> None:
         raise BadInput(place, f"holds {rows} values of {columns} channels, limit {most} numbers")
 
 
-"""Library by format."""
+def first_bytes(path: Path, count: int) -> bytes:
+    """BadInput if the file cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return file.read(count)
+    except FileNotFoundError:
+        raise BadInput(str(path), "file does not exist") from None
+    except (OSError, ValueError) as error:
+        raise BadInput(str(path), f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
 
 
 def format_of(path: Path) -> str:
     """By content; `text` if it has no mark. BadInput if it cannot be read, or is known to be of another kind."""
     marks = (
-        (b"\x89HDF\r\n", "hdf5"),
-        (b"MATLAB 7.3", "hdf5"),
-        (b"MATLAB 5", "mat"),
-        (b"MDF ", "mdf4"),
-        (b"UnFinMF", "mdf4"),
-        (b"\x89MCAP", "ros"),
-        (b"SQLite format 3", "ros"),
-        (b"#ROSBAG", "ros"),
+        (b"\x89HDF\r\n", "hdf5"), (b"MATLAB 7.3", "hdf5"), (b"MATLAB 5", "mat"), (b"MDF ", "mdf4"),
+        (b"UnFinMF", "mdf4"), (b"\x89MCAP", "ros"), (b"SQLite format 3", "ros"), (b"#ROSBAG", "ros"),
         (b"PAR1", "parquet"),
-    )
+    )  # fmt: skip
     foreign = {
         b"PK\x03\x04": "is a zip file, as Excel writes it: export it as CSV",
         b"\xd0\xcf\x11\xe0": "is a file of Office: export it as CSV",
@@ -180,13 +175,7 @@ def format_of(path: Path) -> str:
         if (path / "metadata.yaml").is_file():
             return "ros"
         raise BadInput(str(path), "is a folder, and not one of a ROS bag: it has no metadata.yaml")
-    try:
-        with path.open("rb") as file:
-            head = file.read(1024)
-    except FileNotFoundError:
-        raise BadInput(str(path), "file does not exist") from None
-    except (OSError, ValueError) as error:
-        raise BadInput(str(path), f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    head = first_bytes(path, 1024)
     kind = next((kind for mark, kind in marks if head.startswith(mark)), None)
     if kind is None and b"\x89HDF\r\n" in head[512:520]:
         kind = "hdf5"
@@ -242,9 +231,8 @@ def take(asked: Path, folder: Path) -> list[object]:
     for number, taken in enumerate(read_here(Path(wanted.file), wanted.sweeps)):
         rows = taken.columns if taken.clock is None else np.vstack([taken.columns, taken.clock])
         np.save(folder / f"{number}.npy", rows, allow_pickle=False)
-        answer.append(
-            TakenUnits(units=taken.units, clocked=taken.clock is not None, notes=taken.notes).model_dump(mode="json")
-        )
+        units = TakenUnits(units=taken.units, clocked=taken.clock is not None, notes=taken.notes)
+        answer.append(units.model_dump(mode="json"))
     return answer
 
 

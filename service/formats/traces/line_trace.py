@@ -9,13 +9,13 @@ of the motor. `unitsType` of the torque may differ in set-up and data; its ratio
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from xml.parsers import expat
 
 import numpy as np
 
+from service.formats.sinumerik.members import parse
 from service.formats.traces.containers import ChannelName, ListedChannel, Taken, check_numbers, shown
 from service.formats.traces.units import axis_of, role_of
 from service.model.arrays import Array
@@ -58,7 +58,7 @@ class LineTrace:
     def __init__(self, path: Path) -> None:
         self._place = str(path)
         builder = _SessionBuilder(str(path))
-        _parse(path, builder)
+        parse(path, builder, LARGEST_CSV)
         self.sessions = [one for one in builder.sessions if one.times and one.signals]
         if not self.sessions:
             raise BadInput(str(path), "has no session with records: save the trace with its data")
@@ -71,39 +71,25 @@ class LineTrace:
         roles = {key: _role(signal.name) for key, signal in session.signals.items()}
         axes = {key: axis_of(ListedChannel(name=signal.name)) for key, signal in session.signals.items()}
         for axis in set(axes.values()):
-            there = {roles[key].partition(" ")[0] for key in roles if axes[key] == axis}
-            best = {
-                role: min(roles[key] for key in roles if axes[key] == axis and roles[key].startswith(role))
-                for role in there
-                if role
-            }
-            for key in [key for key in roles if axes[key] == axis]:
+            own = [key for key in roles if axes[key] == axis]
+            there = {roles[key].partition(" ")[0] for key in own}
+            best = {role: min(roles[key] for key in own if roles[key].startswith(role)) for role in there if role}
+            for key in own:
                 role = roles[key].partition(" ")[0]
                 roles[key] = role if best.get(role) == roles[key] else ""
                 # an axis may have one of the two
                 for wanted, instead in {"position": "load_position", "velocity": "load_velocity"}.items():
                     if role == instead and wanted not in there:
                         roles[key] = wanted
+        named = ((signal.name, self._unit(signal, roles[key]), key) for key, signal in session.signals.items())
         return [
-            ListedChannel(
-                name=signal.name,
-                unit=self._unit(signal, roles[key]),
-                group=number,
-                role=roles[key] or "other",
-                axis=axes[key],
-            )
-            for key, signal in session.signals.items()
+            ListedChannel(name=name, unit=unit, group=number, role=roles[key] or "other", axis=axes[key])
+            for name, unit, key in named
         ]
 
     def _unit(self, signal: _Signal, role: str) -> str:
-        by_role = {
-            "effort": "motor Nm",
-            "current": "A",
-            "load": "%",
-            "position": "posn",
-            "set_position": "posn",
-            "load_position": "posn",
-        }
+        by_role = {"effort": "motor Nm", "current": "A", "load": "%"}
+        by_role |= dict.fromkeys(("position", "set_position", "load_position"), "posn")
         if role == "velocity" and re.search("VelMot", signal.name):
             return "velo motor"
         return _UNITS.get(signal.units) or _UNITS.get(self._set_up.get(signal.name, "")) or by_role.get(role, "")
@@ -125,9 +111,8 @@ class LineTrace:
             notes.append(f"the control lost {session.lost} values, for which the one before is held")
         if len(self.sessions) > 1 and groups == {None}:
             notes.append(f"of {len(self.sessions)} sessions the first is taken; `group` of the sweep chooses another")
-        return Taken(
-            np.array(values), tuple(listed[signal.name].unit for signal in signals), grid - grid[0], tuple(notes)
-        )
+        units = tuple(listed[signal.name].unit for signal in signals)
+        return Taken(np.array(values), units, grid - grid[0], tuple(notes))
 
     def _signal(self, session: Session, source: str) -> _Signal:
         wanted = source.strip()
@@ -144,49 +129,35 @@ class LineTrace:
         listed: dict[str, ListedChannel],
         grid: Array,
         values: list[Array],
-    ) -> list[str]:
-        notes: list[str] = []
+    ) -> Iterator[str]:
         for signal, value in zip(signals, values, strict=True):
+            told, axis = signal.identifier, listed[signal.name].axis
             if listed[signal.name].role != "effort":
                 continue
             other = self._set_up.get(signal.name, signal.units)
             if other != signal.units:
-                notes.append(
-                    f"{signal.identifier} is {other!r} in the set-up, {signal.units!r} in the data; taken: the motor's"
-                )
-            axis = listed[signal.name].axis
-            current = next(
-                (
-                    one
-                    for one in session.signals.values()
-                    if (listed[one.name].role, listed[one.name].axis) == ("current", axis)
-                ),
-                None,
-            )
+                yield f"{told} is {other!r} in the set-up, {signal.units!r} in the data; taken: the motor's"
+            roles = ((one, listed[one.name]) for one in session.signals.values())
+            current = next((one for one, named in roles if (named.role, named.axis) == ("current", axis)), None)
             if current is not None and current.values:
                 flow, pull = (np.convolve(one, np.ones(8), "valid") for one in (_on(current, grid), value))  # samples
                 power, along = float(flow @ flow) * float(pull @ pull), float(flow @ pull)
                 # correlation of a torque and its current, which is some samples later
                 if power > 0 and abs(along) / power**0.5 > 0.8:
                     per = f"{along / float(flow @ flow):.3g} N m per A of i_q, {current.identifier}"
-                    notes.append(f"{signal.identifier} is {per}: the motor's torque")
+                    yield f"{told} is {per}: the motor's torque"
                 else:
-                    told = f"does not follow i_q, {current.identifier}: check that it is the torque"
-                    notes.append(f"{signal.identifier} {told}")
-        return notes
+                    yield f"{told} does not follow i_q, {current.identifier}: check that it is the torque"
 
 
 class _SessionBuilder:
-    """Callbacks of expat."""
+    """Of the elements that have a meaning."""
 
     def __init__(self, place: str) -> None:
         self.units: dict[str, str] = {}  # of the set-up, by name
         self.sessions: list[Session] = []
         self._place = place
         self._depth = 0
-
-    def doctype(self, *_: object) -> None:
-        raise BadInput(self._place, "declares a DOCTYPE, which no file of the control does; entities are not expanded")
 
     def start(self, kind: str, given: dict[str, str]) -> None:
         if self._depth == 0 and kind != "traceSession":
@@ -213,13 +184,14 @@ class _SessionBuilder:
     def end(self, _: str) -> None:
         self._depth -= 1
 
+    def characters(self, _: str) -> None:
+        pass  # values are attributes
+
     def _record(self, session: Session, given: dict[str, str]) -> None:
         time = self._number(given.get("time", "nan"), f"time of record {len(session.times) + 1}")
         if session.times and not time > session.times[-1]:
-            raise BadInput(
-                self._place,
-                f"time does not increase at record {len(session.times) + 1}: {time} s after {session.times[-1]} s",
-            )
+            told = f"time does not increase at record {len(session.times) + 1}: {time} s after {session.times[-1]} s"
+            raise BadInput(self._place, told)
         session.times.append(time)
         for key, text in given.items():
             if key in session.signals:
@@ -236,26 +208,9 @@ class _SessionBuilder:
         return value
 
 
-def _parse(path: Path, builder: _SessionBuilder) -> None:
-    parser = expat.ParserCreate()
-    parser.StartDoctypeDeclHandler = builder.doctype
-    parser.StartElementHandler = builder.start
-    parser.EndElementHandler = builder.end
-    try:
-        if path.stat().st_size > LARGEST_CSV:
-            raise BadInput(str(path), f"is larger than {LARGEST_CSV} bytes")
-        with path.open("rb") as file:
-            parser.ParseFile(file)
-    except OSError as error:
-        raise BadInput(str(path), f"cannot be read: {error.strerror or error}") from None
-    except (expat.ExpatError, ValueError, LookupError) as error:
-        raise BadInput(str(path), f"is not a complete XML file: {error}") from None
-
-
 def _role(name: str) -> str:
     bare = name.rpartition("/")[2]
-    match: Callable[[str], object] = lambda pattern: re.search(pattern, bare)  # noqa: E731
-    found = next((role for pattern, role in _NAMES if match(pattern)), None)
+    found = next((role for pattern, role in _NAMES if re.search(pattern, bare)), None)
     return role_of(ListedChannel(name=bare))[0] if found is None else found
 
 

@@ -17,15 +17,9 @@ from asammdf.blocks.mdf_v4 import MDF4
 from asammdf.blocks.utils import MdfException
 from numpy.typing import NDArray
 
-from service.formats.traces.containers import (
-    Array,
-    ChannelName,
-    ListedChannel,
-    Taken,
-    check_numbers,
-    shown,
-)
+from service.formats.traces.containers import ChannelName, ListedChannel, Taken, check_numbers, shown
 from service.formats.traces.units import to_si
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.store.files.columns import MOST_NUMBERS
 

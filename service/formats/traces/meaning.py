@@ -6,7 +6,7 @@ the speed. What was found this way is told, and the mapping overrules it.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -119,9 +119,8 @@ def _shown(train: KnownTrain, channels: Mapping[str, SourceChannel], time: Array
         gear = abs(train.gear_ratio or 1.0) if channels[name].unit == "velo motor" else 1.0
         for slides, unit, factor in ((True, "mm/min", 1 / 60), (True, "m/min", 1e3 / 60), (False, "rev/min", 6.0)):
             if ratio and _off(factor, ratio * (1.0 if slides else gear)) < FITS:
-                train.tell(
-                    f"the axis is {'linear' if slides else 'rotary'}: {name} is in {unit} of what position is in"
-                )
+                kind = "linear" if slides else "rotary"
+                train.tell(f"the axis is {kind}: {name} is in {unit} of what position is in")
                 return slides
         if ratio and gear != 1 and _off(1e3 * math.tau / 60, ratio * gear) < FITS:
             train.tell(f"the axis is linear: its position is in mm, by the {train.gear_ratio:g} rad/m of the motor")
@@ -203,21 +202,16 @@ def _speed(train: KnownTrain, name: str, one: SourceChannel, position: Array | N
     if known is not None and known[0] in ("angular speed", "speed", "turns per time"):
         units = {one.unit: known}
     elif one.unit in _SHOWN:
-        units = {
-            unit: (kind, factor) for kind in (quantity, "turns per time") for unit, factor in QUANTITIES[kind].items()
-        }
+        kinds = (quantity, "turns per time")
+        units = {unit: (kind, factor) for kind in kinds for unit, factor in QUANTITIES[kind].items()}
     else:
         return to_si(name, one.unit, bool(train.prismatic), place)[0]
     sides: list[tuple[float, float, str, bool]] = []
+    geared = name != "load_velocity" and train.gear_ratio is not None and (gear != 1 or train.prismatic)
     for unit, (kind, factor) in units.items():
         if kind == quantity or (kind == "turns per time" and not train.prismatic):
             sides.append((_off(factor, seen), factor, unit, False))
-        if (
-            name != "load_velocity"
-            and train.gear_ratio is not None
-            and kind != "speed"
-            and (gear != 1 or train.prismatic)
-        ):
+        if geared and kind != "speed":
             sides.append((_off(factor / abs(gear), seen), factor / gear, unit, True))
     best = min(sides, key=lambda each: each[0], default=None)
     if best is None or seen is None or best[0] > FITS:
@@ -226,18 +220,16 @@ def _speed(train: KnownTrain, name: str, one: SourceChannel, position: Array | N
         if one.unit in _SHOWN and seen is None and best is not None and name != "velocity":
             return best[1]
         if one.unit == "" and best is not None:
-            train.tell(
-                f"{name} has no unit and does not follow position: taken as {'m/s' if train.prismatic else 'rad/s'}"
-            )
+            si = "m/s" if train.prismatic else "rad/s"
+            train.tell(f"{name} has no unit and does not follow position: taken as {si}")
             return 1.0
-        if sides and len(sides) == 1 and seen is None:
+        if len(sides) == 1 and seen is None:
             return sides[0][1]
         if seen is not None and best is not None:
-            raise BadInput(
-                place,
-                f"unit {one.unit!r} of the file is not a unit of {name} that follows position, which moves {seen:.3g} "
-                "times as fast: give a unit, scale or gear ratio in the mapping",
+            told = (
+                f"unit {one.unit!r} of the file is not a unit of {name} that follows position, which moves {seen:.3g}"
             )
+            raise BadInput(place, f"{told} times as fast: give a unit, scale or gear ratio in the mapping")
         return to_si(name, one.unit, bool(train.prismatic), place)[0]
     _, scale, unit, on_motor = best
     if name == "velocity":
@@ -257,39 +249,34 @@ def _off(factor: float, seen: float | None) -> float:
 def _effort(train: KnownTrain, name: str, one: SourceChannel, place: str) -> float:
     gear, known = train.gear_ratio or 1.0, measures(one.unit)
     quantity = known[0] if known else ""
-    ask: Callable[[str, str, str], BadInput] = lambda unit, what, option: BadInput(  # noqa: E731
-        place, f"{one.column.name!r} is in {unit}: give {what} as {option}, or a scale in the mapping"
-    )
+    factor, column = known[1] if known else 1.0, one.column.name
+
+    def ask(what: str, option: str) -> BadInput:
+        told = f"{column!r} is in {one.unit}: give {what} as --{option.replace('_', '-')} (`{option}` of the axis)"
+        return BadInput(place, f"{told}, or a scale in the mapping")
+
     if quantity == "current":
         if train.torque_constant is None:
-            raise ask(
-                one.unit, "the motor's torque constant, N m/A,", "--torque-constant (`torque_constant` of the axis)"
-            )
-        train.tell(f"{name}, {one.column.name}: {train.torque_constant:g} N m/A of the motor x gear ratio {gear:g}")
-        return known[1] * train.torque_constant * gear if known else 1.0
+            raise ask("the motor's torque constant, N m/A,", "torque_constant")
+        train.tell(f"{name}, {column}: {train.torque_constant:g} N m/A of the motor x gear ratio {gear:g}")
+        return factor * train.torque_constant * gear
     if quantity == "part":
         if train.rated_effort is None:
-            raise ask(
-                one.unit, "the rated torque of the joint, N m (N),", "--rated-effort (`rated_effort` of the axis)"
-            )
-        train.tell(f"{name}, {one.column.name}: of the rated {train.rated_effort:g} N m (N) of the joint")
-        return math.copysign(train.rated_effort, gear) * (known[1] if known else 1.0)
+            raise ask("the rated torque of the joint, N m (N),", "rated_effort")
+        train.tell(f"{name}, {column}: of the rated {train.rated_effort:g} N m (N) of the joint")
+        return math.copysign(train.rated_effort, gear) * factor
     if one.unit == "motor Nm":
         if train.gear_ratio is None:
-            raise BadInput(
-                place,
-                f"{one.column.name!r} is the motor's torque: give the gear ratio as --gear-ratio, or in the mapping",
-            )
+            told = f"{column!r} is the motor's torque: give the gear ratio as --gear-ratio, or in the mapping"
+            raise BadInput(place, told)
         return gear
     if quantity == "torque" or (not one.unit and not train.prismatic):
         on_motor = train.on_motor or bool(train.prismatic)
         if on_motor or not one.unit:
             what = one.unit or "without unit, taken as N m"
-            train.tell(
-                f"{name}, {one.column.name}: {what} of the {'motor' if on_motor else 'axis'}, on the side of the speed"
-            )
-        return (known[1] if known else 1.0) * (gear if on_motor else 1.0)
+            train.tell(f"{name}, {column}: {what} of the {'motor' if on_motor else 'axis'}, on the side of the speed")
+        return factor * (gear if on_motor else 1.0)
     if not one.unit:
-        train.tell(f"{name}, {one.column.name}, has no unit; taken as N")
+        train.tell(f"{name}, {column}, has no unit; taken as N")
         return 1.0
     return to_si(name, one.unit, bool(train.prismatic), place)[0]

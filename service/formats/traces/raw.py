@@ -85,16 +85,16 @@ def read_raw(mapping: Mapping, traces: Sequence[tuple[Path, TraceSweep]]) -> Ite
     plans: list[tuple[Path, dict[str, SourceColumn], dict[str, str]]] = []
     for path, entry in traces:
         file = files[path] = files.get(path) or _TraceFile(path, mapping.csv)
-        if file.kind not in GROUPED:
-            _refuse_groups(mapping.columns.sources, entry, path)
+        groups = (entry.group, *(column.group for column in mapping.columns.sources.values()))
+        if file.kind not in GROUPED and (named := [group for group in groups if group is not None]):
+            told = (
+                f"has no groups, but the mapping names {named[0]!r}: only MDF4, HDF5, ROS bags and a control's XML have"
+            )
+            raise BadInput(str(path), told)
         wanted, found = _sources(mapping.columns, entry, file)
         plans.append((path, wanted, found))
-    opened = {
-        path: file.read(
-            [_channels(wanted, entry) for (at, wanted, _), (_, entry) in zip(plans, traces, strict=True) if at == path]
-        )
-        for path, file in files.items()
-    }
+    asked = [(path, _channels(wanted, entry)) for (path, wanted, _), (_, entry) in zip(plans, traces, strict=True)]
+    opened = {path: file.read([names for at, names in asked if at == path]) for path, file in files.items()}
     for path, wanted, found in plans:
         taken = next(opened[path])
         units = {name: unit or found.get(name, "") for name, unit in zip(wanted, taken.units, strict=True)}
@@ -128,13 +128,10 @@ def _sources(columns: Columns, entry: TraceSweep, file: _TraceFile) -> tuple[dic
     missing = [name for name in needed if name not in whole]
     if missing:
         there = ", ".join(f"{one.name} [{one.unit}]" if one.unit else one.name for one in file.listed[:12])
-        raise BadInput(
-            str(file.path),
-            f"has no channel that is known as {' or '.join(missing)}; there are {there}: name it in a mapping",
-        )
-    return {name: whole[name] for name in Columns.model_fields if name in whole}, {
-        name: units.get(name, "") for name in wanted
-    }
+        told = f"has no channel that is known as {' or '.join(missing)}; there are {there}: name it in a mapping"
+        raise BadInput(str(file.path), told)
+    ordered = {name: whole[name] for name in Columns.model_fields if name in whole}
+    return ordered, {name: units.get(name, "") for name in wanted}
 
 
 def _channels(wanted: dict[str, SourceColumn], entry: TraceSweep) -> tuple[ChannelName, ...]:
@@ -142,12 +139,3 @@ def _channels(wanted: dict[str, SourceColumn], entry: TraceSweep) -> tuple[Chann
         ChannelName(source=column.name, group=entry.group if column.group is None else column.group)
         for column in wanted.values()
     )
-
-
-def _refuse_groups(wanted: dict[str, SourceColumn], entry: TraceSweep, path: Path) -> None:
-    for group in (entry.group, *(column.group for column in wanted.values())):
-        if group is not None:
-            raise BadInput(
-                str(path),
-                f"has no groups, but the mapping names {group!r}: only MDF4, HDF5, ROS bags and a control's XML have",
-            )

@@ -19,14 +19,8 @@ from rosbags.rosbag2 import ReaderError as Ros2Error
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
-from service.formats.traces.containers import (
-    Array,
-    ChannelName,
-    ListedChannel,
-    Taken,
-    check_numbers,
-    shown,
-)
+from service.formats.traces.containers import ChannelName, ListedChannel, Taken, check_numbers, shown
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.store.files.columns import MOST_NUMBERS
 
@@ -83,11 +77,7 @@ def listed(path: Path) -> tuple[ListedChannel, ...]:
 def _records(path: Path, wanted: str | None) -> tuple[str, Array, dict[str, Array]]:
     states = _json_states(path)
     if states:
-        if len(states) > 1 and wanted is None:
-            raise BadInput(
-                str(path), f"has joint states of {shown(sorted(states))}: choose one as `group` of the sweep"
-            )
-        topic = wanted or next(iter(states))
+        topic = _chosen(path, states, wanted)
         if topic not in states:
             raise BadInput(str(path), f"has no topic {topic}; there are {shown(sorted(states))}")
         return topic, *_columns(states[topic])
@@ -96,11 +86,7 @@ def _records(path: Path, wanted: str | None) -> tuple[str, Array, dict[str, Arra
         if not topics or (wanted is not None and wanted not in topics):
             there = shown(sorted(f"{each.topic} ({each.msgtype})" for each in reader.connections))
             raise BadInput(str(path), f"has no {'topic ' + wanted if wanted else _TYPE}; there are {there}")
-        if len(topics) > 1 and wanted is None:
-            raise BadInput(
-                str(path), f"has joint states of {shown(sorted(topics))}: choose one as `group` of the sweep"
-            )
-        topic = wanted or next(iter(topics))
+        topic = _chosen(path, topics, wanted)
         check_numbers(topics[topic].msgcount, 4, MOST_NUMBERS, str(path))
         rows: list[tuple[float, dict[str, float]]] = []
         for connection, recorded, raw in reader.messages(connections=[topics[topic]]):
@@ -111,6 +97,13 @@ def _records(path: Path, wanted: str | None) -> tuple[str, Array, dict[str, Arra
     if not rows:
         raise BadInput(f"{path} topic {topic}", "has no messages")
     return topic, *_columns(rows)
+
+
+def _chosen(path: Path, topics: Iterable[str], wanted: str | None) -> str:
+    there = sorted(topics)
+    if len(there) > 1 and wanted is None:
+        raise BadInput(str(path), f"has joint states of {shown(there)}: choose one as `group` of the sweep")
+    return wanted or there[0]
 
 
 def _columns(rows: Sequence[tuple[float, dict[str, float]]]) -> tuple[Array, dict[str, Array]]:

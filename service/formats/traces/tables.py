@@ -5,6 +5,7 @@ above them is the heading: key and value pairs, names, units, types. TwinCAT's S
 each channel (``Name<tab>M<tab>Name<tab>n``); its channels have a column of time each.
 """
 
+import codecs
 import csv
 import io
 import re
@@ -20,7 +21,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pa_csv
 
-from service.formats.traces.containers import ChannelName, ListedChannel, Taken, check_numbers, shown
+from service.formats.traces.containers import ChannelName, ListedChannel, Taken, check_numbers, first_bytes, shown
 from service.formats.traces.mapping import Csv
 from service.formats.traces.units import known_unit, measures, unit_in
 from service.model.arrays import Array
@@ -34,6 +35,7 @@ _STAMP = re.compile(
 _UNITS = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
 _arrow, _csv = cast(Any, pa), cast(Any, pa_csv)  # without types
 _MISSING = frozenset(("", "-", "--", "nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "n/a", "#n/a", "null", "none"))
+_SPELT = (str.upper, str.capitalize)
 _TYPE = re.compile(r"(?i)(l?real|u?[sdl]?int|bool|byte|d?word|double|single|float|string|dt_\w+)\d*|-")
 
 
@@ -177,8 +179,7 @@ class TextTable:
         self._head = _head(heading, self._width)
         self._interval = _stated_interval(lines[form.skip_rows : self._first])
         self._sample = cells(lines[self._first])
-        times = set(self._head.clocks.values())
-        names = self._head.names
+        times, names = set(self._head.clocks.values()), self._head.names
         self._numbered = tuple(f"{name} (column {k})" for k, name in enumerate(names, start=1))
         self.listed = tuple(
             ListedChannel(name=name if names.count(name) == 1 else self._numbered[k], unit=self._head.units[k])
@@ -208,21 +209,17 @@ class TextTable:
         stated, unit = self._head.intervals.get(column), measures(self._head.units[self._head.clocks[column]])
         if stated is not None and step > 0:
             return time * (stated / step)
-        return time * (
-            unit[1] if unit is not None and unit[0] == "time" else unit_of_time(time[np.isfinite(time)], None)[1]
-        )
+        if unit is not None and unit[0] == "time":
+            return time * unit[1]
+        return time * unit_of_time(time[np.isfinite(time)], None)[1]
 
     def _index(self, source: str) -> int:
         """Of a column by its name, with its unit or its number too; else whatever the case of letters."""
         wanted, names = source.strip(), self._head.names
         full = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, self._head.units, strict=True)]
         folded = [name.casefold() for name in names]
-        for given, candidates in (
-            (wanted, names),
-            (wanted, self._numbered),
-            (wanted, full),
-            (wanted.casefold(), folded),
-        ):
+        for candidates in (names, self._numbered, full, folded):
+            given = wanted.casefold() if candidates is folded else wanted
             found = [k for k, name in enumerate(candidates) if name == given]
             if len(found) == 1:
                 return found[0]
@@ -242,10 +239,8 @@ class TextTable:
                 start, end = end, end + batch.num_rows
                 for k, row, column in zip(wanted, rows, batch.columns, strict=True):
                     if k in stamps:
-                        place = f"{self._place} column {self._head.names[k]!r}"
-                        row[start:end] = [
-                            _seconds(cell, place, n) for n, cell in enumerate(column.to_pylist(), start + 1)
-                        ]
+                        place, cells = f"{self._place} column {self._head.names[k]!r}", column.to_pylist()
+                        row[start:end] = [_seconds(cell, place, n) for n, cell in enumerate(cells, start + 1)]
                     else:  # without a null Arrow converts nothing, for which it would reserve 1 GiB
                         row[start:end] = column.fill_null(np.nan).to_numpy(zero_copy_only=False)
         except _arrow.ArrowInvalid as error:
@@ -275,11 +270,7 @@ class TextTable:
                     decimal_point=self._point,
                     include_columns=[str(k) for k in wanted],
                     column_types={str(k): _arrow.string() if k in text else _arrow.float64() for k in wanted},
-                    null_values=(
-                        sorted(
-                            {form for one in _MISSING for form in (one, one.upper(), one.capitalize(), "NaN", "None")}
-                        )
-                    ),
+                    null_values=sorted({*_MISSING, *(form(one) for one in _MISSING for form in _SPELT), "NaN", "None"}),
                     strings_can_be_null=True,
                 ),
             ) as batches:
@@ -311,22 +302,12 @@ def _text(path: Path, encoding: str) -> io.TextIOWrapper:
 def _measured(path: Path) -> tuple[str, int]:
     """Encoding, by byte order mark, NUL bytes of UTF-16, else UTF-8, else the Windows code page 1252; lines."""
     boms = (
-        (b"\xef\xbb\xbf", "utf-8-sig"),
-        (b"\xff\xfe\x00\x00", "utf-32"),
-        (b"\x00\x00\xfe\xff", "utf-32"),
-        (b"\xff\xfe", "utf-16"),
-        (b"\xfe\xff", "utf-16"),
-    )
-    try:
-        size = path.stat().st_size
-        if size > LARGEST_CSV:
-            raise BadInput(str(path), f"is {size} bytes large, limit {LARGEST_CSV} bytes")
-        with path.open("rb") as file:
-            head = file.read(4096)
-    except FileNotFoundError:
-        raise BadInput(str(path), "file does not exist") from None
-    except (OSError, ValueError) as error:
-        raise BadInput(str(path), f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        (codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf-32"),
+        (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"),
+    )  # fmt: skip
+    head, size = first_bytes(path, 4096), path.stat().st_size
+    if size > LARGEST_CSV:
+        raise BadInput(str(path), f"is {size} bytes large, limit {LARGEST_CSV} bytes")
     encoding = next((name for mark, name in boms if head.startswith(mark)), "utf-8")
     if encoding == "utf-8" and b"\0" in head:
         odd, even = head[1::2].count(0), head[::2].count(0)
@@ -387,18 +368,8 @@ def _is_number(cell: str, point: str) -> bool:
 def _form(lines: Sequence[str], form: Csv, place: str) -> tuple[str, str, int]:
     """Delimiter, decimal point and first line of the data."""
     best: tuple[int, str, str, int] = (0, "", "", 0)
-    for delimiter, point in (
-        ("\t", "."),
-        (";", "."),
-        (",", "."),
-        ("|", "."),
-        ("\t", ","),
-        (";", ","),
-        ("|", ","),
-        (" ", "."),
-        (" ", ","),
-    ):
-        if form.delimiter not in (None, delimiter) or form.decimal_point not in (None, point) or delimiter == point:
+    for delimiter, point in ("\t.", ";.", ",.", "|.", "\t,", ";,", "|,", " .", " ,"):
+        if form.delimiter not in (None, delimiter) or form.decimal_point not in (None, point):
             continue
         numbers = partial(_is_number, point=point)
         score, first = _longest(lines, form.skip_rows, delimiter, numbers)
@@ -435,24 +406,18 @@ def _head(rows: Sequence[list[str]], width: int) -> _Head:
     rows = [[row[0].lstrip("#%; ").strip(), *row[1:]] for row in rows if row]
     rows = [row[1:] if len(row) == width + 1 and not row[0] else row for row in rows]
     keyed = {row[0].casefold(): row for row in rows if len(row) >= width > 1 and row[0] and _repeats(row, width)}
-    if names := keyed.get("name") or keyed.get("symbolname"):
-        return _scope(keyed, names, width)
-    fitting = [
-        row[:width] for row in rows if len(row) in (width, width - 1, width + 1) and sum(map(bool, row)) > width // 2
-    ]
-    fitting = [row + [""] * (width - len(row)) for row in fitting]
+    if known := keyed.get("name") or keyed.get("symbolname"):
+        return _scope(keyed, known, width)
+    fitting = [row for row in rows if abs(len(row) - width) <= 1 and sum(map(bool, row)) > width // 2]
+    fitting = [row[:width] + [""] * (width - len(row)) for row in fitting]
     units = next((row for row in fitting if _are_units(row)), None)
-    values = [
-        row for row in fitting if width > 1 and all(_is_number(cell, ".") for cell in row[1:])
-    ]  # as "# Scale: 1;2"
-    named = [
-        row
-        for row in fitting
-        if row is not units and row not in values and not all(_TYPE.fullmatch(cell) for cell in row if cell)
-    ]
-    found = max(
-        named, key=lambda row: len({cell for cell in row if cell}), default=[f"column {k + 1}" for k in range(width)]
-    )
+
+    def names(row: list[str]) -> bool:
+        values = width > 1 and all(_is_number(cell, ".") for cell in row[1:])  # as "# Scale: 1;2"
+        return row is not units and not values and not all(_TYPE.fullmatch(cell) for cell in row if cell)
+
+    unnamed = [f"column {k + 1}" for k in range(width)]
+    found = max(filter(names, fitting), key=lambda row: len({cell for cell in row if cell}), default=unnamed)
     parts = [unit_in(cell) for cell in found]
     stated = units or [""] * width
     heads = [(name, unit or stated[k].strip("[]() ")) for k, (name, unit) in enumerate(parts)]
@@ -461,9 +426,7 @@ def _head(rows: Sequence[list[str]], width: int) -> _Head:
 
 def _pairs(head: _Head) -> _Head:
     """A name that stands for time before each other column makes these the channels' own times."""
-    times = [
-        k for k, name in enumerate(head.names) if head.names.count(name) > 1 and k % 2 == 0 and k + 1 < len(head.names)
-    ]
+    times = [k for k, name in enumerate(head.names[:-1]) if head.names.count(name) > 1 and k % 2 == 0]
     if len(times) < 2 or len({head.names[k] for k in times}) > 1:
         return head
     names = tuple("" if k in times else name for k, name in enumerate(head.names))
@@ -487,12 +450,10 @@ def _scope(keyed: dict[str, list[str]], names: list[str], width: int) -> _Head:
         if k < len(sample) and (step := sample[k].replace(",", ".")).replace(".", "", 1).isdigit() and float(step) > 0:
             steps[k] = float(step) * 1e-3
     parts = [("", "") if k in times else unit_in(names[k]) for k in range(width)]
-    stated = [
-        part[1] or ("" if k in times or k >= len(units) else units[k].strip("[]() ")) for k, part in enumerate(parts)
-    ]
-    return _Head(
-        tuple(part[0] for part in parts), tuple("" if unit in ("None", "-") else unit for unit in stated), clocks, steps
-    )
+    of_values = ["" if k in times or k >= len(units) else units[k].strip("[]() ") for k in range(width)]
+    stated = tuple(unit or other for (_, unit), other in zip(parts, of_values, strict=True))
+    named = tuple(name for name, _ in parts)
+    return _Head(named, tuple("" if unit in ("None", "-") else unit for unit in stated), clocks, steps)
 
 
 def _are_units(row: Sequence[str]) -> bool:

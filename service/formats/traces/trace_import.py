@@ -61,16 +61,17 @@ def import_trace(mapping_file: Path, source: Path | None = None) -> tuple[Robot,
 
 
 def of_file(
-    path: Path, robot: SingleAxis, file_axis: str | None = None, torque_constant: float | None = None
+    path: Path,
+    robot: SingleAxis,
+    file_axis: str | None = None,
+    torque_constant: float | None = None,
+    sample_rate: float | None = None,
 ) -> Mapping:
     """The mapping of a trace alone: one axis, a sweep for each session of the file; the rest is found in it."""
     count = sessions_of(path)
-    sweeps = tuple(
-        TraceSweep(
-            source=Path(path.name), id=f"{k:04d}", axis=robot.joint, file_axis=file_axis, group=k if count > 1 else None
-        )
-        for k in range(1, count + 1)
-    )
+    known: dict[str, Any] = {"source": Path(path.name), "axis": robot.joint, "file_axis": file_axis}
+    known |= {} if sample_rate is None else {"sample_rate": sample_rate}
+    sweeps = tuple(TraceSweep(id=f"{k:04d}", group=k if count > 1 else None, **known) for k in range(1, count + 1))
     return Mapping(robot=robot, axes={robot.joint: CncAxis(torque_constant=torque_constant)}, sweeps=sweeps)
 
 
@@ -84,6 +85,7 @@ def read_traces(mapping: Mapping, mapping_file: Path, source: Path | None = None
         robot = None
     else:
         robot = read_robot(mapping_file.parent / given)
+    name = given.name if isinstance(given, SingleAxis) else robot.name if robot is not None else ""
     joints = (given.joint,) if isinstance(given, SingleAxis) else () if robot is None else robot.joints
     for joint in mapping.axes:
         if joint not in joints:
@@ -92,7 +94,6 @@ def read_traces(mapping: Mapping, mapping_file: Path, source: Path | None = None
     traces = [(source or mapping_file.parent / entry.source, entry) for entry in entries]
     for path, entry in traces:
         if entry.axis not in joints or len(entry.pose) not in ((0, 1) if len(joints) == 1 else (len(joints),)):
-            name = given.name if isinstance(given, SingleAxis) else robot.name if robot is not None else ""
             there = f"robot {name}, which has {', '.join(joints)}"
             reason = f"axis {entry.axis} in pose {entry.pose} does not exist on {there}"
             if entry.axis in joints and not entry.pose:
@@ -122,8 +123,7 @@ def read_traces(mapping: Mapping, mapping_file: Path, source: Path | None = None
         inertia = _nominal(robot, sweeps)
         given = given.model_copy(update={"inertia": inertia or 1.0})
         robot = _single_axis_robot(given, str(mapping_file))
-        unit = "kg" if given.kind == "prismatic" else "kg m^2"
-        shown = f"{given.inertia:.4g} {unit}"
+        shown = f"{given.inertia:.4g} {'kg' if given.kind == 'prismatic' else 'kg m^2'}"
         found = f"nominal inertia {shown}: that of this trace; check compares with one of a data sheet"
         notes[found if inertia else f"this trace shows no inertia: the nominal one is set to {shown}"] = None
     whole = [
@@ -162,9 +162,8 @@ def _drafted(
     given: SingleAxis, taken: Sequence[Mapping_[str, Array]], place: str
 ) -> tuple[SingleAxis, Robot, tuple[str, ...]]:
     """The axis with what is not known of it from the samples."""
-    low, high = (float(limit(one["position"])) for limit, one in ((np.nanmin, taken[0]), (np.nanmax, taken[0])))
-    for one in taken[1:]:
-        low, high = min(low, float(np.nanmin(one["position"]))), max(high, float(np.nanmax(one["position"])))
+    low = min(float(np.nanmin(one["position"])) for one in taken)
+    high = max(float(np.nanmax(one["position"])) for one in taken)
     margin = max(0.1 * (high - low), 1e-3)
     fastest = max(float(np.nanmax(np.abs(one["velocity"]))) for one in taken)
     largest = max(float(np.nanmax(np.abs(one["effort"]))) for one in taken)
@@ -177,13 +176,9 @@ def _drafted(
     unknown = {name: float(f"{value:.6g}") for name, value in found.items() if getattr(given, name) is None}
     if not all(map(math.isfinite, unknown.values())):
         raise BadInput(place, "the trace has values that are missing")
-    told = (
-        (f"of the axis, {', '.join(f'{name} {value:.4g}' for name, value in unknown.items())}: from the trace",)
-        if unknown
-        else ()
-    )
+    told = ", ".join(f"{name} {value:.4g}" for name, value in unknown.items())
     whole = given.model_copy(update=unknown)
-    return whole, _single_axis_robot(whole, place), told
+    return whole, _single_axis_robot(whole, place), (f"of the axis, {told}: from the trace",) if unknown else ()
 
 
 def _nominal(robot: Robot, sweeps: Sequence[Sweep]) -> float | None:
@@ -216,7 +211,8 @@ def differentiate(signal: Array, sample_rate: float, corner: float) -> Array:
     # f'(x) h of order 8 from samples at x+1 h ... x+4 h minus those at x-1 h ... x-4 h (Fornberg 1988, table 1)
     central = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
     middle = len(central)
-    run_in = _run_in(sample_rate, corner)
+    # samples of odd reflection until the filter has settled: its slowest pole decays as exp(-2.4 corner t)
+    run_in = int(10 * sample_rate / corner)
     smooth = np.pad(sosfiltfilt(sections, signal, padlen=run_in), middle, mode="reflect", reflect_type="odd")
     derivative = np.zeros(len(signal))
     for distance, weight in enumerate(central, start=1):
@@ -224,11 +220,6 @@ def differentiate(signal: Array, sample_rate: float, corner: float) -> Array:
         behind = smooth[middle - distance : middle - distance + len(signal)]
         derivative += weight * sample_rate * (ahead - behind)
     return derivative
-
-
-def _run_in(sample_rate: float, corner: float) -> int:
-    """Samples of odd reflection until the filter has settled: its slowest pole decays as exp(-2.4 corner t)."""
-    return int(10 * sample_rate / corner)
 
 
 def _aligned(entry: TraceSweep, recording: Recording, set_position: Array, position: float, place: str) -> float:
@@ -361,13 +352,8 @@ def _derived(position: Array, sample_rate: float, corner: float, place: str) -> 
 
 
 def _single_axis_robot(axis: SingleAxis, place: str) -> Robot:
-    inertia = 1.0 if axis.inertia is None else axis.inertia
-    lower, upper, fastest = (
-        -1.0 if axis.lower is None else axis.lower,
-        1.0 if axis.upper is None else axis.upper,
-        axis.velocity or 1.0,
-    )
-    rated = 1.0 if axis.rated_effort is None else axis.rated_effort
+    inertia, rated, fastest = axis.inertia or 1.0, axis.rated_effort or 1.0, axis.velocity or 1.0
+    lower, upper = -1.0 if axis.lower is None else axis.lower, 1.0 if axis.upper is None else axis.upper
     turning, mass = (1.0, inertia) if axis.kind == "prismatic" else (inertia, 1.0)
     urdf = f"""<?xml version="1.0"?>
 <robot name="single-axis">
@@ -414,17 +400,7 @@ def mapping_of(
     given = {name: value for name, value in known.items() if value is not None}
     name = "".join(letter for letter in path.stem if letter.isprintable())[:200] or "trace"
     try:
-        mapping = of_file(path, SingleAxis(name=name, joint="axis", **given), axis, torque_constant)
-        if sample_rate is None:
-            return mapping
-        return mapping.model_copy(
-            update={
-                "sweeps": tuple(
-                    one.model_validate(one.model_dump(exclude_unset=True) | {"sample_rate": sample_rate})
-                    for one in mapping.sweeps
-                )
-            }
-        )
+        return of_file(path, SingleAxis(name=name, joint="axis", **given), axis, torque_constant, sample_rate)
     except ValidationError as error:
         raise bad_field(str(path), error) from None
 

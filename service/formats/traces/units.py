@@ -65,7 +65,7 @@ _FOLDED = {
     if len(name) > 2 and name not in ("mNm", "kNm")
 }
 
-_SAID: Mapping[Unit, tuple[str, float | None]] = {
+_SAID: Mapping[Unit, tuple[str, float]] = {
     "deg": ("angle", _DEGREE),
     "mm": ("length", 1e-3),
     "motor rev": ("turns", math.tau),
@@ -94,8 +94,7 @@ def measures(unit: str) -> tuple[str, float] | None:
 
 def known_unit(unit: str) -> str | None:
     """Quantity of a unit; None if it is not known."""
-    found = measures(unit)
-    return None if found is None else found[0]
+    return (measures(unit) or (None,))[0]
 
 
 def unit_in(heading: str) -> tuple[str, str]:
@@ -114,13 +113,9 @@ def unit_in(heading: str) -> tuple[str, str]:
         ):
             return found["name"].strip(), unit
     if found := suffix.match(heading):
-        unit = found["unit"].lower()
-        per = (
-            unit.replace("_", "").replace("ps", "/s")
-            if len(unit) > 2 and unit.endswith("s") and unit != "amps"
-            else unit
-        )
-        per = re.sub(r"(?<=[dgm])s$", "/s", per) if unit not in ("ms", "amps") else per
+        unit = per = found["unit"].lower()
+        if len(unit) > 2 and unit.endswith("s") and unit != "amps":
+            per = re.sub(r"(?<=[dgm])s$", "/s", unit.replace("_", "").replace("ps", "/s"))
         return heading, {"nm": "Nm", "amp": "A", "amps": "A", "a": "A", "pct": "%"}.get(per, per)
     return heading, ""
 
@@ -128,15 +123,16 @@ def unit_in(heading: str) -> tuple[str, str]:
 def check_same(said: Unit, unit: str, place: str) -> None:
     """BadInput if the unit in the mapping contradicts the unit in the file."""
     given = measures(unit)
-    fits = (
-        plain(unit) in ("1", "samples") if said == "samples" else given is not None and given == _SAID.get(said, given)
-    )
-    if said == "axis position":
-        fits = given in (("angle", _DEGREE), ("length", 1e-3))
+    match said:
+        case "samples":
+            fits = plain(unit) in ("1", "samples")
+        case "axis position":
+            fits = given in (("angle", _DEGREE), ("length", 1e-3))
+        case _:
+            fits = given == _SAID[said]
     if not fits:
         raise BadInput(
-            place,
-            f"the mapping says {said!r}, the file says {unit!r}: correct the mapping, or give scale and offset",
+            place, f"the mapping says {said!r}, the file says {unit!r}: correct the mapping, or give scale and offset"
         )
 
 
@@ -250,10 +246,8 @@ def role_of(channel: ListedChannel) -> tuple[str, int]:
 
 def find_roles(listed: Sequence[ListedChannel], file_axis: str, place: str) -> dict[str, ListedChannel]:
     """The best channel of each role, of one axis. BadInput if there are several axes and none is chosen."""
-    ranked = sorted(
-        ((role_of(one)[1], k, role_of(one)[0], one) for k, one in enumerate(listed)), key=lambda one: one[:2]
-    )
-    of_axes = [(role, one) for _, _, role, one in ranked if role not in ("", "time", "temperature")]
+    ranked = sorted(((*role_of(one), one) for one in listed), key=lambda one: one[1])
+    of_axes = [(role, one) for role, _, one in ranked if role not in ("", "time", "temperature")]
     axes = list(dict.fromkeys(axis_of(one) for _, one in of_axes if axis_of(one)))
     roles = [role for role, _ in of_axes]
     numbered = len(axes) > 1 and any(roles.count(role) > 1 for role in roles)
@@ -264,7 +258,7 @@ def find_roles(listed: Sequence[ListedChannel], file_axis: str, place: str) -> d
             place, f"has channels of axes {shown(sorted(axes))}: choose one by --axis, or by `file_axis` of the sweep"
         )
     found: dict[str, ListedChannel] = {}
-    for _, _, role, one in ranked:
+    for role, _, one in ranked:
         if role and (not file_axis or axis_of(one) in ("", file_axis)):
             found.setdefault(role, one)
     return found

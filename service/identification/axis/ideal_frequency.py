@@ -36,32 +36,9 @@ from service.identification.model.least_squares import SearchResult, converged, 
 from service.identification.spectra.noise_response import FrequencyResponse
 from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
+from service.model.results.estimate import Figure, Ideal, PoseClass
 
 LEVEL = (0.15, 0.45)  # of f_l: lines used for the level asymptote
-
-
-@dataclass(frozen=True, slots=True)
-class Uncertain:
-    """A value and its standard deviation."""
-
-    value: float
-    std: float
-
-
-@dataclass(frozen=True, slots=True)
-class IdealFrequency:
-    """Result of one method for one pose; kg m^2 (kg), N m s/rad (N s/m), Hz."""
-
-    inertia: Uncertain
-    friction: Uncertain
-    locked_rotor: Uncertain
-    corner: Uncertain
-    frequency: Uncertain  # sqrt(locked_rotor corner)
-
-    @property
-    def sweep_frequency(self) -> float:
-        """The nearest of the paper's sweep frequencies, Hz."""
-        return nearest_line(self.frequency.value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,24 +48,13 @@ class PoseAnalysis:
     pose: tuple[float, ...]
     response: FrequencyResponse
     load_inertia: float
-    fit: IdealFrequency
-    asymptotes: IdealFrequency
+    fit: Ideal
+    asymptotes: Ideal
 
     @property
     def at_least(self) -> tuple[float, float] | None:
-        """Lower bounds of f_l and of the ideal frequency, Hz, if the fitted f_l is above the last line; else None."""
-        last = float(self.response.frequency[-1])
-        return None if self.fit.locked_rotor.value <= last else (last, float(np.sqrt(last * self.fit.corner.value)))
-
-
-@dataclass(frozen=True, slots=True)
-class InertiaClass:
-    """Poses of similar inertia: J up to `up_to` (inf: the last class), their lowest f_l and their ideal frequency."""
-
-    name: str
-    up_to: float
-    locked_rotor: float
-    sweep_frequency: float
+        """Of the fit, `Ideal.at_least`."""
+        return self.fit.at_least(float(self.response.frequency[-1]))
 
 
 @dataclass(frozen=True)
@@ -99,7 +65,6 @@ class InitialAnalysis:
     sheet's prior: this is the prior of the joint fit. `chi_squared` per degree of freedom of the fit.
     """
 
-    joint: str
     mean: Array
     covariance: Array
     chi_squared: float
@@ -110,7 +75,7 @@ class InitialAnalysis:
         return TwoMassTrain.of(self.mean)
 
     @property
-    def classes(self) -> tuple[InertiaClass, ...]:
+    def classes(self) -> tuple[PoseClass, ...]:
         """Light and heavy poses, divided at the geometric mean of the extremes; one class if they hardly differ."""
         fits = sorted((pose.fit for pose in self.poses), key=lambda fit: fit.inertia.value)
         low, high = fits[0].inertia.value, fits[-1].inertia.value
@@ -127,14 +92,15 @@ class InitialAnalysis:
     def lines(self, load_inertia: float) -> tuple[float, ...]:
         """Sweep frequencies at a load inertia, Hz: the ideal one of its class, and those allowed by the resonance."""
         inertia = load_inertia + self.train.motor_inertia
-        ideal = next(each for each in self.classes if inertia <= each.up_to).sweep_frequency
+        ideal = next(each for each in self.classes if inertia <= each.inertia_up_to).sweep_frequency
         highest = Sines.line_margin * self.locked_rotor(load_inertia)
         return tuple(line for line in Sines.lines if line <= highest or line == ideal)
 
 
-def _class(name: str, up_to: float, fits: "Sequence[IdealFrequency]") -> InertiaClass:
+def _class(name: str, up_to: float, fits: Sequence[Ideal]) -> PoseClass:
     ideal = float(np.exp(np.mean([np.log(max(fit.frequency.value, Sines.lines[0])) for fit in fits])))
-    return InertiaClass(name, up_to, min(fit.locked_rotor.value for fit in fits), nearest_line(ideal))
+    locked_rotor = min(fit.locked_rotor.value for fit in fits)
+    return PoseClass(name=name, inertia_up_to=up_to, locked_rotor=locked_rotor, sweep_frequency=nearest_line(ideal))
 
 
 def nearest_line(frequency: float) -> float:
@@ -165,7 +131,6 @@ def analyse_axis(
     values, chi_squared, covariance = _fit(joint, problem)
     asymptotes = [_asymptotes(response) for response in responses]
     return InitialAnalysis(
-        joint=joint,
         mean=values[:SHARED],
         covariance=covariance[:SHARED, :SHARED],
         chi_squared=chi_squared,
@@ -286,7 +251,7 @@ def _misfit(problem: _ResponseProblem, values: Array, weights: Sequence[Array]) 
     return np.concatenate(rows), np.vstack(derivatives)
 
 
-def _ideal(values: Array, covariance: Array, own: int) -> IdealFrequency:
+def _ideal(values: Array, covariance: Array, own: int) -> Ideal:
     """The pose whose J_l is number `own`; standard deviations to first order."""
     train, load = TwoMassTrain.of(values), float(values[own])
     inertia, friction = train.motor_inertia + load, max(train.motor_friction + train.load_friction, 0.0)
@@ -300,18 +265,19 @@ def _ideal(values: Array, covariance: Array, own: int) -> IdealFrequency:
     rows = np.array([by_inertia, by_friction, by_resonance, by_corner, (by_resonance + by_corner) / 2])
     std = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", rows, covariance, rows), 0.0))
     frequency = float(np.sqrt(locked_rotor * corner))
-    return IdealFrequency(
-        Uncertain(inertia, float(std[0])),
-        Uncertain(friction, float(std[1])),
-        _relative(locked_rotor, float(std[2])),
-        _relative(corner, float(std[3])),
-        _relative(frequency, float(std[4])),
+    return Ideal(
+        inertia=Figure(value=inertia, std=float(std[0])),
+        friction=Figure(value=friction, std=float(std[1])),
+        locked_rotor=_relative(locked_rotor, float(std[2])),
+        corner=_relative(corner, float(std[3])),
+        frequency=_relative(frequency, float(std[4])),
+        sweep_frequency=nearest_line(frequency),
     )
 
 
-def _relative(value: float, std: float) -> Uncertain:
+def _relative(value: float, std: float) -> Figure:
     """A value with the standard deviation of its logarithm; an infinite value has none."""
-    return Uncertain(value, std * value if np.isfinite(value) else np.inf)
+    return Figure(value=value, std=std * value if np.isfinite(value) else np.inf)
 
 
 def _peak(response: FrequencyResponse) -> float:
@@ -327,7 +293,7 @@ def _peak(response: FrequencyResponse) -> float:
     return float(np.exp(x[top] - slope / (2 * curve) if curve < 0 else x[top]))
 
 
-def _asymptotes(response: FrequencyResponse) -> IdealFrequency:
+def _asymptotes(response: FrequencyResponse) -> Ideal:
     frequency, z = response.frequency, response.impedance
     variance = response.variance(z)
     omega = 2 * np.pi * frequency
@@ -340,21 +306,22 @@ def _asymptotes(response: FrequencyResponse) -> IdealFrequency:
     inertia = _weighted(np.abs(z[level]) / omega[level], variance[level] / omega[level] ** 2)
     below = frequency <= max(LEVEL[1] * resonance, frequency[0])
     friction = _weighted(z.real[below], variance[below] / 2)
-    friction = Uncertain(max(friction.value, 0.0), friction.std)
+    friction = Figure(value=max(friction.value, 0.0), std=friction.std)
     corner = friction.value / (2 * np.pi * inertia.value)
     corner_std = float(np.hypot(friction.std / (2 * np.pi * inertia.value), corner * inertia.std / inertia.value))
     ideal = float(np.sqrt(resonance * corner))
     resonance_std = spacing / np.sqrt(12)  # anywhere between two lines
     spread = np.hypot(corner_std / max(corner, 1e-300), resonance_std / resonance) / 2
-    return IdealFrequency(
-        inertia,
-        friction,
-        Uncertain(resonance, float(resonance_std)),
-        Uncertain(corner, corner_std),
-        Uncertain(ideal, float(ideal * spread)),
+    return Ideal(
+        inertia=inertia,
+        friction=friction,
+        locked_rotor=Figure(value=resonance, std=float(resonance_std)),
+        corner=Figure(value=corner, std=corner_std),
+        frequency=Figure(value=ideal, std=float(ideal * spread)),
+        sweep_frequency=nearest_line(ideal),
     )
 
 
-def _weighted(values: Array, variance: Array) -> Uncertain:
+def _weighted(values: Array, variance: Array) -> Figure:
     weight = 1 / np.maximum(variance, 1e-300)
-    return Uncertain(float(values @ weight / weight.sum()), float(1 / np.sqrt(weight.sum())))
+    return Figure(value=float(values @ weight / weight.sum()), std=float(1 / np.sqrt(weight.sum())))

@@ -27,7 +27,6 @@ rest.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 from functools import reduce
 
 import numpy as np
@@ -35,7 +34,7 @@ import numpy as np
 from service.identification.axis.drive_train import SHARED, TwoMassTrain
 from service.identification.axis.nominal_priors import SharedPrior, TorqueGain, shared_prior, uncalibrated
 from service.identification.estimates.estimate import RobotEstimate
-from service.identification.estimates.standard_parameters import RobotParameters, physical_document, standard_document
+from service.identification.estimates.standard_parameters import physical_document, standard_document
 from service.identification.model.base_parameters import BaseParameters, joint_ranges, spread_evenly
 from service.identification.model.inverse_dynamics import (
     JointMotion,
@@ -48,7 +47,7 @@ from service.identification.model.inverse_dynamics import (
     prior_information,
 )
 from service.identification.model.least_squares import Information, Solution, finite, span, unsettled
-from service.identification.model.physical_consistency import nearest_physical
+from service.identification.model.physical_consistency import NearestPhysical, nearest_physical
 from service.identification.model.regressor import axis_rows, inertia_rows, inertial_parameters
 from service.identification.motion import free_motion
 from service.identification.motion.choice import (
@@ -66,6 +65,7 @@ from service.identification.motion.choice import (
 from service.identification.motion.equations import Sampling, cogging
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.trajectory_record import TrajectoryRecord, calibrated, with_loads
+from service.identification.spectra.frequency_response import steps_and_slopes, stretches
 from service.model.arrays import Array, Complex
 from service.model.errors import BadInput
 from service.model.results import combination as results
@@ -93,43 +93,6 @@ class AxisInertias:
     train_std: Array | None = None
 
 
-class Source(Enum):
-    """Data that determine a parameter."""
-
-    SWEEPS = "sweeps"
-    TRAJECTORIES = "trajectories"
-    EITHER = "either"  # each of them alone is sufficient
-    BOTH = "both"  # only together
-    NONE = "none"
-
-
-@dataclass(frozen=True)
-class JudgedParameter:
-    """One base parameter. Standard deviations: with all data and the model's prior; `std_total` with the uncertainty of
-    the torque constants; with the prior and one source alone (inf: not visible in it); of the nominal model.
-    `reason` is empty for an identified parameter.
-    """
-
-    name: str
-    value: float
-    std: float
-    std_total: float
-    std_sweeps: float
-    std_trajectories: float
-    std_prior: float
-    source: Source
-    reason: str
-
-    @property
-    def identified(self) -> bool:
-        return not self.reason
-
-    @property
-    def by_combination(self) -> bool:
-        """Identified, though neither source alone identifies it."""
-        return self.identified and min(self.std_sweeps, self.std_trajectories) > IDENTIFIED * self.std_prior
-
-
 @dataclass(frozen=True)
 class JointEstimate:
     """Result over the whole robot. `solution` is of the base parameters (r,).
@@ -140,7 +103,7 @@ class JointEstimate:
 
     robot: Robot
     base: BaseParameters
-    parameters: tuple[JudgedParameter, ...]
+    parameters: tuple[results.CombinedParameter, ...]
     solution: Solution
     noise: dict[str, float]
     noise_change: dict[str, float]  # of `noise` in the last of the 3, relative
@@ -462,13 +425,7 @@ def _real(harmonics: Complex) -> Array:
 def _reversals(*velocities: Array) -> Array:
     """(n, 2 reversals): a step and a slope over every interval in which motor or load is near standstill."""
     still = np.any([np.abs(velocity) < Sampling.still * np.abs(velocity).max() for velocity in velocities], axis=0)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]])))
-    stretches = np.zeros((len(still), len(edges)))
-    for column in range(0, len(edges), 2):
-        first, last = edges[column : column + 2]
-        stretches[first:last, column] = 1.0
-        stretches[first:last, column + 1] = np.linspace(-1.0, 1.0, last - first)
-    return stretches
+    return steps_and_slopes(stretches(still), len(still)).T
 
 
 def _motion_information(equations: Sequence[_Equations], noise: dict[str, float], size: int) -> dict[str, Information]:
@@ -523,36 +480,34 @@ def _shown(std: Array, left_open: Array) -> Array:
 
 
 def _judged(
-    name: str,
-    value: float,
-    std: float,
-    std_total: float,
-    std_sweeps: float,
-    std_trajectories: float,
-    std_prior: float,
-) -> JudgedParameter:
-    source, reason = _source(std, std_sweeps, std_trajectories), ""
+    name: str, value: float, std: float, total: float, by_sweeps: float, by_trajectories: float, nominal: float
+) -> results.CombinedParameter:
+    one_source = 1.5  # times the standard deviation of both together: below, one source is sufficient
+    alone = (by_sweeps <= one_source * std, by_trajectories <= one_source * std)
+    source = {(True, True): "either", (True, False): "sweeps", (False, True): "trajectories"}.get(alone, "both")
+    reason = ""
     if not np.isfinite(std):
-        source, reason = Source.NONE, "no sweep and no trajectory shows it"
-    elif std > IDENTIFIED * std_prior:
-        reason = f"too weakly excited: standard deviation {std:.3g}, the nominal model's is {std_prior:.3g}"
+        source, reason = "none", "no sweep and no trajectory shows it"
+    elif std > IDENTIFIED * nominal:
+        reason = f"too weakly excited: standard deviation {std:.3g}, the nominal model's is {nominal:.3g}"
     # it is positive on every robot
     elif name.startswith(POSITIVE) and " " not in name and std > 0.5 * abs(value):
         reason = f"the standard deviation {std:.3g} is above half of the value"
-    return JudgedParameter(name, value, std, std_total, std_sweeps, std_trajectories, std_prior, source, reason)
+    return results.CombinedParameter(
+        name=name,
+        value=value,
+        std=_finite(std),
+        std_total=_finite(total),
+        std_sweeps=_finite(by_sweeps),
+        std_trajectories=_finite(by_trajectories),
+        std_nominal=nominal,
+        source=source,
+        identified=not reason,
+        reason=reason,
+    )
 
 
-def _source(std: float, std_sweeps: float, std_trajectories: float) -> Source:
-    one_source = 1.5  # times the standard deviation of both together: below, one source is sufficient
-    sweeps, trajectories = std_sweeps <= one_source * std, std_trajectories <= one_source * std
-    if sweeps and trajectories:
-        return Source.EITHER
-    if sweeps:
-        return Source.SWEEPS
-    return Source.TRAJECTORIES if trajectories else Source.BOTH
-
-
-def combined_parameters(found: JointEstimate) -> RobotParameters:
+def combined_parameters(found: JointEstimate) -> NearestPhysical:
     """Parameters of the whole robot. A motor without data sheet is nominally what its axis has more than the links of
     CAD, a tenth of it at least.
     """
@@ -567,14 +522,13 @@ def combined_parameters(found: JointEstimate) -> RobotParameters:
         whole = abs(float(found.inertia(axis.joint, middle)[0]))
         links = float((inertia_rows(robot.chain, k, middle) @ robot.chain.inertial.ravel())[0])
         nominal[k] = max(whole - links, 0.1 * whole)
-    physical = nearest_physical(
+    return nearest_physical(
         np.concatenate([robot.chain.inertial.ravel(), nominal]),
         (robot.prior.inertia, spread),
         found.base.combination[own, :count],
         found.solution.values[own],
         found.solution.covariance[np.ix_(own, own)],
     )
-    return RobotParameters(physical.parameters, physical.deviation, physical.ended)
 
 
 def combination_document(combination: JointEstimate) -> results.Combination:
@@ -582,24 +536,11 @@ def combination_document(combination: JointEstimate) -> results.Combination:
 
     `became_identifiable`: names of the parameters that are identified by sweeps and trajectories only together.
     """
-    parameters, standard = combination.parameters, combined_parameters(combination)
+    parameters, standard, chosen = combination.parameters, combined_parameters(combination), combination.chosen
+    fit = None if chosen is None else results.FreeMotionFit(simple_estimator=SIMPLE, prior_widened=chosen.widened)
     return results.Combination(
-        base_parameters=tuple(
-            results.CombinedParameter(
-                name=parameter.name,
-                value=parameter.value,
-                std=_finite(parameter.std),
-                std_total=_finite(parameter.std_total),
-                std_sweeps=_finite(parameter.std_sweeps),
-                std_trajectories=_finite(parameter.std_trajectories),
-                std_nominal=parameter.std_prior,
-                source=parameter.source.value,
-                identified=parameter.identified,
-                reason=parameter.reason,
-            )
-            for parameter in parameters
-        ),
-        became_identifiable=tuple(parameter.name for parameter in parameters if parameter.by_combination),
+        base_parameters=parameters,
+        became_identifiable=tuple(one.name for one in parameters if _by_combination(one)),
         trajectories=combination.trajectories,
         noise={
             joint: results.EffortNoise(harmonic=noise, scatter=combination.scatter[joint]).with_nonempty(
@@ -612,14 +553,13 @@ def combination_document(combination: JointEstimate) -> results.Combination:
         covariance=tuple(map(tuple, combination.solution.covariance.tolist())),
         standard_parameters=standard_document(combination.robot, standard),
         physical=physical_document(standard),
-    ).with_nonempty(free_motion_fit=_fit(combination), warnings=_warnings(combination, standard.deviation))
+    ).with_nonempty(free_motion_fit=fit, warnings=_warnings(combination, standard.deviation))
 
 
-def _fit(combination: JointEstimate) -> results.FreeMotionFit | None:
-    chosen = combination.chosen
-    if chosen is None:
-        return None
-    return results.FreeMotionFit(simple_estimator=SIMPLE, prior_widened=chosen.widened)
+def _by_combination(parameter: results.CombinedParameter) -> bool:
+    """Identified, though neither source alone identifies it."""
+    alone = [one for one in (parameter.std_sweeps, parameter.std_trajectories) if one is not None]
+    return parameter.identified and min(alone, default=np.inf) > IDENTIFIED * (parameter.std_nominal or 0.0)
 
 
 def _free_motion_axis(combination: JointEstimate, joint: str) -> results.FreeMotionAxis:
@@ -661,7 +601,9 @@ def _warnings(combination: JointEstimate, deviation: float) -> tuple[str, ...]:
     robot = combination.robot
     found = list(combination.faults)
     for one in combination.parameters:
-        if one.name.startswith(POSITIVE) and " " not in one.name and one.value + 2 * one.std < 0:
+        if not one.name.startswith(POSITIVE) or " " in one.name or one.std is None:
+            continue
+        if one.value + 2 * one.std < 0:
             mend = sign if one.name.startswith("Fc(") else check
             found.append(f"{one.name} is {one.value:.3g} ± {one.std:.2g}: it is positive on every robot. {mend}")
     # poses of the workspace

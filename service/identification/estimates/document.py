@@ -44,7 +44,7 @@ def axis_document(estimate: RobotEstimate, axis: AxisEstimate, workspace: Array)
     if estimate.solution.determined.all():
         std = estimate.identified_std(axis.joint, workspace)
         spread = spread_document(std, estimate.identified(axis.joint, workspace))
-    squares, freedom = estimate.chi_squared[axis.joint]
+    (squares, freedom), fit = estimate.chi_squared[axis.joint], axis.fit
     return results.EstimatedAxis(
         inertia=tuple(
             inertia_document(sweep, float(model)) for sweep, model in zip(axis.sweeps, identified, strict=True)
@@ -56,11 +56,11 @@ def axis_document(estimate: RobotEstimate, axis: AxisEstimate, workspace: Array)
                 estimate.reference(axis.joint, workspace), estimate.identified(axis.joint, workspace)
             ),
         ),
-        drive_train=_train(axis),
+        drive_train=None if fit is None else train_document(fit.train, fit.train_std),
         load_motion="direct_encoder" if axis.direct_encoder else "motor_encoder",
         torque_gain=results.TorqueGain(value=axis.gain.gain, std=axis.gain.std),
         distortion=_distortion(axis),
-        effects_moved_in_std=None if axis.fit is None or not len(axis.fit.moved) else _largest(axis.fit.moved),
+        effects_moved_in_std=float(np.abs(fit.moved).max()) if fit is not None and len(fit.moved) else None,
         confidence_percent=None if spread is None else spread.worst,
         workspace_std_percent=spread,
         reduced_chi_squared=squares / freedom if freedom > 0.5 else None,
@@ -88,21 +88,12 @@ def inertia_document(sweep: FittedSweep, identified: float) -> results.SweepIner
 
 def _lines(sweep: FittedSweep) -> tuple[results.ResponseLine, ...]:
     """Noise and distortion parts of each line's std, if the axis has several realisations of its sweeps."""
+    lines = (results.ResponseLine(frequency=f, re=z.real, im=z.imag, std=std) for f, z, std in sweep.response)
     if sweep.noise is None:
-        return tuple(
-            results.ResponseLine(frequency=frequency, re=z.real, im=z.imag, std=std)
-            for frequency, z, std in sweep.response
-        )
+        return tuple(lines)
     return tuple(
-        results.ResponseLine(
-            frequency=frequency,
-            re=z.real,
-            im=z.imag,
-            std=std,
-            noise_std=noise,
-            distortion_std=float(np.sqrt(max(std**2 - noise**2, 0.0))),
-        )
-        for (frequency, z, std), noise in zip(sweep.response, sweep.noise, strict=True)
+        line.model_copy(update={"noise_std": noise, "distortion_std": float(np.sqrt(max(line.std**2 - noise**2, 0.0)))})
+        for line, noise in zip(lines, sweep.noise, strict=True)
     )
 
 
@@ -139,10 +130,6 @@ def cramer_rao_document(bound: Array, std: Array, values: Array) -> results.Cram
     )
 
 
-def _train(axis: AxisEstimate) -> dict[str, Value] | None:
-    return None if axis.fit is None else train_document(axis.fit.train, axis.fit.train_std)
-
-
 def train_document(train: TwoMassTrain, std: Array) -> dict[str, Value]:
     """`std` (5,) in the order of `TwoMassTrain.as_array`."""
     return {
@@ -166,10 +153,6 @@ def _distortion(axis: AxisEstimate) -> results.Distortion | None:
             for frequency, noise, distortion in zip(found.frequency, found.noise, found.distortion, strict=True)
         ),
     )
-
-
-def _largest(moved: Array) -> float:
-    return float(np.abs(moved).max())
 
 
 def used_effects(known: KnownEffects, axes: Sequence[AxisEstimate]) -> tuple[results.UsedEffect, ...]:

@@ -2,19 +2,11 @@
 priors.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from service.identification.axis.ideal_frequency import (
-    IdealFrequency,
-    InertiaClass,
-    InitialAnalysis,
-    PoseAnalysis,
-    Uncertain,
-    analyse_axis,
-)
+from service.identification.axis.ideal_frequency import InitialAnalysis, PoseAnalysis, analyse_axis
 from service.identification.axis.nominal_priors import pose_prior, shared_prior
 from service.identification.model.regressor import SAME_POSITION, axis_rows, gravity_terms, inertial_parameters
 from service.identification.spectra.frequency_response import Spectrum
@@ -42,19 +34,17 @@ def analyse(
     for number, joint in enumerate(robot.joints):
         noise = [run for run in runs if run.spec.axis == joint]
         sines = [sweep for sweep in stepped if sweep.spec.axis == joint]
-        groups = (
-            [(found, noise_response([noise[k] for k in found])) for found in _poses(number, [r.spec for r in noise])]
-            if noise
-            else [
-                (found, stepped_response([sines[k] for k in found]))
-                for found in _poses(number, [s.spec for s in sines])
-            ]
-        )
         specs = [each.spec for each in (noise or sines)]
-        # with fewer lines, resonance and friction cannot be separated
-        enough = [(specs[found[0]], answer) for found, answer in groups if len(answer.frequency) >= 8]
+        enough: dict[int, FrequencyResponse] = {}
+        for found in _poses(number, specs):
+            response = (
+                noise_response([noise[k] for k in found]) if noise else stepped_response([sines[k] for k in found])
+            )
+            # with fewer lines, resonance and friction cannot be separated
+            if len(response.frequency) >= 8:
+                enough[found[0]] = response
         if enough:
-            analyses[joint] = _axis(robot, number, [spec for spec, _ in enough], [answer for _, answer in enough])
+            analyses[joint] = _axis(robot, number, [specs[k] for k in enough], list(enough.values()))
     return analyses
 
 
@@ -116,7 +106,7 @@ def analyses_document(analyses: Mapping[str, InitialAnalysis]) -> dict[str, resu
 
 def analyses_from(documents: results.Analyses) -> dict[str, InitialAnalysis]:
     """The inverse of `analyses_document`."""
-    return {joint: _axis_from(joint, axis) for joint, axis in documents.items()}
+    return {joint: _axis_from(axis) for joint, axis in documents.items()}
 
 
 def _axis_analysis(analysis: InitialAnalysis) -> results.AxisAnalysis:
@@ -128,17 +118,8 @@ def _axis_analysis(analysis: InitialAnalysis) -> results.AxisAnalysis:
         },
         covariance=tuple(map(tuple, analysis.covariance.tolist())),
         chi_squared=analysis.chi_squared,
-        classes=tuple(_class(each) for each in analysis.classes),
+        classes=analysis.classes,
         poses=tuple(_pose(pose) for pose in analysis.poses),
-    )
-
-
-def _class(each: InertiaClass) -> results.PoseClass:
-    return results.PoseClass(
-        name=each.name,
-        inertia_up_to=_finite(each.up_to),
-        locked_rotor=_finite(each.locked_rotor),
-        sweep_frequency=each.sweep_frequency,
     )
 
 
@@ -148,8 +129,8 @@ def _pose(pose: PoseAnalysis) -> results.AnalysedPose:
     return results.AnalysedPose(
         pose=pose.pose,
         load_inertia=pose.load_inertia,
-        fit=_ideal(pose.fit),
-        asymptotes=_ideal(pose.asymptotes),
+        fit=pose.fit,
+        asymptotes=pose.asymptotes,
         frequency_response=tuple(
             results.AnalysedLine(
                 frequency=float(response.frequency[k]),
@@ -163,24 +144,8 @@ def _pose(pose: PoseAnalysis) -> results.AnalysedPose:
     )
 
 
-def _ideal(ideal: IdealFrequency) -> results.Ideal:
-    return results.Ideal(
-        inertia=_figure(ideal.inertia),
-        friction=_figure(ideal.friction),
-        locked_rotor=_figure(ideal.locked_rotor),
-        corner=_figure(ideal.corner),
-        frequency=_figure(ideal.frequency),
-        sweep_frequency=ideal.sweep_frequency,
-    )
-
-
-def _figure(figure: Uncertain) -> results.Figure:
-    return results.Figure(value=_finite(figure.value), std=_finite(figure.std))
-
-
-def _axis_from(joint: str, document: results.AxisAnalysis) -> InitialAnalysis:
+def _axis_from(document: results.AxisAnalysis) -> InitialAnalysis:
     return InitialAnalysis(
-        joint=joint,
         mean=np.array([document.drive_train[name].value for name in TRAIN]),
         covariance=np.array(document.covariance),
         chi_squared=document.chi_squared,
@@ -204,28 +169,6 @@ def _pose_from(document: results.AnalysedPose) -> PoseAnalysis:
             np.array([line.coherence for line in lines]),
         ),
         load_inertia=document.load_inertia,
-        fit=_ideal_from(document.fit),
-        asymptotes=_ideal_from(document.asymptotes),
+        fit=document.fit,
+        asymptotes=document.asymptotes,
     )
-
-
-def _ideal_from(document: results.Ideal) -> IdealFrequency:
-    return IdealFrequency(
-        inertia=_figure_from(document.inertia),
-        friction=_figure_from(document.friction),
-        locked_rotor=_figure_from(document.locked_rotor),
-        corner=_figure_from(document.corner),
-        frequency=_figure_from(document.frequency),
-    )
-
-
-def _figure_from(figure: results.Figure) -> Uncertain:
-    return Uncertain(_number(figure.value), _number(figure.std))
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
-def _number(value: float | None) -> float:
-    return math.inf if value is None else value

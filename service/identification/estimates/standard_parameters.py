@@ -26,7 +26,12 @@ import numpy as np
 
 from service.identification.estimates.estimate import AxisEstimate, RobotEstimate
 from service.identification.model.least_squares import Solution
-from service.identification.model.physical_consistency import SearchEnded, nearest_physical, nominal_factor
+from service.identification.model.physical_consistency import (
+    NearestPhysical,
+    SearchEnded,
+    nearest_physical,
+    nominal_factor,
+)
 from service.identification.model.regressor import axis_rows, fold, gravity_rows
 from service.model.arrays import Array
 from service.model.results import combination as results
@@ -132,17 +137,6 @@ def _rms(values: Array) -> float:
 
 
 @dataclass(frozen=True)
-class RobotParameters:
-    """parameters (11 n,) of all the robot's joints, links first; `deviation` of base parameters from the estimate,
-    in standard deviations (Mahalanobis over all base parameters): 0 if the estimate is physical; `ended`:
-    reason for the end of the search."""
-
-    parameters: Array
-    deviation: float
-    ended: SearchEnded
-
-
-@dataclass(frozen=True)
 class StandardModel:
     """The nominal model of the whole robot, and its combinations (r, 11 n) that are an estimate's base parameters."""
 
@@ -161,25 +155,21 @@ class StandardModel:
         parameters, spread = np.concatenate([robot.chain.inertial.ravel(), motors]), (robot.prior.inertia, motor_spread)
         return cls(NominalModel(robot, parameters, spread), combination)
 
-    def parameters(self, rows: Array, solution: Solution) -> RobotParameters:
+    def parameters(self, rows: Array, solution: Solution) -> NearestPhysical:
         """Of the whole robot, from `rows` (m, r) of all sweeps; a motor whose inertia is neither known nor measured
         stays 0.
         """
         seen, nominal, spread = _seen(rows), self.nominal.parameters, self.nominal.spread
-        combination, values, covariance = (
-            seen @ self.combination,
-            seen @ solution.values,
-            seen @ solution.covariance @ seen.T,
-        )
-        found = nearest_physical(nominal, spread, combination, values, covariance)
-        if found.ended is SearchEnded.EXACT:
-            observed = ObservedCombinations(combination, values, covariance)
-            if worse_than_cad(self.nominal.worth(observed, found.parameters)):
-                found = nearest_physical(nominal, spread, combination, values, covariance, exactly=False)
-        return RobotParameters(found.parameters, found.deviation, found.ended)
+        combination, values = seen @ self.combination, seen @ solution.values
+        observed = ObservedCombinations(combination, values, seen @ solution.covariance @ seen.T)
+        found = nearest_physical(nominal, spread, combination, values, observed.covariance)
+        exact = found.ended is SearchEnded.EXACT
+        if exact and worse_than_cad(self.nominal.worth(observed, found.parameters)):
+            return nearest_physical(nominal, spread, combination, values, observed.covariance, exactly=False)
+        return found
 
 
-def standard_parameters(estimate: RobotEstimate) -> RobotParameters:
+def standard_parameters(estimate: RobotEstimate) -> NearestPhysical:
     """Of an estimate's whole robot."""
     return StandardModel.of(estimate).parameters(np.vstack(list(estimate.observation.values())), estimate.solution)
 
@@ -211,7 +201,7 @@ def _measured_motor(axis: AxisEstimate) -> float:
     return abs(float(np.median([sweep.value for sweep in axis.sweeps]))) / 2
 
 
-def standard_document(robot: Robot, standard: RobotParameters) -> results.StandardParameters:
+def standard_document(robot: Robot, standard: NearestPhysical) -> results.StandardParameters:
     """Parameters of all links and motors of the robot, by name."""
     joints = robot.chain.joints
     count = 10 * len(joints)
@@ -226,7 +216,7 @@ def standard_document(robot: Robot, standard: RobotParameters) -> results.Standa
     )
 
 
-def physical_document(standard: RobotParameters) -> results.Physical:
+def physical_document(standard: NearestPhysical) -> results.Physical:
     """`warning` where the search of the most probable robot did not converge."""
     warning = standard.ended.value if standard.ended is SearchEnded.UNFINISHED else ""
     return results.Physical(deviation_in_std=standard.deviation).with_nonempty(warning=warning)

@@ -292,11 +292,8 @@ class Condensed:
 
     def _alike(self, axis: _Axis, spectrum: Spectrum) -> bool:
         """Whether the sweep is of the kind of the others."""
-        spec, locked = (
-            spectrum.spec,
-            [k for k in range(len(self.estimate.robot.axes)) if k not in self.estimate.unlocked],
-        )
-        away = np.abs(np.array(spec.pose) - self.estimate.poses.mean(axis=0))[locked]
+        spec, estimate = spectrum.spec, self.estimate
+        away = np.delete(np.abs(np.array(spec.pose) - estimate.poses.mean(axis=0)), estimate.unlocked)
         return (
             spec.id > axis.last
             and spec.periodic

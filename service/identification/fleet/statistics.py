@@ -22,6 +22,7 @@ of this robot's gain alone could explain the difference.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 from scipy.special import stdtr, stdtrit
@@ -56,12 +57,8 @@ class History:
     def comparable(self) -> tuple[CampaignValue, ...]:
         """The campaigns with the calibration of the newest one: another torque gain starts a new series."""
         newest = self.measurements[-1].calibration if self.measurements else 1.0
-        count = 0
-        for measurement in reversed(self.measurements):
-            if measurement.calibration != newest:
-                break
-            count += 1
-        return self.measurements[len(self.measurements) - count :]
+        alike = list(takewhile(lambda one: one.calibration == newest, reversed(self.measurements)))
+        return tuple(alike[::-1])
 
     def arrays(self) -> tuple[Array, Array]:
         """Values (n,) and variances (n,) of comparable campaigns. BadInput if one is not finite or std not above 0."""

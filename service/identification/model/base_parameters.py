@@ -47,9 +47,9 @@ class BaseParameters:
         return axis_rows(chain, joint, poses)[:, list(self.columns)]
 
 
-def base_parameters(chain: Chain, axes: tuple[int, ...], seed: int = 0) -> BaseParameters:
+def base_parameters(chain: Chain, axes: tuple[int, ...]) -> BaseParameters:
     """The base parameters determined by the inertias about `axes`, over the chain's whole joint range."""
-    return reduce_columns(_sampled_rows(chain, axes, Independence.samples, seed), parameter_names(chain))
+    return reduce_columns(_sampled_rows(chain, axes, Independence.samples, seed=0), parameter_names(chain))
 
 
 def combination_of(chain: Chain, axes: tuple[int, ...], columns: tuple[int, ...]) -> Array | None:

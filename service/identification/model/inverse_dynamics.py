@@ -178,12 +178,9 @@ def parameter_spread(robot: Robot, scales: Mapping[str, Scale] | None = None) ->
     size = link_sizes(robot.chain.inertial)
     prior = robot.prior
     measured = [(scales or {}).get(axis.joint, Scale()) for axis in robot.axes]
+    # three times that of a measured motion in place of the rated effort
     rated = np.array(
-        [
-            # of a measured motion, in place of the rated effort
-            3.0 * one.effort if one.effort else axis.rated_effort
-            for axis, one in zip(robot.axes, measured, strict=True)
-        ]
+        [3.0 * one.effort if one.effort else axis.rated_effort for axis, one in zip(robot.axes, measured, strict=True)]
     )
     motors = [
         prior.motor_inertia * axis.reflected_motor_inertia

@@ -45,7 +45,8 @@ from scipy.special import ndtr, stdtr, stdtrit
 from service.identification.model.least_squares import Information, Rank, finite, scaled_inverse, span
 from service.identification.motion.equations import LACKS, AxisEquations
 from service.identification.motion.free_motion import FreeMotion, memory
-from service.model.arrays import Array, Mask
+from service.identification.spectra.frequency_response import stretches
+from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.model.robot import Robot
 
@@ -87,12 +88,6 @@ class Colour:
         for lag, coefficient in enumerate(self.coefficients[order, :order], start=1):
             errors -= coefficient * signals[order - lag : len(signals) - lag]
         return errors / self.std[order]
-
-
-def stretches(sound: Mask) -> list[slice]:
-    """The intervals of consecutive usable samples."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], sound.astype(int), [0]])))
-    return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def _levinson(lags: Array) -> tuple[Array, Array]:

@@ -189,12 +189,11 @@ def trajectory(robot: Robot, tracks: Sequence[AxisTrack]) -> TrajectoryRecord:
 
 def calibrated(record: TrajectoryRecord, gains: Mapping[str, float]) -> TrajectoryRecord:
     """With true efforts: those of the drives divided by their gains, 1 for an axis without gain."""
-    tracks: list[AxisTrack] = []
-    for track in record.tracks:
-        gain = gains.get(track.joint, 1.0)
-        noise = None if track.noise is None else track.noise / gain
-        tracks.append(replace(track, effort=track.effort / gain, noise=noise))
-    return replace(record, tracks=tuple(tracks))
+
+    def true(track: AxisTrack, gain: float) -> AxisTrack:
+        return replace(track, effort=track.effort / gain, noise=track.noise and track.noise / gain)
+
+    return replace(record, tracks=tuple(true(track, gains.get(track.joint, 1.0)) for track in record.tracks))
 
 
 def with_loads(record: TrajectoryRecord, trains: Mapping[str, TwoMassTrain]) -> TrajectoryRecord:

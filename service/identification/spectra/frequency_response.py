@@ -268,14 +268,22 @@ def _vertical(robot: Robot, index: int, spec: SweepSpec) -> bool:
 def _rests(velocity: Array, rate: float) -> Array:
     """(2 k, n): a step and a slope over every stretch in which the axis rests: friction then balances any torque."""
     still = np.abs(velocity) < Band.at_rest * np.abs(velocity).max()
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]))).reshape(-1, 2)
-    rows: list[Array] = []
-    for first, last in edges[(edges[:, 1] - edges[:, 0]) > Band.rest * rate]:
-        for value in (1.0, np.linspace(-1.0, 1.0, last - first)):
-            row = np.zeros(len(velocity))
-            row[first:last] = value
-            rows.append(row)
-    return np.array(rows).reshape(len(rows), len(velocity))
+    return steps_and_slopes([one for one in stretches(still) if one.stop - one.start > Band.rest * rate], len(velocity))
+
+
+def stretches(samples: Mask) -> list[slice]:
+    """The intervals of consecutive `samples` (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], samples, [False]])))
+    return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def steps_and_slopes(intervals: Sequence[slice], count: int) -> Array:
+    """(2 k, `count`): two rows for each of k intervals, 1 and from -1 to 1; 0 outside of it."""
+    rows = np.zeros((2 * len(intervals), count))
+    for number, one in enumerate(intervals):
+        rows[2 * number, one] = 1.0
+        rows[2 * number + 1, one] = np.linspace(-1.0, 1.0, one.stop - one.start)
+    return rows
 
 
 def _signals(

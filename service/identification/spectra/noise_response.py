@@ -269,12 +269,8 @@ def _without_gravity_and_ripple(sweep: Spectrum) -> tuple[Complex, float]:
     z = sweep.effort[sweep.line] / sweep.velocity[sweep.line]
     omega = s[sweep.line].imag
     rigid = s * float(z.imag @ omega / (omega @ omega)) + float(z.real.mean())
-    gravity = (
-        np.concatenate([sweep.named("gravity_torque"), sweep.named("gravity_stiffness") - sweep.velocity / s], axis=0)
-        if sweep.named("gravity_torque").size
-        else sweep.named("gravity_torque")
-    )
-    signals = np.concatenate([gravity, sweep.named("ripple")], axis=0)
+    stiffness = sweep.named("gravity_stiffness") - sweep.velocity / s
+    signals = np.concatenate([sweep.named("gravity_torque"), stiffness, sweep.named("ripple")], axis=0)
     left = (sweep.effort - rigid * sweep.velocity)[between]
     rows = np.vstack([signals[:, between].T.real, signals[:, between].T.imag])
     values = np.concatenate([left.real, left.imag])

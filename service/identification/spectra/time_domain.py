@@ -44,15 +44,13 @@ PARTS = 10  # stretches of the record
 
 @dataclass(frozen=True)
 class RecordFit:
-    """Result of one record; SI on the joint side. `residual_percent`: RMS of the residual over RMS of the effort.
-
-    `by_drag`: part of the standard deviation of J caused by friction that is not linear in speed.
+    """Result of one record; SI on the joint side. `by_drag`: part of the standard deviation of J caused by friction
+    that is not linear in speed.
     """
 
     inertia: float
     inertia_std: float
     terms: dict[str, tuple[float, float]]  # the other terms: value, std
-    residual_percent: float
     by_drag: float
 
 
@@ -81,7 +79,6 @@ def fit_record(spectrum: Spectrum) -> RecordFit:
         inertia=inertia,
         inertia_std=inertia_std,
         terms=result,
-        residual_percent=100 * float(np.linalg.norm(residual) / np.linalg.norm(values)),
         by_drag=float(np.sqrt(by_drag) / scale[0]),
     )
 

@@ -12,10 +12,8 @@ of the robot after each stop. Each branch ends at standstill. It has no block nu
 
 import csv
 import math
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from uuid import uuid4
 
 import yaml
 from pydantic import BaseModel
@@ -27,6 +25,7 @@ from service.model.configuration import Cell
 from service.model.errors import BadInput
 from service.model.robot import Robot
 from service.planning.documents import PlanDocument
+from service.store.files.recordings import new_folder
 
 DECIMALS = 7  # places of a position
 RESOLUTION = 100_000  # increments per deg (mm) that the control must calculate with
@@ -188,13 +187,8 @@ def export_paths(folder: Path, plan: PlanDocument, robot: Robot, cell: Cell, con
     ``SWEEP_0001.MPF`` and ``.csv`` for every sweep; ``mapping.yaml`` with robot and URDF for `sweepid import trace`,
     which looks for the traces in ``traces/SWEEP_0001.csv`` and so on.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise BadInput(str(folder), "exists already and is not an empty folder")
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    partial = folder.parent / f".{folder.name}.{uuid4().hex}.partial"
-    partial.mkdir()
-    try:
-        sweeps: list[PathSweep] = []
+    sweeps: list[PathSweep] = []
+    with new_folder(folder) as partial:
         for sweep in path_sweeps(plan, robot, cell, control):
             program = part_program(sweep, robot.name, control.largest_program)
             (partial / f"{sweep.name}.MPF").write_text(program, encoding="ascii")
@@ -202,12 +196,6 @@ def export_paths(folder: Path, plan: PlanDocument, robot: Robot, cell: Cell, con
             sweeps.append(sweep)
         _write_mapping(partial, robot, control, sweeps)
         (partial / "traces").mkdir()
-        if folder.exists():
-            folder.rmdir()
-        partial.rename(folder)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
     return len(sweeps)
 
 

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from service.model.results.combination import Bounded, Combination, Physical, StandardParameters
 from service.model.results.effect import ModelSource, Value
-from service.model.results.part import Column, Document, Part, Shown, Table, two_digits
+from service.model.results.part import Column, Document, Part, Shown, Table, Unbounded, two_digits
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 class Figure(Part):
     """A number with one standard deviation; null is infinite."""
 
-    value: float | None
-    std: float | None
+    value: Unbounded
+    std: Unbounded
 
 
 class AnalysedLine(Part):
@@ -43,6 +43,12 @@ class Ideal(Part):
     frequency: Figure
     sweep_frequency: float
 
+    def at_least(self, last: float) -> tuple[float, float] | None:
+        """Lower bounds of the locked-rotor and of the ideal frequency, Hz, if the locked rotor is above the last line;
+        else None.
+        """
+        return None if self.locked_rotor.value <= last else (last, math.sqrt(last * self.corner.value))
+
 
 class AnalysedPose(Part):
     """One pose, evaluated by the fit and by asymptotes."""
@@ -53,21 +59,13 @@ class AnalysedPose(Part):
     asymptotes: Ideal
     frequency_response: tuple[AnalysedLine, ...]
 
-    @property
-    def at_least(self) -> tuple[float, float] | None:
-        """Lower bounds of the locked-rotor and of the ideal frequency, Hz, if the fitted one is above the last line."""
-        last, locked, corner = self.frequency_response[-1].frequency, self.fit.locked_rotor, self.fit.corner
-        if locked.value is not None and locked.value <= last:
-            return None
-        return last, math.sqrt(last * (math.inf if corner.value is None else corner.value))
-
 
 class PoseClass(Part):
     """Similar poses: upper limit of inertia, kg m^2 (kg, null: none), locked rotor and lowest line of a sweep, Hz."""
 
     name: str
-    inertia_up_to: float | None
-    locked_rotor: float | None
+    inertia_up_to: Unbounded
+    locked_rotor: Unbounded
     sweep_frequency: float
 
 
@@ -96,21 +94,18 @@ def analysis_table(analyses: "Analyses") -> Table:
 def _pose(pose: AnalysedPose) -> tuple[str, ...]:
     fit, read = pose.fit, pose.asymptotes
     locked_rotor, ideal = _both(fit.locked_rotor, read.locked_rotor), _both(fit.frequency, read.frequency)
-    if pose.at_least is not None:  # the asymptotes then end at a resonance that is none
-        locked_rotor, ideal = (f"above {bound:.4g}" for bound in pose.at_least)
+    at_least = fit.at_least(pose.frequency_response[-1].frequency)
+    if at_least is not None:  # the asymptotes then end at a resonance that is none
+        locked_rotor, ideal = (f"above {bound:.4g}" for bound in at_least)
     return _with_std(fit.inertia), locked_rotor, _both(fit.corner, read.corner), ideal, f"{fit.sweep_frequency:g}"
 
 
 def _both(fit: Figure, read: Figure) -> str:
-    return f"{_with_std(fit)} ({_text(read.value)})"
+    return f"{_with_std(fit)} ({read.value:.4g})"
 
 
 def _with_std(figure: Figure) -> str:
-    return f"{_text(figure.value)} ± {_text(figure.std)}"
-
-
-def _text(value: float | None) -> str:
-    return f"{math.inf if value is None else value:.4g}"
+    return f"{figure.value:.4g} ± {figure.std:.4g}"
 
 
 Analyses = Mapping[str, AxisAnalysis]  # by joint
@@ -288,18 +283,12 @@ class TypePrior(Part):
     def told(self) -> list[str]:
         """Sentences on which robots were used, and which are no robots of the type."""
         strangers = [one for one in self.members if not one.belongs]
-        used = len(self.members) - len(strangers)
-        of_type = (
-            f"{used} earlier robots of the type; probability of such a difference by chance {self.probability:.2g}"
-        )
+        chance = f"probability of such a difference by chance {self.probability:.2g}"
+        told = "Prior:" if self.used else "Not used as a prior, because this robot differs from them:"
+        other = "is no robot of this type: probability of its difference by chance"
         return [
-            f"Prior: {of_type}."
-            if self.used
-            else f"Not used as a prior, because this robot differs from them: {of_type}.",
-            *(
-                f"{one.name} is no robot of this type: probability of its difference by chance {one.probability:.2g}."
-                for one in strangers
-            ),
+            f"{told} {len(self.members) - len(strangers)} earlier robots of the type; {chance}.",
+            *(f"{one.name} {other} {one.probability:.2g}." for one in strangers),
         ]
 
 
@@ -380,19 +369,11 @@ class Estimate(Shown, Document):
 
     def _rmse_table(self) -> Table:
         rows = ("reference - measurement", "identified - measurement", "reference - identified (workspace)", "sweeps")
-        columns = [
-            Column(
-                joint,
-                (
-                    axis.rmse_percent.reference_measured,
-                    axis.rmse_percent.identified_measured,
-                    axis.rmse_percent.reference_identified,
-                    len(axis.inertia),
-                ),
-                ".2f",
-            )
-            for joint, axis in self.axes.items()
-        ]
+        columns: list[Column] = []
+        for joint, axis in self.axes.items():
+            of = axis.rmse_percent
+            sizes = (of.reference_measured, of.identified_measured, of.reference_identified, len(axis.inertia))
+            columns.append(Column(joint, sizes, ".2f"))
         return Table("RMSE of the axis inertias in percent", (Column("", rows), *columns))
 
     def _confidence(self) -> str:
@@ -408,15 +389,10 @@ class Estimate(Shown, Document):
             if sweep.terms
             for name, term in {"inertia": Value(value=sweep.value, std=sweep.std), **sweep.terms}.items()
         ]
+        axes, sweeps, terms, values, std = zip(*rows, strict=True)
+        texts = Column("axis", axes), Column("sweep", sweeps), Column("term", terms)
         return Table(
-            "Records without lines, SI",
-            (
-                Column("axis", tuple(row[0] for row in rows)),
-                Column("sweep", tuple(row[1] for row in rows)),
-                Column("term", tuple(row[2] for row in rows)),
-                Column("value", tuple(row[3] for row in rows), std=tuple(row[4] for row in rows)),
-                Column("std", tuple(row[4] for row in rows), std=tuple(row[4] for row in rows)),
-            ),
+            "Records without lines, SI", (*texts, Column("value", values, std=std), Column("std", std, std=std))
         )
 
 
@@ -444,14 +420,8 @@ def axis_figures(axis: EstimatedAxis) -> AxisFigures:
     """`axis` has at least one sweep."""
     identified = [sweep.identified for sweep in axis.inertia]
     value, cad = float(np.median(identified)), float(np.median([sweep.reference for sweep in axis.inertia]))
-    return AxisFigures(
-        value,
-        share_of_value(axis) * abs(value),
-        cad,
-        min(identified),
-        max(identified),
-        100 * (1 - cad / value) if cad > 0 and value > 0 else math.nan,
-    )
+    percent = 100 * (1 - cad / value) if cad > 0 and value > 0 else math.nan
+    return AxisFigures(value, share_of_value(axis) * abs(value), cad, min(identified), max(identified), percent)
 
 
 def share_of_value(axis: EstimatedAxis) -> float:

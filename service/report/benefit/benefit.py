@@ -41,7 +41,7 @@ from service.model.recording import Sweep, SweepSpec
 from service.model.results.effect import Number, Value
 from service.model.results.part import Document, Part
 from service.model.robot import Robot, link_frames
-from service.model.urdf import read_origin
+from service.model.urdf import joint_end, read_origin
 from service.report.benefit.prediction import (
     RigidAxis,
     Window,
@@ -272,10 +272,7 @@ def _model(axis: _JudgedAxis, parameters: Array, covariance: Array, arm: float |
     peak = max(float(np.abs(one).max()) for one in left)
     rate = max(sweep.spec.sample_rate for sweep in axis.held_out)
     smallest = smallest_effort(
-        np.array([one.mean() for one in left]),
-        np.array([one.std() for one in left]),
-        peak,
-        alarm_probability(rate),
+        np.array([one.mean() for one in left]), np.array([one.std() for one in left]), peak, alarm_probability(rate)
     )
     lines = _lines_rms(windows, left)
     error = np.array([body.inertia for body in own]) - axis.measured
@@ -345,18 +342,13 @@ def end_of(robot: Robot) -> Array:
     """Origin (3,) of the last link in the frame of the last moving one, along fixed joints to their end, for example a
     flange or tool.
     """
-    root = ET.fromstring(robot.urdf_text)  # the robot's chain was read from it: it is valid
-    fixed = {
-        parent.get("link"): (joint, child.get("link"))
-        for joint in root.findall("joint")
-        if joint.get("type") == "fixed"
-        and (parent := joint.find("parent")) is not None
-        and (child := joint.find("child")) is not None
-    }
-    link: str | None = robot.chain.joints[-1].link
+    joints = ET.fromstring(robot.urdf_text).findall("joint")
+    fixed = {joint_end(joint, "parent", "urdf"): joint for joint in joints if joint.get("type") == "fixed"}
+    link = robot.chain.joints[-1].link
     rotation, place = np.eye(3), np.zeros(3)
     while link in fixed:
-        joint, link = fixed[link]
+        joint = fixed[link]
+        link = joint_end(joint, "child", "urdf")
         turn, way = read_origin(joint, f"joint {joint.get('name')}")
         place = place + rotation @ way
         rotation = rotation @ turn

@@ -94,13 +94,10 @@ def worth(found: Benefit) -> DrawnFigure:
                     "x": joints,
                     "y": sizes,
                     "text": [_number(value) for value in sizes],
-                    "textposition": "outside",
-                    "cliponaxis": False,
                     "marker": {"color": colour, "pattern": {"shape": pattern}},
                     "xaxis": f"x{tail}",
                     "yaxis": f"y{tail}",
                     "showlegend": not tail,
-                    "hovertemplate": f"%{{x}}, {name}: %{{y:.3g}}<extra></extra>",
                 }
             )
         highest = max((size(model) or 0.0 for model in (*cad, *identified)), default=0.0)
@@ -111,11 +108,7 @@ def worth(found: Benefit) -> DrawnFigure:
             "anchor": f"y{tail}",
         }
         # 1.15: room for the number above the highest bar
-        layout[f"yaxis{tail}"] = {
-            **scale(title),
-            "anchor": f"x{tail}",
-            "range": [0, 1.15 * (highest or 1.0)],
-        }
+        layout[f"yaxis{tail}"] = {**scale(title), "anchor": f"x{tail}", "range": [0, 1.15 * (highest or 1.0)]}
     return figure(traces, layout)
 
 

@@ -25,7 +25,7 @@ from service.model.results.part import Column, Shown, Table, columns_of_sweeps
 from service.model.robot import Robot, RobotDescription, robot_from_outside
 from service.store.documents import NewRecording, RecordingState
 from service.store.files.columns import check_possible, check_samples, columns_of, read_columns, write_columns
-from service.store.files.recordings import RecordingFiles
+from service.store.files.recordings import RecordingFiles, check_new, new_folder
 
 MOST_NUMBERS = 250_000_000  # all sweeps of a bundle are in memory together
 
@@ -93,23 +93,14 @@ def write_bundle(
     directory: Path, robot: Robot, sweeps: Sequence[Sweep], samples: Literal[".parquet", ".csv"] = ".parquet"
 ) -> None:
     """Write a bundle to a new or empty directory. BadInput, and nothing is written, if `read_bundle` would refuse."""
-    if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
-        raise BadInput(str(directory), "exists already and is not an empty folder")
+    check_new(directory)
     check_specs(robot, [sweep.spec for sweep in sweeps], str(directory))
     for sweep in sweeps:
         check_samples(sweep.recording, f"{directory} sweep {sweep.spec.id}")
         check_possible(sweep.recording, f"{directory} sweep {sweep.spec.id}")
         check_clock(sweep, f"{directory} sweep {sweep.spec.id}")
-    directory.parent.mkdir(parents=True, exist_ok=True)
-    partial = directory.parent / f".{directory.name[:100]}.{uuid4().hex}.partial"
-    try:
+    with new_folder(directory) as partial:
         _write_into(partial, robot, sweeps, samples)
-        if directory.exists():
-            directory.rmdir()  # Windows does not rename to an existing directory, even an empty one
-        partial.rename(directory)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
 
 
 def check_specs(robot: Robot, specs: Sequence[SweepSpec], place: str) -> None:
@@ -196,7 +187,7 @@ def _inside(directory: Path, name: str, place: str) -> Path:
 
 
 def _write_into(directory: Path, robot: Robot, sweeps: Sequence[Sweep], samples: str) -> None:
-    (directory / "sweeps").mkdir(parents=True)
+    (directory / "sweeps").mkdir()
     (directory / "robot.urdf").write_text(robot.urdf_text, encoding="utf-8")
     entries: list[_Entry] = []
     for number, sweep in enumerate(sweeps, start=1):

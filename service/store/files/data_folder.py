@@ -18,11 +18,11 @@ from service.model.recording import Sweep
 from service.model.robot import build_robot
 from service.store import tables as t
 from service.store.database import Database
-from service.store.documents import CampaignDocument, NewSweep, SweepState
+from service.store.documents import CampaignDocument, NewSweep
 from service.store.files.bundle import Bundle, SavedBundle
 from service.store.files.recordings import RecordingFiles, place_new
 from service.store.rows import NoMachine, of_own
-from service.store.store import Store
+from service.store.store import COMPLETE, Store
 
 FILE = "database.json"
 
@@ -83,15 +83,8 @@ def claim_folder(folder: Path, database: Database) -> str:
 
 def _recordings(folder: Path, kind: str) -> int:
     """Number of recordings, including those whose samples are in an object store: their manifests stay."""
-    files = (folder / "recordings").glob(f"{kind}/*")
-    return len(
-        # in the name of the spectrum next to a recording
-        {
-            path.with_suffix("")
-            for path in files
-            if path.suffix in (".parquet", ".json") and ".spectrum-" not in path.name
-        }
-    )
+    files = [path for end in ("parquet", "json") for path in (folder / "recordings").glob(f"{kind}/*.{end}")]
+    return len({path.with_suffix("") for path in files if ".spectrum-" not in path.name})
 
 
 def read_owner(folder: Path) -> Owner | None:
@@ -131,11 +124,7 @@ def import_campaign(store: Store, files: RecordingFiles, saved: SavedBundle) -> 
 def campaign_bundle(store: Store, files: RecordingFiles, campaign_id: int) -> Bundle:
     """The complete sweeps of a campaign, as used by the estimate. Raises Conflict if there is none yet."""
     robot = store.robot(store.campaign(campaign_id).robot_id).build()
-    sweeps = tuple(
-        Sweep(sweep.spec, files.load(store.recording(campaign_id, sweep.number)))
-        for sweep in store.sweeps(campaign_id)
-        if sweep.state in (SweepState.RECORDED, SweepState.IDENTIFIED)
-    )
+    sweeps = tuple(Sweep(spec, files.load(one)) for spec, one in store.recorded_sweeps(campaign_id, COMPLETE))
     if not sweeps:
         raise Conflict(f"campaign {campaign_id} has no complete recording yet")
     return Bundle(robot, sweeps)

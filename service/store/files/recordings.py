@@ -14,11 +14,12 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
+from uuid import uuid4
 
 from pydantic import JsonValue
 
@@ -54,6 +55,31 @@ def place_folder(partial: Path, path: Path) -> None:
     """As `place`, for a folder whose files are on disk."""
     partial.rename(path)
     sync(path.parent)
+
+
+def check_new(folder: Path) -> None:
+    """BadInput unless there is no such folder, or an empty one."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise BadInput(str(folder), "exists already and is not an empty folder")
+
+
+@contextmanager
+def new_folder(folder: Path) -> Generator[Path]:
+    """A folder beside `folder`, new or empty, that takes its place at the end of the block. If that raises, it is
+    removed.
+    """
+    check_new(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    partial = folder.parent / f".{folder.name[:100]}.{uuid4().hex}.partial"
+    try:
+        partial.mkdir()
+        yield partial
+        if folder.exists():
+            folder.rmdir()  # Windows does not rename to an existing directory, even an empty one
+        partial.rename(folder)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
 
 
 def sync(path: Path) -> None:

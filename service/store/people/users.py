@@ -57,10 +57,8 @@ class UserStore(rows.Transactions):
         stored = password_hash(password)
         with self._database.write(quiet=True) as session:
             check_free(session, name)
-            row = t.UserRow(name=name, role=role, password=stored)
-            session.add(row)
+            row = rows.added(session, t.UserRow(name=name, role=role, password=stored))
             append(session, [{**entry, "event": "user added", "user": name, "user_role": role.word}])
-            session.flush()
             return rows.document(UserDocument, row)
 
     def change_password(self, name: str, password: str, entry: Entry) -> UserDocument:
@@ -78,23 +76,15 @@ class UserStore(rows.Transactions):
             append(session, [{**entry, "event": "password changed", "user": name}])
             return rows.document(UserDocument, row)
 
-    def shut_out(self, name: str, entry: Entry) -> UserDocument:
-        """Disable a user immediately, with all sessions; a second call changes nothing. Raises NotFound."""
+    def set_enabled(self, name: str, entry: Entry, enabled: bool = True) -> UserDocument:
+        """Enable a user, or disable at once and end all sessions for ever; a second call changes nothing. NotFound."""
         with self._database.write(quiet=True) as session:
             row = _row(session, name)
-            if row.disabled_at is None:
-                row.disabled_at = t.now()
-                end_sessions(session, row)
-                append(session, [{**entry, "event": "user disabled", "user": name}])
-            return rows.document(UserDocument, row)
-
-    def let_in(self, name: str, entry: Entry) -> UserDocument:
-        """Enable a disabled user again; ended sessions stay ended. Raises NotFound."""
-        with self._database.write(quiet=True) as session:
-            row = _row(session, name)
-            if row.disabled_at is not None:
-                row.disabled_at = None
-                append(session, [{**entry, "event": "user enabled", "user": name}])
+            if (row.disabled_at is None) is not enabled:
+                row.disabled_at = None if enabled else t.now()
+                if not enabled:
+                    end_sessions(session, row)
+                append(session, [{**entry, "event": f"user {'enabled' if enabled else 'disabled'}", "user": name}])
             return rows.document(UserDocument, row)
 
     def all(self) -> tuple[UserDocument, ...]:
@@ -115,13 +105,11 @@ class UserStore(rows.Transactions):
         if not fits(password, stored) or user is None or stored is None or user.trouble:
             return None
         if outdated(stored):
-            self._replace(user, stored, password_hash(password))
+            unchanged = t.UserRow.id == user.id, t.UserRow.password == stored  # unless it was changed meanwhile
+            replaced = update(t.UserRow).where(*unchanged).values(password=password_hash(password))
+            with self._database.write(quiet=True) as session:
+                session.execute(replaced)
         return user
-
-    def _replace(self, user: UserDocument, stored: str, anew: str) -> None:
-        unchanged = (t.UserRow.id == user.id, t.UserRow.password == stored)  # unless the password was changed meanwhile
-        with self._database.write(quiet=True) as session:
-            session.execute(update(t.UserRow).where(*unchanged).values(password=anew))
 
 
 def _row(session: Session, name: str) -> t.UserRow:
@@ -156,20 +144,15 @@ class ExternalUsers(rows.Transactions):
                     append(session, [{**entry, "event": "role lost", "user": row.name}])
                 return None
             if row is None:
-                row = self._added(session, issuer, subject, name, role, entry)
+                name = _free_name(session, name, subject)
+                added: Entry = {"user": name, "user_role": role.word, "issuer": issuer, "subject": subject}
+                append(session, [{**entry, "event": "user added", **added}])
+                new = t.UserRow(name=name, role=role, password=None, issuer=issuer, subject=subject)
+                row = rows.added(session, new)
             elif row.role != role and row.disabled_at is None:
                 row.role = role
                 append(session, [{**entry, "event": "role changed", "user": row.name, "user_role": role.word}])
             return rows.document(UserDocument, row)
-
-    def _added(self, session: Session, issuer: str, subject: str, name: str, role: Role, entry: Entry) -> t.UserRow:
-        free = _free_name(session, name, subject)
-        row = t.UserRow(name=free, role=role, password=None, issuer=issuer, subject=subject)
-        session.add(row)
-        added: Entry = {"user": free, "user_role": role.word, "issuer": issuer, "subject": subject}
-        append(session, [{**entry, "event": "user added", **added}])
-        session.flush()
-        return row
 
 
 def _free_name(session: Session, name: str, subject: str) -> str:
@@ -221,20 +204,11 @@ class KeyStore(rows.Transactions):
             self._database.keep_time(session)
             made = self._database.now(session)
             limited = None if scopes is None else list(scopes)
-            expires = made + valid
-            session.add(
-                row := t.ApiKeyRow(
-                    name=name,
-                    role=role,
-                    scopes=limited,
-                    sha256=key_sha256(key),
-                    created_at=made,
-                    expires_at=expires,
-                )
-            )
+            times = {"created_at": made, "expires_at": made + valid}
+            new = t.ApiKeyRow(name=name, role=role, scopes=limited, sha256=key_sha256(key), **times)
+            row = rows.added(session, new)
             added: dict[str, Fact] = {"event": "key added", "key": name, "key_role": role.word}
             append(session, [{**entry, **added, **({"scopes": limited} if limited else {})}])
-            session.flush()
             return rows.document(KeyDocument, row), key
 
     def revoke(self, name: str, entry: Entry) -> KeyDocument:
@@ -345,9 +319,8 @@ class SessionStore:
             self._database.keep_time(session)
             at = self._database.now(session)
             session.execute(delete(t.SessionRow).where(t.SessionRow.created_at < at - self._longest))
-            row = t.SessionRow(user_id=user.id, sha256=key_sha256(token), address=address, created_at=at, seen_at=at)
-            session.add(row)
-            session.flush()
+            new = t.SessionRow(user_id=user.id, sha256=key_sha256(token), address=address, created_at=at, seen_at=at)
+            row = rows.added(session, new)
             append(session, [{**entry, "event": "logged in", "session": row.id}])
             return self._document(row, session.get_one(t.UserRow, user.id)), token
 

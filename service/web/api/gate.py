@@ -132,13 +132,13 @@ class Logged:
         """A client with its own trace (header `traceparent`) finds the request in that trace."""
         path = str(scope["path"])[:200]
         parent = next((value.decode("latin-1") for name, value in scope["headers"] if name == b"traceparent"), "")
-        with TRACING.span(f"{scope['method']} {re.sub('/[0-9]+(?=/|$)', '/{id}', path)}", parent) as span:
-            span.note("http.request.method", scope["method"])
-            span.note("url.path", path)
+        with TRACING.span(f"{scope['method']} {re.sub('/[0-9]+(?=/|$)', '/{id}', path)}", parent) as note:
+            note("http.request.method", scope["method"])
+            note("url.path", path)
 
             async def noted(message: Message) -> None:
                 if message["type"] == "http.response.start":
-                    span.note("http.response.status_code", message["status"])
+                    note("http.response.status_code", message["status"])
                 await send(message)
 
             await self._app(scope, receive, noted)

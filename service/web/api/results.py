@@ -22,7 +22,7 @@ from service.model.errors import NoPdf
 from service.planning.campaigns.stored_results import campaign_beside
 from service.planning.compiled_plan import plan_of
 from service.planning.plan import PlanDocument
-from service.report import Form
+from service.report.html import Form
 from service.store.access import LOCAL, Role
 from service.store.documents import LARGEST_ID, EstimateDocument
 from service.store.plant import BatchDocument, BatchEntry, BatchEstimate

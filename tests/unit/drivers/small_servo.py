@@ -2,7 +2,7 @@
 
 import asyncio
 import threading
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,12 +12,12 @@ import numpy as np
 from drivers.cia402 import states
 from drivers.cia402.axis import Cia402Axis
 from drivers.cia402.connection import DriveThread, P, RunningSweep, T, capabilities
-from drivers.cia402.device import Abilities, Feedback, MeasuringState, OperationMode
+from drivers.cia402.device import Abilities, Feedback, MeasuringState
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
 from drivers.cia402.states import Controlword, PowerState, Statusword
 from drivers.errors import CommunicationLost
-from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SweepCommand
+from drivers.ports import AxisIdentity, Capabilities, SampleBlock
 from tests.unit.drivers.given import axis
 
 HOST_TIMEOUT = 60.0  # s
@@ -47,6 +47,7 @@ class Servo:
     announced: int | None = None  # error that it tells by itself
     unheard: int = 0  # times it was told to stop by what needs no answer
     acknowledges: bool = True  # set-points, by bit 12
+    ignored: int | None = None  # controlword that changes nothing
     recorded: int = 0  # samples of the measuring function
     samples_a_look: int = 0
     emergency_stop_codes: tuple[int, ...] = ()
@@ -69,9 +70,10 @@ class Servo:
         has: dict[str, Any] = {name: name == "measures" for name in Abilities.__dataclass_fields__}
         return Abilities(**has)
 
-    def allow_motion(self) -> None: ...
+    def _nothing(self, *_: Any, **__: Any) -> None: ...
 
-    def forbid_motion(self) -> None: ...
+    allow_motion = forbid_motion = set_mode = check_alive = look_for_restart = forget_error = reopen = _nothing
+    read_back = settle_limits = hold_target = set_target = prepare_measuring = _nothing
 
     def statusword(self) -> int:
         self.before("statusword")
@@ -81,30 +83,21 @@ class Servo:
     def control(self, controlword: int) -> None:
         self.before(f"control {controlword:02X}")
         self.told.append(controlword)
+        if controlword == self.ignored:
+            return
         self.state = STEPS.get(controlword & 0x0F, PowerState.SWITCH_ON_DISABLED)
         if not self.energised:
             self.velocity = 0.0
             self.measuring = MeasuringState.ABORTED if self.measuring is MeasuringState.RUNNING else self.measuring
 
-    def set_mode(self, mode: OperationMode) -> None: ...
-
-    def check_alive(self) -> None: ...
-
-    def look_for_restart(self) -> None:
-        pass
-
     def announced_error(self) -> int | None:
         return self.announced
-
-    def forget_error(self) -> None: ...
 
     def error_code(self) -> int:
         return 0
 
     def error_text(self, code: int) -> str:
         return f"error {code:04X}h"
-
-    def reopen(self) -> None: ...
 
     def stop_unheard(self) -> None:
         self.unheard += 1
@@ -113,16 +106,6 @@ class Servo:
     def motion(self) -> Feedback:
         self.before("motion")
         return Feedback(0.0, self.velocity, 0.0)
-
-    def read_back(self) -> None: ...
-
-    def settle_limits(self, velocity: float, effort: float, window: tuple[float, float]) -> None: ...
-
-    def hold_target(self) -> None: ...
-
-    def set_target(self, position: float, velocity: float) -> None: ...
-
-    def prepare_measuring(self, command: SweepCommand) -> None: ...
 
     def start_measuring(self) -> None:
         self.measuring = MeasuringState.RUNNING
@@ -195,7 +178,7 @@ def machine(*servos: Servo) -> tuple[Cia402Machine, Link]:
 
 
 @asynccontextmanager
-async def connected(*servos: Servo) -> AsyncIterator[tuple[Cia402Machine, Link]]:
+async def connected(*servos: Servo) -> AsyncGenerator[tuple[Cia402Machine, Link]]:
     port, link = machine(*servos)
     await port.connect()
     yield port, link

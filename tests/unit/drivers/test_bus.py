@@ -29,6 +29,14 @@ PATIENCE = 60.0  # s; a busy computer
 DRIVE_TIMEOUT = 60.0  # s, which no test waits for: the bus' clock is set on instead
 
 
+def line_of(**changes: object) -> BusProfile:
+    return BusProfile.model_validate({"interface": "virtual", "channel": "can0", **changes})
+
+
+def gateway_at(port: int) -> BusProfile:
+    return line_of(interface="socketcand", host="127.0.0.1", port=port)
+
+
 @dataclass(frozen=True)
 class Pair:
     bus: CanopenBus
@@ -51,8 +59,7 @@ def say_nothing(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
 def pair() -> Iterator[Pair]:
     channel = f"bus-{uuid.uuid4()}"
     peer = can.Bus(interface="virtual", channel=channel)
-    profile = BusProfile(interface="virtual", channel=channel, drive_timeout=DRIVE_TIMEOUT)
-    bus = CanopenBus(profile, (NODE, 2))
+    bus = CanopenBus(line_of(channel=channel, drive_timeout=DRIVE_TIMEOUT), (NODE, 2))
     yield Pair(bus, peer)
     bus.close()
     bus.close()
@@ -102,12 +109,12 @@ def test_a_stream_of_several_nodes_keeps_their_order_and_has_the_bus_own_events_
 
 
 def test_a_node_that_falls_silent_is_lost_and_the_others_are_not(pair: Pair, say_nothing: Callable[[], None]) -> None:
-    pair.bus.check(NODE)
-    pair.bus.check(2)
+    for node in (NODE, 2):
+        pair.bus.check(node)
     say_nothing()
-    stream = pair.bus.open_stream(2)
-    pair.say(frames.Cob.HEARTBEAT + 2, bytes([frames.NmtState.OPERATIONAL]))
-    assert stream.get(timeout=PATIENCE) == frames.Heartbeat(2, frames.NmtState.OPERATIONAL)
+    stream, operational = pair.bus.open_stream(2), frames.NmtState.OPERATIONAL
+    pair.say(frames.Cob.HEARTBEAT + 2, bytes([operational]))
+    assert stream.get(timeout=PATIENCE) == frames.Heartbeat(2, operational)
     with pytest.raises(CommunicationLost, match="node 1: no heartbeat"):
         pair.bus.check(NODE)
     pair.bus.check(2)
@@ -115,11 +122,10 @@ def test_a_node_that_falls_silent_is_lost_and_the_others_are_not(pair: Pair, say
 
 def test_a_bus_on_which_nobody_speaks_is_lost_for_good(pair: Pair, say_nothing: Callable[[], None]) -> None:
     say_nothing()
-    with pytest.raises(CommunicationLost, match="no node was heard"):
-        pair.bus.check(NODE)
-    pair.say(frames.Cob.HEARTBEAT + NODE, bytes([frames.NmtState.OPERATIONAL]))
-    with pytest.raises(CommunicationLost, match="no node was heard"):
-        pair.bus.check(NODE)
+    for _ in range(2):
+        with pytest.raises(CommunicationLost, match="no node was heard"):
+            pair.bus.check(NODE)
+        pair.say(frames.Cob.HEARTBEAT + NODE, bytes([frames.NmtState.OPERATIONAL]))
 
 
 def test_frames_with_29_bits_are_nobodys_word(pair: Pair) -> None:
@@ -143,23 +149,26 @@ def test_nothing_a_bus_may_carry_ends_the_receiving_thread(pair: Pair, identifie
     pair.bus.close_stream(2)
 
 
-def test_a_closed_port_is_told_with_its_address() -> None:
-    profile = BusProfile(interface="socketcand", channel="can0", host="127.0.0.1", port=1)
-    with pytest.raises(ConnectionFailed, match=r"socketcand can0 at 127\.0\.0\.1:1 could not be opened"):
-        CanopenBus(profile, (NODE,))
-
-
-def test_an_unknown_interface_is_told() -> None:
-    with pytest.raises(ConnectionFailed, match="telegraph"):
-        CanopenBus(BusProfile(interface="telegraph", channel="can0"), (NODE,))
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        (
+            {"interface": "socketcand", "host": "127.0.0.1", "port": 1},
+            r"socketcand can0 at 127\.0\.0\.1:1 could not be opened",
+        ),
+        ({"interface": "telegraph"}, "telegraph"),
+    ],
+)
+def test_a_bus_that_cannot_be_opened_is_told_with_its_place(settings: dict[str, object], told: str) -> None:
+    with pytest.raises(ConnectionFailed, match=told):
+        CanopenBus(line_of(**settings), (NODE,))
 
 
 def test_a_bus_on_which_nobody_is_heard_still_takes_the_stop() -> None:
     channel = f"halt-{uuid.uuid4()}"
     beats = {"host_heartbeat": 0.01, "drive_heartbeat": 0.01, "drive_timeout": 0.02}
-    profile = BusProfile.model_validate({"interface": "virtual", "channel": channel, **beats})
     with can.Bus(interface="virtual", channel=channel) as peer:
-        ours = CanopenBus(profile, (1, 2))
+        ours = CanopenBus(line_of(channel=channel, **beats), (1, 2))
         try:
             while not ours.silent(1):
                 pass
@@ -176,9 +185,6 @@ def test_a_bus_on_which_nobody_is_heard_still_takes_the_stop() -> None:
             heard.append((message.arbitration_id, bytes(message.data)))
     quick_stop = frames.rpdo1(Controlword.QUICK_STOP, 0)
     assert heard == [(0x201, quick_stop), (0x202, quick_stop), (frames.Cob.SYNC, b""), (frames.Cob.NMT, b"\x02\x02")]
-
-
-HEARTBEAT = b"< frame 701 12.5 7F >"
 
 
 @contextmanager
@@ -204,13 +210,10 @@ def gateway(answers: list[bytes]) -> Iterator[int]:
         assert not thread.is_alive()
 
 
-def profile(port: int) -> BusProfile:
-    return BusProfile(interface="socketcand", channel="can0", host="127.0.0.1", port=port)
-
-
 async def test_frames_in_the_packet_of_the_last_answer_are_frames() -> None:
-    with gateway([b"< hi >", b"< ok >", b"< ok >" + HEARTBEAT + b"< frame 081 12.6 0010000000000000 >"]) as port:
-        bus = CanopenBus(profile(port), (1,))
+    frames_ = b"< frame 701 12.5 7F >< frame 081 12.6 0010000000000000 >"
+    with gateway([b"< hi >", b"< ok >", b"< ok >" + frames_]) as port:
+        bus = CanopenBus(gateway_at(port), (1,))
         try:
             await eventually(lambda: bus.emergency(1) is not None)
             bus.send(frames.Cob.SYNC, b"")
@@ -227,18 +230,11 @@ def test_a_gateway_that_answers_otherwise_is_refused_and_nothing_stays_open(
         gateway(answers) as port,
         pytest.raises(ConnectionFailed, match=r"could not be opened: (Expected|the gateway did not send) '< "),
     ):
-        CanopenBus(profile(port), (1,))
-
-
-DEVICES = Path(__file__).parents[3] / "config" / "devices"
-
-
-def line_of(**changes: object) -> BusProfile:
-    return BusProfile.model_validate({"interface": "virtual", "channel": "can0", **changes})
+        CanopenBus(gateway_at(port), (1,))
 
 
 def cyclic_of(axes: int) -> list[tuple[PdoMapping, ...]]:
-    plain = load_device_map(DEVICES / "plain-402.yaml")
+    plain = load_device_map(Path(__file__).parents[3] / "config/devices/plain-402.yaml")
     cyclic = tuple(p for p in streaming_pdos(plain, SetPointWay.CYCLIC_VELOCITY, 1) if len(p.mapped) > 1)
     assert len(cyclic) == 3
     return [cyclic] * axes

@@ -3,7 +3,7 @@
 import asyncio
 import threading
 from collections.abc import AsyncGenerator, Awaitable, Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import pytest
 
@@ -164,19 +164,29 @@ async def test_an_axis_that_turns_without_energy_is_not_confirmed() -> None:
         assert await port.stop() == ("joint_1",)
 
 
-async def test_a_stop_does_not_wait_for_a_set_point_that_is_never_acknowledged(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(
+    ("servo", "waits"),
+    [(Servo("joint_1", acknowledges=False), 0x1F), (Servo("joint_1", ignored=Controlword.SWITCH_ON), 0x07)],
+    ids=["set-point", "step"],
+)
+async def test_a_stop_does_not_wait_for_what_the_drive_does_not_take(
+    monkeypatch: pytest.MonkeyPatch, servo: Servo, waits: int
 ) -> None:
     monkeypatch.setattr(Cia402Axis, "transition_timeout", 2 * PATIENCE)
-    servo = Servo("joint_1", acknowledges=False)
-    async with connected(servo) as (port, _):
+
+    async def enable_and_move(port: Cia402Machine) -> None:
         await port.enable("joint_1")
-        moving = asyncio.create_task(port.move_to("joint_1", 0.5, 0.1))
-        await eventually(lambda: servo.told[-1] == 0x1F)
+        await port.move_to("joint_1", 0.5, 0.1)
+
+    async with connected(servo) as (port, _):
+        moving = asyncio.create_task(enable_and_move(port))
+        await eventually(lambda: servo.told[-1] == waits)
         await asyncio.wait_for(port.stop(), PATIENCE)
         assert not servo.energised
         with pytest.raises(SweepInterrupted):
             await asyncio.wait_for(moving, PATIENCE)
+        assert servo.told[-1] == Controlword.DISABLE_VOLTAGE
+        await port.enable()  # what was stopped is over: the next is not
 
 
 async def test_a_drive_side_sweep_that_goes_on_and_on_is_stopped() -> None:
@@ -217,55 +227,20 @@ async def test_no_further_step_is_told_to_a_drive(way: Callable[[Cia402Machine],
         assert [first.energised, second.energised] == [False, False]
 
 
-@dataclass
-class Stuck(Servo):
-    """Stays "ready to switch on"."""
-
-    def control(self, controlword: int) -> None:
-        if controlword == Controlword.SWITCH_ON:
-            self.told.append(controlword)
-        else:
-            super().control(controlword)
-
-
-async def test_a_stop_does_not_wait_for_a_step_that_the_drive_does_not_take(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Cia402Axis, "transition_timeout", 2 * PATIENCE)
-    servo = Stuck("joint_1")
-    async with connected(servo) as (port, _):
-        enabling = asyncio.create_task(port.enable("joint_1"))
-        await eventually(lambda: Controlword.SWITCH_ON in servo.told)
-        await asyncio.wait_for(port.stop(), PATIENCE)
-        with pytest.raises(SweepInterrupted):
-            await asyncio.wait_for(enabling, PATIENCE)
-        assert servo.told[-1] == Controlword.DISABLE_VOLTAGE
-        await port.enable()  # what was stopped is over: the next is not
-
-
-COMMAND = sweep(periods=1000)
-
-
-async def test_a_drive_side_sweep_ends_while_its_consumer_hangs() -> None:
+@pytest.mark.parametrize("stopped", [False, True])
+async def test_a_drive_side_sweep_ends_while_its_consumer_hangs(stopped: bool) -> None:
+    """By the fault of another axis, unless a person had stopped it."""
     moving, standing = Servo("joint_1", samples_a_look=5), Servo("joint_2")
     async with connected(moving, standing) as (port, _):
         await port.enable("joint_1")
-        run = port.run_sweep(COMMAND)
+        run = port.run_sweep(sweep(periods=1000))
         await anext(run)
+        if stopped:
+            await port.stop()
         standing.announced = 0x4310
         await eventually(lambda: not moving.energised)
-        with pytest.raises(DriveFault, match=r"joint_2 \(small\): error 4310h"):
-            async for _ in run:
-                pass
-
-
-async def test_a_stop_by_a_person_stays_a_stop() -> None:
-    moving, standing = Servo("joint_1", samples_a_look=5), Servo("joint_2")
-    async with connected(moving, standing) as (port, _):
-        await port.enable("joint_1")
-        run = port.run_sweep(COMMAND)
-        await anext(run)
-        await port.stop()
-        standing.announced = 0x4310
-        with pytest.raises(SweepInterrupted, match="sweep was stopped"):
+        told = (SweepInterrupted, "sweep was stopped") if stopped else (DriveFault, r"joint_2 \(small\): error 4310h")
+        with pytest.raises(told[0], match=told[1]):
             async for _ in run:
                 pass
 

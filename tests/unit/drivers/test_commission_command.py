@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -108,11 +109,12 @@ def test_a_drive_without_a_map_gets_one_with_a_line_for_each_missing_object(tmp_
     assert load_device_map(path).units.side == "joint"
 
 
-def test_a_file_that_is_no_dictionary_is_refused_by_name(tmp_path: Path) -> None:
-    (tmp_path / "x.eds").write_text("[1000\nno")
-    error = run("draft", "--eds", tmp_path / "x.eds", "--out", tmp_path, "--devices", DEVICES).exception
-    assert isinstance(error, BadProfile)
-    assert "x.eds: not an EDS or DCF" in str(error)
+def test_a_drive_that_cannot_be_measured_says_what_it_lacks(tmp_path: Path) -> None:
+    eds = tmp_path / "s120.eds"
+    eds.write_text(re.sub(r"\[(?:6064|607A)\](?:\n.+)*", "", file_of("plain").read_text()))
+    done = run("draft", "--eds", eds, "--out", tmp_path / "out", "--devices", tmp_path)
+    assert f"{eds}: not in the file: 6064h, 607Ah; without these the drive cannot be used\n" in done.stderr
+    assert done.stderr.endswith(f"{eds}: excitation that remains: 60FFh (cyclic_velocity)\n")
 
 
 @pytest.mark.parametrize("letter", ["\x7f", "\x85", "\u2028"])

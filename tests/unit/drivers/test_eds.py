@@ -63,7 +63,7 @@ DICTIONARIES: Any = {"drivers": read_dictionary, "virtual": ObjectDictionary, "f
     ("more", "told"),
     [
         (f"{NAMES}99999999999\n", r"\[8000Name\] line \d+: NrOfEntries is 99999999999, limit 254"),
-        (f"{NAMES}255\n".replace("=9", "=255"), r"\[8000\] line \d+: CompactSubObj is 255, limit 254"),
+        (f"{NAMES}255\n".replace("=9", "=256"), r"\[8000\] line \d+: CompactSubObj is 256, limit 254"),
         (";" * 2**22, "is larger than 4194304 bytes"),
     ],
     ids=["names", "compact", "bytes"],

@@ -52,36 +52,33 @@ OTHERS = (
 )
 
 
-@pytest.mark.parametrize("what", TRESPASSES)
-def test_what_only_another_host_says(what: str) -> None:
-    assert ForeignFrames(NODES, HOST).word(*TRESPASSES[what]) == f"another host is on the bus: {what}"
+@pytest.mark.parametrize(
+    ("frame", "what"),
+    [*((frame, what) for what, frame in TRESPASSES.items()), *((frame, "") for frame in OTHERS)],
+    ids=str,
+)
+def test_what_only_another_host_says(frame: tuple[int, bytes], what: str) -> None:
+    said = ForeignFrames(NODES, HOST).word(*frame)
+    assert said == (what and f"another host is on the bus: {what}")
 
 
-@pytest.mark.parametrize("frame", OTHERS, ids=str)
-def test_what_is_said_by_or_to_others(frame: tuple[int, bytes]) -> None:
-    assert ForeignFrames(NODES, HOST).word(*frame) == ""
-
-
-def test_the_stop_of_the_stop_process_is_none_and_excuses_one_sync() -> None:
-    strangers = ForeignFrames(NODES, HOST)
-    for frame in (*frames.stop(NODES, ()), *frames.stop(NODES, NODES)):
-        assert strangers.word(*frame) == ""
+def test_the_stop_of_the_stop_process_is_none_and_excuses_one_sync_and_some_questions() -> None:
+    strangers, reading = ForeignFrames(NODES, HOST), upload_request(STANDARD["statusword"])
+    stops = (*frames.stop(NODES, ()), *frames.stop(NODES, NODES))
+    assert strangers.word(frames.Cob.SDO_REQUEST + 1, reading) != ""  # without a stop
+    assert {strangers.word(*frame) for frame in stops} == {""}
+    assert strangers.word(frames.Cob.SDO_REQUEST + 1, b"\x2b" + bytes(7)) != ""  # it writes
+    questions = [strangers.word(frames.Cob.SDO_REQUEST + 1, reading) for _ in range(ForeignFrames.readings + 1)]
+    assert [word != "" for word in questions] == [False] * ForeignFrames.readings + [True]
     assert strangers.word(frames.Cob.SYNC, b"") != ""
 
 
-def test_the_questions_that_confirm_a_stop_are_none_and_are_counted() -> None:
-    strangers, reading = (
-        ForeignFrames(NODES, HOST),
-        (frames.Cob.SDO_REQUEST + 1, upload_request(STANDARD["statusword"])),
-    )
-    assert strangers.word(*reading) != ""  # without a stop
-    for frame in frames.stop(NODES, ()):
-        strangers.word(*frame)
-    assert [strangers.word(*reading) for _ in range(ForeignFrames.readings)] == [""] * ForeignFrames.readings
-    assert strangers.word(*reading) != ""
-    for frame in frames.stop(NODES, ()):
-        strangers.word(*frame)
-    assert strangers.word(frames.Cob.SDO_REQUEST + 1, b"\x2b" + bytes(7)) != ""  # it writes
+def test_a_stop_by_an_rpdo_of_its_own_is_no_stranger_either() -> None:
+    """Where positions are streamed, quick stop has an RPDO with the controlword alone."""
+    wires = frames.Wires(set_point=2, stop=1, counted=False)
+    strangers = ForeignFrames((3,), HOST, wires)
+    assert {strangers.word(*frame) for frame in frames.stop((3,), (3,), wires=wires)} == {""}
+    assert "RPDO1 to node 3" in ForeignFrames((3,), HOST).word(*wires.stop_frame(3))
 
 
 def test_a_bus_hears_them_once_it_was_alone() -> None:
@@ -96,26 +93,13 @@ def test_a_bus_hears_them_once_it_was_alone() -> None:
             soon(lambda: bus.restarted(1))  # both were heard
             assert bus.watch.reason == ""
             bus.expect_no_host()
-            for identifier, data in (
-                *frames.stop(NODES, ()),
-                (frames.Cob.HEARTBEAT + HOST, b"\x05"),
-                (frames.Cob.SYNC, b""),
-            ):
-                bus.send(identifier, data)
+            for ours in (*frames.stop(NODES, ()), (frames.Cob.HEARTBEAT + HOST, b"\x05"), (frames.Cob.SYNC, b"")):
+                bus.send(*ours)
             peer.send(message)
             soon(lambda: bus.watch.reason != "")
             assert what in bus.watch.reason
         finally:
             bus.close()
-
-
-def test_a_stop_by_an_rpdo_of_its_own_is_no_stranger_either() -> None:
-    """Where positions are streamed, quick stop has an RPDO with the controlword alone."""
-    wires = frames.Wires(set_point=2, stop=1, counted=False)
-    strangers = ForeignFrames((3,), 127, wires)
-    for identifier, data in frames.stop((3,), (3,), wires=wires):
-        assert strangers.word(identifier, data) == ""
-    assert "RPDO1 to node 3" in ForeignFrames((3,), 127).word(*wires.stop_frame(3))
 
 
 def test_events_by_hand() -> None:
@@ -168,9 +152,9 @@ def replied(entry: Entry, value: int) -> bytes:
     return struct.pack("<BHB", {2: 0x4B, 4: 0x43}[len(data)], entry.index, entry.sub) + data.ljust(4, b"\0")
 
 
-def exchanged(heard: HeardState, entry: Entry, value: int, at: float) -> None:
-    heard.requested(upload_request(entry), at)
-    heard.answered(replied(entry, value), at + 0.001)
+def exchanged(heard: HeardState, name: str, value: int, at: float) -> None:
+    heard.requested(upload_request(STANDARD[name]), at)
+    heard.answered(replied(STANDARD[name], value), at + 0.001)
 
 
 def test_process_data_confirm_standstill_without_energy(heard: HeardState) -> None:
@@ -184,50 +168,45 @@ def test_process_data_confirm_standstill_without_energy(heard: HeardState) -> No
 
 
 def test_answers_to_the_service_confirm_it_if_the_velocity_is_not_older_than_the_state(heard: HeardState) -> None:
-    exchanged(heard, STANDARD["velocity"], 0, 1.0)
-    exchanged(heard, STANDARD["statusword"], OFF, 2.0)
-    assert heard.doubt(0.5) != ""  # it may have begun to turn since
-    exchanged(heard, STANDARD["velocity"], 0, 3.0)
-    assert heard.doubt(0.5) == ""
-    exchanged(heard, STANDARD["statusword"], ON, 4.0)
-    assert heard.doubt(0.5) == "is 'operation enabled'"
+    for at, name, value, doubt in (
+        (1.0, "velocity", 0, "its state cannot be heard here"),
+        (2.0, "statusword", OFF, "its state cannot be heard here"),  # it may have begun to turn since
+        (3.0, "velocity", 0, ""),
+        (4.0, "statusword", ON, "is 'operation enabled'"),
+    ):
+        exchanged(heard, name, value, at)
+        assert heard.doubt(0.5) == doubt
 
 
 def test_a_segment_that_looks_like_an_answer_is_none(heard: HeardState) -> None:
-    exchanged(heard, STANDARD["statusword"], ON, 1.0)
-    heard.answered(replied(STANDARD["statusword"], OFF), 1.1)
+    off = replied(STANDARD["statusword"], OFF)
+    exchanged(heard, "statusword", ON, 1.0)
+    heard.answered(off, 1.1)
     heard.answered(replied(STANDARD["velocity"], 0), 1.2)
     assert heard.doubt(0.5) == "is 'operation enabled'"
     heard.requested(b"\xa0" + upload_request(STANDARD["statusword"])[1:], 1.3)  # a block upload
-    heard.answered(replied(STANDARD["statusword"], OFF), 1.4)
+    heard.answered(off, 1.4)
     assert heard.doubt(0.5) == "is 'operation enabled'"
 
 
 def test_a_velocity_within_the_noise_counts_only_in_a_unit_that_was_heard(heard: HeardState) -> None:
     heard.note(frames.MotionPdo(1, OFF, 1, 0), 1.0)
     assert heard.doubt(0.5).startswith("turns at 1 velocity units, standstill is at most 0")
-    exchanged(heard, STANDARD["velocity_unit"], 0xFDB44700, 0.1)  # 1e-3 rev/min
-    exchanged(heard, STANDARD["increments"], 1048576, 0.1)
-    exchanged(heard, STANDARD["motor_revolutions"], 1, 0.1)
+    exchanged(heard, "velocity_unit", 0xFDB44700, 0.1)  # 1e-3 rev/min
+    exchanged(heard, "increments", 1048576, 0.1)
+    exchanged(heard, "motor_revolutions", 1, 0.1)
     assert heard.doubt(0.5) == ""
 
 
 def test_it_asks_for_what_is_missing_and_awaits_each_answer(heard: HeardState) -> None:
     now, asked = 1.0, list[str]()
     values = {"statusword": OFF, "velocity": 0, "velocity_unit": 0xFDB44700, "increments": 1, "motor_revolutions": 1}
-    entries = {
-        "statusword": STANDARD["statusword"],
-        "velocity": STANDARD["velocity"],
-        "velocity_unit": STANDARD["velocity_unit"],
-        "increments": STANDARD["increments"],
-        "motor_revolutions": STANDARD["motor_revolutions"],
-    }
     while heard.doubt(0.5) and len(asked) < 10:
         request = heard.question(0.5, now)
         assert heard.question(0.5, now + 0.01) == b""
-        name = next(name for name, entry in entries.items() if upload_request(entry) == request)
+        name = next(name for name in values if upload_request(STANDARD[name]) == request)
         asked.append(name)
-        heard.answered(replied(entries[name], values[name]), now + 0.02)
+        heard.answered(replied(STANDARD[name], values[name]), now + 0.02)
         now += 0.03
     assert heard.doubt(0.5) == ""
     assert asked[-1] == "velocity"

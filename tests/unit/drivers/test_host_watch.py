@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 
 import pytest
@@ -10,7 +10,7 @@ import pytest
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
 from drivers.cia402.states import Controlword, PowerState
-from drivers.contract.bench import eventually
+from drivers.contract.bench import consume, eventually
 from drivers.errors import MotionForbidden
 from drivers.ports import SineCommand
 from tests.unit.drivers.given import sweep
@@ -67,7 +67,7 @@ def test_the_first_that_was_seen_is_told_and_what_follows_is_not() -> None:
 @asynccontextmanager
 async def watched(
     servo: Servo, *, before: Callable[[HostWatch], None] = lambda _: None
-) -> AsyncIterator[tuple[Cia402Machine, HostWatch, list[str]]]:
+) -> AsyncGenerator[tuple[Cia402Machine, HostWatch, list[str]]]:
     """A connected machine, its watch, and the causes that it tells. `before`: the first connection."""
     port, link = machine(servo)
     told: list[str] = []
@@ -80,11 +80,8 @@ async def watched(
 
 
 def enabling(servo: Servo) -> list[int]:
-    return [
-        word
-        for word in servo.told
-        if word & 0x0F in (Controlword.SHUTDOWN, Controlword.SWITCH_ON, Controlword.ENABLE_OPERATION)
-    ]
+    kinds = (Controlword.SHUTDOWN, Controlword.SWITCH_ON, Controlword.ENABLE_OPERATION)
+    return [word for word in servo.told if word & 0x0F in kinds]
 
 
 async def enable_and_move(port: Cia402Machine) -> None:
@@ -152,27 +149,16 @@ async def test_an_axis_that_nobody_here_enabled_is_told(state: PowerState) -> No
         await port.stop()
 
 
-async def test_energy_that_nobody_here_took_is_missed_in_a_move() -> None:
-    servo = Servo("joint_1")
-    async with connected(servo) as (port, _):
-        await port.enable("joint_1")
-        moving = asyncio.create_task(port.move_to("joint_1", 0.5, 0.1))
-        await eventually(lambda: any(word & Controlword.NEW_SET_POINT for word in servo.told))
-        servo.state = PowerState.SWITCH_ON_DISABLED
-        with pytest.raises(MotionForbidden, match=LOST):
-            await moving
-        with pytest.raises(MotionForbidden, match=LOST):
-            await port.enable("joint_1")
-
-
-async def test_energy_that_nobody_here_took_is_missed_in_a_sweep() -> None:
+@pytest.mark.parametrize("motion", ["move", "sweep"])
+async def test_energy_that_nobody_here_took_is_missed(motion: str) -> None:
     servo = Servo("joint_1", samples_a_look=5)
     async with watched(servo) as (port, _, told):
         await port.enable("joint_1")
-        run = port.run_sweep(COMMAND)
-        await anext(run)
+        moving = asyncio.create_task(port.move_to("joint_1", 0.5, 0.1) if motion == "move" else consume(port, COMMAND))
+        await eventually(lambda: any(word & Controlword.NEW_SET_POINT for word in servo.told) or servo.recorded > 0)
         servo.state = PowerState.SWITCH_ON_DISABLED
         with pytest.raises(MotionForbidden, match=LOST):
-            async for _ in run:
-                pass
+            await moving
         assert len(told) == 1
+        with pytest.raises(MotionForbidden, match=LOST):
+            await port.enable("joint_1")

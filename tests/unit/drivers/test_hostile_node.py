@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import queue
 import threading
-import time
 import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -21,8 +20,10 @@ from drivers.canopen.device_map import STANDARD
 from drivers.canopen.fieldbus import CanopenFieldbus
 from drivers.canopen.profile import BusProfile, parse_profile
 from drivers.canopen.sdo import Sdo
+from drivers.contract.bench import eventually
 from drivers.errors import CommunicationLost, ConnectionFailed, DriveError
 from drivers.registry import load_profile
+from tests.unit.drivers.test_bus import soon
 
 pytestmark = pytest.mark.slow
 
@@ -52,10 +53,7 @@ class Desk:
         """Until nothing is under way any more that either side said, also on a busy computer."""
         self.bus.note_configured(NODE)
         self.bus.send(frames.Cob.NMT, bytes([0x81, NODE]))  # reset
-        deadline = time.monotonic() + PATIENT
-        while not self.bus.restarted(NODE):
-            assert time.monotonic() < deadline
-            time.sleep(0.001)
+        soon(lambda: self.bus.restarted(NODE))
 
 
 @pytest.fixture
@@ -123,51 +121,38 @@ def test_an_answer_that_the_stop_process_asked_for_is_no_lost_communication(
 
 
 DRIVES = Path(__file__).parents[3] / "config" / "drives"
-BEAT = 0.3  # s
 WAIT = 20.0  # s
 WORD = can.Message(arbitration_id=frames.Cob.HEARTBEAT + 127, data=[frames.NmtState.OPERATIONAL], is_extended_id=False)
 
 
-@dataclass(frozen=True)
-class Peer:
-    """Another host on the bus; the drives of the profile are not there."""
-
-    channel: str
-    bus: can.BusABC
-
-    def fieldbus(self) -> CanopenFieldbus:
-        bus = {"interface": "virtual", "channel": self.channel, "host_heartbeat": BEAT, "drive_timeout": WAIT}
-        raw = load_profile(DRIVES / "virtual-max100.yaml")
-        return CanopenFieldbus(parse_profile(raw | {"bus": bus | {"sdo_timeout": 0.1}}, DRIVES))
-
-    def heard(self) -> set[int]:
-        identifiers: set[int] = set()
-        while (message := self.bus.recv(0.0)) is not None:
-            identifiers.add(message.arbitration_id)
-        return identifiers
-
-
 @pytest.fixture
-def peer() -> Iterator[Peer]:
+def peer() -> Iterator[tuple[can.BusABC, CanopenFieldbus]]:
+    """Another host on the bus, and ours, not yet open; the drives of the profile are not there."""
     channel = f"hosts-{uuid.uuid4()}"
+    line = {"interface": "virtual", "channel": channel, "host_heartbeat": 0.3, "drive_timeout": WAIT}
+    raw = load_profile(DRIVES / "virtual-max100.yaml") | {"bus": line | {"sdo_timeout": 0.1}}
     with can.Bus(interface="virtual", channel=channel) as bus:
-        yield Peer(channel, bus)
+        yield bus, CanopenFieldbus(parse_profile(raw, DRIVES))
 
 
-async def test_where_another_host_speaks_nothing_is_sent(peer: Peer) -> None:
-    beating = peer.bus.send_periodic(WORD, 0.01)
+def heard(bus: can.BusABC) -> set[int]:
+    return {message.arbitration_id for message in iter(lambda: bus.recv(0.0), None)}
+
+
+async def test_where_another_host_speaks_nothing_is_sent(peer: tuple[can.BusABC, CanopenFieldbus]) -> None:
+    bus, ours = peer
+    beating = bus.send_periodic(WORD, 0.01)
     with pytest.raises(ConnectionFailed, match="another host speaks as node 127"):
-        await peer.fieldbus().open()
+        await ours.open()
     beating.stop()
-    assert peer.heard() == set()
+    assert heard(bus) == set()
 
 
-async def test_one_word_of_a_host_that_is_gone_keeps_nobody_away(peer: Peer) -> None:
-    opening = asyncio.create_task(peer.fieldbus().open())
-    async with asyncio.timeout(WAIT):
-        while not any(thread.name == "can-receive" for thread in threading.enumerate()):  # noqa: ASYNC110
-            await asyncio.sleep(0.002)
-    peer.bus.send(WORD)  # a gateway had held it back
+async def test_one_word_of_a_host_that_is_gone_keeps_nobody_away(peer: tuple[can.BusABC, CanopenFieldbus]) -> None:
+    bus, ours = peer
+    opening = asyncio.create_task(ours.open())
+    await eventually(lambda: any(thread.name == "can-receive" for thread in threading.enumerate()), WAIT)
+    bus.send(WORD)  # a gateway had held it back
     with pytest.raises(CommunicationLost):  # of the drives that are not there
         await opening
-    assert peer.heard() >= {WORD.arbitration_id, frames.Cob.NMT}
+    assert heard(bus) >= {WORD.arbitration_id, frames.Cob.NMT}

@@ -80,23 +80,23 @@ def test_two_mishaps_may_mix_a_sample_but_only_near_a_gap() -> None:
                         assert set(range(s.index - 2, s.index + 3)) - present, (first, one, second, other)
 
 
-def test_a_drive_that_sends_tpdo2_first_gives_no_samples_at_all() -> None:
-    items = [item for k in range(50) for item in (None, PositionPdo(1, k, 100 + k), motion(k))]
-    assert pair(items) == []
+ANSWERS = [item for item in stream() if item is not None]
+STANDING = [item for k in range(4) for item in (None, motion(0), PositionPdo(1, 0, 100 + k))]
 
 
-def test_answers_later_than_a_cycle_are_paired_all_the_same() -> None:
-    items: list[Item] = [None, None, None, *(item for item in stream() if item is not None), *[None] * SYNCS]
-    ahead = [*[None] * SYNCS, *(item for item in stream() if item is not None)]
-    assert [s.index for s in pair(ahead)] == list(range(SYNCS))
-    assert [s.index for s in pair(items)] == [0, 1, 2]  # what answers a SYNC that was not yet sent is not of this sweep
-
-
-def test_a_repeated_reading_is_no_doubled_frame_and_a_doubled_one_no_reading() -> None:
-    standing = [item for k in range(4) for item in (None, motion(0), PositionPdo(1, 0, 100 + k))]
-    assert [s.index for s in pair(standing)] == [0, 1, 2, 3]
-    without_place = standing[:5] + standing[6:]
-    assert [s.index for s in pair(without_place)] == [0, 2, 3]
+@pytest.mark.parametrize(
+    ("items", "indices"),
+    [
+        ([item for k in range(50) for item in (None, PositionPdo(1, k, 100 + k), motion(k))], []),
+        ([*[None] * SYNCS, *ANSWERS], list(range(SYNCS))),
+        ([*[None] * 3, *ANSWERS, *[None] * SYNCS], [0, 1, 2]),
+        (STANDING, [0, 1, 2, 3]),
+        (STANDING[:5] + STANDING[6:], [0, 2, 3]),
+    ],
+    ids=["TPDO2 first", "later than a cycle", "to a SYNC not yet sent", "a repeated reading", "its place lost"],
+)
+def test_which_answers_are_samples(items: list[Item], indices: list[int]) -> None:
+    assert [s.index for s in pair(items)] == indices
 
 
 @pytest.mark.parametrize("counter", [0xFFFFFFFE, 0x7FFFFFFF])

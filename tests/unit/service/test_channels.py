@@ -57,12 +57,9 @@ def test_ends_are_cut_from_every_column_alike() -> None:
     assert aligned.time[-1] == (COUNT - 1 - HALF - 2) / RATE
 
 
-def test_nothing_to_correct_leaves_the_recording_as_it_is() -> None:
+def test_what_has_nothing_to_correct_stays_as_it_is() -> None:
     recording = recorded(2.0, ChannelTiming())
     assert align(recording, ChannelTiming()) is recording
-
-
-def test_a_channel_without_lag_keeps_its_samples_bit_for_bit() -> None:
     timing = ChannelTiming(effort_smoothing=1e-3)
     recording = recorded(3.0, timing)
     np.testing.assert_array_equal(align(recording, timing).velocity, recording.velocity[HALF:-HALF])
@@ -76,7 +73,6 @@ def test_white_noise_grows_as_stated() -> None:
         time = np.arange(len(noise)) / rate
         aligned = align(Recording(time=time, effort=noise, velocity=noise, position=noise), timing)
         stated = noise_gain(timing.effort_delay, timing.effort_smoothing, rate)
-        print(f"{rate:g} Hz: noise grows by {stated:.2f}")
         assert aligned.effort.std() == pytest.approx(stated, rel=0.02)
     assert noise_gain(0.0, 0.0, 1000.0) == 1.0
 

@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from service.model.errors import BadInput
-from service.model.robot import Axis, Robot, RobotDescription, build_robot, link_frames
+from service.model.robot import Axis, RobotDescription, build_robot, link_frames
 from service.model.urdf import read_chain
 
 pinocchio = (  # elsewhere it must be there
@@ -71,17 +71,9 @@ def test_a_random_chain_is_what_pinocchio_reads(seed: int) -> None:
             np.testing.assert_allclose(origin[k], data.oMi[k + 1].translation, atol=1e-9)
 
 
-def robot() -> Robot:
-    text = (
-        '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="revolute"><parent link="a"/>'
-        '<child link="b"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>'
-    )
-    axis = Axis(joint="j", gear_ratio=-100.0, motor_inertia=0.002, rated_effort=10.0)
-    return build_robot(RobotDescription(name="r", urdf="r.urdf", axes=(axis,)), text)
-
-
 def test_the_motor_weighs_with_the_square_of_the_gear() -> None:
-    assert robot().axis("j").reflected_motor_inertia == pytest.approx(20.0)
+    axis = Axis(joint="j", gear_ratio=-100.0, motor_inertia=0.002, rated_effort=10.0)
+    assert axis.reflected_motor_inertia == pytest.approx(20.0)
     assert Axis(joint="j", gear_ratio=1.0, rated_effort=1.0).reflected_motor_inertia is None
 
 
@@ -94,7 +86,6 @@ def test_what_would_divide_by_zero_is_refused(field: str, value: object) -> None
 
 
 def test_axes_must_be_the_moving_joints_of_the_urdf() -> None:
-    one = robot()
-    described = one.description.model_copy(update={"axes": (*one.axes, one.axes[0])})
+    axis = Axis(joint="j", gear_ratio=-100.0, rated_effort=10.0)
     with pytest.raises(BadInput, match="differ from the URDF's moving joints"):
-        build_robot(described, one.urdf_text)
+        build_robot(RobotDescription(name="r", urdf="r.urdf", axes=(axis,)), random_urdf(1))

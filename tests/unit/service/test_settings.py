@@ -83,30 +83,26 @@ async def test_a_service_on_every_address_answers_to_its_names_alone() -> None:
 
 
 def test_the_cell_of_docker_compose_answers_to_names(root: Path) -> None:
-    service = yaml.safe_load((root / "docker-compose.yml").read_text())["services"]["service"]
+    services = yaml.safe_load((root / "docker-compose.yml").read_text())["services"]
+    service = services["service"]
     assert "0.0.0.0" in service["command"]
     default = '["localhost"]'
     assert service["environment"]["SWEEPID_ALLOWED_HOSTS"] == f"${{SWEEPID_ALLOWED_HOSTS:-{default}}}"
     # nobody is asked who he is: the port is published on this computer alone, or by a login
-    published = yaml.safe_load((root / "docker-compose.yml").read_text())["services"]["machine"]["ports"]
-    assert all(port.startswith("127.0.0.1:") for port in published)
+    assert all(port.startswith("127.0.0.1:") for port in services["machine"]["ports"])
     assert service["environment"]["SWEEPID_TRUSTED_NETWORK"] == "true"
-
-
-@pytest.mark.parametrize("host", ["127.0.0.1", "127.8.8.8", "::1", "localhost"])
-def test_this_computer_alone_needs_no_login(host: str) -> None:
-    Settings(host=host).check_reach()
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "", "192.168.4.7", "cell7", "127.0.0.1.example"])
 def test_beyond_this_computer_somebody_asks_who_it_is(host: str) -> None:
-    with pytest.raises(BadInput, match=r"(?s)^host: .*login: true.*trusted_network: true"):
-        Settings(host=host).check_reach()
+    for given, told in (({}, "login: true.*trusted_network: true"), ({"login": True}, "tls_certificate.*behind_proxy")):
+        with pytest.raises(BadInput, match=f"(?s)^host: .*{told}"):
+            Settings(host=host, **given).check_reach()
     Settings(host=host, trusted_network=True).check_reach()
-    with pytest.raises(BadInput, match=r"(?s)^host: .*tls_certificate.*behind_proxy: true"):
-        Settings(host=host, login=True).check_reach()
     Settings(host=host, login=True, behind_proxy=True).check_reach()
     Settings(host=host, login=True, tls_certificate=Path("a"), tls_key=Path("b")).check_reach()
+    for this_computer in ("127.0.0.1", "127.8.8.8", "::1", "localhost"):
+        Settings(host=this_computer).check_reach()
 
 
 @pytest.mark.parametrize(
@@ -114,10 +110,7 @@ def test_beyond_this_computer_somebody_asks_who_it_is(host: str) -> None:
     [
         ({"tls_certificate": "a.pem"}, "^tls_key: is missing"),
         ({"tls_key": "a.key"}, "^tls_certificate: is missing"),
-        (
-            {"tls_certificate": "none.pem", "tls_key": "none.key"},
-            "^tls_certificate: none.pem and none.key cannot be used",
-        ),
+        ({"tls_certificate": "a.pem", "tls_key": "a.key"}, "^tls_certificate: a.pem and a.key cannot be used"),
     ],
 )
 def test_tls_needs_two_files_that_can_be_used(values: dict[str, str], told: str) -> None:
@@ -145,10 +138,8 @@ def test_a_cluster_that_cannot_be_used_safely_is_refused(
     tmp_path: Path, address: str | None, files: tuple[str, ...], place: str, reason: str
 ) -> None:
     given = {f"dask_{name}": str(tmp_path / f"{name}.pem") for name in files}
-    with pytest.raises(BadInput) as refused:
+    with pytest.raises(BadInput, match=f"{place}.*{reason}"):
         Settings.model_validate({"dask_scheduler": address, **given}).check()
-    assert place in str(refused.value)
-    assert reason in str(refused.value)
 
 
 def test_a_cluster_on_this_computer_needs_no_certificates() -> None:
@@ -188,6 +179,7 @@ DEEP = f"nested too deeply, limit {BoundedLoader.deepest} levels"
             )
         ),
         pytest.param("#" * (LARGEST_YAML + 1), f"is larger than {LARGEST_YAML} bytes", id="large"),
+        ("1: 2", "key 1 is not text"),
     ],
 )
 def test_what_was_made_to_harm_is_refused(content: str, told: str, tmp_path: Path) -> None:
@@ -195,13 +187,6 @@ def test_what_was_made_to_harm_is_refused(content: str, told: str, tmp_path: Pat
     path.write_text(content, "utf-8")
     with pytest.raises(BadInput, match=told):
         read_yaml(path, Cell)
-
-
-def test_keys_that_are_no_text_and_a_text_beyond_its_limit_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "service.yaml"
-    path.write_text("1: 2", "utf-8")
-    with pytest.raises(BadInput, match="key 1 is not text"):
-        load_settings(path)
     with pytest.raises(BadInput, match="is larger than 3 bytes"):
         read_text(path, 3)
 

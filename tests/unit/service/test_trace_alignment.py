@@ -2,6 +2,7 @@
 
 import tracemalloc
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,9 +18,8 @@ SWEEP = Excitation(0.0162, SINES, 1.0, 3, 0.5, 0.5)
 POSITION = -0.52
 RATE = 250.0
 # another sweep of the same axis: slower, with other phases
-OTHER = Excitation(
-    0.0148, tuple(Sine(frequency=s.frequency, amplitude=0.0028, phase=0.0) for s in SINES), 1.0, 3, 0.5, 0.5
-)
+SLOWER = tuple(Sine(frequency=sine.frequency, amplitude=0.0028, phase=0.0) for sine in SINES)
+OTHER = replace(SWEEP, offset_velocity=0.0148, sines=SLOWER)
 
 
 def clock(length: float) -> np.ndarray:
@@ -74,28 +74,25 @@ def test_what_does_not_match_is_refused_with_its_reason(signal: np.ndarray, reas
         motion_start(SWEEP, POSITION, np.arange(len(signal)) / RATE, signal, "trace.csv")
 
 
+LONG = np.arange(2**21, dtype=np.float64) * 0.02
+
+
 @pytest.mark.parametrize(
-    ("sweep", "position", "reason"),
+    ("changes", "position", "time", "reason"),
     [
-        (SWEEP, 1e308, r"pose reaches 1e\+308 rad \(m\), limit 1e\+06"),
-        (replace(SWEEP, offset_velocity=1e308), 0.0, "path reaches .*, limit"),
-        (replace(SWEEP, ramp=1e16), 0.0, "is shorter than the sweep of"),
-        (replace(SWEEP, settle=float("inf")), 0.0, "is shorter than the sweep of"),
-        (replace(SWEEP, period=1e300, periods=10**9), 0.0, "is shorter than the sweep of"),
+        ({}, 1e308, clock(12.0), r"pose reaches 1e\+308 rad \(m\), limit 1e\+06"),
+        ({"offset_velocity": 1e308}, 0.0, clock(12.0), "path reaches .*, limit"),
+        ({"ramp": 1e16}, 0.0, clock(12.0), "is shorter than the sweep of"),
+        ({"settle": float("inf")}, 0.0, clock(12.0), "is shorter than the sweep of"),
+        ({"period": 1e300, "periods": 10**9}, 0.0, clock(12.0), "is shorter than the sweep of"),
+        ({}, POSITION, LONG, r"trace of 41943 s is too long for the search, limit 20972 s"),
     ],
 )
-def test_a_path_beyond_all_measure_is_refused_before_it_is_searched(
-    sweep: Excitation, position: float, reason: str
+def test_what_is_beyond_all_measure_is_refused_before_it_is_searched(
+    changes: dict[str, Any], position: float, time: np.ndarray, reason: str
 ) -> None:
     with pytest.raises(BadInput, match=reason):
-        motion_start(sweep, position, clock(12.0), trace(clock(12.0), 2.0), "trace.csv")
-
-
-@pytest.mark.slow
-def test_a_trace_without_end_is_refused() -> None:
-    time = np.arange(2**21, dtype=np.float64) * 0.02
-    with pytest.raises(BadInput, match=r"trace of 41943 s is too long for the search, limit 20972 s"):
-        motion_start(SWEEP, POSITION, time, trace(time, 2.0), "trace.csv")
+        motion_start(replace(SWEEP, **changes), position, time, trace(time, 2.0), "trace.csv")
 
 
 def test_a_long_trace_takes_no_more_memory_than_some_copies_of_it() -> None:

@@ -1,5 +1,6 @@
-"""Traces in MDF4 and HDF5 files, as other programs write them: what is read, what is converted, what is refused."""
+"""Traces in MATLAB, MDF4 and HDF5 files of other programs: what is read, what is converted, what is refused."""
 
+import io
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
@@ -12,16 +13,18 @@ import mf4_rs
 import numpy as np
 import pytest
 from asammdf.blocks.v4_blocks import ChannelConversion
+from scipy.io import savemat
 
 from service.formats.export.recordings import write_recordings
 from service.formats.traces.containers import ChannelName, Taken, read_containers, read_here
 from service.formats.traces.trace_import import import_trace
 from service.model.errors import BadInput
+from service.store.files.columns import MOST_NUMBERS
 from service.store.files.isolated_reader import Limits
 from tests.command import sweepid
 from tests.forked import forked
 from tests.recorded_bundle import bundle
-from tests.unit.service.test_trace_import import mapping, trace, write_csv
+from tests.unit.service.test_trace_import import SWEEP, mapping, trace, write_csv
 
 pytestmark = pytest.mark.slow
 
@@ -89,17 +92,17 @@ def test_units_of_the_file_are_converted(tmp_path: Path, suffix: str) -> None:
         write_mdf4(tmp_path / "a.mf4", [signal(name, unit) for name, unit in units.items()])
     else:
         write_hdf5(tmp_path / "a.h5", **{name: (np.arange(500.0), unit) for name, unit in units.items()})
-    sweeps = [entry | {"group": "group 0" if suffix == ".mf4" else "run"} for entry in entries(f"a{suffix}")]
-    _, (sweep,) = import_trace(mapping(tmp_path, f"a{suffix}", columns=NAMED, sweeps=sweeps))
+    _, (sweep,) = import_trace(mapped(tmp_path, f"a{suffix}", "group 0" if suffix == ".mf4" else "run"))
     assert sweep.recording.effort[1] == pytest.approx(1000.0)
     assert sweep.recording.velocity[180] == pytest.approx(np.pi)
     assert sweep.recording.position[180] == pytest.approx(np.pi)
     assert sweep.recording.time[-1] == pytest.approx(499 / 250)
 
 
-def entries(source: str) -> list[dict[str, object]]:
-    given = {"axis": "c", "pose": [1.0], "offset_velocity": 0.0, "sample_rate": 250, "excitation": "trajectory"}
-    return [{"source": source, "id": "1", **given}]
+def mapped(folder: Path, name: str, group: str, **columns: dict[str, object]) -> Path:
+    """A mapping of the channels of one group of a file, in SI but for those of `columns`."""
+    sweep = SWEEP | {"source": name, "id": "1", "sample_rate": 250, "group": group}
+    return mapping(folder, name, columns={**NAMED, **columns}, sweeps=[sweep])
 
 
 @pytest.mark.parametrize(
@@ -113,49 +116,26 @@ def entries(source: str) -> list[dict[str, object]]:
 def test_a_unit_that_does_not_fit_is_refused(tmp_path: Path, unit: str, column: dict[str, object], reason: str) -> None:
     values = np.arange(500.0)
     write_hdf5(tmp_path / "a.h5", effort=(values, "Nm"), velocity=(values, unit), position=(values, "rad"))
-    file = mapping(
-        tmp_path,
-        "a.h5",
-        columns={**NAMED, "velocity": column},
-        sweeps=[entry | {"group": "run"} for entry in entries("a.h5")],
-    )
-    with pytest.raises(BadInput) as refused:
-        import_trace(file)
-    assert reason in str(refused.value)
-    assert "sweep 1 column velocity" in str(refused.value)
+    with pytest.raises(BadInput, match=f"sweep 1 column velocity: .*{reason}"):
+        import_trace(mapped(tmp_path, "a.h5", "run", velocity=column))
 
 
 def test_the_mapping_may_overrule_a_unit(tmp_path: Path) -> None:
     values = np.arange(500.0)
     write_hdf5(tmp_path / "a.h5", effort=(values, "A"), velocity=(values, "rpm"), position=(values, ""))
-    columns = {
-        "effort": {"source": "effort", "scale": 2.0},
-        "velocity": {"source": "velocity", "unit": "motor rev/min"},
-        "position": {"source": "position"},
-    }
-    sweeps = [entry | {"group": "run"} for entry in entries("a.h5")]
-    _, (sweep,) = import_trace(mapping(tmp_path, "a.h5", columns=columns, sweeps=sweeps))
-    recording = sweep.recording
-    assert (recording.effort[3], recording.position[3]) == (6.0, 3.0)
-    assert recording.velocity[60] == pytest.approx(2 * np.pi)
+    effort, velocity = {"source": "effort", "scale": 2.0}, {"source": "velocity", "unit": "motor rev/min"}
+    _, (sweep,) = import_trace(mapped(tmp_path, "a.h5", "run", effort=effort, velocity=velocity))
+    assert (sweep.recording.effort[3], sweep.recording.position[3]) == (6.0, 3.0)
+    assert sweep.recording.velocity[60] == pytest.approx(2 * np.pi)
 
 
-def test_linear_conversions_are_applied_and_formulas_refused(tmp_path: Path) -> None:
-    linear = {"a": 0.5, "b": 3.0}
-    formula = ChannelConversion(conversion_type=3, formula="X1 * 2")
-    path = write_mdf4(
-        tmp_path / "a.mf4",
-        [signal("counts", "Nm", conversion=linear), signal("formula", conversion=formula)],
-    )
+def test_linear_conversions_and_marks_of_what_is_invalid_are_applied_and_formulas_refused(tmp_path: Path) -> None:
+    counts = signal("counts", "Nm", conversion={"a": 0.5, "b": 3.0})
+    formula = signal("formula", conversion=ChannelConversion(conversion_type=3, formula="X1 * 2"))
+    path = write_mdf4(tmp_path / "a.mf4", [counts, formula, signal("effort", invalidation_bits=np.arange(500) == 7)])
     np.testing.assert_array_equal(ask(path, "counts").columns[0], 0.5 * np.arange(500) + 3)
-    assert "channel formula: has the conversion ALG; only none and linear" in refusal(path, "formula")
-
-
-def test_what_the_file_calls_invalid_is_no_number(tmp_path: Path) -> None:
-    invalid = np.zeros(500, bool)
-    invalid[7] = True
-    path = write_mdf4(tmp_path / "a.mf4", [signal("effort", invalidation_bits=invalid)])
     assert np.flatnonzero(np.isnan(ask(path, "effort").columns[0])).tolist() == [7]
+    assert "channel formula: has the conversion ALG; only none and linear" in refusal(path, "formula")
 
 
 def test_groups_of_one_clock_are_one_sweep_and_others_are_refused(tmp_path: Path) -> None:
@@ -186,17 +166,18 @@ def test_hdf5_that_leads_elsewhere_is_not_followed(tmp_path: Path) -> None:
         layout[:] = _h5.VirtualSource("other.h5", "x", (3,))
         file.create_virtual_dataset("virtual", layout)
         file.create_dataset("vast", (10**12,), "f8", chunks=(1000,))
-    assert "dataset outer: 'outer' is a link to /x" in refusal(path, "outer")
-    assert "dataset soft: 'soft' is a link to /run/short; give the name" in refusal(path, "soft")
-    assert "has its values in other files" in refusal(path, "raw")
-    assert "has its values in other files" in refusal(path, "virtual")
-    assert "holds 1000000000000 values of 1 channels, limit 50000000 numbers" in refusal(path, "vast")
-    assert "is not a column of numbers: object ()" in refusal(path, "text", group="run")
-    assert "differ in length, nothing is resampled: run/short has 3, run/long has 4" in refusal(
-        path, "short", "long", group="run"
-    )
-    assert "dataset run/none: 'none' does not exist; there are long, short, text" in refusal(path, "none", group="run")
-    assert "dataset run: is a group" in refusal(path, "run")
+    for sources, told in (
+        (["outer"], "dataset outer: 'outer' is a link to /x"),
+        (["soft"], "dataset soft: 'soft' is a link to /run/short; give the name"),
+        (["raw"], "has its values in other files"),
+        (["virtual"], "has its values in other files"),
+        (["vast"], "holds 1000000000000 values of 1 channels, limit 50000000 numbers"),
+        (["run/text"], "is not a column of numbers: object ()"),
+        (["run/short", "run/long"], "differ in length, nothing is resampled: run/short has 3, run/long has 4"),
+        (["run/none"], "dataset run/none: 'none' does not exist; there are long, short, text"),
+        (["run"], "dataset run: is a group"),
+    ):
+        assert told in refusal(path, *sources)
 
 
 @pytest.mark.parametrize("suffix", [".mf4", ".h5"])
@@ -221,15 +202,56 @@ def test_a_torn_file_is_one_refusal(tmp_path: Path, suffix: str) -> None:
 
 
 def test_a_file_of_a_name_alone(tmp_path: Path) -> None:
-    for suffix, told in (
-        (".mf4", "is not a finalised MDF file: it begins with b'UnFinMF '"),
-        (".h5", "is not a finalised MDF file"),  # the content tells the format
-    ):
+    for suffix in (".mf4", ".h5"):  # the content tells the format
         (tmp_path / f"a{suffix}").write_bytes(b"UnFinMF 4.10    ".ljust(100))
+        told = "is not a finalised MDF file: it begins with b'UnFinMF '"
         assert told in refusal(tmp_path / f"a{suffix}", "effort")
         assert "file does not exist" in refusal(tmp_path / f"b{suffix}", "effort")
     (tmp_path / "old.mf4").write_bytes(b"MDF     2.14    ".ljust(28) + (214).to_bytes(2, "little").ljust(40, b"\0"))
     assert "is an MDF file of version 2.14; versions 3 and 4 are read" in refusal(tmp_path / "old.mf4", "effort")
+
+
+def written() -> bytes:
+    content = io.BytesIO()
+    savemat(content, trace())  # pyright: ignore[reportArgumentType]  a file object is taken, by its documentation
+    return content.getvalue()
+
+
+def changed(offset: int, value: int) -> bytes:
+    """With another word so many bytes behind the name TORQUE, where its columns, type of data and bytes stand."""
+    content = bytearray(written())
+    at = content.index(b"TORQUE") + offset
+    content[at : at + 4] = value.to_bytes(4, "little")
+    return bytes(content)
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (changed(8, 14), "the process that read it was ended by SIG"),
+        (changed(12, 2**31 - 1), "cannot be read by SciPy"),
+        (changed(-12, 2**31 - 1), "limit 50000000 numbers"),
+        (changed(-16, 2**31 - 1), "limit 50000000 numbers"),
+        (written()[:121], "cannot be read by SciPy: index out of range"),
+        (b"PK\x03\x04", "cannot be read by SciPy: Mat file appears to be truncated"),
+        (b"", "cannot be read by SciPy: Mat file appears to be truncated"),
+        (b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM", "read by h5py: Unable to synchronously open file"),
+    ],
+)
+def test_a_file_made_to_break_its_reader_is_one_error(content: bytes, reason: str, tmp_path: Path) -> None:
+    (tmp_path / "trace.mat").write_bytes(content)
+    with pytest.raises(BadInput, match=rf"trace\.mat.*{reason}"):
+        import_trace(mapping(tmp_path, "trace.mat"))
+
+
+def test_a_compressed_file_that_unfolds_meets_the_limit_of_memory(tmp_path: Path) -> None:
+    """1 MB of zeros stands for 400 MB."""
+    path = tmp_path / "trace.mat"
+    savemat(path, {"TORQUE": np.zeros(MOST_NUMBERS)}, do_compression=True)
+    assert path.stat().st_size < 2_000_000
+    asked = [(ChannelName(source="TORQUE", group=None),)]
+    with pytest.raises(BadInput, match="needs more memory than the limit of 629145600 bytes"):
+        read_containers(path, asked, Limits(memory=600 * 2**20))
 
 
 def test_the_reader_has_its_limits(tmp_path: Path) -> None:
@@ -259,11 +281,9 @@ def test_without_its_library_the_extra_is_named(
 
 def test_other_traces_have_no_groups(tmp_path: Path) -> None:
     write_csv(tmp_path / "a.csv", trace())
-    file = mapping(tmp_path, "a.csv", columns=NAMED, sweeps=[entry | {"group": "x"} for entry in entries("a.csv")])
-    with pytest.raises(
-        BadInput, match=r"a.csv: has no groups, but the mapping names 'x': only MDF4, HDF5, ROS bags and"
-    ):
-        import_trace(file)
+    told = r"a.csv: has no groups, but the mapping names 'x': only MDF4, HDF5, ROS bags and"
+    with pytest.raises(BadInput, match=told):
+        import_trace(mapped(tmp_path, "a.csv", "x"))
 
 
 def test_the_command_tells_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -1,8 +1,5 @@
 """Trace exports to bundles: made-up traces whose truth is known, and the recorded EMPS axis."""
 
-import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,23 +9,17 @@ from scipy.io import savemat
 
 from service.formats.traces.trace_import import differentiate, import_trace
 from service.model.errors import BadInput
-from service.model.recording import Recording, Sweep
 from service.store.files.bundle import write_bundle
 
 pytestmark = pytest.mark.slow
 
-POSITION = {"effort": {"source": "TORQUE"}, "position": {"source": "ENC"}}
-
-
 TABLE: dict[str, object] = {
-    "name": "table",
-    "joint": "c",
-    "kind": "revolute",
-    "inertia": 4.0,
-    "lower": -10.0,
-    "upper": 10.0,
-    "velocity": 2.0,
-    "rated_effort": 50.0,
+    **{"name": "table", "joint": "c", "kind": "revolute", "inertia": 4.0},
+    **{"lower": -10.0, "upper": 10.0, "velocity": 2.0, "rated_effort": 50.0},
+}
+SWEEP = {
+    **{"id": "0001", "axis": "c", "pose": [1.0], "offset_velocity": 0.0},
+    **{"excitation": "trajectory", "sample_rate": 1000},
 }
 
 
@@ -42,17 +33,7 @@ def mapping(folder: Path, source: str, **changes: object) -> Path:
             "velocity": {"source": "SPEED"},
             "position": {"source": "ENC", "scale": 0.017453292519943295, "offset": 1.0},
         },
-        "sweeps": [
-            {
-                "source": source,
-                "id": "0001",
-                "axis": "c",
-                "pose": [1.0],
-                "offset_velocity": 0.0,
-                "excitation": "trajectory",
-                "sample_rate": 1000,
-            }
-        ],
+        "sweeps": [{"source": source, **SWEEP}],
     }
     path = folder / "mapping.yaml"
     path.write_text(yaml.safe_dump(content | changes))
@@ -74,30 +55,19 @@ def write_csv(
     path.write_text(head + "\n".join(lines) + "\n")
 
 
-def sample_of(sweeps: tuple[Sweep, ...]) -> Recording:
-    assert len(sweeps) == 1
-    return sweeps[0].recording
-
-
 def test_scales_and_offsets_apply(tmp_path: Path) -> None:
-    write_csv(tmp_path / "trace.csv", trace())
-    robot, sweeps = import_trace(mapping(tmp_path, "trace.csv"))
-    recording = sample_of(sweeps)
-    np.testing.assert_allclose(recording.time, np.arange(200) / 1000, atol=1e-12)
-    np.testing.assert_allclose(recording.effort, 2.0 * np.arange(200))
-    np.testing.assert_allclose(recording.position, 1.0 + np.radians(90.0 + 0.01 * np.arange(200)))
-    assert robot.joints == ("c",)
-    assert robot.chain.inertial[0, 4] == 4.0  # about x, the axis
-
-
-def test_a_german_csv_and_a_mat_file_give_the_same(tmp_path: Path) -> None:
-    write_csv(tmp_path / "trace.csv", trace(), ";", ",", "Werkzeugmaschine 7\nNC-Trace\n")
-    german = mapping(tmp_path, "trace.csv", csv={"delimiter": ";", "decimal_point": ",", "skip_rows": 2})
-    first = sample_of(import_trace(german)[1])
+    write_csv(tmp_path / "plain.csv", trace())
+    write_csv(tmp_path / "german.csv", trace(), ";", ",", "Werkzeugmaschine 7\nNC-Trace\n")
     savemat(tmp_path / "trace.mat", trace())
-    second = sample_of(import_trace(mapping(tmp_path, "trace.mat"))[1])
-    for name in ("time", "effort", "velocity", "position"):
-        np.testing.assert_allclose(getattr(first, name), getattr(second, name), atol=1e-9)
+    german = {"csv": {"delimiter": ";", "decimal_point": ",", "skip_rows": 2}}
+    for source, form in (("plain.csv", {}), ("german.csv", german), ("trace.mat", {})):
+        robot, (sweep,) = import_trace(mapping(tmp_path, source, **form))
+        np.testing.assert_allclose(sweep.recording.time, np.arange(200) / 1000, atol=1e-9)
+        np.testing.assert_allclose(sweep.recording.effort, 2.0 * np.arange(200), atol=1e-9)
+        np.testing.assert_allclose(sweep.recording.velocity, 0.5 * np.arange(200), atol=1e-9)
+        np.testing.assert_allclose(sweep.recording.position, 1.0 + np.radians(90.0 + 0.01 * np.arange(200)))
+        assert robot.joints == ("c",)
+        assert robot.chain.inertial[0, 4] == 4.0  # about x, the axis
 
 
 def test_a_trace_with_a_gap_is_not_written(tmp_path: Path) -> None:
@@ -106,6 +76,15 @@ def test_a_trace_with_a_gap_is_not_written(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match=r"gap in time: 0\.051 s follows 0\.049 s"):
         write_bundle(tmp_path / "bundle", robot, sweeps)
     assert not (tmp_path / "bundle").exists()
+
+
+def low_pass(corner: float) -> dict[str, object]:
+    columns = {"effort": {"source": "TORQUE"}, "position": {"source": "ENC"}}
+    return {"columns": columns | {"velocity": {"from_position": corner}}}
+
+
+def robot(**changes: object) -> dict[str, object]:
+    return {"robot": TABLE | changes}
 
 
 @pytest.mark.parametrize(
@@ -121,25 +100,13 @@ def test_a_trace_with_a_gap_is_not_written(tmp_path: Path) -> None:
         ("trace.mat", {"robot": {"name": "table"}}, "robot.axis.joint: Field required"),
         ("trace.mat", {"sweeps": []}, "sweeps: Tuple should have at least 1 item"),
         ("trace.mat", {"columns": {"effort": {"source": "M"}}}, "has no variable 'M'; there are CYCLE, TORQUE, SPEED"),
-        (
-            "trace.mat",
-            {"columns": POSITION | {"velocity": {"from_position": 0}}},
-            "velocity.derived.from_position: Input",
-        ),
-        (
-            "trace.mat",
-            {"columns": POSITION | {"velocity": {"from_position": 600}}},
-            "is not below half the sample rate",
-        ),
-        ("trace.mat", {"columns": POSITION | {"velocity": {"from_position": 5}}}, "200 samples are too few for a low"),
-        (
-            "trace.mat",
-            {"columns": POSITION | {"velocity": {"from_position": 5e-324}}},
-            "200 samples are too few for a low-pass of 5e-324 Hz",
-        ),
-        ("trace.mat", {"robot": TABLE | {"rated_effort": 5e-324}}, "mapping.yaml robot rated_effort: Input should be"),
-        ("trace.mat", {"robot": TABLE | {"gear_ratio": 1e308}}, "robot gear_ratio: Value error, must be between"),
-        ("trace.mat", {"robot": TABLE | {"name": "a\x07b"}}, "robot.axis.name: String should match pattern"),
+        ("trace.mat", low_pass(0), "velocity.derived.from_position: Input"),
+        ("trace.mat", low_pass(600), "is not below half the sample rate"),
+        ("trace.mat", low_pass(5), "200 samples are too few for a low-pass of 5.0 Hz"),
+        ("trace.mat", low_pass(5e-324), "200 samples are too few for a low-pass of 5e-324 Hz"),
+        ("trace.mat", robot(rated_effort=5e-324), "mapping.yaml robot rated_effort: Input should be"),
+        ("trace.mat", robot(gear_ratio=1e308), "robot gear_ratio: Value error, must be between"),
+        ("trace.mat", robot(name="a\x07b"), "robot.axis.name: String should match pattern"),
         ("trace.mat", {"csv": {"skip_rows": 2**31}}, "csv.skip_rows: Input should be less than or equal to 1000000"),
         ("lengths.mat", {}, "differ in length, nothing is resampled: CYCLE has 200, TORQUE has 3"),
     ],
@@ -164,19 +131,3 @@ def test_derivative_has_neither_phase_nor_bias(frequency: float, bound: float) -
 
 def test_derivative_keeps_a_straight_line_to_its_ends() -> None:
     np.testing.assert_allclose(differentiate(3.0 * np.arange(500) / 1000 + 2, 1000.0, 100.0), 3.0, rtol=1e-8)
-
-
-def test_emps_mass_from_the_command_line(root: Path, shared: Path, tmp_path: Path) -> None:
-    """Published: M = 95.1089 kg, Fv = 203.5034, Fc = 20.3935, offset = -3.1648."""
-    sweepid = [str(Path(sys.executable).with_name("sweepid"))]
-    source = str(shared / "data/emps/DATA_EMPS.mat")
-    make = ["import", "trace", str(root / "config/traces/emps.yaml"), "--source", source, "--out", str(tmp_path / "b")]
-    made = subprocess.run(sweepid + make, capture_output=True, text=True)
-    assert (made.returncode, made.stdout) == (0, ""), made.stderr
-    told = subprocess.run([*sweepid, "identify", str(tmp_path / "b"), "--json", "-"], capture_output=True, text=True)
-    assert told.returncode == 0, told.stderr
-    (sweep,) = json.loads(told.stdout)["axes"]["slide"]["inertia"]
-    assert sweep["value"] == pytest.approx(95.1089, rel=2e-3)
-    assert sweep["viscous_friction"] == pytest.approx(203.5034, rel=0.02)
-    assert sweep["terms"]["coulomb_friction"]["value"] == pytest.approx(20.3935, rel=0.02)
-    assert sweep["terms"]["effort_offset"]["value"] == pytest.approx(-3.1648, rel=0.02)

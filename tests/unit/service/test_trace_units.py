@@ -36,9 +36,8 @@ def test_units(unit: Unit, source: float, value: float) -> None:
 
 
 def test_a_linear_axis_is_in_mm() -> None:
-    scale, offset = SourceColumn(source="X", unit="axis position").to_si(
-        GEAR, CncAxis(name="X1", zero=5.0), 1e-3, 250.0
-    )
+    column = SourceColumn(source="X", unit="axis position")
+    scale, offset = column.to_si(GEAR, CncAxis(name="X1", zero=5.0), 1e-3, 250.0)
     assert scale * 105.0 + offset == pytest.approx(0.1)
 
 

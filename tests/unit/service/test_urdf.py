@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 
 from service.model.errors import BadInput
-from service.model.urdf import (
-    DEEPEST,
-    MOST_ELEMENTS,
-    MOST_LINKS,
-    read_chain,
-)
+from service.model.urdf import DEEPEST, MOST_ELEMENTS, MOST_LINKS, read_chain
 
 BODY = '<inertial><mass value="2"/><inertia ixx="1" iyy="2" izz="3" ixy="0" ixz="0" iyz="0"/></inertial>'
 LIMIT = '<limit lower="-1" upper="2" velocity="3" effort="4"/>'
@@ -23,6 +18,20 @@ def robot(*parts: str, links: str = "ab") -> str:
     return (
         f"<robot name='r'>{''.join(f'<link name={chr(34)}{name}{chr(34)}/>' for name in links)}{''.join(parts)}</robot>"
     )
+
+
+def _soft(safety: str) -> str:
+    limit = '<limit lower="-1" upper="1" velocity="1" effort="1"/>'
+    return robot(joint("j", "revolute", "a", "b", f"{limit}<safety_controller {safety}/>"))
+
+
+def _long_chain(count: int) -> str:
+    links = "".join(f'<link name="l{number}"/>' for number in range(count))
+    joints = "".join(joint(f"j{number}", "fixed", f"l{number}", f"l{number + 1}") for number in range(count - 1))
+    return f"<robot>{links}{joints}</robot>"
+
+
+ENTITY = '<!DOCTYPE robot [<!ENTITY e SYSTEM "file:///etc/hostname">]><robot>&e;</robot>'
 
 
 def test_defaults_of_the_specification() -> None:
@@ -58,10 +67,7 @@ def test_what_is_fixed_to_the_base_is_no_load() -> None:
         (robot(joint("j", "floating", "a", "b")), "j: type 'floating' is not supported"),
         (robot(joint("j", "revolute", "a", "b", "")), "j: has no <limit>"),
         (robot(joint("j", "revolute", "a", "b", LIMIT.replace('"2"', '"-1"'))), "lower limit -1.0 is not below"),
-        (
-            robot(joint("j", "revolute", "a", "b", LIMIT.replace('"4"', '"much"'))),
-            "limit effort='much' is not a number",
-        ),
+        (robot(joint("j", "revolute", "a", "b", LIMIT.replace('"4"', '"no"'))), "limit effort='no' is not a number"),
         (robot(joint("j", "revolute", "a", "b", LIMIT + '<axis xyz="0 0 0"/>')), "axis has no direction"),
         (robot(joint("j", "revolute", "a", "b", LIMIT + '<origin xyz="0 0"/>')), "is not three finite numbers"),
         (robot(joint("j", "revolute", "a", "b", LIMIT + '<origin xyz="0 0 x"/>')), "is not three numbers"),
@@ -79,29 +85,7 @@ def test_what_is_fixed_to_the_base_is_no_load() -> None:
             robot(joint("j", "revolute", "a", "c"), '<link name="c"><inertial/></link>', links="a"),
             "<inertial> needs <mass> and <inertia>",
         ),
-    ],
-)
-def test_refusals_name_the_reason(text: str, reason: str) -> None:
-    with pytest.raises(BadInput) as refusal:
-        read_chain(text, "robot.urdf")
-    assert str(refusal.value).startswith("robot.urdf")
-    assert reason in str(refusal.value)
-
-
-def test_a_chain_too_long_to_walk_is_refused() -> None:
-    count = MOST_LINKS + 1
-    links = "".join(f'<link name="l{number}"/>' for number in range(count))
-    joints = "".join(joint(f"j{number}", "fixed", f"l{number}", f"l{number + 1}") for number in range(count - 1))
-    with pytest.raises(BadInput, match=f"has {count} links, limit {MOST_LINKS}"):
-        read_chain(f"<robot>{links}{joints}</robot>")
-
-
-ENTITY = '<!DOCTYPE robot [<!ENTITY e SYSTEM "file:///etc/hostname">]><robot>&e;</robot>'
-
-
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
+        (_long_chain(MOST_LINKS + 1), f"has {MOST_LINKS + 1} links, limit {MOST_LINKS}"),
         ("<robot>" + "<a>" * 500_000 + "</a>" * 500_000 + "</robot>", f"is nested deeper than {DEEPEST}"),
         ("<robot>" + "<a/>" * 500_000 + "</robot>", f"more than {MOST_ELEMENTS} elements"),
         (ENTITY, "declares a DOCTYPE"),
@@ -109,11 +93,13 @@ ENTITY = '<!DOCTYPE robot [<!ENTITY e SYSTEM "file:///etc/hostname">]><robot>&e;
         ('<robot><link name="a&#10;b"/></robot>', "not printable"),
         (robot(joint("j", "revolute", "a", "b", LIMIT.replace('"4"', '"1e308"'))), "beyond 1e+15"),
         (robot(joint("j", "revolute", "a", "b", LIMIT + '<origin xyz="0 0 1e308"/>')), "three finite numbers"),
+        (_soft('soft_lower_limit="0.5" soft_upper_limit="-0.5" k_velocity="1"'), "lower limit 0.5 is not below upper"),
     ],
 )
-def test_what_no_robot_has_is_refused_before_anything_is_made_of_it(text: str, reason: str) -> None:
+def test_refusals_name_the_reason(text: str, reason: str) -> None:
     with pytest.raises(BadInput) as refusal:
         read_chain(text, "robot.urdf")
+    assert str(refusal.value).startswith("robot.urdf")
     assert reason in str(refusal.value)
 
 
@@ -129,14 +115,3 @@ def test_what_no_robot_has_is_refused_before_anything_is_made_of_it(text: str, r
 def test_the_narrower_of_hard_and_soft_limits_counts(safety: str, limits: tuple[float, float, bool]) -> None:
     joint = read_chain(_soft(safety)).joints[0]
     assert (joint.lower, joint.upper, joint.soft) == limits
-
-
-def test_soft_limits_that_leave_no_travel_are_refused() -> None:
-    with pytest.raises(BadInput, match=r"lower limit 0\.5 is not below upper limit -0\.5"):
-        read_chain(_soft('soft_lower_limit="0.5" soft_upper_limit="-0.5" k_velocity="1"'))
-
-
-def _soft(safety: str) -> str:
-    return f"""<robot name="r"><link name="base"/><link name="arm"/><joint name="j" type="revolute">
-    <parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
-    <limit lower="-1" upper="1" velocity="1" effort="1"/><safety_controller {safety}/></joint></robot>"""

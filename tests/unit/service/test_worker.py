@@ -6,9 +6,10 @@ import signal
 import subprocess
 import sys
 import tracemalloc
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -101,19 +102,21 @@ async def test_a_worker_killed_after_a_job_is_replaced_before_the_next(job: Job,
 
 
 @dataclass(frozen=True)
-class Death:
-    """A job that its process does not survive."""
+class Call:
+    """A job that calls a function."""
 
-    key: str = "death"
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    key: str = "call-1"
     priority: int = 0
 
-    def __call__(self) -> None:
-        os.kill(os.getpid(), signal.SIGKILL)
+    def __call__(self) -> Any:
+        return self.function(*self.arguments)
 
 
 async def test_a_job_that_ends_every_process_ends_itself_and_no_other(job: Job, worker: Worker) -> None:
     with pytest.raises(JobFailed, match="while it executed this job"):
-        await asyncio.wait_for(worker.run(Death()), 120)
+        await asyncio.wait_for(worker.run(Call(os._exit, (1,))), 120)
     assert await worker.run(job) == work(job)
 
 
@@ -122,21 +125,12 @@ async def test_it_gives_way_before_it_has_a_job_and_what_is_urgent_comes_first(w
     (process,) = await worker.processes()
     assert os.getpriority(os.PRIO_PROCESS, process) == 10
     done: list[str] = []
-    jobs = [Named("first", 0), Named("late", 0), Named("urgent", 1)]
+    jobs = [Call(str, (name,), priority=name == "urgent") for name in ("first", "late", "urgent")]
     running = [asyncio.create_task(worker.run(each)) for each in jobs]
     for each in running:
         each.add_done_callback(lambda task: done.append(task.result()))
     await asyncio.wait(running)
     assert done.index("urgent") < done.index("late")
-
-
-@dataclass(frozen=True)
-class Named:
-    key: str
-    priority: int
-
-    def __call__(self) -> str:
-        return self.key
 
 
 def test_a_worker_ends_with_the_service(tmp_path: Path) -> None:
@@ -180,45 +174,6 @@ PATIENCE = 240.0  # s
 SIZE = 100_000  # bytes of a large job
 
 
-@dataclass(frozen=True)
-class Squared:
-    """The square of a number, once `gate` (a file) is there."""
-
-    number: int
-    gate: str = ""
-    begun: str = ""
-    key: str = "squared-1"
-    priority: int = 0
-
-    def __call__(self) -> int:
-        if self.begun:
-            Path(self.begun).write_text(str(os.getpid()), "utf-8")
-        while self.gate and not Path(self.gate).exists():
-            pass
-        return self.number**2
-
-
-@dataclass(frozen=True)
-class Wrong:
-    key: str = "wrong"
-    priority: int = 0
-
-    def __call__(self) -> None:
-        raise ValueError("no such thing")
-
-
-@dataclass(frozen=True)
-class Length:
-    """Of numbers, which go the way of a spectrum."""
-
-    numbers: bytes
-    key: str = "length-1"
-    priority: int = 0
-
-    def __call__(self) -> int:
-        return len(self.numbers)
-
-
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Certificates:
     return certificates(tmp_path_factory.mktemp("authority"), "plant")
@@ -239,29 +194,32 @@ async def dask_worker(dask: DaskProcesses) -> AsyncIterator[Worker]:
         yield dask_worker
 
 
-async def done(dask_worker: Worker, job: Squared) -> int:
+async def done(dask_worker: Worker, job: Call) -> Any:
     return await asyncio.wait_for(dask_worker.run_patiently(job), PATIENCE)
 
 
-@needs("openssl")
-async def test_jobs_are_done_over_mutual_tls(dask_worker: Worker) -> None:
-    assert await done(dask_worker, Squared(7)) == 49
-    assert not dask_worker.trouble
-    with pytest.raises(JobFailed, match="ValueError: no such thing"):
-        await dask_worker.run(Wrong())
+def held(gate: Path, begun: Path) -> str:
+    """Begun, and over once the gate is there."""
+    begun.write_text(str(os.getpid()), "utf-8")
+    while not gate.exists():
+        pass
+    return "over"
 
 
 @needs("openssl")
-async def test_jobs_of_one_key_and_other_content_are_not_mixed_up(dask_worker: Worker) -> None:
-    found = await asyncio.gather(*(done(dask_worker, Squared(number)) for number in range(20)))
+async def test_jobs_of_one_key_are_done_over_mutual_tls_and_not_mixed_up(dask_worker: Worker) -> None:
+    found = await asyncio.gather(*(done(dask_worker, Call(pow, (number, 2))) for number in range(20)))
     assert found == [number**2 for number in range(20)]
+    assert not dask_worker.trouble
+    with pytest.raises(JobFailed, match=r"ValueError: .*'no such thing'"):
+        await dask_worker.run(Call(int, ("no such thing",)))
 
 
 @needs("openssl")
 async def test_the_service_does_not_keep_the_jobs_that_were_done(dask_worker: Worker) -> None:
     async def send(jobs: int) -> None:
         for _ in range(jobs):
-            assert await asyncio.wait_for(dask_worker.run(Length(os.urandom(SIZE))), PATIENCE) == SIZE
+            assert await done(dask_worker, Call(len, (os.urandom(SIZE),))) == SIZE
 
     await send(20)
     tracemalloc.start()
@@ -275,14 +233,15 @@ async def test_the_service_does_not_keep_the_jobs_that_were_done(dask_worker: Wo
 
 @needs("openssl")
 async def test_a_stranger_is_refused(dask: DaskProcesses, dask_worker: Worker, tmp_path: Path) -> None:
-    assert await done(dask_worker, Squared(2)) == 4
+    job = Call(abs, (-4,))
+    assert await done(dask_worker, job) == 4
     others = certificates(tmp_path / "others", "stranger")
     mixed = Certificates(dask.files.authority, others.certificate, others.key)
     plain = Cluster(dask.cluster.scheduler.replace("tls", "tcp"))
     for stranger in (Cluster(dask.cluster.scheduler, others), Cluster(dask.cluster.scheduler, mixed), plain):
         async with open_worker(stranger) as refused:
             with pytest.raises(WorkerLost):
-                await asyncio.wait_for(refused.run(Squared(3)), PATIENCE)
+                await asyncio.wait_for(refused.run(job), PATIENCE)
             assert dask.cluster.scheduler.partition("//")[2] in refused.trouble
 
 
@@ -291,7 +250,7 @@ async def test_the_death_of_a_worker_and_of_the_scheduler_loses_no_job(
     dask: DaskProcesses, dask_worker: Worker, tmp_path: Path
 ) -> None:
     gate, begun = tmp_path / "gate", tmp_path / "begun"
-    running = asyncio.create_task(done(dask_worker, Squared(11, str(gate), str(begun))))
+    running = asyncio.create_task(done(dask_worker, Call(held, (gate, begun))))
     await asyncio.wait_for(_there(begun), PATIENCE)
     dask.workers[0].kill()
     begun.unlink()
@@ -306,7 +265,7 @@ async def test_the_death_of_a_worker_and_of_the_scheduler_loses_no_job(
     dask.start_worker()
     await asyncio.wait_for(_there(begun), PATIENCE)  # submitted again to a scheduler that knew nothing
     gate.touch()
-    assert await running == 121
+    assert await running == "over"
 
 
 async def _there(path: Path) -> None:

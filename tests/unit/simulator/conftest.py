@@ -1,14 +1,18 @@
 """The shipped scenarios, and how to take effects out of them; a dictionary, and an axis that follows exactly."""
 
+import struct
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from simulator import Measurement, Scenario, SweepRun, load_scenario
 from simulator.drive.dictionary import ObjectDictionary
+from simulator.drive.limits import INCREMENTS
 from simulator.drive.measuring import DriveSamples
+from simulator.drive.power_drive import DriveState
 from simulator.drive.virtual_axis import VirtualAxis
 
 CONFIG = Path(__file__).parents[3] / "config"
@@ -74,45 +78,58 @@ def dictionary() -> ObjectDictionary:
     return d
 
 
-@pytest.fixture
-def axis(dictionary: ObjectDictionary) -> VirtualAxis:
-    return VirtualAxis(dictionary, CYCLE, can_move=True)
+class Rig:
+    """A virtual drive whose motor follows exactly."""
 
+    def __init__(self, dictionary: ObjectDictionary) -> None:
+        self.dictionary = dictionary
+        self.axis = VirtualAxis(dictionary, CYCLE, can_move=True)
 
-@pytest.fixture
-def turn(axis: VirtualAxis) -> Callable[..., np.ndarray]:
-    """Let the motor run `cycles` in chunks; the speeds, rev/s."""
+    @property
+    def state(self) -> DriveState:
+        return self.axis.state
 
-    def run(cycles: int, chunk: int = 8, *, torque: float = 0.0, limited: bool = False) -> np.ndarray:
+    def held(self, index: int, subindex: int = 0) -> Any:
+        return self.dictionary[index, subindex]
+
+    def control(self, *controlwords: int) -> None:
+        for controlword in controlwords:
+            self.axis.control(controlword)
+
+    def enable(self, mode: int) -> None:
+        """Into OPERATION ENABLED in a mode of operation."""
+        self.dictionary.download(0x6060, 0, bytes([mode]))
+        self.control(0x06, 0x07, 0x0F)
+
+    def move(self, revolutions: float) -> None:
+        self.dictionary[0x607A, 0] = round(revolutions * INCREMENTS)
+        self.control(0x0F, 0x1F)
+
+    def stream(self, speed: float, now: float) -> None:
+        """A set-point in rev/s and the SYNC after it."""
+        self.dictionary.download(0x60FF, 0, struct.pack("<i", round(speed * self.axis.limits.speed_unit)))
+        self.axis.sync(now)
+
+    def turn(self, cycles: int, chunk: int = 8, *, torque: float = 0.0, limited: bool = False) -> np.ndarray:
+        """Let the motor run `cycles` in chunks; the speeds, rev/s."""
         speeds = []
         for _ in range(cycles // chunk):
-            injected = axis.measuring.injection(chunk)
-            command = axis.setpoints(chunk)
-            position = axis.position + np.cumsum(command) * CYCLE
-            axis.observe(
-                DriveSamples(
-                    torque=torque + injected,
-                    torque_limited=np.full(chunk, limited),
-                    command=command,
-                    speed=command,
-                    position=position,
-                    load=np.full(chunk, np.nan),
-                    injected=injected,
-                )
+            injected = self.axis.measuring.injection(chunk)
+            command = self.axis.setpoints(chunk)
+            samples = DriveSamples(
+                torque=torque + injected,
+                torque_limited=np.full(chunk, limited),
+                command=command,
+                speed=command,
+                position=self.axis.position + np.cumsum(command) * CYCLE,
+                load=np.full(chunk, np.nan),
+                injected=injected,
             )
+            self.axis.observe(samples)
             speeds.append(command)
         return np.concatenate(speeds)
 
-    return run
-
 
 @pytest.fixture
-def enable(dictionary: ObjectDictionary, axis: VirtualAxis) -> Callable[[int], None]:
-    """Into OPERATION ENABLED in a mode of operation."""
-
-    def go(mode: int) -> None:
-        dictionary.download(0x6060, 0, bytes([mode]))
-        for controlword in (0x06, 0x07, 0x0F):
-            axis.control(controlword)
-
-    return go
+def rig(dictionary: ObjectDictionary) -> Rig:
+    return Rig(dictionary)

@@ -3,20 +3,19 @@
 import json
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
-import typer
-from typer.testing import CliRunner
 
 from service.diagnosis.effects import CATALOGUE
 from simulator import ScenarioError, load_scenario, true_inertia
 from simulator.hidden import EFFECTS, hide
-from simulator.truth_command import truth
 from tests.command import sweepid
 
 ROOT = Path(__file__).parents[3]
 MODELLED = ROOT / "config" / "scenarios" / "max100-as-modelled.yaml"
+FULL = MODELLED.with_stem("max100-full")
 SEEDS = range(100)
 
 
@@ -63,20 +62,38 @@ def test_a_machine_without_weight_hides_nothing() -> None:
 
 def test_the_truth_is_told_by_its_own_command() -> None:
     told = sweepid("drive", "truth", str(MODELLED), "--hide", "3")
-    _, hidden = hide(load_scenario(MODELLED), 3)
     assert told.returncode == 0
-    assert json.loads(told.stdout) == {
-        "joint": hidden.joint,
-        "effect": hidden.effect,
-        "parameters": hidden.parameters,
-    }
+    assert json.loads(told.stdout) == asdict(hide(load_scenario(MODELLED), 3)[1])
 
 
-@pytest.mark.parametrize("options", [(), ("--hide", "3", "--poses", "poses.json")])
-def test_the_truth_is_asked_one_thing_at_a_time(options: tuple[str, ...]) -> None:
-    told = sweepid("drive", "truth", str(MODELLED), *options)
+def test_it_prints_the_inertia_of_every_moving_joint(tmp_path: Path) -> None:
+    poses = [[0.0] * 6, [0.0, 1.0, -0.5, 0.0, 0.0, 0.0]]
+    (tmp_path / "poses.json").write_text(json.dumps(poses))
+    told = sweepid("drive", "truth", str(FULL), "--poses", str(tmp_path / "poses.json"))
+    found = json.loads(told.stdout)
+    assert list(found) == ["joint_1", "joint_2", "joint_3"]
+    assert found["joint_2"] == true_inertia(load_scenario(FULL), "joint_2", poses).tolist()
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "reason"),
+    [
+        ("{", ("--poses",), "not a list of poses"),
+        ("[[0, 1]]", ("--poses",), "(1, 2)"),
+        ("7", ("--poses",), "poses"),
+        ("", (), "exactly one of --poses and --hide"),
+        ("", ("--hide", "3", "--poses"), "exactly one of --poses and --hide"),
+    ],
+)
+def test_what_cannot_be_told_is_refused_in_one_line(
+    tmp_path: Path, text: str, options: tuple[str, ...], reason: str
+) -> None:
+    file = tmp_path / "poses.json"
+    file.write_text(text)
+    told = sweepid("drive", "truth", str(FULL), *options, *([str(file)] if options else []))
     assert (told.returncode, told.stdout) == (2, "")
-    assert "exactly one of --poses and --hide" in told.stderr
+    assert reason in told.stderr
+    assert told.stderr.count("\n") == 1
 
 
 @pytest.mark.slow
@@ -90,35 +107,3 @@ def test_the_machine_says_on_which_axis_and_no_more() -> None:
     _, hidden = hide(load_scenario(MODELLED), 3)
     assert ready.pop("hidden_in") == hidden.joint
     assert set(ready) == {"ready", "fieldbus", "port", "control_port"}
-
-
-FULL = Path(__file__).parents[3] / "config" / "scenarios" / "max100-full.yaml"
-
-
-@pytest.fixture
-def command() -> typer.Typer:
-    app = typer.Typer()
-    app.command()(truth)
-    return app
-
-
-def test_prints_the_inertia_of_every_moving_joint(command: typer.Typer, tmp_path: Path) -> None:
-    poses = [[0.0] * 6, [0.0, 1.0, -0.5, 0.0, 0.0, 0.0]]
-    file = tmp_path / "poses.json"
-    file.write_text(json.dumps(poses))
-    result = CliRunner().invoke(command, [str(FULL), "--poses", str(file)])
-    assert result.exit_code == 0
-    found = json.loads(result.stdout)
-    assert list(found) == ["joint_1", "joint_2", "joint_3"]
-    assert found["joint_2"] == true_inertia(load_scenario(FULL), "joint_2", poses).tolist()
-
-
-@pytest.mark.parametrize(("text", "reason"), [("{", "not a list of poses"), ("[[0, 1]]", "(1, 2)"), ("7", "poses")])
-def test_bad_poses(command: typer.Typer, tmp_path: Path, text: str, reason: str) -> None:
-    file = tmp_path / "poses.json"
-    file.write_text(text)
-    result = CliRunner().invoke(command, [str(FULL), "--poses", str(file)])
-    assert result.exit_code == 2
-    assert result.stdout == ""
-    assert reason in result.stderr
-    assert result.stderr.count("\n") == 1

@@ -11,13 +11,12 @@ from simulator.machine import LiveMachine
 from simulator.rigid_body import RigidBody, real_urdf
 
 STILL = np.zeros((500, 6))
+Load = Callable[[str], Scenario]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["full", "rigid", "misfit"])
-def test_an_axis_stands_under_gravity_braked_and_in_closed_loop(
-    noise_free: Callable[[str], Scenario], name: str
-) -> None:
+def test_an_axis_stands_under_gravity_braked_and_in_closed_loop(noise_free: Load, name: str) -> None:
     machine = LiveMachine(noise_free(name), seed=1)
     machine.set_position("joint_2", 0.9)
     braked = machine.advance(STILL)
@@ -30,7 +29,7 @@ def test_an_axis_stands_under_gravity_braked_and_in_closed_loop(
     assert held.effort[-1, 1] == pytest.approx(-2720, rel=0.01)  # the arm leans forward
 
 
-def test_small_calls_equal_one_large_call(noise_free: Callable[[str], Scenario]) -> None:
+def test_small_calls_equal_one_large_call(noise_free: Load) -> None:
     setpoints = np.zeros((200, 6))
     setpoints[:, 2] = np.linspace(0, 0.02, 200)
     whole, pieces = (LiveMachine(noise_free("misfit"), seed=1) for _ in range(2))
@@ -42,7 +41,7 @@ def test_small_calls_equal_one_large_call(noise_free: Callable[[str], Scenario])
     np.testing.assert_allclose(np.concatenate([p.position for p in parts]), expected.position, rtol=1e-12)
 
 
-def test_torque_limit_holds_and_is_reported(noise_free: Callable[[str], Scenario]) -> None:
+def test_torque_limit_holds_and_is_reported(noise_free: Load) -> None:
     machine = LiveMachine(noise_free("full"), seed=1)
     machine.set_effort_limit("joint_1", 400.0)
     machine.energise("joint_1", True)
@@ -56,7 +55,7 @@ def test_torque_limit_holds_and_is_reported(noise_free: Callable[[str], Scenario
         machine.set_effort_limit("joint_1", -1.0)
 
 
-def test_noise_and_steps_of_the_torque(scenario: Callable[[str], Scenario]) -> None:
+def test_noise_and_steps_of_the_torque(scenario: Load) -> None:
     machine = LiveMachine(scenario("full"), seed=5)
     samples = machine.advance(np.zeros((4000, 6)))
     rated = np.array([axis.rated_effort for axis in machine.axes[:3]])
@@ -66,7 +65,7 @@ def test_noise_and_steps_of_the_torque(scenario: Callable[[str], Scenario]) -> N
     np.testing.assert_allclose(samples.velocity[:, :3].std(axis=0), 5e-6, rtol=0.05)
 
 
-def test_what_cannot_be_done_is_refused(scenario: Callable[[str], Scenario]) -> None:
+def test_what_cannot_be_done_is_refused(scenario: Load) -> None:
     machine = LiveMachine(scenario("full"), seed=1)
     assert [axis.locked for axis in machine.axes] == [False] * 3 + [True] * 3
     with pytest.raises(ScenarioError, match="joint_5"):
@@ -83,7 +82,7 @@ POSES = np.random.default_rng(3).uniform(-2.5, 2.5, (20, 6))
 
 
 @pytest.fixture(params=["", "joint_1", "joint_3"], ids=["all turn", "joint_1 is linear", "joint_3 is linear"])
-def plant(scenario: Callable[[str], Scenario], request: pytest.FixtureRequest) -> Scenario:
+def plant(scenario: Load, request: pytest.FixtureRequest) -> Scenario:
     full, rail = scenario("full"), f'name="{request.param}" type='
     urdf = full.robot.urdf.replace(f'{rail}"revolute"', f'{rail}"prismatic"')
     return full.model_copy(update={"robot": full.robot.model_copy(update={"urdf": urdf})})
@@ -103,11 +102,10 @@ def test_inertia_and_gravity_along_the_whole_way_of_each_axis(plant: Scenario) -
                 assert gravity.at(position) == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
-def test_poses_that_do_not_fit_are_refused(scenario: Callable[[str], Scenario]) -> None:
-    with pytest.raises(ScenarioError, match=r"\(2, 3\)"):
-        true_inertia(scenario("full"), "joint_1", np.zeros((2, 3)))
-    with pytest.raises(ScenarioError, match="finite"):
-        true_inertia(scenario("full"), "joint_1", np.full((1, 6), np.nan))
+def test_poses_that_do_not_fit_are_refused(scenario: Load) -> None:
+    for poses, text in ((np.zeros((2, 3)), r"\(2, 3\)"), (np.full((1, 6), np.nan), "finite")):
+        with pytest.raises(ScenarioError, match=text):
+            true_inertia(scenario("full"), "joint_1", poses)
 
 
 @pytest.mark.parametrize(
@@ -122,9 +120,7 @@ def test_poses_that_do_not_fit_are_refused(scenario: Callable[[str], Scenario]) 
         ('name="joint_1" type="revolute"', 'name="joint_1" type="floating"', "joint_1"),
     ],
 )
-def test_a_robot_that_cannot_be_simulated_is_refused(
-    scenario: Callable[[str], Scenario], old: str, new: str, named: str
-) -> None:
+def test_a_robot_that_cannot_be_simulated_is_refused(scenario: Load, old: str, new: str, named: str) -> None:
     full = scenario("full")
     assert old in full.robot.urdf
     robot = full.robot.model_copy(update={"urdf": full.robot.urdf.replace(old, new)})

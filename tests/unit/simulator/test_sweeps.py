@@ -77,19 +77,16 @@ def test_cogging_appears_at_its_order(noise_free: Load) -> None:
     assert max(lines[3.0], lines[5.0], lines[9.0], lines[11.0]) < 0.05
 
 
-def test_no_sweep_gives_no_recording(scenario: Load) -> None:
-    assert run_sweeps(scenario("full"), [], seed=1) == []
-
-
 def test_sweeps_that_do_not_fit_are_refused(scenario: Load, sweep: Make) -> None:
     full = scenario("full")
-    with pytest.raises(ScenarioError, match="joint_4"):
-        run_sweeps(full, [sweep("joint_4")], seed=1)
-    with pytest.raises(ScenarioError, match="300"):
-        run_sweeps(full, [sweep("joint_1", sample_rate=300.0)], seed=1)
-    short = SweepRun("joint_1", (0.0, 0.0), 0.01, (), 1.0, 1, 0.5, 0.5)
-    with pytest.raises(ScenarioError, match="2 positions"):
-        run_sweeps(full, [short], seed=1)
+    for refused, text in (
+        (sweep("joint_4"), "joint_4"),
+        (sweep("joint_1", sample_rate=300.0), "300"),
+        (SweepRun("joint_1", (0.0, 0.0), 0.01, (), 1.0, 1, 0.5, 0.5), "2 positions"),
+    ):
+        with pytest.raises(ScenarioError, match=text):
+            run_sweeps(full, [refused], seed=1)
+    assert run_sweeps(full, [], seed=1) == []
 
 
 def noise(axis: str = "joint_1", **changes: object) -> NoiseRun:
@@ -178,21 +175,11 @@ def run(axis: str, amplitude: float = 0.05, phase: float = 0.0) -> SweepRun:
 
 def without_spring(scenario: Scenario) -> Scenario:
     """Rigid trains that know viscous friction only, so that the equations of motion hold to the last digit."""
-    axes = {
-        joint: axis.model_copy(
-            update={
-                "train": axis.train.model_copy(
-                    update={
-                        "spring": None,
-                        "cogging": (),
-                        "motor_friction": Friction(viscous=axis.train.motor_friction.viscous),
-                        "load_friction": Friction(),
-                    }
-                )
-            }
-        )
-        for joint, axis in scenario.axes.items()
-    }
+    axes = {}
+    for joint, axis in scenario.axes.items():
+        viscous = Friction(viscous=axis.train.motor_friction.viscous)
+        bare = {"spring": None, "cogging": (), "motor_friction": viscous, "load_friction": Friction()}
+        axes[joint] = axis.model_copy(update={"train": axis.train.model_copy(update=bare)})
     return scenario.model_copy(update={"axes": axes})
 
 
@@ -295,9 +282,7 @@ def inside_of(run: SweepRun, time: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("name", "rms"), [("rigid", 1e-3), ("full", 0.06), ("misfit", 0.06)])
-def test_replay_reproduces_the_torque(
-    noise_free: Callable[[str], Scenario], sweep: Callable[..., SweepRun], name: str, rms: float
-) -> None:
+def test_replay_reproduces_the_torque(noise_free: Load, sweep: Make, name: str, rms: float) -> None:
     scenario = noise_free(name)
     body = RigidBody(scenario)
     runs = [sweep(f"joint_{k}", sample_rate=rate, periods=k) for k in (1, 2, 3) for rate in (1000.0, 250.0)]
@@ -312,9 +297,7 @@ def test_replay_reproduces_the_torque(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("elastic", [False, True])
-def test_replay_knows_every_effect(
-    noise_free: Callable[[str], Scenario], sweep: Callable[..., SweepRun], elastic: bool
-) -> None:
+def test_replay_knows_every_effect(noise_free: Load, sweep: Make, elastic: bool) -> None:
     """One row of the plant for each effect, weight and noise-free record; the effect alone would be far more."""
     scenario, run = noise_free("full" if elastic else "rigid"), sweep("joint_2", periods=1)
     axis = moving_axis(scenario, RigidBody(scenario), "joint_2", run.pose)
@@ -335,7 +318,7 @@ def test_replay_knows_every_effect(
         assert gap < 0.12, trains[row]
 
 
-def test_a_warm_gear_is_replayed_warm(noise_free: Callable[[str], Scenario], sweep: Callable[..., SweepRun]) -> None:
+def test_a_warm_gear_is_replayed_warm(noise_free: Load, sweep: Make) -> None:
     scenario, run = noise_free("rigid"), sweep("joint_2", periods=1)
     cold = moving_axis(scenario, RigidBody(scenario), "joint_2", run.pose)
     warming = {"heat_capacity": 1e6, "time_constant": 1e6, "coulomb_loss": 0.1}
@@ -348,7 +331,7 @@ def test_a_warm_gear_is_replayed_warm(noise_free: Callable[[str], Scenario], swe
     np.testing.assert_allclose((first - second)[inside], 155.0 * (1 - np.exp(-0.2)), rtol=1e-4)
 
 
-def test_each_row_has_its_own_channels(noise_free: Callable[[str], Scenario], sweep: Callable[..., SweepRun]) -> None:
+def test_each_row_has_its_own_channels(noise_free: Load, sweep: Make) -> None:
     """Torque told late, and speed told late, which is torque that comes early."""
     scenario, run = noise_free("rigid"), sweep("joint_2", periods=1)
     axis = moving_axis(scenario, RigidBody(scenario), "joint_2", run.pose)
@@ -362,9 +345,6 @@ def test_each_row_has_its_own_channels(noise_free: Callable[[str], Scenario], sw
     # the position was told in time, and with it the weight
     np.testing.assert_allclose(speed[inside], early, atol=0.003 * 0.025 * 3500.0)
     assert np.abs(exact[inside] - early).max() > 2.0
+    assert replay([], []) == []
     with pytest.raises(ValueError, match="1 axes for 2 motions"):
         replay([axis], [motion, motion])
-
-
-def test_nothing_in_nothing_out() -> None:
-    assert replay([], []) == []

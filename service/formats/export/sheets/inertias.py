@@ -100,11 +100,7 @@ def of_sheet(robot: Robot, sheet: Sheet, place: str) -> Inertias:
 
 
 def _inertias(
-    robot: Robot,
-    joints: tuple[str, ...],
-    parameters: Sequence[BaseParameter | SheetParameter],
-    found: Base,
-    place: str,
+    robot: Robot, joints: tuple[str, ...], parameters: Sequence[BaseParameter | SheetParameter], found: Base, place: str
 ) -> Inertias:
     fixed = {robot.index(name): position for name, position in found.locked.items()}
     free = [k for k in range(len(robot.joints)) if k not in fixed]
@@ -219,10 +215,8 @@ def supplementary(
     reason = "" if loads else "no body on A1 to A3 reduces the difference from CAD: the robot has less inertia than CAD"
     left = _per_parameter(after, difference)
     if loads and left > 3.0:  # standard deviations, RMS: a motor or a lighter link, for example
-        loads, reason = (
-            (),
-            f"no bodies on A1 to A3 explain the difference from CAD: {left:.1f} standard deviations remain",
-        )
+        reason = f"no bodies on A1 to A3 explain the difference from CAD: {left:.1f} standard deviations remain"
+        loads = ()
     return Supplementary(loads=loads, left_out=reason, before=_per_parameter(before, difference), after=left)
 
 

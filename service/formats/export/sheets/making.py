@@ -60,21 +60,15 @@ def sheet(
     """
     if not estimate.axes:
         # motions of all axes give a model, but a sheet compares inertias that sweeps measured
-        way = (
-            "export the model instead (`sweepid export model`)"
-            if estimate.combination is not None
-            else "measure one (`sweepid plan`)"
-        )
-        raise BadInput(
-            place, f"contains no identified parameters of a sweep of one axis, which a sheet is made of: {way}"
-        )
+        model = "export the model instead (`sweepid export model`)"
+        way = "measure one (`sweepid plan`)" if estimate.combination is None else model
+        told = "contains no identified parameters of a sweep of one axis, which a sheet is made of"
+        raise BadInput(place, f"{told}: {way}")
     _check_physical(estimate.standard_parameters, place)
     for joint, axis in estimate.axes.items():
         if not np.isfinite(share_of_value(axis)):
-            raise BadInput(
-                f"{place} axes.{joint}",
-                "its inertia or torque_gain has the value 0, or a standard deviation without a finite share of it",
-            )
+            told = "its inertia or torque_gain has the value 0, or a standard deviation without a finite share of it"
+            raise BadInput(f"{place} axes.{joint}", told)
     known = of_estimate(robot, estimate, place)
     gain = max((axis.torque_gain.std or 0.0) / axis.torque_gain.value for axis in estimate.axes.values())
     model = model_of(robot, estimate, place)
@@ -93,9 +87,7 @@ def sheet(
             base=estimate.base,
             supplementary=supplementary(robot, known, estimate.standard_parameters, gain, math.radians(upright)),
             bodies=tuple(_bodies(model)),
-            kinds={
-                joint.name: "prismatic" if joint.kind == "prismatic" else "revolute" for joint in robot.chain.joints
-            },
+            kinds={joint.name: joint.kind for joint in robot.chain.joints},
         )
     except ValidationError as error:
         raise bad_field(place, error) from None
@@ -147,7 +139,7 @@ def _axis(robot: Robot, joint: str, axis: EstimatedAxis) -> AxisSheet:
     factor = 1 / ratio**2
     return AxisSheet(
         joint=joint,
-        kind="prismatic" if robot.chain.joints[index].kind == "prismatic" else "revolute",
+        kind=robot.chain.joints[index].kind,
         gear_ratio=ratio,
         cad=found.cad,
         identified=found.identified,

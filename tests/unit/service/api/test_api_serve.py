@@ -132,14 +132,8 @@ async def test_a_lost_database_is_told_and_nothing_is_stored_in_its_place(tmp_pa
 
 
 Samples = dict[tuple[str, frozenset[tuple[str, str]]], float]
-
-
 FIGURES = {figure.name: figure for figures in GROUPS.values() for figure in figures}
-
-
 STREAMED = {"sweepid_set_points", "sweepid_set_points_missed", "sweepid_set_point_lateness_seconds"}
-
-
 MOVED = {name for name, figure in FIGURES.items() if figure.absent}  # not in this installation
 
 

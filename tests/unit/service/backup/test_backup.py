@@ -104,33 +104,34 @@ def test_a_database_elsewhere_comes_back_into_its_folder(data: Path, tmp_path: P
 def test_what_is_there_is_not_overwritten(data: Path, tmp_path: Path) -> None:
     backup_of(data, tmp_path / "backup")
     before = contents(tmp_path)
-    with pytest.raises(BadInput, match="exists already"):
-        backup_of(data, tmp_path / "backup")
-    with pytest.raises(BadInput, match="is not an empty folder"):
-        restore(tmp_path / "backup", data)
-    with pytest.raises(BadInput, match="is not an empty folder"):
-        restore(tmp_path / "backup", data / "sweepid.sqlite")
-    with pytest.raises(BadInput, match="is inside the data folder"):
-        backup_of(data, data / "backup")
-    with pytest.raises(BadInput, match="No such file"):
-        backup_of(data, tmp_path / "not mounted" / "backup")
+    for refused, told in (
+        (lambda: backup_of(data, tmp_path / "backup"), "exists already"),
+        (lambda: restore(tmp_path / "backup", data), "is not an empty folder"),
+        (lambda: restore(tmp_path / "backup", data / "sweepid.sqlite"), "is not an empty folder"),
+        (lambda: backup_of(data, data / "backup"), "is inside the data folder"),
+        (lambda: backup_of(data, tmp_path / "not mounted" / "backup"), "No such file"),
+    ):
+        with pytest.raises(BadInput, match=told):
+            refused()
     assert contents(tmp_path) == before
 
 
-@pytest.mark.parametrize("what", ["gone", "changed", "foreign", "outside"])
-def test_a_damaged_folder_gives_no_backup(data: Path, recording: Path, tmp_path: Path, what: str) -> None:
-    if what == "gone":
-        recording.unlink()
-    elif what == "changed":
-        recording.write_bytes(recording.read_bytes()[:-1])
-    elif what == "foreign":
-        (data / OWNER).write_text('{"id": "other", "database": "x", "machine": 1}', "utf-8")
-    else:
-        with closing(sqlite3.connect(data / "sweepid.sqlite")) as database, database:
-            database.execute("UPDATE recording SET path = '../../outside.parquet' WHERE id = 1")
+def another_owner(data: Path) -> str:
+    (data / OWNER).write_text('{"id": "other", "database": "x", "machine": 1}', "utf-8")
+    return OWNER
+
+
+def a_path_outside(data: Path) -> str:
+    with closing(sqlite3.connect(data / "sweepid.sqlite")) as database, database:
+        database.execute("UPDATE recording SET path = '../../outside.parquet' WHERE id = 1")
+    return "../../outside.parquet"
+
+
+@pytest.mark.parametrize("damage", [another_owner, a_path_outside])
+def test_a_damaged_folder_gives_no_backup(data: Path, tmp_path: Path, damage: Callable[[Path], str]) -> None:
+    place = damage(data)
     with pytest.raises(BadInput) as told:
         backup_of(data, tmp_path / "backup")
-    place = {"foreign": OWNER, "outside": "../../outside.parquet"}.get(what, recording.name)
     assert place in str(told.value)
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
 
@@ -216,6 +217,9 @@ def test_a_damaged_file_is_found_and_refused(
     assert found == place.as_posix()
     assert said in what or kind == "0001-1.json"
     before = contents(tmp_path)
+    if kind != "0001-1.json" and damage != "replaced":
+        with pytest.raises(BadInput, match=place.name):
+            backup_of(data, tmp_path / "another")
     with pytest.raises(BadInput, match=place.name):
         restore(backup, tmp_path / "restored")
     assert contents(tmp_path) == before

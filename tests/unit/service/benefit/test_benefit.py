@@ -8,10 +8,11 @@ import pytest
 from service.identification.axis.drive_train import TwoMassTrain
 from service.identification.spectra.frequency_response import spectrum
 from service.model.errors import BadInput
-from service.report import ReportPage
-from service.report.benefit import Benefit, benefit, benefit_section, feed_forward, sentence
 from service.report.benefit.benefit import (
+    Benefit,
+    ModelBenefit,
     alarm_probability,
+    benefit,
     end_of,
     held_out,
     lever_arm,
@@ -22,13 +23,15 @@ from service.report.benefit.benefit import (
 from service.report.benefit.prediction import (
     RigidAxis,
     dry_friction,
+    feed_forward,
     left_by,
     lines_power,
     path_between,
     window_of,
     without_friction,
 )
-from service.report.benefit.section import worth
+from service.report.benefit.section import benefit_section, sentence, worth
+from service.report.html import ReportPage
 from service.report.plotting import svg
 from tests.unit.service.benefit import pair
 
@@ -121,16 +124,12 @@ def test_uncertainty_of_an_rms() -> None:
     assert (value.value, value.std) == pytest.approx((np.sqrt(12.5), np.sqrt(73) / (2 * np.sqrt(12.5))))
 
 
-def test_without_a_motor_inertia_cad_says_nothing() -> None:
-    found = benefit(pair.robot(motor_inertia=None), pair.sweeps(SLIDES))
-    assert "no motor_inertia" in found.not_judged["j1"]
-
-
 def test_recordings_without_sines_are_refused() -> None:
     (sweep,) = pair.sweeps([0.0])
     noise = sweep.spec.model_copy(update={"sines": (), "period": None, "periods": None, "excitation": "noise"})
-    with pytest.raises(BadInput, match=r"^here: has no sweep of one axis with offset and sines"):
-        benefit(pair.robot(), [type(sweep)(noise, sweep.recording)], "here")
+    for of in (benefit, feed_forward):
+        with pytest.raises(BadInput, match=r"^here: has no sweep of one axis with offset and sines"):
+            of(pair.robot(), [type(sweep)(noise, sweep.recording)], "here")
 
 
 def test_a_path_is_smooth_and_as_fast_as_the_slowest_joint_allows() -> None:
@@ -142,7 +141,7 @@ def test_a_path_is_smooth_and_as_fast_as_the_slowest_joint_allows() -> None:
         assert steps == pytest.approx((after[1:] + after[:-1]) / 2, abs=1e-5)
 
 
-def test_both_models_differ_by_their_rigid_bodies_alone() -> None:
+def test_both_models_differ_by_their_rigid_bodies_alone_and_friction_is_that_of_the_sweeps() -> None:
     """A slide of 2 kg where CAD has 1 kg, on an arm that turns with w, dw: dJ dw + 2 (1 + x) w dx about the axis."""
     fed = feed_forward(pair.robot(), pair.sweeps(SLIDES))
     x, dx = fed.motion.position[:, 1], fed.motion.velocity[:, 1]
@@ -150,19 +149,8 @@ def test_both_models_differ_by_their_rigid_bodies_alone() -> None:
     assert np.ptp(fed.motion.position, axis=0) == pytest.approx([0.4, 0.8])
     differ = fed.identified[:, 0] - fed.cad[:, 0]
     assert differ == pytest.approx((1 + x) ** 2 * dw + 2 * (1 + x) * w * dx, abs=2e-3)
-
-
-def test_friction_is_that_of_the_sweeps() -> None:
-    fed = feed_forward(pair.robot(), pair.sweeps(SLIDES))
-    x, dx = fed.motion.position[:, 1], fed.motion.velocity[:, 1]
-    w, dw = fed.motion.velocity[:, 0], fed.motion.acceleration[:, 0]
     rigid = (5 + 2 * (1 + x) ** 2) * dw + 4 * (1 + x) * w * dx
     assert fed.identified[:, 0] - rigid == pytest.approx(pair.VISCOUS * w + pair.DRY * np.sign(w), abs=5e-2)
-
-
-def test_without_sweeps_there_is_no_path() -> None:
-    with pytest.raises(BadInput, match=r"^here: has no sweep"):
-        feed_forward(pair.robot(), [], "here")
 
 
 def test_one_false_alarm_in_a_shift() -> None:
@@ -185,62 +173,51 @@ def test_the_smallest_effort_of_a_collision(
     assert smallest_effort(np.array(mean), np.array(std), recorded, probability) == pytest.approx(wanted, rel=1e-6)
 
 
-def as_good_as_cad(found: Benefit) -> Benefit:
-    """As where the estimate has won nothing."""
-    axis = found.axes["j1"]
-    return found.model_copy(update={"axes": {"j1": axis.model_copy(update={"identified": axis.cad})}})
+def with_models(found: Benefit, cad: ModelBenefit, identified: ModelBenefit) -> Benefit:
+    axis = found.axes["j1"].model_copy(update={"cad": cad, "identified": identified})
+    return found.model_copy(update={"axes": {"j1": axis}})
+
+
+def page_of(found: Benefit) -> str:
+    page = ReportPage("worth")
+    benefit_section(page, found)
+    return page.html()
 
 
 def test_the_sentence_names_both_models(found: Benefit) -> None:
-    axis = found.axes["j1"]
+    models = found.axes["j1"].identified, found.axes["j1"].cad
     numbers = [float(number) for number in re.findall(r"\d+(?:\.\d+)?(?:e-\d+)?", sentence(found))]
-    assert numbers == pytest.approx(
-        [
-            axis.identified.left_percent,
-            axis.cad.left_percent,
-            axis.identified.smallest_force,
-            axis.cad.smallest_force,
-        ],
-        rel=0.05,
-    )
+    told = [*(model.left_percent for model in models), *(model.smallest_force for model in models)]
+    assert numbers == pytest.approx(told, rel=0.05)
     assert "no better" not in sentence(found)
-
-
-def test_where_nothing_is_won_the_sentence_says_so(found: Benefit) -> None:
-    assert sentence(as_good_as_cad(found)).endswith("On j1 the estimate is no better than CAD.")
+    nothing_won = with_models(found, models[1], models[1])
+    assert sentence(nothing_won).endswith("On j1 the estimate is no better than CAD.")
 
 
 def test_an_axis_through_the_end_of_the_robot_has_no_force(found: Benefit) -> None:
-    axis = found.axes["j1"]
-    models = {
-        name: model.model_copy(update={"smallest_force": None})
-        for name, model in (("cad", axis.cad), ("identified", axis.identified))
-    }
-    alone = found.model_copy(update={"axes": {"j1": axis.model_copy(update=models)}})
+    models = found.axes["j1"].cad, found.axes["j1"].identified
+    alone = with_models(found, *(model.model_copy(update={"smallest_force": None}) for model in models))
     assert "push" not in sentence(alone)
-    page = ReportPage("worth")
-    benefit_section(page, alone)
-    assert "–" in page.html()
+    assert "–" in page_of(alone)
 
 
 def test_figure_and_table_of_the_report(found: Benefit) -> None:
-    page = ReportPage("worth")
-    benefit_section(page, found)
-    html = page.html()
+    html = page_of(found)
     assert "What you gain" in html
     assert html.count("<figure>") == 1
     assert "j1, estimate" in html
-    bars = worth(found)["data"]
-    assert [bar["y"] for bar in bars][:2] == [
-        [found.axes["j1"].cad.left_percent],
-        [found.axes["j1"].identified.left_percent],
-    ]
+    axis, bars = found.axes["j1"], worth(found)["data"]
+    assert [bar["y"] for bar in bars][:2] == [[axis.cad.left_percent], [axis.identified.left_percent]]
     assert "smallest force seen in N" in svg(worth(found), "worth")
 
 
-def test_what_is_not_judged_is_told_without_a_figure() -> None:
-    page = ReportPage("worth")
-    benefit_section(page, benefit(pair.robot(), pair.sweeps([0.0, 0.3, 0.6])))
-    html = page.html()
-    assert "Not judged: j1 has sweeps in 3 poses" in html
+@pytest.mark.parametrize(
+    ("motor_inertia", "slides", "why"),
+    [(1e-4, [0.0, 0.3, 0.6], "has sweeps in 3 poses"), (None, SLIDES, "the robot file has no motor_inertia")],
+)
+def test_what_is_not_judged_is_told_without_a_figure(
+    motor_inertia: float | None, slides: list[float], why: str
+) -> None:
+    html = page_of(benefit(pair.robot(motor_inertia), pair.sweeps(slides)))
+    assert f"Not judged: j1 {why}" in html
     assert "<figure>" not in html

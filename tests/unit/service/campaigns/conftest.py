@@ -1,7 +1,8 @@
 """A runner on a real store and real files, in front of a machine whose samples come from a formula."""
 
 import asyncio
-from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator, Sequence
+import threading
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator, Iterator, Sequence
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
@@ -235,14 +236,45 @@ async def keeping(
     await asyncio.wait([keeper])
 
 
+class Barrier:
+    """Whoever comes here waits until it is open."""
+
+    def __init__(self) -> None:
+        self.reached, self.opened = threading.Event(), threading.Event()
+
+    def before(self, patch: pytest.MonkeyPatch, owner: object, name: str) -> None:
+        """In front of a function or method."""
+        work = getattr(owner, name)
+
+        def held(*args: Any, **more: Any) -> Any:
+            self.reached.set()
+            assert self.opened.wait(TIMEOUT)
+            return work(*args, **more)
+
+        async def awaited(*args: Any) -> Any:
+            self.reached.set()
+            await until(self.opened.is_set)
+            return await work(*args)
+
+        patch.setattr(owner, name, awaited if asyncio.iscoroutinefunction(work) else held)
+
+
+@pytest.fixture
+def barrier() -> Iterator[Barrier]:
+    """Opened at the end."""
+    barrier = Barrier()
+    yield barrier
+    barrier.opened.set()
+
+
 async def until_cancelled(campaign_id: int) -> None:
     """Until somebody has asked the task that runs a campaign to end."""
     name = f"campaign {campaign_id}"
     await until(lambda: any(task.get_name() == name and task.cancelling() for task in asyncio.all_tasks()))
 
 
-async def until(condition: Callable[[], bool]) -> None:
+async def until(condition: Callable[[], bool], within: float = TIMEOUT) -> None:
     """Wait for a condition that comes from another process or thread; TimeoutError if it does not come."""
-    async with asyncio.timeout(TIMEOUT):
+    async with asyncio.timeout(within):
         while not condition():  # noqa: ASYNC110
             await asyncio.sleep(0.01)

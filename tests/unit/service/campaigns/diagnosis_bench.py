@@ -1,7 +1,7 @@
 """A store with measured campaigns, and the diagnosis loop on it."""
 
 import asyncio
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,13 +22,13 @@ from service.model.robot import Robot
 from service.process.settings import Cluster
 from service.store.database import open_database
 from service.store.diagnoses import DiagnosisStore, ModelStore
-from service.store.documents import DiagnosisDocument, DiagnosisState, ModelDocument, SpectrumRecord
+from service.store.documents import DiagnosisDocument, DiagnosisState, ModelDocument
 from service.store.files.bundle import Bundle, save_bundle
 from service.store.files.data_folder import import_campaign
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
+from tests.unit.service.campaigns.conftest import until
 
-SPECTRUM = SpectrumRecord(path="s", sha256="0" * 64)  # where its content makes no difference
 POSES = np.array([[0.0, -0.6, 0.4, 0.0, 0.0, 0.0], [0.5, 0.4, -0.7, 0.0, 0.0, 0.0]])
 PATIENCE = 300.0  # s; the worker gives way to whatever else the computer does
 NOBODY = Cluster("tcp://127.0.0.1:1")  # a scheduler that does not answer
@@ -92,7 +92,7 @@ class Bench:
 
     async def over(self, diagnosis_id: int) -> DiagnosisDocument:
         ended = (DiagnosisState.DONE, DiagnosisState.FAILED)
-        await until(lambda: self.diagnoses.diagnosis(diagnosis_id).state in ended)
+        await until(lambda: self.diagnoses.diagnosis(diagnosis_id).state in ended, PATIENCE)
         return self.diagnoses.diagnosis(diagnosis_id)
 
 
@@ -106,12 +106,6 @@ async def open_bench(folder: Path, worker: Worker, refusal: str = "") -> AsyncGe
         diagnosing = Diagnosing(store, diagnoses, models, files, worker, lambda *_: refusal)
         stack.push_async_callback(diagnosing.close)
         yield Bench(store, files, diagnoses, models, diagnosing)
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    async with asyncio.timeout(PATIENCE):
-        while not condition():  # noqa: ASYNC110
-            await asyncio.sleep(0.02)
 
 
 def axes_of(found: DiagnosisDocument | ModelDocument) -> Any:

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncGenerator, Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -61,24 +62,12 @@ class FormulaDrive:
         self.trace.append("close")
 
     async def status(self) -> Mapping[str, AxisStatus]:
-        return {
-            joint: AxisStatus(
-                joint,
-                self._state(joint),
-                self.position[joint],
-                0.0,
-                0.0,
-                None,
-                stands=not self.silent,
-                energised=joint in self.energised,
-            )
-            for joint in self.joints
-        }
+        return {joint: self._status(joint) for joint in self.joints}
 
-    def _state(self, joint: str) -> AxisState:
-        if self.silent:
-            return AxisState.UNKNOWN
-        return AxisState.ENABLED if joint in self.energised else AxisState.DISABLED
+    def _status(self, joint: str) -> AxisStatus:
+        energised = joint in self.energised
+        state = AxisState.UNKNOWN if self.silent else AxisState.ENABLED if energised else AxisState.DISABLED
+        return AxisStatus(joint, state, self.position[joint], 0.0, 0.0, None, not self.silent, energised)
 
     async def enable(self, *joints: str) -> None:
         if self.energised:
@@ -172,12 +161,5 @@ class FormulaDrive:
 
 
 def _part(samples: SampleBlock, part: slice) -> SampleBlock:
-    return SampleBlock(
-        samples.joint,
-        samples.index[part],
-        samples.time[part],
-        samples.effort[part],
-        samples.velocity[part],
-        samples.position[part],
-        samples.velocity_setpoint[part],
-    )
+    names = ("index", "time", "effort", "velocity", "position", "velocity_setpoint")
+    return replace(samples, **{name: getattr(samples, name)[part] for name in names})

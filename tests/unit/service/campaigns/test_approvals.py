@@ -111,12 +111,9 @@ async def test_a_stop_ends_the_approvals_before_it_and_no_later_one(bench: Bench
     await bench.machine.reset_stop("carla", [again.id])
     assert approvals.missing(plan, HASH) == ""
 
-    def stopped() -> None:
-        StopLatch(bench.database).latch("berta", "smoke")
-
     approvals.add(plan, HASH, HASH, "ada", still)
     assert approvals.missing(plan, HASH) == ""
-    stopped()
+    StopLatch(bench.database).latch("berta", "smoke")
     assert "was ended by stop" in approvals.missing(plan, HASH)
 
 
@@ -135,12 +132,13 @@ def test_an_approval_holds_for_its_time(bench: Bench, shifted: str, reason: str)
 
 def test_what_nobody_looked_at_is_not_approved(bench: Bench) -> None:
     approvals, plan = Asked(bench).approvals, bench.campaign.plan_id or 0
-    with pytest.raises(Conflict, match=f"review it again \\({HASH}\\)"):
-        approvals.add(plan, OTHER, HASH, "ada", still)
-    with pytest.raises(BadInput, match="approved_by"):
-        approvals.add(plan, HASH, HASH, "", still)
-    with pytest.raises(NotFound):
-        approvals.add(plan + 1, HASH, HASH, "ada", still)
+    for number, seen, by, refusal, told in (
+        (plan, OTHER, "ada", Conflict, f"review it again \\({HASH}\\)"),
+        (plan, HASH, "", BadInput, "approved_by"),
+        (plan + 1, HASH, "ada", NotFound, "plan"),
+    ):
+        with pytest.raises(refusal, match=told):
+            approvals.add(number, seen, HASH, by, still)
     assert approvals.of_plan(plan) == ()
     assert "not approved yet" in approvals.missing(plan, "")
 

@@ -1,5 +1,6 @@
 """What is watched beside a sweep: the check move before it, and the sign of life of a person."""
 
+import asyncio
 import math
 
 import pytest
@@ -8,9 +9,9 @@ from drivers.errors import CommunicationLost, DriveFault
 from drivers.ports import AxisState, AxisStatus
 from service.machine.execution.sweep_executor import CheckMove, CheckMoveFailed
 from service.model.errors import Conflict
-from service.store.documents import CampaignState, EventKind, SweepState
-from tests.unit.service.campaigns.conftest import Bench, until, until_cancelled
-from tests.unit.service.campaigns.test_machine import BetweenMotions
+from service.store.documents import CampaignDocument, CampaignState, EventKind
+from tests.unit.service.campaigns.conftest import Barrier, Bench, until, until_cancelled
+from tests.unit.service.campaigns.test_machine import between_motions  # noqa: F401
 
 WAY = math.radians(0.5)
 
@@ -55,15 +56,13 @@ def test_what_goes_astray_is_told_with_value_and_limit(way: float, share: float,
         move.check_under_way(status(joint_1=share * way, **others))
 
 
-def test_a_drive_that_does_not_answer_ends_the_watch() -> None:
+def test_who_does_not_arrive_or_answer_is_told() -> None:
+    move = CheckMove("joint_1", WAY, START, UNITS)
+    with pytest.raises(CheckMoveFailed, match=r"target not reached; limit \+0\.00654 rad"):
+        move.check_end(status(joint_1=0.7 * WAY))
     silent = AxisStatus("joint_2", AxisState.UNKNOWN, math.nan, math.nan, math.nan, None)
     with pytest.raises(CommunicationLost, match="joint_2: did not answer in the check move of joint_1"):
-        CheckMove("joint_1", WAY, START, UNITS).check_under_way(status() | {"joint_2": silent})
-
-
-def test_an_axis_that_does_not_arrive_is_told() -> None:
-    with pytest.raises(CheckMoveFailed, match=r"target not reached; limit \+0\.00654 rad"):
-        CheckMove("joint_1", WAY, START, UNITS).check_end(status(joint_1=0.7 * WAY))
+        move.check_under_way(status() | {"joint_2": silent})
 
 
 def moves(bench: Bench) -> list[str]:
@@ -121,20 +120,25 @@ async def test_a_stop_that_is_not_confirmed_is_told_wherever_a_person_looks(benc
 SOON, LATE = 0.05, 3600.0  # s
 
 
-async def test_without_a_sign_of_life_it_is_paused_at_standstill(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    between = BetweenMotions(monkeypatch)
-    await bench.start(attended=LATE)
-    await until(between.reached.is_set)
+async def missed(bench: Bench) -> CampaignDocument:
+    """Its end, without a sign of life from now on, whatever the computer takes to come here."""
     attendance = bench.runner.attendance
     assert attendance is not None
-    attendance.within = SOON  # whatever the computer takes to come here, it is missed from here on
+    attendance.within = SOON
     attendance.renew()
-    await until(lambda: attendance.left == 0.0)
-    await until_cancelled(bench.campaign.id)
-    between.go.set()
     campaign = await bench.over()
     assert campaign.state is CampaignState.PAUSED
     assert campaign.cause.startswith("no sign of life within 0.05 s")
+    return campaign
+
+
+async def test_without_a_sign_of_life_it_is_paused_at_standstill(bench: Bench, between_motions: Barrier) -> None:  # noqa: F811
+    await bench.start(attended=LATE)
+    await until(between_motions.reached.is_set)
+    over = asyncio.create_task(missed(bench))
+    await until_cancelled(bench.campaign.id)
+    between_motions.opened.set()
+    campaign = await over
     assert bench.machine.stops == ()  # nothing is latched: the next start is a person's
     assert bench.drive.trace[-1] == "stop"
     assert bench.told == [(f"campaign {campaign.id}", campaign.cause)]
@@ -151,7 +155,6 @@ async def test_with_signs_of_life_it_is_measured(bench: Bench) -> None:
     assert attendance is not None
     assert attendance.left <= attendance.within == LATE
     assert (await bench.over()).state is CampaignState.MEASURED
-    assert all(sweep.state is SweepState.RECORDED for sweep in bench.store.sweeps(bench.campaign.id))
     assert bench.runner.attendance is None
 
 
@@ -161,21 +164,7 @@ async def test_a_pause_that_is_taken_back_keeps_the_sign_of_life_or_takes_that_o
 ) -> None:
     await bench.in_a_sweep(2, attended=first)
     await bench.runner.pause(bench.campaign.id)
-    resumed = await bench.resume(attended=second)
-    assert resumed.state is CampaignState.RUNNING
-    attendance = bench.runner.attendance
-    assert attendance is not None
-    assert attendance.within == kept
-    attendance.within = SOON
-    attendance.renew()
-    await bench.over()  # the sweep is held for ever: nothing else ends it
-    campaign = bench.now
-    assert campaign.state is CampaignState.PAUSED
-    assert campaign.cause.startswith("no sign of life within 0.05 s")
-    assert bench.drive.energised == set()
-
-
-async def test_who_wants_none_waits_for_none(bench: Bench) -> None:
-    await bench.start()
-    assert bench.runner.sign_of_life(bench.campaign.id) is None
-    assert (await bench.over()).state is CampaignState.MEASURED
+    assert (await bench.resume(attended=second)).state is CampaignState.RUNNING
+    assert bench.runner.attendance is not None
+    assert bench.runner.attendance.within == kept
+    await missed(bench)  # the sweep is held for ever: nothing else ends it

@@ -36,17 +36,8 @@ from service.store.files.data_folder import campaign_bundle, import_campaign
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
 from tests.stored.documents import stored
-from tests.unit.service.campaigns.diagnosis_bench import (
-    NOBODY,
-    POSES,
-    SPECTRUM,
-    Bench,
-    InProcess,
-    axes_of,
-    measured,
-    open_bench,
-    until,
-)
+from tests.unit.service.campaigns.conftest import SPECTRUM, until
+from tests.unit.service.campaigns.diagnosis_bench import NOBODY, POSES, Bench, InProcess, axes_of, measured, open_bench
 
 pytestmark = pytest.mark.slow
 
@@ -68,9 +59,7 @@ async def test_an_experiment_is_proposed_only_if_the_machine_can_run_it(
         axis = found.found().axes["joint_1"]
         assert (axis.next_experiment is None) == bool(refusal)
         assert ("easure what is proposed next" in axis.summary) != bool(refusal)
-        ended = (
-            "This machine cannot be diagnosed further, because of the next experiment: none of its sweeps can be run"
-        )
+        ended = f"This machine cannot be diagnosed further, because of the next {refusal}"
         assert (ended in axis.summary) == bool(refusal)
 
 
@@ -158,14 +147,19 @@ async def test_a_campaign_with_a_test_mass_is_no_evidence_of_the_bare_robot(tmp_
 
 
 async def test_a_model_keeps_what_others_accepted_meanwhile(tmp_path: Path, robot: Robot) -> None:
-    """Two diagnoses from the nominal model, one an axis; then a third of an axis that has effects by now."""
+    """Two diagnoses from the nominal model, one an axis; then a third of an axis that has effects by now.
+
+    A known effect that has changed may be accepted.
+    """
     async with open_bench(tmp_path, InProcess()) as bench:
-        ids: list[int] = []
-        for joint, seed in (("joint_1", 1), ("joint_2", 2), ("joint_1", 3)):
-            campaign = measured(bench.store, bench.files, robot, joint, seed)
-            ids.append((await bench.diagnosing.request([campaign], None, None, unattended=False)).id)
-            await bench.over(ids[-1])
         accept = partial(accept_model, bench.store, bench.diagnoses, bench.models)
+
+        async def diagnosed(joint: str, seed: int, model: int | None = None, coulomb: float = 60.0) -> int:
+            campaign = measured(bench.store, bench.files, robot, joint, seed, coulomb=coulomb)
+            begun = await bench.diagnosing.request([campaign], None, model, unattended=False)
+            return (await bench.over(begun.id)).id
+
+        ids = [await diagnosed(joint, seed) for joint, seed in (("joint_1", 1), ("joint_2", 2), ("joint_1", 3))]
         first, second = (accept(one, None, "Ada") for one in ids[:2])
         assert (second.revision, second.parent, list(axes_of(second))) == (2, first.id, ["joint_1", "joint_2"])
         assert axes_of(second)["joint_1"] == axes_of(first)["joint_1"]
@@ -174,22 +168,11 @@ async def test_a_model_keeps_what_others_accepted_meanwhile(tmp_path: Path, robo
         ):
             accept(ids[2], None, "Ada")
         assert bench.models.newest(1) == second
-
-
-async def test_a_known_effect_that_has_changed_may_be_accepted(tmp_path: Path, robot: Robot) -> None:
-    async with open_bench(tmp_path, InProcess()) as bench:
-        campaigns = [measured(bench.store, bench.files, robot, "joint_1", 1)]
-        campaigns.append(measured(bench.store, bench.files, robot, "joint_1", 2, coulomb=80.0))
-        accept, model = partial(accept_model, bench.store, bench.diagnoses, bench.models), None
-        found: list[float] = []
-        for campaign in campaigns:
-            diagnosis = await bench.diagnosing.request([campaign], None, model, unattended=False)
-            done = await bench.over(diagnosis.id)
-            model = accept(done.id, None, "Ada").id
-            (effect,) = axes_of(bench.models.model(model))["joint_1"]["effects"]
-            found.append(effect["parameters"]["coulomb"]["value"])
-        assert done.verdicts == {"joint_1": "none"}
-    assert found == pytest.approx([60.0, 80.0], abs=0.5)
+        changed = await diagnosed("joint_1", 4, second.id, coulomb=80.0)
+        assert bench.diagnoses.diagnosis(changed).verdicts == {"joint_1": "none"}
+        found = [axes_of(model)["joint_1"]["effects"] for model in (first, accept(changed, None, "Ada"))]
+    coulomb = [effect["parameters"]["coulomb"]["value"] for (effect,) in found]
+    assert coulomb == pytest.approx([60.0, 80.0], abs=0.5)
 
 
 def test_the_sweeps_of_two_campaigns_share_a_clock_and_no_repeats(tmp_path: Path, robot: Robot) -> None:
@@ -242,26 +225,21 @@ async def test_the_rigid_model_starts_from_the_robots_latest_estimate_that_is_no
         assert axes_of(found)["joint_1"]["started_from"] == f"campaign {first}, revision 1"
 
 
-async def test_an_estimate_that_does_not_fit_the_robot_is_passed_over(tmp_path: Path, robot: Robot) -> None:
+async def test_an_estimate_that_does_not_fit_or_is_a_daily_check_of_one_pose_is_passed_over(
+    tmp_path: Path, robot: Robot
+) -> None:
     async with open_bench(tmp_path, InProcess()) as bench:
-        first, second, third = (measured(bench.store, bench.files, robot, "joint_1", seed) for seed in (1, 2, 3))
-        identified(bench, robot, first)
-        identified(bench, robot, second, {"base_parameters": []})
-        diagnosis = await bench.diagnosing.request([third], None, None, unattended=False)
-        assert diagnosis.estimate == EstimateOf(campaign_id=first, revision=1)
+        whole, daily, broken, again, asked = (measured(bench.store, bench.files, robot, "joint_1", n) for n in range(5))
 
+        async def start() -> EstimateOf | None:
+            return (await bench.diagnosing.request([asked], None, None, unattended=False)).estimate
 
-async def test_a_daily_check_of_one_pose_is_no_start_while_a_better_one_is_there(tmp_path: Path, robot: Robot) -> None:
-    async with open_bench(tmp_path, InProcess()) as bench:
-        whole, daily, third = (measured(bench.store, bench.files, robot, "joint_1", seed) for seed in (1, 2, 3))
         identified(bench, robot, daily)
-        alone = await bench.diagnosing.request([third], None, None, unattended=False)
+        identified(bench, robot, broken, {"base_parameters": []})
+        assert await start() == EstimateOf(campaign_id=daily, revision=1)
         identified(bench, robot, whole, confidence=0.5)
-        again = measured(bench.store, bench.files, robot, "joint_1", 4)
         identified(bench, robot, again)  # newer than the one that knows J
-        both = await bench.diagnosing.request([third], None, None, unattended=False)
-    assert alone.estimate == EstimateOf(campaign_id=daily, revision=1)
-    assert both.estimate == EstimateOf(campaign_id=whole, revision=1)
+        assert await start() == EstimateOf(campaign_id=whole, revision=1)
 
 
 def identified(

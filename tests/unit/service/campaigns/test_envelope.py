@@ -84,48 +84,49 @@ def test_an_obstacle_inside_the_travel_is_found(arm: Robot) -> None:
         blocked.check_sweep(COMMAND, straight)
 
 
-def test_moves(envelope: Envelope) -> None:
+@pytest.mark.parametrize(
+    ("pose", "target", "velocity", "message"),
+    [
+        (POSE, 1.59, 0.1, r"target 1.59 rad is outside -2.98 to 1.58 rad"),
+        (POSE, -1.5, 2.0, r"velocity of the move 2 rad/s is above the limit 0.5 rad/s"),
+        (POSE, 1.0, 0.1, r"the path from -0.5000 to 1.0000 rad is not free"),  # into the floor
+        ((0.0,), 1.0, 0.1, "pose has 1 positions"),
+    ],
+)
+def test_each_limit_of_a_move(
+    envelope: Envelope, pose: tuple[float, ...], target: float, velocity: float, message: str
+) -> None:
     envelope.check_move("j1", POSE, -1.5, 0.1)
-    with pytest.raises(EnvelopeViolation, match=r"target 1.59 rad is outside -2.98 to 1.58 rad"):
-        envelope.check_move("j1", POSE, 1.59, 0.1)
-    with pytest.raises(EnvelopeViolation, match=r"velocity of the move 2 rad/s is above the limit 0.5 rad/s"):
-        envelope.check_move("j1", POSE, -1.5, 2.0)
-    with pytest.raises(EnvelopeViolation, match=r"the path from -0.5000 to 1.0000 rad is not free"):
-        envelope.check_move("j1", POSE, 1.0, 0.1)  # into the floor
-    with pytest.raises(EnvelopeViolation, match="pose has 1 positions"):
-        envelope.check_move("j1", (0.0,), 1.0, 0.1)
+    with pytest.raises(EnvelopeViolation, match=message):
+        envelope.check_move("j1", pose, target, velocity)
 
 
-def block(**columns: list[float]) -> SampleBlock:
-    values = {"effort": [500.0, 510.0], "velocity": [0.01, 0.011], "position": [-0.49, -0.48], **columns}
-    return SampleBlock(
-        joint="j1",
-        index=np.arange(2),
-        time=np.arange(2) / 250.0,
-        velocity_setpoint=np.zeros(2),
-        **{name: np.array(column) for name, column in values.items()},
-    )
+BLOCK = SampleBlock(
+    joint="j1",
+    index=np.arange(2),
+    time=np.arange(2) / 250.0,
+    effort=np.array([500.0, 510.0]),
+    velocity=np.array([0.01, 0.011]),
+    position=np.array([-0.49, -0.48]),
+    velocity_setpoint=np.zeros(2),
+)
 
 
 @pytest.mark.parametrize(
-    ("columns", "message"),
+    ("change", "message"),
     [
-        ({"position": [-0.49, -0.40]}, "j1: position -0.4 rad is outside -0.505 to -0.445 rad"),
-        ({"velocity": [-0.2, 0.0]}, "j1: velocity -0.2 rad/s is outside -0.1 to 0.1 rad/s"),
-        ({"effort": [500.0, 2100.0]}, "j1: effort 2100 N m is outside -2000 to 2000 N m"),
-        ({"effort": [500.0, nan]}, "j1: effort nan N m"),
-        ({"load_position": [-0.49, -0.3]}, "j1: load position -0.3 rad"),
+        ({"position": np.array([-0.49, -0.40])}, "j1: position -0.4 rad is outside -0.505 to -0.445 rad"),
+        ({"velocity": np.array([-0.2, 0.0])}, "j1: velocity -0.2 rad/s is outside -0.1 to 0.1 rad/s"),
+        ({"effort": np.array([500.0, 2100.0])}, "j1: effort 2100 N m is outside -2000 to 2000 N m"),
+        ({"effort": np.array([500.0, nan])}, "j1: effort nan N m"),
+        ({"load_position": np.array([-0.49, -0.3])}, "j1: load position -0.3 rad"),
+        ({"joint": "j2"}, "j2: moves although j1"),
     ],
 )
-def test_watch(envelope: Envelope, columns: dict[str, list[float]], message: str) -> None:
-    envelope.watch(COMMAND, block())
+def test_each_limit_of_the_samples(envelope: Envelope, change: dict[str, object], message: str) -> None:
+    envelope.watch(COMMAND, BLOCK)
     with pytest.raises(EnvelopeViolation, match=message):
-        envelope.watch(COMMAND, block(**columns))
-
-
-def test_watch_refuses_samples_of_another_axis(envelope: Envelope) -> None:
-    with pytest.raises(EnvelopeViolation, match="j2: moves although j1"):
-        envelope.watch(COMMAND, replace(block(), joint="j2"))
+        envelope.watch(COMMAND, replace(BLOCK, **change))
 
 
 def test_order_of_legs_goes_round_an_obstacle(arm: Robot) -> None:
@@ -162,23 +163,20 @@ def test_bounds_hold_at_every_instant(offset: float, lines: list[SineCommand], r
     assert np.abs(np.diff(velocity)).max() / step <= peak_acceleration(command) * (1 + 1e-6) + 1e-9
 
 
-def test_predicted_effort_by_hand(arm: Robot) -> None:
-    envelope = Envelope(arm, Cell(name="test"))
+def test_predicted_effort_by_hand_and_that_of_a_test_mass(arm: Robot) -> None:
+    """20 kg at 0.6 m on the horizontal forearm: 20 * 9.81 * 0.6 more to hold, 20 * 0.36 kg m^2 more to accelerate."""
     command = replace(COMMAND, joint="j2", sines=(), offset_velocity=0.01, position_window=(0.29, 0.36))
+    bare, loaded = (
+        Envelope(arm, Cell(name="test"), None, mass).predicted_effort(command, (-0.325, 0.3))
+        for mass in (None, KnownMass(20.0, (0.6, 0.0, 0.0)))
+    )
     # forearm: 10 kg at 0.5 m, 1 kg m^2 about its centre; motor 100^2 * 0.001; both at the ramp's steepest
     inertia = 1.6 * (1.0 + 10 * 0.25) + 10.0
     gravity = 1.3 * 10 * 9.81 * 0.5  # horizontal inside the window when j1 + j2 = 0
     friction = 1.5 * 20.0 * 0.01
-    expected = inertia * 0.01 * pi / (2 * 0.5) + gravity + friction + 0.1 * 400.0
-    assert envelope.predicted_effort(command, (-0.325, 0.3)) == pytest.approx(expected, rel=1e-4)
-
-
-def test_a_test_mass_weighs_and_takes_effort(arm: Robot) -> None:
-    """20 kg at 0.6 m on the horizontal forearm: 20 * 9.81 * 0.6 more to hold, 20 * 0.36 kg m^2 more to accelerate."""
-    bare, loaded = (Envelope(arm, Cell(name="test"), None, mass) for mass in (None, KnownMass(20.0, (0.6, 0.0, 0.0))))
-    command = replace(COMMAND, joint="j2", sines=(), offset_velocity=0.01, position_window=(0.29, 0.36))
-    more = loaded.predicted_effort(command, (-0.325, 0.3)) - bare.predicted_effort(command, (-0.325, 0.3))
-    assert more == pytest.approx(1.3 * 20 * 9.81 * 0.6 + 1.6 * 20 * 0.36 * 0.01 * pi / (2 * 0.5), rel=1e-4)
+    steepest = 0.01 * pi / (2 * 0.5)
+    assert bare == pytest.approx(inertia * steepest + gravity + friction + 0.1 * 400.0, rel=1e-4)
+    assert loaded - bare == pytest.approx(1.3 * 20 * 9.81 * 0.6 + 1.6 * 20 * 0.36 * steepest, rel=1e-4)
 
 
 def test_travel_limit_is_the_papers() -> None:

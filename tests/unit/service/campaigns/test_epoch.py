@@ -1,7 +1,6 @@
 """A stop, a gap of the host or trouble with the lease ends what was wanted before it, whatever it waited for."""
 
 import asyncio
-import threading
 from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any
 
@@ -11,40 +10,16 @@ from drivers.errors import Cause, CauseCode
 from service.machine.execution.machine import watching
 from service.machine.execution.permission import Approvals, Epochs, Intention
 from service.model.errors import Superseded
-from service.planning.campaigns.live import EventFeed
 from service.store.documents import CampaignState
 from service.store.lease_and_latch import ApprovalStore
-from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, keeping, until
+from tests.unit.service.campaigns.conftest import TIMEOUT, Barrier, Bench, keeping, until
 from tests.unit.service.campaigns.test_approvals import HASH, Asked
-from tests.unit.service.campaigns.test_experiments import Loop, loop  # noqa: F401
+from tests.unit.service.campaigns.test_experiments import Loop, attended, followed, loop  # noqa: F401
 from tests.unit.service.campaigns.test_machine import Ailing
 
 pytestmark = pytest.mark.slow
 
 LEASE_TIME = 0.05  # s
-
-
-class Barrier:
-    """Whoever comes here waits until it is open."""
-
-    def __init__(self) -> None:
-        self.reached, self.opened = threading.Event(), threading.Event()
-
-    def before(self, patch: pytest.MonkeyPatch, owner: object, name: str) -> None:
-        """In front of a method."""
-        work = getattr(owner, name)
-
-        def held(*args: Any, **more: Any) -> Any:
-            self.reached.set()
-            assert self.opened.wait(TIMEOUT)
-            return work(*args, **more)
-
-        async def awaited(*args: Any) -> Any:
-            self.reached.set()
-            await until(self.opened.is_set)
-            return await work(*args)
-
-        patch.setattr(owner, name, awaited if asyncio.iscoroutinefunction(work) else held)
 
 
 # what a command waits for
@@ -124,9 +99,10 @@ async def test_nothing_moves_that_was_wanted_before_a_stop(
     command: Command,
     wait: str,
     between: Callable[[Bench], Awaitable[str]],
+    barrier: Barrier,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    bench, barrier = loop.bench, Barrier()
+    bench = loop.bench
     if command is resume:
         bench.store.move_campaign(bench.campaign.id, lambda _: CampaignState.PAUSED)
     if command is experiment:
@@ -163,9 +139,9 @@ async def test_nothing_moves_that_was_wanted_before_a_stop(
 
 
 async def test_an_approval_that_waits_for_the_database_is_not_stored(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
+    bench: Bench, barrier: Barrier, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked, barrier, plan = Asked(bench), Barrier(), bench.campaign.plan_id or 0
+    asked, plan = Asked(bench), bench.campaign.plan_id or 0
     intention = bench.intention
     barrier.before(monkeypatch, ApprovalStore, "add")
 
@@ -199,12 +175,8 @@ async def test_an_unattended_experiment_is_as_old_as_the_request_of_its_diagnosi
     found = loop.done("reversal", sweeps=True)  # as one requested now
     await loop.bench.machine.connect()
     reason = await stop_and_release(loop.bench)
-    feed = EventFeed(loop.bench.store, loop.bench.database)
-    following = asyncio.create_task(loop.experiments.follow(feed, 0))  # it is heard only now that it is done
-    await until(lambda: not loop.diagnoses.diagnosis(found.id).unattended)
-    feed.close()
-    await following
-    ended = loop.diagnoses.diagnosis(found.id)
+    async with followed(loop, 0):  # it is heard only now that it is done
+        ended = await attended(loop, found.id)
     assert (ended.unattended, ended.experiment) == (False, None)
     assert reason in ended.cause
     assert energy(loop.bench) == []

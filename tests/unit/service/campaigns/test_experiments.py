@@ -1,7 +1,8 @@
 """The loop of a diagnosis: what goes on after a restart, and where it ends when nobody attends."""
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterator
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 
 import pytest
@@ -121,62 +122,65 @@ async def test_an_experiment_completed_before_a_restart_leads_to_its_diagnosis(
         assert (child.campaigns, child.weighed and child.weighed.mass) == (parent.campaigns, mass)
 
 
-async def test_what_happens_is_followed(loop: Loop) -> None:
+@asynccontextmanager
+async def followed(loop: Loop, after: int | None = None) -> AsyncGenerator[None]:
+    """The events from now on, or after that number."""
     feed = EventFeed(loop.bench.store, loop.bench.database)
-    following = asyncio.create_task(loop.experiments.follow(feed, loop.bench.store.last_event_id()))
-    parent = await asyncio.to_thread(loop.done, "reversal", loop.new.model_copy(update={"unattended": False}))
-    await asyncio.to_thread(loop.measured, parent, None)
-    await until(lambda: len(loop.children()) == 1)
+    after = loop.bench.store.last_event_id() if after is None else after
+    following = asyncio.create_task(loop.experiments.follow(feed, after))
+    yield
+    feed.close()
+    await following
 
-    await loop.bench.machine.stop("Ada", "hold")
+
+async def attended(loop: Loop, number: int) -> DiagnosisDocument:
+    """As soon as a person decides on its experiments."""
+    await until(lambda: not loop.diagnoses.diagnosis(number).unattended)
+    return loop.diagnoses.diagnosis(number)
+
+
+async def test_what_happens_is_followed(loop: Loop) -> None:
     ends = {
         "test_mass": ("ambiguous", "joint_1: a test mass needs a person"),
         "reversal": ("ambiguous", "joint_1: the machine may not move: stopped by Ada: hold"),
         "wide": ("none", ""),
     }
-    for kind, (verdict, cause) in ends.items():
-        found = await asyncio.to_thread(loop.done, kind, None, verdict)
-        await until(lambda found=found: not loop.diagnoses.diagnosis(found.id).unattended)
-        ended = loop.diagnoses.diagnosis(found.id)
-        assert ended.cause.startswith(cause)
-        assert (bool(ended.cause), ended.experiment) == (bool(cause), None)
-    feed.close()
-    await following
+    async with followed(loop):
+        parent = await asyncio.to_thread(loop.done, "reversal", loop.new.model_copy(update={"unattended": False}))
+        await asyncio.to_thread(loop.measured, parent, None)
+        await until(lambda: len(loop.children()) == 1)
+        await loop.bench.machine.stop("Ada", "hold")
+        for kind, (verdict, cause) in ends.items():
+            ended = await attended(loop, (await asyncio.to_thread(loop.done, kind, None, verdict)).id)
+            assert ended.cause.startswith(cause)
+            assert (bool(ended.cause), ended.experiment) == (bool(cause), None)
 
 
 async def test_an_aborted_experiment_ends_the_loop_that_nobody_attends(loop: Loop) -> None:
-    feed = EventFeed(loop.bench.store, loop.bench.database)
     found = loop.done("reversal")
     sweeps = [NewSweep(spec=spec(1, (0.0, 0.0, 0.0)), mode=None)]
     campaign = loop.diagnoses.approve(found.id, "joint_1", "unattended", None, {}, sweeps)
-    following = asyncio.create_task(loop.experiments.follow(feed, loop.bench.store.last_event_id()))
-    await asyncio.to_thread(loop.bench.store.move_campaign, campaign.id, lambda _: CampaignState.ABORTED)
-    await until(lambda: not loop.diagnoses.diagnosis(found.id).unattended)
-    assert loop.diagnoses.diagnosis(found.id).cause == f"campaign {campaign.id} was aborted"
-    feed.close()
-    await following
+    async with followed(loop):
+        await asyncio.to_thread(loop.bench.store.move_campaign, campaign.id, lambda _: CampaignState.ABORTED)
+        assert (await attended(loop, found.id)).cause == f"campaign {campaign.id} was aborted"
 
 
 async def test_a_loop_that_decides_nothing_ends(loop: Loop) -> None:
-    feed = EventFeed(loop.bench.store, loop.bench.database)
     found = loop.done("reversal")
     for _ in range(ROUNDS):
         loop.measured(found, None)
         found = loop.done("reversal", loop.new.model_copy(update={"parent": found.id}))
-    following = asyncio.create_task(loop.experiments.follow(feed, 0))
-    await until(lambda: not loop.diagnoses.diagnosis(found.id).unattended)
-    assert loop.diagnoses.diagnosis(found.id).cause == f"joint_1: not decided after {ROUNDS} experiments"
-    feed.close()
-    await following
+    async with followed(loop, 0):
+        assert (await attended(loop, found.id)).cause == f"joint_1: not decided after {ROUNDS} experiments"
 
 
 async def test_only_what_was_proposed_is_approved(loop: Loop) -> None:
-    nothing, weighing = loop.done(None), loop.done("test_mass")
-    waiting = loop.diagnoses.add(loop.new)
-    with pytest.raises(Conflict, match="proposes no experiment for joint_1"):
-        await loop.experiments.approve(nothing.id, "joint_1", "Ada", None, "workshop", loop.bench.intention)
-    with pytest.raises(BadInput, match="give the mass that is mounted"):
-        await loop.experiments.approve(weighing.id, "joint_1", "Ada", None, "workshop", loop.bench.intention)
-    with pytest.raises(Conflict, match="an experiment requires a diagnosis that is done"):
-        await loop.experiments.approve(waiting.id, "joint_1", "Ada", None, "workshop", loop.bench.intention)
+    nothing, weighing, waiting = loop.done(None), loop.done("test_mass"), loop.diagnoses.add(loop.new)
+    for diagnosis, refusal, told in (
+        (nothing, Conflict, "proposes no experiment for joint_1"),
+        (weighing, BadInput, "give the mass that is mounted"),
+        (waiting, Conflict, "an experiment requires a diagnosis that is done"),
+    ):
+        with pytest.raises(refusal, match=told):
+            await loop.experiments.approve(diagnosis.id, "joint_1", "Ada", None, "workshop", loop.bench.intention)
     assert [one.experiment for one in loop.diagnoses.diagnoses()] == [None] * 3

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from pydantic import JsonValue
 
@@ -23,7 +22,6 @@ from service.jobs.work import Job, JobFailed, Work, Worker
 from service.jobs.worker import open_worker
 from service.machine.execution.recording import recover
 from service.model.errors import BadInput
-from service.model.recording import Sweep
 from service.model.results.effect import KnownModel, StoredModel
 from service.model.results.estimate import Estimate
 from service.model.robot import Robot
@@ -46,6 +44,15 @@ pytestmark = pytest.mark.slow
 
 async def completed(bench: Bench) -> None:
     await until(lambda: bench.now.state is CampaignState.COMPLETED)
+
+
+@asynccontextmanager
+async def identified_again(again: Again, worker: Worker) -> AsyncGenerator[Bench]:
+    """A campaign that was measured and identified by this worker."""
+    async with again(worker) as bench:
+        await bench.start()
+        await completed(bench)
+        yield bench
 
 
 async def test_the_newest_accepted_model_enters_new_estimates_and_is_told(again: Again, robot: Robot) -> None:
@@ -84,10 +91,7 @@ async def test_what_is_recorded_and_not_identified_is_taken_up_by_the_next_proce
 
 async def test_a_job_names_the_spectra_of_earlier_sweeps_and_carries_none(again: Again, tmp_path: Path) -> None:
     """What a job weighs must not grow with what was measured before it."""
-    worker = InProcess()
-    async with again(worker) as bench:
-        await bench.start()
-        await completed(bench)
+    async with identified_again(again, worker := InProcess()) as bench:
         (first, *_) = bench.store.spectra(bench.campaign.id)
     weights = [len(pickle.dumps(job)) for job in worker.jobs]
     assert len(weights) == len(POSES)
@@ -105,9 +109,7 @@ class Updating(InProcess):
 
 
 async def test_a_campaign_ends_with_a_fit_of_all_its_sweeps(again: Again) -> None:
-    async with again(Updating()) as bench:
-        await bench.start()
-        await completed(bench)
+    async with identified_again(again, Updating()) as bench:
         *_, before, last = bench.store.estimates(bench.campaign.id)
         bundle = campaign_bundle(bench.store, bench.files, bench.campaign.id)
     assert (last.revision, before.document["updates"]) == (len(POSES), 1)
@@ -128,9 +130,7 @@ class Unfit(Updating):
 async def test_a_fit_of_all_that_fails_ends_the_campaign_and_its_estimate_still_says_that_it_is_an_update(
     again: Again,
 ) -> None:
-    async with again(Unfit()) as bench:
-        await bench.start()
-        await completed(bench)
+    async with identified_again(again, Unfit()) as bench:
         assert bench.store.estimate(bench.campaign.id).document["updates"] == 1
 
 
@@ -189,6 +189,10 @@ class Import:
     worker: Worker
     campaign: int
 
+    async def identify(self) -> None:
+        await self.jobs.submit_imported(self.campaign)
+        await self.completed()
+
     async def completed(self) -> None:
         await until(lambda: self.store.campaign(self.campaign).state is CampaignState.COMPLETED)
         await until(lambda: self.jobs.open == 0)
@@ -216,9 +220,8 @@ async def opened(folder: Path, bundle: Bundle | None = None, worker: Worker | No
 
 async def identified(folder: Path, bundle: Bundle) -> tuple[list[tuple[int, int]], dict[str, JsonValue]]:
     """Revisions with their sweeps, and the last document."""
-    async with opened(_new(folder), bundle) as there:
-        await there.jobs.submit_imported(there.campaign)
-        await there.completed()
+    async with opened(folder, bundle) as there:
+        await there.identify()
         return there.revisions(), there.store.estimate(there.campaign).document
 
 
@@ -244,14 +247,21 @@ def test_groups_are_the_same_where_a_part_is_done() -> None:
     assert part[1:] == whole[-len(part) + 1 :]
 
 
-@pytest.mark.usefixtures("three_revisions")
-async def test_every_sweep_is_identified_once_and_some_have_a_revision(tmp_path: Path, robot: Robot) -> None:
-    async with opened(tmp_path, rigid_bundle(robot, SWEEPS)) as there:
+async def test_every_sweep_is_identified_once_and_some_have_a_revision(
+    tmp_path: Path, robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Shared revisions have the numbers of single ones."""
+    bundle = rigid_bundle(robot, SWEEPS)
+    revisions, single = await identified(tmp_path / "single", bundle)
+    assert revisions == [(n, n) for n in range(1, SWEEPS + 1)]
+    monkeypatch.setattr("service.jobs.jobs.MOST_REVISIONS", 3)
+    async with opened(tmp_path, bundle) as there:
         await there.jobs.submit_imported(there.campaign)
         assert there.jobs.open == SWEEPS
         await there.completed()
         assert there.states() == [SweepState.IDENTIFIED] * SWEEPS
         assert there.revisions() == [(1, 3), (2, 6), (3, 7)]
+        assert there.store.estimate(there.campaign).document == single
         events = there.store.events(0, there.campaign)
         of_sweeps = [event.data["number"] for event in events if event.kind is EventKind.SWEEP]
         assert of_sweeps == list(range(1, SWEEPS + 1))
@@ -262,29 +272,16 @@ async def test_every_sweep_is_identified_once_and_some_have_a_revision(tmp_path:
         assert [tuple(row[:2]) for row in there.store.confidences(there.campaign, ["joint_1"])] == there.revisions()
 
 
-async def test_shared_revisions_have_the_numbers_of_single_ones(
-    tmp_path: Path, robot: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bundle = rigid_bundle(robot, SWEEPS)
-    revisions, single = await identified(tmp_path / "single", bundle)
-    assert revisions == [(n, n) for n in range(1, SWEEPS + 1)]
-    monkeypatch.setattr("service.jobs.jobs.MOST_REVISIONS", 2)
-    revisions, shared = await identified(tmp_path / "shared", bundle)
-    assert revisions == [(1, 4), (2, 7)]
-    assert shared == single
-
-
 @pytest.mark.usefixtures("three_revisions")
 async def test_a_killed_worker_and_a_restart_lose_no_sweep_and_double_none(tmp_path: Path, robot: Robot) -> None:
     bundle = rigid_bundle(robot, SWEEPS)
     expected = await identified(tmp_path / "undisturbed", bundle)
-    folder = _new(tmp_path / "disturbed")
-    async with open_worker(None) as worker, opened(folder, bundle, worker) as there:
+    async with open_worker(None) as worker, opened(tmp_path, bundle, worker) as there:
         (process,) = await worker.processes()
         await there.jobs.submit_imported(there.campaign)
         os.kill(process, signal.SIGKILL)
         await until(lambda: bool(there.revisions()))
-    async with opened(folder) as there:
+    async with opened(tmp_path) as there:
         await there.jobs.recover()
         await there.jobs.recover()  # as a restart at the wrong moment
         await there.completed()
@@ -296,32 +293,20 @@ async def test_a_killed_worker_and_a_restart_lose_no_sweep_and_double_none(tmp_p
 async def test_only_the_sweep_with_a_fault_fails(tmp_path: Path, robot: Robot) -> None:
     """Of the first group one recording is changed on the disk; in the second a channel is dead."""
     bundle = rigid_bundle(robot, SWEEPS)
-    async with opened(
-        tmp_path, replace(bundle, sweeps=tuple(_dead(sweep, "0005") for sweep in bundle.sweeps))
-    ) as there:
+    good = replace(bundle, sweeps=tuple(sweep for sweep in bundle.sweeps if sweep.spec.id not in ("0002", "0005")))
+    expected = await identified(tmp_path / "good", good)
+    (dead,) = (sweep for sweep in bundle.sweeps if sweep.spec.id == "0005")
+    dead.recording.effort[:] = 0.0
+    async with opened(tmp_path, bundle) as there:
         path = there.files.path(there.store.recording(there.campaign, 2))
         path.write_bytes(path.read_bytes()[:-1])
-        await there.jobs.submit_imported(there.campaign)
-        await asyncio.wait_for(there.completed(), 120)
+        await asyncio.wait_for(there.identify(), 120)
         failed = {sweep.number: sweep.cause for sweep in there.store.sweeps(there.campaign) if sweep.cause}
         assert "recording file was changed" in failed[2]
         assert "is 0 at the line of 2 Hz" in failed[5]
         assert [state is SweepState.FAILED for state in there.states()] == [n in (2, 5) for n in range(1, SWEEPS + 1)]
         assert there.revisions() == [(1, 1), (2, 3), (3, 4), (4, 6), (5, 7)]
-        document = there.store.estimate(there.campaign).document
-    good = replace(bundle, sweeps=tuple(sweep for sweep in bundle.sweeps if sweep.spec.id not in ("0002", "0005")))
-    assert document == (await identified(tmp_path / "good", good))[1]
-
-
-def _new(folder: Path) -> Path:
-    folder.mkdir()
-    return folder
-
-
-def _dead(sweep: Sweep, id: str) -> Sweep:
-    if sweep.spec.id != id:
-        return sweep
-    return replace(sweep, recording=replace(sweep.recording, effort=np.zeros_like(sweep.recording.effort)))
+        assert there.store.estimate(there.campaign).document == expected[1]
 
 
 def _recorded(numbers: Sequence[int], count: int | None = None) -> list[SweepDocument]:
@@ -360,18 +345,18 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Archive]:
 def check_same(stored: Archive, number: int) -> None:
     """Every campaign has one result, which is the stored estimate to 1e-9."""
     results = stored.batches.results(number)
-    assert [one.campaign_id for one in results] == list(stored.campaigns)
-    assert {one.cause for one in results} == {""}
+    assert [(one.campaign_id, one.cause) for one in results] == [(campaign, "") for campaign in stored.campaigns]
     for one in results:
         new = Estimate.read(stored.batches.result(number, one.campaign_id).document, "new")
         old = stored.store.estimate(one.campaign_id).content
         for joint, axis in old.axes.items():
-            assert [sweep.sweep for sweep in axis.inertia] == [sweep.sweep for sweep in new.axes[joint].inertia]
-            for before, now in zip(axis.inertia, new.axes[joint].inertia, strict=True):
-                assert now.value == pytest.approx(before.value, rel=1e-9)
-                assert now.std == pytest.approx(before.std, rel=1e-9)
-        for before, now in zip(old.base_parameters, new.base_parameters, strict=True):
-            assert now.value == pytest.approx(before.value, rel=1e-9, abs=1e-9)
+            now = new.axes[joint].inertia
+            assert [sweep.sweep for sweep in axis.inertia] == [sweep.sweep for sweep in now]
+            for name in ("value", "std"):
+                expected = [getattr(sweep, name) for sweep in axis.inertia]
+                assert [getattr(sweep, name) for sweep in now] == pytest.approx(expected, rel=1e-9)
+        expected = [parameter.value for parameter in old.base_parameters]
+        assert [parameter.value for parameter in new.base_parameters] == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
 async def test_one_worker_finds_the_same_and_the_next_process_goes_on(stored: Archive) -> None:

@@ -5,9 +5,10 @@ anything slow.
 import asyncio
 import threading
 import time
-from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from functools import partial
+from unittest.mock import Mock
 
 import pytest
 from sqlalchemy.exc import TimeoutError as PoolTimeout
@@ -24,7 +25,7 @@ from service.store.lease_and_latch import LeaseLost, MachineLease, StopLatch
 from service.store.people.audit import AuditStore, AuditWriter
 from service.store.people.users import KeyStore
 from service.web.application import tell_own_stop
-from tests.unit.service.campaigns.conftest import LEASE_TIME, TIMEOUT, Bench, command, keeping, refusing, until
+from tests.unit.service.campaigns.conftest import LEASE_TIME, TIMEOUT, Barrier, Bench, command, keeping, refusing, until
 
 pytestmark = pytest.mark.slow
 
@@ -49,15 +50,12 @@ async def test_who_loses_the_lease_stops_leaves_the_bus_and_does_not_come_back(b
     assert bench.drive.trace == moved
 
 
-async def test_a_watch_over_the_lease_that_breaks_off_stops_the_machine(bench: Bench) -> None:
-    class Broken(MachineLease):
-        """Fails in a way that nobody thought of."""
-
-        def renew(self) -> None:
-            raise ArithmeticError("unforeseen")
-
+async def test_a_watch_over_the_lease_that_breaks_off_stops_the_machine(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(MachineLease, "renew", Mock(side_effect=ArithmeticError("unforeseen")))
     with pytest.raises(ArithmeticError):
-        await bench.machine.keep_lease(Broken(bench.database, LEASE_TIME), LEASE_TIME)
+        await bench.machine.keep_lease(MachineLease(bench.database, LEASE_TIME), LEASE_TIME)
     assert "stop" in bench.drive.trace
     assert "unforeseen" in bench.machine.held
     with pytest.raises(Conflict, match="may not move"):
@@ -171,42 +169,31 @@ async def test_a_cabinet_that_was_switched_off_and_on_meanwhile_is_connected_bef
     ]  # fmt: skip
 
 
-async def test_a_computer_that_comes_late_is_told_apart_from_a_database_that_does_not_answer(bench: Bench) -> None:
-    asked, answer = threading.Event(), threading.Event()
-
-    class Slow(MachineLease):
-        """Its answer does not come in time either."""
-
-        def renew(self) -> None:
-            asked.set()
-            answer.wait(TIMEOUT)
-
-    async with keeping(bench, Slow(bench.database, LEASE_TIME)):
-        await until(asked.is_set)
+async def test_a_computer_that_comes_late_is_told_apart_from_a_database_that_does_not_answer(
+    bench: Bench, barrier: Barrier, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    barrier.before(monkeypatch, MachineLease, "renew")  # its answer does not come in time either
+    lease = MachineLease(bench.database, LEASE_TIME)
+    lease.acquire()
+    async with keeping(bench, lease):
+        await until(barrier.reached.is_set)
         asyncio.get_running_loop().call_soon(time.sleep, LEASE_TIME)  # something else has the processor
         await until(lambda: bench.machine.held != "")
         late = "the machine's lease could not be renewed: this computer was delayed by 0."
         assert bench.machine.held.startswith(late)
         assert "stop" in bench.drive.trace  # who is late may have lost the machine all the same
-        answer.set()
+        barrier.opened.set()
         await until(lambda: bench.machine.held == "")
 
 
 PATIENCE = 20.0  # s
 
 
-class BetweenMotions:
+@pytest.fixture
+def between_motions(barrier: Barrier, monkeypatch: pytest.MonkeyPatch) -> Barrier:
     """Holds a campaign where its first sweep is over and nothing moves: its recording is being written."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.reached, self.go = threading.Event(), threading.Event()
-        self._finish = sweep_executor.finish
-        monkeypatch.setattr(sweep_executor, "finish", self._slow)
-
-    def _slow(self, *args, **kwargs):
-        self.reached.set()
-        assert self.go.wait(TIMEOUT)
-        return self._finish(*args, **kwargs)
+    barrier.before(monkeypatch, sweep_executor, "finish")
+    return barrier
 
 
 class Ailing(MachineLease):
@@ -221,30 +208,21 @@ class Ailing(MachineLease):
         self.renewed += 1
 
 
-class Lost(MachineLease):
-    """Another service has taken it."""
-
-    def renew(self) -> None:
-        raise LeaseLost("another service has taken the machine")
-
-
 async def test_a_campaign_between_two_motions_does_not_go_on_when_the_stop_is_reset(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
+    bench: Bench, between_motions: Barrier
 ) -> None:
-    between = BetweenMotions(monkeypatch)
     await bench.start()
-    await until(between.reached.is_set)
+    await until(between_motions.reached.is_set)
     stop = await bench.machine.stop("ada", "hand in the cell")
     moved = list(bench.drive.trace)
     await bench.machine.reset_stop("ada", [stop.id])
-    between.go.set()
-    await bench.over()
+    between_motions.opened.set()
+    campaign = await bench.over()
     assert set(bench.drive.trace[len(moved) :]) <= {"stop"}
-    campaign = bench.now
     assert (campaign.state, campaign.cause) == (CampaignState.PAUSED, "stopped by ada: hand in the cell")
-    assert bench.store.sweep(bench.campaign.id, 1).state is SweepState.RECORDED
-    second = bench.store.sweep(bench.campaign.id, 2)
-    assert (second.state, second.cause) == (SweepState.INTERRUPTED, "stopped by ada: hand in the cell")
+    first, second = bench.store.sweeps(bench.campaign.id)[:2]
+    assert first.state is SweepState.RECORDED
+    assert (second.state, second.cause) == (SweepState.INTERRUPTED, campaign.cause)
 
     await bench.resume(repeat=True)  # a person's word, and it goes on
     assert (await bench.over()).state is CampaignState.MEASURED
@@ -299,7 +277,8 @@ async def by_a_locked_database(bench: Bench) -> None:
 
 
 async def by_a_lost_lease(bench: Bench) -> None:
-    await bench.machine.keep_lease(Lost(bench.database, LEASE_TIME), LEASE_TIME)
+    lease = Mock(renew=Mock(side_effect=LeaseLost("another service has taken the machine")))
+    await bench.machine.keep_lease(lease, LEASE_TIME)
 
 
 async def by_a_fault(bench: Bench) -> None:
@@ -334,29 +313,21 @@ async def test_what_stops_the_machine_by_itself_is_in_the_audit(
 
 
 async def test_a_stop_that_comes_while_another_is_being_reset_holds(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
+    bench: Bench, barrier: Barrier, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await bench.machine.connect()
     stop = await bench.machine.stop("ada", "smoke")
-    resetting, go, reset = threading.Event(), threading.Event(), StopLatch.reset
-
-    def slow(latch: StopLatch, by: str, stops: Sequence[int]):
-        resetting.set()
-        assert go.wait(TIMEOUT)
-        return reset(latch, by, stops)
-
-    monkeypatch.setattr(StopLatch, "reset", slow)
+    barrier.before(monkeypatch, StopLatch, "reset")
     first = asyncio.create_task(bench.machine.reset_stop("ada", [stop.id]))
-    await until(resetting.is_set)
+    await until(barrier.reached.is_set)
     second = asyncio.create_task(bench.machine.stop("berta", "fire"))
     await until(lambda: bench.drive.trace.count("stop") == 2)
-    go.set()
+    barrier.opened.set()
     await first
     with pytest.raises(Conflict, match="stopped by berta: fire"):
         bench.machine.check_may_move(bench.intention)
     await second
-    assert bench.machine.latched is not None
-    assert bench.machine.latched.by == "berta"
+    assert [each.by for each in bench.machine.stops] == ["berta"]
 
 
 async def test_neither_stop_nor_lease_waits_while_all_shared_threads_are_busy(bench: Bench) -> None:

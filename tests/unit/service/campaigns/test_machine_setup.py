@@ -101,12 +101,14 @@ def test_a_changed_description_is_another_robot_and_another_file_name_is_not(
     made_for = setup.confirmed(changed, "workshop", {"robot": " max100-class "}, "Ada")
     assert (made_for.confirmed, made_for.by) == ({"robot": "max100-class"}, "Ada")
     setup.check(changed, "workshop", made_for)
-    with pytest.raises(Conflict, match="the plan is of cell hall"):
-        setup.check(changed, "hall", made_for)
-    with pytest.raises(Conflict, match="make the plan again"):
-        setup.check(changed, "workshop", made_for.model_copy(update={"machine": "cell 2"}))
-    with pytest.raises(Conflict, match="has none that is known"):
-        dataclasses.replace(setup, cell=None, missing=("set it",)).check(robot, "workshop", None)
+    unknown = dataclasses.replace(setup, cell=None, missing=("set it",))
+    for machine, which, cell, of, told in (
+        (setup, changed, "hall", made_for, "the plan is of cell hall"),
+        (setup, changed, "workshop", made_for.model_copy(update={"machine": "cell 2"}), "make the plan again"),
+        (unknown, robot, "workshop", None, "has none that is known"),
+    ):
+        with pytest.raises(Conflict, match=told):
+            machine.check(which, cell, of)
 
 
 def copy_of(store: Store, robot: RobotDocument, name: str) -> RobotDocument:
@@ -140,10 +142,12 @@ def test_the_approach_itself_stays_in_what_was_shown(bench: Bench) -> None:
     shown = with_approach({}, compiled.joints, here, [(0, 0.4)])
     assert shown == {"joint_1": (0.0, 0.4), "joint_2": (0.0, 0.0), "joint_3": (0.0, 0.0)}
     check_seen(shown, compiled, pose, here)
-    with pytest.raises(Conflict, match=r"joint_1 would move to 0.4000 rad, outside of 0.0000 to 0.3000 rad"):
-        check_seen(shown | {"joint_1": (0.0, 0.3)}, compiled, pose, here)
-    with pytest.raises(Conflict, match=r"joint_1 would move from 0.0000 to 0.4000 rad, which was not shown"):
-        check_seen({"joint_2": (0.0, 0.0)}, compiled, pose, here)
+    for seen, refusal in (
+        (shown | {"joint_1": (0.0, 0.3)}, "to 0.4000 rad, outside of 0.0000 to 0.3000 rad"),
+        ({"joint_2": (0.0, 0.0)}, "from 0.0000 to 0.4000 rad, which was not shown"),
+    ):
+        with pytest.raises(Conflict, match=f"joint_1 would move {refusal}"):
+            check_seen(seen, compiled, pose, here)
 
 
 CONFIG = Path(__file__).parents[4] / "config"
@@ -196,26 +200,19 @@ def test_rounded_values_lower_limits_and_what_a_profile_lacks_are_no_difference(
     assert told(robot, (*axes[:-1], axes[-1].model_copy(update=change))) == ""
 
 
-def test_joints_go_by_name_and_order(robot: Robot) -> None:
+def test_joints_go_by_name_and_order_and_those_that_do_not_move_need_no_drive(robot: Robot) -> None:
     axes = axes_of(PROFILES[0])
-    swapped = (axes[1], axes[0], *axes[2:])
-    assert told(robot, swapped).startswith("joints: robot r has joint_1, joint_2")
-    assert "profile p has joint_2, joint_1" in told(robot, swapped)
     other = tuple(axis.model_copy(update={"joint": f"axis_{k}"}) for k, axis in enumerate(axes))
-    assert "profile p has axis_0" in told(robot, other)
-
-
-def test_a_joint_that_does_not_move_needs_no_drive(robot: Robot) -> None:
-    axes = axes_of(PROFILES[0])[:3]
-    assert told(robot, axes, "joint_1", "joint_3") == ""
-    assert told(robot, axes, "joint_4").startswith("joints:")
-    assert told(robot, axes, "no_joint_of_it") == ""  # what the request says of it tells that
-
-
-def test_every_axis_that_differs_is_told_and_a_long_list_is_cut(robot: Robot) -> None:
-    axes = tuple(axis.model_copy(update={"gear_ratio": 1.0, "effort_limit": 1e9}) for axis in axes_of(PROFILES[0]))
-    sentence = told(robot, axes)
-    assert sentence.endswith("and 10 more")
+    differ = tuple(axis.model_copy(update={"gear_ratio": 1.0, "effort_limit": 1e9}) for axis in axes)
+    for drives, moved, words in (
+        ((axes[1], axes[0], *axes[2:]), (), ("joints: robot r has joint_1, joint_2", "profile p has joint_2, joint_1")),
+        (other, (), ("profile p has axis_0",)),
+        (axes[:3], ("joint_4",), ("joints:",)),
+        (differ, (), ("joint_1 gear ratio", "and 10 more")),  # a long list is cut
+    ):
+        assert all(word in told(robot, drives, *moved) for word in words)
+    assert told(robot, axes[:3], "joint_1", "joint_3") == ""
+    assert told(robot, axes[:3], "no_joint_of_it") == ""  # what the request says of it tells that
 
 
 def test_a_profile_with_other_words_is_compared_by_its_joints() -> None:
@@ -231,20 +228,23 @@ def test_a_profile_with_other_words_is_compared_by_its_joints() -> None:
 
 
 @pytest.fixture
-def planned(tmp_path: Path, robot: Robot) -> Iterator[tuple[Store, Settings, CampaignDocument]]:
-    """A campaign of a plan for a robot whose axis 6 has a gear of 60."""
-    axes = (*robot.axes[:-1], robot.axes[-1].model_copy(update={"gear_ratio": 60.0}))
-    other = build_robot(robot.description.model_copy(update={"axes": axes}), robot.urdf_text)
-    settings = Settings(cells_dir=CONFIG / "cells", drive=PROFILES[0])
+def store(tmp_path: Path) -> Iterator[Store]:
     with open_database(f"sqlite:///{tmp_path / 'sweepid.sqlite'}") as database:
-        store = Store(database)
-        robot_id = store.add_robot(other).id
-        request = PlanRequest(
-            robot_id=robot_id, axes=("joint_2",), varied=("joint_3",), step=30.0, poses=1, cell="workshop"
-        )
-        document = build_plan(other, request, read_cell(CONFIG / "cells/workshop.yaml"))
-        plan = store.add_plan(robot_id, document.model_dump(mode="json"))
-        yield store, settings, store.add_campaign(plan.id, planned_sweeps(plan))
+        yield Store(database)
+
+
+SETTINGS = Settings(cells_dir=CONFIG / "cells", drive=PROFILES[0])
+
+
+def planned(store: Store, stored: Robot, planned_for: Robot) -> CampaignDocument:
+    """A campaign of one pose of a stored robot, planned with these limits."""
+    robot_id = store.add_robot(stored).id
+    request = PlanRequest(
+        robot_id=robot_id, axes=("joint_2",), varied=("joint_3",), step=30.0, poses=1, cell="workshop"
+    )
+    document = build_plan(planned_for, request, read_cell(CONFIG / "cells/workshop.yaml"))
+    plan = store.add_plan(robot_id, document.model_dump(mode="json"))
+    return store.add_campaign(plan.id, planned_sweeps(plan))
 
 
 def setup(store: Store, axes: tuple[DriveAxis, ...]) -> MachineSetup:
@@ -252,15 +252,17 @@ def setup(store: Store, axes: tuple[DriveAxis, ...]) -> MachineSetup:
     return MachineSetup("machine", axes, robot=store.robots()[0], cell="workshop")
 
 
-def test_a_campaign_for_another_machine_has_no_course(planned: tuple[Store, Settings, CampaignDocument]) -> None:
-    """`compile_plan` is asked at every start and resume."""
-    store, settings, campaign = planned
+def test_a_campaign_for_another_machine_has_no_course(store: Store, robot: Robot) -> None:
+    """Its robot's axis 6 has a gear of 60. `compile_plan` is asked at every start and resume."""
+    axes = (*robot.axes[:-1], robot.axes[-1].model_copy(update={"gear_ratio": 60.0}))
+    other = build_robot(robot.description.model_copy(update={"axes": axes}), robot.urdf_text)
+    campaign = planned(store, other, other)
     with pytest.raises(Conflict) as refusal:
-        compile_plan(store, settings, setup(store, axes_of(PROFILES[0])), campaign)
+        compile_plan(store, SETTINGS, setup(store, axes_of(PROFILES[0])), campaign)
     said = str(refusal.value)
     assert said.startswith(f"campaign {campaign.id} is for another machine: joint_6 gear ratio: robot max100-class")
     assert f"has 60, drive profile {PROFILES[0]} has 101" in said
-    assert "joint_1" in compile_plan(store, settings, setup(store, axes_of(PROFILES[0])[:3]), campaign).joints
+    assert "joint_1" in compile_plan(store, SETTINGS, setup(store, axes_of(PROFILES[0])[:3]), campaign).joints
 
 
 def lowered(axes: tuple[DriveAxis, ...]) -> tuple[DriveAxis, ...]:
@@ -268,20 +270,14 @@ def lowered(axes: tuple[DriveAxis, ...]) -> tuple[DriveAxis, ...]:
     return (axes[0], axes[1].model_copy(update={"effort_limit": 6000.0, "velocity_limit": 0.05}), *axes[2:])
 
 
-def test_limits_of_the_drives_below_the_robots_are_the_limits(robot: Robot) -> None:
-    axes = lowered(axes_of(PROFILES[0]))
-    limited = on_machine(robot, (*axes[:-1], DriveAxis(joint="joint_6", effort_limit=1e9)))
-    joint = limited.chain.joints[1]
-    assert (joint.effort, joint.velocity) == (6000.0, 0.05)
-    assert limited.chain.joints[5].effort == robot.chain.joints[5].effort  # never more than the robot's
+def test_limits_of_the_drives_below_the_robots_are_the_limits_and_are_told(robot: Robot) -> None:
+    wide = DriveAxis(joint="joint_6", effort_limit=1e9, position_limits=(-3.0, 7.0))
+    limited = on_machine(robot, (*lowered(axes_of(PROFILES[0]))[:-1], wide))
     assert np.array_equal(limited.chain.inertial, robot.chain.inertial)
-    assert (joint.lower, joint.upper) == (robot.chain.joints[1].lower, robot.chain.joints[1].upper)
-
-
-def test_narrower_position_limits_of_a_profile_are_the_limits_and_are_told(robot: Robot) -> None:
-    axes = (*axes_of(PROFILES[0])[:-1], DriveAxis(joint="joint_6", position_limits=(-3.0, 7.0)))
-    joint = on_machine(robot, axes).chain.joints[5]
-    assert (joint.lower, joint.upper) == (-3.0, robot.chain.joints[5].upper)
+    for index, own in ((1, {"effort": 6000.0, "velocity": 0.05}), (5, {"lower": -3.0})):  # never more than the robot's
+        expected = vars(robot.chain.joints[index]) | own
+        for name in ("lower", "upper", "velocity", "effort"):
+            assert getattr(limited.chain.joints[index], name) == expected[name]
     one = DriveAxis(joint="joint_6", position_limits=(-3.0, 6.28), effort_limit=90.0)
     assert narrowed(robot, [one]) == (
         "joint_6 lower limit -3 instead of -6.28 rad; joint_6 effort limit 90 instead of 700 N m"
@@ -300,21 +296,13 @@ def test_a_profile_wider_than_the_soft_limits_of_the_robot_is_refused(robot: Rob
     assert told(gentle, axes_of(PROFILES[0])) == "joint_6 lower limit: robot r has -1.5 rad, profile p has -6.28 rad"
 
 
-def test_a_plan_for_weaker_drives_keeps_their_limits(tmp_path: Path, robot: Robot) -> None:
+@pytest.mark.parametrize("allowed", [True, False])
+def test_a_plan_for_weaker_drives_keeps_their_limits(store: Store, robot: Robot, allowed: bool) -> None:
     """And one that was made for stronger drives is refused before anything moves."""
-    axes, cell = lowered(axes_of(PROFILES[0])), read_cell(CONFIG / "cells/workshop.yaml")
-    settings = Settings(cells_dir=CONFIG / "cells", drive=PROFILES[0])
-    with open_database(f"sqlite:///{tmp_path / 'sweepid.sqlite'}") as database:
-        store = Store(database)
-        robot_id = store.add_robot(robot).id
-        request = PlanRequest(
-            robot_id=robot_id, axes=("joint_2",), varied=("joint_3",), step=30.0, poses=1, cell="workshop"
-        )
-        for machine, allowed in ((on_machine(robot, axes), True), (robot, False)):
-            plan = store.add_plan(robot_id, build_plan(machine, request, cell).model_dump(mode="json"))
-            campaign = store.add_campaign(plan.id, planned_sweeps(plan))
-            compiled = compile_plan(store, settings, setup(store, axes), campaign)
-            (sweep,), (command,) = planned_sweeps(plan), compiled.commands.values()
-            with nullcontext() if allowed else pytest.raises(EnvelopeViolation, match=r"joint_2: .* limit"):
-                compiled.envelope.check_sweep(command, sweep.spec.pose)
-            assert (command.effort_limit <= 6000.0) is allowed
+    axes = lowered(axes_of(PROFILES[0]))
+    campaign = planned(store, robot, on_machine(robot, axes) if allowed else robot)
+    compiled = compile_plan(store, SETTINGS, setup(store, axes), campaign)
+    (sweep,), (command,) = store.sweeps(campaign.id), compiled.commands.values()
+    with nullcontext() if allowed else pytest.raises(EnvelopeViolation, match=r"joint_2: .* limit"):
+        compiled.envelope.check_sweep(command, sweep.spec.pose)
+    assert (command.effort_limit <= 6000.0) is allowed

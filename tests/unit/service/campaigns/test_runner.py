@@ -6,11 +6,13 @@ import math
 import os
 import re
 import threading
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
+from contextlib import AsyncExitStack
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -23,7 +25,7 @@ from service.machine.execution.runner import Runner
 from service.model.errors import Conflict, EnvelopeViolation, NotFound
 from service.model.recording import Recording
 from service.store import tables as t
-from service.store.documents import CampaignState, RecordingState, SweepState
+from service.store.documents import CampaignDocument, CampaignState, RecordingState, SweepState
 from service.store.files.columns import read_columns
 from service.store.files.recordings import SweepAttempt
 from service.store.store import StaleVersion
@@ -32,6 +34,7 @@ from tests.unit.service.campaigns.conftest import (
     SETTLE,
     TIMEOUT,
     Again,
+    Barrier,
     Bench,
     Taken,
     refusing,
@@ -88,7 +91,7 @@ def check_energy(trace: list[str]) -> None:
 async def test_what_the_disk_refused_is_stored_when_the_campaign_goes_on(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(path: Path, recording: Recording) -> None:
+    def refuse(path: Path, _: Recording) -> None:
         raise OSError(30, "Read-only file system", str(path))
 
     bench.drive.fail[3] = DriveFault("over-current")
@@ -159,35 +162,35 @@ async def test_abort_stops_the_sweep_and_skips_the_rest(bench: Bench) -> None:
     assert bench.store.recording(bench.campaign.id, 1).samples == 500
 
 
-async def test_an_abort_in_the_moment_in_which_a_sweep_begins_leaves_none_running(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    begin, begins, go = bench.store.begin_sweep, threading.Event(), threading.Event()
-
-    def slow(*arguments):
-        begins.set()
-        go.wait(TIMEOUT)
-        return begin(*arguments)
-
-    monkeypatch.setattr(bench.store, "begin_sweep", slow)
+async def aborted_within(bench: Bench, barrier: Barrier) -> CampaignDocument:
+    """Aborted while the store is where the barrier is."""
     await bench.start()
-    await until(begins.is_set)
+    await until(barrier.reached.is_set)
     aborting = asyncio.create_task(bench.runner.abort(bench.campaign.id, "enough"))
     await until_cancelled(bench.campaign.id)
-    go.set()
-    aborted = await aborting
+    barrier.opened.set()
+    return await aborting
+
+
+async def test_an_abort_in_the_moment_in_which_a_sweep_begins_leaves_none_running(
+    bench: Bench, barrier: Barrier, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    barrier.before(monkeypatch, bench.store, "begin_sweep")
+    aborted = await aborted_within(bench, barrier)
     assert aborted.sweeps == {SweepState.INTERRUPTED: 1, SweepState.SKIPPED: 3}
     assert not any(entry.startswith(("enable", "move", "sweep")) for entry in bench.drive.trace)
 
 
 async def test_a_second_start_is_refused_while_one_runs(bench: Bench) -> None:
     await bench.in_a_sweep(0)
-    with pytest.raises(Conflict, match="campaign 1 is running"):
-        await bench.start()
-    with pytest.raises(Conflict, match="in use by campaign 1"):
-        await bench.machine.connect()
-    with pytest.raises(Conflict, match="in use by campaign 1"):
-        await bench.machine.acknowledge("joint_1")
+    assert bench.runner.sign_of_life(bench.campaign.id) is None  # who wants none waits for none
+    for refused, told in (
+        (bench.start, "campaign 1 is running"),
+        (bench.machine.connect, "in use by campaign 1"),
+        (partial(bench.machine.acknowledge, "joint_1"), "in use by campaign 1"),
+    ):
+        with pytest.raises(Conflict, match=told):
+            await refused()
     bench.drive.go.set()
     await bench.over()
 
@@ -246,17 +249,25 @@ async def test_one_refusal_leaves_no_sweep_running(faulted: Bench) -> None:
     assert faulted.store.campaign(1).cause == OVER_CURRENT
 
 
-async def aborted_in_vain(bench: Bench) -> None:
-    with refusing(bench):
+REFUSED = {SweepState.INTERRUPTED: 1, SweepState.PLANNED: 3}
+
+
+@pytest.mark.parametrize(
+    ("command", "after"),
+    [
+        ("abort", {SweepState.INTERRUPTED: 1, SweepState.SKIPPED: 3}),
+        ("start", REFUSED),
+        ("pause", REFUSED),
+        ("resume", {SweepState.RECORDED: 4}),
+    ],
+)
+async def test_the_next_command_stores_what_was_refused(
+    faulted: Bench, command: str, after: dict[SweepState, int]
+) -> None:
+    with refusing(faulted):
         with pytest.raises(SQLAlchemyError):
-            await asyncio.wait_for(bench.runner.abort(1, "enough"), TIMEOUT)
-        await bench.over()
-        assert bench.store.campaign(1).state is CampaignState.RUNNING
-
-
-@pytest.mark.parametrize("command", ["abort", "start", "pause", "resume"])
-async def test_the_next_command_stores_what_was_refused(faulted: Bench, command: str) -> None:
-    await aborted_in_vain(faulted)
+            await asyncio.wait_for(faulted.runner.abort(1, "enough"), TIMEOUT)
+        assert (await faulted.over()).state is CampaignState.RUNNING
     faulted.drive.fail.clear()
     if command == "abort":
         assert (await faulted.runner.abort(1, "enough")).state is CampaignState.ABORTED
@@ -267,10 +278,7 @@ async def test_the_next_command_stores_what_was_refused(faulted: Bench, command:
     else:
         with pytest.raises(Conflict, match="is not possible in state paused"):
             await (faulted.start() if command == "start" else faulted.runner.pause(1))
-    assert faulted.now.sweeps == {
-        "abort": {SweepState.INTERRUPTED: 1, SweepState.SKIPPED: 3},
-        "resume": {SweepState.RECORDED: 4},
-    }.get(command, {SweepState.INTERRUPTED: 1, SweepState.PLANNED: 3})
+    assert faulted.now.sweeps == after
 
 
 async def test_the_service_ends_while_the_database_refuses(faulted: Bench) -> None:
@@ -281,21 +289,11 @@ async def test_the_service_ends_while_the_database_refuses(faulted: Bench) -> No
         assert faulted.runner.running is None
 
 
-async def test_an_abort_while_the_end_of_a_sweep_is_stored_loses_no_result(bench: Bench) -> None:
-    end, inside, go = bench.store.end_sweep, threading.Event(), threading.Event()
-
-    def slow(*args, **kwargs):
-        inside.set()
-        go.wait(TIMEOUT)
-        return end(*args, **kwargs)
-
-    bench.store.end_sweep = slow
-    await bench.start()
-    await until(inside.is_set)
-    aborting = asyncio.create_task(bench.runner.abort(1, "enough"))
-    await until_cancelled(1)
-    go.set()
-    aborted = await aborting
+async def test_an_abort_while_the_end_of_a_sweep_is_stored_loses_no_result(
+    bench: Bench, barrier: Barrier, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    barrier.before(monkeypatch, bench.store, "end_sweep")
+    aborted = await aborted_within(bench, barrier)
     assert aborted.sweeps == {SweepState.RECORDED: 1, SweepState.SKIPPED: 3}
     assert isinstance(bench.jobs, Taken)
     assert bench.jobs.sweeps == [1]
@@ -304,42 +302,22 @@ async def test_an_abort_while_the_end_of_a_sweep_is_stored_loses_no_result(bench
     assert bench.files.streams() == {}
 
 
-@dataclass
-class Disk:
-    """One that takes nothing until `go` is set."""
-
-    stalled: threading.Event
-    go: threading.Event
-
-
 @pytest.fixture
-def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
-    disk, sync = Disk(threading.Event(), threading.Event()), os.fsync
-
-    def stall(file: int) -> None:
-        disk.stalled.set()
-        disk.go.wait(TIMEOUT)
-        sync(file)
-
-    monkeypatch.setattr("service.store.files.columns.os.fsync", stall)
-    yield disk
-    disk.go.set()
+def disk(barrier: Barrier, monkeypatch: pytest.MonkeyPatch) -> Barrier:
+    """One that takes nothing until it is opened."""
+    barrier.before(monkeypatch, os, "fsync")
+    return barrier
 
 
-async def test_samples_are_watched_while_the_disk_stalls(bench: Bench, disk: Disk) -> None:
-    samples = bench.drive.samples
-
-    def jolt(command):
-        block = samples(command)
-        block.velocity[1100] = 0.5
-        return block
-
-    bench.drive.samples = jolt
+async def test_samples_are_watched_while_the_disk_stalls(
+    bench: Bench, disk: Barrier, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured(lambda block: block.velocity.__setitem__(1100, 0.5))(bench, monkeypatch)
     await bench.start()
-    await until(disk.stalled.is_set)
+    await until(disk.reached.is_set)
     await until(lambda: "stop" in bench.drive.trace)
     assert bench.drive.energised == set()
-    disk.go.set()
+    disk.opened.set()
     await bench.over()
     sweep = bench.store.sweep(1, 1)
     assert sweep.state is SweepState.FAILED
@@ -348,64 +326,45 @@ async def test_samples_are_watched_while_the_disk_stalls(bench: Bench, disk: Dis
     assert (len(recording.time), float(recording.velocity.max())) == (1250, 0.5)
 
 
-async def test_an_abort_while_the_disk_stalls_stops_the_drives_first(bench: Bench, disk: Disk) -> None:
+async def test_an_abort_while_the_disk_stalls_stops_the_drives_first(bench: Bench, disk: Barrier) -> None:
     await bench.in_a_sweep(3)
-    await until(disk.stalled.is_set)
+    await until(disk.reached.is_set)
     aborting = asyncio.create_task(bench.runner.abort(1, "enough"))
     await until(lambda: "stop" in bench.drive.trace)
     assert bench.drive.energised == set()
-    disk.go.set()
+    disk.opened.set()
     await aborting
     assert bench.store.recording(1, 1).samples == 750
 
 
-SET_BY = (timedelta(hours=-1), timedelta(hours=1))
-
-
-async def pause_in_the_second_sweep(bench: Bench) -> None:
-    await bench.in_a_sweep()
-    await bench.runner.pause(bench.campaign.id)
-    bench.go_on()
-    assert (await bench.over()).state is CampaignState.PAUSED
-
-
-def set_clock(bench: Bench, by: timedelta) -> None:
-    """As if it had been set by so much since the campaign was started."""
-    with bench.database.write() as session:
-        row = session.get_one(t.CampaignRow, bench.campaign.id)
-        assert row.started_at is not None
-        row.started_at -= by
-
-
-async def go_on(bench: Bench) -> list[float]:
-    """When the sweeps began."""
-    await bench.resume()
-    await bench.over()
-    await until(lambda: bench.now.state is CampaignState.MEASURED)
-    return [sweep.spec.started_at for sweep in bench.store.sweeps(bench.campaign.id)]
-
-
-@pytest.mark.parametrize("by", SET_BY, ids=str)
-async def test_a_service_that_goes_on_does_not_notice(bench: Bench, by: timedelta) -> None:
-    await pause_in_the_second_sweep(bench)
-    set_clock(bench, by)
-    begun = await go_on(bench)
-    assert begun == sorted(begun)
-    assert 0 <= begun[0] <= begun[-1] < TIMEOUT
-
-
-async def test_after_a_restart_nothing_begins_before_what_was_measured(again: Again) -> None:
-    async with again() as bench:
-        await pause_in_the_second_sweep(bench)
-        set_clock(bench, timedelta(hours=-1))
-    async with again() as bench:
-        begun = await go_on(bench)
+@pytest.mark.parametrize("restarted", [False, True])
+@pytest.mark.parametrize("by", [timedelta(hours=-1), timedelta(hours=1)], ids=str)
+async def test_sweeps_begin_in_their_order_whatever_sets_the_clock(
+    again: Again, by: timedelta, restarted: bool
+) -> None:
+    """The clock is set by so much while the campaign is paused after its first sweep."""
+    async with AsyncExitStack() as stack:
+        bench = await stack.enter_async_context(again())
+        await bench.in_a_sweep()
+        await bench.runner.pause(bench.campaign.id)
+        bench.go_on()
+        assert (await bench.over()).state is CampaignState.PAUSED
+        with bench.database.write() as session:
+            row = session.get_one(t.CampaignRow, bench.campaign.id)
+            assert row.started_at is not None
+            row.started_at -= by
+        if restarted:
+            await stack.aclose()
+            bench = await stack.enter_async_context(again())
+        await bench.resume()
+        assert (await bench.over()).state is CampaignState.MEASURED
+        begun = [sweep.spec.started_at for sweep in bench.store.sweeps(bench.campaign.id)]
     assert begun == sorted(begun)
     assert begun[0] >= 0
-    assert begun[1] - begun[0] >= 6.3  # s, of the first sweep
-
-
-STEP = math.radians(0.5) / 20  # of the drives that do not do as they are told, every few milliseconds
+    if restarted:
+        assert begun[1] - begun[0] >= 6.3  # s, of the first sweep
+    else:
+        assert begun[-1] < TIMEOUT
 
 
 WHOLE = round((5 * 1.0 + RAMP + SETTLE + RAMP) * 250)  # samples of a sweep
@@ -513,6 +472,9 @@ def check_move(towards: Callable[[Bench, str, float], bool], error: Exception | 
     return make
 
 
+STEP = math.radians(0.5) / 20  # of the drives that do not do as they are told, every few milliseconds
+
+
 def away(bench: Bench, joint: str, _position: float) -> bool:
     bench.drive.position[joint] -= STEP
     return True  # until it is stopped
@@ -529,23 +491,14 @@ def stuck(_bench: Bench, _joint: str, _position: float) -> bool:
 
 
 def no_room(bench: Bench, patch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
-        raise EnvelopeViolation("no room")
-
-    patch.setattr(bench.compile_plan(bench.campaign).envelope, "check_move", refuse)
+    envelope = bench.compile_plan(bench.campaign).envelope
+    patch.setattr(envelope, "check_move", Mock(side_effect=EnvelopeViolation("no room")))
 
 
 def full_disk(bench: Bench, patch: pytest.MonkeyPatch) -> None:
     """It takes all but the last block."""
-    written, sync = list[int](), os.fsync
-
-    def refuse(file: int) -> None:
-        written.append(file)
-        if len(written) == 7:
-            raise OSError(28, "No space left on device")
-        sync(file)
-
-    patch.setattr("service.store.files.columns.os.fsync", refuse)
+    full = OSError(28, "No space left on device")
+    patch.setattr(os, "fsync", Mock(side_effect=[*[None] * 6, full, *[None] * 100]))
 
 
 FAR = "distance from the planned pose {} rad is above the limit 0.002 rad"
@@ -594,11 +547,10 @@ async def test_trouble_ends_the_sweep_and_waits_for_a_person(bench: Bench, name:
             with pytest.raises(NotFound):
                 bench.store.recording(campaign.id, case.sweep)
         else:
-            partial = bench.store.recording(campaign.id, case.sweep)
-            recording = read_columns(bench.files.path(partial))
-            assert (partial.state, partial.samples, len(recording.time)) == (
-                RecordingState.PARTIAL, case.kept, case.kept
-            )  # fmt: skip
+            stored = bench.store.recording(campaign.id, case.sweep)
+            recording = read_columns(bench.files.path(stored))
+            assert stored.state is RecordingState.PARTIAL
+            assert stored.samples == len(recording.time) == case.kept
             assert (recording.effort.max() == 1300.0) == (name == "effort outside")  # what ended it is kept
         assert bench.files.streams() == {}
         if name == "lost connection":

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sqlalchemy import text
 
 from drivers.errors import Cause, CauseCode, DriveFault
 from drivers.ports import SineCommand, SweepCommand, SweepMode
@@ -21,8 +20,8 @@ from service.planning.compiled_plan import CompiledPlan
 from service.planning.documents import TrajectoryPlan, TrajectoryRequest, at_once
 from service.planning.safety.envelope import Envelope, commanded_motion, path_of
 from service.planning.trajectories import build_trajectory_plan
-from service.store.documents import CampaignDocument, CampaignState, NewSweep, RecordingState, SweepState
-from tests.unit.service.campaigns.conftest import SPECTRUM, TIMEOUT, Bench, Taken, nobody_needed
+from service.store.documents import CampaignState, NewSweep, RecordingState, SweepState
+from tests.unit.service.campaigns.conftest import SPECTRUM, TIMEOUT, Bench, Taken, nobody_needed, refusing
 from tests.unit.service.campaigns.formula_drive import FormulaDrive
 from tests.unit.service.campaigns.small_arm import small_arm
 
@@ -152,8 +151,11 @@ def command(joint: str) -> SweepCommand:
     )
 
 
+Trajectory = tuple[Runner, int]
+
+
 @pytest.fixture
-async def campaign(bench: Bench, envelope_of_max100: Envelope) -> AsyncIterator[tuple[Runner, CampaignDocument]]:
+async def campaign(bench: Bench, envelope_of_max100: Envelope) -> AsyncIterator[Trajectory]:
     """One trajectory of two axes, and a runner that knows that they belong together."""
     specs = [
         SweepSpec.model_validate(
@@ -170,9 +172,14 @@ async def campaign(bench: Bench, envelope_of_max100: Envelope) -> AsyncIterator[
     compiled = CompiledPlan(joints, commands, envelope_of_max100, 0.1, 2e-3, trajectories=((1, 2),))
     executor = SweepExecutor(bench.store, bench.files, bench.machine, bench.hub)
     runner = Runner(bench.store, bench.machine, executor, bench.jobs, lambda _: compiled, nobody_needed(bench.database))
-    yield runner, campaign
+    yield runner, campaign.id
     await runner.close()
     executor.close()
+
+
+async def over(bench: Bench, runner: Runner) -> None:
+    await asyncio.wait_for(runner.finished(), TIMEOUT)
+    assert bench.drive.energised == set()
 
 
 @pytest.fixture
@@ -180,57 +187,52 @@ def envelope_of_max100(robot: Robot) -> Envelope:
     return Envelope(robot, Cell(name="empty"))
 
 
-async def test_trouble_with_one_axis_fails_all_and_all_are_repeated(
-    bench: Bench, campaign: tuple[Runner, CampaignDocument]
-) -> None:
-    runner, planned = campaign
+async def test_trouble_with_one_axis_fails_all_and_all_are_repeated(bench: Bench, campaign: Trajectory) -> None:
+    runner, number = campaign
     bench.drive.fail[3] = DriveFault("joint_2: fault 8611h")
-    await runner.start(planned.id, bench.intention)
-    await asyncio.wait_for(runner.finished(), TIMEOUT)
-    assert bench.drive.energised == set()
-    assert bench.store.campaign(planned.id).state is CampaignState.PAUSED
-    for sweep in bench.store.sweeps(planned.id):
+    await runner.start(number, bench.intention)
+    await over(bench, runner)
+    assert bench.store.campaign(number).state is CampaignState.PAUSED
+    for sweep in bench.store.sweeps(number):
         assert (sweep.state, sweep.cause) == (SweepState.FAILED, "DriveFault: joint_2: fault 8611h")
-        assert bench.store.recording(planned.id, sweep.number).state is RecordingState.PARTIAL
+        assert bench.store.recording(number, sweep.number).state is RecordingState.PARTIAL
     assert bench.files.streams() == {}
     bench.drive.fail.clear()
-    await runner.resume(planned.id, bench.intention, repeat=True)
-    await asyncio.wait_for(runner.finished(), TIMEOUT)
-    assert [(sweep.state, sweep.attempt) for sweep in bench.store.sweeps(planned.id)] == [(SweepState.RECORDED, 2)] * 2
+    await runner.resume(number, bench.intention, repeat=True)
+    await over(bench, runner)
+    assert [(sweep.state, sweep.attempt) for sweep in bench.store.sweeps(number)] == [(SweepState.RECORDED, 2)] * 2
 
 
 async def test_a_trajectory_of_which_one_axis_was_identified_does_not_block_its_campaign(
-    bench: Bench, campaign: tuple[Runner, CampaignDocument]
+    bench: Bench, campaign: Trajectory
 ) -> None:
-    runner, planned = campaign
+    runner, number = campaign
     store, identify, fail = bench.store, sweep_move(SweepEvent.IDENTIFY), sweep_move(SweepEvent.FAIL)
     bench.drive.hold = 2
-    await runner.start(planned.id, bench.intention)
+    await runner.start(number, bench.intention)
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
-    await runner.pause(planned.id)
+    await runner.pause(number)
     bench.go_on()
-    await asyncio.wait_for(runner.finished(), TIMEOUT)
-    store.add_estimate([(store.sweep(planned.id, 1), SPECTRUM)], identify, {})
-    store.move_sweep(planned.id, 2, fail, Cause(CauseCode.NOT_IDENTIFIED))
+    await over(bench, runner)
+    store.add_estimate([(store.sweep(number, 1), SPECTRUM)], identify, {})
+    store.move_sweep(number, 2, fail, Cause(CauseCode.NOT_IDENTIFIED))
     before = len(bench.drive.trace)
-    await runner.resume(planned.id, bench.intention, repeat=True)
-    await asyncio.wait_for(runner.finished(), TIMEOUT)
-    ended = store.campaign(planned.id)
+    await runner.resume(number, bench.intention, repeat=True)
+    await over(bench, runner)
+    ended = store.campaign(number)
     assert (ended.state, ended.sweeps) == (CampaignState.COMPLETED, {SweepState.IDENTIFIED: 1, SweepState.SKIPPED: 1})
-    assert store.sweep(planned.id, 2).cause == ended.cause
+    assert store.sweep(number, 2).cause == ended.cause
     assert "can only be repeated completely" in ended.cause
     assert not any(entry.startswith(("enable", "sweep")) for entry in bench.drive.trace[before:])
 
 
 async def test_what_was_recorded_is_identified_also_where_the_end_of_another_axis_is_refused(
-    bench: Bench, campaign: tuple[Runner, CampaignDocument]
+    bench: Bench, campaign: Trajectory
 ) -> None:
-    runner, planned = campaign
-    refuse = "NEW.number = 2 AND NEW.state = 'recorded' BEGIN SELECT RAISE(ABORT, 'no'); END"
-    with bench.database.write(quiet=True) as session:
-        session.execute(text(f"CREATE TRIGGER second BEFORE UPDATE ON sweep WHEN {refuse}"))
-    await runner.start(planned.id, bench.intention)
-    await asyncio.wait_for(runner.finished(), TIMEOUT)
-    assert [sweep.state for sweep in bench.store.sweeps(planned.id)] == [SweepState.RECORDED, SweepState.FAILED]
+    runner, number = campaign
+    with refusing(bench, "UPDATE ON sweep WHEN NEW.number = 2 AND NEW.state = 'recorded'"):
+        await runner.start(number, bench.intention)
+        await over(bench, runner)
+    assert [sweep.state for sweep in bench.store.sweeps(number)] == [SweepState.RECORDED, SweepState.FAILED]
     assert isinstance(bench.jobs, Taken)
     assert bench.jobs.sweeps == [1]

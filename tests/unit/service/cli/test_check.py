@@ -8,7 +8,7 @@ import pytest
 
 from service.model.recording import Sweep
 from service.store.files.bundle import write_bundle
-from tests.command import carried_out, sweepid
+from tests.command import carried_out
 from tests.unit.service.data_check.conftest import lift_sweep, pair
 
 
@@ -32,10 +32,3 @@ def test_a_table_for_people_or_json_alone_and_zero_whatever_was_found(reversed_t
 def test_nothing_found_is_said(tmp_path: Path) -> None:
     write_bundle(tmp_path / "bundle", pair(), [lift_sweep(1)])
     assert "Nothing found in 1 sweep." in carried_out("check", str(tmp_path / "bundle"))
-
-
-def test_what_cannot_be_read_is_one_line_and_two(reversed_torque: Path) -> None:
-    (reversed_torque / "sweeps/0002.parquet").unlink()
-    done = sweepid("check", str(reversed_torque), "--json", "-")
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.strip().endswith("0002.parquet sweep 0001: file does not exist")

@@ -26,7 +26,7 @@ from service.diagnosis.unfinished import unfinished
 from service.identification.design.diagnosis_sweeps import full_design
 from service.model.errors import BadInput
 from service.model.recording import Sweep
-from service.report import diagnosis_page
+from service.report.diagnosis import diagnosis_page
 from tests.numeric.campaign import max100
 from tests.stored.documents import axis_document as stored_axis, diagnosis
 from tests.unit.service.diagnosis.following import equations_of, known_to, swept
@@ -79,19 +79,14 @@ def test_a_sample_that_is_no_number_is_refused_with_axis_and_sweep(channel: str,
         diagnose_axis(max100(), JOINT, spoiled(sweeps, 2, channel, value), twin=False)
 
 
-def test_so_is_one_of_a_sweep_with_the_test_mass() -> None:
+def test_so_are_one_with_the_test_mass_and_efforts_whose_squares_overflow() -> None:
     sweeps = sweeps_of()
     weighed = Weighed(MASS, tuple(spoiled(sweeps, 1, "effort", np.nan)))
     with pytest.raises(BadInput, match=f"^sweep {sweeps[1].spec.id} of {JOINT}: 1 of .* values of effort"):
         diagnose_axis(max100(), JOINT, sweeps, weighed=weighed, twin=False)
-
-
-def test_efforts_whose_squares_overflow_are_refused_with_axis_and_sweep() -> None:
-    huge = [replace(one, recording=replace(one.recording, effort=1e160 * one.recording.effort)) for one in sweeps_of()]
-    with (
-        np.errstate(all="ignore"),
-        pytest.raises(BadInput, match=f"^sweep .* of {JOINT}: .* the squares of its effort"),
-    ):
+    huge = [replace(one, recording=replace(one.recording, effort=1e160 * one.recording.effort)) for one in sweeps]
+    place = f"^sweep .* of {JOINT}: .* the squares of its effort"
+    with np.errstate(all="ignore"), pytest.raises(BadInput, match=place):
         diagnose_axis(max100(), JOINT, huge, twin=False)
 
 
@@ -172,10 +167,9 @@ def test_the_fits_of_load_and_shapes_in_turn_say_how_they_ended() -> None:
 def offset(sweeps: Sequence[Sweep], seed: int) -> list[Sweep]:
     """The sweeps with another offset of the effort in each, N m."""
     random = np.random.default_rng(seed)
-    return [
-        replace(one, recording=replace(one.recording, effort=one.recording.effort + random.normal(0, 10.0)))
-        for one in sweeps
-    ]
+    for one in sweeps:
+        one.recording.effort[:] += random.normal(0, 10.0)
+    return list(sweeps)
 
 
 def test_the_noise_of_a_gain_says_whether_it_has_settled() -> None:
@@ -195,11 +189,8 @@ def test_a_search_that_used_up_its_steps_is_a_warning_of_the_axis() -> None:
     start = chosen()
     alone = replace(start, chosen=start.chosen.searched(0, Ended.UNFINISHED), ended=Ended.UNFINISHED)
     of_shape, of_load, of_gain = unfinished(JOINT, alone, WeighedGain(1.0, 0.01, 0.2))
-    assert (of_shape.effect, of_load.effect, of_gain.effect) == (
-        "friction_temperature_drift",
-        None,
-        "torque_constant_error",
-    )
+    effects = (of_shape.effect, of_load.effect, of_gain.effect)
+    assert effects == ("friction_temperature_drift", None, "torque_constant_error")
     assert of_shape.sentence.startswith(f"{JOINT}: the search of the shape of friction temperature drift used up its")
     assert "load" in of_load.sentence
     assert "still changes by 20 % in the last round; limit 5 %" in of_gain.sentence

@@ -103,8 +103,7 @@ def test_drift_needs_warmth() -> None:
 
 def test_a_mass_is_asked_for_once_both_directions_were_run() -> None:
     rivals = ["payload", "torque_constant_error"]
-    first = needed(FORWARD, {}, rivals, load=heavier(0.05))
-    assert first.kind == "backward_slow"
+    assert needed(FORWARD, {}, rivals, load=heavier(0.05)).kind == "backward_slow"
     then = needed(SLOW, {}, rivals, load=heavier(0.05))
     assert (then.kind, then.blocks) == ("test_mass", SLOW)
     assert then.seconds == machine_time(then.sweeps) + BOLTING
@@ -153,32 +152,22 @@ def test_nothing_found_asks_for_what_shows_the_unseen() -> None:
     assert asked(FORWARD, COULOMB, ["coulomb_friction"], Verdict.NAMED) is None
 
 
-@pytest.mark.parametrize(("blocks", "names"), [(FORWARD, True), (BLOCKS, False)])
-def test_one_direction_leaves_ties_that_all_blocks_settle(blocks: Sequence[str], names: bool) -> None:
-    robot = max100()
-    sweeps = swept("joint_2", POSES[:2], COULOMB, blocks=blocks)
-    candidates = ["coulomb_friction", "asymmetric_friction", "effort_offset"]
-    selection = select(equations_of(robot, "joint_2", sweeps), (), candidates)
-    ties = {"asymmetric_friction", "effort_offset"} if names else set()
-    assert tie_sets(selection, (), candidates) == {"coulomb_friction": ties}
-
-
-def test_friction_that_would_push_gives_way_to_what_physics_allows() -> None:
-    robot = max100()
-    sweeps = swept("joint_2", POSES[:2], {Term("effort_offset"): (-60.0,)}, blocks=FORWARD)
-    selection = select(equations_of(robot, "joint_2", sweeps), (), ["coulomb_friction", "effort_offset"])
-    assert selection.chosen.names == ("effort_offset",)
-
-
-def test_what_a_named_effect_contains_is_no_rival() -> None:
-    robot = max100()
-    sweeps = following(
-        robot, "joint_2", full_design(robot, "joint_2", POSES[:2], sample_rate=RATE),
-        {Term("asymmetric_friction"): (60.0, 2.0, 0.0)},
-    )  # fmt: skip
-    candidates = ["coulomb_friction", "asymmetric_friction"]
-    selection = select(equations_of(robot, "joint_2", sweeps), (), candidates)
-    assert list(tie_sets(selection, (), candidates).values()) == [set()]
+@pytest.mark.parametrize(
+    ("blocks", "name", "values", "left_out", "ties"),
+    [
+        (FORWARD, "coulomb_friction", (60.0,), "", {"asymmetric_friction", "effort_offset"}),
+        (BLOCKS, "coulomb_friction", (60.0,), "", set[str]()),
+        (BLOCKS, "asymmetric_friction", (60.0, 20.0, 300.0), "effort_offset", set[str]()),  # it contains the other
+        (FORWARD, "effort_offset", (-60.0,), "asymmetric_friction", {"coulomb_friction"}),  # friction never pushes
+    ],
+)
+def test_one_direction_leaves_ties_that_all_blocks_settle(
+    blocks: Sequence[str], name: str, values: tuple[float, ...], left_out: str, ties: set[str]
+) -> None:
+    sweeps = swept("joint_2", POSES[:2], {Term(name): values}, blocks=blocks)
+    candidates = [one for one in ("coulomb_friction", "asymmetric_friction", "effort_offset") if one != left_out]
+    selection = select(equations_of(max100(), "joint_2", sweeps), (), candidates)
+    assert tie_sets(selection, (), candidates) == {name: ties}
 
 
 def test_the_papers_sweeps_can_be_followed_by_any_block() -> None:
@@ -197,17 +186,13 @@ TRAVEL = float(np.radians(4.0))
 
 def test_every_block_twice_back_to_back_and_the_first_pose_once_more() -> None:
     designed = full_design(max100(), "joint_2", THREE)
-    labels = [(sweep.spec.block, sweep.spec.repeat) for sweep in designed]
-    assert labels[: 2 * len(BLOCKS)] == [(block, repeat) for block in BLOCKS for repeat in (0, 1)]
-    assert [block for block, _ in labels[-4:]] == ["revisit_forward_slow"] * 2 + ["revisit_backward_slow"] * 2
+    again = ("revisit_forward_slow", "revisit_backward_slow")
+    wanted = [(block, repeat) for block in (*BLOCKS * len(THREE), *again) for repeat in (0, 1)]
+    assert [(sweep.spec.block, sweep.spec.repeat) for sweep in designed] == wanted
     assert designed[-1].spec.pose == designed[0].spec.pose
-    assert len(designed) == 2 * len(BLOCKS) * len(THREE) + 4
-
-
-def test_sweeps_follow_one_another_in_time() -> None:
-    designed = full_design(max100(), "joint_1", THREE)
     for before, after in pairwise(designed):
         assert after.spec.started_at > before.spec.started_at + before.duration
+    assert machine_time(designed[:2]) > sum(sweep.duration for sweep in designed[:2]) + 2 * 2.0  # with the way back
 
 
 def test_only_reversal_reverses_and_travel_stays_small() -> None:
@@ -222,22 +207,15 @@ def test_only_reversal_reverses_and_travel_stays_small() -> None:
         assert spec.measure_from == sweep.ramp + sweep.settle
 
 
-def test_the_paper_goes_one_way_once() -> None:
-    designed = paper_design(max100(), "joint_2", THREE)
-    assert [(s.spec.block, s.spec.repeat) for s in designed] == [("forward_slow", 0)] * 3
-    assert {sine.frequency for s in designed for sine in s.spec.sines} == {2.0, 3.0, 4.0, 5.0}
-
-
 def test_blocks_are_told_by_what_the_sweeps_are() -> None:
     robot = max100()
-    specs = [
-        one.spec.model_copy(update={"block": "of another day"}) for one in full_design(robot, "joint_2", THREE[:1])
-    ]
-    assert measured_blocks(specs) == set(BLOCKS)
-    assert not is_partial(specs)
+    designed = full_design(robot, "joint_2", THREE[:1])
+    specs = [one.spec.model_copy(update={"block": "of another day"}) for one in designed]
+    assert (measured_blocks(specs), is_partial(specs)) == (set(BLOCKS), False)
     paper = [one.spec for one in paper_design(robot, "joint_2", THREE)]
-    assert measured_blocks(paper) == {"forward_slow"}
-    assert is_partial(paper)
+    assert [(spec.block, spec.repeat) for spec in paper] == [("forward_slow", 0)] * 3
+    assert {sine.frequency for spec in paper for sine in spec.sines} == {2.0, 3.0, 4.0, 5.0}
+    assert (measured_blocks(paper), is_partial(paper)) == ({"forward_slow"}, True)
     record = paper[0].model_copy(update={"excitation": "trajectory", "sines": ()})
     assert (measured_blocks([record]), is_partial([record])) == (set(), False)
 
@@ -252,8 +230,3 @@ def test_other_poses_are_new_and_have_room() -> None:
     moved = poses != 0
     assert ((poses >= limits[:, 0] + ROOM) | ~moved).all()
     assert ((poses <= limits[:, 1] - ROOM) | ~moved).all()
-
-
-def test_machine_time_counts_the_way_back() -> None:
-    designed = full_design(max100(), "joint_2", THREE[:1], blocks=("forward_slow",), revisit=False)
-    assert machine_time(designed) > sum(sweep.duration for sweep in designed) + 2 * 2.0

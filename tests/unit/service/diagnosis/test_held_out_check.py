@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.diagnosis.fit.equations import Equations, Term, equations, grouped
-from service.diagnosis.fit.gap import ValidationResidual, gap
-from service.diagnosis.model.held_out_check import HeldOutCheck, check_held_out
-from service.diagnosis.rows.signals import tracks
+from service.diagnosis.fit.equations import Equations, Term
+from service.diagnosis.fit.gap import gap
+from service.diagnosis.model.held_out_check import check_held_out
 from service.identification.design.diagnosis_sweeps import full_design
 from service.model.recording import Recording, Sweep
 from simulator import DriveTrain, Measurement, Scenario, run_sweeps
 from tests.numeric.campaign import max100, scenario_named
+from tests.unit.service.diagnosis.following import equations_of
 from tests.unit.service.diagnosis.test_twin import run_of
 
 pytestmark = pytest.mark.slow
@@ -51,12 +51,7 @@ def measured(scenario: Scenario) -> tuple[Equations, list[Sweep]]:
         Sweep(design.spec, Recording(**{name: columns[name] for name in names}))
         for design, columns in zip(designs, recorded, strict=True)
     ]
-    motion = tracks(max100(), JOINT, sweeps)
-    return equations(motion, grouped(motion)), sweeps
-
-
-def found(given: Equations, shown: HeldOutCheck) -> ValidationResidual:
-    return gap(given, shown.before, shown.after, ())
+    return equations_of(max100(), JOINT, sweeps), sweeps
 
 
 def test_columns_and_twin_follow_a_gear_that_warms() -> None:
@@ -64,7 +59,7 @@ def test_columns_and_twin_follow_a_gear_that_warms() -> None:
     given, sweeps = warming()
     term = Term("friction_temperature_drift", (60.0, 1.0))
     shown = check_held_out(given, sweeps, [], [term], twin=True)
-    whole = found(given, shown)
+    whole = gap(given, shown.before, shown.after, ())
     assert shown.rolled_back == ()
     assert whole.after_rms < 0.2 * whole.before_rms
     assert shown.twin_rms is not None
@@ -81,8 +76,9 @@ def test_an_effect_that_is_not_there_is_rolled_back(twin: bool) -> None:
     shown = check_held_out(given, sweeps, [], [Term("coulomb_friction"), Term("cogging_torque")], twin=twin)
     assert shown.rolled_back == ("cogging_torque",)
     assert [effect.effect for effect in shown.fitted] == ["coulomb_friction"]
-    floor = found(given, shown).noise_floor_rms or 0.0
-    assert found(given, shown).after_rms < 1.1 * floor
+    whole = gap(given, shown.before, shown.after, ())
+    floor = whole.noise_floor_rms or 0.0
+    assert whole.after_rms < 1.1 * floor
     assert abs(shown.fit.viscous - 180.0) < 3.0
     assert np.all(shown.fit.inertia_std > 0)
     assert (shown.twin_rms is not None) == twin

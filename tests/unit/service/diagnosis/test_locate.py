@@ -43,13 +43,8 @@ def test_a_gap_that_is_everywhere_alike_has_no_pattern() -> None:
 def test_what_is_said_of_real_sweeps_is_what_their_cells_show() -> None:
     """Friction that grows with the load is a gap where the axis is slow: at speed, viscous friction passes for it."""
     robot = max100()
-    sweeps = swept(
-        "joint_2",
-        POSES,
-        {Term("load_dependent_friction", (1.0,)): (30.0, 0.05, 0.0)},
-        blocks=SLOW,
-    )
-    found = diagnose_axis(robot, "joint_2", sweeps, twin=False)
+    hidden = {Term("load_dependent_friction", (1.0,)): (30.0, 0.05, 0.0)}
+    found = diagnose_axis(robot, "joint_2", swept("joint_2", POSES, hidden, blocks=SLOW), twin=False)
     speeds = [one for one in found.cells if one.dimension == "speed"]
     largest = max(speeds, key=lambda one: one.rms)
     assert float(largest.value.split()[0]) == min(float(one.value.split()[0]) for one in speeds)

@@ -11,23 +11,23 @@ from service.diagnosis.fit.equations import Term, grouped, held_back
 from service.diagnosis.rows.rigid import deviations_left, load_rows, nominal_parameters
 from service.diagnosis.rows.signals import tracks
 from service.diagnosis.verdict import Verdict
-from service.identification.design.diagnosis_sweeps import full_design
 from service.identification.model.base_parameters import joint_ranges, reduce_columns
 from service.identification.model.regressor import parameter_names
 from service.model.recording import Sweep
 from tests.numeric.campaign import max100
-from tests.unit.service.diagnosis.following import FORWARD, following, heavier, known_to, swept
+from tests.unit.service.diagnosis.following import FORWARD, heavier, known_to, swept
 
 pytestmark = pytest.mark.slow
 
 JOINT = "joint_2"
 POSES = np.array([[0.0, angle, elbow, 0, 0, 0] for angle, elbow in ((-0.8, 0.3), (0.1, -0.5), (0.9, 0.9), (0.4, 0.2))])
+BLOCKS_RUN = ("forward_slow", "backward_slow", "wide")
 OFF = 0.1  # part by which CAD is off
 
 
 def test_a_healthy_machine_off_by_a_tenth_is_none_and_its_model_is_found() -> None:
     robot = max100()
-    sweeps = swept(JOINT, POSES, load=heavier(OFF), blocks=("forward_slow", "backward_slow", "wide"))
+    sweeps = swept(JOINT, POSES, load=heavier(OFF), blocks=BLOCKS_RUN)
     found = axis_document(diagnose_axis(robot, JOINT, sweeps, twin=False))
     assert (found["verdict"], found["effects"]) == ("none", [])
     for pose in found["fit"]["inertia"]:
@@ -59,13 +59,7 @@ def test_the_pose_of_middling_weight_is_held_back_of_four_and_none_of_three() ->
 
 
 DELAY = 4e-3  # s
-RIPPLES = (
-    6.0,
-    -4.0,
-    3.0,
-    2.0,
-)  # of the rated effort in per mille: sines and cosines of each order and its two neighbours
-BLOCKS_RUN = ("forward_slow", "backward_slow", "wide")
+RIPPLES = (6.0, -4.0, 3.0, 2.0)  # per mille of the rated effort: sines and cosines of each order and its neighbours
 NOISE = 5e-4  # of the rated effort
 
 
@@ -77,17 +71,14 @@ def _told_late(sweep: Sweep, noise: np.ndarray) -> Sweep:
 
 
 def test_ripples_of_a_torque_that_is_told_late() -> None:
-    robot, joint, random = known_to(0.1), "joint_2", np.random.default_rng(5)
-    rated = robot.axis(joint).rated_effort
+    robot, random = known_to(0.1), np.random.default_rng(5)
+    rated = robot.axis(JOINT).rated_effort
     poses = np.array([[0.0, angle, 0.3, 0.0, 0.0, 0.0] for angle in (-0.6, 0.5)])
-    designed = full_design(robot, joint, poses, sample_rate=250.0, blocks=BLOCKS_RUN, revisit=False)
-    sizes = 1e-3 * rated * np.resize(RIPPLES, 6 * len(robot.axis(joint).cogging_orders))
+    sizes = 1e-3 * rated * np.resize(RIPPLES, 6 * len(robot.axis(JOINT).cogging_orders))
     hidden = {Term("cogging_torque"): sizes.tolist()}
-    sweeps = [
-        _told_late(sweep, NOISE * rated * random.standard_normal(len(sweep.recording.time)))
-        for sweep in following(robot, joint, designed, hidden, noise=0.0)
-    ]
-    found = diagnose_axis(robot, joint, sweeps, twin=False)
+    exact = swept(JOINT, poses, hidden, robot=robot, blocks=BLOCKS_RUN, revisit=False, noise=0.0)
+    sweeps = [_told_late(one, NOISE * rated * random.standard_normal(len(one.recording.time))) for one in exact]
+    found = diagnose_axis(robot, JOINT, sweeps, twin=False)
     assert found.verdict is Verdict.NAMED
     named = {effect.name: effect.parameters for effect in found.effects}
     assert set(named) == {"cogging_torque", "measurement_delay"}

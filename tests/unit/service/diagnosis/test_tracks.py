@@ -1,6 +1,6 @@
 """Which sweeps are evidence."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,11 +9,10 @@ import pytest
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.fit.equations import Term, grouped
 from service.diagnosis.rows.signals import tracks
-from service.identification.design.diagnosis_sweeps import full_design
 from service.model.errors import BadInput
 from service.model.recording import Sweep
 from tests.numeric.campaign import max100
-from tests.unit.service.diagnosis.following import FORWARD, RATE, SLOW, following, swept
+from tests.unit.service.diagnosis.following import FORWARD, SLOW, swept
 
 pytestmark = pytest.mark.slow
 
@@ -45,42 +44,27 @@ def test_an_axis_that_holds_tells_nothing_of_its_torque() -> None:
     assert with_rest == moving
 
 
-def test_holding_alone_is_no_evidence() -> None:
-    robot = max100()
-    designed = full_design(robot, JOINT, POSES, blocks=FORWARD, sample_rate=RATE)
-    with pytest.raises(BadInput, match=f"{JOINT}.*has no sweep that moves"):
-        diagnose_axis(robot, JOINT, [held(following(robot, JOINT, designed)[0], 0.0)])
-
-
 def relabelled(sweeps: Sequence[Sweep], **changes: object) -> list[Sweep]:
     return [replace(sweep, spec=sweep.spec.model_copy(update=changes)) for sweep in sweeps]
 
 
 def test_repeats_are_what_moved_alike_whatever_its_label() -> None:
     """A CNC's own traces have no blocks: forward, fast and wide sweeps of one pose are no repeats of one another."""
-    robot = max100()
-    sweeps = following(robot, JOINT, full_design(robot, JOINT, POSES, sample_rate=RATE))
-    groups = grouped(tracks(robot, JOINT, relabelled(sweeps, block="")))
-    assert sum(len(group.pieces) for group in groups) == len(sweeps)
-    for group in groups:
-        motions = {sweeps[piece.sweep].spec.block.removeprefix("revisit_") for piece in group.pieces}
-        assert (len(motions), len(group.pieces) > 1) == (1, True)
+    robot, sweeps = max100(), swept(JOINT, POSES)
+    for label in ("", "mine"):  # one label makes no repeats of two motions
+        groups = grouped(tracks(robot, JOINT, relabelled(sweeps, block=label)))
+        assert sum(len(group.pieces) for group in groups) == len(sweeps)
+        for group in groups:
+            motions = {sweeps[piece.sweep].spec.block.removeprefix("revisit_") for piece in group.pieces}
+            assert (len(motions), len(group.pieces) > 1) == (1, True)
     assert diagnose_axis(robot, JOINT, relabelled(sweeps, block=""), twin=False).verdict.value == "none"
-
-
-def test_one_label_makes_no_repeats_of_two_motions() -> None:
-    robot = max100()
-    sweeps = relabelled(swept(JOINT, POSES[:1], blocks=SLOW), block="mine")
-    for group in grouped(tracks(robot, JOINT, sweeps)):
-        assert len({np.sign(sweeps[piece.sweep].spec.offset_velocity) for piece in group.pieces}) == 1
 
 
 def test_poses_that_differ_by_less_than_anybody_can_command_are_one() -> None:
     robot = max100()
-    designed = full_design(robot, JOINT, POSES, blocks=FORWARD, sample_rate=RATE)
     jittering = [
         replace(sweep, spec=sweep.spec.model_copy(update={"pose": tuple(p + 1e-6 * k for p in sweep.spec.pose)}))
-        for k, sweep in enumerate(following(robot, JOINT, designed))
+        for k, sweep in enumerate(swept(JOINT, POSES, blocks=FORWARD, revisit=False))
     ]
     found = tracks(robot, JOINT, jittering)
     assert len(found.poses) == len(POSES)
@@ -88,8 +72,7 @@ def test_poses_that_differ_by_less_than_anybody_can_command_are_one() -> None:
 
 
 def test_a_trajectory_of_several_axes_is_no_evidence() -> None:
-    robot = max100()
-    sweeps = swept(JOINT, POSES, blocks=FORWARD)
+    robot, sweeps = max100(), swept(JOINT, POSES, blocks=FORWARD)
     beside = relabelled(sweeps[:1], id="all", excitation="trajectory", block="trajectory 1 of 2 axes")
     shaken = [replace(one, recording=replace(one.recording, effort=one.recording.effort + 300.0)) for one in beside]
     assert axis_document(diagnose_axis(robot, JOINT, [*sweeps, *shaken])) == axis_document(
@@ -97,20 +80,23 @@ def test_a_trajectory_of_several_axes_is_no_evidence() -> None:
     )
 
 
-@pytest.mark.parametrize("channel", ["velocity", "effort"])
-def test_a_dead_channel_is_told(channel: str) -> None:
-    robot = max100()
-    designed = full_design(robot, JOINT, POSES[:1], blocks=FORWARD, sample_rate=RATE)
-    dead = [
-        replace(sweep, recording=replace(sweep.recording, **{channel: np.zeros_like(sweep.recording.time)}))
-        for sweep in following(robot, JOINT, designed)
-    ]
-    with pytest.raises(BadInput, match=f"{JOINT}.*{channel} is 0 in every sample"):
-        diagnose_axis(robot, JOINT, dead)
+def dead(sweeps: Sequence[Sweep], channel: str) -> list[Sweep]:
+    return [replace(one, recording=replace(one.recording, **{channel: 0 * one.recording.time})) for one in sweeps]
 
 
-def test_a_record_shorter_than_its_period_is_told() -> None:
-    robot = max100()
-    (short,) = relabelled(swept(JOINT, POSES[:1], blocks=FORWARD)[:1], excitation="trajectory", sines=(), period=100.0)
-    with pytest.raises(BadInput, match=r"period of 100 s is longer than its \d"):
-        diagnose_axis(robot, JOINT, [short])
+NO_EVIDENCE: list[tuple[Callable[[list[Sweep]], list[Sweep]], str]] = [
+    (lambda sweeps: dead(sweeps, "velocity"), f"{JOINT}.*velocity is 0 in every sample"),
+    (lambda sweeps: dead(sweeps, "effort"), f"{JOINT}.*effort is 0 in every sample"),
+    (lambda sweeps: [held(sweeps[0], 0.0)], f"{JOINT}.*has no sweep that moves"),
+    (
+        lambda sweeps: relabelled(sweeps[:1], excitation="trajectory", sines=(), period=100.0),
+        r"period of 100 s is longer than its \d",
+    ),
+]
+
+
+@pytest.mark.parametrize(("change", "words"), NO_EVIDENCE)
+def test_what_is_no_evidence_is_told(change: Callable[[list[Sweep]], list[Sweep]], words: str) -> None:
+    sweeps = swept(JOINT, POSES[:1], blocks=FORWARD)
+    with pytest.raises(BadInput, match=words):
+        diagnose_axis(max100(), JOINT, change(sweeps))

@@ -37,19 +37,11 @@ CASES: dict[str, tuple[dict[str, float], float]] = {  # parameters, and how far 
     "asymmetric_friction": ({"coulomb": 50.0, "coulomb_difference": 10.0, "viscous_difference": 30.0}, 0.01),
     "stribeck_friction": ({"coulomb": 50.0, "extra": 30.0, "velocity": 0.01, "exponent": 1.3}, 0.01),
     "nonlinear_viscous_friction": ({"coefficient": 0.4, "velocity": 1e-4, "exponent": 0.5}, 0.01),
-    "load_dependent_friction": (
-        {"coulomb": 30.0, "load_dependence": 0.03, "load_curvature": 0.0, "knee": 1.0},
-        0.01,
-    ),
+    "load_dependent_friction": ({"coulomb": 30.0, "load_dependence": 0.03, "load_curvature": 0.0, "knee": 1.0}, 0.01),
     # warmed by the way it goes against by what it dissipates
     "friction_temperature_drift": (
-        {
-            "coulomb": 60.0,
-            "coulomb_change": -8.0,
-            "viscous_change": -10.0,
-            "time_constant": 200.0,
-            "heating_exponent": 1.0,
-        },
+        {"coulomb": 60.0, "coulomb_change": -8.0, "viscous_change": -10.0}
+        | {"time_constant": 200.0, "heating_exponent": 1.0},
         0.05,
     ),
     "hose_spring": ({"stiffness": 80.0, "torque_at_zero": 20.0, "bend": 0.0, "hardening": 0.0}, 0.01),
@@ -110,9 +102,7 @@ def torque(patches: Sequence[Patch], joint: str = JOINT) -> Array:
     fitted, index = model(joint), robot.index(joint)
     entry = axis_entry(robot, joint, float(fitted.inertia.mean()), fitted.viscous, patches)
     pull = gravity(robot, entry.links, index, motion.poses)[motion.pose_index]
-    runs = [
-        TwinRun(k, entry, float(fitted.inertia[k]), (float(pull[k, 0]), float(pull[k, 1]))) for k in range(len(sweeps))
-    ]
+    runs = [TwinRun(k, entry, float(fitted.inertia[k]), (float(x), float(y))) for k, (x, y) in enumerate(pull)]
     return laid_out(motion, torques(robot, joint, ways(sweeps), runs))
 
 
@@ -260,9 +250,7 @@ def test_the_loaded_scenario_needs_the_torque_of_the_twin(tmp_path: Path) -> Non
     body = RigidBody(scenario)
     chosen = [0, 4]  # a sweep of each direction
     axes = [moving_axis(scenario, body, JOINT, sweeps[k].spec.pose) for k in chosen]
-    motions = [
-        Motion(s.recording.time, s.recording.position, s.recording.velocity) for s in (sweeps[k] for k in chosen)
-    ]
+    motions = [Motion(r.time, r.position, r.velocity) for r in (sweeps[k].recording for k in chosen)]
     theirs = replay(axes, motions, scenario.measurement)
     patches: list[Patch] = [effect["scenario"] for effect in document["axes"][JOINT]["effects"]]
     inertia = HEAVIER * model().inertia
@@ -283,10 +271,8 @@ def test_links_give_gravity_on_all_axes_at_once() -> None:
     document = model_document(robot, {"axes": {joint: axis_of(joint, "gravity_error") for joint in joints}})
     for joint in joints:
         poses, index = measured(joint)[2].poses, robot.index(joint)
-        bare, wanted = (
-            gravity(robot, {}, index, poses),
-            gravity_of_fit(poses, index, *load_of(joint, "gravity_error")[1:]),
-        )
+        bare = gravity(robot, {}, index, poses)
+        wanted = gravity_of_fit(poses, index, *load_of(joint, "gravity_error")[1:])
         given = gravity(robot, document["scenario"]["links"], index, poses)
         assert np.abs(wanted - bare).max() > 5.0
         np.testing.assert_allclose(given, wanted, atol=0.03 * np.abs(wanted - bare).max())
@@ -309,14 +295,12 @@ def test_axes_share_a_scenario() -> None:
 
 def test_a_test_mass_leaves_true_torques() -> None:
     """Torques that were put right are not divided by the gain again."""
-    robot = max100()
-    documents = {
-        torques: model_document(
-            robot, {"axes": {JOINT: axis_of(JOINT, "torque_constant_error", "coulomb_friction", torques=torques)}}
-        )
+    names = ("torque_constant_error", "coulomb_friction")
+    documents = [
+        model_document(max100(), {"axes": {JOINT: axis_of(JOINT, *names, torques=torques)}})
         for torques in ("recorded", "true")
-    }
-    recorded, true = (documents[key]["scenario"]["axes"][JOINT]["train"] for key in ("recorded", "true"))
+    ]
+    recorded, true = (document["scenario"]["axes"][JOINT]["train"] for document in documents)
     assert recorded["effort_gain"] == true["effort_gain"] == 1.04
     assert true["motor_friction"]["coulomb"] == 50.0
     assert abs(recorded["motor_friction"]["coulomb"] - 50.0 / 1.04) < 1e-9

@@ -31,9 +31,6 @@ def test_slow_sweeps_cannot_show_what_needs_high_frequencies() -> None:
     assert "wide" in found["measurement_delay"]
     assert list(found["measurement_delay"]) == sorted(found["measurement_delay"], key=BLOCKS.index)
     assert not unseen("joint_3", ("forward_slow", "wide"), "measurement_delay")
-
-
-def test_what_shows_depends_on_the_noise() -> None:
     assert not unseen("joint_3", ("forward_slow",), "measurement_delay", noise=1e-5)
 
 
@@ -66,12 +63,9 @@ def test_one_direction_shows_what_is_constant_as_far_as_gravity_is_known(name: s
 
 
 def test_an_effect_that_the_estimate_takes_unseen_has_weight() -> None:
-    """Gravity takes a constant torque of one direction. Play that gravity never lets go moves nothing."""
+    """Gravity takes a constant torque of one direction, but no ripple; play that it never lets go moves nothing."""
     assert of_the_paper("coulomb_friction", 0.3)["coulomb_friction"].biases
     assert not of_the_paper("backlash", 0.3)["backlash"].biases
-
-
-def test_one_direction_shows_ripples_whatever_gravity_is() -> None:
     assert of_the_paper("cogging_torque", 0.3) == {}
 
 
@@ -91,23 +85,21 @@ def found(blocks: tuple[str, ...] | None, repeats: int = 1, poses: int = 2) -> A
     return AxisDiagnosis.read(axis_document(diagnose_axis(robot, JOINT, sweeps, twin=False)), JOINT)
 
 
-def test_two_sweeps_of_one_direction_show_nothing() -> None:
-    axis = found(None)
+@pytest.mark.parametrize(
+    ("blocks", "repeats", "words"),
+    [(None, 1, "no noise floor"), (("forward_slow",), 2, "would change the estimate unseen")],
+)
+def test_one_direction_shows_nothing_also_with_repeats(
+    blocks: tuple[str, ...] | None, repeats: int, words: str
+) -> None:
+    axis = found(blocks, repeats)
     assert (axis.verdict, axis.standing) == ("untestable", "open")
-    assert axis.gap.noise_floor_rms is None
+    assert (axis.gap.noise_floor_rms is None) == (repeats == 1)
     assert "coulomb_friction" in axis.biasing
     assert set(axis.biasing) <= set(axis.untestable)
-    assert "no noise floor" in axis.summary
+    assert words in axis.summary
     assert "is noise" not in axis.summary
     assert axis.next_experiment is not None
-
-
-def test_repeats_alone_do_not_make_one_direction_conclusive() -> None:
-    axis = found(("forward_slow",), repeats=2)
-    assert axis.gap.noise_floor_rms is not None
-    assert "coulomb_friction" in axis.biasing
-    assert (axis.verdict, axis.standing) == ("untestable", "open")
-    assert "would change the estimate unseen" in axis.summary
 
 
 @pytest.mark.parametrize(

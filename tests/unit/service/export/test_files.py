@@ -68,26 +68,20 @@ def test_any_physical_total_is_shared_out(max100: Robot, document: dict[str, Any
 
 def test_every_file_holds_what_it_can_of_the_accepted_model(max100: Robot, document: dict[str, Any]) -> None:
     """Effects of which several contain dry friction; those that no target can hold are in the YAML."""
-    found = {
-        "coulomb_friction": {"coulomb": 100.0},
-        "stribeck_friction": {"coulomb": 120.0, "extra": 9.0},
-        "measurement_delay": {"delay": 1e-3},
-        "effort_offset": {"offset": -7.0},
-    }
-    document["axes"]["joint_1"]["drive_train"] = {
-        "compliance": {"value": 1e-6, "std": 1e-7},
-        "damping_time": {"value": 2e-3, "std": 1e-3},
-    }
+
+    def effect(axis: str, name: str, **values: float) -> dict[str, Any]:
+        parameters = {key: {"value": value, "std": 0.1, "unit": "x"} for key, value in values.items()}
+        return {"axis": axis, "effect": name, "parameters": parameters, "used": bool(values), "how": ""}
+
+    known = {"compliance": {"value": 1e-6, "std": 1e-7}, "damping_time": {"value": 2e-3, "std": 1e-3}}
+    document["axes"]["joint_1"]["drive_train"] = known
     document["effects"] = [
-        {
-            "axis": "joint_1",
-            "effect": name,
-            "parameters": {key: {"value": value, "std": 0.1, "unit": "x"} for key, value in values.items()},
-            "used": True,
-            "how": "",
-        }
-        for name, values in found.items()
-    ] + [{"axis": "joint_2", "effect": "coulomb_friction", "parameters": {}, "used": False, "how": ""}]
+        effect("joint_1", "coulomb_friction", coulomb=100.0),
+        effect("joint_1", "stribeck_friction", coulomb=120.0, extra=9.0),
+        effect("joint_1", "measurement_delay", delay=1e-3),
+        effect("joint_1", "effort_offset", offset=-7.0),
+        effect("joint_2", "coulomb_friction"),
+    ]
     files = model_files(identified_model(max100, document))
     urdf = {joint.get("name"): joint.find("dynamics") for joint in ET.fromstring(files["model.urdf"]).iter("joint")}
     first = urdf["joint_1"]
@@ -122,19 +116,16 @@ def test_a_gravity_torque_that_is_worse_than_cads_is_told(error: float, told: st
     assert bool(worth.warning) == bool(told)
 
 
-def test_an_estimate_with_other_base_parameters_states_no_worth(max100: Robot, document: dict[str, Any]) -> None:
+def test_yaml_holds_all_parameters_and_no_worth_for_other_base_parameters(
+    max100: Robot, document: dict[str, Any]
+) -> None:
     model = identified_model(max100, document)
-    assert (model.worth, model.warnings) == ((), ())
-    assert yaml.safe_load(model_files(model)["model.yaml"])["workspace"] == {}
-
-
-def test_yaml_holds_all_parameters(max100: Robot, document: dict[str, Any]) -> None:
-    content = yaml.safe_load(model_files(identified_model(max100, document))["model.yaml"])
-    assert content["links"]["link_2"]["mass"] == pytest.approx(1.1 * 176)
-    np.testing.assert_allclose(content["links"]["link_2"]["centre_of_mass"], [0, 0.02, 0.5386])
-    np.testing.assert_allclose(
-        np.diag(content["links"]["link_2"]["inertia_about_centre"]), [32.95314, 33.31581, 1.84052]
-    )
+    content = yaml.safe_load(model_files(model)["model.yaml"])
+    assert (model.worth, model.warnings, content["workspace"]) == ((), (), {})
+    link = content["links"]["link_2"]
+    assert link["mass"] == pytest.approx(1.1 * 176)
+    np.testing.assert_allclose(link["centre_of_mass"], [0, 0.02, 0.5386])
+    np.testing.assert_allclose(np.diag(link["inertia_about_centre"]), [32.95314, 33.31581, 1.84052])
     assert content["joints"]["joint_1"]["motor_inertia"] == 60.0
     assert content["joints"]["joint_2"]["viscous_friction"] is None
     assert content["base_parameters"] == [{"name": "m(a)", "symbolic": "m(a)", "value": 1.0, "std": None}]
@@ -181,34 +172,28 @@ def test_quaternions_at_every_angle() -> None:
         np.testing.assert_allclose(back.reshape(3, 3), rotation, atol=1e-12)
 
 
+NAN = [{"name": "a", "value": float("nan"), "std": 1.0}]
+
+
 @pytest.mark.parametrize(
-    ("change", "reason"),
+    ("keys", "value", "reason"),
     [
-        ({"axes": {}}, "contains no identified parameters"),
-        ({"axes": {"joint_9": {"inertia": [], "rmse_percent": RMSE}}}, "joint_9: unknown joint"),
-        ({"standard_parameters": {"links": {}, "motor_inertias": {}}}, "ten parameters of link link_1"),
-        ({"physical": {"deviation_in_std": None}}, "contains no identified parameters"),
-        ({"base_parameters": [{"name": "a"}]}, "base_parameters.0.value"),
-        (
-            {"base_parameters": [{"name": "a", "value": float("nan"), "std": 1.0}]},
-            "base_parameters.0.value: Input should be a finite number, got nan",
-        ),
+        (["axes"], {}, "contains no identified parameters"),
+        (["axes", "joint_9"], {"inertia": [], "rmse_percent": RMSE}, "joint_9: unknown joint"),
+        (["standard_parameters", "links"], {}, "ten parameters of link link_1"),
+        (["standard_parameters", "links", "link_4", "m"], 0.0, r"mass of link link_4 is 0.0 kg"),
+        (["standard_parameters", "motor_inertias"], {}, "the motor inertia of joint joint_1"),
+        (["physical", "deviation_in_std"], None, "contains no identified parameters"),
+        (["base_parameters"], [{"name": "a"}], "base_parameters.0.value"),
+        (["base_parameters"], NAN, "base_parameters.0.value: Input should be a finite number, got nan"),
     ],
 )
 def test_an_estimate_of_something_else_is_refused(
-    max100: Robot, document: dict[str, Any], change: dict[str, Any], reason: str
+    max100: Robot, document: dict[str, Any], keys: list[str], value: object, reason: str
 ) -> None:
+    part = document
+    for key in keys[:-1]:
+        part = part[key]
+    part[keys[-1]] = value
     with pytest.raises(BadInput, match=reason):
-        identified_model(max100, document | change)
-
-
-def test_a_massless_link_is_refused(max100: Robot, document: dict[str, Any]) -> None:
-    document["standard_parameters"]["links"]["link_4"]["m"] = 0.0
-    with pytest.raises(BadInput, match=r"mass of link link_4 is 0.0 kg"):
-        identified_model(max100, document)
-
-
-def test_a_missing_motor_is_refused(max100: Robot, document: dict[str, Any]) -> None:
-    del document["standard_parameters"]["motor_inertias"]["Jm(joint_3)"]
-    with pytest.raises(BadInput, match="the motor inertia of joint joint_3"):
         identified_model(max100, document)

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, cast
@@ -35,6 +36,11 @@ def assert_same(one: Sweep, other: Sweep) -> None:
         np.testing.assert_array_equal(column, theirs[name], strict=True)
 
 
+def assert_columns(sweep: Sweep, of: Callable[[str], Any]) -> None:
+    for name, column in columns_of(sweep.recording).items():
+        np.testing.assert_array_equal(of(name), column)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".mf4", ".h5"])
 def test_what_goes_out_comes_back_bit_by_bit(tmp_path: Path, suffix: str) -> None:
@@ -62,8 +68,7 @@ def test_csv_comes_back_bit_by_bit(tmp_path: Path) -> None:
     write_recordings(tmp_path / "one.csv", first, [first.sweeps[1].spec.id])
     with (tmp_path / "one.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    for name, column in columns_of(first.sweeps[1].recording).items():
-        np.testing.assert_array_equal([float(row[name]) for row in rows], column)
+    assert_columns(first.sweeps[1], lambda name: [float(row[name]) for row in rows])
 
 
 def test_mdf4_tells_units_sources_and_times_to_two_libraries(tmp_path: Path) -> None:
@@ -86,14 +91,9 @@ def test_mdf4_tells_units_sources_and_times_to_two_libraries(tmp_path: Path) -> 
     file = _mf4.Mdf(str(tmp_path / "out.mf4"))
     assert [group.name for group in file.groups] == [sweep.spec.id for sweep in given.sweeps]
     for sweep, group in zip(given.sweeps, file.groups, strict=True):
-        assert [(one.name, one.unit) for one in group.channels][:4] == [
-            ("campaign_time", "s"),
-            ("time", "s"),
-            ("effort", "N m"),
-            ("velocity", "rad/s"),
-        ]
-        for name, column in columns_of(sweep.recording).items():
-            np.testing.assert_array_equal(np.asarray(file.values(name, sweep.spec.id)), column)
+        told = ("campaign_time", "s"), ("time", "s"), ("effort", "N m"), ("velocity", "rad/s")
+        assert tuple((one.name, one.unit) for one in group.channels)[:4] == told
+        assert_columns(sweep, lambda name, sweep=sweep: np.asarray(file.values(name, sweep.spec.id)))
 
 
 def test_hdf5_has_a_group_a_sweep_for_two_libraries(tmp_path: Path) -> None:
@@ -109,14 +109,12 @@ def test_hdf5_has_a_group_a_sweep_for_two_libraries(tmp_path: Path) -> None:
             table = pd.DataFrame({name: dataset[()] for name, dataset in group.items()})
             assert group["velocity"].attrs["units"] == "rad/s"
             assert group["velocity"].dims[0][0] == group["time"]
-            for name, column in columns_of(sweep.recording).items():
-                np.testing.assert_array_equal(table[name], column)
+            assert_columns(sweep, table.__getitem__)
     with _pyfive.File(str(tmp_path / "out.h5")) as file:
         for number, sweep in enumerate(given.sweeps, start=1):
             group = file[f"sweeps/{number:04d}"]
             assert group.attrs["sample_rate"] == sweep.spec.sample_rate
-            for name, column in columns_of(sweep.recording).items():
-                np.testing.assert_array_equal(group[name][:], column)
+            assert_columns(sweep, lambda name, group=group: group[name][:])
 
 
 def test_mcap_has_a_topic_a_joint(tmp_path: Path) -> None:
@@ -134,8 +132,7 @@ def test_mcap_has_a_topic_a_joint(tmp_path: Path) -> None:
         assert told[f"sweep {sweep.spec.id}"]["sample_rate"] == str(sweep.spec.sample_rate)
         samples = [json.loads(message.data) for _, message in own]
         assert {sample["sweep"] for sample in samples} == {sweep.spec.id}
-        for name, column in columns_of(sweep.recording).items():
-            np.testing.assert_array_equal([sample[name] for sample in samples], column)
+        assert_columns(sweep, lambda name, samples=samples: [sample[name] for sample in samples])
         schema, first = own[0]
         assert first.log_time == round((BEGAN.timestamp() + sweep.spec.started_at) * 1e9)
         assert schema is not None

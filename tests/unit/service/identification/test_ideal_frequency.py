@@ -77,7 +77,7 @@ def test_ideal_frequencies_are_rounded_to_the_papers(frequency: float, line: flo
 def test_classes_of_poses_and_their_lines() -> None:
     light, heavy = analysis().classes
     assert (light.name, heavy.name) == ("light", "heavy")
-    assert light.up_to == pytest.approx(np.sqrt(198.0 * 658.0), rel=0.02)
+    assert light.inertia_up_to == pytest.approx(np.sqrt(198.0 * 658.0), rel=0.02)
     assert light.locked_rotor == pytest.approx(TRAIN.locked_rotor_frequency(330.0), rel=0.02) or (
         light.locked_rotor == pytest.approx(TRAIN.locked_rotor_frequency(200.0), rel=0.02)
     )

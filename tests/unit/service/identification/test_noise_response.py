@@ -1,6 +1,5 @@
 """The reference makes the response unbiased in a loop; what a record must have to hold one."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -77,14 +76,6 @@ def test_runs_of_other_lines_are_refused() -> None:
         noise_response([runs[0], replace(runs[1], frequency=FREQUENCY + 0.1)])
 
 
-def test_documents_keep_every_number() -> None:
-    run = closed_loop(1, 0.1, 0.05)[0]
-    back = NoiseSpectrum.from_document(json.loads(json.dumps(run.to_document())))
-    assert back.spec == run.spec
-    for name in ("frequency", "reference", "effort", "velocity"):
-        assert np.array_equal(getattr(back, name), getattr(run, name))
-
-
 def recording(count: int = 1200) -> Recording:
     """A rigid axis whose effort has ripple and gravity's ramp on top of the injected torque's share."""
     time = np.arange(count) / 250.0
@@ -124,12 +115,3 @@ def test_records_that_hold_no_response(
 ) -> None:
     with pytest.raises(BadInput, match=reason):
         noise_spectrum(robot, Sweep(spec(1, **changes), replace(recording(), **columns)))
-
-
-def test_a_sample_that_is_no_number_is_refused_with_its_sweep(robot: Robot) -> None:
-    record = recording()
-    assert record.excitation_effort is not None
-    injected = record.excitation_effort.copy()
-    injected[5] = np.nan
-    with pytest.raises(BadInput, match=r"^sweep 0001 of swing: excitation_effort is not a number at sample 5"):
-        noise_spectrum(robot, Sweep(spec(1), replace(record, excitation_effort=injected)))

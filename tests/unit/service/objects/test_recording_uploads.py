@@ -25,6 +25,7 @@ from service.store.retention import MoveStore
 from service.store.store import Store
 from tests.object_store_server import BUCKET, S3Server, Wire, key_file, without_keys
 from tests.unit.service.api.conftest import profile, started
+from tests.unit.service.campaigns.conftest import until
 from tests.unit.service.hosting import settings_of
 
 pytestmark = pytest.mark.slow
@@ -40,19 +41,12 @@ class Bench:
 
     async def until(self, holds: Callable[[int, str], bool]) -> None:
         """Of the number that waits, and the trouble."""
-        async with asyncio.timeout(PATIENCE):
-            while True:
-                found = await asyncio.to_thread(self.moving.backlog)
-                if holds(found.waiting, found.trouble):
-                    return
-                await asyncio.sleep(0.02)
 
-    async def until_none_is_here(self, data: Path) -> None:
-        async with asyncio.timeout(PATIENCE):
-            while True:
-                if not recordings(data):
-                    return
-                await asyncio.sleep(0.02)
+        def so() -> bool:
+            found = self.moving.backlog()
+            return holds(found.waiting, found.trouble)
+
+        await until(so)
 
 
 @asynccontextmanager
@@ -85,7 +79,7 @@ async def test_they_move_make_room_and_come_back(data: Path, through_wire: Store
     before = {path: path.read_bytes() for path in recordings(data)}
     async with moving(data, through_wire) as bench:
         await bench.until(lambda waiting, _: waiting == 0)
-        await bench.until_none_is_here(data)
+        await until(lambda: not recordings(data))
         assert sorted(map(s3.read, s3.keys())) == sorted(before.values())
         assert s3.keys() == sorted(f"lab/{one.sha256[:2]}/{one.sha256}.parquet" for one in bench.documents)
         paths = [await asyncio.to_thread(bench.files.local, one) for one in bench.documents]
@@ -105,8 +99,7 @@ async def test_a_store_that_is_gone_is_waited_for(
         await bench.until(lambda waiting, trouble: (waiting, trouble) == (0, ""))
         assert len(s3.keys()) == 2
         wire.cut()
-        recordings_left = recordings(data)
-        for path in recordings_left:
+        for path in recordings(data):
             path.unlink()
         with pytest.raises(NotNow, match="Could not connect"):
             await asyncio.to_thread(bench.files.local, bench.documents[0])

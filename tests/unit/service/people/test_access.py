@@ -28,11 +28,7 @@ from tests.unit.service.hosting import hosting, opened
 from tests.unit.service.people.conftest import calling, stored_in
 
 pytestmark = pytest.mark.slow
-
-
 NOBODY_THERE = "987654"  # stands for every number in a path
-
-
 START = f"/api/v1/campaigns/{NOBODY_THERE}/start"
 
 

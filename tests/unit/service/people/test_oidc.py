@@ -147,12 +147,12 @@ def test_who_is_disabled_here_stays_so_until_enabled(url: str, database: Databas
     users = UserStore(database)
     with calling(url, None) as http:
         assert log_in(http, "olga").status_code == 200
-        users.shut_out("olga", WHO)
+        users.set_enabled("olga", WHO, enabled=False)
         assert http.get("/api/v1/me").status_code == 401
         refused = log_in(http, "olga")
         assert refused.status_code == 401
         assert refused.json()["detail"].startswith("olga was disabled on ")
-        users.let_in("olga", WHO)
+        users.set_enabled("olga", WHO)
         assert log_in(http, "olga").status_code == 200
 
 

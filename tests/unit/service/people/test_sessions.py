@@ -41,20 +41,10 @@ from tests.unit.service.hosting import hosting
 from tests.unit.service.people.conftest import Since, calling, stored_in
 
 pytestmark = pytest.mark.slow
-
-
 WHO = {"actor": "test", "address": "test"}
-
-
 PASSWORD = "a horse and a battery"
-
-
 WRONG = "not the horse of anna"
-
-
 START = "/api/v1/campaigns/987654/start"
-
-
 LONGEST = 24 * 3600.0
 
 
@@ -155,41 +145,9 @@ def test_who_is_disabled_or_gets_another_password_is_out(url: str, person: str, 
         assert "was ended" in http.get("/api/v1/me").json()["detail"]
         assert log_in(http, person, WRONG).status_code == 200
         assert http.get("/api/v1/me").status_code == 200
-        users.shut_out(person, WHO)
+        users.set_enabled(person, WHO, enabled=False)
         assert f"{person} was disabled on" in http.get("/api/v1/me").json()["detail"]
         assert log_in(http, person, WRONG).json()["detail"] == "name or password is wrong"
-
-
-def test_the_limits_of_a_session(database: Database, users: UserStore) -> None:
-    store = SessionStore(database, idle=3600, longest=LONGEST)
-    user = users.all()[0]
-    session, token = store.open(user, WHO)
-    assert session.expires_at - session.created_at == timedelta(seconds=3600)
-    assert session.trouble(session.expires_at - timedelta(seconds=1)) == ""
-    assert session.trouble(session.expires_at) == f"the session of {user.name} has expired: log in again"
-
-    def at(seen: timedelta, created: timedelta) -> str:
-        """Trouble now, of a session that was seen and created so long ago."""
-        with database.write() as one:
-            now = session.created_at.replace(tzinfo=None)
-            values = {"seen": str(now - seen), "created": str(now - created), "id": session.id}
-            one.execute(text("UPDATE user_session SET seen_at = :seen, created_at = :created WHERE id = :id"), values)
-        found = store.find(token)
-        assert found is not None
-        return found.trouble(session.created_at)
-
-    minutes, hours = (lambda n: timedelta(minutes=n)), (lambda n: timedelta(hours=n))
-    assert at(minutes(59), minutes(59)) == ""
-    renewed = store.find(token)  # the look before was a use
-    assert renewed is not None
-    assert renewed.seen_at >= session.seen_at
-    assert "has expired" in at(minutes(61), minutes(61))
-    assert at(minutes(1), hours(23)) == ""
-    assert "has expired" in at(minutes(1), hours(24))
-    assert session.id not in [one.id for one in store.all()]
-    at(hours(25), hours(25))
-    store.open(user, WHO)
-    assert store.find(token) is None  # forgotten
 
 
 def test_sessions_are_told_and_revoked(url: str, person: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -306,9 +264,7 @@ def test_who_cannot_be_audited_is_not_logged_in(url: str, person: str, folder: P
         ).fetchone() == (0,)
 
 
-HOUR, DAY = timedelta(hours=1), timedelta(days=1)
-
-
+HOUR, DAY, SECOND = timedelta(hours=1), timedelta(days=1), timedelta(seconds=1)
 MONTH = 30 * DAY
 
 
@@ -356,15 +312,15 @@ def valid(store: SessionStore | KeyStore, secret: str) -> bool:
 
 
 Step = str | tuple[str, timedelta]
-
-
 BOTH, NONE, KEY_ALONE = "both", "none", "the key alone"  # of session and key are valid
-
-
 RESTART = ("end", "start")
-
-
 CASES: dict[str, list[Step]] = {
+    "a session that is used lasts a day": [
+        "log in",
+        *(step for _ in range(3) for step in (("pass", 8 * HOUR - SECOND), BOTH)),
+        *(("pass", 3 * SECOND), NONE, "told why", ("pass", DAY), "log in again", "forgotten"),
+    ],
+    "an idle session lasts 8 hours": ["log in", ("pass", 8 * HOUR), KEY_ALONE, "told why"],
     "what has expired does not revive when the clock is set back": [
         *("log in", BOTH, ("pass", 25 * HOUR), NONE, ("set", -20 * HOUR), NONE, "minute", *RESTART, NONE)
     ],
@@ -406,6 +362,12 @@ def test_nothing_that_expired_is_valid_again(computer: Computer, case: str) -> N
                     held["again"] = sessions.open(user, WHO)[1]
                 case "again":
                     assert valid(sessions, held["again"])
+                case "told why":
+                    found = sessions.find(held["session"])
+                    assert found is not None
+                    assert found.trouble(sessions.now()) == "the session of anna has expired: log in again"
+                case "forgotten":
+                    assert sessions.find(held["session"]) is None
                 case "minute":
                     computer.minute()
                 case "told":
@@ -488,18 +450,17 @@ def test_users(own: Database) -> None:
     assert users.change_password("anna", OTHER, WHO) == anna
     assert users.check("anna", PASSWORD) is None
     assert users.check("anna", OTHER) == anna
-    disabled = users.shut_out("anna", WHO)
-    assert users.shut_out("anna", WHO) == disabled
+    disabled = users.set_enabled("anna", WHO, enabled=False)
+    assert users.set_enabled("anna", WHO, enabled=False) == disabled
     assert users.check("anna", OTHER) is None
     with pytest.raises(Conflict, match="anna was disabled on"):
         users.change_password("anna", PASSWORD, WHO)
-    enabled = users.let_in("anna", WHO)
-    assert users.let_in("anna", WHO) == enabled == anna
+    enabled = users.set_enabled("anna", WHO)
+    assert users.set_enabled("anna", WHO) == enabled == anna
     assert users.check("anna", OTHER) == anna
-    for name in ("change_password", "shut_out", "let_in"):
-        arguments = ("nobody", PASSWORD, WHO) if name == "change_password" else ("nobody", WHO)
+    for change in (lambda: users.change_password("nobody", PASSWORD, WHO), lambda: users.set_enabled("nobody", WHO)):
         with pytest.raises(NotFound, match="user nobody does not exist"):
-            getattr(users, name)(*arguments)
+            change()
     assert told(own) == ["user added", "password changed", "user disabled", "user enabled"]
 
 

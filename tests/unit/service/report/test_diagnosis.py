@@ -7,71 +7,51 @@ import pytest
 
 from service.diagnosis.summary import summary
 from service.model.results.diagnosis import Diagnosis
-from service.report import diagnosis_figures, diagnosis_page
+from service.report.diagnosis import diagnosis_figures, diagnosis_page
 from tests.stored.documents import stored
 
 POSES = ([0.1, 0.5, 0.0], [0.1, -0.5, 0.0], [0.1, 0.0, 0.0])
 
 
+def known(value: float, std: float, unit: str = "N m") -> dict[str, Any]:
+    return {"value": value, "std": std, "unit": unit}
+
+
+EFFECT = {
+    **{"effect": "coulomb_friction", "sentence": "Dry friction.", "physics": "tau = Fc sign(v) </script>"},
+    **{"source": "Coulomb 1785", "parameters": {"coulomb": known(50.0, 0.5)}, "evidence": {}},
+}
+CELLS = [
+    ("speed", "0.2 to 0.3 rad/s", 30.0, 2.1, 50.0),
+    ("speed", "1e-12 to 0.1 rad/s", 30.0, 1.9, 60.0),
+    ("speed", "0.1 to 0.2 rad/s", 1.0, 1.0, 0.5),
+    ("block", "reversal", 46.0, 2.0, 80.0),
+    ("block", "forward_slow of campaign 7", 28.0, 2.0, 70.0),
+    ("line frequency", "3 Hz", 20.0, 0.5, 40.0),
+    ("line frequency", "17 Hz", 0.5, 0.5, 0.0),
+    ("gravity torque", "-544 to -414 N m", 29.0, 2.0, 70.0),
+    ("motor angle", "0/8 turn", 29.0, 2.0, 70.0),
+]
+GAP = {
+    **{"before_rms": 30.0, "after_rms": 2.1, "noise_floor_rms": 2.0, "held_out_sweeps": 42, "twin_rms": 2.2},
+    **{"before_percent": 9.0, "after_percent": 0.63, "cross_validated": True, "source": "columns"},
+    "by_pose": [
+        {"pose": pose, "before_rms": 30.0, "after_rms": 2.1, "noise_floor_rms": 2.0, "sweeps": 14} for pose in POSES
+    ],
+}
+
+
 def axis(**changes: Any) -> dict[str, Any]:
     """Coulomb friction, named; noise of 2 N m."""
-    cells = [
-        ("speed", "0.2 to 0.3 rad/s", 30.0, 2.1, 50.0),
-        ("speed", "1e-12 to 0.1 rad/s", 30.0, 1.9, 60.0),
-        ("speed", "0.1 to 0.2 rad/s", 1.0, 1.0, 0.5),
-        ("block", "reversal", 46.0, 2.0, 80.0),
-        ("block", "forward_slow of campaign 7", 28.0, 2.0, 70.0),
-        ("line frequency", "3 Hz", 20.0, 0.5, 40.0),
-        ("line frequency", "17 Hz", 0.5, 0.5, 0.0),
-        ("gravity torque", "-544 to -414 N m", 29.0, 2.0, 70.0),
-        ("motor angle", "0/8 turn", 29.0, 2.0, 70.0),
-    ]
+    keys = ("dimension", "value", "rms", "rms_after", "significance")
     document: dict[str, Any] = {
-        "verdict": "named",
-        "unit": "N m",
-        "effects": [
-            {
-                "effect": "coulomb_friction",
-                "sentence": "Dry friction.",
-                "physics": "tau = Fc sign(v) </script>",
-                "source": "Coulomb 1785",
-                "parameters": {"coulomb": {"value": 50.0, "std": 0.5, "unit": "N m"}},
-                "evidence": {},
-            }
-        ],
-        "known": [],
-        "part": [],
-        "changes": [],
-        "candidates": [],
-        "alternatives": [],
-        "rolled_back": [],
-        "where": [
-            {"dimension": name, "value": value, "rms": rms, "rms_after": after, "significance": significance}
-            for name, value, rms, after, significance in cells
-        ],
+        **{"verdict": "named", "unit": "N m", "effects": [EFFECT], "known": [], "part": [], "changes": []},
+        **{"candidates": [], "alternatives": [], "rolled_back": [], "next_experiment": None, "gap": GAP},
+        "where": [dict(zip(keys, cell, strict=True)) for cell in CELLS],
         "sentences": ["joint_2: the gap is largest at block reversal."],
-        "gap": {
-            "before_rms": 30.0,
-            "after_rms": 2.1,
-            "noise_floor_rms": 2.0,
-            "held_out_sweeps": 42,
-            "before_percent": 9.0,
-            "after_percent": 0.63,
-            "cross_validated": True,
-            "source": "columns",
-            "twin_rms": 2.2,
-            "by_pose": [
-                {"pose": pose, "before_rms": 30.0, "after_rms": 2.1, "noise_floor_rms": 2.0, "sweeps": 14}
-                for pose in POSES
-            ],
-        },
         "example": {
-            "sweep": "0017",
-            "block": "reversal",
-            "time": [0.0, 0.1],
-            "measured": [50.0, -49.0],
-            "before": [1.0, 1.0],
-            "after": [50.0, -50.0],
+            **{"sweep": "0017", "block": "reversal", "time": [0.0, 0.1]},
+            **{"measured": [50.0, -49.0], "before": [1.0, 1.0], "after": [50.0, -50.0]},
         },
         "rivals": [{"effect": "stribeck_friction", "behind": -3.0}, {"effect": "payload", "behind": 9999.0}],
         "fit": {
@@ -82,11 +62,10 @@ def axis(**changes: Any) -> dict[str, Any]:
             {"name": "Izz2 + 0.3 m3", "nominal": 60.0, "value": 61.25, "std": 0.5},
             {"name": "viscous_friction", "nominal": None, "value": 800.0, "std": 3.0},
         ],
-        "next_experiment": None,
         "untestable": ["friction_temperature_drift"],
         "visible_in": {"friction_temperature_drift": ["revisit_forward_slow", "revisit_backward_slow"]},
+        **changes,
     }
-    document |= changes
     return document | {"summary": summary("joint_2", document)}
 
 
@@ -107,14 +86,8 @@ def test_every_figure_is_plain_json() -> None:
 
 def test_map_has_a_panel_a_property_with_its_bins_in_order() -> None:
     layout = figures()["map"]["layout"]
-    titles = [note["text"] for note in layout["annotations"]]
-    assert titles[:-1] == [
-        "speed (rad/s)",
-        "block",
-        "line frequency (Hz)",
-        "gravity torque (N m)",
-        "motor angle (turn)",
-    ]
+    titles = ["speed (rad/s)", "block", "line frequency (Hz)", "gravity torque (N m)", "motor angle (turn)"]
+    assert [note["text"] for note in layout["annotations"]][:-1] == titles
     bars = [trace for trace in figures()["map"]["data"] if not trace.get("showlegend", True)]
     before = {trace["xaxis"]: trace for trace in bars[::2]}
     assert before["x"]["y"] == ["0 … 0.1", "0.1 … 0.2", "0.2 … 0.3"]
@@ -148,7 +121,7 @@ def test_poses_are_named_by_the_joints_that_vary_and_parameters_are_percent_of_t
 
 
 def test_a_coefficient_of_which_the_sweeps_tell_nothing_has_no_value() -> None:
-    effect = axis()["effects"][0] | {"parameters": {"coulomb": {"value": 880.0, "std": 640_000.0, "unit": "N m"}}}
+    effect = EFFECT | {"parameters": {"coulomb": known(880.0, 640_000.0)}}
     assert "parameters" not in figures(effects=[effect])
     page = diagnosis_page(document(effects=[effect]), "Robot").html()
     assert "<td>not significant</td><td>–</td>" in page
@@ -162,39 +135,22 @@ def test_without_an_effect_there_is_no_after() -> None:
     assert list(figures(verdict="none", effects=[], where=[])) == ["gap_by_pose", "example"]
 
 
-GAP = axis()["gap"]
 NOT_REPEATED = {
     **GAP,
     **{"noise_floor_rms": None, "held_out_sweeps": 0, "before_percent": 112.3, "cross_validated": False},
     "by_pose": [{**pose, "noise_floor_rms": None} for pose in GAP["by_pose"]],
 }
+SPEC = stored("diagnosis-open")["axes"]["joint_1"]["next_experiment"]["sweeps"][0]["spec"]
+RIVALS = ["coulomb_friction", "stribeck_friction"]
 EXPERIMENT = {
-    "kind": "reversal",
-    "blocks": ["reversal"],
-    "sweeps": [
-        {
-            "spec": stored("diagnosis-open")["axes"]["joint_1"]["next_experiment"]["sweeps"][0]["spec"]
-            | {"pose": pose},
-            **{"ramp": 0.5, "settle": 0.5},
-        }
-        for pose in POSES * 2
-    ],
-    "seconds": 96.0,
-    "separation": 200.0,
-    "between": ["coulomb_friction", "stribeck_friction"],
+    **{"kind": "reversal", "blocks": ["reversal"], "seconds": 96.0, "separation": 200.0, "between": RIVALS},
+    "sweeps": [{"spec": SPEC | {"pose": pose}, "ramp": 0.5, "settle": 0.5} for pose in POSES * 2],
     "reason": "reversal separates Coulomb friction and Stribeck friction best for its time.",
 }
-RIVALS = ["coulomb_friction", "stribeck_friction"]
 OPEN = {"verdict": "ambiguous", "candidates": RIVALS, "alternatives": [RIVALS], "next_experiment": EXPERIMENT}
-KNOWN = {"effect": "coulomb_friction", "parameters": {"coulomb": {"value": 50.0, "std": 0.5, "unit": "N m"}}}
-CHANGE = {
-    **{"effect": "coulomb_friction", "parameter": "coulomb"},
-    "model": {"value": 40.0, "std": 0.4, "unit": "N m"},
-    "now": {"value": 50.0, "std": 0.5, "unit": "N m"},
-}
-SPRING = axis()["effects"][0] | {
-    **{"effect": "hose_spring", "parameters": {"stiffness": {"value": 76.5, "std": 1.0, "unit": "N m/rad"}}},
-}
+KNOWN = {"effect": "coulomb_friction", "parameters": EFFECT["parameters"]}
+CHANGE = {"effect": "coulomb_friction", "parameter": "coulomb", "model": known(40.0, 0.4), "now": known(50.0, 0.5)}
+SPRING = EFFECT | {"effect": "hose_spring", "parameters": {"stiffness": known(76.5, 1.0, "N m/rad")}}
 FOUND = stored("check-wrong")["findings"][0]
 FINDINGS = [
     FOUND | {"severity": "warning", "sentence": "Repeats differ.", "action": "Look at the floor."},
@@ -238,11 +194,7 @@ PAGES: dict[str, tuple[dict[str, Any], tuple[str, ...], tuple[str, ...]]] = {
         ("noise alone",),
     ),
     "cross-validated": ({"gap": {**GAP, "held_out_sweeps": 0}}, ("the gap (cross-validated) falls",), ()),
-    "not held out": (
-        {"gap": {**GAP, "held_out_sweeps": 0, "cross_validated": False}},
-        ("nothing could be held out",),
-        (),
-    ),
+    "not held out": ({"gap": {**GAP, "held_out_sweeps": 0, "cross_validated": False}}, ("could be held out",), ()),
     "changed": (
         {"verdict": "none", "effects": [], "known": [KNOWN], "changes": [CHANGE]},
         (
@@ -256,16 +208,8 @@ PAGES: dict[str, tuple[dict[str, Any], tuple[str, ...], tuple[str, ...]]] = {
         ("<th>estimate</th>", "Started from an estimate: campaign 3, revision 7."),
         ("<th>CAD</th>",),
     ),
-    "findings": (
-        {"data": FINDINGS, "sentences": SAID},
-        ("<b>wrong:</b> Torque has the wrong sign. Turn it round.",),
-        (),
-    ),
-    "known in part": (
-        {"verdict": "unknown", "effects": [], "part": [SPRING]},
-        ("Known in part", "76.5"),
-        (),
-    ),
+    "findings": ({"data": FINDINGS, "sentences": SAID}, ("<b>wrong:</b> Torque has the wrong sign. Turn it",), ()),
+    "known in part": ({"verdict": "unknown", "effects": [], "part": [SPRING]}, ("Known in part", "76.5"), ()),
 }
 
 
@@ -295,11 +239,7 @@ ROLLED_BACK = "Rolled back, because held-out sweeps came out no better: backlash
     ("changes", "words", "end"),
     [
         ({"verdict": "none"}, "joint_2: the model is right as far as these sweeps can tell", ROLLED_BACK),
-        (
-            {"verdict": "unknown"},
-            "no effect of the catalogue explains it. The model stays as it was.",
-            ROLLED_BACK,
-        ),
+        ({"verdict": "unknown"}, "no effect of the catalogue explains it. The model stays as it was.", ROLLED_BACK),
         ({"verdict": "untestable"}, "these sweeps cannot show whether something is missing", ROLLED_BACK),
         (
             {
@@ -310,11 +250,7 @@ ROLLED_BACK = "Rolled back, because held-out sweeps came out no better: backlash
             "do not tell whether it is Coulomb friction or drift. Sure is joint elasticity. ",
             "",
         ),
-        (
-            {"verdict": "unknown", "part": [SPRING]},
-            "no effect of the catalogue explains it. Known in part: ",
-            "",
-        ),
+        ({"verdict": "unknown", "part": [SPRING]}, "no effect of the catalogue explains it. Known in part: ", ""),
         (
             {"verdict": "unknown", "data": [FINDINGS[1]]},
             "because the data cannot be trusted. Torque has the wrong sign. Mend that first.",

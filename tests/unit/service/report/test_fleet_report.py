@@ -14,7 +14,7 @@ from service.identification.fleet.survey import (
     pose_key,
     survey,
 )
-from service.report import fleet_page
+from service.report.fleet import fleet_page
 
 START = datetime(2026, 1, 5, tzinfo=UTC)
 AT = START + timedelta(days=200)
@@ -22,18 +22,13 @@ AT = START + timedelta(days=200)
 
 def fleet() -> Fleet:
     """Robot R1 steps by about 3 % in the fourth month; R9 was never measured."""
-    robots = []
-    for k in range(5):
-        values = [100 + 5 * k + 0.1 * ((7 * n + 3 * k) % 5) + (3 if k == 1 and n >= 3 else 0) for n in range(6)]
-        campaigns = tuple(
-            CampaignMeasured(
-                10 * n + k,
-                START + timedelta(days=30 * n),
-                {"joint_<2>": AxisMeasured({pose_key((0.0,)): in_pose([value], [100.0], [0.1])}, 1.0, 0.0)},
-            )
-            for n, value in enumerate(values)
-        )
-        robots.append(RobotMeasured(f"R{k}", f"cell {k}", 6, campaigns))
+
+    def campaign(k: int, n: int) -> CampaignMeasured:
+        value = 100 + 5 * k + 0.1 * ((7 * n + 3 * k) % 5) + (3 if k == 1 and n >= 3 else 0)
+        measured = AxisMeasured({pose_key((0.0,)): in_pose([value], [100.0], [0.1])}, 1.0, 0.0)
+        return CampaignMeasured(10 * n + k, START + timedelta(days=30 * n), {"joint_<2>": measured})
+
+    robots = [RobotMeasured(f"R{k}", f"cell {k}", 6, tuple(campaign(k, n) for n in range(6))) for k in range(5)]
     robots.append(RobotMeasured("R9", None, 0, ()))
     return Fleet(made_at=AT, types=(survey("arm & hand", robots, FleetRules(0.01, 12, 31.0), AT),))
 

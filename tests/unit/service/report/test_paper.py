@@ -15,7 +15,8 @@ from pypdf import PdfReader
 from service.model.errors import NoPdf
 from service.model.results.diagnosis import Diagnosis
 from service.model.robot import Robot
-from service.report import campaign_page, diagnosis_figures
+from service.report.campaign import campaign_page
+from service.report.diagnosis import diagnosis_figures
 from service.report.drawing import DrawnFigure, Part, figure, line, points, scale
 from service.report.initial_analysis import amplitude_responses, ideal_frequencies
 from service.report.plotting import PAPER, WIDTH, drawn, svg

@@ -13,10 +13,12 @@ from service.identification.model.regressor import axis_rows, lock
 from service.model.recording import Recording, Sine, Sweep, SweepSpec
 from service.model.results.estimate import BaseParameter, Estimate
 from service.model.robot import INERTIAL_NAMES, Robot, build_robot
-from service.report import CampaignReport, Content, ReportPage, TruthRow, analysis_page, axes_of, campaign_page
-from service.report.content import revision
+from service.report.campaign import campaign_page
+from service.report.content import CampaignReport, Content, TruthRow, axes_of, revision
 from service.report.figures import parameter_unit
+from service.report.html import ReportPage
 from service.report.initial_analysis import amplitude_responses, ideal_frequencies, table
+from service.report.page import analysis_page
 from tests.unit.service.campaigns.small_arm import small_arm
 from tests.unit.service.identification.test_ideal_frequency import FREQUENCY, LOADS, STIFF, analysis
 
@@ -73,17 +75,9 @@ def estimate_page(content: Content) -> ReportPage:
 
 
 def spec(name: str, joint: str, pose: tuple[float, ...]) -> SweepSpec:
-    return SweepSpec(
-        id=name,
-        axis=joint,
-        pose=pose,
-        offset_velocity=0.01,
-        sines=(Sine(frequency=2.0, amplitude=0.004, phase=0.0),),
-        period=1.0,
-        periods=3,
-        measure_from=1.0,
-        sample_rate=250.0,
-    )
+    sines = (Sine(frequency=2.0, amplitude=0.004, phase=0.0),)
+    times: dict[str, Any] = {"period": 1.0, "periods": 3, "measure_from": 1.0, "sample_rate": 250.0}
+    return SweepSpec(id=name, axis=joint, pose=pose, offset_velocity=0.01, sines=sines, **times)
 
 
 def sweep() -> Sweep:
@@ -117,37 +111,35 @@ def test_one_light_file_that_loads_nothing_with_the_tables_of_the_estimate(max10
     assert estimate_page(content(max100, example=sweep())).html() == page
 
 
-def test_a_map_of_the_inertia_and_the_measured_poses(max100: Robot) -> None:
+def test_maps_of_difference_and_inertia_with_the_measured_poses(max100: Robot) -> None:
     report = content(max100)
-    field, _, measured = figures(estimate_page(report))[1]["data"]
+    differs, inertias = figures(estimate_page(report))[:2]
+    percent = 100 * (1 - 1 / HEAVIER)  # of one sign: the colours lie where it does
+    assert [differs["data"][0][end] for end in ("zmin", "zmax")] == pytest.approx(
+        [percent - 0.25, percent + 0.25], 1e-4
+    )
+    field, _, measured = inertias["data"]
     assert field["x"] == pytest.approx([-28.648, 0.0, 28.648])
     assert np.sort(np.ravel(field["z"])) == pytest.approx(np.sort(axes_of(report)[0].identified_workspace), rel=1e-5)
     assert measured["marker"]["color"] == pytest.approx(axes_of(report)[0].measured.tolist(), rel=1e-5)
 
-
-def test_a_pose_that_is_not_free_leaves_a_hole(max100: Robot) -> None:
-    whole = content(max100)
-    report = content(max100, workspace=whole.workspace[1:])
-    for drawn in figures(estimate_page(report))[:2]:
-        assert drawn["data"][0]["z"][0][0] is None
+    for drawn in figures(estimate_page(content(max100, workspace=report.workspace[1:])))[:2]:
+        assert drawn["data"][0]["z"][0][0] is None  # a pose that is not free
 
 
-def test_a_difference_of_one_sign_has_the_colours_where_it_lies(max100: Robot) -> None:
-    field = figures(estimate_page(content(max100)))[0]["data"][0]
-    percent = 100 * (1 - 1 / HEAVIER)
-    assert (field["zmin"], field["zmax"]) == pytest.approx((percent - 0.25, percent + 0.25), abs=1e-3)
-
-
-def test_convergence_starts_where_the_parameter_is_determined(max100: Robot) -> None:
-    def step(std: float | None) -> tuple[BaseParameter, ...]:
-        return (BaseParameter(name="a", value=1.0, std=std),)
-
-    base = content(max100)
-    estimate = base.estimate.model_copy(update={"base_parameters": step(0.1)})
-    steps = [revision(step(std), ["a"], n) for n, std in enumerate((None, 1e6, 0.5, 0.1), start=1)]
-    page = estimate_page(content(max100, estimate=estimate, revisions=tuple(steps)))
-    lines = [t for f in figures(page) for t in f["data"] if t.get("name") == "a"]
-    assert [trace["x"] for trace in lines] == [[3, 4]]
+@pytest.mark.parametrize(
+    ("stds", "curve", "told"),
+    [((None, 1e6, 0.5, 0.1), [3, 4], "a in kg m²"), ((None, None), [], "a: not identified")],
+)
+def test_convergence_starts_where_the_parameter_is_determined(
+    stds: tuple[float | None, ...], curve: list[int], told: str, max100: Robot
+) -> None:
+    steps = [(BaseParameter(name="a", value=1.0, std=std),) for std in stds]
+    revisions = tuple(revision(step, ["a"], n) for n, step in enumerate(steps, start=1))
+    estimate = content(max100).estimate.model_copy(update={"base_parameters": steps[-1]})
+    found = figures(estimate_page(content(max100, estimate=estimate, revisions=revisions)))
+    assert [t["x"] for f in found for t in f["data"] if t.get("name") == "a"] == [curve]
+    assert told in [one["text"] for figure in found for one in figure["layout"].get("annotations", [])]
 
 
 def test_example_sweep_in_time_and_frequency(max100: Robot) -> None:
@@ -158,12 +150,11 @@ def test_example_sweep_in_time_and_frequency(max100: Robot) -> None:
 
 
 def test_truth_and_what_is_not_determined(max100: Robot) -> None:
-    base = content(max100)
     unknown = (BaseParameter(name="</script>", value=1.0, std=None),)
-    estimate = base.estimate.model_copy(update={"condition_number": None, "base_parameters": unknown})
-    page = estimate_page(
-        content(max100, estimate=estimate, truth_columns=AXES, truth=(TruthRow("ours", ("0.1", "0.2", "0.3")),))
-    ).html()
+    changes = {"condition_number": None, "base_parameters": unknown}
+    truth = {"truth_columns": AXES, "truth": (TruthRow("ours", ("0.1", "0.2", "0.3")),)}
+    estimate = content(max100).estimate.model_copy(update=changes)
+    page = estimate_page(content(max100, estimate=estimate, **truth)).html()
     assert "<td>0.3</td>" in page
     assert "</script>" not in page
     assert "&lt;/script&gt;" in page
@@ -180,12 +171,8 @@ def test_a_linear_axis_has_its_own_units(max100: Robot) -> None:
     assert drawn[1]["data"][0]["colorbar"]["title"]["text"] == "kg"
     assert [layout[axis]["title"]["text"] for axis in ("xaxis", "yaxis")] == ["joint_2 in deg", "joint_3 in mm"]
     assert drawn[1]["data"][2]["y"][:2] == [-1000.0, 0.0]
-    titles = {
-        axis["title"]["text"]
-        for figure in drawn
-        for name, axis in figure["layout"].items()
-        if name.startswith(("xaxis", "yaxis"))
-    }
+    scales = (pair for figure in drawn for pair in figure["layout"].items())
+    titles = {words["title"]["text"] for name, words in scales if name.startswith(("xaxis", "yaxis"))}
     assert {"velocity in mm/s", "effort in N", "J measured in kg or kg m²"} <= titles
     assert not titles & {"velocity in mrad/s", "effort in N m"}
     assert "in pose (0 mm, 0°, 0 mm, 0°, 0°, 0°): a slow motion" in page.html()
@@ -202,17 +189,6 @@ def test_a_linear_axis_has_its_own_units(max100: Robot) -> None:
 )
 def test_the_unit_of_a_base_parameter(name: str, unit: str) -> None:
     assert parameter_unit(name) == unit
-
-
-def test_a_parameter_without_a_curve_says_why(max100: Robot) -> None:
-    base = content(max100)
-    estimate = base.estimate.model_copy(
-        update={"base_parameters": (BaseParameter(name="mx(link_2)", value=1.0, std=None),)}
-    )
-    steps = tuple(revision(estimate.base_parameters, ["mx(link_2)"], n) for n in (1, 2))
-    drawn = figures(estimate_page(content(max100, estimate=estimate, revisions=steps)))
-    told = [one["text"] for figure in drawn for one in figure["layout"].get("annotations", [])]
-    assert "mx(link_2): not identified" in told
 
 
 @pytest.fixture(scope="module")
@@ -238,13 +214,6 @@ def test_ideal_frequencies_have_an_upright_at_each_end_and_between(found: Initia
     assert layout["annotations"][0]["text"].startswith("J = 198 kg m²")
 
 
-def test_the_table_has_both_ways_side_by_side(found: InitialAnalysis) -> None:
-    head, rows = table({"j1": found}, ("j1", "j2"))
-    assert len(rows) == len(LOADS)
-    assert {len(row) for row in rows} == {len(head)}
-    assert re.fullmatch(r"11\.57\d+ ± 0\.0+\d\d \(11\.\d\)", rows[0][3])
-
-
 def test_what_lies_above_the_band_is_not_told_to_a_tenth() -> None:
     stiff = analysis(train=STIFF)
     _, rows = table({"j1": stiff}, ("j1",))
@@ -256,10 +225,13 @@ def test_what_lies_above_the_band_is_not_told_to_a_tenth() -> None:
     assert all(re.search(r"ideal above \d(\.\d)? Hz → [2345] Hz", text) for text in texts)
 
 
-def test_the_page_holds_two_figures_an_axis(found: InitialAnalysis) -> None:
-    page = analysis_page(small_arm(), analyses_document({"j1": found})).html()
-    assert page.count("<figure>") == 2
-    assert ">j1</h3>" in page
+def test_the_page_holds_two_figures_an_axis_and_a_table_of_both_methods(found: InitialAnalysis) -> None:
+    page = analysis_page(small_arm(), analyses_document({"j1": found}))
+    assert page.html().count("<figure>") == 2
+    assert ">j1</h3>" in page.html()
+    (told,) = json.loads(page.written("json"))["tables"]
+    assert [len(row) for row in told["rows"]] == [len(told["head"])] * len(LOADS)
+    assert re.fullmatch(r"11\.57\d+ ± 0\.0+\d\d \(11\.\d\)", told["rows"][0][3])
 
 
 def test_a_linear_axis_of_an_analysis_has_its_own_units(found: InitialAnalysis) -> None:

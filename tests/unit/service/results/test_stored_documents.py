@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import pytest
 from pydantic import BaseModel
@@ -18,27 +18,13 @@ from service.model.results.sheet import Sheet
 from tests.stored.documents import stored
 
 KINDS: dict[str, type[Document]] = {
-    "analysis": Estimate,
-    "check": DataCheck,
-    "check-wrong": DataCheck,
-    "diagnosis-named": Diagnosis,
-    "diagnosis-open": Diagnosis,
-    "estimate": Estimate,
-    "estimate-free-motion": Estimate,
-    "model": ModelRevision,
-    "payload": Payload,
-    "sheet": Sheet,
+    **dict.fromkeys(("analysis", "estimate", "estimate-free-motion"), Estimate),
+    **dict.fromkeys(("check", "check-wrong"), DataCheck),
+    **dict.fromkeys(("diagnosis-named", "diagnosis-open"), Diagnosis),
+    **{"model": ModelRevision, "payload": Payload, "sheet": Sheet},
 }
-LATER = {  # keys of an axis that documents of before did not have
-    "part",
-    "changes",
-    "alternatives",
-    "started_from",
-    "rigid_model",
-    "unexplained",
-    "data",
-    "visible_in",
-}
+LATER = {"part", "changes", "alternatives", "started_from", "rigid_model", "unexplained", "data", "visible_in"}
+"""Keys of an axis that documents of before did not have."""
 
 
 def canonical(document: object) -> str:
@@ -48,9 +34,8 @@ def canonical(document: object) -> str:
 def unnamed(value: object) -> set[str]:
     """Keys, at any depth, that a model kept without describing them."""
     if isinstance(value, BaseModel):
-        return set(value.model_extra or {}).union(
-            *map(unnamed, (getattr(value, key) for key in type(value).model_fields))
-        )
+        parts = (getattr(value, key) for key in type(value).model_fields)
+        return set(value.model_extra or {}).union(*map(unnamed, parts))
     if isinstance(value, dict):
         return set().union(*map(unnamed, value.values()))
     return set().union(*map(unnamed, value)) if isinstance(value, tuple) else set()
@@ -96,19 +81,21 @@ def test_keys_that_nobody_described_are_kept() -> None:
     assert DataCheck.read(document, "check").as_json() == document
 
 
-def test_what_is_no_result_is_refused_by_its_field() -> None:
-    document = stored("diagnosis-named")
-    document["axes"]["joint_1"]["gap"]["before_rms"] = "much"
-    with pytest.raises(BadInput, match=r"^diagnosis 7\.axes\.joint_1\.gap\.before_rms"):
-        Diagnosis.read(document, "diagnosis 7")
-    with pytest.raises(BadInput, match=r"^file"):
-        Diagnosis.read([], "file")
+GAP = stored("diagnosis-named")
+GAP["axes"]["joint_1"]["gap"]["before_rms"] = "much"
 
 
-@pytest.mark.parametrize("version", [2, 0, "one", None])
-def test_what_a_newer_version_wrote_is_refused(version: object) -> None:
-    with pytest.raises(BadInput, match=r"file\.version.*update sweepid"):
-        DataCheck.read(stored("check") | {"version": version}, "file")
+@pytest.mark.parametrize(
+    ("kind", "document", "told"),
+    [
+        (Diagnosis, GAP, r"^file 7\.axes\.joint_1\.gap\.before_rms"),
+        (Diagnosis, [], "^file 7"),
+        *((DataCheck, {"version": one}, r"^file 7\.version.*update sweepid") for one in (2, 0, "one", None)),
+    ],
+)
+def test_what_is_no_result_is_refused_by_its_field(kind: type[Document], document: Any, told: str) -> None:
+    with pytest.raises(BadInput, match=told):
+        kind.read(document, "file 7")
 
 
 @pytest.mark.parametrize(

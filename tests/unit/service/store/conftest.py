@@ -67,3 +67,7 @@ def specs() -> Specs:
         SweepSpec(id=f"{n:04d}", axis="joint_1", pose=(0.0,) * 6, offset_velocity=0.01, sample_rate=1000.0)
         for n in (1, 2, 3)
     )
+
+
+def must_not_wait(_: float) -> None:
+    pytest.fail("waited for a lease that is free")

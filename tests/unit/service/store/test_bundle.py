@@ -27,34 +27,45 @@ from tests.recorded_bundle import bundle
 Edit = Callable[[dict[str, Any]], object]
 
 
-URDF = """<robot name="two">
-  <link name="base"/>
+INERTIA = '<inertia ixx="1" iyy="1.2" izz="1.1" ixy="0.01" ixz="0.02" iyz="0.03"/>'
+
+FULL_URDF = f"""<robot name="two">
+  <link name="base"><collision><origin xyz="0 0 0.1" rpy="0 0 0.5"/>
+    <geometry><box size="0.1 0.2 0.3"/></geometry></collision></link>
   <link name="turn">
-    <inertial><mass value="10"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+    <inertial><origin xyz="0.1 0.2 0.3" rpy="0.1 0.2 0.3"/><mass value="10"/>{INERTIA}</inertial>
+    <collision><geometry><cylinder radius="0.1" length="0.4"/></geometry></collision>
   </link>
   <link name="push">
-    <inertial><mass value="5"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+    <inertial><mass value="5"/>{INERTIA}</inertial>
+    <collision><geometry><sphere radius="0.2"/></geometry></collision>
   </link>
-  <joint name="j1" type="revolute"><parent link="base"/><child link="turn"/>
-    <axis xyz="0 0 1"/><limit lower="-3" upper="3" velocity="1" effort="100"/></joint>
+  <link name="tool"><inertial><mass value="1"/>{INERTIA}</inertial></link>
+  <joint name="j1" type="revolute"><parent link="base"/><child link="turn"/><origin xyz="0 0 0.3" rpy="0 0 0"/>
+    <axis xyz="0 0 1"/><limit lower="-3" upper="3" velocity="1" effort="100"/><dynamics damping="1" friction="2"/>
+  </joint>
   <joint name="j2" type="prismatic"><parent link="turn"/><child link="push"/>
     <axis xyz="1 0 0"/><limit lower="0" upper="1" velocity="1" effort="100"/></joint>
+  <joint name="flange" type="fixed"><parent link="push"/><child link="tool"/><origin xyz="0.1 0 0" rpy="0 0 0"/></joint>
 </robot>
 """
+
+AXES = (
+    Axis(joint="j1", gear_ratio=-171.0, motor_inertia=0.0021, rated_effort=2500.0, viscous_friction=2.0,
+         cogging_orders=(24.0,), transmission_orders=(1.0,)),
+    Axis(joint="j2", gear_ratio=600.0, motor_inertia=0.001, rated_effort=900.0, viscous_friction=150.0),
+)  # fmt: skip
+
+ROBOT = RobotDescription(name="two", urdf="robot.urdf", axes=AXES, prior=Prior())
 
 
 @pytest.fixture
 def robot() -> Robot:
     """A turning and a pushing axis."""
-    axes = (
-        Axis(joint="j1", gear_ratio=-171.0, motor_inertia=0.0021, rated_effort=2500.0, cogging_orders=(24.0, 48.0)),
-        Axis(joint="j2", gear_ratio=600.0, rated_effort=900.0, viscous_friction=150.0),
-    )
-    return build_robot(RobotDescription(name="two", urdf="robot.urdf", axes=axes), URDF)
+    return build_robot(ROBOT, FULL_URDF)
 
 
-@pytest.fixture
-def sweep() -> Sweep:
+def one_sweep() -> Sweep:
     """j1 for two periods of 1 s at 100 Hz after half a second of settling."""
     spec = SweepSpec(
         id="0001",
@@ -69,6 +80,11 @@ def sweep() -> Sweep:
     )
     time = np.arange(250) / 100.0
     return Sweep(spec, Recording(time, np.sin(time), np.cos(time), 0.1 * time, load_velocity=np.cos(3 * time)))
+
+
+@pytest.fixture
+def sweep() -> Sweep:
+    return one_sweep()
 
 
 @pytest.fixture
@@ -130,17 +146,15 @@ def test_round_trip(tmp_path_factory: pytest.TempPathFactory, robot: Robot, draw
     assert [path.name for path in folder.parent.iterdir()] == ["bundle"]
 
 
-def test_a_full_directory_is_left_alone(folder: Path, robot: Robot, sweep: Sweep) -> None:
+def test_an_empty_directory_is_filled_and_a_full_one_left_alone(tmp_path: Path, robot: Robot, sweep: Sweep) -> None:
+    folder = tmp_path / "bundle"
+    folder.mkdir()
+    write_bundle(folder, robot, [sweep])
+    assert len(read_bundle(folder).sweeps) == 1
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     with pytest.raises(BadInput, match="not an empty folder"):
         write_bundle(folder, robot, [sweep])
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
-
-
-def test_an_empty_directory_is_filled(tmp_path: Path, robot: Robot, sweep: Sweep) -> None:
-    (tmp_path / "bundle").mkdir()
-    write_bundle(tmp_path / "bundle", robot, [sweep])
-    assert len(read_bundle(tmp_path / "bundle").sweeps) == 1
 
 
 def test_what_cannot_be_read_is_not_written(tmp_path: Path, robot: Robot, sweep: Sweep) -> None:
@@ -342,52 +356,11 @@ def test_a_bundle_is_found_in_the_folder_that_was_zipped(tmp_path: Path, name: s
 ABSURD = ("NaN", "Infinity", "-Infinity", "1e308", "-1e308", "1e14", "-1e14")
 
 
-INERTIA = '<inertia ixx="1" iyy="1.2" izz="1.1" ixy="0.01" ixz="0.02" iyz="0.03"/>'
-
-
-FULL_URDF = f"""<robot name="two">
-  <link name="base"><collision><origin xyz="0 0 0.1" rpy="0 0 0.5"/>
-    <geometry><box size="0.1 0.2 0.3"/></geometry></collision></link>
-  <link name="turn">
-    <inertial><origin xyz="0.1 0.2 0.3" rpy="0.1 0.2 0.3"/><mass value="10"/>{INERTIA}</inertial>
-    <collision><geometry><cylinder radius="0.1" length="0.4"/></geometry></collision>
-  </link>
-  <link name="push">
-    <inertial><mass value="5"/>{INERTIA}</inertial>
-    <collision><geometry><sphere radius="0.2"/></geometry></collision>
-  </link>
-  <link name="tool"><inertial><mass value="1"/>{INERTIA}</inertial></link>
-  <joint name="j1" type="revolute"><parent link="base"/><child link="turn"/><origin xyz="0 0 0.3" rpy="0 0 0"/>
-    <axis xyz="0 0 1"/><limit lower="-3" upper="3" velocity="1" effort="100"/><dynamics damping="1" friction="2"/>
-  </joint>
-  <joint name="j2" type="prismatic"><parent link="turn"/><child link="push"/>
-    <axis xyz="1 0 0"/><limit lower="0" upper="1" velocity="1" effort="100"/></joint>
-  <joint name="flange" type="fixed"><parent link="push"/><child link="tool"/><origin xyz="0.1 0 0" rpy="0 0 0"/></joint>
-</robot>
-"""
-
-
-AXES = (
-    Axis(joint="j1", gear_ratio=-171.0, motor_inertia=0.0021, rated_effort=2500.0, viscous_friction=2.0,
-         cogging_orders=(24.0,), transmission_orders=(1.0,)),
-    Axis(joint="j2", gear_ratio=600.0, motor_inertia=0.001, rated_effort=900.0, viscous_friction=150.0),
-)  # fmt: skip
-
-
-ROBOT = RobotDescription(name="two", urdf="robot.urdf", axes=AXES, prior=Prior())
-
-
 @pytest.fixture(scope="module")
 def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bundle with a value in every numeric field of the schema."""
-    spec = SweepSpec(
-        id="0001", axis="j1", pose=(0.1, 0.5), offset_velocity=0.01, sines=(Sine(frequency=2.0, amplitude=0.002),),
-        period=1.0, periods=2, measure_from=0.5, sample_rate=100.0,
-    )  # fmt: skip
-    time = np.arange(250) / 100.0
     full = tmp_path_factory.mktemp("absurd") / "bundle"
-    sweep = Sweep(spec, Recording(time, np.sin(time), np.cos(time), 0.1 * time))
-    write_bundle(full, build_robot(ROBOT, FULL_URDF), [sweep])
+    write_bundle(full, build_robot(ROBOT, FULL_URDF), [one_sweep()])
     return full
 
 

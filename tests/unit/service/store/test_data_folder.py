@@ -64,6 +64,16 @@ def test_a_lost_database_is_told(tmp_path: Path, url: str, kind: str, claimed: b
     assert (tmp_path / FILE).exists() is claimed
 
 
+def test_what_a_killed_import_left_makes_no_lost_database_and_a_damaged_file_is_told(tmp_path: Path, url: str) -> None:
+    with open_database(url) as database:
+        claim_folder(tmp_path, database)
+        recorded(tmp_path, "import-0")
+        assert claim_folder(tmp_path, database) == ""
+        (tmp_path / FILE).write_text("{", "utf-8")
+        with pytest.raises(BadInput, match="does not name the database"):
+            claim_folder(tmp_path, database)
+
+
 def test_a_folder_from_before_is_taken_with_its_own_database(
     tmp_path: Path, url: str, robot: Robot, specs: Specs
 ) -> None:
@@ -72,19 +82,6 @@ def test_a_folder_from_before_is_taken_with_its_own_database(
         add_campaign(Store(database), robot, specs[0])
         assert claim_folder(tmp_path, database) == ""
     assert (tmp_path / FILE).exists()
-
-
-def test_what_a_killed_import_left_makes_no_lost_database(tmp_path: Path, url: str) -> None:
-    with open_database(url) as database:
-        claim_folder(tmp_path, database)
-        recorded(tmp_path, "import-0")
-        assert claim_folder(tmp_path, database) == ""
-
-
-def test_a_damaged_file_is_told(tmp_path: Path, url: str) -> None:
-    (tmp_path / FILE).write_text("{", "utf-8")
-    with open_database(url) as database, pytest.raises(BadInput, match="does not name the database"):
-        claim_folder(tmp_path, database)
 
 
 def test_a_recording_is_never_overwritten(tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ from service.store.people.users import UserStore
 from service.store.store import Store
 from tests.command import sweepid
 from tests.postgresql_server import PASSWORD, PostgresqlServer, running_server
-from tests.unit.service.store.conftest import Specs
+from tests.unit.service.store.conftest import Specs, must_not_wait
 
 pytestmark = pytest.mark.slow
 
@@ -150,7 +150,7 @@ def test_what_is_in_the_way_is_refused(sqlite_url: str, postgresql_url: str) -> 
             copy_rows(source, target, LEASE_TIME, quiet)
         with pytest.raises(BadInput, match="is the database to copy from"):
             copy_rows(source, source, LEASE_TIME, quiet)
-        MachineLease(source, LEASE_TIME).acquire(wait=_must_not_wait)  # it was released each time
+        MachineLease(source, LEASE_TIME).acquire(wait=must_not_wait)  # it was released each time
     gone = sweepid("data", "copy", "--from", f"{sqlite_url}.none", "--to", postgresql_url)
     assert (gone.returncode, "does not exist" in gone.stderr) == (2, True)
 
@@ -183,10 +183,6 @@ def renewed(lease: MachineLease) -> Iterator[None]:
     finally:
         ended.set()
         thread.join()
-
-
-def _must_not_wait(_: float) -> None:
-    pytest.fail("waited for a lease that is free")
 
 
 WRITERS, ENTRIES = 3, 40

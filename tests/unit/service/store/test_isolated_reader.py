@@ -75,33 +75,29 @@ async def test_a_reader_that_hangs_is_ended(bundle: Path, work: Path) -> None:
     assert readers() == []
 
 
-async def test_a_reader_that_is_killed_in_the_middle(bundle: Path, work: Path) -> None:
+@pytest.mark.parametrize("killed", [True, False], ids=["the reader is killed", "the caller gives up"])
+async def test_a_reader_that_is_ended_in_the_middle_leaves_nothing(bundle: Path, work: Path, killed: bool) -> None:
     pipe = stuck(bundle)
     reading = asyncio.create_task(read_isolated(take_in, (bundle, work), "bundle", LONG))
     with await asyncio.to_thread(pipe.open, "wb"):  # opens when the reader has come so far
         (reader,) = readers()
-        os.kill(reader, signal.SIGKILL)
-        with pytest.raises(BadInput, match=r"SIGKILL; limits 4294967296 bytes of memory and 120 s"):
-            await reading
+        if killed:
+            os.kill(reader, signal.SIGKILL)
+            with pytest.raises(BadInput, match=r"SIGKILL; limits 4294967296 bytes of memory and 120 s"):
+                await reading
+        else:
+            reading.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await reading
+        assert readers() == []
     assert saved(work) == []
 
 
-async def test_who_gives_up_ends_the_reader(bundle: Path, work: Path) -> None:
-    pipe = stuck(bundle)
-    reading = asyncio.create_task(read_isolated(take_in, (bundle, work), "bundle", LONG))
-    with await asyncio.to_thread(pipe.open, "wb"):
-        reading.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await reading
-        assert readers() == []
-
-
-async def test_a_description_without_end_is_refused(bundle: Path, work: Path) -> None:
+async def test_a_description_without_end_is_refused_and_trouble_with_our_own_disk_is_not_the_bundles(
+    bundle: Path, work: Path
+) -> None:
     with pytest.raises(BadInput, match="more than the limit of 1000 bytes"):
         await read_isolated(take_in, (bundle, work), "bundle", Limits(time=120.0, answer=1000))
-
-
-async def test_trouble_with_our_own_disk_is_not_the_bundles(bundle: Path) -> None:
     with pytest.raises(NotADirectoryError):
         await read_isolated(take_in, (bundle, Path("/dev/full")), "bundle", LONG)
 

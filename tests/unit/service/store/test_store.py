@@ -47,9 +47,14 @@ SPECTRUM = SpectrumRecord(path="recordings/x.spectrum.json", sha256="1" * 64)
 
 
 @pytest.fixture
-def campaign(store: Store, robot: Robot, specs: Specs) -> CampaignDocument:
+def sweeps(specs: Specs) -> list[NewSweep]:
+    return [NewSweep(spec=spec, mode=None) for spec in specs]
+
+
+@pytest.fixture
+def campaign(store: Store, robot: Robot, sweeps: list[NewSweep]) -> CampaignDocument:
     plan = store.add_plan(store.add_robot(robot).id, {"any": "document"})
-    return store.add_campaign(plan.id, [NewSweep(spec=spec, mode=None) for spec in specs])
+    return store.add_campaign(plan.id, sweeps)
 
 
 Record = Callable[[int], SweepDocument]
@@ -96,9 +101,8 @@ def test_a_move_of_another_version_or_state_changes_nothing(store: Store, campai
     assert store.campaign(campaign.id) == started
 
 
-def test_two_campaigns_are_told_apart(store: Store, campaign: CampaignDocument) -> None:
-    assert campaign.plan_id is not None
-    other = store.add_campaign(campaign.plan_id, [NewSweep(spec=store.sweep(campaign.id, 1).spec, mode=None)])
+def test_two_campaigns_are_told_apart(store: Store, campaign: CampaignDocument, sweeps: list[NewSweep]) -> None:
+    other = store.add_campaign(campaign.plan_id or 0, sweeps[:1])
     assert other.sweeps == {SweepState.PLANNED: 1}
     assert (store.campaigns(limit=1), store.campaigns(after=campaign.id)) == ((campaign,), (other,))
     store.begin_sweep(other.id, 1, sweep_move(SweepEvent.BEGIN))
@@ -106,18 +110,23 @@ def test_two_campaigns_are_told_apart(store: Store, campaign: CampaignDocument) 
     found = store.recording(other.id, 1)
     assert (found.campaign_id, found.number) == (other.id, 1)
     assert (store.recordings(other.id), store.recordings(campaign.id)) == ({1: found}, {})
+    assert store.recorded_sweeps(other.id, {SweepState.RECORDED}) == [(sweep.spec, found)]
+    assert store.recorded_sweeps(other.id, {SweepState.IDENTIFIED}) == []
     estimate = store.add_estimate([(sweep, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), {})
     assert estimate is not None
     assert (estimate, estimate.number) == (store.estimate(other.id), 1)
 
 
-def test_a_result_counts_once(store: Store, campaign: CampaignDocument, record: Record) -> None:
+def test_a_result_counts_once(database: Database, store: Store, campaign: CampaignDocument, record: Record) -> None:
+    """The database itself refuses a second one."""
     sweep = record(1)
     identify = sweep_move(SweepEvent.IDENTIFY)
     first = store.add_estimate([(sweep, SPECTRUM)], identify, {"value": 0.1})
     events = store.last_event_id()
     assert first is not None
     assert store.add_estimate([(sweep, SPECTRUM)], identify, {"value": 0.1}) is None
+    with pytest.raises(IntegrityError, match=r"(?i)unique"), database.write() as session:
+        session.add(t.EstimateRow(campaign_id=sweep.campaign_id, revision=2, sweep_id=1, document={}))
     assert store.estimates(campaign.id) == (first,)
     assert store.estimate(campaign.id, 1) == first
     assert store.spectra(campaign.id) == (SPECTRUM,)
@@ -134,15 +143,6 @@ def test_the_result_of_an_earlier_attempt_has_no_effect(
     assert (old.attempt, new.attempt) == (1, 2)
     assert store.add_estimate([(old, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), {}) is None
     assert store.add_estimate([(new, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), {}) is not None
-
-
-def test_the_database_itself_refuses_a_second_estimate_of_a_sweep(
-    database: Database, store: Store, record: Record
-) -> None:
-    sweep = record(1)
-    store.add_estimate([(sweep, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), {})
-    with pytest.raises(IntegrityError, match=r"(?i)unique"), database.write() as session:
-        session.add(t.EstimateRow(campaign_id=sweep.campaign_id, revision=2, sweep_id=1, document={}))
 
 
 def test_every_change_is_told_in_order(store: Store, campaign: CampaignDocument, record: Record) -> None:
@@ -188,16 +188,9 @@ def models(database: Database) -> ModelStore:
 
 
 @pytest.fixture
-def sweeps(specs: Specs) -> list[NewSweep]:
-    return [NewSweep(spec=spec, mode=None) for spec in specs]
-
-
-@pytest.fixture
 def new(store: Store, robot: Robot, sweeps: list[NewSweep]) -> NewDiagnosis:
     """Of one measured campaign."""
-    recordings = [
-        NewRecording(state=RecordingState.COMPLETE, path=f"{n}", sha256="0" * 64, samples=9) for n in range(3)
-    ]
+    recordings = [RECORDING.model_copy(update={"path": f"{n}"}) for n in range(len(sweeps))]
     campaign = store.add_measured(store.add_robot(robot).id, sweeps, recordings)
     return NewDiagnosis(
         robot_id=campaign.robot_id, campaigns=(campaign.id,), axes=("joint_1", "joint_2"), unattended=True
@@ -270,13 +263,15 @@ def test_an_experiment_is_one_and_leads_to_one_diagnosis(
 
 
 def test_after_a_restart_nothing_is_unattended(diagnoses: DiagnosisStore, new: NewDiagnosis) -> None:
-    parent = done(diagnoses, new)
+    parent, failed = done(diagnoses, new), diagnoses.add(new)
     child = diagnoses.go_on(new.model_copy(update={"parent": parent.id}), ())
     assert child is not None
+    diagnoses.fail(failed.id, "recording file was changed", {"axes": {}})
     diagnoses.attend("restarted")
     assert diagnoses.diagnosis(parent.id).unattended  # as it was: its loop went on
-    found = diagnoses.diagnosis(child.id)
-    assert (found.unattended, found.cause, found.state) == (False, "restarted", DiagnosisState.WAITING)
+    failed, child = (diagnoses.diagnosis(one.id) for one in (failed, child))
+    assert (child.unattended, child.cause, child.state) == (False, "restarted", DiagnosisState.WAITING)
+    assert (failed.unattended, failed.cause, failed.document) == (False, "recording file was changed", {"axes": {}})
 
 
 def test_models_are_numbered_robot_by_robot_and_a_diagnosis_becomes_one(
@@ -299,25 +294,13 @@ def test_models_are_numbered_robot_by_robot_and_a_diagnosis_becomes_one(
     assert models.model(first.id) == first
 
 
-def test_what_failed_stays_failed_for_its_own_reason(diagnoses: DiagnosisStore, new: NewDiagnosis) -> None:
-    unattended = new.model_copy(update={"unattended": True})
-    failed, waiting = diagnoses.add(unattended), diagnoses.add(unattended)
-    diagnoses.fail(failed.id, "recording file was changed", {"axes": {}})
-    diagnoses.attend("the service was restarted")
-    found = [diagnoses.diagnosis(one.id) for one in (failed, waiting)]
-    assert [one.cause for one in found] == ["recording file was changed", "the service was restarted"]
-    assert not any(one.unattended for one in found)
-    assert found[0].document == {"axes": {}}
-
-
 def test_a_diagnosis_or_model_that_is_not_there_is_not_found(
     diagnoses: DiagnosisStore, models: ModelStore, new: NewDiagnosis
 ) -> None:
-    for ask in (diagnoses.diagnosis, models.model):
+    unknown = new.model_copy(update={"model": 99})
+    for ask in (lambda: diagnoses.diagnosis(99), lambda: models.model(99), lambda: diagnoses.add(unknown)):
         with pytest.raises(NotFound, match="99 does not exist"):
-            ask(99)
-    with pytest.raises(NotFound, match="model 99 does not exist"):
-        diagnoses.add(new.model_copy(update={"model": 99}))
+            ask()
 
 
 def recording(seed: int) -> Recording:
@@ -359,9 +342,7 @@ def test_a_changed_or_missing_file_is_refused(store: Store, files: RecordingFile
 
 
 def test_a_campaign_without_samples_is_no_bundle(
-    store: Store, files: RecordingFiles, robot: Robot, specs: Specs
+    store: Store, files: RecordingFiles, campaign: CampaignDocument
 ) -> None:
-    plan = store.add_plan(store.add_robot(robot).id, {})
-    campaign = store.add_campaign(plan.id, [NewSweep(spec=specs[0], mode=None)])
     with pytest.raises(Conflict, match="no complete recording"):
         campaign_bundle(store, files, campaign.id)

@@ -32,7 +32,7 @@ from service.store.lease_and_latch import (
 )
 from service.store.rows import NoMachine, OtherMachine
 from service.store.store import Store
-from tests.unit.service.store.conftest import Specs
+from tests.unit.service.store.conftest import Specs, must_not_wait
 
 pytestmark = pytest.mark.slow
 
@@ -123,31 +123,19 @@ def test_a_stop_outlives_the_process_until_a_person_resets_it(url: str) -> None:
         assert told == [(True, [first.id]), (True, [second.id]), (True, [first.id]), (False, [second.id])]
 
 
-def test_a_key_gives_the_same_answer_twice(database: Database) -> None:
+def test_a_key_gives_the_same_answer_twice_and_is_free_again_when_the_work_failed(database: Database) -> None:
     keys = IdempotencyKeys(database)
+    for again in (lambda: keys.release("k"), keys.release_unanswered):  # it failed, or its process ended
+        assert keys.claim("k", "a") is None
+        with pytest.raises(Conflict, match="still being processed"):
+            keys.claim("k", "a")
+        again()
     assert keys.claim("k", "a") is None
-    with pytest.raises(Conflict, match="still being processed"):
-        keys.claim("k", "a")
     keys.answer("k", 201, "{}")
+    keys.release_unanswered()
     assert keys.claim("k", "a") == StoredAnswer(status=201, body="{}")
     with pytest.raises(Conflict, match="another request"):
         keys.claim("k", "b")
-
-
-def test_a_key_is_free_again_when_the_work_failed_or_the_process_ended(database: Database) -> None:
-    keys = IdempotencyKeys(database)
-    keys.claim("failed", "a")
-    keys.release("failed")
-    assert keys.claim("failed", "a") is None
-    keys.claim("done", "a")
-    keys.answer("done", 200, "x")
-    keys.release_unanswered()
-    assert keys.claim("failed", "a") is None
-    assert keys.claim("done", "a") is not None
-
-
-def _must_not_wait(_: float) -> None:
-    pytest.fail("waited for a lease that is free")
 
 
 RUNNING, PLANNED = campaign_move(CampaignEvent.START), sweep_move(SweepEvent.BEGIN)
@@ -170,17 +158,17 @@ def started(database: Database, robot: Robot, spec: SweepSpec) -> CampaignDocume
 
 
 def test_two_machines_are_held_by_two_services_at_once(cells: tuple[Database, Database]) -> None:
-    leases = [MachineLease(cell, 60.0) for cell in cells]
+    first, second = leases = [MachineLease(cell, 60.0) for cell in cells]
     for lease in leases:
-        lease.acquire(wait=_must_not_wait)
+        lease.acquire(wait=must_not_wait)
     for lease in leases:
         lease.renew()
     third = MachineLease(cells[0], LEASE_TIME)
     with pytest.raises(MachineTaken, match=r"in use by another service .* than 'cell A', set `machine_name`"):
-        third.acquire(wait=lambda _: leases[0].renew())
-    leases[0].release()
-    third.acquire(wait=_must_not_wait)
-    leases[1].renew()  # the other cell's is not touched
+        third.acquire(wait=lambda _: first.renew())
+    first.release()
+    third.acquire(wait=must_not_wait)
+    second.renew()  # the other cell's is not touched
 
 
 def test_a_campaign_is_read_by_all_and_changed_by_its_own(
@@ -235,24 +223,20 @@ def test_what_a_start_recovers_is_its_own(cells: tuple[Database, Database], robo
         diagnoses[1].begin(begun.id)
 
 
-def test_a_stop_holds_its_machine_and_no_other(cells: tuple[Database, Database]) -> None:
-    latches = [StopLatch(cell) for cell in cells]
-    stop = latches[0].latch("anna", "smoke")
-    assert [one.id for one in latches[0].latched()] == [stop.id]
-    assert latches[1].latched() == ()
-    with pytest.raises(NotFound, match=f"stop {stop.id}"):
-        latches[1].reset("berta", [stop.id])
-    assert latches[0].latched() != ()
-    latches[0].reset("anna", [stop.id])
-    assert latches[0].latched() == ()
-
-
-def test_an_approval_holds_for_its_machine(cells: tuple[Database, Database], robot: Robot, specs: Specs) -> None:
+def test_a_stop_and_an_approval_hold_for_their_machine_and_no_other(
+    cells: tuple[Database, Database], robot: Robot, specs: Specs
+) -> None:
     plan = started(cells[0], robot, specs[0]).plan_id or 0
-    approvals = [ApprovalStore(cell) for cell in cells]
-    given = approvals[0].add(plan, "0" * 64, "anna", timedelta(hours=8), lambda: None)
-    assert [one.id for one in approvals[0].of_plan(plan)] == [given.id]
-    assert approvals[1].of_plan(plan) == ()
+    (approvals, others), (latch, other) = map(ApprovalStore, cells), map(StopLatch, cells)
+    given = approvals.add(plan, "0" * 64, "anna", timedelta(hours=8), lambda: None)
+    assert ([one.id for one in approvals.of_plan(plan)], others.of_plan(plan)) == ([given.id], ())
+    stop = latch.latch("anna", "smoke")
+    assert ([one.id for one in latch.latched()], other.latched()) == ([stop.id], ())
+    with pytest.raises(NotFound, match=f"stop {stop.id}"):
+        other.reset("berta", [stop.id])
+    assert latch.latched() != ()
+    latch.reset("anna", [stop.id])
+    assert latch.latched() == ()
 
 
 def test_a_data_folder_has_one_machine(cells: tuple[Database, Database], tmp_path: Path) -> None:
@@ -286,13 +270,10 @@ def test_robots_of_one_file_differ_by_serial_number(database: Database, robot: R
     store = Store(database)
     plain = store.add_robot(robot)
     named = [
-        store.add_robot(
-            Robot(robot.description.model_copy(update={"serial": serial, "revision": "B"}), robot.urdf_text)
-        )
-        for serial in ("1001", "1002", "1001")
+        store.add_robot(Robot(robot.description.model_copy(update={"serial": one, "revision": "B"}), robot.urdf_text))
+        for one in ("1001", "1002", "1001")
     ]
     assert "serial" not in plain.description.model_dump(mode="json")
     assert (plain.serial, plain.revision) == (None, None)
     assert [(one.serial, one.revision) for one in named] == [("1001", "B"), ("1002", "B"), ("1001", "B")]
-    assert named[0].id == named[2].id
-    assert len({plain.id, named[0].id, named[1].id}) == 3
+    assert (named[0].id, len({plain.id, *(one.id for one in named)})) == (named[2].id, 3)

@@ -62,8 +62,8 @@ def test_without_a_collector_spans_are_dropped_and_counted() -> None:
 
 def test_nothing_is_made_where_nothing_is_wanted() -> None:
     assert TRACING.export is None
-    with TRACING.span("sweep", campaign=1) as span:
-        span.note("a", 1)
+    with TRACING.span("sweep", campaign=1) as note:
+        note("a", 1)
         assert TRACING.traceparent == ""
     assert TRACING.dropped is None
 

@@ -4,23 +4,17 @@ import struct
 from configparser import RawConfigParser
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from simulator import ScenarioError
 from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
 from simulator.drive.limits import speed_unit
 from simulator.drive.makers import VIRTUAL
-from simulator.drive.measuring import DriveSamples
 from simulator.drive.power_drive import DriveState, FaultCode
-from simulator.drive.virtual_axis import VirtualAxis
+from tests.unit.simulator.conftest import Rig
 
 EDS = Path(__file__).parents[4] / "config/eds"
 MINIMAL = "[DeviceInfo]\nVendorNumber=1\n\n[6040]\nParameterName=Controlword\nObjectType=7\nDataType=6\nAccessType=rw\n"
-
-
-def load(name: str) -> ObjectDictionary:
-    return ObjectDictionary(EDS / f"{name}.eds", 3)
 
 
 def sections(name: str) -> dict[str, dict[str, str]]:
@@ -31,22 +25,6 @@ def sections(name: str) -> dict[str, dict[str, str]]:
 
 def objects(name: str) -> set[str]:
     return {section for section in sections(name) if section[0] in "126" and "sub" not in section}
-
-
-def step(axis: VirtualAxis, cycles: int) -> np.ndarray:
-    """A motor that follows exactly; the speeds, rev/s."""
-    command = axis.setpoints(cycles)
-    position = axis.position + np.cumsum(command) * 0.001
-    zero = np.zeros(cycles)
-    axis.observe(DriveSamples(zero, zero > 0, command, command, position, np.full(cycles, 0.5), zero))
-    return command
-
-
-def enable(dictionary: ObjectDictionary, axis: VirtualAxis, mode: int) -> None:
-    dictionary.download(0x6060, 0, bytes([mode]))
-    for controlword in (0x06, 0x07, 0x0F):
-        axis.control(controlword)
-    assert axis.state is DriveState.OPERATION_ENABLED
 
 
 def test_the_variants_differ_in_what_they_are_about_alone() -> None:
@@ -67,42 +45,38 @@ def test_the_variants_differ_in_what_they_are_about_alone() -> None:
 
 
 def test_rev_per_min_everywhere() -> None:
-    d = load("virtual-axis-rpm")
+    d = ObjectDictionary(EDS / "virtual-axis-rpm.eds", 3)
     assert speed_unit(d) == 60.0
     d[0x6076, 0], d[0x6080, 0], d[0x607F, 0], d[0x6081, 0] = 20_000, 3000, 3000, 600
     d[0x607D, 1], d[0x607D, 2] = -100 << 20, 100 << 20
-    axis = VirtualAxis(d, 0.001, can_move=True)
-    assert axis.limits.speed == 50.0
-    assert axis.limits.ramp(0x6083) == pytest.approx(1000 / 60)  # as the other EDS' default
-    enable(d, axis, 9)
-    d.download(0x60FF, 0, struct.pack("<i", 120))
-    axis.sync(0.0)
-    assert step(axis, 4) == pytest.approx([0.5, 1.0, 1.5, 2.0])
-    d.download(0x60FF, 0, struct.pack("<i", 120))
-    axis.sync(0.004)
-    step(axis, 4)
+    rig = Rig(d)
+    assert rig.axis.limits.speed == 50.0
+    assert rig.axis.limits.ramp(0x6083) == pytest.approx(1000 / 60)  # as the other EDS' default
+    rig.enable(9)
+    rig.stream(2.0, 0.0)
+    assert rig.turn(4, 4) == pytest.approx([0.5, 1.0, 1.5, 2.0])
+    rig.stream(2.0, 0.004)
+    rig.turn(4, 4)
     assert d[0x606C, 0] == 120
-    d.download(0x60FF, 0, struct.pack("<i", 3001))
-    axis.sync(0.008)
+    rig.stream(3001 / 60, 0.008)
     assert d[0x603F, 0] == FaultCode.SPEED_LIMIT
 
 
 def test_a_dictionary_of_one_object_drives_an_axis_by_the_defaults(tmp_path: Path) -> None:
     path = tmp_path / "minimal.eds"
     path.write_text(MINIMAL)
-    d = ObjectDictionary(path, 1)
-    axis = VirtualAxis(d, 0.001, can_move=True)
+    rig = Rig(ObjectDictionary(path, 1))
     for controlword in (0x06, 0x07, 0x0F):
-        d.download(0x6040, 0, struct.pack("<H", controlword))
-    step(axis, 8)
-    assert axis.state is DriveState.OPERATION_ENABLED
-    assert all(d[key] is not None for key in VIRTUAL.absent)
+        rig.dictionary.download(0x6040, 0, struct.pack("<H", controlword))
+    rig.turn(8)
+    assert rig.state is DriveState.OPERATION_ENABLED
+    assert all(rig.dictionary[key] is not None for key in VIRTUAL.absent)
     with pytest.raises(SdoAbort) as refused:
-        d.upload(0x6041, 0)
+        rig.dictionary.upload(0x6041, 0)
     assert refused.value.code is AbortCode.NO_OBJECT
-    axis.fail(0x7305)
-    step(axis, 8)
-    assert axis.state is DriveState.FAULT
+    rig.axis.fail(0x7305)
+    rig.turn(8)
+    assert rig.state is DriveState.FAULT
 
 
 @pytest.mark.parametrize(
@@ -121,7 +95,7 @@ def test_what_is_no_eds_for_this_drive_is_refused(tmp_path: Path, text: str, nam
     path = tmp_path / "bad.eds"
     path.write_text(text)
     with pytest.raises(ScenarioError, match=named):
-        VirtualAxis(ObjectDictionary(path, 1), 0.001, can_move=True)
+        Rig(ObjectDictionary(path, 1))
 
 
 @pytest.mark.parametrize(

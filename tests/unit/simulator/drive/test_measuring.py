@@ -2,7 +2,6 @@
 
 import struct
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,12 +12,10 @@ from simulator.canopen.pdo import Frame
 from simulator.drive.dictionary import AbortCode, ObjectDictionary, SdoAbort
 from simulator.drive.measuring import FunctionState, Rejection
 from simulator.drive.power_drive import DriveState
-from simulator.drive.virtual_axis import VirtualAxis
 from simulator.machine import LiveMachine
 from simulator.waveform import torque_noise
+from tests.unit.simulator.conftest import EDS, Rig
 
-Turn = Callable[..., np.ndarray]
-Enable = Callable[[int], None]
 SINES = ((2.0, 6.0, 0.3), (5.0, 12.0, -1.0))  # Hz, rev/min, rad
 RECORD = struct.Struct("<Ifffdd")
 
@@ -34,7 +31,7 @@ def parameters(dictionary: ObjectDictionary, **changed: float) -> None:
         d[0x2100, {"offset": 4, "ramp": 5, "period": 7}[name]] = value
 
 
-def command(dictionary: ObjectDictionary, value: int) -> None:
+def command(dictionary: ObjectDictionary, value: int = 1) -> None:
     dictionary.download(0x2100, 1, struct.pack("<H", value))
 
 
@@ -44,23 +41,23 @@ def by_hand(time: float) -> float:
     return 60 + 6 * np.sin(2 * np.pi * 2 * t + 0.3) + 12 * np.sin(2 * np.pi * 5 * t - 1)
 
 
-def test_a_run_from_start_to_page(dictionary: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable) -> None:
+def test_a_run_from_start_to_page(dictionary: ObjectDictionary, rig: Rig) -> None:
     parameters(dictionary)
-    enable(1)
-    command(dictionary, 1)
+    rig.enable(1)
+    command(dictionary)
     assert dictionary[0x2100, 2] == FunctionState.RUNNING
     with pytest.raises(SdoAbort) as twice:
-        command(dictionary, 1)
+        command(dictionary)
     assert twice.value.code is AbortCode.STATE
-    speeds = turn(2000, 10)
+    speeds = rig.turn(2000, 10)
     assert speeds[1999] * 60 == pytest.approx(by_hand(2.0))
     assert speeds[249] * 60 == pytest.approx(by_hand(0.25) / 2)  # half-way up the raised cosine
     assert dictionary[0x2100, 0x0B] == 500
     assert len(dictionary.upload(0x2110, 3)) == 500 * 32  # while it runs
-    turn(2000, 10)
+    rig.turn(2000, 10)
     assert dictionary[0x2100, 2] == FunctionState.DONE
     assert dictionary[0x2100, 0x0B] == 1000
-    assert not axis.moving
+    assert not rig.axis.moving
     dictionary[0x2110, 1], dictionary[0x2110, 2] = 998, 512
     page = dictionary.upload(0x2110, 3)
     assert [RECORD.unpack_from(page, at)[0] for at in (0, 32)] == [998, 999]
@@ -71,53 +68,42 @@ def test_a_run_from_start_to_page(dictionary: ObjectDictionary, axis: VirtualAxi
 
 
 @pytest.mark.parametrize(
-    ("changed", "enabled", "reason"),
+    ("changed", "reason"),
     [
-        ({}, False, Rejection.NOT_ENABLED),
-        ({"offset": 3000.0}, True, Rejection.SPEED),
-        ({"offset": 2900.0}, True, Rejection.POSITION_WINDOW),  # 50 rev/s for 3 s
-        ({"ramp": 0.0}, True, Rejection.PARAMETERS),
-        ({"period": float("nan")}, True, Rejection.PARAMETERS),
-        ({"period": 1e9}, True, Rejection.PARAMETERS),
+        (None, Rejection.NOT_ENABLED),
+        ({"offset": 3000.0}, Rejection.SPEED),
+        ({"offset": 2900.0}, Rejection.POSITION_WINDOW),  # 50 rev/s for 3 s
+        ({"ramp": 0.0}, Rejection.PARAMETERS),
+        ({"period": float("nan")}, Rejection.PARAMETERS),
+        ({"period": 1e9}, Rejection.PARAMETERS),
     ],
 )
 def test_rejections(
-    dictionary: ObjectDictionary,
-    axis: VirtualAxis,
-    enable: Enable,
-    changed: dict[str, float],
-    enabled: bool,
-    reason: Rejection,
+    dictionary: ObjectDictionary, rig: Rig, changed: dict[str, float] | None, reason: Rejection
 ) -> None:
-    parameters(dictionary, **changed)
-    if enabled:
-        enable(1)
-    command(dictionary, 1)
-    assert dictionary[0x2100, 2] == FunctionState.REJECTED
-    assert dictionary[0x2100, 3] == reason
-    assert axis.setpoints(8) == pytest.approx(np.zeros(8))
+    parameters(dictionary, **(changed or {}))
+    if changed is not None:
+        rig.enable(1)
+    command(dictionary)
+    assert (dictionary[0x2100, 2], dictionary[0x2100, 3]) == (FunctionState.REJECTED, reason)
+    assert rig.axis.setpoints(8) == pytest.approx(np.zeros(8))
 
 
-def test_abort_brings_it_to_standstill_and_keeps_the_trace(
-    dictionary: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable
-) -> None:
+def test_abort_brings_it_to_standstill_and_keeps_the_trace(dictionary: ObjectDictionary, rig: Rig) -> None:
     parameters(dictionary)
-    enable(1)
-    command(dictionary, 1)
-    turn(1600)
+    rig.enable(1)
+    command(dictionary)
+    rig.turn(1600)
     before = dictionary.upload(0x2110, 3)
     command(dictionary, 2)
-    speeds = turn(80)
+    speeds = rig.turn(80)
     assert np.all(np.diff(np.abs(speeds)) <= 1e-12)
     assert speeds[-1] == pytest.approx(0.0)
     assert dictionary[0x2100, 2] == FunctionState.ABORTED
-    assert axis.state is DriveState.OPERATION_ENABLED
+    assert rig.state is DriveState.OPERATION_ENABLED
     assert dictionary.upload(0x2110, 3) == before
-    command(dictionary, 1)
+    command(dictionary)
     assert dictionary[0x2100, 2] == FunctionState.RUNNING
-
-
-EDS = Path(__file__).parents[4] / "config/eds/virtual-axis.eds"
 
 
 @pytest.fixture
@@ -129,10 +115,6 @@ def ready(dictionary: ObjectDictionary) -> ObjectDictionary:
     d[0x2104, 1], d[0x2104, 2], d[0x2104, 3], d[0x2104, 4] = 0.2, 1.0, 40.0, 11
     d[0x2140, 1], d[0x2140, 2] = d[0x2140, 3], d[0x2140, 4] = 0.5, 0.1
     return d
-
-
-def start(dictionary: ObjectDictionary) -> None:
-    dictionary.download(0x2100, 1, struct.pack("<H", 1))
 
 
 def write(dictionary: ObjectDictionary, sub: int, value: float) -> None:
@@ -162,34 +144,35 @@ def test_one_period_by_the_formula() -> None:
     ],
 )
 def test_rejections_of_noise(
-    ready: ObjectDictionary, axis: VirtualAxis, enable: Enable, key: tuple[int, int], value: float, reason: Rejection
+    ready: ObjectDictionary, rig: Rig, key: tuple[int, int], value: float, reason: Rejection
 ) -> None:
     ready[key] = value
-    enable(1)
-    start(ready)
+    rig.enable(1)
+    command(ready)
     assert (ready[0x2100, 2], ready[0x2100, 3]) == (FunctionState.REJECTED, reason)
-    assert axis.measuring.injection(8) == pytest.approx(np.zeros(8))
+    assert rig.axis.measuring.injection(8) == pytest.approx(np.zeros(8))
 
 
-@pytest.mark.parametrize("end", ["abort", "quick stop", "fault", "emergency stop", "torque off"])
-def test_whatever_ends_the_run_ends_the_injection(
-    ready: ObjectDictionary, axis: VirtualAxis, turn: Turn, enable: Enable, end: str
-) -> None:
-    enable(1)
-    start(ready)
-    turn(1600)
-    {
-        "abort": lambda: ready.download(0x2100, 1, struct.pack("<H", 2)),
-        "quick stop": axis.quick_stop,
-        "fault": lambda: axis.fail(0x7305),
-        "emergency stop": lambda: axis.stop_safely(on=True),
-        "torque off": axis.disable_voltage,
-    }[end]()
-    assert axis.measuring.injection(80) == pytest.approx(np.zeros(80))
-    turn(400)
+ENDS: dict[str, Callable[[Rig], None]] = {
+    "abort": lambda rig: command(rig.dictionary, 2),
+    "quick stop": lambda rig: rig.axis.quick_stop(),
+    "fault": lambda rig: rig.axis.fail(0x7305),
+    "emergency stop": lambda rig: rig.axis.stop_safely(on=True),
+    "torque off": lambda rig: rig.axis.disable_voltage(),
+}
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_whatever_ends_the_run_ends_the_injection(ready: ObjectDictionary, rig: Rig, end: str) -> None:
+    rig.enable(1)
+    command(ready)
+    rig.turn(1600)
+    ENDS[end](rig)
+    assert rig.axis.measuring.injection(80) == pytest.approx(np.zeros(80))
+    rig.turn(400)
     assert ready[0x2100, 2] == FunctionState.ABORTED
-    assert axis.energised is (end == "abort")
-    assert turn(80) == pytest.approx(np.zeros(80))
+    assert rig.axis.energised is (end == "abort")
+    assert rig.turn(80) == pytest.approx(np.zeros(80))
 
 
 @pytest.mark.parametrize(
@@ -206,35 +189,35 @@ def test_whatever_ends_the_run_ends_the_injection(
     ],
 )
 def test_the_speed_control_becomes_softer_only(
-    ready: ObjectDictionary, axis: VirtualAxis, sub: int, value: float, code: AbortCode
+    ready: ObjectDictionary, rig: Rig, sub: int, value: float, code: AbortCode
 ) -> None:
     write(ready, 1, 0.25)
     write(ready, 2, 0.2)
-    assert axis.speed_control.softened
+    assert rig.axis.speed_control.softened
     with pytest.raises(SdoAbort) as refused:
         write(ready, sub, value)
     assert refused.value.code is code
-    assert axis.speed_control.active == (0.25, 0.2)
+    assert rig.axis.speed_control.active == (0.25, 0.2)
 
 
 @pytest.mark.parametrize("end", ["fault", "emergency stop", "host lost", "host lost, no reaction"])
 @pytest.mark.parametrize("enabled", [True, False])
 def test_the_drive_itself_restores_the_commissioned_control(
-    ready: ObjectDictionary, axis: VirtualAxis, enable: Enable, end: str, enabled: bool
+    ready: ObjectDictionary, rig: Rig, end: str, enabled: bool
 ) -> None:
     if enabled:
-        enable(1)
+        rig.enable(1)
     write(ready, 1, 0.25)
     write(ready, 2, 0.2)
     if end == "fault":
-        axis.fail(0x7305)
+        rig.axis.fail(0x7305)
     elif end == "emergency stop":
-        axis.stop_safely(on=True)
+        rig.axis.stop_safely(on=True)
     else:
         ready[0x6007, 0] = 0 if "no" in end else 3
-        axis.lose_host()
-    assert axis.speed_control.active == (0.5, 0.1)
-    assert not axis.speed_control.softened
+        rig.axis.lose_host()
+    assert rig.axis.speed_control.active == (0.5, 0.1)
+    assert not rig.axis.speed_control.softened
 
 
 def test_the_machine_follows_and_a_reboot_restores(scenario: Callable[[str], Scenario]) -> None:

@@ -79,9 +79,9 @@ def bench(shared: Bench) -> Bench:
     return shared
 
 
-def refused(act: Callable[[], object]) -> ExcCodes:
+def refused(act: Callable[..., object], *given: object) -> ExcCodes:
     with pytest.raises(Refusal) as caught:
-        act()
+        act(*given)
     return caught.value.code
 
 
@@ -132,24 +132,17 @@ def test_every_writable_signal_comes_back_as_it_was_written(bench: Bench) -> Non
 
 
 def test_what_is_refused_and_how(bench: Bench) -> None:
-    unit = bench.unit
+    unit, most = bench.unit, bench.registers.trace.capacity
     wide = bench.registers.signals["target_position"].address
-    assert refused(lambda: unit.read(wide, 1)) is ADDRESS
-    assert refused(lambda: unit.read(wide + 1, 1)) is ADDRESS
-    assert refused(lambda: unit.read(wide + 1, 2)) is ADDRESS
-    assert refused(lambda: unit.write(wide, [1])) is ADDRESS
-    assert refused(lambda: unit.write(wide + 1, [1, 2])) is ADDRESS
-    assert refused(lambda: unit.read(0xFFF0, 1)) is ADDRESS
-    assert refused(lambda: unit.read(0xFFFF, 2)) is ADDRESS
-    assert refused(lambda: unit.read(wide, bench.registers.max_read + 1)) is VALUE
-    assert refused(lambda: bench.put("statusword", 1)) is ADDRESS
-    assert refused(lambda: unit.write(bench.registers.trace.page.address, [1])) is ADDRESS
-    assert refused(lambda: bench.put("mode", 9)) is VALUE
-    assert refused(lambda: bench.put("mode", 3)) is VALUE
-    assert refused(lambda: bench.put("sines", 17)) is VALUE
-    assert refused(lambda: bench.put("quick_stop_option", 9)) is VALUE
-    assert refused(lambda: bench.put("page_count", bench.registers.trace.capacity + 1)) is VALUE
-    assert bench.get("page_count") == bench.registers.trace.capacity
+    for address, count in ((wide, 1), (wide + 1, 1), (wide + 1, 2), (0xFFF0, 1), (0xFFFF, 2)):
+        assert refused(unit.read, address, count) is ADDRESS
+    for address, words in ((wide, [1]), (wide + 1, [1, 2]), (bench.registers.trace.page.address, [1])):
+        assert refused(unit.write, address, words) is ADDRESS
+    assert refused(unit.read, wide, bench.registers.max_read + 1) is VALUE
+    assert refused(bench.put, "statusword", 1) is ADDRESS
+    for name, value in (("mode", 9), ("mode", 3), ("sines", 17), ("quick_stop_option", 9), ("page_count", most + 1)):
+        assert refused(bench.put, name, value) is VALUE
+    assert bench.get("page_count") == most
     assert bench.get("mode_display") == 0
 
 
@@ -158,7 +151,7 @@ def test_states_that_refuse(bench: Bench) -> None:
     bench.put("target_position", 5.0)
     bench.put("controlword", 0x1F)
     bench.wait(0.1)
-    assert refused(lambda: bench.put("mode", 0)) is STATE
+    assert refused(bench.put, "mode", 0) is STATE
     assert bench.get("mode_display") == 1
 
 
