@@ -119,6 +119,12 @@ def _table(table: Table) -> RichTable:
     return shown
 
 
+def write_report(form: str, path: Path, content: str | bytes) -> None:
+    """Write a report in one of its forms: `html`, `pdf`, or the tables of its `json` into a folder."""
+    write = write_tables if form == "json" else write_file
+    write(path, content)
+
+
 def write_tables(folder: Path, content: str | bytes) -> None:
     """`content`: the report's JSON form. BadInput if they cannot be written."""
     write_file(folder / "tables.json", content)

@@ -121,26 +121,28 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
     return app
 
 
+def _application_of(app: FastAPI) -> Application | None:
+    """None outside of its lifespan."""
+    return getattr(app.state, "application", None)
+
+
 def end_streams(app: FastAPI) -> None:
     """End all streams without an end (event streams, live samples), so that the server can shut down."""
-    application: Application | None = getattr(app.state, "application", None)
-    if application is not None:
+    if (application := _application_of(app)) is not None:
         application.feed.close()
         application.hub.close()
 
 
 async def end_motion(app: FastAPI) -> None:
     """Bring the machine to a final standstill, before the service waits for anything."""
-    application: Application | None = getattr(app.state, "application", None)
-    if application is not None and application.cell is not None:
+    if (application := _application_of(app)) is not None and application.cell is not None:
         application.machine.end("the service ended")
         await application.runner.close()
 
 
 def halt(app: FastAPI, why: str) -> None:
     """Stop every axis; no motion is possible afterwards. `why`: reason for the end of the service."""
-    application: Application | None = getattr(app.state, "application", None)
-    if application is not None and application.cell is not None:
+    if (application := _application_of(app)) is not None and application.cell is not None:
         application.machine.end(f"the service ended by {why}")
 
 

@@ -124,16 +124,6 @@ def test_bad_input_is_reported_before_anything_moves(
     assert len(client.campaigns()) == known
 
 
-def test_a_dry_run_gives_the_ranges_and_moves_nothing(
-    books: Books, client: ServiceClient, machine: VirtualMachine
-) -> None:
-    known = len(client.campaigns())
-    code, protocol, printed = books.run(*MEASURE, "--dry-run")
-    assert code == DONE, printed
-    assert results(protocol, "motion").keys() >= {AXIS, "joint_2"}
-    assert (len(client.campaigns()), machine.stands()) == (known, True)
-
-
 def test_a_fault_ends_it_and_the_machine_stands(books: Books, client: ServiceClient, machine: VirtualMachine) -> None:
     known = client.diagnoses()
     machine.order("fault", joint=AXIS, code=0x4310, at_sample=50)

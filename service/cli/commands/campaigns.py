@@ -84,8 +84,7 @@ def plan(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Plan a campaign. Nothing moves. Prints the number of the plan, and on stderr what the plan promises."""
-    from service.cli.terminal import waiting, write_file
-    from service.web.client import ServiceClient
+    from service.cli.terminal import write_file
 
     numbers = {"--step": step, "--sample-rate": sample_rate, "--duration": duration, "--confidence": confidence}
     numbers["--warm-up"] = warm_up
@@ -114,16 +113,8 @@ def plan(
     }
     request: Json = {name: value for name, value in options.items() if value is not None}
     request |= {"axes": _names(axes), "varied": _names(varied)}
-    with ServiceClient(url) as client:
-        number = robot_number(client, robot)
-        with waiting("planning: poses, sweeps and collision-free paths are computed"):
-            planned = client.add_plan(
-                request | {"robot_id": number},
-                elsewhere=elsewhere,
-                confirm_robot=confirm_robot,
-                confirm_cell=confirm_cell,
-            )
-    tell_subject(planned)
+    doing = "planning: poses, sweeps and collision-free paths are computed"
+    planned = _planned(url, robot, request, doing, elsewhere, confirm_robot, confirm_cell)
     _tell_plan(planned["document"], planned["expected_time"])
     if out is not None:
         write_file(out, json.dumps(planned, indent=2))
@@ -150,9 +141,6 @@ def plan_trajectories(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Plan exciting trajectories. Nothing moves. Prints the number of the plan."""
-    from service.cli.terminal import waiting
-    from service.web.client import ServiceClient
-
     options: Json = {
         "trajectories": trajectories,
         "period": period,
@@ -164,18 +152,35 @@ def plan_trajectories(
         "cell": cell,
     }
     request: Json = {name: value for name, value in options.items() if value is not None}
-    request |= {"kind": "trajectory", "axes": [name.strip() for name in axes.split(",") if name.strip()]}
-    with ServiceClient(url) as client:
-        number = robot_number(client, robot)
-        with waiting("planning: trajectories and collision-free paths are computed"):
-            planned = client.add_plan(
-                request | {"robot_id": number}, confirm_robot=confirm_robot, confirm_cell=confirm_cell
-            )
-    tell_subject(planned)
+    request |= {"kind": "trajectory", "axes": _names(axes)}
+    doing = "planning: trajectories and collision-free paths are computed"
+    planned = _planned(url, robot, request, doing, False, confirm_robot, confirm_cell)
     document = planned["document"]
     conditions = ", ".join(f"{condition:.0f}" for condition in document["condition"])
     sys.stderr.write(f"condition numbers {conditions}; {planned['expected_time'] / 60:.0f} min\n")
     sys.stdout.write(f"{planned['id']}\n")
+
+
+def _planned(
+    url: str,
+    robot: Path | None,
+    request: Json,
+    doing: str,
+    elsewhere: bool,
+    confirm_robot: str | None,
+    confirm_cell: str | None,
+) -> Json:
+    """The stored plan; its robot, cell and machine are told."""
+    from service.cli.terminal import waiting
+    from service.web.client import ServiceClient
+
+    names = {"confirm_robot": confirm_robot, "confirm_cell": confirm_cell}
+    with ServiceClient(url) as client:
+        number = robot_number(client, robot)
+        with waiting(doing):
+            planned = client.add_plan(request | {"robot_id": number}, elsewhere=elsewhere, **names)
+    tell_subject(planned)
+    return planned
 
 
 def _tell_plan(document: Json, seconds: float) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,8 +14,6 @@ from service.cli.options import DEFAULT_URL, JsonTo, Url
 if TYPE_CHECKING:
     from service.identification.fleet.document import Fleet, FleetRobot, FleetType
     from service.store.plant import BatchDocument, BatchEntry
-
-Form = Literal["html", "pdf", "json"]
 
 Job = Annotated[int, typer.Argument(metavar="JOB", help="Number of the job.", min=1, show_default=False)]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON lines.")]
@@ -32,19 +30,16 @@ def fleet(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Print a line for each robot of the plant: last measurement, changes, difference from robots of its type."""
-    from service.cli.terminal import put_json, waiting, write_file, write_tables
+    from service.cli.terminal import put_json, waiting, write_report
     from service.identification.fleet.document import Fleet
     from service.web.client import ServiceClient
 
-    wanted: list[tuple[Form, Path | None]] = [("html", report), ("pdf", pdf), ("json", tables)]
+    wanted = [("html", report), ("pdf", pdf), ("json", tables)]
     with ServiceClient(url) as client, waiting("reading the estimates of the plant"):
         found = Fleet.model_validate(client.fleet(type_name))
         written = [(form, path, client.fleet_report(type_name, form)) for form, path in wanted if path is not None]
     for form, path, content in written:
-        if form == "json":
-            write_tables(path, content)
-        else:
-            write_file(path, content)
+        write_report(form, path, content)
     if not put_json(found, json_to):
         for line in fleet_lines(found):
             typer.echo(line)

@@ -28,11 +28,10 @@ def report(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Write a report: verdict, origin, figures, tables and findings. Prints the files."""
-    from service.cli.terminal import waiting, write_file, write_tables
+    from service.cli.terminal import waiting, write_report
 
-    forms: tuple[Form, ...] = ("html", "pdf", "json")
-    places = zip(forms, (file, pdf, tables), strict=True)
-    wanted: list[tuple[Form, Path]] = [(form, path) for form, path in places if path is not None]
+    places: dict[Form, Path | None] = {"html": file, "pdf": pdf, "json": tables}
+    wanted: list[tuple[Form, Path]] = [(form, path) for form, path in places.items() if path is not None]
     if not wanted:
         raise BadInput("FILE", "is missing: name a file, or one with --pdf, or a folder with --tables")
     with waiting("drawing the report"):
@@ -44,10 +43,7 @@ def report(
             page = result_page(Path(of))
             written = [page.written(form) for form, _ in wanted]
     for (form, path), content in zip(wanted, written, strict=True):
-        if form == "json":
-            write_tables(path, content)
-        else:
-            write_file(path, content)
+        write_report(form, path, content)
         sys.stdout.write(f"{path}\n")
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.model.errors import BadInput
+from service.model.errors import BadInput, writing
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -39,7 +39,6 @@ def check(
     from service.cli.terminal import write_file
     from service.formats.maker_urdf import bare_robot, cell_text, check_urdf, read_description
     from service.formats.maker_urdf.packages import Packages
-    from service.model.errors import writing
 
     named = {key: Path(folder) for key, folder in (_pair(option, "=", "--package") for option in package or [])}
     given = dict(_pair(option, ":=", "--xacro-arg") for option in xacro_arg or [])
@@ -78,7 +77,6 @@ def virtual(
     from service.cli.terminal import write_file
     from service.formats.maker_urdf.virtual import DraftedRobot, virtual_machine
     from service.model.configuration import read_text, read_yaml
-    from service.model.errors import BadInput
 
     if not eds.is_file():
         raise BadInput("--eds", f"there is no file {eds}; it is config/eds/virtual-axis.eds of sweepid's sources")
@@ -98,8 +96,6 @@ def virtual(
 
 
 def _pair(option: str, sign: str, name: str) -> tuple[str, str]:
-    from service.model.errors import BadInput
-
     key, found, value = option.partition(sign)
     if not (key and found):
         raise BadInput(name, f"{option!r} is not NAME{sign}VALUE")

@@ -168,6 +168,12 @@ class Guesses:
             return 0.0
         return max(0.0, found.times[0] + WINDOW - now)
 
+    def check(self, address: str, key_sha256: str | None, what: str, trail: AuditTrail) -> None:
+        """RequestRefused while the key has to wait, for too many `what`; the audit has the first refusal alone."""
+        if wait := self.wait(address, key_sha256, time.monotonic()):
+            trail.hushed = not self.first_refusal(address)
+            raise too_many(what, wait)
+
     def __len__(self) -> int:
         """Number of addresses and keys in the tables."""
         return len(self._wrong) + len(self._opened)
@@ -237,7 +243,6 @@ class Access:
             await self._app(scope, receive, send)
             return
         trail = audit_trail_of(scope)
-        trail.route = self._permissions.entry(trail.method, scope["path"])
         trail.stop = trail.route == STOP
         if trail.stop and self._login:
             trail.key = presented(scope).key
@@ -280,9 +285,7 @@ class Access:
 
     async def _find(self, application: Application, given: Presented, trail: AuditTrail) -> Caller:
         value, guesses = key_sha256(given.key), self._guesses
-        if wait := guesses.wait(trail.address, value, time.monotonic()):
-            trail.hushed = not guesses.first_refusal(trail.address)
-            raise too_many(f"wrong keys from {trail.address}", wait)
+        guesses.check(trail.address, value, f"wrong keys from {trail.address}", trail)
         found: Caller | None = None
         if given.cookie:
             found = session = await run_in_threadpool(application.sessions.find, given.key)

@@ -55,14 +55,8 @@ class PasswordCheck:
 
     async def _look(self, users: UserStore, name: str, password: str, trail: AuditTrail) -> UserDocument:
         here = f"{name} {trail.address}"  # wrong passwords from elsewhere do not lock out users known at this address
-        now = time.monotonic()
-        for guesses, place, what in (
-            (self._of_addresses, trail.address, f"wrong keys and passwords from {trail.address}"),
-            (self._of_names, name, "wrong passwords for this name"),
-        ):
-            if wait := guesses.wait(place, here, now):
-                trail.hushed = not guesses.first_refusal(place)
-                raise too_many(what, wait)
+        self._of_addresses.check(trail.address, here, f"wrong keys and passwords from {trail.address}", trail)
+        self._of_names.check(name, here, "wrong passwords for this name", trail)
         user = await asyncio.get_running_loop().run_in_executor(self._reckoning, users.check, name, password)
         if await run_in_threadpool(users.knows, name):  # an unknown name may be a password in the wrong field
             trail.actor = name

@@ -313,11 +313,8 @@ class OidcLogin:
 
     async def named(self, cookie: str, state: str, code: str, trail: AuditTrail) -> Named:
         """The person of the provider. RequestRefused: 401 for invalid input, 429 for too many. ProviderSilent."""
-        now = time.monotonic()
-        if wait := self._guesses.wait(trail.address, None, now):
-            trail.hushed = not self._guesses.first_refusal(trail.address)
-            raise too_many(f"wrong keys, passwords and codes from {trail.address}", wait)
-        ticket = self._tickets.take(cookie, state, now)
+        self._guesses.check(trail.address, None, f"wrong keys, passwords and codes from {trail.address}", trail)
+        ticket = self._tickets.take(cookie, state, time.monotonic())
         if ticket is None:
             raise self._wrong("unknown or expired login state in this browser: start the login again", trail)
         try:
@@ -328,9 +325,8 @@ class OidcLogin:
 
     def role(self, groups: tuple[str, ...]) -> Role | None:
         """The highest role of these groups here; None without one."""
-        return max(
-            (Role[self.settings.roles[one].upper()] for one in groups if one in self.settings.roles), default=None
-        )
+        roles = self.settings.roles
+        return max((Role[roles[one].upper()] for one in groups if one in roles), default=None)
 
     @contextmanager
     def _place(self) -> Generator[None]:

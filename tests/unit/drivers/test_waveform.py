@@ -10,9 +10,9 @@ from hypothesis import example, given, strategies as st
 
 from drivers.canopen.profile import Codec
 from drivers.canopen.streamed_axis import Positions, Velocities
-from drivers.cia402.checks import DriveEnvelope, check_move, check_sweep, envelope, set_point, travel
+from drivers.cia402.checks import DriveEnvelope, check_move, check_noise, check_sweep, envelope, set_point, travel
 from drivers.errors import LimitExceeded, distinct
-from drivers.ports import SineCommand, SweepCommand, SweepMode
+from drivers.ports import ExcitationCommand, NoiseCommand, SineCommand, SweepCommand, SweepMode
 from tests.unit.drivers.given import axis, sweep
 
 
@@ -136,6 +136,41 @@ MANY = (SineCommand(1.0, 0.001, 0.0),) * 17
 def test_sweeps_that_are_refused(change: dict[str, object], start: float, message: str) -> None:
     with pytest.raises(LimitExceeded, match=f"joint_1: {message}") if message else nullcontext():
         check_sweep(AXIS, replace(SWEEP, **change), start, 0.004)
+
+
+NOISE = NoiseCommand(
+    **{name: getattr(SWEEP, name) for name in ExcitationCommand.__dataclass_fields__},
+    effort=60.0,
+    lowest=2.0,
+    highest=40.0,
+    seed=7,
+    softening=0.5,
+)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({}, ""),
+        ({"velocity_limit": 0.04}, "peak velocity 0.05 rad/s is beyond"),
+        ({"position_window": (-0.1, 0.1)}, "highest position"),
+        ({"velocity_limit": 3.0}, "velocity limit 3 rad/s"),
+        ({"effort_limit": 9000.0}, "effort limit 9000 N m"),
+        ({"effort_limit": 50.0}, "RMS of the injected effort 60 N m must be above 0 and at most 50 N m"),
+        ({"effort": -1.0}, "RMS of the injected effort -1 N m"),
+        ({"softening": 0.0}, "softening 0 "),
+        ({"softening": 1.1}, "softening 1.1 "),
+        ({"softening": math.nan}, "softening nan "),
+        ({"highest": 125.0}, "band 2 to 125 Hz"),
+        ({"lowest": 41.0}, "band 41 to 40 Hz"),
+        ({"seed": -1}, "seed -1"),
+        ({"seed": 1 << 32}, "seed 4294967296"),
+        ({"ramp": 0.0}, "ramp"),
+    ],
+)
+def test_noise_that_is_refused(change: dict[str, object], message: str) -> None:
+    with pytest.raises(LimitExceeded, match=f"joint_1: {message}") if message else nullcontext():
+        check_noise(AXIS, replace(NOISE, **change), 0.0)
 
 
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
