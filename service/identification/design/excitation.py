@@ -72,7 +72,6 @@ class Sines:
 
 
 RAMP = 0.5  # s
-WINDOWS = (5, 7, 9, 11)  # s, of simultaneous sweeps
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,54 +157,6 @@ def design_sweep(
     return Excitation(direction * offset, sines, 1.0, periods, RAMP, Sines.settle)
 
 
-def zippered_lines(axes: int) -> tuple[int, tuple[tuple[float, ...], ...]]:
-    """The window, s, and the lines, Hz, of 2 to 6 axes that move at once, at least two for each.
-
-    All lines are odd multiples of 1/window between 2 and 5 Hz: their sums, differences and doubles are even, so no
-    product of two motions has the frequency of a line. Triples are above 5 Hz. The axes take turns, forward and
-    backward alternately, so that each has low and high lines. Raises BadInput for another number of axes.
-    """
-    for window in WINDOWS:
-        odd = [n for n in range(2 * window, 5 * window + 1) if n % 2]
-        rounds = len(odd) // max(axes, 1)
-        if rounds >= 2 and 2 <= axes <= 6:
-            taken = [odd[turn * axes : (turn + 1) * axes][:: -1 if turn % 2 else 1] for turn in range(rounds)]
-            return window, tuple(tuple(n / window for n in own) for own in zip(*taken, strict=True))
-    raise BadInput("simultaneous sweep", f"{axes} axes; limits 2 and 6: choose other axes")
-
-
-def design_together(
-    robot: Robot,
-    joints: Sequence[str],
-    *,
-    seed: Sequence[int],
-    locked_rotor_frequencies: Sequence[float] | None = None,
-    travel: float = Sines.travel,
-    velocity_limit: float = np.inf,
-    directions: Sequence[int] | None = None,
-) -> tuple[Excitation, ...]:
-    """One simultaneous sweep of `joints`, as `design_sweep`, with random phases.
-
-    The offset of each axis puts its ripple on even multiples of 1/window. Raises BadInput if the travel leaves no room.
-    """
-    window, lines = zippered_lines(len(joints))
-    rng = np.random.default_rng(list(seed))
-    found: list[Excitation] = []
-    for k, (joint, own) in enumerate(zip(joints, lines, strict=True)):
-        locked = np.inf if locked_rotor_frequencies is None else locked_rotor_frequencies[k]
-        frequency = np.array(own)
-        gain = np.maximum(1.0, 1.0 / np.abs(1.0 - (frequency / locked) ** 2))
-        share = Sines.load_margin / len(own) / gain
-        fastest = min(travel / (RAMP + Sines.settle + window), velocity_limit / (1.0 + float(share.sum())))
-        offset = _even_offset(robot.axis(joint), fastest, window)
-        if offset <= 0:
-            raise BadInput(joint, f"no simultaneous sweep fits into a travel of {travel:.4g} and its velocity limit")
-        sines = tuple(Sine(frequency=f, amplitude=float(a * offset)) for f, a in zip(own, share, strict=True))
-        plain = Excitation((directions or [1] * len(joints))[k] * offset, sines, float(window), 1, RAMP, Sines.settle)
-        found.append(_with_random_phases(plain, rng))
-    return tuple(found)
-
-
 def realisations(excitation: Excitation, count: int, seed: Sequence[int]) -> tuple[Excitation, ...]:
     """`count` sweeps that differ only in their phases; for one: the sweep as designed. Another `seed` gives other
     phases.
@@ -260,15 +211,6 @@ def ripple_free_offset(axis: Axis, fastest: float, period: float, periods: int) 
         if all((order // common) * n % periods for order in orders):
             return n * step
     return 0.0
-
-
-def _even_offset(axis: Axis, fastest: float, window: int) -> float:
-    """The fastest offset up to `fastest` for which every ripple has an even multiple of 1/window; rad/s (m/s)."""
-    orders = [max(1, round(order)) for order in axis.cogging_orders]
-    if not orders:
-        return fastest
-    step = 4 * np.pi / (reduce(math.gcd, orders) * abs(axis.gear_ratio) * window)
-    return int(fastest / step) * step
 
 
 def way(excitation: Excitation, time: Array) -> Array:

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from service.identification.axis.drive_train import TwoMassTrain
-from service.identification.design.excitation import Excitation, design_together, velocity_setpoint
+from service.identification.design.excitation import Excitation, velocity_setpoint
 from service.identification.estimates.combination import AxisInertias, JointEstimate, combine
 from service.identification.model.inverse_dynamics import nominal_parameters, prior_information
 from service.identification.model.regressor import axis_rows
@@ -22,7 +22,7 @@ from service.model.recording import Recording, Sweep, SweepSpec
 from service.model.robot import build_robot
 from tests.numeric.second_plant.machine import STEP
 from tests.numeric.second_plant.robots import urdf
-from tests.numeric.second_plant.simultaneous import RATE, Arm, arm, run
+from tests.numeric.second_plant.simultaneous import RATE, Arm, arm, run, zippered
 
 Array = NDArray[np.float64]
 
@@ -51,15 +51,7 @@ def measured(
     random = np.random.default_rng([7, seed])
     joints = [plant.robot.joints[k] for k in moving]
     ways = [int(way) for way in random.choice([-1, 1], len(moving))]
-    runs = list(
-        design_together(
-            plant.robot,
-            joints,
-            seed=[seed],
-            directions=ways,
-            locked_rotor_frequencies=[plant.locked[k] for k in moving],
-        )
-    )
+    runs = zippered(plant, moving, seed, ways)
     if sticking is not None:
         own = runs[moving.index(sticking)]
         sines = tuple(sine.model_copy(update={"amplitude": 1.9 * sine.amplitude}) for sine in own.sines)

@@ -8,16 +8,13 @@ from service.identification.design.excitation import (
     Excitation,
     Sines,
     design_sweep,
-    design_together,
     peak_jerk,
     velocity_setpoint,
     way,
-    zippered_lines,
 )
 from service.model.errors import BadInput
 from service.model.recording import Sine
 from service.model.robot import Axis, Robot, RobotDescription, build_robot
-from tests.random_chain import random_arm
 from tests.unit.service.identification.conftest import URDF
 
 POSE = np.zeros(2)
@@ -166,34 +163,3 @@ def test_whole_turns_cancel() -> None:
     sines = tuple(Sine(frequency=f, amplitude=0.003, phase=f) for f in (2.0, 3.0, 4.0, 5.0))
     sweep = Excitation(0.0162, sines, 1.0, 5, 0.5, 0.5)
     assert abs(way(sweep, np.array([sweep.duration]))[0] - sweep.travel) < 1e-15
-
-
-@pytest.mark.parametrize("axes", range(2, 7))
-def test_lines_of_axes_that_move_at_once_are_no_products_of_each_other(axes: int) -> None:
-    window, lines = zippered_lines(axes)
-    numbers = [[round(line * window) for line in own] for own in lines]
-    every = sorted(number for own in numbers for number in own)
-    assert len(set(every)) == len(every)
-    assert min(len(own) for own in numbers) >= 2
-    assert 2 * window <= every[0]
-    assert every[-1] <= 5 * window
-    products = {abs(a + sign * b) for a in every for b in every for sign in (-1, 1)} | {3 * a for a in every}
-    assert not products & set(every)
-
-
-def test_other_numbers_of_axes_have_no_simultaneous_sweep() -> None:
-    for axes in (1, 7):
-        with pytest.raises(BadInput, match="limits 2 and 6"):
-            zippered_lines(axes)
-
-
-def test_a_simultaneous_sweep_turns_no_axis_back_and_keeps_ripple_off_the_lines() -> None:
-    r = random_arm(3, 3, rated_effort=300.0, cogging_orders=(6, 12))
-    for run in design_together(r, r.joints, seed=(1,), directions=(1, -1, 1)):
-        assert sum(sine.amplitude for sine in run.sines) < abs(run.offset_velocity)
-        assert abs(run.travel) <= np.radians(4.0)
-        for order in (6, 12):
-            number = order * 100.0 * abs(run.offset_velocity) * run.period / (2 * np.pi)
-            assert number / 2 == pytest.approx(round(number / 2), abs=1e-9)
-    with pytest.raises(BadInput, match="no simultaneous sweep fits"):
-        design_together(r, r.joints, seed=(1,), travel=1e-6)
