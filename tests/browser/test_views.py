@@ -156,8 +156,7 @@ def test_a_view_is_the_stored_one(name: str, locale: str) -> None:
             for shown in (page.locator("#stop"), *page.locator(".banner:visible").all()):
                 expect(shown).to_be_in_viewport()  # however far it is scrolled
             assert (faint(page), small(page), too_wide(page)) == ([], [], False), width
-            if width != 1280 and name != "operator-fault":  # German tables are some px too wide there
-                until(lambda: not cut(page), f"nothing is cut at {width} px", 10.0)  # charts follow their panel late
+            until(lambda: not cut(page), f"nothing is cut at {width} px", 10.0)  # charts follow their panel late
 
 
 @pytest.mark.parametrize("locale", ["en-GB", "de-DE"])
