@@ -175,7 +175,8 @@ def test_what_moves_what_follows_and_stop_are_on_one_screen(locale: str) -> None
     [
         "document.querySelector('main').prepend(Object.assign(document.createElement('p'), "
         "{className: 'banner', textContent: 'Overheated'}))",
-        "document.getElementById('stated').className = document.getElementById('machine').className = 'state bad'",
+        "document.querySelector('main').append(Object.assign(document.createElement('p'), "
+        "{className: 'state bad', textContent: 'stands'}))",  # no script draws it again
         "document.querySelector('main h2').style.background = '#c8102e'",
     ],
     ids=["banner", "text", "ground"],
