@@ -26,7 +26,7 @@ from drivers.errors import BadProfile, WrongConfiguration
 
 Key = tuple[int, int]
 
-_NAMES = {
+_TYPE_NAMES = {
     datatypes.INTEGER8: "i8",
     datatypes.UNSIGNED8: "u8",
     datatypes.INTEGER16: "i16",
@@ -95,7 +95,7 @@ def _printable(name: str) -> str:
 def _described(variable: Any) -> ListedObject:
     values = (getattr(variable, "value", None), variable.default)
     value = next((each for each in values if isinstance(each, int)), None)
-    return ListedObject(_NAMES.get(variable.data_type, ""), variable.writable, variable.pdo_mappable, value)
+    return ListedObject(_TYPE_NAMES.get(variable.data_type, ""), variable.writable, variable.pdo_mappable, value)
 
 
 class CheckVerdict(Enum):

@@ -435,7 +435,9 @@ class FaultSuite(Suite):
         with pytest.raises(DriveFault, match="7305h"):
             await consume(port, await virtual.bench.long_sweep(port, mode), each)
         index = column(blocks, "index")
-        assert np.array_equal(index, np.arange(len(index)))
+        assert index[0] == 0
+        # a jump is a lost sample: of a drive that does not count its samples a busy computer may lose some
+        assert set(np.diff(index)) == {1} if counts else np.all(np.diff(index) > 0)
         # of 25000; on a busy computer the last ones are late answers to SYNC
         assert 190 <= len(index) <= 500
         # de-energised, reported, and cleared only by an acknowledgement

@@ -17,7 +17,7 @@ from service.report.page import analysis_section, estimate_sections, main_values
 
 CONFIRMED, OPEN, CONTRADICTED = "Confirmed", "Not confirmed", "Contradicted"
 
-_LOOK = {CONFIRMED: "settled", OPEN: "open", CONTRADICTED: "unexplained"}  # CSS class of the card; the word is on it
+_CARD = {CONFIRMED: "settled", OPEN: "open", CONTRADICTED: "unexplained"}  # CSS class of the card; the word is on it
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +133,7 @@ def campaign_page(
     page = ReportPage(report.title, report.subtitle)
     found = verdict(estimate, report.check, report.diagnosis, report.test_mass)
     page.add(
-        f'<div class="card {_LOOK[found.standing]}"><p class="verdict"><b>{found.standing}.</b> '
+        f'<div class="card {_CARD[found.standing]}"><p class="verdict"><b>{found.standing}.</b> '
         f"{escape(found.sentence)}</p></div>"
     )
     main_values(page, estimate, content)

@@ -203,9 +203,9 @@ class _Typesetting:
         return f'<{level} id="section-{len(self._headings)}">{words}</{level}>'
 
     def _figure(self, figure: DrawnFigure) -> str:
-        from service.report.plotting import PAPER, WIDTH, svg  # matplotlib
+        from service.report.plotting import PAPER_WIDTH, WIDTH, svg  # matplotlib
 
         self._figures += 1
         caption = f"Figure {self._figures}. {f'{self._section}{self._part}'.removeprefix(': ')}"
-        drawn = svg(figure, unescape(caption), PAPER if self._paper else WIDTH)
+        drawn = svg(figure, unescape(caption), PAPER_WIDTH if self._paper else WIDTH)
         return f"<figure>{drawn}<figcaption>{caption}</figcaption></figure>"

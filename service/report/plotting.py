@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from service.report.drawing import GRID, DrawnFigure
 
-WIDTH, PAPER = 960.0, 680.0  # px: of a page, and of A4 between its margins
+WIDTH, PAPER_WIDTH = 960.0, 680.0  # px: of a page, and of A4 between its margins
 _PX = 72.0  # dots per inch: one point is one px
 _DARK, _LINE = "#334155", "#94a3b8"
 _LOOK: Any = {

@@ -30,7 +30,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 from service.model.errors import BadInput, SweepidError
 from service.store.database import known_schemas, unknown_schema
 from service.store.engines import BUSY_TIMEOUT, parsed_url
-from service.store.files.data_folder import FILE as OWNER, read_owner
+from service.store.files.data_folder import OWNER_FILE, read_owner
 from service.store.files.recordings import RecordingFiles, check_new, file_sha256, place_folder, sync
 
 FILE = "manifest.json"
@@ -291,7 +291,7 @@ def make_backup(database: Path, data_dir: Path, target: Path) -> Manifest:
         found = look(copied, contents).of_machine(machine_of(data_dir))
         stored = {DATABASE: StoredFile(size=copied.stat().st_size, sha256=file_sha256(copied))}
         if check_owner(data_dir, found):
-            stored[OWNER] = copy_file(data_dir / OWNER, copied.parent / OWNER)
+            stored[OWNER_FILE] = copy_file(data_dir / OWNER_FILE, copied.parent / OWNER_FILE)
         in_store: dict[str, str] = {}
         for path, sha256 in found.files.items():
             if sha256 is not None and not (data_dir / path).exists() and _is_moved(database, found, path):
@@ -319,7 +319,7 @@ def check_owner(data_dir: Path, found: Contents) -> bool:
     owner = read_owner(data_dir)
     if owner is not None and owner.id != found.identity:
         raise BadInput(
-            str(data_dir / OWNER), f"the data folder belongs to database {owner.id}, not to {found.identity}"
+            str(data_dir / OWNER_FILE), f"the data folder belongs to database {owner.id}, not to {found.identity}"
         )
     return owner is not None
 

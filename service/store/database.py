@@ -18,7 +18,7 @@ from sqlalchemy.orm import Session
 
 from service.model.errors import BadInput
 from service.store import tables as t
-from service.store.engines import BUSY_TIMEOUT, PATIENCE, WRITE, Sqlite, kind_of
+from service.store.engines import BUSY_TIMEOUT, PATIENCE_OPTION, WRITE, Sqlite, kind_of
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 MACHINE = "machine"  # default name of a machine
@@ -98,7 +98,7 @@ class Database:
         """
         engine = self._writing
         if patience != BUSY_TIMEOUT:
-            engine = engine.execution_options(**{PATIENCE: patience})
+            engine = engine.execution_options(**{PATIENCE_OPTION: patience})
         with self._begun(engine, patience) as session:
             token = self._kind.token(session.connection())
             yield session

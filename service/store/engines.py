@@ -19,7 +19,7 @@ from service.model.errors import BadInput, SweepidError
 
 BUSY_TIMEOUT = 30.0  # s to wait for another writer, or for an unavailable server
 WRITE = "write"  # execution option of an engine: its transactions write
-PATIENCE = "patience"  # the same: s that such a transaction waits for another writer
+PATIENCE_OPTION = "patience"  # the same: s that such a transaction waits for another writer
 
 
 class Sqlite:
@@ -72,7 +72,7 @@ def _configure_sqlite(connection: sqlite3.Connection, _: ConnectionPoolEntry) ->
 def _begin_sqlite(connection: Connection) -> None:
     # IMMEDIATE: a writer waits at its begin instead of failing later when it upgrades its lock
     options = connection.get_execution_options()
-    connection.exec_driver_sql(f"PRAGMA busy_timeout = {int(options.get(PATIENCE, BUSY_TIMEOUT) * 1000)}")
+    connection.exec_driver_sql(f"PRAGMA busy_timeout = {int(options.get(PATIENCE_OPTION, BUSY_TIMEOUT) * 1000)}")
     connection.exec_driver_sql("BEGIN IMMEDIATE" if options.get(WRITE, False) else "BEGIN")
 
 
@@ -177,7 +177,7 @@ def _begin_postgresql(connection: Connection) -> None:
         return
     # READ COMMITTED: each statement after the lock sees the commit of the previous writer
     connection.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL READ COMMITTED READ WRITE")
-    connection.exec_driver_sql(f"SET LOCAL lock_timeout = {int(options.get(PATIENCE, BUSY_TIMEOUT) * 1000)}")
+    connection.exec_driver_sql(f"SET LOCAL lock_timeout = {int(options.get(PATIENCE_OPTION, BUSY_TIMEOUT) * 1000)}")
     connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({0x73776565706964})")  # "sweepid"
     connection.info["transaction"] = connection.exec_driver_sql("SELECT pg_current_xact_id()::text").scalar_one()
 

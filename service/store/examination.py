@@ -16,7 +16,7 @@ from service.process.settings import AUDIT_HEADS, StoreAddress
 from service.store.backup import Contents, check_owner, contents, contents_of, integrity, look, machine_of, sqlite_file
 from service.store.database import refusal
 from service.store.engines import NotReached, kind_of, parsed_url
-from service.store.files.data_folder import FILE as OWNER
+from service.store.files.data_folder import OWNER_FILE
 from service.store.files.recordings import RecordingFiles, file_sha256
 from service.store.objects import MissingObject, ObjectStore, StoreAway, WrongObject
 
@@ -192,7 +192,7 @@ def _owner(data_dir: Path, named: Contents) -> Iterator[Defect]:
     try:
         check_owner(data_dir, named)
     except OSError as error:
-        yield Defect(str(data_dir / OWNER), f"cannot be read: {error}", "put owner and permissions right")
+        yield Defect(str(data_dir / OWNER_FILE), f"cannot be read: {error}", "put owner and permissions right")
     except BadInput as error:
         yield Defect(
             error.place, error.reason, "bring folder and database of one service together, or restore a backup"
@@ -233,7 +233,7 @@ def _nobodys(path: Path, database: Path | None, data_dir: Path, named: Contents)
         parts = (database.name + end for end in ("", "-wal", "-shm", "-journal"))
         if path.parent.resolve() == database.parent.resolve() and path.name in parts:
             return False
-    if within.as_posix() in (OWNER, AUDIT_HEADS, *named.files):
+    if within.as_posix() in (OWNER_FILE, AUDIT_HEADS, *named.files):
         return False
     under_way = path.suffix == ".arrows" or within.parts[0] == "transfer"
     return not (named.held_by and under_way)

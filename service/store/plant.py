@@ -158,7 +158,7 @@ class FleetStore:
         return {sweep.spec.id: sweep.spec.pose for sweep in self._store.sweeps(campaign_id)}
 
 
-_OPEN = (BatchState.WAITING, BatchState.RUNNING)
+_UNFINISHED = (BatchState.WAITING, BatchState.RUNNING)
 
 
 class BatchDocument(StoredDocument):
@@ -237,7 +237,7 @@ class BatchStore(rows.Transactions):
 
     def open(self) -> tuple[int, ...]:
         """Batches of this machine that are not finished."""
-        query = select(t.BatchRow.id).where(t.BatchRow.state.in_(_OPEN)).order_by(t.BatchRow.id)
+        query = select(t.BatchRow.id).where(t.BatchRow.state.in_(_UNFINISHED)).order_by(t.BatchRow.id)
         with self._database.read() as session:
             return tuple(session.scalars(query.where(t.BatchRow.machine_id == rows.own_id(session))))
 
@@ -245,7 +245,7 @@ class BatchStore(rows.Transactions):
         """Its campaigns without a result; the batch is then running. () if it is finished."""
         with self._database.write() as session:
             row = _own(session, batch_id)
-            if row.state not in _OPEN:
+            if row.state not in _UNFINISHED:
                 return ()
             if row.state is BatchState.WAITING:
                 row.state, row.started_at = BatchState.RUNNING, t.now()
@@ -270,7 +270,7 @@ class BatchStore(rows.Transactions):
             there = select(t.BatchResultRow.id).where(
                 t.BatchResultRow.batch_id == batch_id, t.BatchResultRow.campaign_id == campaign_id
             )
-            if row.state not in _OPEN or session.scalar(there) is not None:
+            if row.state not in _UNFINISHED or session.scalar(there) is not None:
                 return
             found = {"sweeps": sweeps, "document": document, "change_percent": change_percent, "cause": cause}
             rows.added(session, t.BatchResultRow(batch_id=batch_id, campaign_id=campaign_id, **found))
@@ -280,7 +280,7 @@ class BatchStore(rows.Transactions):
         """Set `done` or `cancelled`; a finished batch does not change."""
         with self._database.write() as session:
             row = _own(session, batch_id)
-            if row.state not in _OPEN:
+            if row.state not in _UNFINISHED:
                 return _document(session, row)
             row.state, row.finished_at = state, t.now()
             return _with_event(session, row)

@@ -1,8 +1,13 @@
-"""What the house has reached stays: figures of `tests.architecture.size`, and the glossary."""
+"""What the house has reached stays: its figures of `tests.architecture.size`, and one meaning for one name."""
 
+import ast
 import re
+from collections import defaultdict
+from pathlib import Path
 
-from tests.architecture.size import ROOT, figures
+import pytest
+
+from tests.architecture.size import PRODUCT, ROOT, constants, figures
 
 LIMITS = {
     "rooms of the service": 14,
@@ -25,3 +30,26 @@ def test_the_glossary_stays_short_and_has_each_term_once() -> None:
     terms = [term for term in re.findall(r"^\| ([^|]+?) +\|", page, re.MULTILINE) if term != "term"]
     assert 50 < len(terms) <= TERMS
     assert len(set(terms)) == len(terms)
+
+
+def rooms() -> list[Path]:
+    """Folders whose modules share their names: of the service each room, of the rest each folder."""
+    held = {"diagnosis", "data_check"}  # by the digest of the second plant's score
+    return sorted(
+        path
+        for top in PRODUCT
+        for path in (ROOT / top).iterdir()
+        if path.is_dir() and path.name not in held and any(path.glob("*.py"))
+    )
+
+
+@pytest.mark.parametrize("room", rooms(), ids=lambda room: str(room.relative_to(ROOT)))
+def test_a_constant_has_one_value_in_a_room(room: Path) -> None:
+    values: dict[str, set[str]] = defaultdict(set)
+    for path in room.rglob("*.py"):
+        for node in ast.parse(path.read_text("utf-8")).body:
+            if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+                module = ast.Module([node], [])
+                for name in set(constants(module)) - {"LIBRARY_ERRORS"}:  # of each reader of traces
+                    values[name].add(ast.unparse(node.value))
+    assert {name: found for name, found in values.items() if len(found) > 1} == {}

@@ -28,7 +28,7 @@ from service.machine.execution.machine import Machine
 from service.machine.stop_process.handle import StopProcess
 from service.machine.stop_process.listener import LONGEST_WAIT, Request
 from service.process.settings import Settings
-from service.store.engines import BUSY_TIMEOUT, PATIENCE, WRITE
+from service.store.engines import BUSY_TIMEOUT, PATIENCE_OPTION, WRITE
 from service.web.app import create_app, end_motion, end_streams
 from service.web.client import ServiceClient
 from tests.virtual_time import operating_system, primitives
@@ -302,7 +302,7 @@ def _begin(connection: Connection) -> None:
     """As `_begin_sqlite`; but SQLite would wait for another writer in C, where no other thread of this process runs."""
     options = connection.get_execution_options()
     connection.exec_driver_sql("PRAGMA busy_timeout = 0")
-    deadline = primitives.monotonic() + options.get(PATIENCE, BUSY_TIMEOUT)
+    deadline = primitives.monotonic() + options.get(PATIENCE_OPTION, BUSY_TIMEOUT)
     while True:
         try:
             connection.exec_driver_sql("BEGIN IMMEDIATE" if options.get(WRITE, False) else "BEGIN")

@@ -56,8 +56,9 @@ class _Tree:
             child = joint_end(joint, "child", place)
             if child in self._carrier:
                 both = f"{self._carrier[child].get('name')} and {joint.get('name')}"
-                told = f"link {child!r} is the child of two joints, {both}: a closed chain (parallel linkage) is not a "
-                raise BadInput(place, f"{told}serial chain, and sweepid cannot measure its axes")
+                told = f"link {child!r} is the child of two joints, {both}"
+                why = "a closed chain (parallel linkage) is not a serial chain, and sweepid cannot measure its axes"
+                raise BadInput(place, f"{told}: {why}")
             self._carrier[child] = joint
             for link in (child, joint_end(joint, "parent", place)):
                 if link not in self._links:

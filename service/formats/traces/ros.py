@@ -25,7 +25,7 @@ from service.model.errors import BadInput
 from service.store.files.columns import MOST_NUMBERS
 
 LIBRARY_ERRORS: tuple[type[Exception], ...] = (AnyReaderError, McapError, Ros1Error, Ros2Error, SerdeError)
-_TYPE = "sensor_msgs/msg/JointState"
+_MESSAGE = "sensor_msgs/msg/JointState"
 
 
 class _Stamp(BaseModel):
@@ -82,10 +82,10 @@ def _records(path: Path, wanted: str | None) -> tuple[str, Array, dict[str, Arra
             raise BadInput(str(path), f"has no topic {topic}; there are {shown(sorted(states))}")
         return topic, *_columns(states[topic])
     with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
-        topics = {each.topic: each for each in reader.connections if each.msgtype == _TYPE}
+        topics = {each.topic: each for each in reader.connections if each.msgtype == _MESSAGE}
         if not topics or (wanted is not None and wanted not in topics):
             there = shown(sorted(f"{each.topic} ({each.msgtype})" for each in reader.connections))
-            raise BadInput(str(path), f"has no {'topic ' + wanted if wanted else _TYPE}; there are {there}")
+            raise BadInput(str(path), f"has no {'topic ' + wanted if wanted else _MESSAGE}; there are {there}")
         topic = _chosen(path, topics, wanted)
         check_numbers(topics[topic].msgcount, 4, MOST_NUMBERS, str(path))
         rows: list[tuple[float, dict[str, float]]] = []

@@ -32,7 +32,7 @@ _STAMP = re.compile(
     r"(?:(?:(\d{4})[-./](\d\d?)[-./](\d\d?)|(\d\d?)([./-])(\d\d?)[./-](\d{4}))[T ,]*)?"
     r"(\d\d?):(\d\d):(\d\d)(?:[.,:](\d{1,9}))?\s*([AaPp][Mm])?\s*(Z|[+-]\d\d:?\d\d)?"
 )
-_UNITS = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
+_TIME_UNITS = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
 _arrow, _csv = cast(Any, pa), cast(Any, pa_csv)  # without types
 _MISSING = frozenset(("", "-", "--", "nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "n/a", "#n/a", "null", "none"))
 _SPELT = (str.upper, str.capitalize)
@@ -75,14 +75,14 @@ def unit_of_time(time: Array, sample_rate: float | None) -> tuple[str, float]:
     """Unit of numbers without one, and its s: that of the sample rate, else the largest of a usable rate."""
     steps = np.diff(time)
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
-    for name, unit in _UNITS:
+    for name, unit in _TIME_UNITS:
         rate = 1 / (step * unit)
         if sample_rate is not None and abs(rate / sample_rate - 1) < 0.1:
             return name, unit
     if sample_rate is not None:
         return "s", 1.0
     # Hz: slower records do not show an inertia, so that their numbers are of a smaller unit
-    return next(((name, unit) for name, unit in _UNITS if 1 / (step * unit) >= 20.0), _UNITS[0])
+    return next(((name, unit) for name, unit in _TIME_UNITS if 1 / (step * unit) >= 20.0), _TIME_UNITS[0])
 
 
 def spacing(time: Array) -> float:

@@ -69,9 +69,10 @@ def of_file(
 ) -> Mapping:
     """The mapping of a trace alone: one axis, a sweep for each session of the file; the rest is found in it."""
     count = sessions_of(path)
-    known: dict[str, Any] = {"source": Path(path.name), "axis": robot.joint, "file_axis": file_axis}
+    known: dict[str, object] = {"source": Path(path.name), "axis": robot.joint, "file_axis": file_axis}
     known |= {} if sample_rate is None else {"sample_rate": sample_rate}
-    sweeps = tuple(TraceSweep(id=f"{k:04d}", group=k if count > 1 else None, **known) for k in range(1, count + 1))
+    numbers = [{"id": f"{k:04d}", "group": k if count > 1 else None} for k in range(1, count + 1)]
+    sweeps = tuple(TraceSweep.model_validate(known | number) for number in numbers)
     return Mapping(robot=robot, axes={robot.joint: CncAxis(torque_constant=torque_constant)}, sweeps=sweeps)
 
 

@@ -72,7 +72,7 @@ from service.model.results import combination as results
 from service.model.robot import Robot
 
 IDENTIFIED = 0.5  # of the prior's standard deviation: maximum for an identified parameter
-POSITIVE = ("Jm(", "Fv(", "Fc(")  # alone: names of parameters that are positive on every robot
+POSITIVE_NAMES = ("Jm(", "Fv(", "Fc(")  # alone: names of parameters that are positive on every robot
 
 
 @dataclass(frozen=True)
@@ -491,7 +491,7 @@ def _judged(
     elif std > IDENTIFIED * nominal:
         reason = f"too weakly excited: standard deviation {std:.3g}, the nominal model's is {nominal:.3g}"
     # it is positive on every robot
-    elif name.startswith(POSITIVE) and " " not in name and std > 0.5 * abs(value):
+    elif name.startswith(POSITIVE_NAMES) and " " not in name and std > 0.5 * abs(value):
         reason = f"the standard deviation {std:.3g} is above half of the value"
     return results.CombinedParameter(
         name=name,
@@ -601,7 +601,7 @@ def _warnings(combination: JointEstimate, deviation: float) -> tuple[str, ...]:
     robot = combination.robot
     found = list(combination.faults)
     for one in combination.parameters:
-        if not one.name.startswith(POSITIVE) or " " in one.name or one.std is None:
+        if not one.name.startswith(POSITIVE_NAMES) or " " in one.name or one.std is None:
             continue
         if one.value + 2 * one.std < 0:
             mend = sign if one.name.startswith("Fc(") else check

@@ -103,7 +103,7 @@ def _levinson(lags: Array) -> tuple[Array, Array]:
     return coefficients, np.sqrt(variance)
 
 
-OPEN = 1e-4  # of the square of a column: least part outside the span of the rows with which it is tested
+LEAST_OUTSIDE = 1e-4  # of the square of a column: least part outside the span of the rows with which it is tested
 FOLDS = 5  # every fifth block is held out together
 
 
@@ -370,7 +370,7 @@ def _lacking(
     beyond = columns - rows @ along
     power = np.sum(beyond**2, axis=0)
     for k in range(len(power)):
-        if power[k] <= OPEN * np.sum(columns[:, k] ** 2):
+        if power[k] <= LEAST_OUTSIDE * np.sum(columns[:, k] ** 2):
             continue
         scores = np.bincount(where, beyond[:, k] * residual, count)
         total, noise = float(scores.sum()), float(np.var(scores, ddof=1)) * count if count > 1 else 0.0

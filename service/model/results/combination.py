@@ -133,7 +133,7 @@ class Combination(Shown, Part):
         """Draws how well each source determines each base parameter."""
         from service.model.results import plots  # matplotlib
 
-        return plots.sources(self)
+        return plots.sources(self.table())
 
     def shown(self) -> Sequence[Table | str]:
         """Also how well efforts of free motions are predicted along parts that the fit has not seen."""

@@ -317,7 +317,7 @@ class Diagnosis(Shown, Document):
         """Draws the gap of each axis before and after the named effects, and its noise floor."""
         from service.model.results import plots  # matplotlib
 
-        return plots.gaps(self)
+        return plots.gaps(self.table())
 
     def shown(self) -> Sequence[Table | str]:
         """Also the same in words, where the gap is, the parameters, and what to measure next."""

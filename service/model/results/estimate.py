@@ -342,8 +342,8 @@ class Estimate(Shown, Document):
         from service.model.results import plots  # matplotlib
 
         if not self.axes and self.combination is not None:
-            return (plots.sources(self.combination),)
-        return plots.inertias(self.axes)
+            return (plots.sources(self.combination.table()),)
+        return plots.inertias({joint: axis.table() for joint, axis in self.axes.items()})
 
     def shown(self) -> Sequence[Table | str]:
         """Initial analysis, Table 1 of the paper for this robot, base parameters, and what to know of them."""

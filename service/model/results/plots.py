@@ -2,26 +2,21 @@
 # matplotlib's types leave keyword arguments open
 """What results draw of themselves, by matplotlib; a notebook shows it, a script by ``matplotlib.pyplot.show()``."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib import pyplot
 from matplotlib.axes import Axes
 
-if TYPE_CHECKING:
-    from service.model.results.combination import Combination
-    from service.model.results.diagnosis import Diagnosis
-    from service.model.results.estimate import EstimatedAxis
+from service.model.results.part import Table
 
 
-def inertias(found: "dict[str, EstimatedAxis]") -> Sequence[Axes]:
+def inertias(found: Mapping[str, Table]) -> Sequence[Axes]:
     """Of each axis, by joint: the inertia in the pose of each sweep with two standard deviations, and both models."""
     _, panels = pyplot.subplots(len(found), squeeze=False, figsize=(7, 3 * len(found)), layout="constrained")
     drawn: list[Axes] = list(panels[:, 0])
-    for (joint, axis), panel in zip(found.items(), drawn, strict=True):
-        table = axis.table()
-        sweeps = np.arange(len(axis.inertia))
+    for (joint, table), panel in zip(found.items(), drawn, strict=True):
+        sweeps = np.arange(len(table["measured"]))
         panel.errorbar(sweeps, table["measured"], 2 * table["std"], fmt="o", capsize=3, label="measured (± 2 std)")
         panel.plot(sweeps, table["identified"], "_", markersize=14, label="identified model")
         panel.plot(sweeps, table["reference"], "x", label="reference model (CAD)")
@@ -31,9 +26,8 @@ def inertias(found: "dict[str, EstimatedAxis]") -> Sequence[Axes]:
     return drawn
 
 
-def sources(found: "Combination") -> Axes:
+def sources(table: Table) -> Axes:
     """The standard deviation of each base parameter by each source, and by all together."""
-    table = found.table()
     names = [name if len(name) < 30 else f"{name[:28]}…" for name in table["parameter"]]
     rows = np.arange(len(names))
     _, axes = pyplot.subplots(figsize=(8, 2 + 0.22 * len(names)), layout="constrained")
@@ -46,14 +40,15 @@ def sources(found: "Combination") -> Axes:
     return axes
 
 
-def gaps(found: "Diagnosis") -> Axes:
+def gaps(table: Table) -> Axes:
     """The gap of each axis before and after the named effects, and its noise floor."""
-    table = found.table()
+    places = np.arange(len(table["axis"]))
     _, axes = pyplot.subplots(figsize=(7, 4), layout="constrained")
-    places = np.arange(len(found.axes))
     for name, marker in {"before": "x", "after": "o", "noise floor": "_"}.items():
         axes.plot(places, table[name], marker, fillstyle="none", markersize=10, label=name)
-    axes.set_xticks(places, [f"{joint}\n{axis.verdict}" for joint, axis in found.axes.items()])
+    axes.set_xticks(
+        places, [f"{joint}\n{verdict}" for joint, verdict in zip(table["axis"], table["verdict"], strict=True)]
+    )
     axes.set(yscale="log", xlim=(-0.5, len(places) - 0.5), ylabel="gap in N m (N), RMS")
     axes.legend()
     return axes

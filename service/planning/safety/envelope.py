@@ -405,8 +405,8 @@ def _amplitude(command: NoiseCommand) -> float:
 
 def commanded_motion(joints: Sequence[str], commands: Sequence[SweepCommand], pose: Sequence[float]) -> JointMotion:
     """From standstill at `pose` (n,) to standstill, (m, n); joints without a command stand."""
-    # the highest line with 40 samples a period: its acceleration is 0.4 % low
-    duration, rate = commands[0].duration, max(50.0, *(40.0 * sine.frequency for one in commands for sine in one.sines))
+    # 40 samples a period of the highest line: its acceleration is 0.4 % low
+    duration, rate = commands[0].duration, max([50.0, *(40 * sine.frequency for one in commands for sine in one.sines)])
     time = np.linspace(0.0, duration, max(2, round(duration * rate) + 1))
     position = np.tile(np.asarray(pose, dtype=float), (len(time), 1))
     velocity = np.zeros_like(position)

@@ -27,7 +27,7 @@ from service.store.documents import NewRecording, RecordingState
 from service.store.files.columns import check_possible, check_samples, columns_of, read_columns, write_columns
 from service.store.files.recordings import RecordingFiles, check_new, new_folder
 
-MOST_NUMBERS = 250_000_000  # all sweeps of a bundle are in memory together
+MOST_IN_BUNDLE = 250_000_000  # all sweeps of a bundle are in memory together
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -81,8 +81,8 @@ def read_bundle(directory: Path) -> Bundle:
         here = f"{path} sweep {spec.id}"
         sweep = Sweep(spec, read_columns(path, here))
         numbers += sum(column.size for column in columns_of(sweep.recording).values())
-        if numbers > MOST_NUMBERS:
-            raise BadInput(str(place), f"its sweeps contain more than {MOST_NUMBERS} numbers in total")
+        if numbers > MOST_IN_BUNDLE:
+            raise BadInput(str(place), f"its sweeps contain more than {MOST_IN_BUNDLE} numbers in total")
         check_possible(sweep.recording, here)
         check_clock(sweep, here)
         sweeps.append(sweep)

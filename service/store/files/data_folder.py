@@ -24,7 +24,7 @@ from service.store.files.recordings import RecordingFiles, place_new
 from service.store.rows import NoMachine, of_own
 from service.store.store import COMPLETE, Store
 
-FILE = "database.json"
+OWNER_FILE = "database.json"
 
 
 class Owner(BaseModel):
@@ -89,7 +89,7 @@ def _recordings(folder: Path, kind: str) -> int:
 
 def read_owner(folder: Path) -> Owner | None:
     """None for a folder without owner. Raises BadInput if its file cannot be read."""
-    place = folder / FILE
+    place = folder / OWNER_FILE
     try:
         return Owner.model_validate_json(place.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -100,10 +100,10 @@ def read_owner(folder: Path) -> Owner | None:
 
 def _write(folder: Path, owner: Owner) -> None:
     """Complete or not at all, and never over that of another database."""
-    partial = folder / f".{FILE}.{uuid4().hex}"
+    partial = folder / f".{OWNER_FILE}.{uuid4().hex}"
     partial.write_text(json.dumps(owner.model_dump()) + "\n", encoding="utf-8")
     try:
-        place_new(partial, folder / FILE)
+        place_new(partial, folder / OWNER_FILE)
     finally:
         partial.unlink(missing_ok=True)
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:  # optional: only an installation with an identity provider ha
     from joserfc.jwk import KeySetSerialization
 
 _LASTS = 600.0  # s to log in at the provider
-_PATIENCE = 8.0  # s for all requests of one step
+_PROVIDER_PATIENCE = 8.0  # s for all requests of one step
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ class Exchange:
     async def address(self, ticket: Ticket) -> str:
         """The address where the browser logs in. ProviderSilent."""
         try:
-            async with asyncio.timeout(_PATIENCE), self._client() as client:
+            async with asyncio.timeout(_PROVIDER_PATIENCE), self._client() as client:
                 metadata = await self._found(client)
         except (httpx.HTTPError, TimeoutError) as error:
             raise self._silent(error) from None
@@ -205,7 +205,7 @@ class Exchange:
     async def named(self, code: str, ticket: Ticket) -> Named:
         """The person to whom the code belongs. ProviderSilent; CodeRefused; BadIdToken."""
         try:
-            async with asyncio.timeout(_PATIENCE), self._client() as client:
+            async with asyncio.timeout(_PROVIDER_PATIENCE), self._client() as client:
                 metadata = await self._found(client)
                 tokens = await self._tokens(client, metadata, code, ticket)
                 keys = await self._keys(client, metadata)
@@ -214,7 +214,7 @@ class Exchange:
         return named(tokens.id_token, keys, self.settings, ticket.nonce, tokens.access_token, time.time())
 
     def _client(self) -> httpx.AsyncClient:
-        return httpx.AsyncClient(timeout=_PATIENCE, trust_env=self._trust_env)
+        return httpx.AsyncClient(timeout=_PROVIDER_PATIENCE, trust_env=self._trust_env)
 
     async def _found(self, client: httpx.AsyncClient) -> _Metadata:
         """Requested once while the service runs."""

@@ -123,7 +123,8 @@ def test_a_unit_that_does_not_fit_is_refused(tmp_path: Path, unit: str, column: 
 def test_the_mapping_may_overrule_a_unit(tmp_path: Path) -> None:
     values = np.arange(500.0)
     write_hdf5(tmp_path / "a.h5", effort=(values, "A"), velocity=(values, "rpm"), position=(values, ""))
-    effort, velocity = {"source": "effort", "scale": 2.0}, {"source": "velocity", "unit": "motor rev/min"}
+    effort: dict[str, object] = {"source": "effort", "scale": 2.0}
+    velocity: dict[str, object] = {"source": "velocity", "unit": "motor rev/min"}
     _, (sweep,) = import_trace(mapped(tmp_path, "a.h5", "run", effort=effort, velocity=velocity))
     assert (sweep.recording.effort[3], sweep.recording.position[3]) == (6.0, 3.0)
     assert sweep.recording.velocity[60] == pytest.approx(2 * np.pi)

@@ -15,7 +15,7 @@ from service.process.settings import load_settings
 from service.store.backup import FILE, make_backup, read_manifest, restore, sqlite_file
 from service.store.database import open_database
 from service.store.examination import examine
-from service.store.files.data_folder import FILE as OWNER, claim_folder
+from service.store.files.data_folder import OWNER_FILE, claim_folder
 from service.store.files.recordings import RecordingFiles, SweepAttempt, file_sha256
 from service.store.lease_and_latch import MachineLease
 from service.store.store import Store
@@ -117,8 +117,8 @@ def test_what_is_there_is_not_overwritten(data: Path, tmp_path: Path) -> None:
 
 
 def another_owner(data: Path) -> str:
-    (data / OWNER).write_text('{"id": "other", "database": "x", "machine": 1}', "utf-8")
-    return OWNER
+    (data / OWNER_FILE).write_text('{"id": "other", "database": "x", "machine": 1}', "utf-8")
+    return OWNER_FILE
 
 
 def a_path_outside(data: Path) -> str:
@@ -279,15 +279,15 @@ def test_a_damaged_database_is_found_and_refused(data: Path, backup: Path, tmp_p
 
 
 def test_a_lost_or_foreign_database_is_found(data: Path, findings: Findings) -> None:
-    owner = (data / OWNER).read_text("utf-8")
-    (data / OWNER).write_text(owner.replace('"id": "', '"id": "x'), "utf-8")
+    owner = (data / OWNER_FILE).read_text("utf-8")
+    (data / OWNER_FILE).write_text(owner.replace('"id": "', '"id": "x'), "utf-8")
     ((place, what),) = findings()
-    assert (place, "belongs to database x" in what) == (OWNER, True)
-    (data / OWNER).write_text("{", "utf-8")
-    assert findings() == [(OWNER, "does not name the database of the data folder")]
-    (data / OWNER).unlink()
-    (data / OWNER).mkdir()
-    assert findings() == [(OWNER, f"cannot be read: [Errno 21] Is a directory: '{data / OWNER}'")]
+    assert (place, "belongs to database x" in what) == (OWNER_FILE, True)
+    (data / OWNER_FILE).write_text("{", "utf-8")
+    assert findings() == [(OWNER_FILE, "does not name the database of the data folder")]
+    (data / OWNER_FILE).unlink()
+    (data / OWNER_FILE).mkdir()
+    assert findings() == [(OWNER_FILE, f"cannot be read: [Errno 21] Is a directory: '{data / OWNER_FILE}'")]
     (data / "sweepid.sqlite").write_bytes(b"no database at all, but long enough to be read as one" * 100)
     assert findings() == [("sweepid.sqlite", "cannot be read: file is not a database")]
     (data / "sweepid.sqlite").unlink()

@@ -4,7 +4,6 @@ Then the warm-up, and the plans of an initial analysis, of a diagnosis and of it
 """
 
 import json
-from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -207,7 +206,7 @@ ANALYSIS = {"kind": "analysis", "robot_id": 1, "axes": ("joint_1", "joint_3"), "
 DIAGNOSIS = {"kind": "diagnosis", "robot_id": 1, "axes": ("joint_1", "joint_2"), "varied": ("joint_1", "joint_2")}
 
 
-def built(kind: str, change: Mapping[str, object], robot: Robot, cell: Cell) -> object:
+def built(kind: str, change: dict[str, object], robot: Robot, cell: Cell) -> object:
     """A plan of this kind with a changed request."""
     if kind == "analysis":
         return build_analysis_plan(robot, AnalysisRequest.model_validate(ANALYSIS | change), cell)

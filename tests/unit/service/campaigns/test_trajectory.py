@@ -88,6 +88,12 @@ def test_the_path_is_looked_at_with_all_axes_moving() -> None:
         cell.check_trajectory([FIRST, SECOND], POSE)
 
 
+def test_the_acceleration_of_the_highest_line_of_a_request_is_seen() -> None:
+    line = SineCommand(8.0, 0.01, 0.0)  # Hz, rad/s, rad: 16 harmonics of 2 s
+    motion = commanded_motion(("j1", "j2"), [replace(FIRST, sines=(line,))], POSE)
+    assert np.abs(motion.acceleration).max() == pytest.approx(2 * np.pi * 8.0 * 0.01, rel=0.01)
+
+
 def test_an_axis_that_leaves_its_path_is_noticed() -> None:
     drive = FormulaDrive(("j1", "j2"))
     samples = drive.samples(FIRST)

@@ -19,7 +19,7 @@ from service.report.campaign import campaign_page
 from service.report.diagnosis import diagnosis_figures
 from service.report.drawing import DrawnFigure, Part, figure, line, points, scale
 from service.report.initial_analysis import amplitude_responses, ideal_frequencies
-from service.report.plotting import PAPER, WIDTH, drawn, svg
+from service.report.plotting import PAPER_WIDTH, WIDTH, drawn, svg
 from tests.programs import needs
 from tests.stored.documents import stored
 from tests.unit.service.identification.test_ideal_frequency import analysis
@@ -82,7 +82,7 @@ def every_figure(max100: Robot) -> Iterator[DrawnFigure]:
     yield from (amplitude_responses(found), ideal_frequencies(found))
 
 
-@pytest.mark.parametrize("width", [WIDTH, PAPER])
+@pytest.mark.parametrize("width", [WIDTH, PAPER_WIDTH])
 def test_every_figure_is_drawn_whole_with_all_its_words(max100: Robot, width: float) -> None:
     for described in every_figure(max100):
         layout: Any = described["layout"]

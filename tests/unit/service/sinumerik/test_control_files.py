@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -221,11 +222,12 @@ def test_options_that_do_not_fit_the_file_are_refused(tmp_path: Path) -> None:
     (tmp_path / "tables" / "old").write_text("kept")
     path.write_text(tuning_xml(), encoding="latin-1")
     mapping = tmp_path / "mapping.yaml"
-    for file, options, told in (
+    refused: tuple[tuple[Path, dict[str, Any], str], ...] = (
         (path, {"out": tmp_path / "tables"}, "tables: is not empty"),
         (path, {"source": path}, r"--source: .* is the measurement itself, not a mapping"),
         (mapping, {"out": tmp_path / "b", "speed_gain": 1.0}, "--speed-gain: applies only to a measurement of a Sin"),
         (mapping, {}, "--out: is missing"),
-    ):
+    )
+    for file, options, told in refused:
         with pytest.raises(BadInput, match=told):
             import_trace(file, **options)

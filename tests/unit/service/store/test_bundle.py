@@ -292,7 +292,7 @@ def test_any_mutation_is_read_or_refused(folder: Path, data: st.DataObject) -> N
 
 
 def test_the_sweeps_of_a_bundle_are_counted_together(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("service.store.files.bundle.MOST_NUMBERS", 2 * 250 * 5 - 1)
+    monkeypatch.setattr("service.store.files.bundle.MOST_IN_BUNDLE", 2 * 250 * 5 - 1)
     with pytest.raises(BadInput, match=r"bundle\.json: its sweeps contain more than 2499 numbers in total"):
         read_bundle(folder)
 

@@ -10,7 +10,7 @@ from service.model.recording import Recording, SweepSpec
 from service.model.robot import Robot
 from service.store.database import open_database
 from service.store.documents import NewRecording, NewSweep, RecordingState
-from service.store.files.data_folder import FILE, ForeignFolder, claim_folder
+from service.store.files.data_folder import OWNER_FILE, ForeignFolder, claim_folder
 from service.store.files.recordings import RecordingFiles, SweepAttempt
 from service.store.store import Store
 from tests.unit.service.store.conftest import Specs
@@ -61,7 +61,7 @@ def test_a_lost_database_is_told(tmp_path: Path, url: str, kind: str, claimed: b
     with open_database(url) as database:
         assert "contains 1 recordings" in claim_folder(tmp_path, database)
         assert "restore it from a backup" in claim_folder(tmp_path, database)
-    assert (tmp_path / FILE).exists() is claimed
+    assert (tmp_path / OWNER_FILE).exists() is claimed
 
 
 def test_what_a_killed_import_left_makes_no_lost_database_and_a_damaged_file_is_told(tmp_path: Path, url: str) -> None:
@@ -69,7 +69,7 @@ def test_what_a_killed_import_left_makes_no_lost_database_and_a_damaged_file_is_
         claim_folder(tmp_path, database)
         recorded(tmp_path, "import-0")
         assert claim_folder(tmp_path, database) == ""
-        (tmp_path / FILE).write_text("{", "utf-8")
+        (tmp_path / OWNER_FILE).write_text("{", "utf-8")
         with pytest.raises(BadInput, match="does not name the database"):
             claim_folder(tmp_path, database)
 
@@ -81,7 +81,7 @@ def test_a_folder_from_before_is_taken_with_its_own_database(
     with open_database(url) as database:
         add_campaign(Store(database), robot, specs[0])
         assert claim_folder(tmp_path, database) == ""
-    assert (tmp_path / FILE).exists()
+    assert (tmp_path / OWNER_FILE).exists()
 
 
 def test_a_recording_is_never_overwritten(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from service.store.database import Database, known_schemas, open_database, refus
 from service.store.documents import NewRecording, NewSweep, RecordingState
 from service.store.engines import NotReached, parsed_url
 from service.store.examination import examine, examined
-from service.store.files.data_folder import FILE, claim_folder
+from service.store.files.data_folder import OWNER_FILE, claim_folder
 from service.store.lease_and_latch import MachineLease, MachineTaken, StopLatch
 from service.store.people.audit import AuditStore, verify
 from service.store.people.users import UserStore
@@ -286,7 +286,7 @@ def test_no_password_is_told(own: PostgresqlServer, tmp_path: Path) -> None:
     assert "another-secret" not in str(refused.value)
     with open_database(url, own.password_file) as database:
         assert claim_folder(tmp_path, database) == ""
-        assert PASSWORD not in database.address + repr(vars(database)) + (tmp_path / FILE).read_text("utf-8")
+        assert PASSWORD not in database.address + repr(vars(database)) + (tmp_path / OWNER_FILE).read_text("utf-8")
     for told in (url.replace("cell@", f"cell:{PASSWORD}@"), f"{url}?password={PASSWORD}", f"post gres {PASSWORD}"):
         with pytest.raises(BadInput, match=r"^database_url: ") as bad:
             parsed_url(told)
@@ -310,6 +310,6 @@ def test_what_doctor_finds(own: PostgresqlServer, postgresql_url: str, tmp_path:
         told = [each.what for each in examine(examined(postgresql_url), tmp_path, 0)]
         assert "fsync is off" in told[0]
         assert "the data folder belongs to database" in told[1]
-        assert json.loads((tmp_path / FILE).read_text("utf-8"))["database"] == url
+        assert json.loads((tmp_path / OWNER_FILE).read_text("utf-8"))["database"] == url
     (gone,) = examine(examined(url + "none", own.password_file), tmp_path, 0)
     assert "does not exist" in gone.what
