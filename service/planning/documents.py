@@ -161,6 +161,7 @@ class Alternative(_PlanModel):
     """
 
     groups: tuple[tuple[str, ...], ...]
+    realisations: int
     duration: float | None = None
     confidence: float | None = None
     reason: str = ""

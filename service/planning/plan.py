@@ -15,7 +15,7 @@ reason. With a confidence, other poses are chosen in its place.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -69,25 +69,35 @@ def build_plan(
     request.check(robot)
     possible: list[PlanDocument] = []
     compared: list[Alternative] = []
-    for groups in ((), *_groupings(request.axes)) if request.simultaneous else ((),):
+    if not request.simultaneous:
+        return _build(robot, request, cell, analyses or {}, earlier, ())
+    for groups, count in _ways(request):
+        asked = request.model_copy(update={"realisations": count})
+        tried = Alternative(groups=groups, realisations=count)
         try:
-            possible.append(_build(robot, request, cell, analyses or {}, earlier, groups))
-            predicted = possible[-1].confidence[-1]
-            compared.append(Alternative(groups=groups, duration=possible[-1].duration, confidence=predicted))
+            plan = _build(robot, asked, cell, analyses or {}, earlier, groups)
         except BadInput as error:
-            if not request.simultaneous:
-                raise
-            compared.append(Alternative(groups=groups, reason=str(error)))
+            compared.append(tried.model_copy(update={"reason": str(error)}))
+        else:
+            possible.append(plan.model_copy(update={"request": request}))
+            about = {"duration": plan.duration, "confidence": plan.confidence[-1]}
+            compared.append(tried.model_copy(update=about))
     if not possible:
         raise BadInput("simultaneous", compared[-1].reason)
-    best = min(possible, key=lambda plan: _robot_time(plan, request))
-    return best.model_copy(update={"compared": tuple(compared)}) if request.simultaneous else best
+    best = min(possible, key=lambda plan: (_robot_time(plan, request), plan.duration))
+    return best.model_copy(update={"compared": tuple(compared)})
 
 
-def _groupings(axes: Sequence[str]) -> list[Groups]:
-    """Axes, base to tip, all at once and in equal parts of two or more."""
-    parts = [np.array_split(np.array(axes), number) for number in range(1, len(axes) // 2 + 1)]
-    return [tuple(tuple(map(str, part)) for part in own) for own in parts if max(map(len, own)) <= 6]
+def _ways(request: PlanRequest) -> Iterator[tuple[Groups, int]]:
+    """Groups and realisations to compare: one axis at a time; all axes, base to tip, at once and in equal parts of two
+    to six, also with one realisation more: the way back measures as well.
+    """
+    yield (), request.realisations
+    for number in range(1, len(request.axes) // 2 + 1):
+        parts = [request.axes[own[0] : own[-1] + 1] for own in np.array_split(np.arange(len(request.axes)), number)]
+        if max(map(len, parts)) <= 6:
+            yield tuple(parts), request.realisations
+            yield tuple(parts), request.realisations + 1
 
 
 def _robot_time(plan: PlanDocument, request: PlanRequest) -> float:

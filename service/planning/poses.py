@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.axis.nominal_priors import model_spread, pose_prior
-from service.identification.design.excitation import Excitation, design_sweep, zippered_lines
+from service.identification.design.excitation import RAMP, Excitation, Sines, design_sweep, zippered_lines
 from service.identification.design.pose_selection import (
     PredictedConfidence,
     choices,
@@ -347,7 +347,7 @@ class PoseChooser:
         earlier: RobotType | None = None,
         groups: Groups = (),
     ) -> None:
-        """`groups`: axes that move at once; then CAD is a prior, as in the joint estimate (`combination`)."""
+        """`groups`: axes that move at once."""
         self._request, self._envelope, self._design = request, envelope, design
         self._observed, self._candidates, self._groups = observed, candidates, groups
         self._rows = observed.measured(candidates)
@@ -362,11 +362,8 @@ class PoseChooser:
             }
             earlier.check(observed.names, locked)
             known = earlier.information.matrix
-        spread = observed.spread(float(inertia.max()))
-        if groups:
-            known, spread = np.diag(spread**-2.0), 10 * spread  # with a prior, nothing is left undetermined
         self._known = known
-        self._workspace = observed.rows(workspace), inertia, spread, known
+        self._workspace = observed.rows(workspace), inertia, observed.spread(float(inertia.max())), known
         self._sweeps: dict[int, tuple[Excitation, ...]] = {}
         self._shown: dict[int, Array] = {}  # information of the sweeps in a candidate
 
@@ -379,6 +376,7 @@ class PoseChooser:
             *(self._weighted(closed), request.criterion, self._candidates, self._observed.home),
             lambda candidate: self._accepted(candidate, closed, refused),
             self._known,
+            self._seconds if self._groups else None,
         )
         prediction = self._prediction()
         chosen: list[int] = []
@@ -415,11 +413,17 @@ class PoseChooser:
         ]
         return Choice(chosen_poses, prediction.percent, prediction.determined, reported)
 
+    def _seconds(self, away: Array) -> Array:
+        """Robot time (m,) of the simultaneous sweeps of candidates at these path lengths (m,), s."""
+        windows = [zippered_lines(len(group))[0] for group in self._groups]
+        sweeps = sum(windows) + len(windows) * (2 * RAMP + Sines.settle + 2 * LEG_OVERHEAD)
+        return self._request.realisations * sweeps + away / self._request.move_velocity
+
     def _weighted(self, closed: set[tuple[float, ...]]) -> Array:
-        """The rows of the candidates, with earlier robots by what a sweep of each axis shows of J: then both are
+        """The rows of the candidates, with earlier robots or M_kj by what a sweep shows of each: then all are
         information in the same units.
         """
-        if self._known is None:
+        if self._known is None and not self._groups:
             return self._rows
         first = next((k for k in range(len(self._candidates)) if self._accepted(k, closed, [])), None)
         if first is None:

@@ -19,7 +19,8 @@ COARSE = 40  # cycles of the plant in one call
 
 @dataclass
 class Factory:
-    """Two campaigns; the plan of the first is approved. Every drive is free of faults."""
+    """Two campaigns, the second of simultaneous sweeps; the plan of the first is approved. Every drive is free of faults.
+    """
 
     service: VirtualService
     machine: VirtualMachine
@@ -48,7 +49,7 @@ def open_factory(folder: Path, clock: Clock) -> tuple[Factory, Callable[[], None
     service.job = NEVER
     service.start()
     client = service.client
-    campaigns = add_campaign(service, poses=2), add_campaign(service, poses=2, modes="host_streamed")
+    campaigns = add_campaign(service, poses=2), add_campaign(service, poses=2, simultaneous=True)
     client.approve(service.plans[0], client.approvals(service.plans[0])["sha256"], "Ada")
     for axis in client.drives()["axes"]:
         client.acknowledge(axis["joint"])

@@ -231,11 +231,11 @@ class VirtualService:
             self._loop = None
 
 
-def add_campaign(service: VirtualService, poses: int = 1, modes: str = "drive_side") -> int:
+def add_campaign(service: VirtualService, poses: int = 1, **changes: object) -> int:
     """A campaign of two axes; its number. Nothing moves yet."""
     (robot,) = (each for each in service.client.robots() if each["name"] == "max100-class")
     wanted = {"axes": ["joint_1", "joint_2"], "varied": ["joint_2", "joint_3"], "step": 30.0, "poses": poses}
-    plan = service.client.add_plan({"robot_id": robot["id"], "move_velocity": 0.5, "modes": modes} | wanted)
+    plan = service.client.add_plan({"robot_id": robot["id"], "move_velocity": 0.5} | wanted | changes)
     service.plans.append(plan["id"])
     return int(service.client.add_campaign(plan["id"])["id"])
 

@@ -7,11 +7,11 @@ from tests.virtual_time.machine import VirtualMachine
 from tests.virtual_time.service import VirtualService, add_campaign
 
 
-@pytest.mark.parametrize("modes", ["drive_side", "host_streamed"])
+@pytest.mark.parametrize("changes", [{}, {"modes": "host_streamed"}, {"simultaneous": True}])
 def test_a_campaign_is_measured_and_identified(
-    service: VirtualService, machine: VirtualMachine, clock: Clock, modes: str
+    service: VirtualService, machine: VirtualMachine, clock: Clock, changes: dict[str, object]
 ) -> None:
-    number = add_campaign(service, modes=modes)
+    number = add_campaign(service, **changes)
     service.client.start(number)
     clock.wait_until(lambda: service.client.campaign(number)["state"] == "completed", "completed", 600.0, 1.0)
     assert service.client.campaign(number)["sweeps"] == {"identified": 2}

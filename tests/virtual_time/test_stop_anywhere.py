@@ -9,6 +9,7 @@ import asyncio
 import itertools
 from collections.abc import Callable, Coroutine, Sequence
 from contextlib import nullcontext, suppress
+from dataclasses import replace
 from functools import partial
 from random import Random
 
@@ -50,6 +51,17 @@ async def streamed(port: DrivePort) -> None:
     await sweep(port, SweepMode.HOST_STREAMED)
 
 
+async def simultaneous(port: DrivePort) -> None:
+    mode, both = SweepMode.HOST_STREAMED, (AXIS, "joint_2")
+    commands = [await replace(BENCH, axis=joint).sweep(port, mode) for joint in both]
+    for joint in both:
+        await port.enable(joint)
+    async for _ in port.run_sweep(*commands):
+        pass
+    for joint in both:
+        await port.disable(joint)
+
+
 async def drive_side(port: DrivePort) -> None:
     await sweep(port, SweepMode.DRIVE_SIDE)
 
@@ -70,7 +82,7 @@ async def enabling(port: DrivePort) -> None:
 
 Activity = Callable[[DrivePort], Coroutine[object, object, None]]
 ACTIVITIES: dict[str, tuple[Activity, ...]] = {
-    "canopen": (streamed, drive_side, moves, enabling),
+    "canopen": (streamed, simultaneous, drive_side, moves, enabling),
     "modbus": (drive_side, moves, enabling),
 }
 

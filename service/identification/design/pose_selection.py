@@ -89,12 +89,14 @@ def choices(
     start: Sequence[float] | Array = (),
     accept: Callable[[int], bool] = lambda _: True,
     known: Array | None = None,
+    seconds: Callable[[Array], Array] | None = None,
 ) -> Iterator[tuple[int, float]]:
     """All candidates in the order of selection, each with the condition number after it; computed lazily.
 
     `poses` (m, n) and `start` (n,), the initial pose of the robot: for condition_and_travel, whose path length is
     the sum over the joints, rad (m), because one joint moves at a time. A candidate that `accept` refuses is left
-    out. `known` (p, p): information before the first choice, in the units of `rows`.
+    out. `known` (p, p): information before the first choice, in the units of `rows`. `seconds`: robot time of
+    candidates with these path lengths (m,) to the nearest chosen one; then D-optimal is per robot time.
     """
     greedy = _Greedy(rows, known)
     away = np.zeros(len(rows)) if poses is None else _way(poses, np.asarray(start, dtype=float))
@@ -105,7 +107,8 @@ def choices(
         slack = PoseLimits.slack
     for _ in range(len(rows)):
         by_volume = criterion is Criterion.D_OPTIMAL
-        pick = greedy.largest_volume() if by_volume else greedy.best_conditioned(slack, away)
+        time = seconds(away) if seconds else np.ones(len(rows))
+        pick = greedy.largest_volume(time) if by_volume else greedy.best_conditioned(slack, away)
         greedy.leave_out(pick)
         if accept(pick):
             yield pick, greedy.take(pick)
@@ -164,14 +167,14 @@ class _Greedy:
         self._gram = self._gram + self._rows[pick].T @ self._rows[pick]
         return float(condition_numbers(np.asarray(np.linalg.eigvalsh(self._gram)[None], dtype=float))[0])
 
-    def largest_volume(self) -> int:
-        """The D-optimal candidate."""
+    def largest_volume(self, time: Array | None = None) -> int:
+        """The D-optimal candidate, per `time` (m,)."""
         size = len(self._gram)
         inverse = np.asarray(np.linalg.inv(self._gram + self._ridge * np.eye(size)), dtype=float)
         rows = self._rows[self._left]
         seen = (rows.reshape(-1, size) @ inverse).reshape(rows.shape) @ rows.swapaxes(1, 2)
         gain = np.asarray(np.linalg.slogdet(np.eye(rows.shape[1]) + seen)[1], dtype=float)
-        return self._first(self._left, -gain, PoseLimits.tie)
+        return self._first(self._left, -gain if time is None else -gain / time[self._left], PoseLimits.tie)
 
     def best_conditioned(self, slack: float, away: Array) -> int:
         """Among the candidates within `slack` of the least condition number the one with the smallest `away` (m,)."""

@@ -319,8 +319,10 @@ def _with_trains(
     for (joint, number), away in zip(parameters, moved, strict=True):
         here[joint][number] += away * priors[joint].sigma[number]
 
+    step = 1e-3  # standard deviations: for a derivative
+
     def with_one(joint: str, number: int) -> list[_Equations]:
-        changed = {**here, joint: here[joint] + priors[joint].sigma * (np.arange(SHARED) == number)}
+        changed = {**here, joint: here[joint] + step * priors[joint].sigma * (np.arange(SHARED) == number)}
         return _all_equations(
             robot, base, sloped, trains, {name: TwoMassTrain.of(own) for name, own in changed.items()}
         )
@@ -335,7 +337,7 @@ def _with_trains(
             found.append(replace(one, rows=np.hstack([one.rows, np.zeros((len(one.rows), len(parameters)))])))
             continue
         k = next(of_sweeps)
-        columns = [(each[k].rows - now[k].rows) @ values - (each[k].values - now[k].values) for each in others]
+        columns = [((each[k].rows - now[k].rows) @ values - (each[k].values - now[k].values)) / step for each in others]
         beside = np.stack(columns, -1) if columns else np.zeros((len(one.rows), 0))
         found.append(replace(now[k], rows=np.hstack([now[k].rows, beside]), values=now[k].values + beside @ moved))
     return found
