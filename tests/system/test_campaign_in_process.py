@@ -99,6 +99,7 @@ async def test_axes_that_move_at_once_are_identified_together(application: Appli
     assert await standing(application)
     first, second = (sweep.spec for sweep in application.store.sweeps(campaign.id))
     assert (first.started_at, first.block) == (second.started_at, "trajectory 1 of 2 axes")
+
     estimate: Any = application.store.estimate(campaign.id).document
     assert estimate["axes"].keys() == {"joint_3"}
     found = {parameter["name"]: parameter for parameter in estimate["combination"]["base_parameters"]}
@@ -124,9 +125,8 @@ async def test_simultaneous_sweeps_are_identified(application: Application) -> N
     assert done.sweeps == {SweepState.IDENTIFIED: len(specs)}
     assert {spec.axes_at_once for spec in specs} == {2}
     assert all(spec.offset_velocity for spec in specs)
-    combination = application.store.estimate(campaign.id).document.combination
-    assert combination is not None
-    values = [parameter.value for parameter in combination.base_parameters]
+    estimate: Any = application.store.estimate(campaign.id).document
+    values = [parameter["value"] for parameter in estimate["combination"]["base_parameters"]]
     robot, poses = read_robot(ROOT / "config/robots/max100-class.yaml"), np.array([spec.pose for spec in specs])
     for joint in wanted["axes"]:
         rows = axis_rows(robot.chain, robot.index(joint), poses)

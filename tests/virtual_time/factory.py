@@ -19,8 +19,7 @@ COARSE = 40  # cycles of the plant in one call
 
 @dataclass
 class Factory:
-    """Two campaigns, the second of simultaneous sweeps; the plan of the first is approved. Every drive is free of faults.
-    """
+    """Two campaigns, the second of simultaneous sweeps; the plan of the first is approved. No drive has a fault."""
 
     service: VirtualService
     machine: VirtualMachine

@@ -41,6 +41,12 @@ def plan(
             min=1, help="Realisations: sweeps of an axis in a pose, with different random phases (default: 1)."
         ),
     ] = None,
+    simultaneous: Annotated[
+        bool,
+        typer.Option(
+            "--simultaneous", help="Several axes in one sweep, streamed by the host, where that takes less robot time."
+        ),
+    ] = False,
     step: Annotated[float | None, typer.Option(help="deg (cm) between grid positions.")] = None,
     cell: CellName = None,
     modes: Annotated[Modes | None, typer.Option(help="Who generates the motion; the last: one sweep an axis.")] = None,
@@ -99,6 +105,7 @@ def plan(
         "confidence": confidence,
         "criterion": criterion,
         "realisations": realisations,
+        "simultaneous": simultaneous or None,
         "step": step,
         "cell": cell,
         "modes": modes,

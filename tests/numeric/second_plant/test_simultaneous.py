@@ -24,7 +24,7 @@ from service.identification.estimates.combination import AxisInertias, JointEsti
 from service.identification.model.inverse_dynamics import nominal_parameters, prior_information
 from service.identification.model.regressor import axis_rows
 from service.identification.motion.trajectory_record import TrajectoryRecord, axis_track, trajectory
-from service.model.recording import Recording, Sine, Sweep, SweepSpec
+from service.model.recording import Recording, Sweep, SweepSpec
 from service.model.robot import build_robot
 from tests.numeric.second_plant.machine import STEP
 from tests.numeric.second_plant.robots import urdf
@@ -46,24 +46,6 @@ class Score:
     z_diagonal: Array
     z_off_diagonal: Array
     z_new: Array
-
-
-def zippered(plant: Arm, moving: Sequence[int], seed: int, directions: Sequence[int]) -> list[Excitation]:
-    """A sweep of 4 degrees for each moving axis; their lines are odd multiples of 1/window between 2 and 5 Hz, at least
-    two for each: no sum, difference or double of lines is a line.
-    """
-    window = next(n for n in (5, 7, 9, 11) if (3 * n + 1) // 2 >= 2 * len(moving))  # s
-    odd = [n / window for n in range(2 * window, 5 * window + 1) if n % 2]
-    rounds = [odd[k : k + len(moving)] for k in range(0, len(odd) - len(moving) + 1, len(moving))]
-    random, found = np.random.default_rng([seed]), list[Excitation]()
-    for place, (axis, direction) in enumerate(zip(moving, directions, strict=True)):
-        frequency = np.array([own[-1 - place if turn % 2 else place] for turn, own in enumerate(rounds)])
-        share = 0.8 / len(rounds) * np.minimum(1.0, np.abs(1.0 - (frequency / plant.locked[axis]) ** 2))
-        offset = np.radians(4.0) / (1.0 + window)
-        waves = zip(frequency.tolist(), offset * share, random.uniform(0.0, 2 * np.pi, len(rounds)), strict=True)
-        sines = tuple(Sine(frequency=f, amplitude=a, phase=p) for f, a, p in waves)
-        found.append(Excitation(direction * offset, sines, float(window), 1, 0.5, 0.5))
-    return found
 
 
 def measured(

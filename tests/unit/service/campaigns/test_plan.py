@@ -39,6 +39,7 @@ from service.planning.documents import (
     ExperimentRequest,
     PlanDocument,
     PlanRequest,
+    at_once,
     limits,
 )
 from service.planning.plan import build_plan
@@ -265,6 +266,39 @@ def test_realisations_of_a_sweep_differ_in_their_phases_and_pass_the_envelope(ar
     assert told is not None
     assert alone is not None
     assert told == pytest.approx(alone / 2, rel=0.05)  # four times the information
+
+
+def test_axes_that_need_less_robot_time_together_move_at_once(arm: Robot) -> None:
+    cell = Cell(name="plain", floor=0.0)
+    request = PlanRequest(
+        robot_id=1, axes=("j1", "j2"), varied=("j1", "j2"), step=20.0, confidence=2.0, simultaneous=True
+    )
+    plan = build_plan(arm, request, cell)
+    assert PlanDocument.model_validate_json(plan.model_dump_json()) == plan
+    assert plan.groups == (("j1", "j2"),)
+    assert plan.request == request
+    single = build_plan(arm, request.model_copy(update={"simultaneous": False}), cell)
+    alone, *together = plan.compared
+    assert (alone.groups, alone.duration, alone.confidence) == ((), single.duration, single.confidence[-1])
+    assert plan.duration == min(one.duration or np.inf for one in together) < single.duration
+    assert max(one.confidence or np.inf for one in plan.compared) <= 2.0
+
+    envelope = Envelope(arm, cell)
+    for pair in at_once(plan.sweeps):
+        first, second = (plan.sweeps[number - 1] for number in pair)
+        assert (first.spec.axis, second.spec.axis, second.legs, second.duration) == ("j1", "j2", (), 0.0)
+        assert not {sine.frequency for sine in first.spec.sines} & {sine.frequency for sine in second.spec.sines}
+        envelope.check_trajectory([first.command(), second.command()], first.spec.pose)
+    assert plan.duration == pytest.approx(sum(sweep.duration for sweep in plan.sweeps))
+    assert sum(map(len, at_once(plan.sweeps))) == len(plan.sweeps)
+
+
+def test_one_axis_moves_alone_and_what_single_axes_need_is_refused_together() -> None:
+    one = warmed(axes=("j1",), simultaneous=True)
+    assert (one.groups, len(one.compared), at_once(one.sweeps)) == ((), 1, ())
+    for field, value in {"lines": (2.0, 3.0), "warm_up": 60.0, "prior_from": (1, 2, 3, 4)}.items():
+        with pytest.raises(BadInput, match=f"{field}: cannot be combined with simultaneous sweeps"):
+            warmed(simultaneous=True, **{field: value})
 
 
 def warmed(**fields: object) -> PlanDocument:

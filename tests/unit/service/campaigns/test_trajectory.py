@@ -88,6 +88,26 @@ def test_the_path_is_looked_at_with_all_axes_moving() -> None:
         cell.check_trajectory([FIRST, SECOND], POSE)
 
 
+def test_a_simultaneous_sweep_has_the_limits_of_a_sweep_and_room_for_all_its_axes_to_leave_their_paths() -> None:
+    slow = {"offset_velocity": 0.01, "sines": (SineCommand(2.2, 0.004, 0.0),), "period": 5.0, "periods": 1}
+    limits = {"ramp": 0.5, "settle": 0.5, "velocity_limit": 0.02}
+    pair = [replace(one, **slow, **limits) for one in (FIRST, SECOND)]
+    free = envelope()
+    free.check_trajectory(pair, POSE)
+    with pytest.raises(EnvelopeViolation, match="j1: travel"):
+        free.check_trajectory([replace(pair[0], offset_velocity=0.02, velocity_limit=0.05), pair[1]], POSE)
+    # a wall that the paths pass, and both axes at the ends of what `watch_path` allows do not
+    away, ball, clearance = free.limits.window_margin, 0.15, 0.01
+    angles = np.cumsum(commanded_motion(("j1", "j2"), pair, POSE).position, axis=1)
+    reach = np.cos(angles).sum(axis=1).max()
+    both = np.cos(angles + away * np.array([1.0, 2.0])).sum(axis=1).max()
+    assert both > reach + 1e-3
+    wall = Box(name="wall", center=((reach + both) / 2 + ball + clearance + 0.5, 0, 2), size=(1, 4, 4))
+    cell = envelope(boxes=[wall], clearance=clearance)
+    with pytest.raises(EnvelopeViolation, match="j1, j2: the trajectory is not free"):
+        cell.check_trajectory(pair, POSE)
+
+
 def test_the_acceleration_of_the_highest_line_of_a_request_is_seen() -> None:
     line = SineCommand(8.0, 0.01, 0.0)  # Hz, rad/s, rad: 16 harmonics of 2 s
     motion = commanded_motion(("j1", "j2"), [replace(FIRST, sines=(line,))], POSE)

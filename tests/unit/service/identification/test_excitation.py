@@ -11,10 +11,12 @@ from service.identification.design.excitation import (
     peak_jerk,
     velocity_setpoint,
     way,
+    zippered_lines,
 )
 from service.model.errors import BadInput
 from service.model.recording import Sine
 from service.model.robot import Axis, Robot, RobotDescription, build_robot
+from tests.random_chain import random_arm
 from tests.unit.service.identification.conftest import URDF
 
 POSE = np.zeros(2)
