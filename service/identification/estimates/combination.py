@@ -190,7 +190,7 @@ def combine(
     gain = {joint: one.gain for joint, one in (gains or {}).items()} | {axis.joint: axis.gain for axis in inertias}
     records = [calibrated(record, gain) for record in records]
     priors = _train_priors(robot, records, inertias, analysed or {})
-    equations = _all_equations(robot, base, records, trains, {}, {})
+    equations = _all_equations(robot, base, records, trains, {})
     sweeps = _sweep_information(robot, base, inertias)
     free, free_gains = None, np.zeros((len(start), len(robot.axes)))
     evidence = honest = Information.empty(len(start))
@@ -262,14 +262,13 @@ def _all_equations(
     records: Sequence[TrajectoryRecord],
     trains: Mapping[str, TwoMassTrain],
     of_sweeps: Mapping[str, TwoMassTrain],
-    dry: Mapping[str, float],
 ) -> list["_Equations"]:
-    """`of_sweeps`: further trains, for simultaneous sweeps; `dry`: friction of these."""
-    both = {**trains, **of_sweeps}
-    loads = [with_loads(record, both, dry) if record.sloped else with_loads(record, trains) for record in records]
-    return [
-        equation for record in loads for equation in _equations(robot, base, record, both if record.sloped else trains)
-    ]
+    """`of_sweeps`: further trains, for simultaneous sweeps."""
+    found: list[_Equations] = []
+    for record in records:
+        own = {**trains, **of_sweeps} if record.sloped else trains
+        found += _equations(robot, base, with_loads(record, own), own)
+    return found
 
 
 def _train_priors(
@@ -320,14 +319,12 @@ def _with_trains(
     for (joint, number), away in zip(parameters, moved, strict=True):
         here[joint][number] += away * priors[joint].sigma[number]
 
-    of_base = dict(zip(base.names, values.tolist(), strict=True))
-    dry = {joint: of_base.get(f"Fc({joint})", 0.0) for joint in priors}
     step = 1e-3  # standard deviations: for a derivative
 
     def with_one(joint: str, number: int) -> list[_Equations]:
         changed = {**here, joint: here[joint] + step * priors[joint].sigma * (np.arange(SHARED) == number)}
         return _all_equations(
-            robot, base, sloped, trains, {name: TwoMassTrain.of(own) for name, own in changed.items()}, dry
+            robot, base, sloped, trains, {name: TwoMassTrain.of(own) for name, own in changed.items()}
         )
 
     now = with_one(next(iter(here)), SHARED)

@@ -196,13 +196,11 @@ def calibrated(record: TrajectoryRecord, gains: Mapping[str, float]) -> Trajecto
     return replace(record, tracks=tuple(true(track, gains.get(track.joint, 1.0)) for track in record.tracks))
 
 
-def with_loads(
-    record: TrajectoryRecord, trains: Mapping[str, TwoMassTrain], dry: Mapping[str, float] | None = None
-) -> TrajectoryRecord:
-    """With load positions also without a direct encoder: ql = qm - c (effort - Jm d2qm/dt2 - friction of the motor).
+def with_loads(record: TrajectoryRecord, trains: Mapping[str, TwoMassTrain]) -> TrajectoryRecord:
+    """With load positions also without a direct encoder: ql = qm - c (effort - Jm d2qm/dt2).
 
-    `trains`: drive trains from a joint fit; an axis without one counts as stiff. `dry` friction, N m (N), of an axis
-    that stops for moments.
+    Friction of the motor, which does not act on the spring, is left out. `trains`: drive trains from a joint fit; an
+    axis without one counts as stiff.
     """
     omega = 2j * np.pi * record.frequency
     tracks: list[AxisTrack] = []
@@ -211,20 +209,10 @@ def with_loads(
         if track.load_position is None and train is not None:
             motor = track.position[: len(omega)]
             drive = (train.motor_inertia * omega + train.motor_friction) * omega * motor
-            if dry:
-                drive += dry.get(track.joint, 0.0) * _sign(track, record.period, len(omega))
             twist = train.compliance * (track.effort - drive) / (1 + train.damping_time * omega)
             track = replace(track, load_position=motor - twist)
         tracks.append(track)
     return replace(record, tracks=tuple(tracks))
-
-
-def _sign(track: AxisTrack, period: float, count: int) -> Complex:
-    """Harmonics 0 to `count` - 1 of the sign of the motor's velocity."""
-    samples = 8 * len(track.position)
-    omega = 2j * np.pi * np.arange(len(track.position)) / period
-    sign: Complex = np.fft.rfft(np.sign(in_time(omega * track.position, samples) + track.slope))
-    return sign[:count] / samples
 
 
 def in_time(harmonics: Complex, samples: int) -> Array:
