@@ -4,6 +4,7 @@ import { protocols } from "./api.js";
 import { byId, tell } from "./elements.js";
 import { unitsOf } from "./motion.js";
 import { plot } from "./plots.js";
+import { named } from "./statement.js";
 import { text } from "./words.js";
 
 const SHOWN = 20; // s
@@ -18,9 +19,21 @@ let samples = []; // [time, effort, velocity]
 let joint = "";
 let waiting = false;
 let heard = 0; // ms, time of the last block
+let changed = () => {}; // asks what moves
 /** @type {Units | null} */
 let units = null; // of the moving robot
 let si = false; // rad and m instead of deg and mm
+
+// ask: called when another axis sweeps
+/** @param {() => void} ask */
+export const watchLive = (ask) => (changed = ask);
+
+// with the headline: a sweep of an axis that it does not name is the last one
+/** @param {Api.StatementView} statement */
+export function titleLive(statement) {
+  const now = named(statement).includes(joint) && performance.now() - heard <= OVER;
+  tell("live-title", samples.length ? text(now ? "live.title" : "live.last", { axis: joint }) : text("live.waits"));
+}
 
 // moving: the campaign that moves, or undefined
 /** @param {Api.CampaignDocument | undefined} moving @param {boolean} inSi */
@@ -28,10 +41,7 @@ export function showLive(moving, inSi) {
   const id = moving?.id ?? null;
   si = inSi;
   byId("live").hidden = id === null;
-  if (id === campaign) {
-    if (samples.length && performance.now() - heard > OVER) tell("live-title", text("live.last", { axis: joint }));
-    return;
-  }
+  if (id === campaign) return;
   campaign = id;
   socket?.close();
   socket = null;
@@ -43,7 +53,6 @@ export function showLive(moving, inSi) {
 function open(id, robot) {
   units = null;
   unitsOf(robot).then((found) => (units = found), () => {}); // without units nothing is drawn
-  tell("live-title", text("live.waits"));
   const own = new WebSocket(`${location.protocol.replace("http", "ws")}//${location.host}/api/v1/campaigns/${id}/live?form=json`, protocols());
   socket = own;
   own.onmessage = ({ data }) => own === socket && take(JSON.parse(data));
@@ -57,6 +66,7 @@ function open(id, robot) {
 function take(block) {
   const last = samples.at(-1)?.[0];
   if (block.joint !== joint || block.time[0] < last) samples = [];
+  if (block.joint !== joint) changed();
   joint = block.joint;
   heard = performance.now();
   samples.push(...block.time.map((time, k) => [time, block.effort[k], block.velocity[k]]));
@@ -69,7 +79,6 @@ function take(block) {
 function draw() {
   waiting = false;
   if (byId("live").hidden || document.hidden || !samples.length || !units) return;
-  tell("live-title", text("live.title", { axis: joint }));
   const linear = units.prismatic.has(joint);
   const [factor, unit] = si ? [1, linear ? " m" : " rad"] : units.scale(joint);
   const effort = linear ? "N" : "N m";
