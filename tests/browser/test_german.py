@@ -122,7 +122,7 @@ def plan(page: Page) -> None:
     [
         ("the machine may not move: plan 3 requires the approval of an engineer: not approved yet",
          "darf sich nicht bewegen: Plan 3 braucht die Freigabe durch einen Ingenieur: noch nicht freigegeben"),
-        ("joint_2: the drive does not answer", None),
+        ("node 2: no heartbeat for 1.5 s", "Knoten 2: seit 1,5 s kein Heartbeat"),
         ("the last report is 2.1 s old, limit 2 s", "die letzte Meldung ist 2,1 s alt, Grenze 2 s"),
         ("campaign 3: start is not possible in state running", "3: Starten ist im Zustand läuft nicht möglich"),
         ("reversal separates asymmetric friction, backlash and payload best for its time.",

@@ -100,7 +100,8 @@ def test_headline_sentence_and_plot_name_the_same_axis_at_any_moment() -> None:
         page.evaluate("""() => {
           window.read = new Set();
           const texts = ["machine", "intent", "live-title"].map((id) => document.getElementById(id));
-          const note = () => read.add(texts.map((one) => one.textContent).join(" | "));
+          const chart = document.getElementById("live-chart");
+          const note = () => read.add([...texts.map((one) => one.textContent), chart.data?.[0].y[0]].join(" | "));
           for (const one of texts) new MutationObserver(note).observe(one, { childList: true, subtree: true });
         }""")
         until(lambda: service.sockets > 0, "the page wants samples")
@@ -114,10 +115,13 @@ def test_headline_sentence_and_plot_name_the_same_axis_at_any_moment() -> None:
             expect(page.locator("#live-title")).to_have_text(
                 "Live: sweep of joint_1" if joint == 0 else "Last sweep: joint_1"
             )
+        service.show(block | {"joint": "joint_2", "effort": [5.0, 6.0]})
+        expect(page.locator("#live-title")).to_have_text("Last sweep: joint_2")
         read: list[str] = page.evaluate("[...read]")
     told = [one for one in read if one.startswith("moves: joint_1")]
     assert told
-    assert all("joint_2" not in one for one in told), told
+    assert all("joint_2" not in one.partition(" | Last sweep")[0] for one in told), told
+    assert all(("sweep: joint_2" in one) == one.endswith("| 5") for one in read), read
     assert all("Live: sweep" not in one for one in read if one not in told), read
 
 

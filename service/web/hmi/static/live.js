@@ -1,6 +1,7 @@
 // Torque and speed of the moving axis, as the service sends them: decimated; the service never waits for the page.
 
 import { protocols } from "./api.js";
+import { clear } from "./drawing.js";
 import { byId, tell } from "./elements.js";
 import { unitsOf } from "./motion.js";
 import { plot } from "./plots.js";
@@ -17,6 +18,9 @@ let socket = null;
 let campaign = null; // id
 let samples = []; // [time, effort, velocity]
 let joint = "";
+let plotted = ""; // the axis whose samples the plot shows
+/** @type {Api.StatementView | null} */
+let stated = null; // of the headline
 let waiting = false;
 let heard = 0; // ms, time of the last block
 let changed = () => {}; // asks what moves
@@ -31,8 +35,9 @@ export const watchLive = (ask) => (changed = ask);
 // with the headline: a sweep of an axis that it does not name is the last one
 /** @param {Api.StatementView} statement */
 export function titleLive(statement) {
-  const now = named(statement).includes(joint) && performance.now() - heard <= OVER;
-  tell("live-title", samples.length ? text(now ? "live.title" : "live.last", { axis: joint }) : text("live.waits"));
+  stated = statement;
+  const now = plotted === joint && named(statement).includes(joint) && performance.now() - heard <= OVER;
+  tell("live-title", plotted ? text(now ? "live.title" : "live.last", { axis: plotted }) : text("live.waits"));
 }
 
 // moving: the campaign that moves, or undefined
@@ -46,6 +51,8 @@ export function showLive(moving, inSi) {
   socket?.close();
   socket = null;
   samples = [];
+  plotted = "";
+  clear("live-chart");
   if (id !== null) open(id, moving.robot_id);
 }
 
@@ -94,4 +101,6 @@ function draw() {
     yaxis: { title: { text: effort }, domain: [0.55, 1] },
     yaxis2: { title: { text: speed }, domain: [0, 0.45] },
   });
+  plotted = joint;
+  if (stated) titleLive(stated);
 }

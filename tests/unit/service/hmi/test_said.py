@@ -17,7 +17,8 @@ from service.web.hmi.pages import texts
 SAID = {key: text for key, text in texts()["en"].items() if key.startswith("said.")}
 VALUE = "\0"  # in place of a value
 TOLD = ("Conflict", "Superseded", "NotNow", "DataFinding")  # refusals, and findings of the data check
-# refusals and findings that a page shows in English, by module
+# refusals and findings that a page shows in English, by module. The words of a person, of a log (behind a cause, whose
+# sentence is in the catalogue), of a drive's maker and of a diagnosis' figures and summary stay as they are as well
 LEFT = {
     "service/jobs/diagnosing.py": (3, "choices that the page does not offer, and a test mass: rare"),
     "service/jobs/experiments.py": (1, "two people accept at once: rare"),
@@ -55,7 +56,7 @@ def pieces(text: str) -> Iterator[str]:
 
 
 def trees(root: Path) -> Iterator[tuple[str, ast.Module]]:
-    for path in sorted((root / "service").rglob("*.py")):
+    for path in sorted([*(root / "service").rglob("*.py"), *(root / "drivers").rglob("*.py")]):
         yield path.relative_to(root).as_posix(), ast.parse(path.read_text("utf-8"))
 
 
