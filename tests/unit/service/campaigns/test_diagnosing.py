@@ -19,6 +19,7 @@ from service.jobs.experiments import accept_model
 from service.jobs.work import DiagnosisJob, Work
 from service.jobs.worker import open_worker
 from service.model.errors import BadInput, Conflict
+from service.model.results.diagnosis import AxisDiagnosis
 from service.model.robot import Robot
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move
 from service.store.database import open_database
@@ -46,7 +47,7 @@ class Undecided(InProcess):
     """Comes to a result that proposes an experiment."""
 
     async def run(self, job: Work[Any]) -> Any:
-        return stored("diagnosis-open")["axes"]["joint_1"]
+        return AxisDiagnosis.read(stored("diagnosis-open")["axes"]["joint_1"], "joint_1")
 
 
 @pytest.mark.parametrize("refusal", ["", "experiment: none of its sweeps can be run"])
