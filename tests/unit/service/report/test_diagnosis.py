@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from service.diagnosis.summary import summary
-from service.model.results.diagnosis import Diagnosis
+from service.model.results.diagnosis import AxisDiagnosis, Diagnosis
 from service.report.diagnosis import diagnosis_figures, diagnosis_page
 from tests.stored.documents import stored
 
@@ -66,7 +66,7 @@ def axis(**changes: Any) -> dict[str, Any]:
         "visible_in": {"friction_temperature_drift": ["revisit_forward_slow", "revisit_backward_slow"]},
         **changes,
     }
-    return document | {"summary": summary("joint_2", document)}
+    return document | {"summary": summary("joint_2", AxisDiagnosis.model_validate(document | {"summary": ""}))}
 
 
 def document(**changes: Any) -> Diagnosis:
@@ -248,7 +248,7 @@ ROLLED_BACK = "Rolled back, because held-out sweeps came out no better: backlash
         (
             {
                 "verdict": "ambiguous",
-                "effects": [{"effect": "coulomb_friction"}, {"effect": "joint_elasticity"}],
+                "effects": [{"effect": name, "parameters": {}} for name in ("coulomb_friction", "joint_elasticity")],
                 "alternatives": [["coulomb_friction", "drift"], ["joint_elasticity"]],
             },
             "do not tell whether it is Coulomb friction or drift. Sure is joint elasticity. ",
@@ -264,6 +264,6 @@ ROLLED_BACK = "Rolled back, because held-out sweeps came out no better: backlash
 )
 def test_verdicts_in_words(changes: dict[str, Any], words: str, end: str) -> None:
     rolled_back = ["backlash"] if end == ROLLED_BACK else []
-    said = summary("joint_2", axis(**{"effects": [], "rolled_back": rolled_back} | changes))
+    said = axis(**{"effects": [], "rolled_back": rolled_back} | changes)["summary"]
     assert words in said
     assert said.endswith(end)
