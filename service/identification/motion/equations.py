@@ -25,6 +25,7 @@ class Sampling:
     """Speeds and angles at which terms are tried."""
 
     still: float = 0.01  # of the largest velocity: below, an axis counts as at rest
+    creeping: float = 0.02  # the same of free motions: elastic axes creep, and dry friction has not yielded
     link_rate: float = 200.0  # Hz, at which the links' rows are computed: products of a few smoothed motions
     low_speeds: tuple[float, ...] = (0.05, 0.1, 0.2)  # of the largest: where friction has fallen to 37 %
     angles: tuple[float, ...] = (1.0, 2.0, 3.0)  # periods per revolution (per 2 pi m)
@@ -169,9 +170,9 @@ def _smooth(record: FreeMotion, position: Array, order: int) -> Array:
 
 def _at_rest(velocity: Array, rate: float, band: float) -> Mask:
     """Where the low-pass covers samples at rest, (m,)."""
-    still = np.abs(velocity) < Sampling.still * np.abs(velocity).max()
+    still = np.abs(velocity) < Sampling.creeping * np.abs(velocity).max()
     # of the filter's weight
-    return low_pass(still.astype(float), rate, band) > 0.1
+    return low_pass(still.astype(float), rate, band) > 0.3
 
 
 def cogging(robot: Robot, index: int, position: Array) -> Array:
