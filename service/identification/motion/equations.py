@@ -39,7 +39,7 @@ LACKS = [OF_SPEED] * (len(Sampling.low_speeds) + 2) + [OF_ANGLE] * (2 * len(Samp
 class AxisEquations:
     """Rows (m, r) and values (m,) of one axis along one record, N m (N), every `step` seconds; `sound` (m,): equations
     that are used. `ripple` (m, 2 orders): columns eliminated by least squares. `lacks` (m, t): what the model of the
-    axis may lack, `friction_laws` first.
+    axis may lack, `friction_laws` first. `springs` (m, n): effort by what the gear of each axis gives way, nominally.
     """
 
     joint: str
@@ -48,6 +48,7 @@ class AxisEquations:
     values: Array
     ripple: Array
     lacks: Array
+    springs: Array
     sound: Mask
     time: Array  # (m,) s since the record's start
 
@@ -93,6 +94,7 @@ def equations(
         ::fine
     ]
     effort = low_pass(record.effort, rate, band)[kept]
+    springs = _springs(robot, record, _part(load, slice(None, None, coarse)), rate / coarse)[::fine]
     found: list[AxisEquations] = []
     for k, joint in enumerate(record.joints):
         index = robot.index(joint)
@@ -110,6 +112,7 @@ def equations(
                 values=effort[:, k],
                 ripple=low_pass(cogging(robot, index, motor.position[:, index]), rate, band)[kept],
                 lacks=low_pass(_lacks(motor, index, (fastest or {}).get(joint, highest)), rate, band)[kept],
+                springs=springs[:, index],
                 sound=inside & ~_at_rest(velocity, rate, band)[kept],
                 time=time,
             )
@@ -158,6 +161,22 @@ def _lacks(motor: JointMotion, index: int, reference: float) -> Array:
     speed, angle = motor.velocity[:, index] / reference, np.outer(motor.position[:, index], Sampling.angles)
     low, turns = friction_laws(motor.velocity[:, index], reference), (np.cos(angle), np.sin(angle))
     return np.hstack([low, np.stack([speed * np.abs(speed), np.abs(speed)], -1), *turns])
+
+
+def _springs(robot: Robot, record: FreeMotion, load: JointMotion, rate: float) -> Array:
+    """(m, n, n): efforts of all axes by a unit compliance of each gear whose load is not measured, to first order, with
+    the links of CAD: the load is behind its motor by compliance times torque.
+    """
+    links = robot.chain.inertial.ravel()
+    torque = links_along(robot, load) @ links
+    behind = [low_pass(torque, rate, record.band, order) for order in range(3)]
+    found = np.zeros((*torque.shape, len(robot.axes)))
+    for joint in set(record.joints) - set(record.load_position) - set(record.load_velocity):
+        index = robot.index(joint)
+        unit = np.eye(len(robot.axes))[index] * 1e-3 / max(float(np.abs(behind[0][:, index]).max()), 1e-9)  # rad (m)
+        moved = (x - y * unit for x, y in zip((load.position, load.velocity, load.acceleration), behind, strict=True))
+        found[..., index] = (links_along(robot, JointMotion(*moved)) @ links - torque) * 1e3
+    return found
 
 
 def _part(motion: JointMotion, part: slice) -> JointMotion:
