@@ -21,6 +21,7 @@ LIMITS = {
 TERMS = 120  # of the glossary
 
 
+@pytest.mark.slow
 def test_no_figure_grows_above_its_limit() -> None:
     found = dict(figures())
     assert {name: found[name] for name, limit in LIMITS.items() if int(found[name]) > limit} == {}

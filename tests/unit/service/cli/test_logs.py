@@ -20,6 +20,7 @@ log.info("last")
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ends", "written"),
     [
