@@ -77,7 +77,6 @@ def test_what_does_not_match_is_refused_with_its_reason(signal: np.ndarray, reas
 LONG = np.arange(2**21, dtype=np.float64) * 0.02
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "position", "time", "reason"),
     [

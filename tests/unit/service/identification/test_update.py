@@ -50,7 +50,6 @@ def updated(robot: Robot, spectra: list[Spectrum], first: int) -> Condensed:
     return found
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_an_update_is_the_fit_of_all_sweeps(seed: int) -> None:
     robot, spectra = campaign(seed)
@@ -73,7 +72,6 @@ def test_an_update_is_the_fit_of_all_sweeps(seed: int) -> None:
     assert most > 0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_linear_part_is_the_least_squares_of_all_sweeps(seed: int) -> None:
     """Compared with `lstsq` of the whitened rows of all sweeps, whose covariance is written out."""
@@ -104,7 +102,6 @@ def test_the_linear_part_is_the_least_squares_of_all_sweeps(seed: int) -> None:
     np.testing.assert_allclose(told, solution, rtol=1e-9, atol=1e-9 * np.abs(solution).max())
 
 
-@pytest.mark.slow
 def test_an_update_in_the_trust_region_evaluates_the_new_sweep_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(update, "TRUST", 10.0)
     evaluated: list[int] = []
@@ -140,7 +137,6 @@ def test_a_sweep_outside_of_the_trust_region_needs_all() -> None:
         assert [before.updated(one) for one in sweeps] == [None] * AXES, name
 
 
-@pytest.mark.slow
 def test_a_worker_continues_only_what_it_made(tmp_path: Path) -> None:
     """From the files of the sweeps before; other files, or the last sweep, give the fit of all sweeps."""
     robot, spectra = campaign(1)
