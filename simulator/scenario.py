@@ -69,7 +69,7 @@ class PowerLaw(FileModel):
     exponent: Positive
 
 
-class Patch(FileModel):
+class RoughSpot(FileModel):
     """Additional dry friction about one load position: ``coulomb`` N m at the centre, a raised cosine of `width` on
     each side.
     """
@@ -89,7 +89,7 @@ class Friction(FileModel):
     stribeck: Stribeck | None = None
     power: PowerLaw | None = None
     load_dependence: NotNegative = 0.0  # N m per N m transmitted by the gear
-    patch: Patch | None = None
+    patch: RoughSpot | None = None
 
     @property
     def plain(self) -> bool:

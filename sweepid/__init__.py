@@ -183,11 +183,10 @@ def check(bundle: Bundle | str | Path) -> DataCheck:
     Nothing found in 4 sweeps.
     """
     from service.data_check import check as check_data, findings_document
-    from service.model.results.diagnosis import DataCheck
 
     measured = _read(bundle)
     findings = check_data(measured.robot, measured.sweeps)
-    return DataCheck.read(findings_document(measured.robot, measured.sweeps, findings), measured.place)
+    return findings_document(measured.robot, measured.sweeps, findings)
 
 
 def identify(
@@ -344,7 +343,6 @@ def diagnose(
     from service.diagnosis import as_document, diagnose_axis, is_evidence
     from service.identification.motion.free_motion import at_once
     from service.model.errors import BadInput
-    from service.model.results.diagnosis import Diagnosis
     from sweepid.files import started
 
     measured = _read(bundle)
@@ -362,7 +360,7 @@ def diagnose(
         diagnose_axis(robot, joint, measured.sweeps, known={name: {} for name in known}, twin=twin)
         for joint in progress(joints, "Axes")
     ]
-    return Diagnosis.read(as_document(measured.robot, found), measured.place)
+    return as_document(measured.robot, found)
 
 
 def payload(

@@ -85,7 +85,7 @@ def effects_of(given: Diagnosis | str | Path | None, robot: Robot) -> KnownEffec
         return read_effects(Path(given), robot)
     from service.diagnosis import model_document
 
-    model = KnownModel.read(model_document(robot, given.as_json()), "diagnosis")
+    model = KnownModel.read(model_document(robot, given).as_json(), "diagnosis")
     return known_effects(model, robot.joints, ModelFile(file="diagnosis"))
 
 

@@ -320,7 +320,7 @@ def _print_diagnosis(found: Found, console: Console) -> None:
     console.print(f"\n[bold]A machine that hides something in {found.joint}[/bold]", highlight=False)
     console.print(f"Found{asked}: {axis.summary}", highlight=False)
     console.print(
-        f"Gap {judged_on(gap.model_dump())}: {gap.before_rms:.3g} N m before, "
+        f"Gap {judged_on(gap)}: {gap.before_rms:.3g} N m before, "
         f"{gap.after_rms:.3g} N m after, noise floor {'–' if floor is None else f'{floor:.3g} N m'}.",
         highlight=False,
     )

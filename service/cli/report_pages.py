@@ -11,7 +11,7 @@ from pydantic import Field
 import sweepid
 from service.data_check import check, findings_document
 from service.model.errors import BadInput
-from service.model.results.diagnosis import DataCheck, Diagnosis
+from service.model.results.diagnosis import Diagnosis
 from service.model.results.estimate import Estimate
 from service.model.results.part import Document, Part
 from service.report.campaign import campaign_page
@@ -100,7 +100,7 @@ def bundle_report(bundle: Bundle, place: str, subtitle: str) -> CampaignReport:
             ("report", made_now()),
         ),
         drives=(),
-        check=DataCheck.read(findings_document(bundle.robot, bundle.sweeps, findings), place),
+        check=findings_document(bundle.robot, bundle.sweeps, findings),
         diagnosis=None,
     )
 

@@ -1,10 +1,11 @@
 """A finding of the data check."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 from service.model.recording import Sweep
+from service.model.results.diagnosis import CheckedAxis, DataCheck, Finding
 from service.model.robot import Robot
 
 Severity = Literal["wrong", "warning"]
@@ -71,18 +72,18 @@ def named(sweeps: Sequence[str]) -> str:
     return f"{'sweep' if len(sweeps) == 1 else 'sweeps'} {', '.join(sweeps[:3])}{more}"
 
 
-def findings_document(robot: Robot, sweeps: Sequence[Sweep], findings: Sequence[DataFinding]) -> dict[str, Any]:
+def findings_document(robot: Robot, sweeps: Sequence[Sweep], findings: Sequence[DataFinding]) -> DataCheck:
     """`findings`, and for each axis that was swept whether its data can be trusted."""
     joints = {sweep.spec.axis for sweep in sweeps}
-    return {
-        "findings": [asdict(one) | {"sweeps": list(one.sweeps)} for one in findings],
-        "axes": {
-            joint: {
-                "sweeps": sum(sweep.spec.axis == joint for sweep in sweeps),
-                "trustworthy": not untrustworthy(findings, joint),
-                "codes": sorted({one.code for one in findings if one.axis in (None, joint)}),
-            }
+    return DataCheck(
+        findings=tuple(Finding.model_validate(one, from_attributes=True) for one in findings),
+        axes={
+            joint: CheckedAxis(
+                sweeps=sum(sweep.spec.axis == joint for sweep in sweeps),
+                trustworthy=not untrustworthy(findings, joint),
+                codes=tuple(sorted({one.code for one in findings if one.axis in (None, joint)})),
+            )
             for joint in robot.joints
             if joint in joints
         },
-    }
+    )

@@ -121,7 +121,7 @@ def effort_unit(axis: AxisRecords, gain: float, within: float) -> str | None:
 
 GAIN = 0.005  # both channels come from one sensor: except for rounding they agree to 1e-4; J gets the same error
 FOLLOWS = 0.06  # of the commanded speed: a soft loop settles within it, and ripple changes the mean
-SURE = 5.0  # standard errors
+SIGNIFICANT = 5.0  # standard errors
 DELAY = 0.5e-3  # s; a speed computed from differences of positions is half a sample late
 
 Channel = Literal["position", "velocity", "both"]
@@ -170,7 +170,7 @@ def _of_slope(
 ) -> tuple[tuple[Code, Channel, str | None], float] | None:
     """What is wrong between position and velocity of a record, and the factor; None if both are correct."""
     gain = slope.gain
-    if gain == 0 or abs(gain - 1) <= GAIN + SURE * slope.gain_error:
+    if gain == 0 or abs(gain - 1) <= GAIN + SIGNIFICANT * slope.gain_error:
         return None
     if speed is not None and abs(gain * speed.gain - 1) > abs(speed.gain - 1):  # velocity is nearer to the command
         return _kind(axis, gain, "position"), gain
@@ -225,7 +225,7 @@ def _delay(axis: AxisRecords, slopes: Sequence[Slope]) -> list[DataFinding]:
     late = [
         (slope.record.id, delay)
         for slope, delay in shown
-        if abs(delay) > max(DELAY, samples / slope.record.rate) + SURE * slope.delay_error
+        if abs(delay) > max(DELAY, samples / slope.record.rate) + SIGNIFICANT * slope.delay_error
     ]
     if 2 * len(late) <= len(shown):
         return []

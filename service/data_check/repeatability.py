@@ -25,7 +25,6 @@ BAND = (1.0, 20.0)  # Hz
 OWN = (25.0, 100.0)  # Hz, noise of the sensor
 OFTEN = 4.0  # times the density of the noise, median of all pairs
 SELDOM = 8.0  # times the density of the noise, in single pairs
-CHANCE = 0.05  # probability: below, one kind of motion has more of these pairs than the others
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,8 @@ def _anywhere(pairs: Sequence[Pair], those: NDArray[np.bool_]) -> bool:
     for pair, yes in zip(pairs, those, strict=True):
         alike.setdefault((pair.first.spec.offset_velocity, pair.first.spec.sines), []).append(bool(yes))
     chances = [hypergeometric_tail(sum(one), len(pairs), int(those.sum()), len(one)) for one in alike.values()]
-    return 2 * sum(map(any, alike.values())) >= len(alike) and min(chances) > CHANCE
+    # below 0.05, one kind of motion has more of these pairs than the others
+    return 2 * sum(map(any, alike.values())) >= len(alike) and min(chances) > 0.05
 
 
 def _still(pair: Pair) -> bool:

@@ -1,7 +1,7 @@
 """Finds where model and measurement differ, which physical effect is missing, and what to measure next.
 
-`diagnose_axis(robot, joint, sweeps)` diagnoses one axis. `as_document` converts the result to JSON-able data, and
-`model_document` converts that to a model revision. These are pure functions of the samples: no clock, no files, no
+`diagnose_axis(robot, joint, sweeps)` diagnoses one axis. `as_document` converts results of axes to one diagnosis,
+and `model_document` converts that to a model revision. These are pure functions of the samples: no clock, no files, no
 logs. Each name is imported at its first use, so that the service does not load modules that only its worker needs.
 """
 

@@ -20,23 +20,24 @@ from service.diagnosis.fit.calibration import Weighed, corrected, is_decided, is
 from service.diagnosis.fit.cross_products import NotFinite
 from service.diagnosis.fit.equations import Equations, Term, applies, equations, grouped, held_back
 from service.diagnosis.fit.fitted import Parameter
-from service.diagnosis.fit.gap import ValidationResidual, gap, noise, noise_floor, residual
+from service.diagnosis.fit.gap import gap, noise, noise_floor, residual
 from service.diagnosis.fit.search import CurrentModel
 from service.diagnosis.fit.select import Selection, allowed_by_physics, select, settled, with_groups
-from service.diagnosis.localisation.locate import ExampleSweep, ResidualBin, cells, example, lines, sentences
+from service.diagnosis.localisation.locate import cells, example, lines, sentences
 from service.diagnosis.localisation.repeatability import unrepeated
 from service.diagnosis.localisation.ripple_search import ripples, with_ripples
 from service.diagnosis.model.held_out_check import Fit, Fitted, HeldOutCheck, check_held_out
-from service.diagnosis.model.rigid_model import RigidModelParameter, rigid_model
+from service.diagnosis.model.rigid_model import rigid_model
 from service.diagnosis.rows.periods import in_periods
 from service.diagnosis.rows.signals import SHORTEST, finite_samples, sticking_within, tracks
 from service.diagnosis.sensitivity import UntestableEffect, untestable
-from service.diagnosis.unfinished import UnfinishedSearch, unfinished
+from service.diagnosis.unfinished import unfinished
 from service.diagnosis.verdict import Verdict, at_floor, judge, of_one_record, share, tie_sets, without
 from service.identification.axis.nominal_priors import TorqueGain
 from service.identification.motion.free_motion import at_once
 from service.model.errors import BadInput
 from service.model.recording import Sweep
+from service.model.results.diagnosis import Cell, Example, Gap, RigidParameter, Unfinished
 from service.model.robot import Robot
 
 Array = NDArray[np.float64]
@@ -88,14 +89,13 @@ class AxisResult:
     alternatives: tuple[tuple[str, ...], ...]  # if ambiguous: each effect and its equivalent ones
     rivals: tuple[tuple[str, float], ...]  # other explanations, with their difference in Schwarz's criterion
     rolled_back: tuple[str, ...]
-    cells: tuple[ResidualBin, ...]
+    cells: tuple[Cell, ...]
     sentences: tuple[str, ...]
-    gap: ValidationResidual
-    twin_rms: float | None  # RMS of effort less simulated effort along the recorded motion, N m (N)
-    example: ExampleSweep
+    gap: Gap
+    example: Example
     poses: tuple[tuple[float, ...], ...]
     fit: Fit
-    rigid_model: tuple[RigidModelParameter, ...]
+    rigid_model: tuple[RigidParameter, ...]
     started_from: str  # source of the initial rigid model: "cad", or which estimate
     weighed: bool  # the effort was corrected with a known test mass
     unexplained: float  # part of the repeatable excess
@@ -103,7 +103,7 @@ class AxisResult:
     untestable: tuple[str, ...]
     biasing: tuple[str, ...]  # those untestable effects that would change the estimate unseen
     data: tuple[DataFinding, ...]  # findings of the data check
-    unfinished: tuple[UnfinishedSearch, ...]  # searches that used up their steps
+    unfinished: tuple[Unfinished, ...]  # searches that used up their steps
 
     @property
     def candidates(self) -> tuple[str, ...]:
@@ -193,8 +193,7 @@ def _diagnosed(
         rolled_back=shown.rolled_back,
         cells=tuple(sorted(where, key=lambda cell: -cell.significance)),
         sentences=(*(one.sentence for one in (*data, *found.said)), *sentences(joint, where), *said, *shown.sentences),
-        gap=gap(selection.given, before, shown.after, unseen),
-        twin_rms=shown.twin_rms,
+        gap=gap(selection.given, before, shown.after, unseen, shown.twin_rms),
         example=example(selection.given, before, shown.after),
         poses=tuple(tuple(pose) for pose in motion.poses.tolist()),
         fit=shown.fit,

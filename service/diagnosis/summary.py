@@ -1,12 +1,13 @@
 """The verdict of one axis in one or two sentences; the same text on the command line, in the report and on the page."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+
+from service.model.results.diagnosis import AxisDiagnosis, Gap
 
 
-def summary(joint: str, axis: Mapping[str, Any]) -> str:
+def summary(joint: str, axis: AxisDiagnosis) -> str:
     """The summary from the document of the axis."""
-    return f"{joint}: {_VERDICTS[axis['verdict']](axis)}{_rolled_back(axis.get('rolled_back', ()))}"
+    return f"{joint}: {_VERDICTS[axis.verdict](axis)}{_rolled_back(axis.rolled_back)}"
 
 
 def in_words(effects: Sequence[str], between: str = "and") -> str:
@@ -18,31 +19,29 @@ def in_words(effects: Sequence[str], between: str = "and") -> str:
     return f" {between} ".join(part for part in parts if part)
 
 
-def _none(axis: Mapping[str, Any]) -> str:
+def _none(axis: AxisDiagnosis) -> str:
     left = f"what it leaves of the drive's effort, {_rms(axis, 'before')}, is noise{_floor(axis, ' ({})')}."
-    if axis["changes"]:
+    if axis.changes:
         return f"the model lacks no effect, but {_changed(axis)}. With that, {left}"
     return f"the model is right as far as these sweeps can tell: {left}"
 
 
-def _named(axis: Mapping[str, Any]) -> str:
-    names = [effect["effect"] for effect in axis["effects"]]
-    where = judged_on(axis["gap"])
+def _named(axis: AxisDiagnosis) -> str:
+    names = [effect.effect for effect in axis.effects]
+    where = judged_on(axis.gap)
     text = (
         f"the model lacks {in_words(names)}. With {'it' if len(names) == 1 else 'them'} the gap {where} falls from "
         f"{_rms(axis, 'before')} to {_rms(axis, 'after')}{_floor(axis, '; the noise alone makes {}')}."
     )
-    return f"{text} Also {_changed(axis)}." if axis["changes"] else text
+    return f"{text} Also {_changed(axis)}." if axis.changes else text
 
 
-def _ambiguous(axis: Mapping[str, Any]) -> str:
-    advice = (
-        "Measure what is proposed next" if axis["next_experiment"] else "No sweep that is left to measure tells them"
-    )
-    open_questions = [in_words(names, "or") for names in axis["alternatives"] if len(names) > 1]
-    undecided = {name for names in axis["alternatives"] for name in names}
-    certain = [effect["effect"] for effect in axis["effects"] if effect["effect"] not in undecided]
-    certain += [names[0] for names in axis["alternatives"] if len(names) == 1]
+def _ambiguous(axis: AxisDiagnosis) -> str:
+    advice = "Measure what is proposed next" if axis.next_experiment else "No sweep that is left to measure tells them"
+    open_questions = [in_words(names, "or") for names in axis.alternatives if len(names) > 1]
+    undecided = {name for names in axis.alternatives for name in names}
+    certain = [effect.effect for effect in axis.effects if effect.effect not in undecided]
+    certain += [names[0] for names in axis.alternatives if len(names) == 1]
     beside = f" Sure is {in_words(certain)}." if certain and open_questions else ""
     asked = ", nor whether it is ".join(open_questions) or in_words(certain, "or")
     return (
@@ -51,36 +50,35 @@ def _ambiguous(axis: Mapping[str, Any]) -> str:
     )
 
 
-def _unknown(axis: Mapping[str, Any]) -> str:
-    wrong = [finding["sentence"] for finding in axis.get("data", ()) if finding["severity"] == "wrong"]
+def _unknown(axis: AxisDiagnosis) -> str:
+    wrong = [finding.sentence for finding in axis.data if finding.severity == "wrong"]
     if wrong:
         return f"no physics is named, because the data cannot be trusted. {' '.join(wrong)} Mend that first."
-    measured = f"{in_words([e['effect'] for e in axis['effects']])} apart, " if axis["effects"] else ""
-    part = axis.get("part", ())
-    known = f" Known in part: {in_words([effect['effect'] for effect in part])}." if part else ""
+    measured = f"{in_words([e.effect for e in axis.effects])} apart, " if axis.effects else ""
+    known = f" Known in part: {in_words([effect.effect for effect in axis.part])}." if axis.part else ""
     return (
         f"{measured}there is a gap of {_rms(axis, 'after')} that is more than noise{_floor(axis, ' ({})')}, and no "
         f"effect of the catalogue explains it.{known} The model stays as it was."
     )
 
 
-def _untestable(axis: Mapping[str, Any]) -> str:
-    reasons = [] if _has_floor(axis["gap"]) else ["no sweep was repeated, so there is no noise floor to compare with"]
-    if axis.get("biasing"):
-        reasons.append(f"they cannot show {in_words(axis['biasing'])}, which would change the estimate unseen")
+def _untestable(axis: AxisDiagnosis) -> str:
+    reasons = [] if axis.has_noise_floor else ["no sweep was repeated, so there is no noise floor to compare with"]
+    if axis.biasing:
+        reasons.append(f"they cannot show {in_words(axis.biasing)}, which would change the estimate unseen")
     why = f" ({'; '.join(reasons)})" if reasons else ""
-    advice = ": measure what is proposed next" if axis["next_experiment"] else ""
-    changed = f" But {_changed(axis)}." if axis.get("changes") else ""
+    advice = ": measure what is proposed next" if axis.next_experiment else ""
+    changed = f" But {_changed(axis)}." if axis.changes else ""
     return f"these sweeps cannot show whether something is missing{why}{advice}.{changed}"
 
 
-def _changed(axis: Mapping[str, Any]) -> str:
+def _changed(axis: AxisDiagnosis) -> str:
     """The parameters of known effects in the model, and their present values."""
     changes = [
-        f"{in_words([change['effect']])} has changed: {change['parameter'].replace('_', ' ')} is "
-        f"{change['now']['value']:.4g} ± {change['now']['std']:.2g}, not {change['model']['value']:.4g} "
-        f"{change['now']['unit']}".rstrip()
-        for change in axis["changes"]
+        f"{in_words([change.effect])} has changed: {change.parameter.replace('_', ' ')} is "
+        f"{change.now.value:.4g} ± {change.now.std:.2g}, not {change.model.value:.4g} "
+        f"{change.now.unit}".rstrip()
+        for change in axis.changes
     ]
     return " and ".join(changes)
 
@@ -100,26 +98,23 @@ def _rolled_back(effects: Sequence[str]) -> str:
     return f" Rolled back, because held-out sweeps came out no better: {in_words(effects)}."
 
 
-def judged_on(gap: Mapping[str, Any]) -> str:
+def judged_on(gap: Gap) -> str:
     """The sweeps on which the gap was computed."""
-    if gap["held_out_sweeps"]:
+    if gap.held_out_sweeps:
         return "on sweeps that took no part in naming or fit"
-    # older documents without this key were cross-validated whenever possible
-    if gap.get("cross_validated", False):
+    if gap.cross_validated:
         return "(cross-validated)"
     return "(on the sweeps themselves: none could be left out)"
 
 
-def _rms(axis: Mapping[str, Any], when: str) -> str:
-    gap = axis["gap"]
-    return f"{gap[f'{when}_rms']:.3g} {axis['unit']} ({gap[f'{when}_percent']:.3g} % of the effort)"
+def _rms(axis: AxisDiagnosis, when: str) -> str:
+    gap = axis.gap
+    before, after = (gap.before_rms, gap.before_percent), (gap.after_rms, gap.after_percent)
+    rms, percent = before if when == "before" else after
+    return f"{rms:.3g} {axis.unit} ({percent:.3g} % of the effort)"
 
 
-def _has_floor(gap: Mapping[str, Any]) -> bool:
-    return gap["noise_floor_rms"] is not None or any(one["noise_floor_rms"] is not None for one in gap["by_pose"])
-
-
-def _floor(axis: Mapping[str, Any], text: str) -> str:
+def _floor(axis: AxisDiagnosis, text: str) -> str:
     """Insert the noise floor into a text; empty if no sweep was repeated."""
-    floor = axis["gap"]["noise_floor_rms"]
-    return "" if floor is None else text.format(f"{floor:.3g} {axis['unit']}")
+    floor = axis.gap.noise_floor_rms
+    return "" if floor is None else text.format(f"{floor:.3g} {axis.unit}")

@@ -24,7 +24,7 @@ from service.jobs.jobs import OpenJobs
 from service.jobs.work import DiagnosisJob, JobFailed, RecordedSweep, Worker
 from service.model.errors import BadInput, Conflict, NotFound
 from service.model.recording import SweepSpec
-from service.model.results.diagnosis import Diagnosis, Experiment
+from service.model.results.diagnosis import AxisDiagnosis, Diagnosis, Experiment
 from service.model.results.estimate import Estimate
 from service.planning.campaigns.stored_results import campaign_beside
 from service.store.diagnoses import DiagnosisStore, ModelStore
@@ -270,15 +270,14 @@ class Diagnosing(OpenJobs):
             document = await self._worker.run_patiently(job)
         except JobFailed as error:
             raise JobFailed(f"{job.joint}: {error}") from None
-        if document["next_experiment"] is not None:
-            proposed = Experiment.model_validate(document["next_experiment"])
-            reason = await asyncio.to_thread(self._refusal, diagnosis.robot_id, proposed)
+        if document.next_experiment is not None:
+            reason = await asyncio.to_thread(self._refusal, diagnosis.robot_id, document.next_experiment)
             if reason:  # the machine cannot run it
-                document |= {"next_experiment": None}
+                document = document.model_copy(update={"next_experiment": None})
                 ended = f"This machine cannot be diagnosed further, because of the next {reason}."
-                document |= {"summary": f"{summary(job.joint, document)} {ended}"}
-        verdict = str(document["verdict"])
-        await asyncio.to_thread(self._diagnoses.add_result, diagnosis.id, job.joint, verdict, document)
+                document = document.model_copy(update={"summary": f"{summary(job.joint, document)} {ended}"})
+        add = self._diagnoses.add_result
+        await asyncio.to_thread(add, diagnosis.id, job.joint, document.verdict, document.as_json())
 
     def _job(self, diagnosis: DiagnosisEntry, joint: str) -> DiagnosisJob:
         robot = self._store.robot(diagnosis.robot_id)
@@ -343,5 +342,6 @@ class Diagnosing(OpenJobs):
         """The document of the axes that have a result."""
         results = self._diagnoses.results(diagnosis.id)
         robot = self._store.robot(diagnosis.robot_id).build()
-        done = {joint: results[joint] for joint in diagnosis.axes if joint in results}
-        return Diagnosis.read(compose(robot, done), f"diagnosis {diagnosis.id}") if done else None
+        place = f"diagnosis {diagnosis.id}"
+        done = {joint: AxisDiagnosis.read(results[joint], place) for joint in diagnosis.axes if joint in results}
+        return compose(robot, done) if done else None

@@ -332,8 +332,8 @@ def accept_model(
                     f"{diagnosis_id} does not start from it; diagnose again from model {newest.id}"
                 )
     robot = store.robot(diagnosis.robot_id).build()
-    document = model_document(robot, diagnosis.document or {}, joints, None if newest is None else newest.document)
-    return models.add(diagnosis_id, accepted_by, document, None if newest is None else newest.id)
+    revision = model_document(robot, diagnosis.found("accept"), joints, None if newest is None else newest.content)
+    return models.add(diagnosis_id, accepted_by, revision.as_json(), None if newest is None else newest.id)
 
 
 def _axes(model: ModelDocument | None) -> Mapping[str, RevisedAxis]:

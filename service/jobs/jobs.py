@@ -335,7 +335,7 @@ class Checking(OpenJobs):
         except (JobFailed, BadInput) as error:  # e.g. a file was changed; the identification reports it too
             _log.error("check_failed", campaign=campaign_id, cause=str(error))
             return
-        await asyncio.to_thread(self._checks.add, campaign_id, document)
+        await asyncio.to_thread(self._checks.add, campaign_id, document.as_json())
 
     def _job(self, campaign_id: int) -> CheckJob:
         robot = self._store.robot(self._store.campaign(campaign_id).robot_id)

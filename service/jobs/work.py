@@ -24,7 +24,7 @@ from structlog.contextvars import bound_contextvars
 from service.identification.fleet.document import Fleet
 from service.model.errors import NoPdf, SweepidError
 from service.model.recording import Sweep, SweepSpec
-from service.model.results.diagnosis import Diagnosis
+from service.model.results.diagnosis import AxisDiagnosis, DataCheck, Diagnosis
 from service.model.results.effect import KnownModel, StoredModel
 from service.model.results.estimate import Analyses, BaseParameter, Estimate
 from service.model.results.spectrum import AnySpectrum
@@ -263,7 +263,7 @@ class DiagnosisJob(OfRobot):
 
     priority = 0
 
-    def __call__(self) -> dict[str, JsonValue]:
+    def __call__(self) -> AxisDiagnosis:
         from service.diagnosis import axis_document, diagnose_axis
         from service.diagnosis.fit.calibration import Weighed
         from service.formats.export.started_robot import started_from
@@ -331,7 +331,7 @@ class CheckJob(OfRobot):
 
     priority = 0
 
-    def __call__(self) -> dict[str, JsonValue]:
+    def __call__(self) -> DataCheck:
         from service.data_check import check, findings_document
 
         robot = self.built()

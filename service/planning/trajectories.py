@@ -11,6 +11,7 @@ from service.identification.design.exciting_trajectory import (
 )
 from service.identification.model.base_parameters import joint_ranges
 from service.identification.model.inverse_dynamics import dynamic_base
+from service.identification.payloads import planned_mass_std
 from service.model.arrays import Array
 from service.model.configuration import Cell
 from service.model.errors import BadInput, EnvelopeViolation
@@ -37,6 +38,7 @@ def build_trajectory_plan(robot: Robot, request: TrajectoryRequest, cell: Cell) 
     shape = TrajectoryShape(request.period, request.harmonics, request.periods)
     path = SweepPath[PlannedSweep](robot, envelope, home, request.move_velocity)
     condition: list[float] = []
+    payload_std: list[float] = []
     for number in range(1, request.trajectories + 1):
         run = design_trajectory(
             robot,
@@ -61,11 +63,14 @@ def build_trajectory_plan(robot: Robot, request: TrajectoryRequest, cell: Cell) 
         except EnvelopeViolation as error:
             raise BadInput("seed", f"trajectory {number} of seed {request.seed} cannot be run: {error}") from None
         condition.append(run.condition)
+        time = np.arange(0.0, run.duration, 1 / request.sample_rate)
+        payload_std.append(planned_mass_std(robot, run.path(time), request.sample_rate))
     return TrajectoryPlan(
         robot=robot.name,
         request=request,
         sweeps=tuple(path.sweeps),
         condition=tuple(condition),
+        payload_std=tuple(payload_std),
         duration=path.duration,
     )
 

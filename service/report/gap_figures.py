@@ -9,10 +9,14 @@ from service.model.results.diagnosis import AxisDiagnosis, Bin, Cell, Rival
 from service.report.drawing import IDENTIFIED, Drawn, DrawnFigure, Part, figure, line, note, rounded, scale, upright
 
 BEFORE, AFTER, FLOOR, QUIET = "#c2410c", IDENTIFIED, "#15803d", "#e0b8a2"
+LEFT: Part = {"symbol": "diamond", "size": 9, "color": AFTER}  # a bar of nothing would not be seen
 
 
 def gap_map(axis: AxisDiagnosis) -> DrawnFigure | None:
-    """The gap for each property of sweeps and samples, before and after, with the noise floor in each panel."""
+    """The gap for each property of sweeps and samples, before and after.
+
+    What repeats has no noise in it, so the noise floor, which is that of a single sweep, has no place beside it.
+    """
     dimensions: dict[str, list[Cell]] = {}
     for cell in axis.where:
         dimensions.setdefault(cell.dimension, []).append(cell)
@@ -22,17 +26,14 @@ def gap_map(axis: AxisDiagnosis) -> DrawnFigure | None:
     panels.sort(key=lambda panel: -len(panel.labels))  # panels of one height in one row
     columns = 3
     heights = [20 * len(panels[k].labels) + 62 for k in range(0, len(panels), columns)]  # the first is the highest
-    floor = axis.gap.noise_floor_rms
-    largest = max(max(cell.rms for cell in axis.where), floor or 0.0)
+    largest = max(cell.rms for cell in axis.where)
     annotations: list[Drawn] = []
-    shapes: list[Drawn] = []
     layout: dict[str, Drawn] = {
         "height": sum(heights) + 70,
         "margin": {"l": 10, "r": 10, "t": 40, "b": 30},
         "barmode": "overlay",
         "meta": {"width": 960},  # px; needed for names of bins next to three panels
         "annotations": annotations,
-        "shapes": shapes,
     }
     traces = _keys(axis)
     top = 1.0
@@ -41,7 +42,7 @@ def gap_map(axis: AxisDiagnosis) -> DrawnFigure | None:
         left, height = k % columns / columns, heights[k // columns]
         share = height / sum(heights)
         top -= heights[k // columns - 1] / sum(heights) if k and k % columns == 0 else 0.0
-        here = {"xaxis": f"x{tail}", "yaxis": f"y{tail}", "type": "bar", "orientation": "h", "showlegend": False}
+        here = {"xaxis": f"x{tail}", "yaxis": f"y{tail}", "showlegend": False}
         traces += [{**here, **trace} for trace in panel.traces]
         layout[f"xaxis{tail}"] = {
             **scale(""),
@@ -55,23 +56,23 @@ def gap_map(axis: AxisDiagnosis) -> DrawnFigure | None:
             **{"tickfont": {"size": 11}, "showgrid": False},
         }
         annotations.append(note(panel.title, left, top - share * 23 / height))
-        if panel.with_floor and floor is not None:
-            shapes.append(upright(tail, floor, FLOOR))
     annotations.append(
-        note(f"bars: RMS of the repeatable gap in {axis.unit}", 1.0, 0.0, xanchor="right", yanchor="top", yshift=-14)
+        note(f"RMS of the repeatable gap in {axis.unit}", 1.0, 0.0, xanchor="right", yanchor="top", yshift=-14)
     )
     return figure(traces, layout)
 
 
 class _Panel:
-    """One property: its bins in order, and the bars of both models."""
+    """One property: its bins in order, a bar of each before, and a mark after."""
 
-    def __init__(self, title: str, cells: Sequence[Cell], labels: list[str], after: bool, with_floor: bool) -> None:
-        self.title, self.labels, self.with_floor = title, labels, with_floor
+    def __init__(self, title: str, cells: Sequence[Cell], labels: list[str], after: bool) -> None:
+        self.title, self.labels = title, labels
         significance = [cell.significance for cell in cells]
         shown = {"y": labels, "customdata": [round(value, 1) for value in significance]}
         # standard deviations from zero gap
         before = {
+            "type": "bar",
+            "orientation": "h",
             "x": rounded(np.array([cell.rms for cell in cells])),
             "marker": {"color": [BEFORE if value > 5.0 else QUIET for value in significance]},
             "hovertemplate": "%{y}: %{x:.3g} before, significance %{customdata}<extra></extra>",
@@ -80,10 +81,12 @@ class _Panel:
         self.traces: list[Part] = [{**shown, **before}]
         if after:
             left = {
+                "type": "scatter",
+                "mode": "markers",
                 "x": rounded(np.array([cell.rms_after for cell in cells])),
-                "marker": {"color": AFTER},
+                "marker": LEFT,
+                "cliponaxis": False,
                 "hovertemplate": "%{y}: %{x:.3g} after<extra></extra>",
-                "width": 0.3,
             }
             self.traces.append({**shown, **left})
 
@@ -93,12 +96,11 @@ def _panel(name: str, cells: Sequence[Cell], after: bool) -> _Panel:
     pairs = sorted(((one, cell) for one, cell in bins if one is not None), key=lambda pair: pair[0].low)
     if len(pairs) < len(cells):
         ordered = sorted(cells, key=lambda cell: cell.value)
-        return _Panel(name, ordered, [_words(cell.value) for cell in ordered], after, True)
+        return _Panel(name, ordered, [_words(cell.value) for cell in ordered], after)
     size = max(abs(end) for one, _ in pairs for end in (one.low, one.high) if end is not None)
     labels = [_label(one, size) for one, _ in pairs]
     measure = pairs[0][0].unit.replace("s2", "s²")
-    # the noise of one line differs from that of the whole signal
-    return _Panel(f"{name} ({measure})", [cell for _, cell in pairs], labels, after, name != "line frequency")
+    return _Panel(f"{name} ({measure})", [cell for _, cell in pairs], labels, after)
 
 
 def _label(one: Bin, size: float) -> str:
@@ -114,9 +116,8 @@ def _keys(axis: AxisDiagnosis) -> list[Part]:
         {**bar, "name": "before, not significant", "marker": {"color": QUIET}},
     ]
     if axis.explained:
-        keys.append({**bar, "name": "after", "marker": {"color": AFTER}})
-    floor = line("noise floor", [None], np.array([np.nan]), FLOOR, dash="dash")
-    return [*keys, floor]
+        keys.append({"type": "scatter", "mode": "markers", "x": [None], "y": [None], "name": "after", "marker": LEFT})
+    return keys
 
 
 def gap_by_pose(axis: AxisDiagnosis) -> DrawnFigure:

@@ -253,7 +253,7 @@ def _points(axes: Axes, trace: Words, x: NDArray[np.float64], y: NDArray[np.floa
             axes.errorbar(x, y, **half, **look, fmt="none", zorder=2)
     marker = trace["marker"]
     if "colorscale" not in marker:
-        axes.plot(x, y, linestyle="none", zorder=3, **_marker(marker))
+        axes.plot(x, y, linestyle="none", zorder=3, clip_on=trace.get("cliponaxis", True), **_marker(marker))
         return
     axes.scatter(
         x,

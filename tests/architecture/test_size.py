@@ -14,12 +14,14 @@ LIMITS = {
     "layers of the service": 8,
     "class names defined twice or more": 4,
     "constants of modules": 600,
+    "of these outside of wire and store": 0,  # dict[str, Any] and JsonValue
     "import statements per 1,000 lines": 54,
     "words of the documents": 60_000,
 }
 TERMS = 120  # of the glossary
 
 
+@pytest.mark.slow
 def test_no_figure_grows_above_its_limit() -> None:
     found = dict(figures())
     assert {name: found[name] for name, limit in LIMITS.items() if int(found[name]) > limit} == {}
@@ -34,12 +36,8 @@ def test_the_glossary_stays_short_and_has_each_term_once() -> None:
 
 def rooms() -> list[Path]:
     """Folders whose modules share their names: of the service each room, of the rest each folder."""
-    held = {"diagnosis", "data_check"}  # by the digest of the second plant's score
     return sorted(
-        path
-        for top in PRODUCT
-        for path in (ROOT / top).iterdir()
-        if path.is_dir() and path.name not in held and any(path.glob("*.py"))
+        path for top in PRODUCT for path in (ROOT / top).iterdir() if path.is_dir() and any(path.glob("*.py"))
     )
 
 

@@ -4,6 +4,8 @@ import ast
 import re
 from pathlib import Path
 
+import pytest
+
 from tests.tiers import LONG, PARTS, SHORT, Name, name_of, named_by, part_of, parts
 
 
@@ -20,6 +22,7 @@ def test_what_is_promised_is_of_the_first_tier(root: Path) -> None:
     assert later == []
 
 
+@pytest.mark.slow
 def test_each_line_names_a_test_that_is_there(root: Path) -> None:
     suite = {"tests/contract/test_drive_port.py", "tests/contract/test_faults.py"}  # classes of drivers.contract
     for entry in (*LONG, *SHORT):

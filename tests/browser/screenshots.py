@@ -1,4 +1,6 @@
-"""``python -m tests.browser.screenshots FOLDER``: pictures of the pages and of a report, to look at and for the docs.
+"""``python -m tests.browser.screenshots FOLDER``: pictures of the pages and of a report, to look at.
+
+``python -m tests.browser.screenshots docs/images --for-docs --speed-factor 3`` makes those of the docs anew.
 
 A real service and a virtual machine that runs faster than the clock: a campaign is planned, measured and diagnosed, and
 each page is photographed at widths of 1280 and 768 px, light and dark, as a palette of 64 colours so that the files are
@@ -37,7 +39,7 @@ def main() -> int:
     wanted.add_argument("--locale", default="en-GB", help="language and country of the browser")
     wanted.add_argument("--poses", type=int, default=6, help="poses of the campaign")
     wanted.add_argument("--speed-factor", type=float, default=8.0, help="of the virtual machine against the clock")
-    wanted.add_argument("--for-docs", action="store_true", help="light and 1280 px wide alone, without the suffix")
+    wanted.add_argument("--for-docs", action="store_true", help="those of the docs alone, light and 1280 px wide")
     given = wanted.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory() as work, virtual_machine(Path(work), given.speed_factor) as machine:
@@ -49,17 +51,20 @@ def main() -> int:
             serving(Path(work), machine.profile, PATIENT_LEASE, cells_dir=str(cells), cell="workshop") as service,
             browsing(f"{service.url}/plan", locale=given.locale) as page,
         ):
-            _pages(page, service, machine, given.poses, camera(page, given.folder, given.for_docs), given.folder)
+            take = camera(page, given.folder, given.for_docs)
+            _pages(page, service, machine, given.poses, take, given.folder, given.for_docs)
         with (
             serving(Path(work), machine.profile, PATIENT_LEASE, login=True) as service,
             browsing(service.url, locale=given.locale) as page,
         ):
             expect(page.locator("#login")).to_be_visible()
-            camera(page, given.folder, given.for_docs)("page-login")
+            camera(page, given.folder, given.for_docs)("login-page")
     return 0
 
 
-def _pages(page: Page, service: Service, machine: VirtualMachine, poses: int, take: Take, folder: Path) -> None:
+def _pages(
+    page: Page, service: Service, machine: VirtualMachine, poses: int, take: Take, folder: Path, for_docs: bool
+) -> None:
     with ServiceClient(service.url) as client:
         until(lambda: connected(client), "the machine is connected", 300.0)
         page.goto(service.url, wait_until="commit")
@@ -73,7 +78,7 @@ def _pages(page: Page, service: Service, machine: VirtualMachine, poses: int, ta
         page.locator("#cell").select_option("workshop")
         _planned(page, poses)
         expect(page.locator("#views svg")).to_have_count(2)
-        take("page-plan")
+        take("plan-page")
         page.locator("#take").click()
         page.locator("#taken a").click()
         expect(page.locator("#start")).to_be_enabled()
@@ -82,13 +87,18 @@ def _pages(page: Page, service: Service, machine: VirtualMachine, poses: int, ta
         page.locator("#start").click()
         campaign = int(client.campaigns()[-1]["id"])
         until(lambda: int(client.campaign(campaign)["progress"]["done"]) >= 3, "three sweeps", 600.0)
+        expect(page.locator("#parameters tr").first).to_be_visible()
+        expect(page.locator("#live-title")).to_contain_text(re.compile("^Live.*joint"))
+        expect(page.locator("#intent")).to_contain_text("joint")
         expect(page.locator("#live-chart .scatterlayer .trace")).to_have_count(2)
         expect(page.locator("#campaign-state")).to_have_class("badge running")
-        take("page-running")
+        take("operator-page")
         page.evaluate("localStorage.setItem('sweepid-names', 'Ada\\nGrace')")
         page.locator("#stop").click()
         expect(page.locator("#held")).to_be_visible()
-        take("page-stopped")
+        expect(page.locator("#way-out li")).to_have_count(3)
+        expect(page.locator("#live")).to_be_hidden()
+        take("stopped-page")
         page.locator("#release-as button").first.click()
         expect(page.locator("#held")).to_be_hidden()
         page.locator("#resume").click()
@@ -107,19 +117,20 @@ def _pages(page: Page, service: Service, machine: VirtualMachine, poses: int, ta
         take("page-completed")
         page.goto(f"{service.url}/results#campaign-{campaign}", wait_until="commit")
         expect(page.locator("#response .scatterlayer .trace")).to_have_count(2)
-        take("page-results")
+        take("results-page")
         client.diagnosed(int(client.add_diagnosis([campaign], AXES[:1])["id"]))
         page.goto(f"{service.url}/diagnosis", wait_until="commit")
         expect(page.locator("#diagnoses tr, table tbody tr").first).to_be_visible()
         expect(page.locator("#pictures .main-svg").last).to_be_visible()
-        take("page-diagnosis")
+        take("diagnosis-page")
         page.goto(f"{service.url}/fleet", wait_until="commit")
         expect(page.locator("#robots tbody tr").first).to_be_visible()
         take("page-fleet")
-        (folder / "report.html").write_bytes(client.campaign_report(campaign))
-        (folder / "report.pdf").write_bytes(client.campaign_report(campaign, "pdf"))
-        page.goto((folder / "report.html").absolute().as_uri())
-        take("report-campaign")
+        if not for_docs:
+            (folder / "report.html").write_bytes(client.campaign_report(campaign))
+            (folder / "report.pdf").write_bytes(client.campaign_report(campaign, "pdf"))
+            page.goto((folder / "report.html").absolute().as_uri())
+            take("report-campaign")
         until(machine.stands, "standing axes")
 
 
@@ -140,6 +151,8 @@ def camera(page: Page, folder: Path, for_docs: bool) -> Take:
     """What photographs the whole page as it is now, in each width and scheme, into `folder`."""
 
     def take(name: str) -> None:
+        if for_docs and not name.endswith("-page"):
+            return
         for width in SIZES[:1] if for_docs else SIZES:
             page.set_viewport_size({"width": width, "height": HEIGHT})
             for scheme in SCHEMES[:1] if for_docs else SCHEMES:

@@ -62,7 +62,7 @@ def campaign(number: int = 1, **changed: object) -> Json:
         "id": number, "machine": "cell", "here": True, "robot_id": 1, "plan_id": None, "state": "paused", "cause": "",
         "structured_cause": None,
         "version": 1, "sweeps": {}, "created_at": "2026-03-02T12:00:00Z", "started_at": None, "motion": [],
-        "progress": {"done": 0, "total": 2, "remaining": 60.0, "repeat": 0.0, "current": None},
+        "progress": {"done": 0, "total": 2, "remaining": 60.0, "repeat": 0.0, "pace": 1.0, "current": None},
         "check_move": None, "attended": None, "data_check": None,
     }  # fmt: skip
     return rest | changed
@@ -110,6 +110,7 @@ class Scripted:
 
     def __post_init__(self) -> None:
         self._queues: list[asyncio.Queue[str]] = []
+        self._shown: list[WebSocket] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._ending = asyncio.Event()
         for path, answer in {
@@ -132,6 +133,15 @@ class Scripted:
         assert self._loop is not None
         for queue in [*self._queues]:
             self._loop.call_soon_threadsafe(queue.put_nowait, kind)
+
+    def show(self, block: Json) -> None:
+        """Live samples to every open connection."""
+        assert self._loop is not None
+        asyncio.run_coroutine_threadsafe(self._show(block), self._loop).result()
+
+    async def _show(self, block: Json) -> None:
+        for one in self._shown:
+            await one.send_json(block)
 
     def cut(self) -> None:
         """End every connection for events, as a service does that starts again."""
@@ -197,10 +207,12 @@ class Scripted:
 
     async def _live(self, socket: WebSocket) -> None:
         await socket.accept("sweepid.live")
+        self._shown.append(socket)
         self.sockets += 1
         self.offered = socket.scope["subprotocols"]
         while (await socket.receive())["type"] != "websocket.disconnect":
             pass
+        self._shown.remove(socket)
 
     def close(self) -> None:
         """Let every request that waits go on."""

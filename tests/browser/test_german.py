@@ -38,7 +38,9 @@ DATE = re.compile(r"\d{2}\.\d{2}\.\d{4}")
 
 
 def words(language: str) -> set[str]:
-    return {word.lower() for text in texts()[language].values() for word in WORD.findall(re.sub(r"\{\w+\}", "", text))}
+    return {
+        word.lower() for text in texts()[language].values() for word in WORD.findall(re.sub(r"\{\w+\}|`.*?`", "", text))
+    }
 
 
 ENGLISH = words("en") - words("de")
@@ -113,6 +115,41 @@ def everything(root: Path) -> dict[str, Json]:
 def plan(page: Page) -> None:
     page.locator("#make").click()
     expect(page.locator("#planned")).to_be_visible()
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ("the machine may not move: plan 3 requires the approval of an engineer: not approved yet",
+         "darf sich nicht bewegen: Plan 3 braucht die Freigabe durch einen Ingenieur: noch nicht freigegeben"),
+        ("node 2: no heartbeat for 1.5 s", "Knoten 2: seit 1,5 s kein Heartbeat"),
+        ("the last report is 2.1 s old, limit 2 s", "die letzte Meldung ist 2,1 s alt, Grenze 2 s"),
+        ("campaign 3: start is not possible in state running", "3: Starten ist im Zustand läuft nicht möglich"),
+        ("reversal separates asymmetric friction, backlash and payload best for its time.",
+         "Umkehr trennt für ihre Dauer am besten: richtungsabhängige Reibung, Getriebespiel (Lose), Nutzlast."),
+        ("joint_1: effort has 3 single samples far off what is beside, by up to 12.5 (sweeps 0001, 0002 and 4 more).",
+         "joint_1: Drehmoment hat 3 Werte weit neben den Nachbarn, um bis zu 12,5 "
+         "(Messfahrten 0001, 0002 und 4 weitere)."),
+        ("joint_2: time jumps by up to 3 samples (sweep 0004).",
+         "joint_2: Die Zeit springt um bis zu 3 Abtastwerte (Messfahrt 0004)."),
+        ("stands at [10.0.0.7:502], 1.5 N m", None),
+    ],
+)  # fmt: skip
+def test_a_sentence_of_the_service_is_told_in_german(said: str, told: str | None) -> None:
+    """None: it is not in the catalogue, and marked as English."""
+    one = drives(connected=False, trouble=said, axes=[])
+    with scripted(answers={"drives": one}) as service, browsing(service.url, locale="de-DE") as page:
+        expect(page.locator("#machine")).to_contain_text(told or said)
+        assert page.locator("#machine [lang=en]").count() == (told is None)
+
+
+def test_findings_are_told_in_german(root: Path) -> None:
+    found = stored("check-wrong")["findings"]
+    one = campaign(state="completed", data_check={"findings": found, "axes": {}})
+    answers: dict[str, Json] = {"campaigns": {"items": [one], "next": None}, "campaigns/1": one}
+    with scripted(answers=answers) as service, browsing(service.url, locale="de-DE") as page:
+        expect(page.locator("#data-check")).to_contain_text("Das scheinbare Trägheitsmoment ist -300 kg m^2")
+        assert page.locator("#data-check [lang=en]").count() == 0
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,7 @@ from simulator import load_scenario
 from tests.browser.browsing import browsing
 from tests.browser.scripted import Json, campaign, scripted
 from tests.browser.test_diagnosis_page import measured
+from tests.browser.test_german import everything
 from tests.programs import needs
 
 pytestmark = needs("chromium")
@@ -152,3 +153,20 @@ def test_a_confidence_has_two_figures_on_the_page_as_everywhere(percent: float) 
     with scripted() as service, browsing(service.url) as page:
         told = page.evaluate("async (percent) => (await import('./elements.js')).confidence(percent)", percent)
         assert told == f"{two_digits(percent)} %"
+
+
+DURATION = re.compile(r"\b(?:\d+ min )?\d+ s\b")
+
+
+def test_every_duration_of_a_view_is_of_one_clock(root: Path) -> None:
+    """A virtual machine at 8 times its speed: nothing that is left is told in the seconds of the plan."""
+    answers: dict[str, Any] = {**everything(root)}
+    answers["plans/1"]["document"]["sweeps"][0]["duration"] = 160.0
+    answers["campaigns/1/sweeps"] = [answers["campaigns/1/sweeps"]["items"][0] | {"state": "planned"}]
+    left = {"done": 0, "total": 1, "remaining": 20.0, "repeat": 0.0, "pace": 0.125, "current": None}
+    one = campaign(1, plan_id=1, progress=left)
+    answers |= {"campaigns": {"items": [one], "next": None}, "campaigns/1": one}
+    with scripted(answers=answers) as service, browsing(service.url) as page:
+        expect(page.locator("#motion tbody tr")).to_have_count(1)
+        told = page.locator("#takes, #motion > p, #motion td:last-child").all_inner_texts()
+        assert DURATION.findall(" ".join(told)) == ["20 s"] * 3

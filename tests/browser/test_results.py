@@ -57,6 +57,8 @@ def test_what_accepted_effects_did_to_the_estimate_is_told() -> None:
                 "The accepted effects moved J of joint_1 by up to 2.3 standard deviations.",
             ]
         )
+        page.goto(f"{service.url}/#campaign-1")
+        expect(page.locator("#estimate-text")).to_contain_text("moved J of joint_1 by up to 2.3 standard deviations.")
 
 
 def test_what_one_failed_request_left_out_is_drawn_later() -> None:

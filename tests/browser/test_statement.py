@@ -5,7 +5,7 @@ from playwright.sync_api import BrowserContext, Page, expect
 
 from tests.browser.browsing import window
 from tests.browser.looking import cut, faint, green, settled, small, too_wide
-from tests.browser.scripted import JOINTS, Json, Scripted, campaign, cause, drives, scripted, statement
+from tests.browser.scripted import HELD, JOINTS, Json, Scripted, axis, campaign, cause, drives, scripted, statement
 from tests.programs import needs
 from tests.system.rest_bench import until
 
@@ -18,6 +18,16 @@ MODEL: Json = {
     "at": "2026-03-02T12:00:00Z",
     "document": {"axes": {"joint_1": {"effects": [{"effect": "coulomb_friction"}], "fit": {}}}},
 }  # fmt: skip
+
+
+FAULT = {"code": 0x2310, "text": "2310h overcurrent", "emergency_stop": False}
+
+
+def of_paused(why: Json, *held: Json) -> dict[str, Json]:
+    """Answers with one paused campaign, and the stops that hold the machine."""
+    one = campaign(structured_cause=why)
+    stop: Json = {"latched": bool(held), "stop": None, "stops": held, "port": None, "process_trouble": ""}
+    return {"campaigns": {"items": [one], "next": None}, "campaigns/1": one, "stop": stop | {"statement": statement()}}
 
 
 def opened(context: BrowserContext, service: Scripted, path: str = "") -> Page:
@@ -73,6 +83,48 @@ def test_a_statement_ages_while_the_next_one_is_awaited() -> None:
         assert page.evaluate("read[0]") == "the state of the axes is not known"
 
 
+def test_headline_sentence_and_plot_name_the_same_axis_at_any_moment() -> None:
+    """Each tells of another instant of the machine: the newest statement decides for all."""
+    steps = [
+        {"kind": "travel", "axes": ["joint_2"], "target": 0.5, "seconds": 4.0},
+        {"kind": "sweep", "axes": ["joint_1"], "target": None, "seconds": 9.0},
+    ]
+    runs = campaign(state="running", motion=steps)
+    block: Json = {"joint": "joint_1", "time": [0.0, 0.1], "effort": [1.0, 2.0], "velocity": [0.0, 0.1]}
+    moves = [statement("moves", **{joint: "moves"}) for joint in JOINTS]
+    answers: dict[str, Json] = {"campaigns": {"items": [runs], "next": None}, "campaigns/1": runs}
+    with scripted(answers=answers | {"drives": drives(statement=moves[1])}) as service, window() as context:
+        service.answers["stop"] |= {"statement": moves[1]}
+        page = opened(context, service)
+        expect(page.locator("#intent")).to_contain_text("joint_2 travels to 28.6°, then joint_1 sweeps")
+        page.evaluate("""() => {
+          window.read = new Set();
+          const texts = ["machine", "intent", "live-title"].map((id) => document.getElementById(id));
+          const chart = document.getElementById("live-chart");
+          const note = () => read.add([...texts.map((one) => one.textContent), chart.data?.[0].y[0]].join(" | "));
+          for (const one of texts) new MutationObserver(note).observe(one, { childList: true, subtree: true });
+        }""")
+        until(lambda: service.sockets > 0, "the page wants samples")
+        service.show(block)
+        expect(page.locator("#live-title")).to_have_text("Last sweep: joint_1")
+        for joint in (0, 1, 0):
+            service.answers["stop"] = service.answers["stop"] | {"statement": moves[joint]}
+            service.answers["drives"] = drives(statement=moves[joint])
+            expect(page.locator("#machine")).to_have_text(f"moves: {JOINTS[joint]}")
+            service.show(block)
+            expect(page.locator("#live-title")).to_have_text(
+                "Live: sweep of joint_1" if joint == 0 else "Last sweep: joint_1"
+            )
+        service.show(block | {"joint": "joint_2", "effort": [5.0, 6.0]})
+        expect(page.locator("#live-title")).to_have_text("Last sweep: joint_2")
+        read: list[str] = page.evaluate("[...read]")
+    told = [one for one in read if one.startswith("moves: joint_1")]
+    assert told
+    assert all("joint_2" not in one.partition(" | Last sweep")[0] for one in told), told
+    assert all(("sweep: joint_2" in one) == one.endswith("| 5") for one in read), read
+    assert all("Live: sweep" not in one for one in read if one not in told), read
+
+
 def test_the_head_goes_on_while_a_campaign_is_not_answered() -> None:
     """The database is slow: what the drives report is asked all the same."""
     runs = campaign(state="running")
@@ -115,8 +167,8 @@ def test_a_pause_by_a_fault(locale: str, pill: str, what: str, way: list[str]) -
         expect(page.locator("#intent")).to_contain_text(what)
         expect(page.locator("#intent")).not_to_contain_text("rad")
         expect(page.locator("#way-out li")).to_contain_text(way)
-        told = page.locator("#cause")
-        expect(told).to_contain_text(what)
+        expect(page.locator("#cause")).to_be_empty()
+        told = page.locator("#way-out")
         expect(told.locator("summary + *")).to_be_hidden()
         told.locator("summary").click()
         expect(told.locator("summary + *")).to_have_text(RAW)
@@ -127,6 +179,45 @@ def test_a_pause_by_a_fault(locale: str, pill: str, what: str, way: list[str]) -
             page.set_viewport_size({"width": width, "height": 1000})
             settled(page)
             assert (faint(page), small(page), cut(page), too_wide(page)) == ([], [], [], False), width
+
+
+LOST = cause("communication_lost", joint="joint_2", detail="node 2 does not answer")
+
+
+@pytest.mark.parametrize(
+    ("answers", "place", "what"),
+    [
+        (of_paused(TARGET), "#intent", "did not come to rest"),
+        (
+            of_paused(TARGET) | {"drives": drives(axes=[axis("joint_2", state="fault", fault=FAULT), axis("joint_1")])},
+            "#intent",
+            "did not come to rest",
+        ),
+        (of_paused(cause("stopped", by="operator page", detail="stop button"), HELD), "#held", "stop button"),
+        (
+            of_paused(cause("host_gap"), HELD | {"cause": cause("host_gap")}),
+            "#held",
+            "the computer of the service stood still",
+        ),
+        (of_paused(TARGET, HELD), "#intent", "did not come to rest"),
+        (
+            of_paused(LOST)
+            | {"drives": drives(connected=False, trouble_cause=LOST, axes=[], statement=statement("unknown", "lost"))},
+            "#machine",
+            "the drive does not answer",
+        ),
+    ],
+    ids=["pause", "fault", "stop", "watch", "stop after a pause", "lost"],
+)
+def test_a_cause_is_told_once_and_what_to_do_follows(answers: dict[str, Json], place: str, what: str) -> None:
+    with scripted(answers=answers) as service, window() as context:
+        page = opened(context, service)
+        page.set_viewport_size({"width": 1280, "height": 800})
+        expect(page.locator(place)).to_contain_text(what)
+        expect(page.locator("#campaign-state")).to_have_text("paused")
+        expect(page.locator("#way-out li").first).to_be_in_viewport()
+        settled(page)
+        assert page.locator("body").inner_text().count(what) == 1
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ RUNS = campaign(
         {"kind": "travel", "axes": ["joint_1"], "target": 0.5, "seconds": 4.0},
         {"kind": "sweep", "axes": ["joint_2"], "target": None, "seconds": 9.0},
     ],
-    progress={"done": 1, "total": 4, "remaining": 90.0, "repeat": 0.0, "current": 2},
+    progress={"done": 1, "total": 4, "remaining": 90.0, "repeat": 0.0, "pace": 1.0, "current": 2},
 )
 SIX = [axis(f"joint_{number}") for number in range(1, 7)]
 FILLED = everything(Path(__file__).parents[2])

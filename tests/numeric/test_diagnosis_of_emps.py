@@ -1,6 +1,7 @@
 """A measured axis: the EMPS record, started from inertia and viscous friction alone."""
 
 from pathlib import Path
+from typing import Any
 
 from service.diagnosis import axis_document, diagnose_axis
 from service.formats.traces.trace_import import import_trace
@@ -9,7 +10,7 @@ from service.formats.traces.trace_import import import_trace
 def test_friction_that_differs_with_the_direction_is_named_first(root: Path, shared: Path) -> None:
     """Janot, Gautier and Brunot (2019): Fc = 20.39 N; their asymmetry and offset are one effect here."""
     robot, sweeps = import_trace(root / "config/traces/emps.yaml", shared / "data/emps/DATA_EMPS.mat")
-    document = axis_document(diagnose_axis(robot, "slide", sweeps))
+    document: Any = axis_document(diagnose_axis(robot, "slide", sweeps)).as_json()
     assert document["verdict"] == "named"
     first = document["effects"][0]
     assert first["effect"] in ("coulomb_friction", "asymmetric_friction")

@@ -71,8 +71,9 @@ def _curve(joint: dict[str, Any], straight: Array, speed: Array) -> Array:
 
 @cache
 def exported(seed: int) -> Exported:
-    """Every third robot carries a payload that CAD lacks, every third a counterbalance."""
-    one = log(seed, payload=0.1 * (seed % 3 == 1), balance=0.4 * (seed % 3 == 2))
+    """Every third robot carries a payload that CAD lacks, every third a counterbalance; odd ones have bent friction."""
+    bent = {"rough": True} if seed % 2 else {}
+    one = log(seed, payload=0.1 * (seed % 3 == 1), balance=0.4 * (seed % 3 == 2), **bent)
     motions = free_motions(one.robot, one.sweeps)
     found = combine(one.robot, (), (), motions)
     model = model_of(one.robot, estimate_document(one.robot, (), motions=motions))
@@ -138,16 +139,19 @@ def test_the_files_predict_as_the_estimate_does(seed: int) -> None:
         assert any(f"friction of {joint} is no straight line" in warning for warning in one.model.warnings)
 
 
-@pytest.mark.parametrize("seed", HELD_BACK)
-def test_gravity_is_not_worse_than_cads(seed: int) -> None:
-    """Over poses as in the motion, beyond the expected error that the file states, unless the file warns."""
-    one = exported(seed)
-    assert [worth.joint for worth in one.model.worth] == list(one.log.robot.joints)
-    chain = one.log.robot.chain
-    low, high = np.array([(joint.lower, joint.upper) for joint in chain.joints]).T
-    poses = np.random.default_rng(seed).uniform(low, high, (100, len(low)))
-    own, of_cad = gravity_errors(one, poses)
-    expected = np.array([worth.gravity.error for worth in one.model.worth])
-    print(f"{seed}: off {own.round(2)}, CAD {of_cad.round(2)}, expected {expected.round(2)}; {one.log.kind}")
-    told = np.array([bool(worth.warning) for worth in one.model.worth])
-    assert (told | (own <= of_cad + 2 * expected + 1e-9)).all()
+def test_gravity_is_as_wrong_as_the_files_state_and_not_worse_than_cads() -> None:
+    """Over poses of the workspace: within the stated error on nine of ten axes, and above CAD's by it on none."""
+    within: list[bool] = []
+    for seed in HELD_BACK:
+        one = exported(seed)
+        assert [worth.joint for worth in one.model.worth] == list(one.log.robot.joints)
+        chain = one.log.robot.chain
+        low, high = np.array([(joint.lower, joint.upper) for joint in chain.joints]).T
+        own, of_cad = gravity_errors(one, np.random.default_rng(seed).uniform(low, high, (100, len(low))))
+        stated = np.array([worth.gravity.error for worth in one.model.worth])
+        print(f"{seed}: off {own.round(2)}, CAD {of_cad.round(2)}, stated {stated.round(2)}; {one.log.kind}")
+        assert (own <= of_cad + stated + 1e-9).all()
+        loaded = of_cad > 1e-6 * of_cad.max()  # axes on which gravity acts
+        within += (own <= stated)[loaded].tolist()
+    print(f"{np.mean(within):.0%} of {len(within)} axes are within the stated error")
+    assert np.mean(within) >= 0.9

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -16,7 +17,7 @@ AT_FLOOR = 1.5  # times the noise floor: most that may be left where all is name
 def test_what_a_foreign_machine_hides_is_found(number: str, shared: Path) -> None:
     truth = json.loads((shared / "data/foreign/truth.json").read_text())[number]
     bundle = read_bundle(shared / "data/foreign" / number)
-    found = axis_document(diagnose_axis(bundle.robot, truth["axis"], bundle.sweeps, twin=False))
+    found: Any = axis_document(diagnose_axis(bundle.robot, truth["axis"], bundle.sweeps, twin=False)).as_json()
     named, hidden = {effect["effect"] for effect in found["effects"]}, set(truth["hidden"])
     if not hidden <= set(CATALOGUE):  # nobody can name what is in no catalogue
         assert (found["verdict"], named) == ("unknown", set())

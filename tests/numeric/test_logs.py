@@ -124,6 +124,19 @@ def test_no_worse_than_least_squares() -> None:
     assert np.mean(rough < 2) > 0.93
 
 
+@pytest.mark.parametrize("seed", [23, 35])
+def test_what_a_spring_moves_at_rest_is_no_motion(seed: int) -> None:
+    """Of an elastic axis that waits while others move, the motor creeps: its friction is any."""
+    one = measured(seed)
+    assert np.max(one.ours / one.best) < 1.3
+
+
+def test_the_deviations_contain_what_a_spring_does_to_all_axes() -> None:
+    """No load encoder: the motor's motion is taken for the load's."""
+    z = np.concatenate([measured(seed).z for seed in (21, 66)])
+    assert np.mean(np.abs(z) < 2) > 0.88
+
+
 @pytest.mark.parametrize("small", [False, True])
 def test_rotors_that_nobody_knows_are_found(small: bool) -> None:
     """Behind its gear a wrist's rotor is up to 550 times as heavy as what it turns."""

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from service.identification.estimates.torque_gain import KnownMass
-from service.identification.payloads import PayloadFit, body_of, payload, sentences
+from service.identification.payloads import PayloadFit, body_of, payload, planned_mass_std, sentences
 from service.model.errors import BadInput
-from service.model.recording import Sweep
+from service.model.recording import Sine, Sweep
 from service.store.files.bundle import write_bundle
 from simulator import LinkDeviation
 from simulator.scenario import AddedBody
@@ -110,6 +110,17 @@ def test_records_that_begin_elsewhere_in_the_program_are_shifted() -> None:
     found = payload(truth.robot, before, after)
     assert np.nanmax(np.abs(off(found))) < 4
     assert found.excited[:4].all()
+
+
+def test_planned_trajectories_are_motions_and_their_plan_states_the_least_std() -> None:
+    truth = draw(232, 4)
+    free = before_and_after(truth, 232)
+    lines = {"sines": (Sine(frequency=0.1, amplitude=0.1, phase=0.0),), "period": 10.0, "periods": 2}
+    planned = ([replace(s, spec=s.spec.model_copy(update=lines)) for s in part] for part in free)
+    np.testing.assert_array_equal(payload(truth.robot, *planned).body, payload(truth.robot, *free).body)
+    path = np.stack([s.recording.position for s in free[0]], -1)
+    once, four = (planned_mass_std(truth.robot, np.vstack(times * [path, path[::-1]]), 250.0) for times in (1, 4))
+    assert four == pytest.approx(once / 2, rel=0.1)
 
 
 def test_nothing_mounted_is_no_mass() -> None:

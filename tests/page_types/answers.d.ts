@@ -41,4 +41,4 @@ declare namespace Api {
 }
 
 type Sweep = Api.PlannedSweep | Api.PlannedNoise;
-type Planned = { robot: string; request: Api.PlanView["document"]["request"]; sweeps: Sweep[]; dropped?: Api.DroppedPose[]; duration: number };
+type Planned = { robot: string; request: Api.PlanView["document"]["request"]; sweeps: Sweep[]; dropped?: Api.DroppedPose[]; duration: number; pace?: number };

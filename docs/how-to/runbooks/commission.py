@@ -69,8 +69,9 @@ def checked(book: Runbook, campaign: int) -> Exit:
         archive = Path(folder) / "campaign.zip"
         book.client.export_bundle(campaign, archive)
         measured = read_from(archive, Path(folder) / "bundle")
-    findings = check(measured.robot, measured.sweeps)
-    return book.findings(findings_document(measured.robot, measured.sweeps, findings)["findings"])
+    robot, sweeps = measured.robot, measured.sweeps
+    found = findings_document(robot, sweeps, check(robot, sweeps)).findings
+    return book.findings([one.as_json() for one in found])
 
 
 def told(book: Runbook, robot: Robot, campaign: int, joint: str) -> Exit:

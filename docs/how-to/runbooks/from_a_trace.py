@@ -36,7 +36,7 @@ def from_a_trace(book: Runbook) -> Exit:
     book.protocol["robot"] = {"id": None, "name": robot.name}
     axes = sorted({sweep.spec.axis for sweep in sweeps})
     book.step("trace", f"{len(sweeps)} sweeps of {', '.join(axes)} of {robot.name}")
-    found = book.findings(findings_document(robot, sweeps, check(robot, sweeps))["findings"])
+    found = book.findings([one.as_json() for one in findings_document(robot, sweeps, check(robot, sweeps)).findings])
     if given.dry_run:
         book.step("bundle", f"would be written to {given.out}; moves nothing")
         return Exit.DONE

@@ -82,10 +82,8 @@ def diagnose(
         found = sweepid.diagnose(measured, axis, known=known or (), start=estimate, twin=twin, progress=counted)
     if model is not None:
         from service.diagnosis import model_document
-        from service.model.results.effect import ModelRevision
 
-        revision = ModelRevision.read(model_document(measured.robot, found.as_json()), str(bundle))
-        write_file(model, revision.to_json())
+        write_file(model, model_document(measured.robot, found).to_json())
     if scenario is not None:
         write_scenario(scenario, measured.robot, found.model)
     if report is not None:

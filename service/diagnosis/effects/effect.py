@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, cast
+from typing import Any, NotRequired, TypedDict, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,57 @@ from numpy.typing import NDArray
 from service.diagnosis.rows.signals import Tracks
 from service.model.errors import BadInput
 
-Patch = dict[str, Any]
+Parts = dict[str, float]  # of a spring, of a ripple, ...
+
+
+class FrictionEntry(TypedDict, total=False):
+    """Levels, N m, and viscous friction, N m s/rad; in both directions alike unless there is a backward value."""
+
+    viscous: float
+    backward_viscous: float
+    coulomb: float
+    backward_coulomb: float
+
+
+class TrainEntry(TypedDict):
+    """Drive train of an axis."""
+
+    motor_inertia: float
+    motor_friction: FrictionEntry
+    effort_gain: float
+    effort_offset: float
+    load_friction: NotRequired[FrictionEntry]
+    spring: NotRequired[Parts]
+    cogging: NotRequired[list[Parts]]
+
+
+class Bar(TypedDict):
+    """A solid cylinder between two points of its link, kg and m."""
+
+    mass: float
+    radius: float
+    start: Sequence[float]
+    end: Sequence[float]
+
+
+class LinkEntry(TypedDict, total=False):
+    """Differences of a link from CAD: factor of its mass, shift of its centre, factor of its inertia, added bodies."""
+
+    mass: float
+    shift: list[float]
+    inertia: float
+    added: list[Bar]
+
+
+class Patch(TypedDict, total=False):
+    """Part of a scenario, by what it belongs to."""
+
+    train: Mapping[str, object]
+    measurement: Parts
+    links: dict[str, LinkEntry]
+
+
+AnyPart = TypeVar("AnyPart", bound=Mapping[str, object])
 
 
 class Inexpressible(Exception):
@@ -31,13 +81,13 @@ def positive(parameters: Mapping[str, float], name: str) -> float:
     return parameters[name]
 
 
-def dry(forward: float, backward: float | None = None, **more: Any) -> Patch:
+def dry(forward: float, backward: float | None = None, **more: object) -> Patch:
     """Dry friction of the motor, N m; the same in both directions unless `backward` is given."""
     other = forward if backward is None else backward
     return {"train": {"motor_friction": {"coulomb": forward, "backward_coulomb": other} | more}}
 
 
-def ripples(parameters: Mapping[str, float], orders: Sequence[float]) -> list[dict[str, float]]:
+def ripples(parameters: Mapping[str, float], orders: Sequence[float]) -> list[Parts]:
     """``A sin(o theta) + B cos(o theta)`` of each order as amplitude and phase."""
     pairs = [(order, parameters[f"sine_{order:g}"], parameters[f"cosine_{order:g}"]) for order in orders]
     return [
@@ -46,13 +96,13 @@ def ripples(parameters: Mapping[str, float], orders: Sequence[float]) -> list[di
     ]
 
 
-def merged(first: Mapping[str, Any], second: Mapping[str, Any]) -> Patch:
-    """Both patches: numbers added, lists concatenated, all other values from the second."""
-    result = dict(first)
+def merged(first: AnyPart, second: Mapping[str, object]) -> AnyPart:
+    """Both parts of a scenario: numbers added, lists concatenated, all other values from the second."""
+    result: Any = dict(first)
     for key, value in second.items():
         old = result.get(key)
         if isinstance(value, Mapping):
-            result[key] = merged(old or {}, cast(Patch, value))
+            result[key] = merged(cast("Mapping[str, object]", old or {}), cast("Mapping[str, object]", value))
         elif isinstance(value, list):
             result[key] = [*(old or []), *value]
         else:

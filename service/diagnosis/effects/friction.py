@@ -232,7 +232,7 @@ def _drift_scenario(parameters: Mapping[str, float], tracks: Tracks, model: Mode
         "coulomb_loss": -change / coulomb,
         "viscous_loss": -parameters["viscous_change"] / model.viscous if model.viscous > 0 else 0.0,
     }
-    return {"train": dry(coulomb)["train"] | {"warming": warming}}
+    return {"train": {"motor_friction": {"coulomb": coulomb, "backward_coulomb": coulomb}, "warming": warming}}
 
 
 def _drift_shape(tracks: Tracks, model: Model) -> tuple[ShapeParameter, ...]:

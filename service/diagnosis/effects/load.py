@@ -42,9 +42,6 @@ GRAVITY_ERROR = CatalogueEffect(
 )
 
 
-CERTAIN = 3.0  # standard deviations: a mass more negative than that is impossible
-
-
 def _payload_readout(tracks: Tracks, change: Array, covariance: Array) -> Readout:
     """Mass and first moments of a payload on the last link: the most likely values for this change of the load."""
     farthest = 1.0  # m from the origin of the last joint to the centre of mass, one sigma

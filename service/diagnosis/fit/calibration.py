@@ -32,8 +32,6 @@ from service.model.robot import Robot
 Array = NDArray[np.float64]
 Visit = tuple[int, tuple[int, ...]]
 
-ROUNDS = 2  # of fits, each weighted by the residual of the one before
-
 
 @dataclass(frozen=True)
 class Weighed:
@@ -53,9 +51,7 @@ class WeighedGain(TorqueGain):
     noise_change: float = 0.0
 
 
-def weighed_gain(
-    robot: Robot, joint: str, bare: Sequence[Sweep], weighed: Weighed, rounds: int = ROUNDS
-) -> WeighedGain:
+def weighed_gain(robot: Robot, joint: str, bare: Sequence[Sweep], weighed: Weighed, rounds: int = 2) -> WeighedGain:
     """Indicated effort over true effort; BadInput if no sweep of the axis was run both without and with the mass, or if
     the gain is not finite. `rounds`: number of fits, each weighted by the noise of the fit before.
     """

@@ -6,68 +6,52 @@ because only the left-out pose itself determines its inertia.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.fit.cross_products import ORDER, Group, given_rest, pairing, solve, symmetric
 from service.diagnosis.fit.equations import Equations, Term, reshaped
+from service.model.results.diagnosis import Gap, PoseGap
 
 Array = NDArray[np.float64]
 
-CERTAIN = 3.0  # standard deviations: above, an improvement is significant
 
-
-@dataclass(frozen=True, slots=True)
-class PoseResidual:
-    """The gap of one pose (all joints)."""
-
-    pose: tuple[float, ...]
-    before_rms: float
-    after_rms: float
-    noise_floor_rms: float | None
-    sweeps: int
-
-
-@dataclass(frozen=True, slots=True)
-class ValidationResidual:
-    """RMS of the residual, N m (N): rigid model, model with effects, differences between repeats (None: no repeats).
-
-    `held_out_sweeps`: number of sweeps if none was used to select or fit effects. 0: the gap is that of all sweeps,
-    each with a fit to the others, as far as there were `others`.
+def gap(given: Equations, before: Array, after: Array, unseen: Sequence[int], twin_rms: float | None = None) -> Gap:
+    """The gap of residuals (n, rows) before and after. `unseen`: sweeps that were not used to select effects; without
+    any, the gap is that of all sweeps, each with a fit to the others as far as there are any.
     """
-
-    before_rms: float
-    after_rms: float
-    noise_floor_rms: float | None
-    effort_rms: float
-    held_out_sweeps: int
-    others: bool
-    by_pose: tuple[PoseResidual, ...]
-
-
-def gap(given: Equations, before: Array, after: Array, unseen: Sequence[int]) -> ValidationResidual:
-    """The gap of residuals (n, rows) before and after. `unseen`: sweeps that were not used to select effects."""
     tracks = given.tracks
     every = np.arange(len(tracks.specs))
     judged = np.array(unseen, dtype=int) if unseen else every
     counted = np.zeros_like(tracks.usable)
     counted[judged] = tracks.usable[judged]
-    poses: list[PoseResidual] = []
+    poses: list[PoseGap] = []
     for pose_index, pose in enumerate(tracks.poses):
         here = every[tracks.pose_index == pose_index]
         usable = tracks.usable[here]
         if usable.any():
-            sizes = (_rms(before[here][usable]), _rms(after[here][usable]), noise_floor(given, after, here))
-            poses.append(PoseResidual(tuple(pose.tolist()), *sizes, len(here)))
-    return ValidationResidual(
-        before_rms=_rms(before[counted]),
-        after_rms=_rms(after[counted]),
+            poses.append(
+                PoseGap(
+                    pose=tuple(pose.tolist()),
+                    before_rms=_rms(before[here][usable]),
+                    after_rms=_rms(after[here][usable]),
+                    noise_floor_rms=noise_floor(given, after, here),
+                    sweeps=len(here),
+                )
+            )
+    rms, later, effort = _rms(before[counted]), _rms(after[counted]), _rms(tracks.rows(tracks.effort)[tracks.usable])
+    return Gap(
+        before_rms=rms,
+        after_rms=later,
         noise_floor_rms=noise_floor(given, after, judged.tolist()),
-        effort_rms=_rms(tracks.rows(tracks.effort)[tracks.usable]),
         held_out_sweeps=len(unseen),
-        others=left_out(given),
+        cross_validated=left_out(given),
+        source="columns",  # residuals of the model columns: `before_rms` and `after_rms`
+        before_percent=100 * rms / effort,
+        after_percent=100 * later / effort,
+        twin_rms=twin_rms,
         by_pose=tuple(poses),
     )
 
@@ -78,7 +62,7 @@ def improves(given: Equations, before: Array, after: Array) -> bool:
     old, new = before[usable], after[usable]
     # 4 neighbouring rows that count as one independent value, because the filter correlates them
     chance = 2 * noise(given, after) * _rms(old - new) * np.sqrt(4 / len(old))
-    return float(np.mean(old**2) - np.mean(new**2)) > CERTAIN * chance
+    return float(np.mean(old**2) - np.mean(new**2)) > 3.0 * chance  # standard deviations
 
 
 def by_prior(given: Equations, before: Sequence[Term], after: Sequence[Term]) -> bool:

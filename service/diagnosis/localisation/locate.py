@@ -15,6 +15,7 @@ from scipy.special import fdtrc, ndtri
 from service.diagnosis.fit.cross_products import Group
 from service.diagnosis.fit.equations import Equations
 from service.diagnosis.rows.signals import EVERY, Tracks, row_samples
+from service.model.results.diagnosis import Cell, Example
 
 Array = NDArray[np.float64]
 
@@ -24,19 +25,6 @@ STEADY = 0.8  # rank correlation with a property: above, the gap increases with 
 SURE = 1 - 1e-15  # the largest such probability
 WAYS = ("direction", "weight")
 ORDERED = ("speed", "|gravity torque|", "time since start", "temperature", "line frequency")
-
-
-@dataclass(frozen=True, slots=True)
-class ResidualBin:
-    """One bin of one property: RMS of the repeatable gap, N m (N), its significance in standard deviations, and the RMS
-    of the gap after the detected effects.
-    """
-
-    dimension: str
-    value: str
-    rms: float
-    significance: float
-    rms_after: float
 
 
 @dataclass(frozen=True)
@@ -49,20 +37,18 @@ class _Rows:
     row: NDArray[np.int_]
 
 
-def cells(
-    tracks: Tracks, groups: Sequence[Group], residual: Array, after: Array, noise: float
-) -> tuple[ResidualBin, ...]:
+def cells(tracks: Tracks, groups: Sequence[Group], residual: Array, after: Array, noise: float) -> tuple[Cell, ...]:
     """The gap of residuals (n, rows), N m (N), before and after, in bins of the properties of sweeps and samples."""
     rows = _rows(tracks, groups, residual, after, noise)
     if rows.product.size == 0:
         return ()
-    found: list[ResidualBin] = []
+    found: list[Cell] = []
     for dimension, labels in _labels(tracks, rows):
         found.extend(_cell(dimension, str(value), rows, labels == value, noise) for value in np.unique(labels))
     return tuple(sorted(found, key=lambda cell: -cell.significance))
 
 
-def lines(tracks: Tracks, residual: Array, after: Array) -> tuple[ResidualBin, ...]:
+def lines(tracks: Tracks, residual: Array, after: Array) -> tuple[Cell, ...]:
     """The gap at the excited frequencies: RMS of the residual at each line over the sweeps that contain it, and its
     significance with respect to the bins between the lines, in standard deviations of equal probability.
     """
@@ -85,23 +71,31 @@ def lines(tracks: Tracks, residual: Array, after: Array) -> tuple[ResidualBin, .
             neighbours = float(np.mean([_power(window, time, side) for side in sides]))
             line, left = (_power(signal, time, sine.frequency) for signal in (window, later))
             power.setdefault(sine.frequency, []).append(np.array([line, neighbours, left, len(sides)]))
-    result: list[ResidualBin] = []
+    result: list[Cell] = []
     for frequency, found in sorted(power.items()):
         means: list[float] = np.mean(found, axis=0).tolist()
         line, floor, left, sides = means
         freedom = 2 * len(found)  # sum of squares of normal values: two of each bin
         chance = float(fdtrc(freedom, freedom * sides, line / max(floor, smallest)))
         significance = float(-ndtri(min(max(chance, smallest), SURE)))
-        result.append(ResidualBin("line frequency", f"{frequency:g} Hz", line**0.5, significance, left**0.5))
+        result.append(
+            Cell(
+                dimension="line frequency",
+                value=f"{frequency:g} Hz",
+                rms=line**0.5,
+                significance=significance,
+                rms_after=left**0.5,
+            )
+        )
     return tuple(result)
 
 
-def sentences(joint: str, found: Sequence[ResidualBin]) -> tuple[str, ...]:
+def sentences(joint: str, found: Sequence[Cell]) -> tuple[str, ...]:
     """The gap in sentences for the user: when it occurs, with what it increases, and where it is largest."""
     significant = [cell for cell in found if cell.significance > SIGNIFICANT]
     if not significant:
         return (f"{joint}: no repeatable gap beyond the noise.",)
-    by_dimension: dict[str, list[ResidualBin]] = {}
+    by_dimension: dict[str, list[Cell]] = {}
     for cell in found:
         by_dimension.setdefault(cell.dimension, []).append(cell)
     pattern = {name: words for name, own in by_dimension.items() if (words := _only(name, own) or _trend(name, own))}
@@ -118,7 +112,7 @@ def sentences(joint: str, found: Sequence[ResidualBin]) -> tuple[str, ...]:
     return tuple(result) or (f"{joint}: the gap is about the same everywhere.",)
 
 
-def _only(dimension: str, own: Sequence[ResidualBin]) -> str:
+def _only(dimension: str, own: Sequence[Cell]) -> str:
     """The one of two directions that contains the gap, if the other hardly contains it."""
     ways = sorted(own, key=lambda cell: cell.rms)
     if dimension not in WAYS or len(ways) != 2 or ways[1].significance < SIGNIFICANT:
@@ -127,7 +121,7 @@ def _only(dimension: str, own: Sequence[ResidualBin]) -> str:
     return f"only when moving {ways[1].value}" if ways[0].rms < 0.3 * ways[1].rms else ""
 
 
-def _trend(dimension: str, own: Sequence[ResidualBin]) -> str:
+def _trend(dimension: str, own: Sequence[Cell]) -> str:
     """Whether the gap increases or decreases monotonically with a property."""
     cells = sorted(own, key=lambda cell: float(cell.value.split()[0])) if dimension in ORDERED else []
     if len(cells) < 3 or max(cell.significance for cell in cells) < SIGNIFICANT:
@@ -146,12 +140,16 @@ def _power(signal: Array, time: Array, frequency: float) -> float:
     return float(2 * np.abs(np.mean(signal * np.exp(-2j * np.pi * frequency * time))) ** 2)
 
 
-def _cell(dimension: str, value: str, rows: _Rows, here: NDArray[np.bool_], noise: float) -> ResidualBin:
+def _cell(dimension: str, value: str, rows: _Rows, here: NDArray[np.bool_], noise: float) -> Cell:
     mean, after = float(rows.product[here].mean()), float(rows.after[here].mean())
     # the filter correlates neighbouring rows: about four are one independent value
     significance = mean / max(noise**2, 1e-300) * np.sqrt(np.count_nonzero(here) / 4)
-    return ResidualBin(
-        dimension, value, float(np.sqrt(max(mean, 0.0))), float(significance), float(np.sqrt(max(after, 0.0)))
+    return Cell(
+        dimension=dimension,
+        value=value,
+        rms=float(np.sqrt(max(mean, 0.0))),
+        significance=float(significance),
+        rms_after=float(np.sqrt(max(after, 0.0))),
     )
 
 
@@ -215,20 +213,8 @@ def _binned(values: Array, unit: str) -> NDArray[np.str_]:
     return np.array([f"{low:.3g} to {high:.3g} {unit}" for low, high in pairwise(edges)])[number]
 
 
-@dataclass(frozen=True)
-class ExampleSweep:
-    """Torques (n,) N m (N) over time (n,) s, all with the same filter."""
-
-    sweep: str
-    block: str
-    time: Array
-    measured: Array
-    before: Array
-    after: Array
-
-
-def example(given: Equations, before: Array, after: Array) -> ExampleSweep:
-    """The sweep with the largest residual (n, rows) before."""
+def example(given: Equations, before: Array, after: Array) -> Example:
+    """The sweep with the largest residual (n, rows) before; all torques with the same filter."""
     tracks = given.tracks
     most = int(np.argmax(np.sum(np.where(tracks.usable, before, 0.0) ** 2, axis=1)))
     recorded = row_samples(tracks.effort.shape[1], tracks.rate)
@@ -238,4 +224,11 @@ def example(given: Equations, before: Array, after: Array) -> ExampleSweep:
     measured = tracks.rows(tracks.effort[most : most + 1])[0, at]
     time = tracks.time[most, row_samples(tracks.effort.shape[1], tracks.rate)[at]]
     spec = tracks.specs[most]
-    return ExampleSweep(spec.id, spec.block, time, measured, measured - before[most, at], measured - after[most, at])
+    return Example(
+        sweep=spec.id,
+        block=spec.block,
+        time=time.tolist(),
+        measured=measured.tolist(),
+        before=(measured - before[most, at]).tolist(),
+        after=(measured - after[most, at]).tolist(),
+    )

@@ -1,16 +1,17 @@
 """The content of a model revision: effects and rigid fit of each axis, and the scenario of the twin.
 
-All data come from axis documents (`document.axis_document`), so a revision can be made wherever those are stored.
+All data come from results of axes (`document.axis_document`), so a revision can be made wherever those are stored.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import cast
 
 import numpy as np
 
-from service.diagnosis.effects.effect import Inexpressible, merged
+from service.diagnosis.effects.effect import Inexpressible, LinkEntry, Patch, merged
 from service.diagnosis.model.scenario import (
     AxisEntry,
+    Links,
     axis_entry,
     deviations,
     gravity,
@@ -19,44 +20,47 @@ from service.diagnosis.model.scenario import (
     joined,
     stiffened,
 )
+from service.model.arrays import Array
+from service.model.results.diagnosis import AxisDiagnosis, DiagnosedModel, Diagnosis
+from service.model.results.effect import AxisFit, ModelRevision, RevisedAxis
 from service.model.robot import Robot
 
-Documents = Mapping[str, Mapping[str, Any]]
+Axes = Mapping[str, RevisedAxis]
 
 ROBOT_FILE = "robot.yaml"
 
 
 def model_document(
     robot: Robot,
-    document: Mapping[str, Any],
+    diagnosis: Diagnosis,
     joints: Sequence[str] | None = None,
-    parent: Mapping[str, Any] | None = None,
-) -> dict[str, Any]:
-    """{"axes": {joint: {"effects", "fit"}}, "scenario"} of a diagnosis document for `joints` (None: those named). The
-    other axes are copied from `parent`, the previous model.
+    parent: ModelRevision | None = None,
+) -> ModelRevision:
+    """Effects and fit of `joints` of a diagnosis (None: those named), and the scenario. The other axes are copied from
+    `parent`, the previous model.
     """
-    named = [joint for joint, axis in document["axes"].items() if axis["verdict"] == "named"]
-    axes = dict(parent["axes"]) if parent else {}
-    axes |= {joint: _axis(document["axes"][joint]) for joint in (named if joints is None else joints)}
-    return {"axes": axes, **_scenario(robot, axes)}
+    named = [joint for joint, axis in diagnosis.axes.items() if axis.verdict == "named"]
+    axes = dict(parent.axes) if parent else {}
+    axes |= {joint: _axis(diagnosis.axes[joint]) for joint in (named if joints is None else joints)}
+    scenario, notes = _scenario(robot, axes)
+    return ModelRevision.model_validate({"axes": axes, "scenario": scenario, "notes": notes})
 
 
-def model_of(robot: Robot, documents: Documents) -> dict[str, Any]:
-    """The "model" of a diagnosis: known and newly named effects of its axes, and the scenario of all axes."""
-    axes = {joint: _axis(axis) for joint, axis in documents.items()}
-    effects = {joint: axis["effects"] for joint, axis in axes.items() if documents[joint]["verdict"] == "named"}
-    return {"robot": robot.name, "effects": effects, **_scenario(robot, axes)}
+def model_of(robot: Robot, diagnoses: Mapping[str, AxisDiagnosis]) -> DiagnosedModel:
+    """The model of a diagnosis: known and newly named effects of its axes, and the scenario of all axes."""
+    axes = {joint: _axis(axis) for joint, axis in diagnoses.items()}
+    effects = {joint: axis.effects for joint, axis in axes.items() if diagnoses[joint].verdict == "named"}
+    scenario, notes = _scenario(robot, axes)
+    given = {"robot": robot.name, "effects": effects, "scenario": scenario, "notes": notes}
+    return DiagnosedModel.model_validate(given)
 
 
-def _axis(document: Mapping[str, Any]) -> dict[str, Any]:
+def _axis(axis: AxisDiagnosis) -> RevisedAxis:
     """Effects and fit of an axis; ambiguous effects are not in its model."""
-    effects = list(document["known"])
-    if document["verdict"] == "named":
-        effects += document["effects"]
-    return {"effects": effects, "fit": document["fit"]}
+    return RevisedAxis(effects=axis.known + axis.effects * (axis.verdict == "named"), fit=axis.fit)
 
 
-def _scenario(robot: Robot, axes: Documents) -> dict[str, Any]:
+def _scenario(robot: Robot, axes: Axes) -> tuple[Mapping[str, object], tuple[str, ...]]:
     """The scenario, and notes about parts of the model that it cannot contain."""
     notes: list[str] = []
     entries: dict[str, AxisEntry] = {}
@@ -65,9 +69,9 @@ def _scenario(robot: Robot, axes: Documents) -> dict[str, Any]:
             entries[joint] = _entry(robot, joint, axis)
         except Inexpressible as reason:
             notes.append(f"{joint}: {reason}; the axis is rigid here")
-            entries[joint] = _entry(robot, joint, {**axis, "effects": []})
+            entries[joint] = _entry(robot, joint, axis.model_copy(update={"effects": ()}))
         notes += [f"{joint}: {held}" for held in entries[joint].held]
-        notes += [f"{joint}: no scenario holds {e['effect']}" for e in axis["effects"] if e["scenario"] is None]
+        notes += [f"{joint}: no scenario holds {e.effect}" for e in axis.effects if e.scenario is None]
     if any("spring" in entry.train for entry in entries.values()):
         entries = {
             joint: stiffened(entry, _inertia(axes[joint]), robot.axis(joint).gear_ratio)
@@ -83,7 +87,7 @@ def _scenario(robot: Robot, axes: Documents) -> dict[str, Any]:
     # Hz, bandwidth of an assumed speed control, which a diagnosis cannot identify
     # 0.1 s
     # 3.0 times the rated effort
-    scenario = {
+    scenario: dict[str, object] = {
         "name": f"{robot.name}-model",
         "robot": ROBOT_FILE,
         "links": _links(robot, axes, entries, notes),
@@ -101,51 +105,49 @@ def _scenario(robot: Robot, axes: Documents) -> dict[str, Any]:
         },
         "measurement": measurement,
     }
-    return {"scenario": scenario, "notes": notes}
+    return scenario, tuple(notes)
 
 
-def _entry(robot: Robot, joint: str, axis: Mapping[str, Any]) -> AxisEntry:
-    patches = [effect["scenario"] for effect in axis["effects"] if effect["scenario"] is not None]
-    viscous, true = axis["fit"]["viscous_friction"]["value"], axis["fit"]["torques"] == "true"
-    return axis_entry(robot, joint, _inertia(axis), viscous, patches, true=true)
+def _entry(robot: Robot, joint: str, axis: RevisedAxis) -> AxisEntry:
+    patches = [cast(Patch, effect.scenario) for effect in axis.effects if effect.scenario is not None]
+    true = axis.fit.torques == "true"
+    return axis_entry(robot, joint, _inertia(axis), axis.fit.viscous_friction.value, patches, true=true)
 
 
-def _pull(robot: Robot, fit: Mapping[str, Any], links: Mapping[str, Any], index: int, poses: Any, scale: float) -> Any:
+def _pull(robot: Robot, fit: AxisFit, links: Links, index: int, poses: Array, scale: float) -> Array:
     """True gravity (m, 2) as fitted; older documents do not contain "gravity", there it is computed from the links."""
-    if "gravity" not in fit:
+    if fit.gravity is None:
         return gravity(robot, links, index, poses)
-    torque, slope = (np.array([pose[part] for pose in fit["gravity"]]) for part in ("torque", "slope"))
+    torque, slope = np.array([(pose.torque, pose.slope) for pose in fit.gravity]).T
     return gravity_of_fit(poses, index, torque, slope) / scale
 
 
-def _inertia(axis: Mapping[str, Any]) -> float:
+def _inertia(axis: RevisedAxis) -> float:
     """Typical inertia, kg m^2."""
-    return float(np.mean([pose["value"] for pose in axis["fit"]["inertia"]]))
+    return float(np.mean([pose.value for pose in axis.fit.inertia]))
 
 
-def _links(robot: Robot, axes: Documents, entries: Mapping[str, AxisEntry], notes: list[str]) -> dict[str, Any]:
+def _links(robot: Robot, axes: Axes, entries: Mapping[str, AxisEntry], notes: list[str]) -> Links:
     """Links that give each axis its gravity and, as far as rigid links can, its inertias; those of CAD where there are
     none, with a note.
     """
-    gravities: list[tuple[int, Any, Any]] = []
-    inertias: list[tuple[int, Any, Any]] = []
-    added: dict[str, Any] = {}
+    gravities: list[tuple[int, Array, Array]] = []
+    inertias: list[tuple[int, Array, Array]] = []
+    added: dict[str, LinkEntry] = {}
     for joint, entry in entries.items():
-        index, poses = robot.index(joint), np.array([pose["pose"] for pose in axes[joint]["fit"]["inertia"]])
-        shifted = {link: {key: x for key, x in part.items() if key != "added"} for link, part in entry.links.items()}
-        gravities.append(
-            (
-                index,
-                poses,
-                _pull(robot, axes[joint]["fit"], shifted, index, poses, entry.scale) - gravity(robot, {}, index, poses),
-            )
-        )
-        measured = np.array([pose["value"] for pose in axes[joint]["fit"]["inertia"]]) / entry.scale
+        index, fit = robot.index(joint), axes[joint].fit
+        poses = np.array([pose.pose for pose in fit.inertia])
+        shifted = {link: part.copy() for link, part in entry.links.items()}
+        for part in shifted.values():
+            part.pop("added", None)
+        pull = _pull(robot, fit, shifted, index, poses, entry.scale) - gravity(robot, {}, index, poses)
+        gravities.append((index, poses, pull))
+        measured = np.array([pose.value for pose in fit.inertia]) / entry.scale
         motor = entry.train["motor_inertia"] * robot.axis(joint).gear_ratio ** 2
         inertias.append((index, poses, np.maximum(measured - motor, 0.02 * measured)))
         # a payload is one body, on whichever axis it was found
-        added = {link: {"added": part["added"]} for link, part in entry.links.items() if "added" in part} | added
-    moved: dict[str, Any] = {}
+        added = {link: LinkEntry(added=part["added"]) for link, part in entry.links.items() if "added" in part} | added
+    moved: Links = {}
     factors: dict[str, float] = {}
     try:
         moved = deviations(robot, joined(robot, gravities))

@@ -1,7 +1,5 @@
 """The identified rigid model in base parameters: CAD value, value from these sweeps, standard deviation."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,23 +8,14 @@ from service.diagnosis.model.held_out_check import Fit
 from service.diagnosis.rows.rigid import SLACK, deviations_left, load_rows, nominal_parameters, parameter_spread
 from service.identification.model.base_parameters import joint_ranges, reduce_columns
 from service.identification.model.regressor import parameter_names
+from service.model.results.diagnosis import RigidParameter
 
 Array = NDArray[np.float64]
 
 VISCOUS = "viscous_friction"
 
 
-@dataclass(frozen=True, slots=True)
-class RigidModelParameter:
-    """A combination of inertial parameters of links, kg, kg m or kg m^2, or viscous friction, N m s/rad (N s/m)."""
-
-    name: str
-    nominal: float | None
-    value: float
-    std: float
-
-
-def rigid_model(given: Equations, fit: Fit) -> tuple[RigidModelParameter, ...]:
+def rigid_model(given: Equations, fit: Fit) -> tuple[RigidParameter, ...]:
     """Base parameters (Gautier 1991) of inertia and gravity about the axis over the workspace, then viscous friction.
     Combinations that the measured poses do not determine keep the CAD value and the uncertainty of the prior.
     """
@@ -47,10 +36,8 @@ def rigid_model(given: Equations, fit: Fit) -> tuple[RigidModelParameter, ...]:
     values = nominal + gain @ (weight * fit.load.ravel() - rows @ nominal)
     std = deviations_left(spread, rows, noise, slack)
     result = [
-        RigidModelParameter(*entry)
-        for entry in zip(base.names, nominal.tolist(), values.tolist(), std.tolist(), strict=True)
+        RigidParameter(name=name, nominal=cad, value=value, std=deviation)
+        for name, cad, value, deviation in zip(base.names, nominal.tolist(), values.tolist(), std.tolist(), strict=True)
     ]
-    return (
-        *result,
-        RigidModelParameter(VISCOUS, robot.axis(tracks.joint).viscous_friction, fit.viscous, fit.viscous_std),
-    )
+    viscous = robot.axis(tracks.joint).viscous_friction
+    return (*result, RigidParameter(name=VISCOUS, nominal=viscous, value=fit.viscous, std=fit.viscous_std))

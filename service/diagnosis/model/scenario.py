@@ -8,30 +8,38 @@ Masses and first moments determine gravity. They are those of the URDF links the
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from service.diagnosis.effects.effect import Inexpressible, Patch, merged
+from service.diagnosis.effects.effect import (
+    Bar,
+    FrictionEntry,
+    Inexpressible,
+    LinkEntry,
+    Parts,
+    Patch,
+    TrainEntry,
+    merged,
+)
 from service.identification.model.regressor import gravity_terms, inertia_rows
 from service.model.robot import Robot
 from service.model.urdf import inertia_vector, read_inertial, transform_inertial
 
 Array = NDArray[np.float64]
-Links = Mapping[str, Mapping[str, Any]]
+Links = Mapping[str, LinkEntry]
 """The links of a scenario, by name."""
 
 FACTORS = (0.1, 10.0)
 
 
-def deviations(robot: Robot, changes: Array) -> dict[str, dict[str, Any]]:
+def deviations(robot: Robot, changes: Array) -> Links:
     """Links by name for changes (n, 4) of [mass, kg; first moment, kg m] of the moving links; Inexpressible if a mass
     is not above 0.
     """
-    result: dict[str, dict[str, Any]] = {}
+    result: dict[str, LinkEntry] = {}
     for joint, own, change in zip(robot.chain.joints, _own(robot), changes, strict=True):
         if not change.any():
             continue
@@ -148,7 +156,7 @@ def _inertial(robot: Robot, links: Links, factors: Array) -> Array:
     return result
 
 
-def _bar(body: Mapping[str, Any]) -> Array:
+def _bar(body: Bar) -> Array:
     """Ten parameters of a solid cylindrical bar."""
     mass, radius = body["mass"], body["radius"]
     way = np.array(body["end"]) - np.array(body["start"])
@@ -158,7 +166,7 @@ def _bar(body: Mapping[str, Any]) -> Array:
     return transform_inertial(np.concatenate([[mass, 0, 0, 0], inertia_vector(inertia)]), np.eye(3), _centre(body))
 
 
-def _centre(body: Mapping[str, Any]) -> Array:
+def _centre(body: Bar) -> Array:
     return (np.array(body["start"]) + np.array(body["end"])) / 2
 
 
@@ -190,9 +198,9 @@ TORQUES = (
 class AxisEntry:
     """`train`, `measurement` and `links` of a scenario for one axis; `held`: descriptions of limited values."""
 
-    train: Patch
-    measurement: Patch
-    links: Patch
+    train: TrainEntry
+    measurement: Parts
+    links: Links
     held: tuple[str, ...]
     scale: float  # of the torques and inertias used here, over the true ones
 
@@ -206,57 +214,61 @@ def axis_entry(
     """
     axis = robot.axis(joint)
     motor = axis.motor_inertia or UNKNOWN_MOTOR * inertia / axis.gear_ratio**2
-    friction = {"viscous": viscous, "backward_viscous": viscous, "coulomb": 0.0, "backward_coulomb": 0.0}
-    bare = {"motor_inertia": motor, "motor_friction": friction, "effort_gain": 1.0, "effort_offset": 0.0}
-    whole = reduce(merged, patches, {"train": bare, "measurement": {}, "links": {}})
-    train = whole["train"]
+    friction = FrictionEntry(viscous=viscous, backward_viscous=viscous, coulomb=0.0, backward_coulomb=0.0)
+    train = TrainEntry(motor_inertia=motor, motor_friction=friction, effort_gain=1.0, effort_offset=0.0)
+    measurement, links = Parts(), dict[str, LinkEntry]()
+    for patch in patches:
+        train = merged(train, patch.get("train", {}))
+        measurement = merged(measurement, patch.get("measurement", {}))
+        links = merged(links, patch.get("links", {}))
     if train["effort_gain"] <= 0:
         raise Inexpressible(f"effort_gain = {train['effort_gain']:.3g} is not above 0")
     # 0.1 of the value in the robot file
     held = _held(train, 0.1 * motor)
     scale = 1.0 if true else train["effort_gain"]
     for path in TORQUES:
-        _scale(train, path.split("."), 1 / scale)
+        part, key = _place(train, path)
+        if key in part:
+            part[key] *= 1 / scale
     if "cogging" in train:
         train["cogging"] = [ripple | {"amplitude": ripple["amplitude"] / scale} for ripple in train["cogging"]]
     if "gear_error" in train or "spring" in train:
         _sprung(train, inertia / scale, axis.gear_ratio)
     _tidied(train)
-    return AxisEntry(train, whole["measurement"], whole["links"], held, scale)
+    return AxisEntry(train, measurement, links, held, scale)
 
 
 def stiffened(entry: AxisEntry, inertia: float, ratio: float) -> AxisEntry:
     """The entry with a stiff spring if it has none: in a scenario either all axes have springs or none has."""
-    train = merged(entry.train, {})
+    train = entry.train.copy()
     _sprung(train, inertia / entry.scale, ratio)
     return replace(entry, train=train)
 
 
-def _held(train: Patch, least_motor: float) -> tuple[str, ...]:
+def _held(train: TrainEntry, least_motor: float) -> tuple[str, ...]:
     """Set values beyond the limits of the scenario to the limit, and describe each change."""
     held: list[str] = []
     for path in NOT_NEGATIVE:
-        *way, last = path.split(".")
-        there: Any = reduce(lambda part, key: part.get(key, {}), way, train)
-        if there.get(last, 0.0) < 0:
-            held.append(f"{path} = {there[last]:.3g} is held at 0")
-            there[last] = 0.0
+        part, key = _place(train, path)
+        if part.get(key, 0.0) < 0:
+            held.append(f"{path} = {part[key]:.3g} is held at 0")
+            part[key] = 0.0
     if train["motor_inertia"] < least_motor:
         held.append(f"motor_inertia = {train['motor_inertia']:.3g} is held at {least_motor:.3g}")
         train["motor_inertia"] = least_motor
     return tuple(held)
 
 
-def _scale(part: Patch, path: Sequence[str], factor: float) -> None:
-    if path[0] not in part:
-        return
-    if len(path) > 1:
-        _scale(part[path[0]], path[1:], factor)
-    else:
-        part[path[0]] *= factor
+def _place(train: TrainEntry, path: str) -> tuple[Parts, str]:
+    """The part of a drive train that a path names, and the last key."""
+    *way, key = path.split(".")
+    part: Any = train
+    for name in way:
+        part = part.get(name, {})
+    return part, key
 
 
-def _sprung(train: Patch, inertia: float, ratio: float) -> None:
+def _sprung(train: TrainEntry, inertia: float, ratio: float) -> None:
     """Add a stiff spring to a gear that has none."""
     spring = train.setdefault("spring", {})
     if "stiffness" in spring:
@@ -271,14 +283,14 @@ def _sprung(train: Patch, inertia: float, ratio: float) -> None:
     spring["damping"] = 0.3 * float(np.sqrt(spring["stiffness"] * load))
 
 
-def _tidied(train: Patch) -> None:
+def _tidied(train: TrainEntry) -> None:
     """Remove backward values equal to the forward ones; with bristles, dry friction moves to the load side."""
     friction = train["motor_friction"]
     if "lugre" in train:
-        moved = {key: friction.pop(key) for key in ("coulomb", "backward_coulomb")}
+        moved = FrictionEntry(coulomb=friction.pop("coulomb"), backward_coulomb=friction.pop("backward_coulomb"))
         if any(moved.values()):
             train["load_friction"] = moved
-    for part in (friction, train.get("load_friction", {})):
+    for part in (cast("Parts", friction), cast("Parts", train.get("load_friction", {}))):
         for key in ("viscous", "coulomb"):
             if f"backward_{key}" in part and np.isclose(part[f"backward_{key}"], part[key], rtol=1e-12, atol=0.0):
                 del part[f"backward_{key}"]

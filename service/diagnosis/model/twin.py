@@ -1,6 +1,6 @@
 """The twin: simulation along recorded motor motion. The only module of the service that imports the simulator."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from service.diagnosis.effects.effect import Inexpressible, Patch
+from service.diagnosis.effects.effect import Inexpressible
 from service.diagnosis.model.scenario import AxisEntry
 from service.model.recording import Sweep
 from service.model.robot import Robot
@@ -73,7 +73,7 @@ def torques(robot: Robot, joint: str, ways: Sequence[Way], runs: Sequence[TwinRu
         raise Inexpressible("the simulated load does not stay with its motor") from None
 
 
-def _held(part: type[Part], entry: Patch) -> Part:
+def _held(part: type[Part], entry: Mapping[str, object]) -> Part:
     try:
         return part.model_validate(entry)
     except ValidationError as error:

@@ -28,7 +28,6 @@ Array = NDArray[np.float64]
 
 SLACK = 1e-5  # of the rated effort, one sigma: elastic links, inexact lengths in CAD
 LEAST_MOMENT = 0.05  # m times the mass: smallest first moment to which the relative prior applies
-PAYLOAD = (1.0, 0.3, 0.1)  # kg, kg m, kg m^2: relative sizes of mass, first moment and inertia of a payload
 
 
 @dataclass(frozen=True)
@@ -176,7 +175,8 @@ def _moments(robot: Robot) -> Array:
 def _payload(robot: Robot) -> Array:
     """(11 n, 10): all parameters of a body on the last joint."""
     last = robot.chain.inertial.size
-    return np.eye(11 * len(robot.joints))[:, last - 10 : last] * np.repeat(PAYLOAD, (1, 3, 6))
+    sizes = (1.0, 0.3, 0.1)  # kg, kg m, kg m^2: relative, of mass, first moment and inertia
+    return np.eye(11 * len(robot.joints))[:, last - 10 : last] * np.repeat(sizes, (1, 3, 6))
 
 
 def _tilts(robot: Robot, index: int, poses: Array) -> Array:

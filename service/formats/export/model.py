@@ -288,4 +288,6 @@ def _worth_of(robot: Robot, found: Estimate, parameters: Array) -> tuple[AxisWor
     motors[unknown] = parameters[-len(motors) :][unknown]
     nominal = np.concatenate([robot.chain.inertial.ravel(), motors])
     spread = robot.prior.inertia, np.where(unknown, 1.0, robot.prior.motor_inertia)
-    return NominalModel(robot, nominal, spread).worth(observed, parameters)
+    moved = {} if found.combination is None else found.combination.free_motion_axes
+    unpredicted = [moved[joint].held_out_rms if joint in moved else 0.0 for joint in robot.joints]
+    return NominalModel(robot, nominal, spread).worth(observed, parameters, np.array(unpredicted))

@@ -511,7 +511,7 @@ def _judged(
 
 def combined_parameters(found: JointEstimate) -> NearestPhysical:
     """Parameters of the whole robot. A motor without data sheet is nominally what its axis has more than the links of
-    CAD, a tenth of it at least.
+    CAD, a tenth of it at least. CAD is in the base parameters already: it counts a hundredth of its information again.
     """
     robot, count = found.robot, 11 * len(found.robot.axes)
     own = np.array(found.base.columns) < count
@@ -526,7 +526,7 @@ def combined_parameters(found: JointEstimate) -> NearestPhysical:
         nominal[k] = max(whole - links, 0.1 * whole)
     return nearest_physical(
         np.concatenate([robot.chain.inertial.ravel(), nominal]),
-        (robot.prior.inertia, spread),
+        (10 * robot.prior.inertia, 10 * spread),
         found.base.combination[own, :count],
         found.solution.values[own],
         found.solution.covariance[np.ix_(own, own)],

@@ -15,7 +15,9 @@ covariance, in which mass, centre and inertia of a link are correlated as in the
     mean t0 + h P K' (K P K' + C)^-1 (b - K x0),    variance  h P h' - h P K' (K P K' + C)^-1 K P h'.
 
 The expected error of any model, of the exported one as of CAD, is the root of this variance and of the square of the
-model's distance from this mean. A physical model with exactly the combinations b may be farther from it than CAD.
+model's distance from this mean. That of gravity contains the error of held-out free motion as well, since what no
+rigid robot does, such as a counterbalance, may be a torque of the pose. A physical model with exactly the combinations
+b may be farther from this mean than CAD.
 """
 
 from collections.abc import Iterable
@@ -102,21 +104,26 @@ class NominalModel:
             found += [axis_rows(robot.chain, k, poses), np.hstack([gravity, still])]
         return tuple((rows, nominal_factor(self.parameters, self.spread, rows)) for rows in found)
 
-    def worth(self, observed: ObservedCombinations, parameters: Array) -> tuple[AxisWorth, ...]:
-        """Of `parameters` (11 n,)."""
+    def worth(
+        self, observed: ObservedCombinations, parameters: Array, unpredicted: Array | None = None
+    ) -> tuple[AxisWorth, ...]:
+        """Of `parameters` (11 n,); `unpredicted` (n,): RMS of held-out efforts, N m (N)."""
+        beside = np.zeros(len(self.robot.joints)) if unpredicted is None else unpredicted
         seen = nominal_factor(self.parameters, self.spread, observed.combination)
         whole = seen @ seen.T + observed.covariance
         innovation = np.linalg.lstsq(whole, observed.values - observed.combination @ self.parameters, rcond=None)[0]
 
-        def one(rows: Array, factor: Array) -> Worth:
+        def one(rows: Array, factor: Array, beside: float) -> Worth:
             crossed = factor @ seen.T
             gained = np.sum(crossed * np.linalg.lstsq(whole, crossed.T, rcond=None)[0].T, axis=1)
             variance = np.maximum(np.sum(factor**2, axis=1) - gained, 0.0)
             mean, own = crossed @ innovation, rows @ (parameters - self.parameters)
+            variance = variance + beside**2
             error, of_cad = (_rms(np.sqrt(variance + (there - mean) ** 2)) for there in (own, np.zeros(len(own))))
             return Worth(_rms(rows @ parameters), _rms(own), error, of_cad)
 
-        found = [one(*rows) for rows in self._rows]
+        parts = np.stack([0 * beside, beside], -1).ravel().tolist()  # inertia and gravity in turn
+        found = [one(*rows, own) for rows, own in zip(self._rows, parts, strict=True)]
         return tuple(AxisWorth(*each) for each in zip(self.robot.joints, found[::2], found[1::2], strict=True))
 
 

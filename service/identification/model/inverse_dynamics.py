@@ -202,10 +202,11 @@ def parameter_spread(robot: Robot, scales: Mapping[str, Scale] | None = None) ->
 
 
 def prior_information(robot: Robot, base: BaseParameters, scales: Mapping[str, Scale] | None = None) -> Information:
-    """The prior of the base parameters (r,) as a measurement of them; dry friction has a wide prior."""
+    """The prior of the base parameters (r,) as a measurement of them."""
     spread = parameter_spread(robot, scales)
-    # dry friction has a wide prior
-    spread[12 * len(robot.axes) :] *= 10.0
+    # dry friction has a wide prior; an offset too, unless a measured effort tells its size: else it and gravity share
+    # what few poses show
+    spread[12 * len(robot.axes) : 13 * len(robot.axes) if scales else None] *= 10.0
     covariance = (base.combination * spread**2) @ base.combination.T
     start = base.combination @ nominal_parameters(robot)
     return Information.empty(len(start)).add(np.eye(len(start)), start, covariance)

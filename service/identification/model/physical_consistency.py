@@ -284,8 +284,10 @@ def _maximise(problem: _Constraints, softness: float, start: Array) -> Array | N
             length = 1.0
         else:
             length = _length(problem, softness, multipliers, step, slope)
-        last = slope
+        last, before = slope, multipliers
         multipliers = multipliers + length * step
+        if length == 1.0 and not problem.inside(multipliers):  # rounding, beside the edge
+            return before
     return None
 
 

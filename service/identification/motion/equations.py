@@ -25,6 +25,7 @@ class Sampling:
     """Speeds and angles at which terms are tried."""
 
     still: float = 0.01  # of the largest velocity: below, an axis counts as at rest
+    creeping: float = 0.02  # the same of free motions: elastic axes creep, and dry friction has not yielded
     link_rate: float = 200.0  # Hz, at which the links' rows are computed: products of a few smoothed motions
     low_speeds: tuple[float, ...] = (0.05, 0.1, 0.2)  # of the largest: where friction has fallen to 37 %
     angles: tuple[float, ...] = (1.0, 2.0, 3.0)  # periods per revolution (per 2 pi m)
@@ -38,7 +39,7 @@ LACKS = [OF_SPEED] * (len(Sampling.low_speeds) + 2) + [OF_ANGLE] * (2 * len(Samp
 class AxisEquations:
     """Rows (m, r) and values (m,) of one axis along one record, N m (N), every `step` seconds; `sound` (m,): equations
     that are used. `ripple` (m, 2 orders): columns eliminated by least squares. `lacks` (m, t): what the model of the
-    axis may lack, `friction_laws` first.
+    axis may lack, `friction_laws` first. `springs` (m, n): effort by what the gear of each axis gives way, nominally.
     """
 
     joint: str
@@ -47,6 +48,7 @@ class AxisEquations:
     values: Array
     ripple: Array
     lacks: Array
+    springs: Array
     sound: Mask
     time: Array  # (m,) s since the record's start
 
@@ -92,6 +94,7 @@ def equations(
         ::fine
     ]
     effort = low_pass(record.effort, rate, band)[kept]
+    springs = _springs(robot, record, _part(load, slice(None, None, coarse)), rate / coarse)[::fine]
     found: list[AxisEquations] = []
     for k, joint in enumerate(record.joints):
         index = robot.index(joint)
@@ -109,6 +112,7 @@ def equations(
                 values=effort[:, k],
                 ripple=low_pass(cogging(robot, index, motor.position[:, index]), rate, band)[kept],
                 lacks=low_pass(_lacks(motor, index, (fastest or {}).get(joint, highest)), rate, band)[kept],
+                springs=springs[:, index],
                 sound=inside & ~_at_rest(velocity, rate, band)[kept],
                 time=time,
             )
@@ -159,6 +163,22 @@ def _lacks(motor: JointMotion, index: int, reference: float) -> Array:
     return np.hstack([low, np.stack([speed * np.abs(speed), np.abs(speed)], -1), *turns])
 
 
+def _springs(robot: Robot, record: FreeMotion, load: JointMotion, rate: float) -> Array:
+    """(m, n, n): efforts of all axes by a unit compliance of each gear whose load is not measured, to first order, with
+    the links of CAD: the load is behind its motor by compliance times torque.
+    """
+    links = robot.chain.inertial.ravel()
+    torque = links_along(robot, load) @ links
+    behind = [low_pass(torque, rate, record.band, order) for order in range(3)]
+    found = np.zeros((*torque.shape, len(robot.axes)))
+    for joint in set(record.joints) - set(record.load_position) - set(record.load_velocity):
+        index = robot.index(joint)
+        unit = np.eye(len(robot.axes))[index] * 1e-3 / max(float(np.abs(behind[0][:, index]).max()), 1e-9)  # rad (m)
+        moved = (x - y * unit for x, y in zip((load.position, load.velocity, load.acceleration), behind, strict=True))
+        found[..., index] = (links_along(robot, JointMotion(*moved)) @ links - torque) * 1e3
+    return found
+
+
 def _part(motion: JointMotion, part: slice) -> JointMotion:
     return JointMotion(motion.position[part], motion.velocity[part], motion.acceleration[part])
 
@@ -169,9 +189,9 @@ def _smooth(record: FreeMotion, position: Array, order: int) -> Array:
 
 def _at_rest(velocity: Array, rate: float, band: float) -> Mask:
     """Where the low-pass covers samples at rest, (m,)."""
-    still = np.abs(velocity) < Sampling.still * np.abs(velocity).max()
+    still = np.abs(velocity) < Sampling.creeping * np.abs(velocity).max()
     # of the filter's weight
-    return low_pass(still.astype(float), rate, band) > 0.1
+    return low_pass(still.astype(float), rate, band) > 0.3
 
 
 def cogging(robot: Robot, index: int, position: Array) -> Array:

@@ -147,7 +147,7 @@ class FreeFit:
     def evidence(self) -> FitEvidence:
         """Computed in coordinates with information 1; directions that no record shows are left out."""
         to_white, from_white = _coordinates(self.information)
-        spread, lacks = _spread(self.white, to_white, self.values)
+        spread, lacks = _spread(self.white, self.joints, to_white, self.values)
         shrunk = np.asarray(np.linalg.inv(spread), dtype=float)
         own = np.zeros((len(self.values), len(self.joints)))
         for each in self.white:
@@ -174,18 +174,20 @@ class FreeFit:
 class WhiteEquations:
     """White rows (m, r) and values (m,) of one axis in one record, with ripple eliminated; block (m,) of each.
 
-    `lacks` (m, t): what the model may lack, in the order of `TESTS`.
+    `lacks` (m, t): what the model may lack, in the order of `LACKS`; `springs` (m, n) of all axes.
     """
 
     joint: str
     rows: Array
     values: Array
     lacks: Array
+    springs: Array
     block: NDArray[np.int_]
 
     def over(self, factor: float) -> "WhiteEquations":
         """All divided by a factor."""
-        return WhiteEquations(self.joint, self.rows / factor, self.values / factor, self.lacks / factor, self.block)
+        rows, values, lacks, springs = (x / factor for x in (self.rows, self.values, self.lacks, self.springs))
+        return WhiteEquations(self.joint, rows, values, lacks, springs, self.block)
 
 
 def fit_equations(
@@ -219,7 +221,7 @@ def fit_equations(
     values, before = start, start
     white: list[WhiteEquations] = []
     for turn in range(rounds):
-        white = [_whitened(each, colours[each.joint], block, values) for each, block in zip(parts, blocks, strict=True)]
+        white = [_whitened(each, colours[each.joint], block) for each, block in zip(parts, blocks, strict=True)]
         information = _sum(white, len(start))
         before, values = values, information.plus(prior).solve(start).values
         if turn < rounds - 1:
@@ -286,16 +288,14 @@ def _colours(
     }
 
 
-def _whitened(each: AxisEquations, colour: Colour, block: NDArray[np.int_], values: Array) -> WhiteEquations:
+def _whitened(each: AxisEquations, colour: Colour, block: NDArray[np.int_]) -> WhiteEquations:
     parts = stretches(each.sound)
-    step = each.time[1] - each.time[0]
-    twist = np.gradient(np.gradient(each.rows @ values, step), step)  # of a spring, by the effort that `values` predict
-    together = np.column_stack([each.rows, each.values, each.lacks, twist, each.ripple])
+    together = np.column_stack([each.rows, each.values, each.lacks, each.springs, each.ripple])
     white = np.concatenate([colour.whiten(together[part]) for part in parts]) if parts else together[:0]
-    width = each.rows.shape[1]
-    last = white.shape[1] - each.ripple.shape[1]
-    left = _without(white[:, last:], white[:, :last])
-    return WhiteEquations(each.joint, left[:, :width], left[:, width], left[:, width + 1 :], block[each.sound])
+    ends = np.cumsum([each.rows.shape[1], 1, each.lacks.shape[1], each.springs.shape[1]])
+    left = _without(white[:, ends[-1] :], white[:, : ends[-1]])
+    rows, effort, lacks, springs = np.split(left, ends[:-1], axis=1)
+    return WhiteEquations(each.joint, rows, effort[:, 0], lacks, springs, block[each.sound])
 
 
 def _without(columns: Array, signals: Array) -> Array:
@@ -327,7 +327,7 @@ def _blocks(records: Sequence[FreeMotion], parts: Sequence[AxisEquations]) -> li
 
 
 def _spread(
-    white: Sequence[WhiteEquations], to_white: Array, values: Array
+    white: Sequence[WhiteEquations], joints: Sequence[str], to_white: Array, values: Array
 ) -> tuple[Array, dict[str, tuple[str, ...]]]:
     """C* (p, p) with what the model lacks, and that by joint."""
     size = to_white.shape[1]
@@ -353,6 +353,8 @@ def _spread(
     tests = sum(each.lacks.shape[1] for each in white)
     for joint in dict.fromkeys(each.joint for each in white):
         columns = np.vstack([each.lacks if each.joint == joint else 0 * each.lacks for each in white])
+        springs = np.concatenate([each.springs[:, joints.index(joint)] for each in white])
+        columns = np.column_stack([columns, springs])
         for name, moved, certain in _lacking(columns, rows, residual, where, count):
             spread += np.outer(moved, moved)
             if certain < 0.01 / tests and name not in lacking.setdefault(joint, []):

@@ -95,7 +95,7 @@ class FreeMotion:
     @property
     def band(self) -> float:
         """Cut-off of the equations, Hz."""
-        return self.motion_cut / MotionBand.motion
+        return min(MotionBand.band, 0.17 * self.rate)  # of the sample rate
 
     def same_motion(self, other: "FreeMotion", same_path: float = MotionBand.same_path) -> bool:
         """Whether it is a repeat: same axes, block, length and path. `same_path`: allowed RMS difference of paths,

@@ -95,26 +95,28 @@ class Progress(BaseModel):
     """Progress of the measurement: `done` sweeps of `total` are recorded; `current` is the sweep that runs.
 
     `remaining`: s, with moves, check moves and settling; for a paused campaign, the time after its resume. Null if
-    it is not known. `repeat`: additional s if a resume repeats the failed and interrupted sweeps.
+    it is not known. `repeat`: additional s if a resume repeats the failed and interrupted sweeps. `pace`: ratio of
+    measured to planned time, in both and in the steps; 1 below two sweeps.
     """
 
     done: int
     total: int
     remaining: float | None
     repeat: float
+    pace: float
     current: SweepDocument | None
 
 
 class StepView(BaseModel):
     """One step of the machine: `travel` of an axis to `target` rad (m), its `check_move`, or the `sweep` itself.
 
-    `seconds`: duration of the whole step, s; null if only the drives know it.
+    `seconds`: duration of the whole step at the `pace` of the progress, s.
     """
 
     kind: Literal["check_move", "travel", "sweep"]
     axes: tuple[str, ...]
     target: float | None
-    seconds: float | None
+    seconds: float
 
 
 class CheckMoveView(BaseModel):
@@ -254,11 +256,12 @@ def view(application: Application, campaign: CampaignDocument) -> CampaignView:
     current = _current(application, campaign.id, statuses)
     runner = None if application.cell is None or application.runner.running != campaign.id else application.runner
     under_way, check_move = (None, None) if runner is None else (runner.under_way, runner.check_move)
+    done = progress(campaign.state, statuses, times, under_way, current=current)
     return CampaignView(
         **campaign.model_dump(),
         subject=subject,
-        progress=progress(campaign.state, statuses, times, under_way, current=current),
-        motion=steps(under_way, check_move),
+        progress=done,
+        motion=steps(under_way, check_move, done.pace),
         check_move=_check_move(check_move),
         attended=None if runner is None else _attended(runner.attendance),
         data_check=None if checked is None else DataCheck.read(checked, f"data check of campaign {campaign.id}"),
@@ -373,6 +376,7 @@ def progress(
         repeat=_pace(sweeps, times) * _sum(sweeps, times, (SweepState.FAILED, SweepState.INTERRUPTED))
         if predictable
         else 0.0,
+        pace=_pace(sweeps, times) if predictable else 1.0,
         current=current,
     )
 
@@ -422,15 +426,15 @@ def _pace(sweeps: Sequence[SweepStatus], times: Sequence[PlannedTime]) -> float:
     return sum(taken for taken, _ in counted) / sum(gap for _, gap in counted)
 
 
-def steps(under_way: CurrentActivity | None, check_move: CheckMove | None) -> tuple[StepView, ...]:
+def steps(under_way: CurrentActivity | None, check_move: CheckMove | None, pace: float) -> tuple[StepView, ...]:
     """The step that moves now, then the steps up to the end of the present sweep; () while they are not known."""
     found: list[StepView] = []
     if check_move is not None:
-        found.append(StepView(kind="check_move", axes=(check_move.joint,), target=None, seconds=2 * DURATION))
+        found.append(StepView(kind="check_move", axes=(check_move.joint,), target=None, seconds=pace * 2 * DURATION))
     if under_way is not None:
         found += [
-            StepView(kind="travel", axes=(each.joint,), target=each.target, seconds=each.seconds)
+            StepView(kind="travel", axes=(each.joint,), target=each.target, seconds=pace * each.seconds)
             for each in under_way.travels
         ]
-        found.append(StepView(kind="sweep", axes=under_way.joints, target=None, seconds=under_way.seconds))
+        found.append(StepView(kind="sweep", axes=under_way.joints, target=None, seconds=pace * under_way.seconds))
     return tuple(found)

@@ -60,7 +60,7 @@ def diagnosed(path: Path, *, paper: bool = False) -> dict[str, Any]:
         sweeps = tuple(sweep for sweep in sweeps if (sweep.spec.block, sweep.spec.repeat) == PAPER)
     before = time.process_time()
     try:
-        said = axis_document(diagnose_axis(robot, joint, sweeps))
+        said: dict[str, Any] = axis_document(diagnose_axis(robot, joint, sweeps)).as_json()
     except Exception as error:  # noqa: BLE001 - whatever breaks off a diagnosis is the outcome of that case
         said = {"error": f"{type(error).__name__}: {error}"}
     said = {key: value for key, value in said.items() if key not in LEFT_OUT}

@@ -6,10 +6,10 @@ import { showAxes, watchAxes } from "./axes.js";
 import { showCommands, watchCommands } from "./commands.js";
 import { byFault, causeWithDetails } from "./causes.js";
 import { clear } from "./drawing.js";
-import { byId, choices, complain, duration, element, estimateTold, measured, row, tell } from "./elements.js";
+import { byId, choices, complain, duration, effectsTold, element, estimateTold, measured, row, tell } from "./elements.js";
 import { findingParts } from "./findings.js";
 import { campaignName, first, held, noCampaign, owner } from "./intent.js";
-import { showLive } from "./live.js";
+import { showLive, titleLive, watchLive } from "./live.js";
 import { watchMachine } from "./machine.js";
 import { showMotion, unitsOf, unitsOfMachine } from "./motion.js";
 import { showMoving } from "./moving.js";
@@ -66,7 +66,7 @@ async function showCampaign() {
   [campaign, etag, plan, units] = [answer.content, answer.etag, planned, known];
   if (machine) showAxes(machine.drives, units);
   showProgress();
-  tell("cause", causeWithDetails(campaign.structured_cause));
+  tell("cause", held(campaigns)?.id === campaign.id ? "" : causeWithDetails(campaign.structured_cause)); // of that one, the head tells it
   showDataCheck(campaign.data_check);
   tell("campaign-state", word("campaign-state", campaign.state));
   byId("campaign-state").className = `badge ${campaign.state}${byFault(campaign.structured_cause) ? " broken" : ""}`;
@@ -114,11 +114,11 @@ async function showOrdered() {
   byId("ordered").hidden = !left.length;
   const ahead = left.length && !owner(campaigns) ? await aheadOf(`/campaigns/${id}/ahead?repeat=${again}`) : null;
   tell("takes", left.length ? text("campaign.takes", { time: duration(seconds) }) : "");
-  const shown = `${plan?.id}/${command}/${left.length}/${language()}/${machine?.drives.connected}/${JSON.stringify([ahead?.range, ahead?.trouble])}`;
+  const shown = `${plan?.id}/${command}/${left.length}/${language()}/${progress.pace}/${machine?.drives.connected}/${JSON.stringify([ahead?.range, ahead?.trouble])}`;
   seen = ahead?.range ?? null;
   if (!left.length || byId("motion").dataset.shown === shown) return;
   tell("ordered-title", text(command));
-  showMotion(byId("motion"), { ...plan.document, sweeps: left, duration: seconds }, units, machine?.drives, ahead);
+  showMotion(byId("motion"), { ...plan.document, sweeps: left, duration: seconds, pace: progress.pace }, units, machine?.drives, ahead);
   byId("motion").dataset.shown = shown;
 }
 
@@ -151,7 +151,7 @@ async function showEstimate(id) {
   const found = estimate.document;
   byId("report").href = address(`/campaigns/${id}/report`);
   byId("report").hidden = byId("estimate").hidden = false; // a plot needs the width of its element
-  tell("estimate-text", estimateTold(estimate));
+  tell("estimate-text", [estimateTold(estimate), ...effectsTold(found)].join(". "));
   byId("parameters").replaceChildren(...found.base_parameters.map(({ symbolic, name, reference, value, std }) => row([
     [symbolic ?? formula(name)], ...measured(std, reference ?? null, value, std).map((shown) => [shown, "number"]),
   ])));
@@ -211,7 +211,7 @@ watchCommands(
 const stream = events();
 stream.addEventListener("open", refresh); // events were possibly missed
 for (const kind of ["campaign", "sweep", "check_move", "estimate", "data_check", "diagnosis", "stop"]) stream.addEventListener(kind, refresh);
-watchMachine(refresh, () => held(campaigns), (heard, moving) => {
+watchLive(watchMachine(refresh, () => held(campaigns), (heard, moving) => {
   machine = heard;
   findUnits().catch(complain);
   showAxes(heard.drives, units);
@@ -222,4 +222,4 @@ watchMachine(refresh, () => held(campaigns), (heard, moving) => {
     campaign.motion = moving.motion;
     showProgress();
   }
-});
+}, titleLive));

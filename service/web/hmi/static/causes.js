@@ -22,6 +22,11 @@ export const whose = (by) => (by === WATCH ? text("stop.watch") : by === PAGE ||
 /** @param {string} why */
 const reason = (why) => (why === PRESSED ? text("stop.button") : foreign(why));
 
+// whether the headline tells it (no machine) or a banner (a stop)
+/** @param {Api.Cause} cause @param {Machine} machine */
+export const toldAbove = ({ code, joint }, { drives, stop }) =>
+  [drives.connected ? null : drives.trouble_cause, ...stop.stops.map((one) => one.cause ?? { code: "stopped", joint })].some((one) => one?.code === code && one.joint === joint);
+
 // whether nobody wanted it
 /** @param {Api.Cause | null} cause */
 export const byFault = (cause) => cause !== null && !WANTED.includes(cause.code);

@@ -69,6 +69,11 @@ export function estimateTold({ revision, number: sweep, document: { condition_nu
   return text("estimate.told", { revision, sweep, condition: value === null ? "" : text("estimate.condition", { value: figures(value, 3) }) });
 }
 
+// what the accepted effects of the model did to this estimate, axis by axis
+/** @param {Api.Estimate | undefined} found */
+export const effectsTold = (found) => Object.entries(found?.axes ?? {}).filter(([, { effects_moved_in_std: by }]) => typeof by === "number")
+  .map(([axis, { effects_moved_in_std: by }]) => text("results.moved", { axis, by: figures(by, 2) }));
+
 /** @param {string} told */
 export const minus = (told) => told.replace("-", MINUS);
 

@@ -9,7 +9,7 @@ export function findingParts(findings) {
   return ordered.map((finding) => {
     const line = element("p", undefined, `finding ${finding.severity}`);
     const what = finding.code ? word("finding", finding.code) : word("effect", finding.effect ?? "");
-    line.append(element("b", `${word("severity", finding.severity)}, ${what}: `), foreign(`${finding.sentence} ${finding.action}`));
+    line.append(element("b", `${word("severity", finding.severity)}, ${what}: `), foreign(finding.sentence), " ", foreign(finding.action));
     return line;
   });
 }

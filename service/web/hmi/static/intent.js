@@ -1,56 +1,70 @@
 // The present and next motion of the machine, as reliable text for a person near the machine.
 
-import { causeParts } from "./causes.js";
+import { causeParts, toldAbove } from "./causes.js";
 import { byId, duration, element, link } from "./elements.js";
 import { inWords } from "./motion.js";
-import { reasonOf } from "./statement.js";
+import { reasonOf, stepsFrom } from "./statement.js";
 import { joined, parts, text, word } from "./words.js";
 
 const OPEN = ["waiting", "running"];
 const MOVING = ["running", "pausing"];
 
-/** @type {Part[] | null} */
-let doubt = null; // parts before the orders; empty if all drives report their state; null: not requested yet
+/** @type {[Api.CampaignDocument[], Api.DiagnosisEntry[], Api.CampaignView | undefined, Units | null] | null} */
+let known = null; // as of `showIntent`; null: not requested yet
+/** @type {Api.StatementView | null} */
+let statement = null; // of the headline; null: none, which is shown elsewhere
+/** @type {Machine | null} */
+let machine = null; // what the headline and the banners tell
 let sound = false; // no problem of the machine is known
-/** @type {Part[]} */
-let orders = []; // current orders, as parts of a paragraph
-let moving = false; // an order causes motion
-let waits = false; // a campaign waits for a person
 
 // campaigns and diagnoses: the lists; running: the campaign that owns the machine, with its progress, or undefined;
 // units: of its robot
 /** @param {Api.CampaignDocument[]} campaigns @param {Api.DiagnosisEntry[]} diagnoses @param {Api.CampaignView | undefined} running @param {Units | null} units */
 export function showIntent(campaigns, diagnoses, running, units) {
-  orders = running ? ofCampaign(running, diagnoses, units) : atRest(campaigns, diagnoses);
-  moving = Boolean(running) || diagnoses.some(alone);
-  waits = held(campaigns) !== undefined;
+  known = [campaigns, diagnoses, running, units];
   draw();
 }
 
-// statement: of the machine's state; null: none, which is shown elsewhere. well: no trouble of the machine is known;
-// cause: why it is not connected, if a code tells it
-/** @param {Api.StatementView | null} statement @param {boolean} well @param {Api.Cause | null} [cause] */
-export function showDoubt(statement, well, cause = null) {
-  sound = well && statement !== null && statement.state !== "unknown";
-  if (statement === null) doubt = null;
-  else doubt = statement.state === "unknown" ? parts("intent.unknown", { cause: cause ? causeParts(cause) : reasonOf(statement) }) : [];
+// now: the machine's state as the headline has it, or null; well: no trouble of the machine is known; told: its answers
+/** @param {Api.StatementView | null} now @param {boolean} well @param {Machine | null} told */
+export function showDoubt(now, well, told) {
+  [statement, machine, sound] = [now, told, well && now !== null && now.state !== "unknown"];
   document.body.classList.toggle("sound", sound);
   draw();
 }
 
-// green only if the orders and the state of all axes are known and nothing holds the machine
+// what moves by the headline's statement: one moment for all; green only if the orders and the state of all axes are
+// known and nothing holds the machine
 function draw() {
+  const orders = statement === null ? [] : ordersNow();
   const made = element("p");
-  if (doubt !== null) made.append(...doubt, doubt.length ? " " : "", ...orders.map((part) => (part instanceof Node ? part.cloneNode(true) : part)));
+  if (statement !== null) made.append(...doubt(), ...orders);
   if (byId("intent").innerHTML !== made.innerHTML) byId("intent").replaceChildren(...made.childNodes);
-  byId("intent").className = kind();
+  byId("intent").className = kind(orders.length > 0);
 }
 
-function kind() {
-  if (doubt?.length) return "unknown";
-  if (moving) return "moving";
-  if (waits) return "held";
-  return sound && orders.length ? "still" : "";
+// before the orders; empty if all drives report their state. Why there is no machine stands in the headline
+/** @returns {Part[]} */
+function doubt() {
+  if (statement.state !== "unknown") return [];
+  const cause = machine && !machine.drives.connected ? [] : [" ", ...parts("intent.cause", { cause: reasonOf(statement) })];
+  return [text("intent.unknown"), ...cause, " "];
+}
+
+/** @returns {Part[]} as of a paragraph */
+function ordersNow() {
+  if (known === null) return [];
+  const [campaigns, diagnoses, running, units] = known;
+  return running ? ofCampaign(running, diagnoses, units) : atRest(campaigns, diagnoses);
+}
+
+/** @param {boolean} ordered */
+function kind(ordered) {
+  const [campaigns, diagnoses, running] = known ?? [[], []];
+  if (statement?.state === "unknown") return "unknown";
+  if (running || diagnoses.some(alone)) return "moving";
+  if (held(campaigns)) return "held";
+  return sound && ordered ? "still" : "";
 }
 
 export const noCampaign = () => parts("campaign.none", { page: link(text("head.plan"), "plan") });
@@ -77,7 +91,8 @@ const alone = (one) => one.here && one.unattended && OPEN.includes(one.state);
 /** @param {Api.CampaignView} campaign @param {Api.DiagnosisEntry[]} diagnoses @param {Units} units */
 function ofCampaign(campaign, diagnoses, units) {
   const { done, total, remaining } = campaign.progress;
-  const steps = campaign.motion.length ? `: ${inWords(campaign.motion, units)}` : "";
+  const ahead = stepsFrom(campaign.motion, statement);
+  const steps = ahead.length ? `: ${inWords(ahead, units)}` : "";
   /** @type {(Part | Part[])[]} */
   const sentences = [parts(campaign.state === "pausing" ? "intent.pausing" : "intent.runs", {
     campaign: campaignLink(campaign.id), number: Math.min(done + 1, total), total, steps,
@@ -94,7 +109,9 @@ function atRest(campaigns, diagnoses) {
   const working = diagnoses.find(alone);
   if (working) return [text("intent.alone", { id: working.id })];
   const paused = held(campaigns);
-  if (paused) return parts("intent.paused", { campaign: campaignLink(paused.id), cause: paused.structured_cause ? [" (", ...causeParts(paused.structured_cause), ")"] : "" });
+  const cause = paused?.structured_cause;
+  const told = !cause || (machine && toldAbove(cause, machine)) ? "" : [" (", ...causeParts(cause), ")"];
+  if (paused) return parts("intent.paused", { campaign: campaignLink(paused.id), cause: told });
   return [text("intent.rest")];
 }
 

@@ -1,9 +1,11 @@
 // Torque and speed of the moving axis, as the service sends them: decimated; the service never waits for the page.
 
 import { protocols } from "./api.js";
+import { clear } from "./drawing.js";
 import { byId, tell } from "./elements.js";
 import { unitsOf } from "./motion.js";
 import { plot } from "./plots.js";
+import { named } from "./statement.js";
 import { text } from "./words.js";
 
 const SHOWN = 20; // s
@@ -16,11 +18,27 @@ let socket = null;
 let campaign = null; // id
 let samples = []; // [time, effort, velocity]
 let joint = "";
+let plotted = ""; // the axis whose samples the plot shows
+/** @type {Api.StatementView | null} */
+let stated = null; // of the headline
 let waiting = false;
 let heard = 0; // ms, time of the last block
+let changed = () => {}; // asks what moves
 /** @type {Units | null} */
 let units = null; // of the moving robot
 let si = false; // rad and m instead of deg and mm
+
+// ask: called when another axis sweeps
+/** @param {() => void} ask */
+export const watchLive = (ask) => (changed = ask);
+
+// with the headline: a sweep of an axis that it does not name is the last one
+/** @param {Api.StatementView} statement */
+export function titleLive(statement) {
+  stated = statement;
+  const now = plotted === joint && named(statement).includes(joint) && performance.now() - heard <= OVER;
+  tell("live-title", plotted ? text(now ? "live.title" : "live.last", { axis: plotted }) : text("live.waits"));
+}
 
 // moving: the campaign that moves, or undefined
 /** @param {Api.CampaignDocument | undefined} moving @param {boolean} inSi */
@@ -28,14 +46,13 @@ export function showLive(moving, inSi) {
   const id = moving?.id ?? null;
   si = inSi;
   byId("live").hidden = id === null;
-  if (id === campaign) {
-    if (samples.length && performance.now() - heard > OVER) tell("live-title", text("live.last", { axis: joint }));
-    return;
-  }
+  if (id === campaign) return;
   campaign = id;
   socket?.close();
   socket = null;
   samples = [];
+  plotted = "";
+  clear("live-chart");
   if (id !== null) open(id, moving.robot_id);
 }
 
@@ -43,7 +60,6 @@ export function showLive(moving, inSi) {
 function open(id, robot) {
   units = null;
   unitsOf(robot).then((found) => (units = found), () => {}); // without units nothing is drawn
-  tell("live-title", text("live.waits"));
   const own = new WebSocket(`${location.protocol.replace("http", "ws")}//${location.host}/api/v1/campaigns/${id}/live?form=json`, protocols());
   socket = own;
   own.onmessage = ({ data }) => own === socket && take(JSON.parse(data));
@@ -57,6 +73,7 @@ function open(id, robot) {
 function take(block) {
   const last = samples.at(-1)?.[0];
   if (block.joint !== joint || block.time[0] < last) samples = [];
+  if (block.joint !== joint) changed();
   joint = block.joint;
   heard = performance.now();
   samples.push(...block.time.map((time, k) => [time, block.effort[k], block.velocity[k]]));
@@ -69,7 +86,6 @@ function take(block) {
 function draw() {
   waiting = false;
   if (byId("live").hidden || document.hidden || !samples.length || !units) return;
-  tell("live-title", text("live.title", { axis: joint }));
   const linear = units.prismatic.has(joint);
   const [factor, unit] = si ? [1, linear ? " m" : " rad"] : units.scale(joint);
   const effort = linear ? "N" : "N m";
@@ -85,4 +101,6 @@ function draw() {
     yaxis: { title: { text: effort }, domain: [0.55, 1] },
     yaxis2: { title: { text: speed }, domain: [0, 0.45] },
   });
+  plotted = joint;
+  if (stated) titleLive(stated);
 }

@@ -27,6 +27,8 @@ let held = null; // of the last answer
 /** @type {Report | null} */
 let report = null; // the youngest statement
 const asked = { stop: -Infinity, drives: -Infinity }; // ms, when the shown answers were asked for: an earlier one may come later
+/** @type {(statement: Api.StatementView) => void} */
+let follows = () => {}; // what is drawn with the headline, by the same statement
 let draw = () => {}; // the head, with the statement as old as it is now
 
 const statement = () => asOf(report, performance.now());
@@ -75,7 +77,7 @@ async function ask(paused) {
       tell("machine", nobody ? text("machine.nobody") : error instanceof Silent ? text(silent() ? "machine.silent" : "machine.late") : told(error));
       showStated(!silent());
       byId("machine").className = nobody ? "state" : "state bad";
-      showDoubt(!silent() && statement().state === "unknown" ? statement() : null, false);
+      showDoubt(!silent() && statement().state === "unknown" ? statement() : null, false, null);
     };
     draw();
     return null;
@@ -84,6 +86,7 @@ async function ask(paused) {
 
 /** @param {boolean} shown */
 function showStated(shown) {
+  follows(statement());
   tell("stated", shown ? stated(statement()) : "");
   tell("within", silent() || statement().state === "unknown" ? "" : text("head.within", { seconds: LIMIT }));
 }
@@ -107,7 +110,7 @@ function showState(drives, stop, paused) {
   showStated(troubles.length > 0 && drives.connected);
   byId("machine").className = `state ${troubles.length ? "bad" : LOOKS[statement().state]}`;
   byId("connect").hidden = drives.connected;
-  showDoubt(statement(), !troubles.length, drives.trouble_cause);
+  showDoubt(statement(), !troubles.length, { drives, stop });
 }
 
 // old values are grey and disabled because they may be out of date. STOP stays enabled
@@ -135,9 +138,11 @@ export function inTrouble(drives, stop) {
 }
 
 // once a second `show` gets {drives, stop} and the moving campaign; `refresh` updates the rest of the page;
-// `paused` returns the waiting campaign
-/** @param {() => Promise<void>} refresh @param {() => Api.CampaignDocument | undefined} paused @param {(machine: Machine, moving?: Api.CampaignView) => void} [show] */
-export function watchMachine(refresh, paused, show = () => {}) {
+// `paused` returns the waiting campaign; `follow` gets the statement of the headline whenever that is drawn.
+// Returns what asks at once
+/** @param {() => Promise<void>} refresh @param {() => Api.CampaignDocument | undefined} paused @param {(machine: Machine, moving?: Api.CampaignView) => void} [show] @param {(statement: Api.StatementView) => void} [follow] */
+export function watchMachine(refresh, paused, show = () => {}, follow = () => {}) {
+  follows = follow;
   /** @type {Machine | null} */
   let machine = null;
   const now = async () => {
@@ -181,12 +186,15 @@ export function watchMachine(refresh, paused, show = () => {}) {
     command(() => call("POST", "/stop/reset", { by: byId("reset-by").value, stops: shown }));
   });
   byId("connect").addEventListener("click", () => command(() => call("POST", "/drives/connect")));
+  const look = async () => {
+    await now();
+    const moving = machine && (await keepMoving(refresh).catch(() => undefined));
+    if (moving) show(machine, moving);
+  };
   const watch = async () => {
     if (!document.hidden) {
       const meanwhile = setInterval(() => hear().catch(() => {}), 1000); // while the database or a drive lets the rest wait
-      await now();
-      const moving = machine && (await keepMoving(refresh).catch(() => undefined));
-      if (moving) show(machine, moving);
+      await look();
       clearInterval(meanwhile);
     }
     setTimeout(watch, 1000);
@@ -203,4 +211,5 @@ export function watchMachine(refresh, paused, show = () => {}) {
   });
   setInterval(() => draw(), 250);
   watch();
+  return look;
 }

@@ -62,7 +62,7 @@ export function showMotion(place, plan, units, drives = null, ahead = null) {
   const list = element("ul");
   list.append(...ways(plan, units, ahead?.range).concat(text("motion.check-moves"), bus(plan, drives)).map((way) => element("li", way)));
   const scroll = element("div", undefined, "scroll");
-  scroll.append(table(plan.sweeps, units));
+  scroll.append(table(plan, units));
   const before = ahead ? [element("p", subjectParts(ahead.subject), "subject"), element("p", approach(ahead, units), "approach")] : [];
   place.replaceChildren(...before, element("p", size(plan)), list, scroll);
 }
@@ -146,14 +146,14 @@ function ways({ sweeps, request }, { joints, length }, range = {}) {
   });
 }
 
-/** @param {Sweep[]} sweeps @param {Units} units */
-function table(sweeps, units) {
+/** @param {Planned} plan @param {Units} units */
+function table({ sweeps, pace = 1 }, units) {
   const head = element("tr");
   head.append(...COLUMNS.map(([title, kind]) => element("th", text(`column.${title}`), kind)));
   const made = element("table");
   made.createCaption().textContent = text("motion.order");
   made.createTHead().append(head);
-  made.createTBody().append(...grouped(sweeps).map((group) => line(group, units)));
+  made.createTBody().append(...grouped(sweeps).map((group) => line(group, units, pace)));
   return made;
 }
 
@@ -172,8 +172,8 @@ function grouped(sweeps) {
 /** @param {Sweep} sweep */
 const kindOf = ({ spec }) => [spec.axis, spec.block, ...spec.pose].join();
 
-/** @param {Sweep[]} sweeps @param {Units} units */
-function line(sweeps, { joints, length }) {
+/** @param {Sweep[]} sweeps @param {Units} units @param {number} pace measured over planned time */
+function line(sweeps, { joints, length }, pace) {
   const [first] = sweeps;
   const { spec } = first;
   const goes = Math.abs(travel(first)) > swing(first) ? length(spec.axis, travel(first), true) : swing(first) ? `\u00b1${length(spec.axis, swing(first))}` : text("motion.stands");
@@ -185,6 +185,6 @@ function line(sweeps, { joints, length }) {
     [length(spec.axis, spec.pose[joints.indexOf(spec.axis)]), "number"],
     [goes, "number"],
     [`${length(spec.axis, topSpeed(first))}/s`, "number"],
-    [duration(sweeps.reduce((sum, sweep) => sum + sweep.duration, 0)), "number"],
+    [duration(pace * sweeps.reduce((sum, sweep) => sum + sweep.duration, 0)), "number"],
   ]);
 }

@@ -2,7 +2,7 @@
 
 import { address, all, get, Refused } from "./api.js";
 import { clear } from "./drawing.js";
-import { byId, choices, complain, confidence, element, EMPTY, estimateTold, fixed, link, measured, number, row, tell } from "./elements.js";
+import { byId, choices, complain, confidence, effectsTold, element, EMPTY, estimateTold, fixed, link, measured, number, row, tell } from "./elements.js";
 import { campaignName, first, held, noCampaign } from "./intent.js";
 import { identified } from "./login.js";
 import { watchMachine } from "./machine.js";
@@ -12,7 +12,7 @@ import { plot } from "./plots.js";
 import { showAudit, showModels, table } from "./record.js";
 import { refresher } from "./refresh.js";
 import { events } from "./stream.js";
-import { figures, foreign, language, text, word } from "./words.js";
+import { foreign, language, text, word } from "./words.js";
 
 const EARLIER = 5; // number of earlier campaigns
 const TICKS = [-3, -2, -1, 0, 1, 2, 3].flatMap((decade) => [1, 2, 5].map((digit) => digit * 10 ** decade)); // plotly.js labels 0.5 between decades as 5
@@ -94,9 +94,7 @@ function showTable() {
 // what the accepted effects of the model did to this estimate
 function showTaken() {
   const told = (found?.effects ?? []).map(({ axis, effect, used, how }) => [text(used ? "results.taken" : "results.left-out", { axis, effect: word("effect", effect) }), " ", foreign(how)]);
-  const moved = Object.entries(found?.axes ?? {}).filter(([, { effects_moved_in_std: by }]) => typeof by === "number")
-    .map(([axis, { effects_moved_in_std: by }]) => [text("results.moved", { axis, by: figures(by, 2) })]);
-  byId("taken").replaceChildren(...[...told, ...moved].map((one) => element("p", one)));
+  byId("taken").replaceChildren(...[...told, ...effectsTold(found)].map((one) => element("p", one)));
 }
 
 /** @param {number} id */

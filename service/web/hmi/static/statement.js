@@ -7,6 +7,19 @@ import { foreign, joined, text, word } from "./words.js";
 /** @param {Api.StatementView} statement @param {string} state */
 export const jointsThat = (statement, state) => Object.entries(statement.axes).filter(([, axis]) => axis.state === state).map(([joint]) => joint);
 
+// joints that the headline names: those that move, or have energy
+/** @param {Api.StatementView} statement */
+export const named = (statement) => (["moves", "energised"].includes(statement.state) ? jointsThat(statement, statement.state) : []);
+
+// the steps from the one that the headline names: what the campaign tells is some ms younger or older, and names no other
+/** @param {Api.StepView[]} steps @param {Api.StatementView} statement */
+export function stepsFrom(steps, statement) {
+  const joints = named(statement);
+  if (!joints.length) return steps;
+  const now = steps.findIndex(({ axes }) => axes.some((axis) => joints.includes(axis)));
+  return now < 0 ? [] : steps.slice(now);
+}
+
 // "joint_2 moves", "all axes stand without energy"
 /** @param {Api.StatementView} statement */
 export function stated(statement) {

@@ -1,21 +1,25 @@
 // Instructions for the operator to leave a state without motion: step by step, in the required order.
 
 import { axisOf, byFault } from "./causes.js";
-import { byId, element } from "./elements.js";
+import { byId, element, tell } from "./elements.js";
 import { jointsThat } from "./statement.js";
 import { text } from "./words.js";
 
-/** @typedef {{code: string, joint?: string}} Known */
+/** @typedef {{code: string, joint?: string, detail?: string}} Known */
 
 // machine: as of `watchMachine`; paused: the paused campaign, if any
 /** @param {Machine} machine @param {Api.CampaignDocument} [paused] */
 export function showWayOut({ drives, stop }, paused) {
-  const steps = stepsOf(drives, stop, causesOf(drives, stop, paused));
+  const causes = causesOf(drives, stop, paused);
+  const steps = stepsOf(drives, stop, causes);
   if (steps.length && paused) steps.push(text("way.resume", { id: paused.id }));
   const list = byId("way-out-steps");
   const same = [...list.children].map((one) => one.textContent).join() === steps.join();
   if (!same) list.replaceChildren(...steps.map((step) => element("li", step)));
   byId("way-out").hidden = !steps.length;
+  const details = causes.findLast((one) => one.detail)?.detail; // of the campaign, if it has one
+  byId("way-out-details").hidden = !details;
+  tell("way-out-told", details ?? "");
 }
 
 /** @param {Api.AxisView[]} axes */

@@ -79,12 +79,36 @@ export const formula = (name) => name.replace(/\d+\.\d+/g, (told) => decimal(Num
 
 export const knows = (key) => Object.hasOwn(TEXTS[now], key);
 
-// a sentence of the service, in its language
+// what the service says in words, with its values: "said" and the words of effects and blocks
+const SAID = Object.entries(TEXTS[MAIN]).filter(([key]) => /^(said|effect|block)\./.test(key)).map(([key, told]) => {
+  const pieces = told.split(/\{(\w+)\}/);
+  const pattern = pieces.map((piece, k) => (k % 2 ? "(.*?)" : piece.replace(/[.*+?^${}()|[\]\\]/g, "\\$&"))).join("");
+  return { key, pattern: new RegExp(`^${pattern}$`, "s"), names: pieces.filter((_, k) => k % 2), fixed: pieces.filter((_, k) => k % 2 === 0).join("").length };
+}).sort((one, other) => other.fixed - one.fixed); // the most special first
+
+// a sentence of the service: in the language of the page if the catalogue has it, otherwise as it is
+/** @param {string} sentence */
 export function foreign(sentence) {
   const made = document.createElement("span");
-  made.lang = MAIN;
-  made.textContent = sentence;
+  const found = isMain() ? undefined : SAID.find(({ pattern }) => pattern.test(sentence));
+  if (found) {
+    const [, ...values] = sentence.match(found.pattern);
+    made.append(...parts(found.key, Object.fromEntries(found.names.map((name, k) => [name, valueOf(values[k])]))));
+  } else {
+    made.lang = MAIN;
+    made.textContent = sentence;
+  }
   return made;
+}
+
+// in a sentence: a sentence, a word, a list of them, or names and numbers
+/** @param {string} told @returns {Part[]} */
+function valueOf(told) {
+  const whole = foreign(told);
+  if (!whole.lang) return [whole];
+  const items = told.split(/, | and /).map(foreign);
+  if (items.every((one) => !one.lang)) return joined(items, ", ");
+  return /[a-z]{2,}.? [a-z]{2,}/i.test(told.replace(/\w*_\w*/g, "")) ? [whole] : [formula(told)];
 }
 
 /** @type {(list: (Part | Part[])[], between: string) => Part[]} */

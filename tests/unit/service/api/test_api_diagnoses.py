@@ -216,7 +216,7 @@ def test_findings_stand_in_the_campaign_and_forbid_names_in_its_diagnosis(
         sweep.recording.effort[:] *= -1
     campaign_id = imported(client, tmp_path, robot, sweeps)
     found = checked(client, campaign_id)
-    assert found == findings_document(robot, sweeps, check(robot, sweeps))
+    assert found == findings_document(robot, sweeps, check(robot, sweeps)).as_json()
     assert not found["axes"]["joint_1"]["trustworthy"]
     (finding,) = [one for one in found["findings"] if one["code"] == "effort_sign"]
     assert (finding["severity"], finding["axis"]) == ("wrong", "joint_1")

@@ -65,7 +65,7 @@ def test_a_pause_does_not_slow_the_pace() -> None:
     sweeps = [sweep(n, SweepState.IDENTIFIED, start) for n, start in enumerate(starts, 1)]
     sweeps += [sweep(6, RUNNING), sweep(7, PLANNED)]
     found = progress(CampaignState.RUNNING, sweeps, plan((12.0,) * 7), under_way(6, 100.0), 106.0)
-    assert found.remaining == pytest.approx(18.0)
+    assert (found.remaining, found.pace) == (pytest.approx(18.0), 1.0)
 
 
 def test_what_is_left_of_a_held_of_a_finished_and_of_an_unplanned_campaign() -> None:
@@ -83,8 +83,9 @@ def test_the_axis_that_travels_comes_first_and_what_follows_after_it() -> None:
     assert [(leg.joint, leg.target) for leg in way] == [("joint_2", -0.7), ("joint_1", 0.2)]
     assert [leg.seconds for leg in way] == [pytest.approx(8.0), pytest.approx(2.0)]
     now = CurrentActivity((3,), ("joint_1",), way, 12.0, frozenset(), 0.0)
-    told = [(step.kind, step.axes, step.target) for step in steps(now, None)]
+    told = [(step.kind, step.axes, step.target) for step in steps(now, None, 1.0)]
     assert told == [("travel", ("joint_2",), -0.7), ("travel", ("joint_1",), 0.2), ("sweep", ("joint_1",), None)]
     check = CheckMove("joint_2", -math.radians(0.5), {"joint_2": 0.1}, {"joint_2": "rad"})
-    assert [step.kind for step in steps(now, check)] == ["check_move", "travel", "travel", "sweep"]
-    assert steps(None, None) == ()
+    assert [step.kind for step in steps(now, check, 1.0)] == ["check_move", "travel", "travel", "sweep"]
+    assert steps(None, None, 1.0) == ()
+    assert [step.seconds for step in steps(now, check, 0.125)] == pytest.approx([0.25, 1.0, 0.25, 1.5])

@@ -19,6 +19,7 @@ from service.jobs.experiments import accept_model
 from service.jobs.work import DiagnosisJob, Work
 from service.jobs.worker import open_worker
 from service.model.errors import BadInput, Conflict
+from service.model.results.diagnosis import AxisDiagnosis
 from service.model.robot import Robot
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move
 from service.store.database import open_database
@@ -46,7 +47,7 @@ class Undecided(InProcess):
     """Comes to a result that proposes an experiment."""
 
     async def run(self, job: Work[Any]) -> Any:
-        return stored("diagnosis-open")["axes"]["joint_1"]
+        return AxisDiagnosis.read(stored("diagnosis-open")["axes"]["joint_1"], "joint_1")
 
 
 @pytest.mark.parametrize("refusal", ["", "experiment: none of its sweeps can be run"])
@@ -73,8 +74,8 @@ async def test_what_is_open_is_taken_up_by_the_next_process_and_what_is_done_is_
         diagnosis = await bench.diagnosing.request(campaigns, None, None, unattended=False)
         await until(lambda: bench.diagnoses.diagnosis(diagnosis.id).state is DiagnosisState.RUNNING)
         sweeps, _ = recorded_sweeps(bench.store, bench.files, campaigns_of(bench.store, campaigns), "joint_2")
-        other = axis_document(diagnose_axis(robot, "joint_2", [sweep.read() for sweep in sweeps], twin=False))
-        before = other | {"verdict": "none", "sentences": ["by the process before"]}
+        other = axis_document(diagnose_axis(robot, "joint_2", [sweep.read() for sweep in sweeps], twin=False)).as_json()
+        before: Any = other | {"verdict": "none", "sentences": ["by the process before"]}
         bench.diagnoses.add_result(diagnosis.id, "joint_2", "none", before)
     async with open_worker(None) as worker, open_bench(tmp_path, worker) as bench:
         assert bench.diagnoses.diagnosis(diagnosis.id).axes == ("joint_1", "joint_2")

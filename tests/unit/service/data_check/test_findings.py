@@ -8,6 +8,7 @@ import pytest
 
 from service.data_check import DataFinding, check, findings_document, untrustworthy
 from service.model.recording import Sweep
+from service.model.results.diagnosis import CheckedAxis
 from service.model.robot import Robot, build_robot
 from tests.unit.service.data_check.conftest import (
     INERTIA,
@@ -262,8 +263,8 @@ def test_an_axis_is_judged_by_its_own_and_the_robots_findings(robot: Robot, swee
     assert untrustworthy(found, "lift") == found
     assert untrustworthy(found, "swing") == ()
     document = findings_document(robot, sweeps, found)
-    assert document["axes"] == {"lift": {"sweeps": 4, "trustworthy": False, "codes": ["effort_sign"]}}
-    assert document["findings"][0]["sweeps"] == list(ALL)
+    assert document.axes == {"lift": CheckedAxis(sweeps=4, trustworthy=False, codes=("effort_sign",))}
+    assert document.findings[0].sweeps == ALL
 
 
 def test_one_sweep_that_is_too_short_to_judge(robot: Robot) -> None:

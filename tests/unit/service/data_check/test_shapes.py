@@ -21,7 +21,9 @@ from tests.unit.service.data_check.conftest import OFFSET, RATED, lift_sweep, pa
 pytestmark = pytest.mark.slow
 
 USES: dict[str, Callable[[Bundle], object]] = {
-    "check": lambda bundle: findings_document(bundle.robot, bundle.sweeps, check(bundle.robot, bundle.sweeps)),
+    "check": lambda bundle: findings_document(
+        bundle.robot, bundle.sweeps, check(bundle.robot, bundle.sweeps)
+    ).as_json(),
     "identify": lambda bundle: sweepid.identify(bundle).as_json(),
     "diagnose": lambda bundle: sweepid.diagnose(bundle, twin=False).as_json(),
     "diagnose with its twin": lambda bundle: sweepid.diagnose(bundle).as_json(),

@@ -1,6 +1,7 @@
 """The torque gain from a known mass: exact on set-points followed exactly, whatever friction did in between."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -123,7 +124,7 @@ def with_mass(gain: float, ripple: float = 0.0) -> tuple[list[Sweep], Weighed]:
 def test_a_mass_tells_the_gain_also_beside_what_nobody_knows(ripple: float, verdict: str) -> None:
     """What it explains is a gap of the effort as it was told."""
     bare, weighed = with_mass(1.15, ripple)
-    found = axis_document(diagnose_axis(known_to(TIGHT), "joint_2", bare, weighed=weighed, twin=False))
+    found: Any = axis_document(diagnose_axis(known_to(TIGHT), "joint_2", bare, weighed=weighed, twin=False)).as_json()
     assert (found["verdict"], [effect["effect"] for effect in found["effects"]]) == (verdict, ["torque_constant_error"])
     assert found["effects"][0]["parameters"]["gain_error"]["value"] == pytest.approx(0.15, abs=0.01)
     apart = found["summary"].startswith("joint_2: torque constant error apart, there is a gap of ")
@@ -134,7 +135,8 @@ def test_a_mass_tells_the_gain_also_beside_what_nobody_knows(ripple: float, verd
 def test_a_gain_that_the_model_has_is_weighed_too(gain: float, changes: int) -> None:
     bare, weighed = with_mass(gain)
     known = {"torque_constant_error": {"gain_error": Parameter(0.15, 0.005, "")}}
-    found = axis_document(diagnose_axis(known_to(TIGHT), "joint_2", bare, known=known, weighed=weighed, twin=False))
+    told = diagnose_axis(known_to(TIGHT), "joint_2", bare, known=known, weighed=weighed, twin=False)
+    found: Any = axis_document(told).as_json()
     assert (found["verdict"], found["effects"]) == ("none", [])
     (gained,) = found["known"]
     assert gained["parameters"]["gain_error"]["value"] == pytest.approx(gain - 1, abs=0.01)
@@ -145,7 +147,7 @@ def test_a_gain_that_the_model_has_is_held_until_it_is_weighed_again() -> None:
     """What pulls 3 % less than CAD says is no other gain."""
     bare, _ = with_mass(1.15 * 0.97)
     known = {"torque_constant_error": {"gain_error": Parameter(0.15, 0.005, "")}}
-    found = axis_document(diagnose_axis(known_to(TIGHT), "joint_2", bare, known=known, twin=False))
+    found: Any = axis_document(diagnose_axis(known_to(TIGHT), "joint_2", bare, known=known, twin=False)).as_json()
     assert found["known"][0]["parameters"]["gain_error"] == {"value": pytest.approx(0.15), "std": 0.005, "unit": ""}
     assert (found["changes"], found["fit"]["torques"]) == ([], "true")
     assert "torque_constant_error" not in found["candidates"]

@@ -4,6 +4,7 @@ import io
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -201,10 +202,9 @@ def test_a_search_that_used_up_its_steps_is_a_warning_of_the_axis() -> None:
 def test_the_document_has_it_only_where_there_is_one() -> None:
     found = diagnose_axis(max100(), JOINT, sweeps_of(Term("coulomb_friction"), 60.0), twin=False)
     assert found.unfinished == ()
-    assert "unfinished" not in axis_document(found)
+    assert "unfinished" not in axis_document(found).as_json()
     some = unfinished(JOINT, replace(chosen(), ended=Ended.UNFINISHED), None)
-    (told,) = axis_document(replace(found, unfinished=some))["unfinished"]
-    assert told == {"effect": None, "sentence": some[0].sentence, "action": some[0].action}
+    assert axis_document(replace(found, unfinished=some)).unfinished == some
 
 
 def test_command_and_report_show_it_and_older_documents_are_read() -> None:
@@ -243,8 +243,9 @@ def test_a_model_without_possible_masses_has_those_of_cad_with_a_note() -> None:
     axis = axis_of(JOINT, "coulomb_friction")
     for pose in axis["fit"]["gravity"]:
         pose["torque"], pose["slope"] = -30 * pose["torque"], -30 * pose["slope"]
-    found = model_document(max100(), {"axes": {JOINT: axis}})
-    (note,) = [note for note in found["notes"] if "mass of" in note]
+    found = model_document(max100(), diagnosis(**{JOINT: axis}))
+    (note,) = [note for note in found.notes if "mass of" in note]
     assert note.endswith("masses and centres of the links are those of CAD here")
-    assert not any({"mass", "shift"} & set(link) for link in found["scenario"]["links"].values())
-    assert set(found["scenario"]["axes"]) == {JOINT}
+    scenario: Any = found.scenario
+    assert not any({"mass", "shift"} & set(link) for link in scenario["links"].values())
+    assert set(scenario["axes"]) == {JOINT}

@@ -8,19 +8,20 @@ import pytest
 
 from service.diagnosis.diagnose import diagnose_axis
 from service.diagnosis.fit.equations import Equations, Term, nominal_right
-from service.diagnosis.localisation.locate import ResidualBin, lines, sentences
+from service.diagnosis.localisation.locate import lines, sentences
 from service.diagnosis.localisation.repeatability import Unrepeated, unrepeated
 from service.diagnosis.rows.signals import tracks
 from service.identification.design.diagnosis_sweeps import full_design
 from service.model.recording import Sweep
+from service.model.results.diagnosis import Cell
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import FORWARD, RATE, SLOW, equations_of, following, swept
 
 POSES = np.array([[0.0, -1.0, 0.2, 0, 0, 0], [0.0, 0.3, 0.2, 0, 0, 0], [0.0, 1.2, 0.2, 0, 0, 0]])
 
 
-def cell(dimension: str, value: str, rms: float) -> ResidualBin:
-    return ResidualBin(dimension, value, rms, 100.0 * rms, 0.0)
+def cell(dimension: str, value: str, rms: float) -> Cell:
+    return Cell(dimension=dimension, value=value, rms=rms, significance=100.0 * rms, rms_after=0.0)
 
 
 def test_the_pattern_comes_first_and_what_it_says_is_not_said_twice() -> None:
@@ -73,7 +74,7 @@ def test_a_line_that_is_quieter_than_all_beside_it_is_still_a_number() -> None:
     assert all(np.isfinite(cell.significance) for cell in lines(motion, beside, beside))
 
 
-def line_cells(sweeps: Sequence[Sweep]) -> tuple[ResidualBin, ...]:
+def line_cells(sweeps: Sequence[Sweep]) -> tuple[Cell, ...]:
     """Of what CAD leaves of the effort."""
     motion = tracks(max100(), "joint_2", sweeps)
     left = motion.rows(nominal_right(motion))

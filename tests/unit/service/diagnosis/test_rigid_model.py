@@ -1,6 +1,7 @@
 """A machine that CAD does not know well, which pose is held back, and a torque that is told late."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ OFF = 0.1  # part by which CAD is off
 def test_a_healthy_machine_off_by_a_tenth_is_none_and_its_model_is_found() -> None:
     robot = max100()
     sweeps = swept(JOINT, POSES, load=heavier(OFF), blocks=BLOCKS_RUN)
-    found = axis_document(diagnose_axis(robot, JOINT, sweeps, twin=False))
+    found: Any = axis_document(diagnose_axis(robot, JOINT, sweeps, twin=False)).as_json()
     assert (found["verdict"], found["effects"]) == ("none", [])
     for pose in found["fit"]["inertia"]:
         rows = load_rows(robot, robot.index(JOINT), np.array([pose["pose"]]))

@@ -69,7 +69,7 @@ def diagnosed(robot: Robot, measured: Robot) -> Mapping[str, Any]:
         measured, JOINT, poses(2, 4), blocks=("forward_slow", "backward_slow", "wide"), sample_rate=RATE
     )
     sweeps = following(measured, JOINT, designed, load=machine(measured))
-    return axis_document(diagnose_axis(robot, JOINT, sweeps, twin=False))
+    return axis_document(diagnose_axis(robot, JOINT, sweeps, twin=False)).as_json()
 
 
 def test_cad_that_is_off_beyond_its_prior_is_told_and_not_when_an_estimate_put_it_right(
@@ -149,7 +149,7 @@ def test_a_known_effect_that_has_changed_is_told_and_one_that_has_not_is_right(s
 
     def with_known(coulomb: float, std: float) -> Mapping[str, Any]:
         known = {"coulomb_friction": {"coulomb": Parameter(coulomb, std, "N m")}}
-        found = axis_document(diagnose_axis(max100(), "joint_2", sweeps, known=known, twin=False))
+        found: Any = axis_document(diagnose_axis(max100(), "joint_2", sweeps, known=known, twin=False)).as_json()
         assert (found["verdict"], found["effects"]) == ("none", [])
         assert ("the model is right" in found["summary"]) == (found["changes"] == [])
         return found

@@ -40,7 +40,7 @@ def test_an_axis_that_holds_tells_nothing_of_its_torque() -> None:
     sweeps = swept(JOINT, POSES, {Term("coulomb_friction"): (60.0,)}, blocks=SLOW)
     moving = axis_document(diagnose_axis(robot, JOINT, sweeps))
     with_rest = axis_document(diagnose_axis(robot, JOINT, [*sweeps, held(sweeps[0], 500.0), held(sweeps[4], -500.0)]))
-    assert [effect["effect"] for effect in moving["effects"]] == ["coulomb_friction"]
+    assert [effect.effect for effect in moving.effects] == ["coulomb_friction"]
     assert with_rest == moving
 
 

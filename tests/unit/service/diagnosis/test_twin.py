@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from service.cli.commands.identify import write_scenario
 from service.diagnosis import model_document
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.effects.effect import Inexpressible, Model, Patch
-from service.diagnosis.model.scenario import AxisEntry, axis_entry, gravity, gravity_of_fit
+from service.diagnosis.effects.effect import Inexpressible, Model, Patch, TrainEntry
+from service.diagnosis.model.scenario import AxisEntry, Links, axis_entry, gravity, gravity_of_fit
 from service.diagnosis.model.twin import TwinRun, torques, ways
 from service.diagnosis.rows.rigid import load_rows, nominal_load, nominal_parameters
 from service.diagnosis.rows.signals import Tracks, laid_out, tracks
@@ -27,6 +27,7 @@ from simulator import Measurement, Motion, SweepRun, load_scenario, replay, run_
 from simulator.rigid_body import RigidBody, moving_axis
 from tests.numeric import campaign
 from tests.numeric.campaign import max100, scenario_named
+from tests.stored.documents import axis_document, diagnosis
 
 Array = NDArray[np.float64]
 
@@ -201,7 +202,7 @@ def test_a_wrong_torque_constant_scales_all_but_gravity() -> None:
 def test_a_spring_that_the_simulator_cannot_follow_is_told() -> None:
     robot, sweeps, _ = measured()
     train = {"motor_inertia": 0.01, "spring": {"stiffness": 1e12, "damping": 0.0}}
-    entry = AxisEntry(train, {}, {}, (), 1.0)
+    entry = AxisEntry(cast("TrainEntry", train), {}, {}, (), 1.0)
     with pytest.raises(Inexpressible, match="does not stay with its motor"):
         torques(robot, JOINT, ways(sweeps), [TwinRun(0, entry, 200.0, (0.0, 0.0))])
 
@@ -223,12 +224,10 @@ def load_of(joint: str, *names: str) -> NDArray[np.float64]:
 
 
 def axis_of(joint: str, *names: str, verdict: str = "named", torques: str = "recorded") -> dict[str, Any]:
-    """As `axis_document` has it, as far as a model needs it."""
+    """A diagnosed axis with these effects, the first of which was known."""
     _, _, motion = measured(joint)
-    effects = [
-        {"effect": name, "scenario": CATALOGUE[name].scenario(whole(name, PARAMETERS[name]), motion, model(joint))}
-        for name in names
-    ]
+    patches = {name: CATALOGUE[name].scenario(whole(name, PARAMETERS[name]), motion, model(joint)) for name in names}
+    effects: list[Any] = [{"effect": name, "parameters": {}, "scenario": patch} for name, patch in patches.items()]
     told = [*zip(motion.poses.tolist(), *load_of(joint, *names).tolist(), strict=True)]
     fit = {
         "inertia": [{"pose": pose, "value": inertia, "std": 1.0} for pose, inertia, _, _ in told],
@@ -236,15 +235,15 @@ def axis_of(joint: str, *names: str, verdict: str = "named", torques: str = "rec
         "viscous_friction": {"value": 190.0, "std": 1.0},
         "torques": torques,
     }
-    return {"verdict": verdict, "known": effects[:1], "effects": effects[1:], "fit": fit}
+    return axis_document() | {"verdict": verdict, "known": effects[:1], "effects": effects[1:], "fit": fit}
 
 
 def test_the_loaded_scenario_needs_the_torque_of_the_twin(tmp_path: Path) -> None:
     names = ("gravity_error", "stribeck_friction", "cogging_torque", "effort_offset")
     robot, sweeps, motion = measured()
-    document = model_document(robot, {"axes": {JOINT: axis_of(JOINT, *names)}})
-    assert [effect["effect"] for effect in document["axes"][JOINT]["effects"]] == list(names)
-    told = DiagnosedModel(robot=robot.name, effects={}, scenario=document["scenario"])
+    document = model_document(robot, diagnosis(**{JOINT: axis_of(JOINT, *names)}))
+    assert [effect.effect for effect in document.axes[JOINT].effects] == list(names)
+    told = DiagnosedModel(robot=robot.name, effects={}, scenario=document.scenario)
     write_scenario(tmp_path / "twin.yaml", robot, told)
     scenario = load_scenario(tmp_path / "twin.yaml")
     body = RigidBody(scenario)
@@ -252,7 +251,7 @@ def test_the_loaded_scenario_needs_the_torque_of_the_twin(tmp_path: Path) -> Non
     axes = [moving_axis(scenario, body, JOINT, sweeps[k].spec.pose) for k in chosen]
     motions = [Motion(r.time, r.position, r.velocity) for r in (sweeps[k].recording for k in chosen)]
     theirs = replay(axes, motions, scenario.measurement)
-    patches: list[Patch] = [effect["scenario"] for effect in document["axes"][JOINT]["effects"]]
+    patches = [cast("Patch", effect.scenario) for effect in document.axes[JOINT].effects]
     inertia = HEAVIER * model().inertia
     entry = axis_entry(robot, JOINT, float(inertia.mean()), 190.0, patches)
     pull = gravity_of_fit(motion.poses, robot.index(JOINT), *load_of(JOINT, *names)[1:])[motion.pose_index]
@@ -268,12 +267,12 @@ def test_the_loaded_scenario_needs_the_torque_of_the_twin(tmp_path: Path) -> Non
 def test_links_give_gravity_on_all_axes_at_once() -> None:
     """Two axes that each say what hangs on them is otherwise than CAD has it: one set of links for both."""
     robot, joints = max100(), ("joint_2", "joint_3")
-    document = model_document(robot, {"axes": {joint: axis_of(joint, "gravity_error") for joint in joints}})
+    document = model_document(robot, diagnosis(**{joint: axis_of(joint, "gravity_error") for joint in joints}))
     for joint in joints:
         poses, index = measured(joint)[2].poses, robot.index(joint)
         bare = gravity(robot, {}, index, poses)
         wanted = gravity_of_fit(poses, index, *load_of(joint, "gravity_error")[1:])
-        given = gravity(robot, document["scenario"]["links"], index, poses)
+        given = gravity(robot, cast("Links", document.scenario["links"]), index, poses)
         assert np.abs(wanted - bare).max() > 5.0
         np.testing.assert_allclose(given, wanted, atol=0.03 * np.abs(wanted - bare).max())
 
@@ -283,24 +282,24 @@ def test_axes_share_a_scenario() -> None:
     robot = max100()
     elastic, other = axis_of("joint_2", "joint_elasticity"), axis_of("joint_3", "effort_offset")
     open_case = axis_of("joint_1", "effort_offset", "coulomb_friction", verdict="ambiguous")
-    parent = model_document(robot, {"axes": {"joint_2": elastic}})
-    document = model_document(robot, {"axes": {"joint_1": open_case, "joint_3": other}}, parent=parent)
-    assert set(document["axes"]) == {"joint_2", "joint_3"}
-    axes = document["scenario"]["axes"]
+    parent = model_document(robot, diagnosis(joint_2=elastic))
+    document = model_document(robot, diagnosis(joint_1=open_case, joint_3=other), parent=parent)
+    assert set(document.axes) == {"joint_2", "joint_3"}
+    axes: Any = document.scenario["axes"]
     assert axes["joint_2"]["train"]["spring"]["stiffness"] < axes["joint_3"]["train"]["spring"]["stiffness"]
-    every = model_document(robot, {"axes": {"joint_1": open_case}}, joints=["joint_1"])
-    assert [effect["effect"] for effect in every["axes"]["joint_1"]["effects"]] == ["effort_offset"]
-    yaml.safe_dump(document)
+    every = model_document(robot, diagnosis(joint_1=open_case), joints=["joint_1"])
+    assert [effect.effect for effect in every.axes["joint_1"].effects] == ["effort_offset"]
+    yaml.safe_dump(document.as_json())
 
 
 def test_a_test_mass_leaves_true_torques() -> None:
     """Torques that were put right are not divided by the gain again."""
     names = ("torque_constant_error", "coulomb_friction")
-    documents = [
-        model_document(max100(), {"axes": {JOINT: axis_of(JOINT, *names, torques=torques)}})
+    scenarios: list[Any] = [
+        model_document(max100(), diagnosis(**{JOINT: axis_of(JOINT, *names, torques=torques)})).scenario
         for torques in ("recorded", "true")
     ]
-    recorded, true = (document["scenario"]["axes"][JOINT]["train"] for document in documents)
+    recorded, true = (scenario["axes"][JOINT]["train"] for scenario in scenarios)
     assert recorded["effort_gain"] == true["effort_gain"] == 1.04
     assert true["motor_friction"]["coulomb"] == 50.0
     assert abs(recorded["motor_friction"]["coulomb"] - 50.0 / 1.04) < 1e-9

@@ -82,7 +82,7 @@ def found(blocks: tuple[str, ...] | None, repeats: int = 1, poses: int = 2) -> A
         else full_design(robot, JOINT, measured, blocks=blocks, repeats=repeats, sample_rate=RATE, revisit=False)
     )
     sweeps = following(robot, JOINT, designed, noise=0.002)
-    return AxisDiagnosis.read(axis_document(diagnose_axis(robot, JOINT, sweeps, twin=False)), JOINT)
+    return axis_document(diagnose_axis(robot, JOINT, sweeps, twin=False))
 
 
 @pytest.mark.parametrize(

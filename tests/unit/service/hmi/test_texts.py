@@ -44,7 +44,7 @@ FAMILIES = {
     "step": set(CauseCode),
     "figure": {"map", "gap_by_pose", "example", "evidence", "parameters"},
 }
-OPEN_FAMILIES = ("done", "parameter", "problem")  # what has no word there is shown as the service has it
+OPEN_FAMILIES = ("done", "parameter", "problem", "said")  # what has no word there is shown as the service has it
 # of a script that are no words: what the service stores of a stop, classes, units, names and routes
 NO_WORDS = {
     "api.js": {"Bearer"},
