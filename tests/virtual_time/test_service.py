@@ -1,5 +1,7 @@
 """The service in virtual time: a campaign from start to estimate, a stop by the stop process, a kill."""
 
+from typing import Any
+
 import pytest
 
 from tests.virtual_time.clock import Clock
@@ -9,7 +11,7 @@ from tests.virtual_time.service import VirtualService, add_campaign
 
 @pytest.mark.parametrize("changes", [{}, {"modes": "host_streamed"}, {"simultaneous": True}])
 def test_a_campaign_is_measured_and_identified(
-    service: VirtualService, machine: VirtualMachine, clock: Clock, changes: dict[str, object]
+    service: VirtualService, machine: VirtualMachine, clock: Clock, changes: dict[str, Any]
 ) -> None:
     number = add_campaign(service, **changes)
     service.client.start(number)

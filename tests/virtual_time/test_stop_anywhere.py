@@ -30,7 +30,7 @@ BENCH: Bench = BENCHES["canopen-virtual"]
 REACTION = 0.5  # s from a stop until no axis has energy: stop sequence of the host, ramps of the drives
 LONGEST = 6.0  # s into an activity that a stop comes
 PART, MOST = 0.3, 80  # s; parts of all activities
-SEEDS = 22  # of each part
+SEEDS = 23  # of each part
 ALONE = {"canopen": 1.0, "modbus": 0.05}  # s that a halt is alone; on Modbus it leaves 'quick stop active', with energy
 SILENCE = 5.0  # s after it that nothing may get energy
 STALL = (1e-3, 60.0)  # s
@@ -53,8 +53,8 @@ async def streamed(port: DrivePort) -> None:
 
 async def simultaneous(port: DrivePort) -> None:
     mode, both = SweepMode.HOST_STREAMED, (AXIS, "joint_2")
-    commands = [await replace(BENCH, axis=joint).sweep(port, mode) for joint in both]
     await port.enable(*both)
+    commands = [await replace(BENCH, axis=joint).sweep(port, mode) for joint in both]
     async for _ in port.run_sweep(*commands):
         pass
     for joint in both:

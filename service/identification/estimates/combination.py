@@ -169,13 +169,11 @@ def combine(
     records: Sequence[TrajectoryRecord],
     motions: Sequence[FreeMotion] = (),
     gains: Mapping[str, TorqueGain] | None = None,
-    analysed: Mapping[str, SharedPrior] | None = None,
 ) -> JointEstimate:
     """Joint estimate of sweeps (optional), trajectories and free motions of the whole robot.
 
-    `gains`: calibrated with a test mass, by joint. `analysed`: drive trains of an initial analysis, by joint, for
-    simultaneous sweeps of axes that `inertias` do not contain. BadInput if neither contains a common motion of axes, or
-    an inertia, a harmonic or the noise of one is not finite.
+    `gains`: calibrated with a test mass, by joint. BadInput if neither contains a common motion of axes, or an inertia,
+    a harmonic or the noise of one is not finite.
     """
     if not records and not motions:
         raise BadInput("combination", "there is no trajectory and no free motion of several axes")
@@ -189,7 +187,7 @@ def combine(
     trains = {axis.joint: axis.train for axis in inertias if axis.train is not None}
     gain = {joint: one.gain for joint, one in (gains or {}).items()} | {axis.joint: axis.gain for axis in inertias}
     records = [calibrated(record, gain) for record in records]
-    priors = _train_priors(robot, records, inertias, analysed or {})
+    priors = _train_priors(robot, records, inertias)
     equations = _all_equations(robot, base, records, trains, {})
     sweeps = _sweep_information(robot, base, inertias)
     free, free_gains = None, np.zeros((len(start), len(robot.axes)))
@@ -272,29 +270,26 @@ def _all_equations(
 
 
 def _train_priors(
-    robot: Robot,
-    records: Sequence[TrajectoryRecord],
-    inertias: Sequence[AxisInertias],
-    analysed: Mapping[str, SharedPrior],
+    robot: Robot, records: Sequence[TrajectoryRecord], inertias: Sequence[AxisInertias]
 ) -> dict[str, SharedPrior]:
-    """Drive trains of the axes of simultaneous sweeps before these: of their other sweeps, of an initial analysis, or
-    of the data sheet with a compliance that may be anything.
+    """Drive trains of the axes of simultaneous sweeps before these: of their other sweeps, or of the data sheet with a
+    compliance that may be anything.
     """
+    fitted = {axis.joint: axis for axis in inertias if axis.train is not None}
     poses = np.array([record.pose for record in records if record.sloped])
-    joints = dict.fromkeys(track.joint for record in records if record.sloped for track in record.tracks)
     found: dict[str, SharedPrior] = {}
-    for joint in joints:
+    for joint in dict.fromkeys(track.joint for record in records if record.sloped for track in record.tracks):
+        axis = fitted.get(joint)
+        if axis is not None and axis.train is not None:
+            std = np.zeros(SHARED) if axis.train_std is None else axis.train_std
+            found[joint] = SharedPrior(axis.train.as_array(), np.diag(std**2))
+            continue
         index = robot.index(joint)
         sheet = shared_prior(robot, index, axis_rows(robot.chain, index, poses) @ inertial_parameters(robot), [])
         # the friction, which the sweeps determine, and the damping are kept
         variance = np.diag(sheet.covariance) * np.array([1.0, 0.0, 0.0, 1.0, 0.0])
         found[joint] = SharedPrior(sheet.mean, np.diag(variance))
-    for axis in inertias:
-        if axis.joint in joints and axis.train is not None:
-            std = np.zeros(SHARED) if axis.train_std is None else axis.train_std
-            found[axis.joint] = SharedPrior(axis.train.as_array(), np.diag(std**2))
-    fitted = {axis.joint for axis in inertias if axis.train is not None}
-    return found | {joint: prior for joint, prior in analysed.items() if joint in joints and joint not in fitted}
+    return found
 
 
 def _with_trains(

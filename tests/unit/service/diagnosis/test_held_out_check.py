@@ -93,4 +93,4 @@ def test_the_gap_is_that_of_the_pose_that_took_no_part() -> None:
     one, every = gap(given, left, left, unseen), gap(given, left, left, ())
     assert (one.before_rms, one.held_out_sweeps) == (pytest.approx(3.0), len(unseen))
     assert 1.0 < every.before_rms < 3.0
-    assert (every.held_out_sweeps, every.others) == (0, True)
+    assert (every.held_out_sweeps, every.cross_validated) == (0, True)
