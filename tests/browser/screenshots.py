@@ -25,7 +25,7 @@ from tests.browser.looking import settled
 from tests.system.rest_bench import CONFIG, PATIENT_LEASE, Service, VirtualMachine, serving, until, virtual_machine
 
 SIZES = (1280, 768, 1920)  # px wide
-HEIGHT = 800  # px
+HEIGHT, TALLEST = 800, 2200  # px; of the window, and of a picture of the docs
 SCHEMES = ("light", "dark")
 COLOURS = 64
 AXES = ["joint_2", "joint_3"]
@@ -160,6 +160,8 @@ def camera(page: Page, folder: Path, for_docs: bool) -> Take:
                 settled(page)
                 page.wait_for_timeout(600)  # plots follow the size of their panel after a pause of their own
                 picture = Image.open(io.BytesIO(page.screenshot(full_page=True)))
+                if for_docs:
+                    picture = picture.crop((0, 0, picture.width, min(picture.height, TALLEST)))
                 path = folder / (f"{name}.png" if for_docs else f"{name}-{scheme}-{width}.png")
                 picture.convert("RGB").quantize(COLOURS).save(path, optimize=True)
                 print(f"{path}: {picture.width} x {picture.height}, {path.stat().st_size / 1e3:.0f} kB", flush=True)
