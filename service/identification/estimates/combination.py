@@ -188,7 +188,7 @@ def combine(
     gain = {joint: one.gain for joint, one in (gains or {}).items()} | {axis.joint: axis.gain for axis in inertias}
     records = [calibrated(record, gain) for record in records]
     priors = _train_priors(robot, records, inertias)
-    equations = _all_equations(robot, base, records, trains, {})
+    equations = _all_equations(robot, base, records, trains)
     sweeps = _sweep_information(robot, base, inertias)
     free, free_gains = None, np.zeros((len(start), len(robot.axes)))
     evidence = honest = Information.empty(len(start))
@@ -255,18 +255,10 @@ def combine(
 
 
 def _all_equations(
-    robot: Robot,
-    base: BaseParameters,
-    records: Sequence[TrajectoryRecord],
-    trains: Mapping[str, TwoMassTrain],
-    of_sweeps: Mapping[str, TwoMassTrain],
+    robot: Robot, base: BaseParameters, records: Sequence[TrajectoryRecord], trains: Mapping[str, TwoMassTrain]
 ) -> list["_Equations"]:
-    """`of_sweeps`: further trains, for simultaneous sweeps."""
-    found: list[_Equations] = []
-    for record in records:
-        own = {**trains, **of_sweeps} if record.sloped else trains
-        found += _equations(robot, base, with_loads(record, own), own)
-    return found
+    loads = [with_loads(record, trains) for record in records]
+    return [equation for record in loads for equation in _equations(robot, base, record, trains)]
 
 
 def _train_priors(
@@ -318,9 +310,8 @@ def _with_trains(
 
     def with_one(joint: str, number: int) -> list[_Equations]:
         changed = {**here, joint: here[joint] + step * priors[joint].sigma * (np.arange(SHARED) == number)}
-        return _all_equations(
-            robot, base, sloped, trains, {name: TwoMassTrain.of(own) for name, own in changed.items()}
-        )
+        own = {name: TwoMassTrain.of(one) for name, one in changed.items()}
+        return _all_equations(robot, base, sloped, {**trains, **own})
 
     now = with_one(next(iter(here)), SHARED)
     others = [with_one(*parameter) for parameter in parameters]
