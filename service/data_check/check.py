@@ -10,6 +10,7 @@ from service.data_check.repeatability import repeatability
 from service.data_check.ripples import ripples
 from service.data_check.robot_file import description, nominals, rated_effort
 from service.data_check.samples import clipping, clock, frozen, lost_samples, quantisation, spikes
+from service.identification.motion.free_motion import at_once
 from service.model.recording import Sweep
 from service.model.robot import Robot
 
@@ -31,13 +32,15 @@ def _axis(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> list[DataFinding
     axis = AxisRecords.of(robot, joint, own)
     lost = lost_samples(axis)
     whole = axis.without({name for one in lost for name in one.sweeps})
+    # their efforts answer to the other axes' motion too: identification compares the whole inverse dynamics
+    lonely = whole.without({spec.id for group in at_once([sweep.spec for sweep in sweeps]) for spec in group})
     followed = commanded(whole)
     of_motion = motion(whole, slopes(whole), followed)
     codes = {finding.code for finding in of_motion}
-    found = responses(whole, {one.record.id: one for one in followed})
+    found = responses(lonely, {one.record.id: one for one in followed})
     # without a set-point, a wrong motion would look like a wrong effort
-    inertia = seen(whole, found) if followed or not codes else None
-    of_effort = effort(whole, inertia, placed=not codes)
+    inertia = seen(lonely, found) if followed or not codes else None
+    of_effort = effort(lonely, inertia, placed=not codes)
     sound = not of_effort and not codes
     return [
         *clock(axis, own),

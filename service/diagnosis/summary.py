@@ -37,12 +37,16 @@ def _named(axis: AxisDiagnosis) -> str:
 
 
 def _ambiguous(axis: AxisDiagnosis) -> str:
-    advice = "Measure what is proposed next" if axis.next_experiment else "No sweep that is left to measure tells them"
+    advice = (
+        "Next: measure the proposed experiment"
+        if axis.next_experiment
+        else "No further experiment can distinguish them"
+    )
     open_questions = [in_words(names, "or") for names in axis.alternatives if len(names) > 1]
     undecided = {name for names in axis.alternatives for name in names}
     certain = [effect.effect for effect in axis.effects if effect.effect not in undecided]
     certain += [names[0] for names in axis.alternatives if len(names) == 1]
-    beside = f" Sure is {in_words(certain)}." if certain and open_questions else ""
+    beside = f" Significant: {in_words(certain)}." if certain and open_questions else ""
     asked = ", nor whether it is ".join(open_questions) or in_words(certain, "or")
     return (
         f"something is missing, a gap of {_rms(axis, 'before')}{_floor(axis, ' where noise makes {}')}, and these "
@@ -53,7 +57,7 @@ def _ambiguous(axis: AxisDiagnosis) -> str:
 def _unknown(axis: AxisDiagnosis) -> str:
     wrong = [finding.sentence for finding in axis.data if finding.severity == "wrong"]
     if wrong:
-        return f"no physics is named, because the data cannot be trusted. {' '.join(wrong)} Mend that first."
+        return f"no physics is named, because the data cannot be trusted. {' '.join(wrong)} Correct this first."
     measured = f"{in_words([e.effect for e in axis.effects])} apart, " if axis.effects else ""
     known = f" Known in part: {in_words([effect.effect for effect in axis.part])}." if axis.part else ""
     return (
@@ -67,7 +71,7 @@ def _untestable(axis: AxisDiagnosis) -> str:
     if axis.biasing:
         reasons.append(f"they cannot show {in_words(axis.biasing)}, which would change the estimate unseen")
     why = f" ({'; '.join(reasons)})" if reasons else ""
-    advice = ": measure what is proposed next" if axis.next_experiment else ""
+    advice = ": measure the proposed experiment next" if axis.next_experiment else ""
     changed = f" But {_changed(axis)}." if axis.changes else ""
     return f"these sweeps cannot show whether something is missing{why}{advice}.{changed}"
 

@@ -181,7 +181,7 @@ PAGES: dict[str, tuple[dict[str, Any], tuple[str, ...], tuple[str, ...]]] = {
     "open": (
         OPEN,
         (
-            "do not tell whether it is Coulomb friction or Stribeck friction. Measure what is proposed next.",
+            "do not tell whether it is Coulomb friction or Stribeck friction. Next: measure the proposed experiment.",
             "separates Coulomb friction and Stribeck friction best for its time.",
             "6 sweeps of joint_2 in 3 poses, 1 min 36 s of machine time.",
             "not decided",
@@ -251,14 +251,14 @@ ROLLED_BACK = "Rolled back, because held-out sweeps came out no better: backlash
                 "effects": [{"effect": name, "parameters": {}} for name in ("coulomb_friction", "joint_elasticity")],
                 "alternatives": [["coulomb_friction", "drift"], ["joint_elasticity"]],
             },
-            "do not tell whether it is Coulomb friction or drift. Sure is joint elasticity. ",
+            "do not tell whether it is Coulomb friction or drift. Significant: joint elasticity. ",
             "",
         ),
         ({"verdict": "unknown", "part": [SPRING]}, "no effect of the catalogue explains it. Known in part: ", ""),
         (
             {"verdict": "unknown", "data": [FINDINGS[1]]},
-            "because the data cannot be trusted. Torque has the wrong sign. Mend that first.",
-            "Mend that first.",
+            "because the data cannot be trusted. Torque has the wrong sign. Correct this first.",
+            "Correct this first.",
         ),
     ],
 )
