@@ -59,7 +59,7 @@ async def test_an_experiment_is_proposed_only_if_the_machine_can_run_it(
         found = await bench.over((await bench.diagnosing.request([campaign], None, None, unattended=False)).id)
         axis = found.found().axes["joint_1"]
         assert (axis.next_experiment is None) == bool(refusal)
-        assert ("easure what is proposed next" in axis.summary) != bool(refusal)
+        assert ("Next: measure the proposed experiment" in axis.summary) != bool(refusal)
         ended = f"This machine cannot be diagnosed further, because of the next {refusal}"
         assert (ended in axis.summary) == bool(refusal)
 
