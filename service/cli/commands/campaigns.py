@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self, cast
 
 import typer
 
-from service.cli.options import DEFAULT_URL, CellName, ConfirmCell, ConfirmRobot, RobotFile, Url
+from service.cli.terminal import DEFAULT_URL, CellName, ConfirmCell, ConfirmRobot, RobotFile, Url
 from service.model.errors import BadInput, SweepidError
 
 if TYPE_CHECKING:

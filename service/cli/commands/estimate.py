@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 import sweepid
-from service.cli.options import BundleArg, Gains, JsonTo
+from service.cli.terminal import BundleArg, Gains, JsonTo
 from service.model.errors import BadInput
 
 if TYPE_CHECKING:

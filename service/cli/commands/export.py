@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import sweepid
-from service.cli.options import DEFAULT_URL, BundleArg, JsonTo, SideFile, Source, Url
+from service.cli.terminal import DEFAULT_URL, BundleArg, JsonTo, SideFile, Source, Url
 from service.model.errors import BadInput
 
 if TYPE_CHECKING:
@@ -107,8 +107,7 @@ def export_path(
     out: Annotated[Path, typer.Option(help="Folder to write; must be empty or not exist.", show_default=False)],
 ) -> None:
     """Write every sweep of a plan as table (.csv) and Sinumerik part program (.MPF), and the mapping for the traces."""
-    from service.machine.paths.export import export_paths
-    from service.machine.paths.sweep_paths import read_control
+    from service.machine.paths.sweep_paths import export_paths, read_control
     from service.model.configuration import read_cell, read_robot
 
     document = read_plan(plan)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import sweepid
-from service.cli.options import DEFAULT_URL, BundleArg, Gains, JsonTo, Url
+from service.cli.terminal import DEFAULT_URL, BundleArg, Gains, JsonTo, Url
 from service.model.errors import BadInput
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.options import DEFAULT_URL, Url
+from service.cli.terminal import DEFAULT_URL, Url
 from service.model.errors import BadInput, writing
 
 if TYPE_CHECKING:

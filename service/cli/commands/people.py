@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.options import Config, DataDir
+from service.cli.terminal import Config, DataDir
 from service.model.errors import BadInput
 
 if TYPE_CHECKING:

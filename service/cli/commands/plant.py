@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.options import DEFAULT_URL, JsonTo, Url
+from service.cli.terminal import DEFAULT_URL, JsonTo, Url
 
 if TYPE_CHECKING:
     from service.identification.fleet.document import Fleet, FleetRobot, FleetType

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from service.cli.options import DEFAULT_URL, Url
+from service.cli.terminal import DEFAULT_URL, Url
 from service.model.errors import BadInput
 
 Form = Literal["html", "pdf", "json"]
