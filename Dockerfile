@@ -13,7 +13,7 @@ RUN python3 -m venv /tools \
 ENV VIRTUAL_ENV=/opt/sweepid UV_NO_CACHE=1 UV_COMPILE_BYTECODE=1
 COPY pyproject.toml ./
 # versions and hashes from the lock, but only what the product itself needs
-RUN /tools/bin/uv pip install --constraint requirements.lock --extra postgresql --extra s3 --requirement pyproject.toml
+RUN /tools/bin/uv pip install --constraint requirements.lock --extra dask --extra postgresql --extra s3 --requirement pyproject.toml
 COPY README.md LICENSE ./
 COPY drivers drivers
 COPY service service

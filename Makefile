@@ -107,7 +107,7 @@ format: $(READY)  ## put the code into its form
 	$(BIN)/ruff format .
 
 lock: $(READY)  ## resolve the dependencies anew, for all platforms
-	$(BIN)/uv pip compile pyproject.toml --extra hdf5 --extra mcap --extra mdf4 --extra mqtt --extra oidc \
+	$(BIN)/uv pip compile pyproject.toml --extra dask --extra hdf5 --extra mcap --extra mdf4 --extra mqtt --extra oidc \
 		--extra opcua --extra otel --extra pdf --extra postgresql --extra ros --extra s3 --group dev --universal \
 		--python-version 3.11 --generate-hashes \
 		--no-emit-index-url --no-header --quiet --output-file requirements.lock

@@ -12,8 +12,7 @@ from pathlib import Path as File
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from simulator.coupled import CoupledTrains
-from simulator.plant import Plant
+from simulator.plant import CoupledTrains, Plant
 from simulator.scenario import STEP, Scenario, ScenarioError, load_scenario
 from simulator.waveform import Array
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulator.coupled import CoupledTrains
-from simulator.plant import Plant, Samples, measure
+from simulator.plant import CoupledTrains, Plant, Samples, measure
 from simulator.scenario import CYCLE, STEP, Scenario, ScenarioError
 from simulator.waveform import Array
 

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simulator.coupled import CoupledTrains
 from simulator.drive_train import DriveTrains
 from simulator.effects import Bristles, FrictionLaw, KnownRipples, Ripples, Turn, cogging, warmth
-from simulator.plant import Channel, Plant, Samples, measure
+from simulator.plant import Channel, CoupledTrains, Plant, Samples, measure
 from simulator.rigid_body import MovingAxis, RigidBody, moving_axis
 from simulator.scenario import CYCLE, STEP, Measurement, Scenario, ScenarioError, SpeedControl
 from simulator.waveform import Array, Waveform, torque_noise

@@ -10,6 +10,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
+from service.model.errors import BadInput, writing
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
@@ -149,7 +151,6 @@ def import_trace(
         File, column and reason.
     """
     from service.formats.traces.trace_import import mapping_of, read_traces
-    from service.model.errors import writing
     from service.store.files.bundle import Bundle, write_bundle
 
     path, tell = Path(mapping), known.pop("tell", None)
@@ -257,8 +258,6 @@ def identify(
         and (sweep.spec.shows_inertia or sweep.spec.stepped or has_reference(sweep))
     ]
     if not sweeps and not motions:
-        from service.model.errors import BadInput
-
         of_joint = "" if axis is None else f" of joint {axis}"
         raise BadInput(measured.place, f"has no sweep{of_joint} with sines, a trajectory or injected torque noise")
     spectra = [sweep_spectrum(robot, sweep) for sweep in progress(sweeps, "Sweeps")]
@@ -284,7 +283,6 @@ def combine(*bundles: Bundle | str | Path) -> Combination:
     BadInput
         The bundles are of different robots, or have no motion of several axes.
     """
-    from service.model.errors import BadInput
     from service.model.recording import Sweep
     from service.store.files.bundle import Bundle
 
@@ -342,7 +340,6 @@ def diagnose(
     """
     from service.diagnosis import as_document, diagnose_axis, is_evidence
     from service.identification.motion.free_motion import at_once
-    from service.model.errors import BadInput
     from sweepid.files import started
 
     measured = _read(bundle)
@@ -503,8 +500,6 @@ def _read(bundle: Bundle | str | Path) -> Bundle:
 
 def _same_robot(first: Bundle, other: Bundle) -> None:
     if (first.robot.description, first.robot.urdf_text) != (other.robot.description, other.robot.urdf_text):
-        from service.model.errors import BadInput
-
         raise BadInput(
             other.place, f"is not of robot {first.robot.name} of the first bundle: robot file or URDF differs"
         )

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 from drivers.canopen import frames, measuring
 from drivers.canopen.bus import CanopenBus
-from drivers.canopen.device_map import Cia301, Entry, SetPointWay
 from drivers.canopen.measuring import MeasuringObject
-from drivers.canopen.profile import CanopenAxis, CanopenProfile, codec
+from drivers.canopen.profile import CanopenAxis, CanopenProfile, Cia301, Entry, SetPointWay, codec
 from drivers.canopen.sdo import (
     ObjectAbsent,
     PdoMapping,

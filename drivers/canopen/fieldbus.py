@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from drivers.canopen import frames
 from drivers.canopen.bus import CanopenBus, set_point_source
 from drivers.canopen.device import CanopenDevice
-from drivers.canopen.device_map import bits
 from drivers.canopen.host_sweep import HostSweep
-from drivers.canopen.profile import BusProfile, CanopenProfile
+from drivers.canopen.profile import BusProfile, CanopenProfile, bits
 from drivers.canopen.sdo import PdoMapping
 from drivers.canopen.stop_sender import CanopenStopSender
 from drivers.canopen.streamed_axis import Ending, StreamRequest

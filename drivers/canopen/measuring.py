@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from drivers.canopen.device_map import Entry
-from drivers.canopen.profile import Codec
+from drivers.canopen.profile import Codec, Entry
 from drivers.canopen.sdo import Sdo, Setting
 from drivers.cia402.device import trace_block, trace_cycle
 from drivers.cia402.profile import AxisProfile

@@ -16,8 +16,7 @@ from canopen.sdo.client import BlockUploadStream, SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from drivers.canopen import frames
-from drivers.canopen.device_map import STANDARD, Cia301, DeviceMap, Entry, SetPointWay, bits
-from drivers.canopen.profile import BusProfile, Codec
+from drivers.canopen.profile import STANDARD, BusProfile, Cia301, Codec, DeviceMap, Entry, SetPointWay, bits
 from drivers.cia402.profile import AxisProfile, StopOptions
 from drivers.errors import CauseCode, CommunicationLost, WrongConfiguration
 

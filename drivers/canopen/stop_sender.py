@@ -15,8 +15,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 
 from drivers.canopen import frames
-from drivers.canopen.device_map import DeviceMap, Entry
-from drivers.canopen.profile import BusProfile, CanopenAxis, CanopenProfile, codec
+from drivers.canopen.profile import BusProfile, CanopenAxis, CanopenProfile, DeviceMap, Entry, codec
 from drivers.cia402 import states
 from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady
 

@@ -9,9 +9,8 @@ import math
 import struct
 from collections.abc import Callable, Iterable, Iterator
 
-from drivers.canopen.device_map import NEEDED, STANDARD, Cia301, Entry, SetPointWay
 from drivers.canopen.fieldbus import check_bus_load
-from drivers.canopen.profile import CanopenAxis, Codec
+from drivers.canopen.profile import NEEDED, STANDARD, CanopenAxis, Cia301, Codec, Entry, SetPointWay
 from drivers.canopen.sdo import (
     ObjectAbsent,
     OtherType,

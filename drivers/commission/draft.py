@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from drivers.canopen.device_map import (
+from drivers.canopen.profile import (
     NEEDED,
     PDO_TYPES,
     STANDARD,

@@ -18,8 +18,7 @@ from typing import Any, cast
 from canopen.objectdictionary import ODVariable, datatypes
 from canopen.sdo.client import SdoClient
 
-from drivers.canopen.device_map import DeviceMap, Entry
-from drivers.canopen.profile import CanopenAxis, CanopenProfile
+from drivers.canopen.profile import CanopenAxis, CanopenProfile, DeviceMap, Entry
 from drivers.canopen.sdo import ObjectAbsent, Sdo
 from drivers.eds import object_dictionary
 from drivers.errors import BadProfile, WrongConfiguration

@@ -8,13 +8,17 @@ import math
 from collections.abc import Callable, Iterator
 
 from drivers.canopen.bus import CanopenBus
-from drivers.canopen.device_map import (
+from drivers.canopen.profile import (
     SPEEDS,
     STANDARD,
+    CanopenAxis,
+    CanopenProfile,
     Cia301,
+    Codec,
     Entry,
+    codec,
+    velocity_unit,
 )
-from drivers.canopen.profile import CanopenAxis, CanopenProfile, Codec, codec, velocity_unit
 from drivers.canopen.sdo import ObjectAbsent, OtherType
 from drivers.commission.checks import rated_torque
 from drivers.commission.drive import CheckedNode, CheckRow, CheckVerdict, ReadOnlySdo, read_dictionary

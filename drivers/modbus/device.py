@@ -1,9 +1,15 @@
-"""A CiA 402 drive on Modbus: `drivers.cia402.device.Device` through the signals of a register map."""
+"""A CiA 402 drive on Modbus: `drivers.cia402.device.Device` through the signals of a register map.
+
+The drive's measuring function through registers: a sweep's parameters, and the samples in a trace page. Pure.
+"""
 
 import logging
 import math
 import time
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+
+import numpy as np
 
 from drivers.cia402 import states
 from drivers.cia402.device import (
@@ -19,14 +25,60 @@ from drivers.cia402.device import (
     trace_block,
     trace_cycle,
 )
+from drivers.cia402.profile import Gear
 from drivers.cia402.states import Controlword, PowerState
-from drivers.errors import CommunicationLost, DriveFault, WrongConfiguration, WrongIdentity
-from drivers.modbus import measuring
+from drivers.errors import CommunicationLost, DriveFault, LimitExceeded, WrongConfiguration, WrongIdentity
 from drivers.modbus.line import MasterLine
 from drivers.modbus.profile import ModbusAxis, ModbusProfile
-from drivers.modbus.registers import Format, RegisterMap, Rounding, TraceLayout
+from drivers.modbus.registers import Array, Format, RegisterMap, RegisterSignal, Rounding, TraceLayout
 from drivers.modbus.unit import ControlToken, RegisterSetting, RegisterUnit
 from drivers.ports import AxisIdentity, SampleBlock, SweepCommand
+
+
+def _parameters(command: SweepCommand, signals: Mapping[str, RegisterSignal], gear: Gear) -> list[RegisterSetting]:
+    """All parameters of a sweep in the units of their signals. Raises LimitExceeded for more sines than the map has.
+
+    A register may change a parameter by 1e-4 of it, a phase by 1e-4 rad, and let a sine drift by 1e-3 of a period.
+    """
+    near = 1e-4
+    single = {
+        "offset_speed": gear.rev_per_min(command.offset_velocity),
+        "ramp": command.ramp,
+        "settle": command.settle,
+        "period": command.period,
+        "periods": float(command.periods),
+        "sines": float(len(command.sines)),
+        "trace_cycle": float(trace_cycle(command)),
+    }
+    settings = [RegisterSetting(signals[name], value, near * abs(value)) for name, value in single.items()]
+    frequencies, amplitudes, phases = (signals[name].elements() for name in ("frequency", "amplitude", "phase"))
+    room = min(len(frequencies), len(amplitudes), len(phases))
+    if len(command.sines) > room:
+        raise LimitExceeded(command.joint, f"{len(command.sines)} sines are more than the register map's {room}")
+    for sine, frequency, amplitude, phase in zip(command.sines, frequencies, amplitudes, phases, strict=False):
+        # A negative gear ratio makes the amplitude negative and does not change the phase.
+        speed = gear.rev_per_min(sine.amplitude)
+        settings += [
+            RegisterSetting(frequency, sine.frequency, 1e-3 / command.duration),
+            RegisterSetting(amplitude, speed, near * abs(speed)),
+            RegisterSetting(phase, sine.phase, near),
+        ]
+    return settings
+
+
+def _columns(registers: Sequence[int], count: int, trace: TraceLayout) -> dict[str, Array]:
+    """(count,) of each signal. The lowest value of an integer register means that there is no load encoder: NaN."""
+    table = np.asarray(registers, np.uint16).reshape(count, trace.width)
+    found: dict[str, Array] = {}
+    start = 0
+    for name, each in trace.sample:
+        values = each.decode(table[:, start : start + each.width])
+        start += each.width
+        if name == "load_position" and each.whole:
+            values[values == each.least] = np.nan
+        found[name] = values
+    return found
+
 
 logger = logging.getLogger(__name__)
 
@@ -223,7 +275,7 @@ class ModbusDevice:
         """Raises LimitExceeded if the register of a parameter is too coarse for its value."""
         self._trace_cycle = trace_cycle(command)
         self._unit.write({"measuring_command": MeasuringCommand.NONE})
-        self._unit.settle(*measuring.parameters(command, self._map.signals, self._gear))
+        self._unit.settle(*_parameters(command, self._map.signals, self._gear))
 
     def start_measuring(self) -> None:
         self._unit.write({"measuring_command": MeasuringCommand.START})
@@ -255,7 +307,7 @@ class ModbusDevice:
         for start in range(0, count * trace.width, piece):
             number = min(piece, count * trace.width - start)
             registers += self._unit.registers(trace.address + start, number, f"trace from sample {first}")
-        columns = measuring.columns(registers, count, trace)
+        columns = _columns(registers, count, trace)
         return trace_block(self.profile, self._gear, self.place, first, columns, self._trace_cycle)
 
     # -- inside --------------------------------------------------------------------------------------------------

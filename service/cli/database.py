@@ -12,8 +12,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from service.model.errors import BadInput
 from service.process.settings import Settings, load_settings
 from service.store.access import Role
-from service.store.database import Database, open_database
-from service.store.engines import parsed_url
+from service.store.database import Database, open_database, parsed_url
 from service.store.people.audit import Entry
 from service.store.people.users import KeyDocument, SessionStore, UserDocument
 

@@ -34,8 +34,7 @@ from service.model.results.estimate import Estimate
 from service.model.robot import Robot
 from service.planning.documents import PlanRequest
 from service.planning.poses import workspace_grid
-from service.report.benefit.benefit import Benefit, FollowingError, Tracking, benefit
-from service.report.benefit.prediction import feed_forward
+from service.report.benefit.benefit import Benefit, FollowingError, Tracking, benefit, feed_forward
 from service.report.benefit.section import benefit_section, sentence
 from service.report.campaign import campaign_page
 from service.report.content import Content, Drive, ReportedAxis, TruthRow, axes_of, content_of

@@ -1,4 +1,4 @@
-"""Results as files, and as JSON on stdout."""
+"""Results as files, and as JSON on stdout; options that several commands have. Nothing that a command computes with."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from collections.abc import Generator, Iterable, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -133,3 +133,38 @@ def write_tables(folder: Path, content: str | bytes) -> None:
         csv.writer(text, lineterminator="\n").writerows([table["head"], *table["rows"]])
         words = re.sub(r"[^a-z0-9]+", "-", table["section"].lower()).strip("-")
         write_file(folder / f"{number:02d}-{words[:60]}.csv", text.getvalue().rstrip("\n"))
+
+
+DEFAULT_URL = "http://127.0.0.1:8642"
+Url = Annotated[str, typer.Option(envvar="SWEEPID_URL", help="Address of the service.")]
+JsonTo = Annotated[str | None, typer.Option("--json", help="Write JSON here; - is stdout.", metavar="FILE")]
+Gains = Annotated[Path | None, typer.Option("--torque-gain", help="JSON file of `sweepid estimate torque-gain`.")]
+BundleArg = Annotated[Path, typer.Argument(help="Directory of the bundle.", show_default=False)]
+
+# what an export is made of
+Source = Annotated[
+    Path,
+    typer.Argument(
+        metavar="BUNDLE|ESTIMATE",
+        help="Directory of a bundle, or file of `sweepid identify --json`.",
+        show_default=False,
+    ),
+]
+SideFile = Annotated[Path | None, typer.Option("--robot", help="Side file of the robot, for an ESTIMATE.")]
+
+# what plans
+RobotFile = Annotated[
+    Path | None,
+    typer.Argument(help="Side file of the robot, e.g. config/robots/max100-class.yaml; default: that of the machine."),
+]
+CellName = Annotated[str | None, typer.Option(help="Name of the cell around the robot; default: that of the machine.")]
+ConfirmRobot = Annotated[
+    str | None, typer.Option(help="Type the name of the robot, if it is another one than the machine's.")
+]
+ConfirmCell = Annotated[
+    str | None, typer.Option(help="Type the name of the cell, if it is another one than the machine's.")
+]
+
+# what works on the data of the service
+Config = Annotated[Path | None, typer.Option(help="Settings; default: config/service.yaml, if it exists.")]
+DataDir = Annotated[Path | None, typer.Option(help="Database and recordings; default: that of the settings.")]

@@ -28,7 +28,7 @@ from service.jobs.work import TRACEPARENT, Answer, JobFailed, Work, Worker, work
 from service.model.errors import NotNow
 from service.process.logs import configure_logs, current
 from service.process.settings import Cluster, Telemetry
-from service.process.tasks import give_way
+from service.process.tasks import ONE_THREAD, give_way
 from service.process.telemetry import TRACING, traced
 
 _log = structlog.get_logger(__name__)
@@ -234,9 +234,8 @@ def _end_with_service() -> None:
 @contextmanager
 def _own_environment() -> Generator[None]:
     """Sets the environment of a worker during the block: a child process gets it only from its parent."""
-    one_thread = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     # glibc returns the memory of a finished job; without it, 900 sweeps leave some 60 MB more in the process than 100
-    variables: dict[str, str] = {**dict.fromkeys(one_thread, "1"), "MALLOC_TRIM_THRESHOLD_": "65536"}
+    variables = {**ONE_THREAD, "MALLOC_TRIM_THRESHOLD_": "65536"}
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:

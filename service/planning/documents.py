@@ -1,7 +1,7 @@
 """Requests and documents of the plans of every kind: sweeps, initial analysis, trajectories, diagnosis, experiment."""
 
 from collections.abc import Iterable, Sequence
-from typing import Annotated, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -17,6 +17,9 @@ from service.model.robot import Robot
 from service.planning.campaigns.stored_plan import MadeFor
 from service.planning.safety.envelope import MethodLimits
 from service.store.documents import LARGEST_ID, BoltedMass
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 MOVE_VELOCITY = 0.1  # rad/s (m/s), between poses; default of a request
 SAMPLE_RATE = 250.0  # Hz, default of a request
@@ -209,6 +212,12 @@ class PlanDocument(Shown, _PlanModel):
             f"Plan for the robot {self.robot}: {len(specs)} sweeps, {self.duration / 60:.0f} min",
             columns_of_sweeps(specs),
         )
+
+    def plot(self) -> "Axes":
+        """Draws the predicted confidence after each chosen pose."""
+        from service.model.results import plots  # matplotlib
+
+        return plots.promise(self.confidence)
 
 
 class PlanFile(BaseModel):

@@ -248,9 +248,9 @@ class Telemetry(_Other):
         return self.model_copy(update=_files("otel", {"authority": self.authority}))
 
 
-def _installed(extra: str, module: str) -> None:
+def _installed(extra: str, module: str, place: str | None = None) -> None:
     if find_spec(module) is None:
-        raise BadInput(extra, f"needs an extra that is not installed: pip install 'sweepid[{extra}]'")
+        raise BadInput(place or extra, f"needs an extra that is not installed: pip install 'sweepid[{extra}]'")
 
 
 def _files(place: str, paths: Mapping[str, Path | None]) -> dict[str, Path]:
@@ -425,6 +425,7 @@ class Settings(BaseSettings):
             if any(path is not None for path in files):
                 raise BadInput("dask_scheduler", "is missing: certificates for it are set")
             return None
+        _installed("dask", "distributed", place="dask_scheduler")
         return cluster_at(self.dask_scheduler, *files)
 
     @property

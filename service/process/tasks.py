@@ -1,9 +1,11 @@
-"""Tasks of the event loop and their ends (docs/explanation/concurrency.md), and the priority of other processes."""
+"""Tasks of the event loop and their ends (docs/explanation/concurrency.md), and processes that work for this one."""
 
 import asyncio
 import os
 import sys
-from collections.abc import Awaitable, Coroutine
+from asyncio.subprocess import PIPE, Process
+from collections.abc import AsyncGenerator, Awaitable, Coroutine, Mapping
+from contextlib import asynccontextmanager, suppress
 from typing import TypeVar
 
 import structlog
@@ -60,6 +62,40 @@ async def run_to_end(work: Awaitable[Result]) -> Result:
     if not task.cancelled() and (error := task.exception()) is not None:
         _log.error("failed_while_cancelled", reason=str(error), exc_info=error)
     raise cancelled
+
+
+ONE_THREAD: Mapping[str, str] = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Environment of a process whose linear algebra takes one core."""
+
+
+@asynccontextmanager
+async def child_process(
+    module: str, *arguments: str, environment: Mapping[str, str] | None = None, patience: float = 0.0
+) -> AsyncGenerator[tuple[Process, asyncio.StreamWriter, asyncio.StreamReader]]:
+    """`python -m module arguments`, its standard input and its standard output; its input ends when this process dies.
+
+    It ends with the block: its input is closed, and after `patience`, s, it is killed. It is in a session of its own:
+    the signals of the terminal are for this process.
+    """
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-P", "-m", module, *arguments),
+        stdin=PIPE,
+        stdout=PIPE,
+        env={**os.environ, **(environment or {})},
+        start_new_session=True,
+    )
+    if process.stdin is None or process.stdout is None:
+        raise BrokenPipeError(module)
+    try:
+        yield process, process.stdin, process.stdout
+    finally:
+        process.stdin.close()
+        with suppress(TimeoutError):
+            await asyncio.wait_for(process.wait(), patience)
+        if process.returncode is None:
+            with suppress(ProcessLookupError):
+                process.kill()
+            await process.wait()
 
 
 def give_way(process: int = 0) -> None:

@@ -8,15 +8,14 @@ OPC UA server and sends the status offline to the MQTT broker.
 import asyncio
 import signal
 import sys
-from asyncio.subprocess import PIPE, Process
 from collections import deque
-from contextlib import AsyncExitStack, suppress
+from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING
 
 import structlog
 
 from service.process.logs import configure_logs
-from service.process.tasks import Background, give_way
+from service.process.tasks import Background, child_process, give_way
 from service.publishing.state import Configuration, FromPublisher, Notice, PublishedState, ToPublisher
 
 if TYPE_CHECKING:
@@ -86,45 +85,41 @@ class Publisher:
 
     async def _serve(self) -> None:
         """Run the process once; OSError when it ends."""
-        command = [sys.executable, "-P", "-m", "service.publishing.publisher"]
-        process = await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE, start_new_session=True)
-        hearing = asyncio.create_task(self._hear(process), name="publisher reports")
-        writing = asyncio.create_task(self._write(process), name="to the publisher")
-        both = (hearing, writing)
         try:
-            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
+            async with child_process("service.publishing.publisher", patience=5.0) as (process, stdin, stdout):
+                hearing = asyncio.create_task(self._hear(stdout), name="publisher reports")
+                writing = asyncio.create_task(self._write(stdin), name="to the publisher")
+                both = (hearing, writing)
+                try:
+                    await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
+                finally:
+                    for task in both:
+                        task.cancel()
+                    ends = await asyncio.gather(*both, return_exceptions=True)
         finally:
-            for task in both:
-                task.cancel()
-            ends = await asyncio.gather(*both, return_exceptions=True)
-            await _end(process)
             self._lose()
         for end in ends:
             if isinstance(end, Exception):
                 raise end
         raise BrokenPipeError(f"ended with code {process.returncode}")
 
-    async def _write(self, process: Process) -> None:
-        if process.stdin is None:
-            raise BrokenPipeError
+    async def _write(self, stdin: asyncio.StreamWriter) -> None:
         self._sent = None  # a new process has no state
-        await _send(process.stdin, ToPublisher(configuration=self._configuration))
+        await _send(stdin, ToPublisher(configuration=self._configuration))
         while True:
             self._news.clear()
             newest = self._state
             if newest is not None and newest is not self._sent:
                 self._sent = newest
-                await _send(process.stdin, ToPublisher(state=newest))
+                await _send(stdin, ToPublisher(state=newest))
             while self._notices:
                 self._sent_notices += 1
-                await _send(process.stdin, ToPublisher(notice=self._notices.popleft()))
+                await _send(stdin, ToPublisher(notice=self._notices.popleft()))
             await self._news.wait()
 
-    async def _hear(self, process: Process) -> None:
-        if process.stdout is None:
-            raise BrokenPipeError
+    async def _hear(self, stdout: asyncio.StreamReader) -> None:
         self._troubles = {}
-        while line := await process.stdout.readline():
+        while line := await stdout.readline():
             said = FromPublisher.model_validate_json(line)
             if said.trouble != self._troubles.get(said.part) or said.port is not None:
                 _log.info("publishing", part=said.part, port=said.port, trouble=said.trouble)
@@ -144,18 +139,6 @@ class Publisher:
 async def _send(pipe: asyncio.StreamWriter, line: ToPublisher) -> None:
     pipe.write(line.model_dump_json(exclude_none=False).encode() + b"\n")
     await pipe.drain()
-
-
-async def _end(process: Process) -> None:
-    """Close its input to end it; kill it if it does not end."""
-    if process.stdin is not None:
-        process.stdin.close()
-    with suppress(TimeoutError):
-        await asyncio.wait_for(process.wait(), 5.0)
-    if process.returncode is None:
-        with suppress(ProcessLookupError):
-            process.kill()
-        await process.wait()
 
 
 def main() -> None:

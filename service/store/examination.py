@@ -14,8 +14,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from service.model.errors import BadInput
 from service.process.settings import AUDIT_HEADS, StoreAddress
 from service.store.backup import Contents, check_owner, contents, contents_of, integrity, look, machine_of, sqlite_file
-from service.store.database import refusal
-from service.store.engines import NotReached, kind_of, parsed_url
+from service.store.database import NotReached, kind_of, parsed_url, refusal
 from service.store.files.data_folder import OWNER_FILE
 from service.store.files.recordings import RecordingFiles, file_sha256
 from service.store.objects import MissingObject, ObjectStore, StoreAway, WrongObject

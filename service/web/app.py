@@ -23,7 +23,6 @@ from service.web.api import (
     metrics,
     oidc,
     plans,
-    preview,
     results,
     stop,
 )
@@ -47,10 +46,10 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
     routers = (
         plans.robot_routes,
         plans.plan_routes,
-        preview.picture_routes,
+        plans.picture_routes,
         plans.approval_routes,
         campaigns.campaign_routes,
-        preview.ahead_routes,
+        plans.ahead_routes,
         campaigns.sweep_routes,
         results.estimate_routes,
         results.report_routes,

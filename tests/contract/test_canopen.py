@@ -14,9 +14,9 @@ import pytest
 from canopen.sdo.client import SdoClient
 
 from drivers.canopen import frames
-from drivers.canopen.device_map import Entry
+from drivers.canopen.device import MeasuringObject
 from drivers.canopen.fieldbus import CanopenConnection
-from drivers.canopen.measuring import MeasuringObject
+from drivers.canopen.profile import Entry
 from drivers.canopen.streamed_axis import StreamedAxis
 from drivers.cia402.connection import DriveThread
 from drivers.cia402.device import MeasuringCommand

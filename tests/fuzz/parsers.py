@@ -8,8 +8,7 @@ from pathlib import Path
 
 import yaml
 
-from drivers.canopen.device_map import load_device_map
-from drivers.canopen.profile import parse_profile as canopen_profile
+from drivers.canopen.profile import load_device_map, parse_profile as canopen_profile
 from drivers.cia402.profile import refuse_unfilled
 from drivers.commission.draft import map_text, profile_text
 from drivers.commission.drive import read_dictionary

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.report.benefit.benefit import AxisBenefit, benefit
-from service.report.benefit.prediction import feed_forward
+from service.report.benefit.benefit import AxisBenefit, benefit, feed_forward
 from service.store.files.bundle import read_bundle
 from simulator.follow import Path as Wanted, follow
 from tests.numeric.campaign import AXES, SimulatedCampaign, measure

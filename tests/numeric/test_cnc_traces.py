@@ -9,8 +9,7 @@ import pytest
 from service.formats.traces.trace_import import import_trace
 from service.identification.estimates.estimate import identify
 from service.identification.spectra.frequency_response import spectrum
-from service.machine.paths.export import export_paths
-from service.machine.paths.sweep_paths import read_control
+from service.machine.paths.sweep_paths import export_paths, read_control
 from service.model.configuration import read_cell, read_robot
 from service.model.errors import BadInput
 from service.model.recording import Recording, Sweep

@@ -14,6 +14,7 @@ from service.model.errors import BadInput
 from service.model.results.diagnosis import Diagnosis
 from service.model.results.estimate import Estimate
 from service.model.results.part import Column, Part, Table
+from service.model.results.payload import Payload
 from tests.command import sweepid as command
 from tests.stored.documents import stored
 from tests.unit.service.cli.test_identify import INERTIA, bundle
@@ -78,8 +79,25 @@ def test_results_draw_themselves() -> None:
         "together",
     ]
     named = Diagnosis.read(stored("diagnosis-named"), "diagnosis")
+    body = Payload.read(stored("payload"), "payload")
+    drawn = [panel.containers[0][0].get_ydata() for panel in body.plot()]
+    assert np.concatenate(drawn) == pytest.approx(body["value"], nan_ok=True)
     gaps = {line.get_label(): line.get_ydata() for line in named.plot().lines}
     assert gaps == {name: pytest.approx(named[name]) for name in ("before", "after", "noise floor")}
+
+
+def test_a_plan_draws_its_promise_and_a_bundle_its_efforts(desk: Path) -> None:
+    robot = sweepid.read_robot("config/robots/max100-class.yaml")
+    plan = sweepid.plan(
+        robot, "config/cells/workshop.yaml", axes=["joint_1"], varied=["joint_2", "joint_3"], poses=4, step=20
+    )
+    [promise] = plan.plot().lines
+    assert promise.get_ydata() == pytest.approx([one or np.nan for one in plan.confidence], nan_ok=True)
+    measured = sweepid.read_bundle("bundle")
+    [panel] = measured.plot()
+    assert panel.get_title() == "j1"
+    efforts = [line.get_ydata() for line in panel.lines]
+    assert np.array_equal(efforts, [sweep.recording.effort for sweep in measured.sweeps])
 
 
 def test_a_table_marks_what_is_missing_and_escapes_what_it_shows() -> None:

@@ -21,14 +21,14 @@ from fastapi import FastAPI
 from sqlalchemy import Connection, Engine, create_engine
 from sqlalchemy.exc import OperationalError
 
-import service.store.engines
+import service.store.database
 import service.web.application
 from service.jobs.work import Answer, Work, Worker
 from service.machine.execution.machine import Machine
 from service.machine.stop_process.handle import StopProcess
 from service.machine.stop_process.listener import LONGEST_WAIT, Request
 from service.process.settings import Settings
-from service.store.engines import BUSY_TIMEOUT, PATIENCE_OPTION, WRITE
+from service.store.database import BUSY_TIMEOUT, PATIENCE_OPTION, WRITE
 from service.web.app import create_app, end_motion, end_streams
 from service.web.client import ServiceClient
 from tests.virtual_time import operating_system, primitives
@@ -324,7 +324,7 @@ def _install(service_of_tests: VirtualService) -> None:
 
     application: Any = service.web.application
     application.open_worker = open_worker
-    sqlite: Any = service.store.engines
+    sqlite: Any = service.store.database
     sqlite._begin_sqlite = _begin
     configure = sqlite._configure_sqlite
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self, cast
 
 import typer
 
-from service.cli.options import DEFAULT_URL, CellName, ConfirmCell, ConfirmRobot, RobotFile, Url
+from service.cli.terminal import DEFAULT_URL, CellName, ConfirmCell, ConfirmRobot, RobotFile, Url, waiting, write_file
 from service.model.errors import BadInput, SweepidError
 
 if TYPE_CHECKING:
@@ -90,7 +90,6 @@ def plan(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Plan a campaign. Nothing moves. Prints the number of the plan, and on stderr what the plan promises."""
-    from service.cli.terminal import write_file
 
     numbers = {"--step": step, "--sample-rate": sample_rate, "--duration": duration, "--confidence": confidence}
     numbers["--warm-up"] = warm_up
@@ -184,7 +183,6 @@ def _planned(
     confirm_cell: str | None,
 ) -> Json:
     """The stored plan; its robot, cell and machine are told."""
-    from service.cli.terminal import waiting
     from service.web.client import ServiceClient
 
     names = {"confirm_robot": confirm_robot, "confirm_cell": confirm_cell}

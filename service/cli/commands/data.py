@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.options import Config, DataDir
+from service.cli.terminal import Config, DataDir, waiting
 from service.model.errors import BadInput
 
 if TYPE_CHECKING:
@@ -32,7 +32,6 @@ def backup(
 ) -> None:
     """Copy database and recordings, each with its SHA-256, into a folder; the service may run and measure."""
     from service.cli.database import settings_of
-    from service.cli.terminal import waiting
     from service.store.backup import make_backup, sqlite_file
 
     settings = settings_of(config, data_dir)
@@ -53,7 +52,6 @@ def restore(
     data_dir: Annotated[Path, typer.Option(help="Folder to make; must be empty or not exist.", show_default=False)],
 ) -> None:
     """Check all of a backup, then make a data folder of it, on which the service can be started. Prints the folder."""
-    from service.cli.terminal import waiting
     from service.store.backup import restore as restore_backup
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: nothing is left
@@ -72,7 +70,6 @@ def doctor(config: Config = None, data_dir: DataDir = None) -> None:
     Recordings that are in an object store are read there. Nothing is changed; the service may run.
     """
     from service.cli.database import settings_of
-    from service.cli.terminal import waiting
     from service.store.examination import examine, examined
 
     settings = settings_of(config, data_dir)
@@ -94,11 +91,9 @@ def copy(
 
     stdout: how many rows.
     """
-    from service.cli.terminal import waiting
     from service.process.settings import Settings
     from service.store.copying import copy_rows
-    from service.store.database import open_database
-    from service.store.engines import parsed_url
+    from service.store.database import open_database, parsed_url
 
     file = parsed_url(source)
     if file.get_backend_name() == "sqlite" and not Path(file.database or "").is_file():

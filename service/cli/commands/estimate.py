@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 import sweepid
-from service.cli.options import BundleArg, Gains, JsonTo
+from service.cli.terminal import BundleArg, Gains, JsonTo, counted, put_json, show, waiting
 from service.model.errors import BadInput
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ def channels(
     json_to: JsonTo = None,
 ) -> None:
     """Measure how far effort and velocity lag behind position. Prints the lines for the drive profile."""
-    from service.cli.terminal import put_json, waiting
     from service.store.files.bundle import read_bundle
     from sweepid.files import ChannelTimings
 
@@ -53,7 +52,6 @@ def torque_gain(
     json_to: JsonTo = None,
 ) -> None:
     """Calibrate the torque constant of every axis with a known mass on the last link."""
-    from service.cli.terminal import put_json, waiting
     from service.identification.estimates.torque_gain import KnownMass
     from service.store.files.bundle import read_bundle
     from sweepid.files import AxisGain, Gain, TorqueGains
@@ -90,7 +88,6 @@ def payload(
     json_to: JsonTo = None,
 ) -> None:
     """Identify a payload on the last link from the same motions with and without it."""
-    from service.cli.terminal import show, waiting
 
     with waiting("identifying the payload"):
         found = sweepid.payload(before, after, torque_gain=gains)
@@ -111,7 +108,6 @@ def benefit(
     """Predict the drive torque of held-out sweeps by CAD and by an estimate of the other sweeps."""
     from rich.console import Console
 
-    from service.cli.terminal import put_json, waiting
     from service.model.configuration import read_robot
     from service.report.benefit.benefit import benefit as benefit_of
     from service.store.files.bundle import read_bundle
@@ -139,7 +135,6 @@ def _same_joints(cad: Robot, measured: Robot, path: Path) -> Robot:
 
 def measure_channels(bundle: Bundle, axis: str | None, place: str) -> dict[str, ChannelLags]:
     """By joint, of all axes that were swept or of one; BadInput where there is none."""
-    from service.cli.terminal import counted
     from service.identification.axis.channel_timing import channel_lags
 
     if axis is not None:

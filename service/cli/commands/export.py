@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import sweepid
-from service.cli.options import DEFAULT_URL, BundleArg, JsonTo, SideFile, Source, Url
+from service.cli.terminal import DEFAULT_URL, BundleArg, JsonTo, SideFile, Source, Url, put_json, waiting
 from service.model.errors import BadInput
 
 if TYPE_CHECKING:
@@ -38,7 +38,6 @@ def export_bundle(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Write the recorded sweeps of a campaign as a bundle. Prints the folder."""
-    from service.cli.terminal import waiting
     from service.web.client import ServiceClient
 
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -83,7 +82,6 @@ def export_sheet(
     json_to: JsonTo = None,
 ) -> None:
     """Tell the identified inertias as the values that controls take, with uncertainty and the place to type them."""
-    from service.cli.terminal import put_json
     from service.formats.export.sheets.inertias import UPRIGHT, load_of
     from service.formats.export.sheets.making import sheet
     from service.formats.export.sheets.text import as_markdown
@@ -107,8 +105,7 @@ def export_path(
     out: Annotated[Path, typer.Option(help="Folder to write; must be empty or not exist.", show_default=False)],
 ) -> None:
     """Write every sweep of a plan as table (.csv) and Sinumerik part program (.MPF), and the mapping for the traces."""
-    from service.machine.paths.export import export_paths
-    from service.machine.paths.sweep_paths import read_control
+    from service.machine.paths.sweep_paths import export_paths, read_control
     from service.model.configuration import read_cell, read_robot
 
     document = read_plan(plan)
@@ -134,7 +131,6 @@ def export_recording(
     ] = None,
 ) -> None:
     """Write recordings of a bundle as MDF4, HDF5, MCAP or CSV."""
-    from service.cli.terminal import waiting
     from service.formats.export.recordings import write_recordings
     from service.store.files.bundle import read_bundle
 

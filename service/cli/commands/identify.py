@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import sweepid
-from service.cli.options import DEFAULT_URL, BundleArg, Gains, JsonTo, Url
+from service.cli.terminal import (
+    DEFAULT_URL,
+    BundleArg,
+    Gains,
+    JsonTo,
+    Url,
+    counted,
+    put_json,
+    show,
+    waiting,
+    write_file,
+)
 from service.model.errors import BadInput
 
 if TYPE_CHECKING:
@@ -38,7 +49,6 @@ def identify(
     ] = None,
 ) -> None:
     """Identify a robot from the sweeps of a bundle."""
-    from service.cli.terminal import counted, show, waiting, write_file
 
     with waiting("reading the bundle"):
         measured = sweepid.read_bundle(bundle)
@@ -75,7 +85,6 @@ def diagnose(
     report: Annotated[Path | None, typer.Option(help="Write a page with figures here.", metavar="FILE")] = None,
 ) -> None:
     """Find where simulation and measurement disagree, and name the missing effect."""
-    from service.cli.terminal import counted, show, waiting, write_file
 
     with waiting("diagnosing"):
         measured = sweepid.read_bundle(bundle)
@@ -97,8 +106,6 @@ def write_scenario(path: Path, robot: Robot, model: DiagnosedModel) -> None:
     """The model's scenario, which the virtual machine can load: with the robot's description and URDF beside it."""
     import yaml
 
-    from service.cli.terminal import write_file
-
     description = robot.description.model_dump(mode="json") | {"urdf": f"{path.stem}-robot.urdf"}
     files = {
         description["urdf"]: robot.urdf_text,
@@ -114,7 +121,6 @@ def check(
     json_to: JsonTo = None,
 ) -> None:
     """Tell what is wrong with recordings and robot file, before any physics."""
-    from service.cli.terminal import show, waiting
 
     with waiting("checking the data"):
         found = sweepid.check(bundle)
@@ -133,7 +139,6 @@ def check_sheet(
     json_to: JsonTo = None,
 ) -> None:
     """Compare a later measurement with a sheet, axis by axis, with significance. Exit code 1: the robot differs."""
-    from service.cli.terminal import put_json, waiting
     from service.formats.export.sheets.making import compare
     from service.model.results.sheet import Sheet
     from sweepid.files import read_document

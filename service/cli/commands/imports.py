@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.options import DEFAULT_URL, Url
+from service.cli.terminal import DEFAULT_URL, Url, put_json, waiting, write_file
 from service.model.errors import BadInput, writing
 
 if TYPE_CHECKING:
@@ -41,7 +41,6 @@ def import_bundle(
     """
     import asyncio
 
-    from service.cli.terminal import waiting
     from service.store.files.bundle import pack
     from service.store.files.isolated_reader import read_isolated
     from service.web.client import ServiceClient
@@ -129,7 +128,6 @@ def import_trace(
         raise BadInput("--source", f"{mapping} is the trace itself, not a mapping")
     if out is None:
         raise BadInput("--out", "is missing: give the directory of the new bundle")
-    from service.cli.terminal import waiting, write_file
     from service.data_check import check
     from service.formats.traces.trace_import import mapping_of, mapping_text, read_traces
     from service.store.files.bundle import write_bundle
@@ -194,7 +192,6 @@ def import_control_file(path: Path, given: Given, out: Path | None, json_to: str
     """Read, print or write; BadInput for what is not of the family."""
     from rich.console import Console
 
-    from service.cli.terminal import put_json
     from service.formats.sinumerik import measurement
     from service.formats.sinumerik.document import (
         measurement_document,

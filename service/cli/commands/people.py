@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.options import Config, DataDir
+from service.cli.terminal import Config, DataDir, write_file
 from service.model.errors import BadInput
 
 if TYPE_CHECKING:
@@ -208,7 +208,6 @@ def export_audit(
 ) -> None:
     """Write all entries as JSON lines; `entry` is the text whose hash `sha256` goes over. Prints the file."""
     from service.cli.database import opened
-    from service.cli.terminal import write_file
     from service.store.people.audit import AuditStore
 
     with opened(config, data_dir) as database:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.options import DEFAULT_URL, JsonTo, Url
+from service.cli.terminal import DEFAULT_URL, JsonTo, Url, put_json, waiting, write_report
 
 if TYPE_CHECKING:
     from service.identification.fleet.document import Fleet, FleetRobot, FleetType
@@ -30,7 +30,6 @@ def fleet(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Print a line for each robot of the plant: last measurement, changes, difference from robots of its type."""
-    from service.cli.terminal import put_json, waiting, write_report
     from service.identification.fleet.document import Fleet
     from service.web.client import ServiceClient
 
@@ -51,7 +50,6 @@ def reidentify(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Identify stored campaigns of the service's machine again; prints the job. Stored estimates stay as they are."""
-    from service.cli.terminal import waiting
     from service.store.plant import BatchDocument
     from service.web.client import ServiceClient
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from service.cli.options import DEFAULT_URL, Url
+from service.cli.terminal import DEFAULT_URL, Url, waiting, write_report
 from service.model.errors import BadInput
 
 Form = Literal["html", "pdf", "json"]
@@ -28,7 +28,6 @@ def report(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Write a report: verdict, origin, figures, tables and findings. Prints the files."""
-    from service.cli.terminal import waiting, write_report
 
     places: dict[Form, Path | None] = {"html": file, "pdf": pdf, "json": tables}
     wanted: list[tuple[Form, Path]] = [(form, path) for form, path in places.items() if path is not None]

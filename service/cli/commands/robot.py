@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.terminal import write_file
 from service.model.errors import BadInput, writing
 
 if TYPE_CHECKING:
@@ -36,7 +37,6 @@ def check(
     """Tell what of a URDF is unusual and what is missing, and draft the files of the robot. Nothing is overwritten."""
     from rich.console import Console
 
-    from service.cli.terminal import write_file
     from service.formats.maker_urdf import bare_robot, cell_text, check_urdf, read_description
     from service.formats.maker_urdf.packages import Packages
 
@@ -74,7 +74,6 @@ def virtual(
     """Draft a virtual machine of a robot: files for `sweepid drive` and `sweepid serve`. Nothing is overwritten."""
     import os
 
-    from service.cli.terminal import write_file
     from service.formats.maker_urdf.virtual import DraftedRobot, virtual_machine
     from service.model.configuration import read_text, read_yaml
 

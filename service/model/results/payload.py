@@ -1,11 +1,15 @@
 """A payload on the last link: `sweepid estimate payload --json`."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from pydantic import AliasChoices, ConfigDict, Field
 
 from service.model.results.effect import Number
 from service.model.results.part import Column, Document, Part, Shown, Table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 class BodyFigure(Part):
@@ -79,6 +83,12 @@ class Payload(Shown, Document):
                 Column("std with torque constants", tuple(one.std_total for one in rows.values()), ".2g"),
             ),
         )
+
+    def plot(self) -> "Sequence[Axes]":
+        """Draws mass, centre of mass and inertia."""
+        from service.model.results import plots  # matplotlib
+
+        return plots.body(self.table())
 
     def shown(self) -> Sequence[Table | str]:
         """Also what is not known, in words."""

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib import pyplot
 from matplotlib.axes import Axes
 
+from service.model.recording import Sweep
 from service.model.results.part import Table
 
 
@@ -52,3 +53,33 @@ def gaps(table: Table) -> Axes:
     axes.set(yscale="log", xlim=(-0.5, len(places) - 0.5), ylabel="gap in N m (N), RMS")
     axes.legend()
     return axes
+
+
+def body(table: Table) -> Sequence[Axes]:
+    """Mass, centre of mass and inertia of a payload, each with two standard deviations."""
+    _, panels = pyplot.subplots(1, 3, figsize=(9, 3), width_ratios=(1, 3, 6), layout="constrained")
+    parts = {"mass, kg": slice(0, 1), "centre of mass, m": slice(1, 4), "inertia about it, kg m²": slice(4, None)}
+    for panel, (title, part) in zip(panels, parts.items(), strict=True):
+        names = [name.removeprefix("center ").removesuffix(" about the center") for name in table[""][part]]
+        panel.errorbar(names, table["value"][part], 2 * table["std"][part], fmt="o", capsize=3)
+        panel.set_title(title)
+    return tuple(panels)
+
+
+def promise(confidence: Sequence[float | None]) -> Axes:
+    """The predicted confidence of the inertia after each pose of a plan, as soon as it is determined."""
+    _, axes = pyplot.subplots(figsize=(7, 4), layout="constrained")
+    axes.plot(range(1, len(confidence) + 1), np.array(confidence, dtype=float), "o-", fillstyle="none")
+    axes.set(yscale="log", xlabel="poses", ylabel="largest standard deviation of J in percent")
+    return axes
+
+
+def efforts(sweeps: Sequence[Sweep]) -> Sequence[Axes]:
+    """The effort of each sweep, by the axis that moves."""
+    joints = tuple(dict.fromkeys(sweep.spec.axis for sweep in sweeps))
+    _, panels = pyplot.subplots(len(joints), squeeze=False, figsize=(7, 3 * len(joints)), layout="constrained")
+    for joint, panel in zip(joints, panels[:, 0], strict=True):
+        panel.set(title=joint, xlabel="time in s", ylabel="effort in N m (N)")
+        for recording in (sweep.recording for sweep in sweeps if sweep.spec.axis == joint):
+            panel.plot(recording.time, recording.effort, linewidth=0.5)
+    return tuple(panels[:, 0])

@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 from uuid import uuid4
 
 import numpy as np
@@ -26,6 +26,9 @@ from service.model.robot import Robot, RobotDescription, robot_from_outside
 from service.store.documents import NewRecording, RecordingState
 from service.store.files.columns import check_possible, check_samples, columns_of, read_columns, write_columns
 from service.store.files.recordings import RecordingFiles, check_new, new_folder
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 MOST_IN_BUNDLE = 250_000_000  # all sweeps of a bundle are in memory together
 
@@ -49,6 +52,12 @@ class Bundle(Shown):
                 Column("samples", tuple(len(sweep.recording.time) for sweep in self.sweeps)),
             ),
         )
+
+    def plot(self) -> "Sequence[Axes]":
+        """Draws the effort of each sweep, by axis."""
+        from service.model.results import plots  # matplotlib
+
+        return plots.efforts(self.sweeps)
 
 
 class _Entry(SweepSpec):

@@ -8,7 +8,6 @@ import asyncio
 import json
 import os
 import signal
-import subprocess
 import sys
 import threading
 from collections.abc import Callable
@@ -18,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from service.model.errors import BadInput
-from service.process.tasks import give_way
+from service.process.tasks import ONE_THREAD, child_process, give_way
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,45 +43,25 @@ async def read_isolated(
     Raises BadInput: that of the task, or one at `place` that names the exceeded limit or the crash; OSError: that of
     the task, e.g. a full disk. The reader ends on cancellation and when this process dies.
     """
-    environment = {
-        # address space is limited: no pools and stacks for as many threads as there are cores
-        **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
-        "ARROW_DEFAULT_MEMORY_POOL": "system",
-        "MALLOC_ARENA_MAX": "2",
-    }
-    named = f"{task.__module__}:{task.__qualname__}"
-    process = await asyncio.create_subprocess_exec(
-        *(
-            sys.executable,
-            "-P",
-            "-m",
-            "service.store.files.isolated_reader",
-            str(limits.memory),
-            named,
-            *map(str, arguments),
-        ),
-        stdin=subprocess.PIPE,  # closed when this process dies
-        stdout=subprocess.PIPE,
-        env={**os.environ, **environment},
-    )
-    try:
-        async with asyncio.timeout(limits.time):
-            answer = await _all_of(process.stdout, place, limits.answer)
-            code = await process.wait()
-    except TimeoutError:
-        raise BadInput(place, f"was not read within the limit of {limits.time:.6g} s") from None
-    finally:
-        if process.returncode is None:
-            process.kill()
-            await process.wait()
+    # address space is limited: no pools and stacks for as many threads as there are cores
+    environment = {**ONE_THREAD, "ARROW_DEFAULT_MEMORY_POOL": "system", "MALLOC_ARENA_MAX": "2"}
+    words = (str(limits.memory), f"{task.__module__}:{task.__qualname__}", *map(str, arguments))
+    async with child_process("service.store.files.isolated_reader", *words, environment=environment) as child:
+        process, _, stdout = child
+        try:
+            async with asyncio.timeout(limits.time):
+                answer = await _all_of(stdout, place, limits.answer)
+                code = await process.wait()
+        except TimeoutError:
+            raise BadInput(place, f"was not read within the limit of {limits.time:.6g} s") from None
     if code:
         raise BadInput(place, f"the process that read it {_ended(code)}; {limits}")
     return _result(json.loads(answer), place, limits)
 
 
-async def _all_of(stream: asyncio.StreamReader | None, place: str, most: int) -> bytes:
+async def _all_of(stream: asyncio.StreamReader, place: str, most: int) -> bytes:
     content = bytearray()
-    while stream is not None and (part := await stream.read(2**16)):
+    while part := await stream.read(2**16):
         content += part
         if len(content) > most:
             raise BadInput(place, f"unpacks to more than the limit of {most} bytes")

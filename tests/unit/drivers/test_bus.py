@@ -16,9 +16,8 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from drivers.canopen import bus as bus_module, frames
 from drivers.canopen.bus import CanopenBus, SocketcandBus
-from drivers.canopen.device_map import SetPointWay, load_device_map
 from drivers.canopen.fieldbus import bus_load, check_bus_load
-from drivers.canopen.profile import BusProfile
+from drivers.canopen.profile import BusProfile, SetPointWay, load_device_map
 from drivers.canopen.sdo import PdoMapping, streaming_pdos
 from drivers.cia402.states import Controlword
 from drivers.contract.bench import eventually

@@ -12,8 +12,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner, Result
 
-from drivers.canopen.device_map import load_device_map
-from drivers.canopen.profile import parse_profile
+from drivers.canopen.profile import load_device_map, parse_profile
 from drivers.commission.command import commission
 from drivers.commission.survey import load
 from drivers.commission.units import turned

@@ -10,8 +10,7 @@ import pytest
 from canopen.objectdictionary import ObjectDictionary, ODVariable, datatypes
 
 from drivers.canopen.bus import CanopenBus
-from drivers.canopen.device_map import STANDARD, Entry
-from drivers.canopen.profile import BusProfile
+from drivers.canopen.profile import STANDARD, BusProfile, Entry
 from drivers.canopen.sdo import Sdo
 from drivers.errors import WrongConfiguration
 

@@ -11,7 +11,6 @@ from hypothesis import given, strategies as st
 
 from drivers.canopen import frames
 from drivers.canopen.bus import CanopenBus, ForeignFrames
-from drivers.canopen.device_map import STANDARD, Entry
 from drivers.canopen.frames import (
     Controller,
     ControllerState,
@@ -22,7 +21,7 @@ from drivers.canopen.frames import (
     SetPoint,
     decode,
 )
-from drivers.canopen.profile import BusProfile, parse_profile
+from drivers.canopen.profile import STANDARD, BusProfile, Entry, parse_profile
 from drivers.canopen.stop_sender import HeardState, upload_request
 from drivers.cia402.states import Controlword
 from tests.unit.drivers.test_bus import soon

@@ -16,9 +16,8 @@ from hypothesis import HealthCheck, example, given, settings, strategies as st
 
 from drivers.canopen import frames
 from drivers.canopen.bus import CanopenBus
-from drivers.canopen.device_map import STANDARD
 from drivers.canopen.fieldbus import CanopenFieldbus
-from drivers.canopen.profile import BusProfile, parse_profile
+from drivers.canopen.profile import STANDARD, BusProfile, parse_profile
 from drivers.canopen.sdo import Sdo
 from drivers.contract.bench import eventually
 from drivers.errors import CommunicationLost, ConnectionFailed, DriveError

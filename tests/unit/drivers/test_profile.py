@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 import yaml
 
-from drivers.canopen.device_map import (
+from drivers.canopen.frames import MotionPdo, PositionPdo, SetPoint, Wires, decode, stop
+from drivers.canopen.profile import (
     STANDARD,
     TYPES,
     DeviceMap,
@@ -17,9 +18,8 @@ from drivers.canopen.device_map import (
     SetPointWay,
     bits,
     load_device_map,
+    parse_profile,
 )
-from drivers.canopen.frames import MotionPdo, PositionPdo, SetPoint, Wires, decode, stop
-from drivers.canopen.profile import parse_profile
 from drivers.canopen.sdo import streaming_pdos
 from drivers.cia402.profile import parse
 from drivers.errors import BadProfile

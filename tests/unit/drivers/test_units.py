@@ -11,8 +11,7 @@ import pytest
 from hypothesis import strategies as st
 
 from drivers.canopen import measuring
-from drivers.canopen.device_map import Entry, load_device_map
-from drivers.canopen.profile import Codec, codec as codec_of, velocity_unit
+from drivers.canopen.profile import Codec, Entry, codec as codec_of, load_device_map, velocity_unit
 from drivers.errors import CommunicationLost, LimitExceeded, WrongConfiguration
 from drivers.ports import NoiseCommand
 from tests.unit.drivers.given import axis, sweep

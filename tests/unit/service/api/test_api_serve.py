@@ -101,7 +101,7 @@ async def test_a_worker_that_ended_is_told_until_it_is_replaced(tmp_path: Path, 
 async def test_a_lease_that_cannot_be_renewed_is_told(
     tmp_path: Path, profile: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.store.engines.BUSY_TIMEOUT", 0.05)
+    monkeypatch.setattr("service.store.database.BUSY_TIMEOUT", 0.05)
     async with opened(tmp_path, profile, lease_time=0.5) as (_, http):
         with closing(sqlite3.connect(tmp_path / "sweepid.sqlite", isolation_level=None)) as other:
             other.execute("BEGIN EXCLUSIVE")

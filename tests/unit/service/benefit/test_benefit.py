@@ -11,22 +11,20 @@ from service.model.errors import BadInput
 from service.report.benefit.benefit import (
     Benefit,
     ModelBenefit,
+    RigidAxis,
     alarm_probability,
     benefit,
+    dry_friction,
     end_of,
+    feed_forward,
     held_out,
+    left_by,
     lever_arm,
+    lines_power,
+    path_between,
     poses_of,
     rms_with_std,
     smallest_effort,
-)
-from service.report.benefit.prediction import (
-    RigidAxis,
-    dry_friction,
-    feed_forward,
-    left_by,
-    lines_power,
-    path_between,
     window_of,
     without_friction,
 )

@@ -159,7 +159,7 @@ async def test_a_job_waits_while_the_database_is_locked(
     again: Again, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For longer than a transaction waits for its turn. Who asks is told, and nothing is done twice."""
-    monkeypatch.setattr("service.store.engines.BUSY_TIMEOUT", 0.05)
+    monkeypatch.setattr("service.store.database.BUSY_TIMEOUT", 0.05)
     async with again() as bench:
         await bench.start()
         await bench.over()

@@ -18,9 +18,9 @@ import pytest
 
 from drivers.errors import Cause, CauseCode
 from drivers.ports import ChannelTiming, SampleBlock, SineCommand, SweepCommand, SweepMode
-from service.machine.execution import incoming
-from service.machine.execution.incoming import BegunSweep, Incoming
+from service.machine.execution import sweep_executor
 from service.machine.execution.recording import Recorder, SamplesMissing, finish, read_stream, recover, salvage
+from service.machine.execution.sweep_executor import BegunSweep, Incoming
 from service.model.recording import SweepSpec
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.store.documents import CampaignState, RecordingState, SweepState
@@ -165,7 +165,7 @@ async def test_a_stream_that_was_being_opened_when_the_sweep_was_cancelled_is_cl
             opened.set()
             assert go_on.wait(60)
 
-    monkeypatch.setattr(incoming, "Recorder", SlowRecorder)
+    monkeypatch.setattr(sweep_executor, "Recorder", SlowRecorder)
     nothing = cast("Any", None)
     with ThreadPoolExecutor(1) as disk:
         recording = Incoming([BegunSweep(nothing, RUN, COMMAND, {})], nothing, nothing, nothing, disk)

@@ -32,7 +32,7 @@ LEFT = {
     "service/web/api/diagnoses.py": (1, "of programs: the page orders no unattended experiments"),
     "service/web/api/login.py": (2, "of programs: the page asks for no login where there is none"),
     "service/web/api/oidc.py": (2, "names settings, for who installs the service"),
-    "service/web/api/preview.py": (1, "of programs: the page asks for no grid of an imported plan"),
+    "service/web/api/plans.py": (1, "of programs: the page asks for no grid of an imported plan"),
 }
 
 

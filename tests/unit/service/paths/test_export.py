@@ -15,8 +15,16 @@ import yaml
 
 from service.formats.traces.mapping import CncAxis, Mapping
 from service.identification.design.excitation import velocity_setpoint
-from service.machine.paths.export import DECIMALS, export_paths, part_program, velocity_bound
-from service.machine.paths.sweep_paths import CncControl, PathSweep, path_sweeps, read_control
+from service.machine.paths.sweep_paths import (
+    DECIMALS,
+    CncControl,
+    PathSweep,
+    export_paths,
+    part_program,
+    path_sweeps,
+    read_control,
+    velocity_bound,
+)
 from service.model.configuration import Cell, read_robot, read_yaml
 from service.model.errors import BadInput
 from service.model.robot import Robot

@@ -23,9 +23,8 @@ from service.model.robot import Robot
 from service.store import tables as t
 from service.store.access import Role
 from service.store.copying import RowsNotCopied, copy_rows
-from service.store.database import Database, known_schemas, open_database, refusal
+from service.store.database import Database, NotReached, known_schemas, open_database, parsed_url, refusal
 from service.store.documents import NewRecording, NewSweep, RecordingState
-from service.store.engines import NotReached, parsed_url
 from service.store.examination import examine, examined
 from service.store.files.data_folder import OWNER_FILE, claim_folder
 from service.store.lease_and_latch import MachineLease, MachineTaken, StopLatch
