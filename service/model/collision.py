@@ -12,6 +12,7 @@ sampled position, so at least half of the clearance is left everywhere in betwee
 Inertial parameters are not needed and are removed from the model, so a URDF without them can also be checked.
 """
 
+import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from typing import Protocol, cast
@@ -206,15 +207,13 @@ class CollisionChecker:
     def path_free(self, path: Array) -> bool:
         """Whether the motion through these poses (m, n), all joints moving at the same time, is free.
 
-        Poses are inserted until the steps of all joints together are at most one of `step`; this leaves
-        half of the clearance everywhere as for a leg.
+        Looked at where the steps of all joints together are one of `step`, and at both ends; this leaves half of the
+        clearance everywhere as for a leg.
         """
-        counts = np.ceil((np.abs(np.diff(path, axis=0)) / self._step).sum(axis=1)).astype(int)
-        parts = [
-            start + np.linspace(0.0, 1.0, max(count, 1), endpoint=False)[:, None] * (end - start)
-            for start, end, count in zip(path[:-1], path[1:], counts, strict=True)
-        ]
-        return bool(self.collision_free(np.vstack([*parts, path[-1:]])).all())
+        way: Array = np.append(0.0, (np.abs(np.diff(path, axis=0)) / self._step).sum(axis=1).cumsum())
+        places = np.linspace(0.0, way[-1], math.ceil(way[-1]) + 1, dtype=np.float64)
+        poses: list[Array] = [np.interp(places, way, own) for own in path.T]
+        return bool(self.collision_free(np.stack(poses, axis=1)).all())
 
     def travel_free(self, poses: Array, joint: int, travel: float) -> Mask:
         """`leg_free` for many poses at once, each moving `joint` by the signed `travel`; (m, n) -> (m,)."""

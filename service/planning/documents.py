@@ -184,7 +184,7 @@ class PlanDocument(Shown, _PlanModel):
 
     `condition` and `confidence` are lists in the order of *choice*, after each chosen pose: condition number, null
     while rank deficient, and predicted largest standard deviation of J over the workspace, percent of J, null while
-    the estimate may leave a base parameter undetermined.
+    CAD may matter for J.
     """
 
     robot: str
@@ -196,9 +196,9 @@ class PlanDocument(Shown, _PlanModel):
     confidence: tuple[float | None, ...] = ()
     # base parameters that the estimate may leave undetermined, because the sweeps are not better than CAD
     undetermined: tuple[str, ...] = ()
-    enough_poses: int | None = None  # so many determine all; null: these do, or no such number was found
+    enough_poses: int | None = None  # so many state a confidence; null: these do, or no such number was found
     spare: tuple[SparePose, ...] = ()
-    candidates: int  # poses of the grid
+    candidates: int  # poses of the grid, or of its part
     measurable: int  # collision-free, with room for every sweep
     duration: float  # s
     groups: tuple[tuple[str, ...], ...] = ()  # axes that move at once; (): one axis at a time

@@ -4,8 +4,8 @@
 2. Room: collision-free poses with room for the travel of the sweep in each requested axis, forward or backward.
 3. Choice: greedy by the request's criterion on the observation matrix, all requested axes stacked (`pose_selection`),
       one pose after the other until the budget is used: number, time, or confidence. A confidence is reached if the
-      predicted one is, and if the estimate will determine all base parameters by its own rule: otherwise it states
-      none. If the choice was continued only for that rule, poses that are not needed for both are left out again.
+      predicted one is, and if CAD will hardly matter for J by the estimate's own rule: otherwise it states none. If
+      the choice was continued only for that rule, poses that are not needed for both are left out again.
       With a number or a time, the choice is continued to find out how many poses are enough for the rule.
 4. Sweeps: designed from the CAD inertia of each pose, and checked against the envelope.
 5. Order: a short path through the first poses chosen, up to the one that makes the matrix regular, then a short path
@@ -90,14 +90,14 @@ def build_plan(
 
 def _ways(request: PlanRequest) -> Iterator[tuple[Groups, int]]:
     """Groups and realisations to compare: one axis at a time; all axes, base to tip, at once and in equal parts of two
-    to six, also with one realisation more: the way back measures as well.
+    to six, also with two and eight times as many realisations: the way back measures as well, and moves are saved.
     """
     yield (), request.realisations
     for number in range(1, len(request.axes) // 2 + 1):
         parts = [request.axes[own[0] : own[-1] + 1] for own in np.array_split(np.arange(len(request.axes)), number)]
         if max(map(len, parts)) <= 6:
-            yield tuple(parts), request.realisations
-            yield tuple(parts), request.realisations + 1
+            for count in sorted({min(20, times * request.realisations) for times in (1, 2, 8)}):
+                yield tuple(parts), count
 
 
 def _robot_time(plan: PlanDocument, request: PlanRequest) -> float:

@@ -54,7 +54,10 @@ def workspace_grid(robot: Robot, request: PlanRequest, cell: Cell) -> Array:
 
 
 def grid(robot: Robot, request: PlanRequest, envelope: Envelope, home: Array) -> Array:
-    """Poses (m, n): the varied joints on multiples of the step within their limits, at most one turn; others home."""
+    """Poses (m, n): the varied joints on multiples of the step within their limits, at most one turn; others home.
+
+    Of more than 100,000 a few thousand that fill the grid evenly.
+    """
     positions: list[Array] = []
     for joint in request.varied:
         index = robot.index(joint)
@@ -67,10 +70,14 @@ def grid(robot: Robot, request: PlanRequest, envelope: Envelope, home: Array) ->
         numbers = np.arange(math.ceil(low / step), math.floor(high / step) + 1, dtype=np.float64)
         positions.append(numbers * step)
     count = math.prod(len(one) for one in positions)
-    if count > (limit := 100_000):
-        raise BadInput("step", f"{request.step} gives a grid of {count} poses, limit {limit}")
-    poses = np.tile(home, (count, 1))
-    poses[:, [robot.index(joint) for joint in request.varied]] = list(product(*positions))
+    if count > 100_000:
+        sizes = np.array([len(one) for one in positions])
+        picks = np.unique(spread_evenly(4096, np.zeros(len(sizes)), sizes).astype(int), axis=0)
+        places = np.stack([one[pick] for one, pick in zip(positions, picks.T, strict=True)], axis=1)
+    else:
+        places = np.array(list(product(*positions)))
+    poses = np.tile(home, (len(places), 1))
+    poses[:, [robot.index(joint) for joint in request.varied]] = places
     return poses
 
 
@@ -295,24 +302,26 @@ class Choice:
     """Poses in the order of choice until the budget is used (k), and what is predicted after each (>= k: also after
     the poses that were tried beyond the budget).
 
-    `percent`: confidence by the sweeps alone; `determined`: base parameters (p,) that the estimate determines;
-    `refused`: poses that would have been chosen but have no path from home, or no sweep.
+    `percent`: confidence by the sweeps alone; `settled`: whether the estimate states one; `determined`: base
+    parameters (p,) that it determines; `refused`: poses that would have been chosen but have no path from home, or no
+    sweep.
     """
 
     poses: list[ChosenPose]
     percent: list[float]
+    settled: list[bool]
     determined: list[NDArray[np.bool_]]
     refused: list[DroppedPose]
 
     @property
     def promised(self) -> list[float]:
         """Confidence that the estimate will state after each pose, percent; inf if it will state none."""
-        known = zip(self.percent, self.determined, strict=True)
-        return [percent if determined.all() else math.inf for percent, determined in known]
+        known = zip(self.percent, self.settled, strict=True)
+        return [percent if settled else math.inf for percent, settled in known]
 
     def enough(self, count: int) -> int | None:
-        """Least number of poses beyond `count` that determine everything; None if `count` do, or if none is known."""
-        complete = [n for n, determined in enumerate(self.determined, 1) if n >= count and determined.all()]
+        """Least number of poses beyond `count` with a stated confidence; None if `count` have, or if none is known."""
+        complete = [n for n, settled in enumerate(self.settled, 1) if n >= count and settled]
         return complete[0] if complete and complete[0] > count else None
 
 
@@ -322,16 +331,15 @@ class _Prediction:
 
     confidence: PredictedConfidence
     percent: list[float] = field(default_factory=list)
+    settled: list[bool] = field(default_factory=list)
     determined: list[NDArray[np.bool_]] = field(default_factory=list)
 
     def add(self, rows: Array, information: Array) -> None:
         self.confidence.add(rows, information)
+        solution = self.confidence.solution()
         self.percent.append(self.confidence.percent())
-        self.determined.append(self.confidence.determined())
-
-    @property
-    def all_determined(self) -> bool:
-        return bool(self.determined[-1].all())
+        self.settled.append(self.confidence.settled(solution))
+        self.determined.append(solution.determined)
 
 
 class PoseChooser:
@@ -387,14 +395,14 @@ class PoseChooser:
             chosen.append(pick)
             condition.append(number)
             duration += request.realisations * least_duration(self._sweeps[pick], self._groups)
-            reached = prediction.percent[-1] <= (request.confidence or 0.0) and prediction.all_determined
+            reached = prediction.percent[-1] <= (request.confidence or 0.0) and prediction.settled[-1]
             full = len(chosen) == (request.poses or LARGEST_CHOICE) or (request.duration or math.inf) < duration
             if reached or full:
                 break
         if request.confidence is not None and chosen:
             if not reached:
                 raise BadInput("confidence", self._out_of_reach(request.confidence, len(chosen), prediction.confidence))
-            if len(chosen) > 1 and prediction.percent[-2] <= request.confidence:  # continued only to determine all
+            if len(chosen) > 1 and prediction.percent[-2] <= request.confidence:  # continued only to settle J
                 shown = [self._shows(pick) for pick in chosen]
                 chosen = [chosen[n] for n in needed(prediction.confidence, shown, request.confidence)]
                 condition = conditions(self._rows, chosen)
@@ -402,7 +410,7 @@ class PoseChooser:
                 for pick in chosen:
                     prediction.add(*self._shows(pick))
         reported = refused.copy()  # without those beyond the budget
-        while chosen and not prediction.all_determined and len(prediction.determined) < len(chosen) + USUAL_CHOICE:
+        while chosen and not prediction.settled[-1] and len(prediction.settled) < len(chosen) + USUAL_CHOICE:
             beyond = next(picks, None)
             if beyond is None:
                 break
@@ -411,7 +419,7 @@ class PoseChooser:
             ChosenPose(self._candidates[pick], number, self._sweeps[pick])
             for pick, number in zip(chosen, condition, strict=True)
         ]
-        return Choice(chosen_poses, prediction.percent, prediction.determined, reported)
+        return Choice(chosen_poses, prediction.percent, prediction.settled, prediction.determined, reported)
 
     def _seconds(self, away: Array) -> Array:
         """Robot time (m,) of the simultaneous sweeps of candidates at these path lengths (m,), s."""
@@ -461,9 +469,9 @@ class PoseChooser:
         """What the best poses lack, and for which axes."""
         request = self._request
         best = f"{wanted:.4g} % requested, but the best {count} of {len(self._candidates)} measurable poses"
-        unknown = ~predicted.determined()
-        percent = predicted.percent_by_axis()
-        if not unknown.any():
+        solution, percent = predicted.solution(), predicted.percent_by_axis()
+        unknown = ~solution.determined
+        if predicted.settled(solution):
             return f"{best} reach only {percent.max():.4g} % ({request.axes[int(percent.argmax())]})"
         names = ", ".join(name for name, open_ in zip(self._observed.names, unknown, strict=True) if open_)
         axes = ", ".join(joint for joint, on in zip(request.axes, predicted.depending(unknown), strict=True) if on)

@@ -209,7 +209,7 @@ def _tell_plan(document: Json, seconds: float) -> None:
         f"{len(confidence)} poses, {len(document['sweeps'])} sweeps, {seconds / 60:.0f} min; "
         f"confidence of J: {stated} in the workspace\n"
     )
-    if document["undetermined"]:
+    if confidence[-1] is None and document["undetermined"]:
         enough = document["enough_poses"]
         sys.stderr.write(
             "The estimate may leave these base parameters undetermined, and then states no confidence of J: the sweeps "

@@ -41,9 +41,9 @@ all sweeps of an axis and stays as an unknown in addition to the base parameters
 all sweeps on (beta, c) adds up:  Lambda = [[A, B], [B', C]].  The confidence is the largest standard deviation of J
 over the workspace and the axes, in percent of J, conditional on the torque gain.
 
-The estimate states a confidence only if it determines all beta. In directions in which the data are not better than
-the nominal model it keeps that model (`least_squares`). `determined` is the rule of the estimate: the same function,
-with the information on beta alone,  A - B C^-1 B',  and the spread of the nominal model.
+In directions in which the data are not better than the nominal model the estimate keeps that model, and it states a
+confidence only if these hardly matter for J (`least_squares`). `solution` has the rules of the estimate: the same
+function, with the information on beta alone,  A - B C^-1 B',  and the spread of the nominal model.
 
 The noise is an assumption before the measurement: white, of a drive that samples at NOISE_RATE and averages
 down to the requested rate, so that the noise at a line does not depend on that rate.
@@ -57,7 +57,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.model.least_squares import Information
+from service.identification.model.least_squares import Information, Solution
 from service.model.arrays import Array, Mask
 from service.model.recording import Sine
 
@@ -302,7 +302,7 @@ class PredictedConfidence:
 
     def reaches(self, wanted: float) -> bool:
         """Whether the estimate of these sweeps will state a confidence of at most `wanted` percent."""
-        return self.percent() <= wanted and bool(self.determined().all())
+        return self.percent() <= wanted and self.settled(self.solution())
 
     def percent_by_axis(self) -> Array:
         """(a,) the same for each axis."""
@@ -322,13 +322,17 @@ class PredictedConfidence:
         size = np.abs(rows).reshape(-1, self._axes, self._size).max(axis=0)
         return (size[:, parameters] > PoseLimits.singular * size.max()).any(axis=1)
 
-    def determined(self) -> Mask:
-        """(p,) base parameters that the estimate of these sweeps will determine, if the noise is as assumed."""
+    def settled(self, solution: Solution) -> bool:
+        """Whether the estimate will state a confidence: the nominal model hardly matters for J over the workspace."""
+        return solution.settled(self._workspace[:, : self._size], self._spread)
+
+    def solution(self) -> Solution:
+        """What the estimate of these sweeps will determine, if the noise is as assumed, with values of 0."""
         shared = self._information[: self._size, self._size :]
         own = self._information[self._size :, self._size :]
         matrix = self._information[: self._size, : self._size] - shared @ np.linalg.solve(own, shared.T)
         deviation = np.zeros(self._size)  # from the nominal model: the values do not matter, only their precision
-        return Information(matrix, deviation).solve(deviation, self._spread).determined
+        return Information(matrix, deviation).solve(deviation, self._spread)
 
 
 def needed(predicted: PredictedConfidence, poses: Sequence[tuple[Array, Array]], wanted: float) -> list[int]:

@@ -166,6 +166,11 @@ class RobotEstimate:
         rows = self._rows(joint, poses[:, list(self.unlocked)])
         return np.sqrt(np.maximum(np.einsum("mi,ij,mj->m", rows, self.solution.covariance, rows), 0.0))
 
+    def settled(self, poses: Array) -> bool:
+        """Whether the nominal model hardly matters for the inertias of all axes at poses (m, all joints)."""
+        own = poses[:, list(self.unlocked)]
+        return all(self.solution.settled(self._rows(axis.joint, own), self.spread) for axis in self.axes)
+
     def reference(self, joint: str, poses: Array) -> Array:
         """Inertia (m,) of the nominal model."""
         return axis_rows(self.chain, self._own(joint), poses[:, list(self.unlocked)]) @ self.nominal

@@ -9,7 +9,8 @@ so batches may be added in any number and order. Columns are scaled by the diago
 If the standard deviations S of a start value are given, columns are scaled by these instead: the eigenvalues of
 S Lambda S then are the precision of the data relative to the start in each direction. A direction with less (eigenvalue
 below 1) is not changed by noisy data: it stays at the start, with the start's variance. A parameter that
-depends on such a direction by more than a tenth of its S counts as undetermined.
+depends on such a direction by more than a tenth of its S counts as undetermined. Values that depend on such directions
+by less than a hundredth of what the start leaves open are settled, whatever parameters are undetermined.
 """
 
 from collections.abc import Sequence
@@ -31,6 +32,7 @@ class Rank:
 
     rank_tolerance: float = 1e-12  # of the scaled information matrix's largest eigenvalue
     better: float = 1.0  # times the start's precision: below, data do not determine a direction
+    settled: float = 0.01  # of a value's standard deviation at the start: what directions at the start may leave
     unpredicted: float = 1e-8  # of a value's own precision: below, no other value predicts it
     unsettled: float = 0.05  # relative change of a noise estimate in the last round of reweighting: a warning above
 
@@ -79,25 +81,35 @@ class Information:
         if spread is None:
             # a parameter is determined if no undetermined direction changes it
             # part of an unseen direction in a parameter, unit vectors
-            return Solution(start + step, inverse * np.outer(scale, scale), unseen < 1e-6)
+            return Solution(start + step, inverse * np.outer(scale, scale), unseen < 1e-6, np.zeros((len(start), 0)))
         covariance = inverse + vectors[:, ~seen] @ vectors[:, ~seen].T
         # a tenth of its start's standard deviation
         determined = (unseen < 0.1) & (np.diag(covariance) < 1.0)
-        return Solution(start + step, covariance * np.outer(scale, scale), determined)
+        return Solution(
+            start + step, covariance * np.outer(scale, scale), determined, scale[:, None] * vectors[:, ~seen]
+        )
 
 
 @dataclass(frozen=True)
 class Solution:
-    """values (n,), covariance (n, n) of the determined ones, determined (n,) bool."""
+    """values (n,), covariance (n, n) of the determined ones, determined (n,) bool; `kept` (n, k): directions that stay
+    at the start, each one standard deviation of it.
+    """
 
     values: Array
     covariance: Array
     determined: Mask
+    kept: Array
 
     @property
     def std(self) -> Array:
         """(n,) standard deviations; inf for a parameter that the data do not determine."""
         return np.where(self.determined, np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), np.inf)
+
+    def settled(self, rows: Array, spread: Array) -> bool:
+        """Whether the start, of these standard deviations (n,), hardly matters for the values of `rows` (m, n)."""
+        left, before = (np.linalg.norm(rows @ each, axis=1) for each in (self.kept, np.diag(spread)))
+        return bool((left <= Rank.settled * before).all())
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,16 @@ def test_what_the_data_do_not_determine_stays_at_the_start_and_is_called_so() ->
     assert solution.std[2] == 1 / 3
 
 
+def test_a_value_is_settled_where_what_stays_at_the_start_hardly_matters() -> None:
+    """The start's std is 2 for each of two parameters; the first is known to 0.1, of the second nothing."""
+    spread = np.array([2.0, 2.0])
+    solution = Information(np.diag([100.0, 0.0]), np.zeros(2)).solve(np.zeros(2), spread)
+    assert solution.determined.tolist() == [True, False]
+    np.testing.assert_allclose(np.abs(solution.kept), [[0.0], [2.0]], atol=1e-12)
+    for share, settled in ((0.0, True), (0.0099, True), (0.0101, False), (1.0, False)):
+        assert solution.settled(np.array([[1.0, 0.0], [1.0, share]]), spread) == settled
+
+
 def test_left_out_equals_solving_without() -> None:
     """Each value, and five at once, against a fit of all others; the values are correlated in two blocks."""
     rng = np.random.default_rng(4)

@@ -193,10 +193,10 @@ def test_a_parameter_is_determined_where_the_sweeps_are_better_than_the_model() 
     predicted = PredictedConfidence(workspace, inertia, np.array([2.0, 2.0]))
     for row, std in zip(rows, (1.9, 2.1), strict=True):
         predicted.add(row, np.diag([std**-2, 0.0])[None])
-    assert predicted.determined().tolist() == [True, False]
+    assert predicted.solution().determined.tolist() == [True, False]
     assert np.isfinite(predicted.percent())  # of the sweeps alone
     predicted.add(rows[1], np.diag([2.1**-2, 0.0])[None])
-    assert predicted.determined().tolist() == [True, True]
+    assert predicted.solution().determined.tolist() == [True, True]
 
 
 def test_confidence_and_open_parameters_are_told_by_axis() -> None:
@@ -230,7 +230,7 @@ def test_a_compliance_that_the_sweeps_must_find_costs_precision() -> None:
     for spread, determined in ((1.6, False), (1.7, True)):  # 1 / 0.6 = 1.67
         predicted = PredictedConfidence(np.ones((1, 1, 1)), np.full((1, 1), 100.0), np.array([spread]))
         predicted.add(np.ones((1, 1)), about[None])
-        assert predicted.determined().tolist() == [determined]
+        assert predicted.solution().determined.tolist() == [determined]
 
 
 def test_a_pose_that_sees_nothing_new_adds_nothing() -> None:
