@@ -146,6 +146,7 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/system/test_makers_urdf.py::test_the_commands_lead_to_a_plan": 15,
     "tests/system/test_monitoring.py::test_a_real_prometheus_scrapes_a_service_and_answers": 9,
     "tests/system/test_runbooks.py::test_a_backup_is_made_and_rehearsed": 8,
+    "tests/system/test_runbooks.py::test_a_payload_is_known_with_its_sheet": 30,
     "tests/system/test_runbooks.py::test_a_fault_ends_the_night_and_nothing_is_resumed": 8,
     "tests/system/test_two_cells.py": 22,
     f"{_STOP}::test_measure_told_to_end_stops_the_machine[SIGHUP": 4,

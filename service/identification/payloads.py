@@ -441,13 +441,17 @@ def payload_document(robot: Robot, found: PayloadFit) -> results.Payload:
 def sentences(found: PayloadFit) -> list[str]:
     """Notes for the user in addition to the values."""
     notes: list[str] = []
-    if not abs(found.parameters[0]) > 3 * np.sqrt(found.covariance[0, 0]) and found.excited[0]:
+    least = 5 * np.sqrt(found.covariance[0, 0])  # friction that changed between the runs looked like 4 std of a mass
+    if not abs(found.parameters[0]) > least and found.excited[0]:
         notes.append(
             f"No mass detected: {found.body[0]:.3g} kg, standard deviation {found.body_std[0]:.2g} kg. If the torques "
             "differ, it is not a load but friction or the torque constants: warm up and record both again."
         )
-    if found.parameters[0] < -3 * np.sqrt(found.covariance[0, 0]):
-        notes.append("The mass is negative: exchange the bundles before and after, or check the signs of the efforts.")
+    if found.parameters[0] < -least:
+        notes.append(
+            "The mass is negative: exchange the bundles before and after, or check the signs of the efforts. If it is "
+            "small, it is friction: warm up and record both again."
+        )
     if len(found.repeats) > 1:
         low, high = min(found.repeats), max(found.repeats)
         notes.append(

@@ -415,3 +415,40 @@ def test_another_load_is_a_change(books: Books, heavier: str, machine: VirtualMa
     assert code == FAILED, printed
     assert "joint_3 changed (+" in protocol["steps"][-1]["result"]
     assert machine.stands()
+
+
+def test_a_payload_is_known_with_its_sheet(folder: Path, tmp_path: Path) -> None:
+    """From nothing, as a person does it: without the payload, the power off to mount it, with it."""
+    bare = CONFIG / "scenarios" / "max100-six.yaml"
+    scenario = yaml.safe_load(bare.read_text("utf-8")) | {"robot": str(ROBOT)}
+    load = {"name": "load", "mass": PAYLOAD, "start": [0.1, 0.05, 0.0], "end": [0.3, 0.05, 0.0], "radius": 0.1}
+    scenario["links"]["link_6"] = {"added": [load]}
+    (heavy := tmp_path / "heavy.yaml").write_text(yaml.safe_dump(scenario), "utf-8")
+    command = ("payload", "max100-class", "--trajectories", "1", "--velocity", "0.8")
+    with virtual_machine(tmp_path, scenario=bare) as machine, serving(tmp_path, machine.profile) as service:
+        books = Books(tmp_path, service.url)
+        with ServiceClient(service.url) as client:
+            code, protocol, printed = books.run(*command, typed="yes\n")
+            assert (code, protocol["steps"][-1]["result"]) == (DONE, "payload.py max100-class --before 1"), printed
+            assert machine.stands()
+            machine.power_off()
+            machine.power_on(heavy)
+            until(lambda: not client.drives()["connected"] or client.stops(), "the power cut is noticed")
+            code, _, printed = books.run("after_a_stop", "--yes")
+            assert code == DONE, printed
+            out = tmp_path / "loaded"
+            code, protocol, printed = books.run(*command, "--before", "1", "--out", str(out), "--yes")
+            assert code == DONE, printed
+            figures = {name: step["figure"] for name, step in results(protocol, "figure").items()}
+            for name, true in (("mass", PAYLOAD), ("centre x", 0.2), ("centre y", 0.05), ("centre z", 0.0)):
+                figure = figures[name]
+                assert abs(figure["value"] - true) < 4 * figure["std"], (name, figure)
+            assert figures["mass"]["std"] < 0.02 * PAYLOAD
+            sheet = (out / "sheet.md").read_text("utf-8")
+            assert sheet == run("export", "sheet", "--payload", str(out / "payload.json"), url=service.url).stdout
+            assert "set_target_payload(" in sheet
+            arguments = (*command, "--before", "1", "--after", "2", "--out")
+            code, _, printed = books.run(*arguments, str(tmp_path / "again"))  # nothing moves
+            assert (code, (tmp_path / "again" / "sheet.md").read_text("utf-8")) == (DONE, sheet), printed
+            code, _, printed = books.run(*arguments, str(out))
+            assert (code, "nothing is overwritten" in printed) == (BAD_INPUT, True), printed

@@ -40,7 +40,7 @@ def before_and_after(book: Runbook) -> Exit:
     given, client = book.given, book.client
     if given.before is None:
         return first(book)
-    before = completed(book, given.before)
+    before = book.completed(given.before)
     robot = book.identify_machine(client.robot(before["robot_id"]))
     if given.after is None:
         if before["plan_id"] is None:
@@ -53,7 +53,7 @@ def before_and_after(book: Runbook) -> Exit:
         if after["state"] != "completed":
             return book.not_completed(after)
     else:
-        after = completed(book, given.after)
+        after = book.completed(given.after)
         if given.dry_run:
             book.step("compare", "moves nothing")
             return Exit.DONE
@@ -75,16 +75,6 @@ def first(book: Runbook) -> Exit:
         return book.not_completed(campaign)
     book.step("after the repair", f"before_and_after.py {given.robot} --before {campaign['id']}")
     return Exit.DONE
-
-
-def completed(book: Runbook, number: int) -> Json:
-    campaign = book.client.campaign(number)
-    names = {robot["id"]: robot["name"] for robot in book.client.robots()}
-    if names[campaign["robot_id"]] != book.given.robot:
-        raise BadInput("robot", f"campaign {number} is of {names[campaign['robot_id']]}, not of {book.given.robot}")
-    if campaign["state"] != "completed":
-        raise BadInput("campaign", f"campaign {number} is {campaign['state']}, not completed")
-    return campaign
 
 
 def compared(book: Runbook, robot: Robot, before: Json, after: Json) -> Exit:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import groupby, product
 from typing import Any
 
 import numpy as np
@@ -51,19 +52,25 @@ def moves(robot: Robot, sweeps: Sequence[Json], stands: Mapping[str, float | Non
     """
     places: dict[str, list[float]] = {joint: [] for joint in robot.joints}
     seconds = dict.fromkeys(robot.joints, 0.0)
-    for sweep in sweeps:
-        axis = sweep["spec"]["axis"]
-        seconds[axis] += sweep["duration"]
-        places[axis] += sweep["position_window"]
-        for leg in sweep["legs"]:
+    poses: list[list[float]] = []
+    for _, together in groupby(sweeps, lambda sweep: sweep["spec"]["started_at"]):
+        group = {sweep["spec"]["axis"]: sweep for sweep in together}
+        first = next(iter(group.values()))  # has the legs and the time of all
+        pose = dict(zip(robot.joints, first["spec"]["pose"], strict=True))
+        for axis, sweep in group.items():
+            seconds[axis] += first["duration"]
+            places[axis] += sweep["position_window"]
+        for leg in first["legs"]:
             places[leg["joint"]].append(leg["target"])
-        for joint, position in zip(robot.joints, sweep["spec"]["pose"], strict=True):
+        for joint, position in pose.items():
             places[joint].append(position)
+        # an axis that moves alone does not change its own arm
+        ends = product(*(sweep["position_window"] for sweep in group.values())) if len(group) > 1 else [()]
+        poses += [list((pose | dict(zip(group, corner, strict=False))).values()) for corner in ends]
     for joint, position in stands.items():
         if position is not None and joint in places:
             places[joint].append(position)
-    poses = np.array([sweep["spec"]["pose"] for sweep in sweeps])
-    arms = [float(lever_arm(robot, number, poses).max()) for number in range(len(robot.joints))]
+    arms = [float(lever_arm(robot, number, np.array(poses)).max()) for number in range(len(robot.joints))]
     found: list[Move] = []
     for joint, kind, arm in zip(robot.joints, (one.kind for one in robot.chain.joints), arms, strict=True):
         lowest, highest = min(places[joint], default=0.0), max(places[joint], default=0.0)

@@ -163,6 +163,16 @@ class Runbook:
         severities = {one["severity"] for one in found}
         return Exit.FAILED if "wrong" in severities else Exit.AMBER if severities else Exit.DONE
 
+    def completed(self, number: int) -> Json:
+        """A campaign of the given robot; BadInput if it is of another one or not completed."""
+        campaign = self.client.campaign(number)
+        name = {robot["id"]: robot["name"] for robot in self.client.robots()}[campaign["robot_id"]]
+        if name != self.given.robot:
+            raise BadInput("robot", f"campaign {number} is of {name}, not of {self.given.robot}")
+        if campaign["state"] != "completed":
+            raise BadInput("campaign", f"campaign {number} is {campaign['state']}, not completed")
+        return campaign
+
     def tell_moves(self, robot: Robot, sweeps: Sequence[Json], indent: str = "") -> None:
         """Print the motion of a plan's sweeps for each axis, from the present positions."""
         stands = {axis["joint"]: axis["position"] for axis in self.client.drives()["axes"]}
@@ -186,7 +196,7 @@ class Runbook:
             plan=plan["id"],
             duration_s=plan["expected_time"],
         )
-        for dropped in document["dropped"]:
+        for dropped in document.get("dropped", ()):  # a plan of trajectories has none
             self.step("left out", dropped["reason"])
         if not self.given.dry_run and not self.client.drives()["connected"]:
             self.client.connect()

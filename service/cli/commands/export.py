@@ -66,11 +66,14 @@ def export_model(
 
 
 def export_sheet(
-    source: Source,
+    source: Annotated[
+        Path | None,
+        typer.Argument(help="Bundle, or JSON file of an estimate. Without it: the load alone.", metavar="SOURCE"),
+    ] = None,
     robot: SideFile = None,
     payload: Annotated[
         Path | None,
-        typer.Option(help="Load for KUKA and ABB: JSON file of `sweepid estimate payload`.", metavar="FILE"),
+        typer.Option(help="Load for the control: JSON file of `sweepid estimate payload`.", metavar="FILE"),
     ] = None,
     kuka_upright: Annotated[
         float | None,
@@ -84,17 +87,21 @@ def export_sheet(
     """Tell the identified inertias as the values that controls take, with uncertainty and the place to type them."""
     from service.formats.export.sheets.inertias import UPRIGHT, load_of
     from service.formats.export.sheets.making import sheet
-    from service.formats.export.sheets.text import as_markdown
+    from service.formats.export.sheets.text import as_markdown, load_page
     from service.model.results.payload import Payload
     from sweepid.files import read_document
 
+    load = None if payload is None else load_of(read_document(payload, Payload, "--payload"))
+    if source is None:
+        if load is None:
+            raise BadInput("SOURCE", "is missing: give a bundle, an estimate, or --payload for a load alone")
+        typer.echo(load_page(load))
+        return
     known, estimate, bundle = read_estimate(source, robot)
     poses = None if bundle is None else {sweep.spec.id: sweep.spec.pose for sweep in bundle.sweeps}
     made = sheet(known, estimate, str(source), poses, UPRIGHT if kuka_upright is None else kuka_upright)
-    load = None if payload is None else load_of(read_document(payload, Payload, "--payload"))
-    text = as_markdown(made, load)
     if not put_json(made, json_to):
-        typer.echo(text)
+        typer.echo(as_markdown(made, load))
 
 
 def export_path(

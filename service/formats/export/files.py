@@ -238,6 +238,9 @@ def as_mjcf(model: IdentifiedModel, *, elastic: bool = False) -> str:
         element.set("armature", repr(float(motor)))
         element.set("damping", repr(friction or 0.0))
         element.set("frictionloss", repr(dry or 0.0))
+        if joint.name in model.hoses:
+            for name, value in zip(("stiffness", "springref"), model.hoses[joint.name], strict=True):
+                element.set(name, repr(value))
         if np.isfinite([joint.lower, joint.upper]).all():
             element.set("range", _text([joint.lower, joint.upper]))
         if elastic and joint.name in model.springs:

@@ -50,6 +50,7 @@ class IdentifiedModel(Shown):
     offset: tuple[float, ...]  # constant effort of the drive, N m (N)
     curves: dict[str, tuple[FrictionPoint, ...]]  # by joint, friction that has another law than these two
     springs: dict[str, tuple[float, float]]  # by joint, stiffness and damping of the gear, N m/rad and N m s/rad
+    hoses: dict[str, tuple[float, float]]  # by joint, stiffness of an accepted hose, N m/rad, and its rest, rad
     effects: tuple[UsedEffect, ...]  # of the accepted model
     base_parameters: tuple[BaseParameter, ...]
     symbols: dict[str, Symbol]
@@ -69,9 +70,19 @@ class IdentifiedModel(Shown):
         if self.deviation_in_std:
             found.append(
                 "the model is the most probable physical robot, given CAD and the sweeps: its base parameters are "
-                f"{self.deviation_in_std:.2g} standard deviations from the identified ones"
+                f"{self.deviation_in_std:.2g} standard deviations from the identified ones{self._not_held()}"
             )
         return (*found, *map(self._off_the_line, self.curves))
+
+    def _not_held(self) -> str:
+        """The gravity torque in which no physical robot agrees with the estimate, of the axis with most of it."""
+        if not self.worth:
+            return ""
+        most = max(self.worth, key=lambda one: one.not_held / max(one.gravity.value, 1e-9))
+        return (
+            f"; gravity torque of {most.joint} by {most.not_held:.3g} of {most.gravity.value:.4g} N m (N), RMS over "
+            "the workspace: the torque of a counterbalance is in no file"
+        )
 
     def _off_the_line(self, joint: str) -> str:
         """How far MJCF and URDF are from the friction of an axis that has another law than they can hold."""
@@ -129,6 +140,7 @@ def model_of(robot: Robot, found: Estimate, place: str = "estimate") -> Identifi
         offset=tuple(drive[2] for drive in drives),
         curves={} if found.combination is None else _curves(found.combination),
         springs={joint: spring for joint, axis in found.axes.items() if (spring := _spring(axis)) is not None},
+        hoses={one.axis: _hose(one, place) for one in found.effects if one.effect == "hose_spring"},
         effects=found.effects,
         base_parameters=found.base_parameters,
         symbols=found.symbols,
@@ -206,6 +218,15 @@ def _spring(axis: EstimatedAxis) -> tuple[float, float] | None:
     if not compliance.value > 2 * (compliance.std or 0.0):
         return None
     return 1 / compliance.value, max(time.value, 0.0) / compliance.value
+
+
+def _hose(effect: UsedEffect, place: str) -> tuple[float, float]:
+    """Stiffness and rest of ``k q + torque_at_zero``."""
+    here = f"{place} effects {effect.axis} hose_spring"
+    stiffness, torque = (effect.parameters.get(name) for name in ("stiffness", "torque_at_zero"))
+    if stiffness is None or torque is None or not _finite(stiffness.value, here) > 0:
+        return 0.0, 0.0
+    return stiffness.value, -_finite(torque.value, here) / stiffness.value
 
 
 def _friction(axis: EstimatedAxis, place: str) -> float | None:

@@ -57,11 +57,14 @@ class Worth:
 
 @dataclass(frozen=True)
 class AxisWorth:
-    """An axis, with what the model is worth for it."""
+    """An axis, with what the model is worth for it; `not_held`: gravity torque by which the model is off the estimate,
+    N m (N), RMS over the workspace.
+    """
 
     joint: str
     inertia: Worth
     gravity: Worth
+    not_held: float = 0.0
 
     @property
     def warning(self) -> str:
@@ -124,7 +127,12 @@ class NominalModel:
 
         parts = np.stack([0 * beside, beside], -1).ravel().tolist()  # inertia and gravity in turn
         found = [one(*rows, own) for rows, own in zip(self._rows, parts, strict=True)]
-        return tuple(AxisWorth(*each) for each in zip(self.robot.joints, found[::2], found[1::2], strict=True))
+        off = observed.values - observed.combination @ parameters
+        not_held = [
+            _rms(np.linalg.lstsq(observed.combination.T, rows.T, rcond=None)[0].T @ off) for rows, _ in self._rows
+        ]
+        each = zip(self.robot.joints, found[::2], found[1::2], not_held[1::2], strict=True)
+        return tuple(AxisWorth(*one) for one in each)
 
 
 def worse_than_cad(axes: Iterable[AxisWorth]) -> bool:

@@ -31,11 +31,26 @@ def runbook(monkeypatch: pytest.MonkeyPatch) -> Any:
 def test_the_last_axis_moves_what_is_mounted_on_it(runbook: Any, old: str, new: str, moves_mm: float | None) -> None:
     turned = URDF.replace('name="j2" type="prismatic"', 'name="j2" type="revolute"').replace(old, new)
     arm = type(robot())(robot().description, turned)
-    sweep = {"spec": {"axis": "j2", "pose": [0.0, 0.5]}, "duration": 10.0, "position_window": [0.4, 0.6], "legs": []}
+    spec = {"axis": "j2", "pose": [0.0, 0.5], "started_at": 0.0}
+    sweep = {"spec": spec, "duration": 10.0, "position_window": [0.4, 0.6], "legs": []}
     (move,) = runbook("moves").moves(arm, [sweep], {"j2": 0.5})
     assert move.joint == "j2"
     assert move.arm_mm == (moves_mm and pytest.approx(moves_mm))
     assert ("the arm's end" in runbook("runbook").told(move)) is (moves_mm is not None)
+
+
+def test_every_axis_of_a_trajectory_moves_for_its_time_and_at_its_longest_arm(runbook: Any) -> None:
+    def sweep(axis: str, window: list[float], **of_all: object) -> dict[str, object]:
+        spec = {"axis": axis, "pose": [0.0, 0.5], "started_at": 4.0}
+        return {"spec": spec, "duration": 0.0, "position_window": window, "legs": []} | of_all
+
+    way = {"duration": 9.0, "legs": [{"joint": "j2", "target": 0.3}]}
+    found = runbook("moves").moves(robot(), [sweep("j1", [-1.0, 1.0], **way), sweep("j2", [0.4, 0.8])], {})
+    assert [(move.joint, move.lowest, move.highest, move.seconds) for move in found] == [
+        *(("j1", -1.0, 1.0, 9.0), ("j2", 0.3, 0.8, 9.0))
+    ]
+    alone = runbook("moves").moves(robot(), [sweep("j1", [-1.0, 1.0], **way)], {})
+    assert found[0].arm_mm > alone[0].arm_mm  # j2 is out at 0.8 m
 
 
 def test_an_emergency_stop_is_told_by_its_name(runbook: Any) -> None:

@@ -146,6 +146,9 @@ def load_of(found: Payload) -> LoadData:
         raise BadInput(place, f"lacks {', '.join(open_)}: its motions did not excite them")
     if found.mass.std_total is None:
         raise BadInput(f"{place} mass.std_total", "is missing")
+    if found.mass.value is not None and found.mass.std is not None and found.mass.value < 5 * found.mass.std:
+        told = f"is {found.mass.value:.3g} kg, standard deviation {found.mass.std:.2g} kg: no mass detected"
+        raise BadInput(f"{place} mass", told)
     near = found.physical.nearest
     if set(near.inertia) != set(INERTIAL_NAMES[4:]):
         raise BadInput(f"{place} physical.nearest.inertia", f"lacks {', '.join(INERTIAL_NAMES[4:])}")

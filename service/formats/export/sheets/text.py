@@ -58,6 +58,12 @@ def as_markdown(sheet: Sheet, load: LoadData | None = None) -> str:
     return "\n\n".join(parts)
 
 
+def load_page(load: LoadData) -> str:
+    """The page of a payload alone."""
+    title = f"# Load of {load.mass:.4g} kg for its control"
+    return "\n\n".join([title, "## KUKA", _kuka(load), "## ABB", _abb(load), *_other_loads(load)])
+
+
 def _validity(sheet: Sheet) -> str:
     lines = ["Valid for the robot as it was measured, with everything that was mounted on it then."]
     if sheet.poses is None:

@@ -158,6 +158,10 @@ ASKED = {
         "harmonics: 1 are too few to determine the 13 base parameters of the axes", TRAJECTORY, harmonics=1
     ),
     "too many sweeps": plan("99", TRAJECTORY, sweeps=99),
+    **{
+        f"moves too fast, {len(of)}": plan("move_velocity: 0.6 is above the limit 0.5", of, move_velocity=0.6)
+        for of in (BUDGET | {"poses": 1}, TRAJECTORY)
+    },
     "a velocity too many": plan("velocity", TRAJECTORY, velocity=2.0),
 }  # fmt: skip
 

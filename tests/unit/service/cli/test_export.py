@@ -192,10 +192,17 @@ def test_what_is_no_load_is_refused(given: dict) -> None:
         load(given)
 
 
-def test_a_load_that_is_known_in_part_is_refused() -> None:
+@pytest.mark.parametrize(
+    ("figure", "change", "told"),
+    [
+        ("Izz", {"value": None}, "--payload: lacks Izz"),
+        ("mass", {"value": 0.8, "std": 0.3}, "--payload mass: is 0.8 kg, standard deviation 0.3 kg: no mass detected"),
+    ],
+)
+def test_a_load_that_is_known_in_part_or_is_none_is_refused(figure: str, change: dict[str, Any], told: str) -> None:
     known = payload()
-    known["inertia"]["Izz"]["value"] = None
-    with pytest.raises(BadInput, match="--payload: lacks Izz"):
+    (known["inertia"][figure] if figure == "Izz" else known[figure]).update(change)
+    with pytest.raises(BadInput, match=told):
         load(known)
 
 

@@ -81,6 +81,7 @@ def test_every_file_holds_what_it_can_of_the_accepted_model(max100: Robot, docum
         effect("joint_1", "measurement_delay", delay=1e-3),
         effect("joint_1", "effort_offset", offset=-7.0),
         effect("joint_2", "coulomb_friction"),
+        effect("joint_3", "hose_spring", stiffness=200.0, torque_at_zero=-50.0),
     ]
     files = model_files(identified_model(max100, document))
     urdf = {joint.get("name"): joint.find("dynamics") for joint in ET.fromstring(files["model.urdf"]).iter("joint")}
@@ -91,6 +92,10 @@ def test_every_file_holds_what_it_can_of_the_accepted_model(max100: Robot, docum
     np.testing.assert_allclose(loaded.dof_frictionloss, [120, 0, 0, 0, 0, 0])
     np.testing.assert_allclose(loaded.dof_damping, [150.5, 0, 0, 0, 0, 0])
     np.testing.assert_allclose(loaded.actuator_biasprm[:, 0], [7, 0, 0, 0, 0, 0])
+    still = _mujoco.MjData(loaded)
+    for still.qpos[2], passive in ((0.0, 50.0), (1.0, -150.0)):  # the drive holds k q + torque_at_zero
+        _mujoco.mj_forward(loaded, still)
+        np.testing.assert_allclose(still.qfrc_spring, [0, 0, passive, 0, 0, 0], atol=1e-9)
     joints = yaml.safe_load(files["model.yaml"])["joints"]
     assert joints["joint_1"]["offset"] == -7.0
     assert joints["joint_1"]["gear"] == pytest.approx({"stiffness": 1e6, "damping": 2e3})
