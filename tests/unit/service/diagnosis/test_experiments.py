@@ -56,7 +56,7 @@ def asked(
     robot = max100()
     sweeps = swept("joint_2", poses, hidden, noise=noise, load=load, blocks=blocks, revisit=False)
     selection = select(equations_of(robot, "joint_2", sweeps), (), list(rivals))
-    return next_experiment(selection, verdict, rivals, unseen or {}, sweeps)
+    return next_experiment(selection, verdict, rivals, unseen or {}, sweeps)[0]
 
 
 def needed(*args: Any, **others: Any) -> NextExperiment:
@@ -117,7 +117,7 @@ def test_the_mass_is_measured_in_sweeps_as_they_were_run_without_it() -> None:
     sweeps = following(robot, "joint_2", slower, load=heavier(0.05))
     rivals = ["payload", "torque_constant_error"]
     selection = select(equations_of(robot, "joint_2", sweeps), (), rivals)
-    wanted = next_experiment(selection, Verdict.AMBIGUOUS, rivals, {}, sweeps)
+    wanted, _ = next_experiment(selection, Verdict.AMBIGUOUS, rivals, {}, sweeps)
     assert wanted is not None
     assert {s.spec.offset_velocity for s in wanted.sweeps} == {s.spec.offset_velocity for s in slower}
     assert len({s.spec.pose for s in wanted.sweeps}) == 4
@@ -175,7 +175,7 @@ def test_the_papers_sweeps_can_be_followed_by_any_block() -> None:
     sweeps = following(robot, "joint_2", paper_design(robot, "joint_2", POSES, sample_rate=RATE), COULOMB)
     given = equations_of(robot, "joint_2", sweeps)
     selection = select(given, (), ["coulomb_friction", "effort_offset"])
-    wanted = next_experiment(selection, Verdict.AMBIGUOUS, ["coulomb_friction", "effort_offset"], {}, sweeps)
+    wanted, _ = next_experiment(selection, Verdict.AMBIGUOUS, ["coulomb_friction", "effort_offset"], {}, sweeps)
     assert wanted is not None
     assert min(sweep.spec.started_at for sweep in wanted.sweeps) > max(s.spec.started_at for s in sweeps)
 
