@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from service.data_check import DataFinding, check, untrustworthy
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Patch
-from service.diagnosis.experiments import TEST_MASS, NextExperiment, next_experiment
+from service.diagnosis.experiments import TEST_MASS, NextExperiment, Runnable, all_runnable, next_experiment
 from service.diagnosis.fit.calibration import Weighed, corrected, is_decided, is_wrong, weighed_gain
 from service.diagnosis.fit.cross_products import NotFinite
 from service.diagnosis.fit.equations import Equations, Term, applies, equations, grouped, held_back
@@ -100,6 +100,7 @@ class AxisResult:
     weighed: bool  # the effort was corrected with a known test mass
     unexplained: float  # part of the repeatable excess
     next_experiment: NextExperiment | None
+    ended: str  # why no experiment is left that may decide what is undecided; "": it is decided, or one is left
     untestable: tuple[str, ...]
     biasing: tuple[str, ...]  # those untestable effects that would change the estimate unseen
     data: tuple[DataFinding, ...]  # findings of the data check
@@ -119,6 +120,8 @@ def diagnose_axis(
     known: Known = NOTHING,
     weighed: Weighed | None = None,
     twin: bool = True,
+    experiments: int = 0,
+    runnable: Runnable = all_runnable,
 ) -> AxisResult:
     """Diagnose `joint` from its sweeps. BadInput if no sweep moves, if an effect of `known` is not in the catalogue, or
     with axis and sweep if a sample or a column of an effect is not finite; with the axis if its equations are not.
@@ -130,6 +133,8 @@ def diagnose_axis(
     `weighed`: some sweeps repeated with a known test mass. A gain other than 1 is named as a wrong torque constant, and
     the effort is corrected before the diagnosis. A gain of 1 excludes a wrong torque constant.
     `twin`: also simulate the identified model; the result contains the RMS of the difference from the measured effort.
+    `experiments`: how many were run before this diagnosis; after `ROUNDS` none is proposed. `runnable`: which sweeps of
+    one the machine can run.
     """
     for name in known:
         if name not in CATALOGUE:
@@ -138,7 +143,7 @@ def diagnose_axis(
     sweeps = [sweep for sweep in sweeps if sweep.spec.id not in together]  # the equations of one axis do not hold there
     finite_samples(sweep for sweep in sweeps if sweep.spec.axis == joint)
     try:
-        return _diagnosed(robot, joint, sweeps, known, weighed, twin=twin)
+        return _diagnosed(robot, joint, sweeps, known, weighed, twin=twin, experiments=experiments, runnable=runnable)
     except (NotFinite, np.linalg.LinAlgError) as error:
         raise BadInput(
             joint, f"{error}; its sweeps cannot be diagnosed, check their units and the robot file"
@@ -146,7 +151,15 @@ def diagnose_axis(
 
 
 def _diagnosed(
-    robot: Robot, joint: str, sweeps: Sequence[Sweep], known: Known, weighed: Weighed | None, *, twin: bool
+    robot: Robot,
+    joint: str,
+    sweeps: Sequence[Sweep],
+    known: Known,
+    weighed: Weighed | None,
+    *,
+    twin: bool,
+    experiments: int,
+    runnable: Runnable,
 ) -> AxisResult:
     by_mass = None if weighed is None else weighed_gain(robot, joint, sweeps, weighed)
     gain = _accepted(known) if by_mass is None else by_mass
@@ -174,7 +187,10 @@ def _diagnosed(
         (base if GAIN in known else named).insert(0, _weighed(gain))
         if verdict in (Verdict.NONE, Verdict.UNTESTABLE) and GAIN not in known:
             verdict = Verdict.NAMED
-    wanted = next_experiment(selection, verdict, tuple(sorted({*ties, *chain(*ties.values())})), hidden, own)
+    wanted, ended = None, "its data cannot be trusted"
+    if trusted:
+        rivals = tuple(sorted({*ties, *chain(*ties.values())}))
+        wanted, ended = next_experiment(selection, verdict, rivals, hidden, own, runnable, experiments)
     if wanted is not None and weighed is not None:
         wanted = replace(wanted, reason=f"{wanted.reason} {HEAVIER if wanted.kind == TEST_MASS else OFF}")
     unit = "N" if motion.prismatic else "N m"
@@ -202,6 +218,7 @@ def _diagnosed(
         weighed=wrong is not None,
         unexplained=selection.unexplained,
         next_experiment=wanted,
+        ended=ended,
         data=(*data, *found.said),
         unfinished=unfinished(joint, selection, by_mass),
         untestable=(*hidden, *(name for name in CATALOGUE if name not in known and not applies(selection.given, name))),

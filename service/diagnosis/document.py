@@ -69,7 +69,7 @@ def axis_document(one: "AxisResult") -> AxisDiagnosis:
         visible_in={effect: CATALOGUE[effect].visible_in for effect in one.untestable},
         summary="",
     )
-    told = {"summary": summary(one.joint, found), "standing": standing_of(found)}
+    told = {"summary": summary(one.joint, found, one.ended), "standing": standing_of(found)}
     return found.with_nonempty(unfinished=one.unfinished, **told)
 
 

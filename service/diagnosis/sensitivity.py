@@ -4,7 +4,7 @@ Measured and predicted sweeps share one set of columns. Therefore coefficients o
 the predicted ones, the poses of both determine the possible gravity errors, and the gear temperature continues.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.cross_products import Gathered, solve
-from service.diagnosis.fit.equations import Equations, Term, equations
+from service.diagnosis.fit.equations import Equations, Term, equations, grouped
 from service.diagnosis.rows.signals import Tracks, tracks
 from service.identification.design.diagnosis_sweeps import BLOCKS, DesignedSweep, full_design, measured_blocks
 from service.identification.design.excitation import Excitation, velocity_setpoint
@@ -62,13 +62,17 @@ class PredictedSweeps:
 
 def predict_sweeps(given: Equations, measured: Sequence[Sweep], designed: Sequence[DesignedSweep]) -> PredictedSweeps:
     """`measured`: the sweeps of `given`. BadInput if the designed sweeps cannot be combined with them."""
-    robot, joint, index = given.tracks.robot, given.tracks.joint, given.tracks.robot.index(given.tracks.joint)
-    motion = tracks(robot, joint, [*measured, *(expected(one, one.spec.pose[index]) for one in designed)])
+    motion = tracks(given.tracks.robot, given.tracks.joint, [*measured, *_followed(given, designed)])
     groups = tuple(
         replace(group, pieces=tuple(replace(piece, rows=motion.usable.shape[1]) for piece in group.pieces))
         for group in given.groups
     )
     return PredictedSweeps(equations(motion, groups, given.whitening), len(given.tracks.specs))
+
+
+def _followed(given: Equations, designed: Sequence[DesignedSweep]) -> Iterator[Sweep]:
+    index = given.tracks.robot.index(given.tracks.joint)
+    return (expected(one, one.spec.pose[index]) for one in designed)
 
 
 def expected(designed: DesignedSweep, start: float) -> Sweep:
@@ -154,6 +158,15 @@ def untestable(given: Equations, names: Sequence[str], sweeps: Sequence[Sweep]) 
             biases = max(taken for _, taken, _ in shown) > BIASED
             result[name] = UntestableEffect(tuple(block for block in BLOCKS if block in blocks), biases)
     return result
+
+
+def shown_in(
+    given: Equations, measured: Sequence[Sweep], designed: Sequence[DesignedSweep], names: Sequence[str]
+) -> bool:
+    """Whether one of these effects would be testable once the designed sweeps are measured, too."""
+    motion = tracks(given.tracks.robot, given.tracks.joint, [*measured, *_followed(given, designed)])
+    both = equations(motion, grouped(motion), given.whitening)
+    return any(_shown(both, None, Term(name, shape))[0] >= TESTABLE for name in names for shape in grid(both, name))
 
 
 def _missing(given: Equations, sweeps: Sequence[Sweep]) -> PredictedSweeps | None:

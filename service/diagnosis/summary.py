@@ -5,9 +5,10 @@ from collections.abc import Sequence
 from service.model.results.diagnosis import AxisDiagnosis, Gap
 
 
-def summary(joint: str, axis: AxisDiagnosis) -> str:
-    """The summary from the document of the axis."""
-    return f"{joint}: {_VERDICTS[axis.verdict](axis)}{_rolled_back(axis.rolled_back)}"
+def summary(joint: str, axis: AxisDiagnosis, ended: str = "") -> str:
+    """The summary from the document of the axis; `ended`: why nothing more can be measured, or ""."""
+    end = f" It cannot be diagnosed further, because {ended}." if ended else ""
+    return f"{joint}: {_VERDICTS[axis.verdict](axis)}{_rolled_back(axis.rolled_back)}{end}"
 
 
 def in_words(effects: Sequence[str], between: str = "and") -> str:
@@ -37,11 +38,7 @@ def _named(axis: AxisDiagnosis) -> str:
 
 
 def _ambiguous(axis: AxisDiagnosis) -> str:
-    advice = (
-        "Next: measure the proposed experiment"
-        if axis.next_experiment
-        else "No further experiment can distinguish them"
-    )
+    advice = " Next: measure the proposed experiment." if axis.next_experiment else ""
     open_questions = [in_words(names, "or") for names in axis.alternatives if len(names) > 1]
     undecided = {name for names in axis.alternatives for name in names}
     certain = [effect.effect for effect in axis.effects if effect.effect not in undecided]
@@ -50,7 +47,7 @@ def _ambiguous(axis: AxisDiagnosis) -> str:
     asked = ", nor whether it is ".join(open_questions) or in_words(certain, "or")
     return (
         f"something is missing, a gap of {_rms(axis, 'before')}{_floor(axis, ' where noise makes {}')}, and these "
-        f"sweeps do not tell whether it is {asked}.{beside} {advice}."
+        f"sweeps do not tell whether it is {asked}.{beside}{advice}"
     )
 
 

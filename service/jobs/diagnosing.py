@@ -8,7 +8,7 @@ import asyncio
 import hashlib
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from enum import Enum
 from functools import partial
@@ -17,16 +17,16 @@ import structlog
 
 from service.diagnosis import compose, is_evidence
 from service.diagnosis.fit.fitted import Parameter
-from service.diagnosis.summary import summary
 from service.formats.export.started_robot import started_from
 from service.identification.estimates.torque_gain import KnownMass
 from service.jobs.jobs import OpenJobs
 from service.jobs.work import DiagnosisJob, JobFailed, RecordedSweep, Worker
 from service.model.errors import BadInput, Conflict, NotFound
 from service.model.recording import SweepSpec
-from service.model.results.diagnosis import AxisDiagnosis, Diagnosis, Experiment
+from service.model.results.diagnosis import AxisDiagnosis, Diagnosis
 from service.model.results.estimate import Estimate
 from service.planning.campaigns.stored_results import campaign_beside
+from service.planning.diagnosis import ExperimentPlace
 from service.store.diagnoses import DiagnosisStore, ModelStore
 from service.store.documents import (
     CampaignDocument,
@@ -167,11 +167,11 @@ class Diagnosing(OpenJobs):
         models: ModelStore,
         files: RecordingFiles,
         worker: Worker,
-        refusal: Callable[[int, Experiment], str],
+        place: Callable[[int], ExperimentPlace | None],
     ) -> None:
-        """`refusal`: why an experiment for a robot cannot be run, or ""; blocks."""
+        """`place`: where the experiments of a robot would run, if that is known; blocks."""
         super().__init__()
-        self._refusal = refusal
+        self._place = place
         self._store, self._diagnoses, self._models = store, diagnoses, models
         self._files, self._worker = files, worker
 
@@ -270,12 +270,6 @@ class Diagnosing(OpenJobs):
             document = await self._worker.run_patiently(job)
         except JobFailed as error:
             raise JobFailed(f"{job.joint}: {error}") from None
-        if document.next_experiment is not None:
-            reason = await asyncio.to_thread(self._refusal, diagnosis.robot_id, document.next_experiment)
-            if reason:  # the machine cannot run it
-                document = document.model_copy(update={"next_experiment": None})
-                ended = f"This machine cannot be diagnosed further, because of the next {reason}."
-                document = document.model_copy(update={"summary": f"{summary(job.joint, document)} {ended}"})
         add = self._diagnoses.add_result
         await asyncio.to_thread(add, diagnosis.id, job.joint, document.verdict, document.as_json())
 
@@ -291,6 +285,7 @@ class Diagnosing(OpenJobs):
             weighed, mass_hashes = recorded_sweeps(self._store, self._files, campaign, joint)
             mass = KnownMass(**weighing.mass.model_dump())
         known, start = self._known(diagnosis.model, joint), diagnosis.estimate
+        experiments, place = self._experiments(diagnosis, joint), self._place(diagnosis.robot_id)
         # the same files may be used with different options: the key contains all of them
         content = [
             diagnosis.model_dump(mode="json", include={"robot_id", "campaigns"}),
@@ -299,6 +294,7 @@ class Diagnosing(OpenJobs):
             [robot.description.model_dump(mode="json"), robot.urdf_text],
             {effect: {name: asdict(value) for name, value in own.items()} for effect, own in known.items()},
             [hashes, mass_hashes],
+            [experiments, repr(place)],
         ]
         digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
         return DiagnosisJob(
@@ -312,7 +308,20 @@ class Diagnosing(OpenJobs):
             weighed=weighed,
             estimate=None if start is None else self._store.estimate(start.campaign_id, start.revision).document,
             started_from="" if start is None else start.name,
+            experiments=experiments,
+            place=place,
         )
+
+    def _before(self, diagnosis: DiagnosisEntry) -> Iterator[DiagnosisEntry]:
+        """The diagnoses that it continues, the newest first."""
+        while diagnosis.parent is not None:
+            diagnosis = self._diagnoses.diagnosis(diagnosis.parent)
+            yield diagnosis
+
+    def _experiments(self, diagnosis: DiagnosisEntry, joint: str) -> int:
+        """Number of experiments of the axis that led to this diagnosis."""
+        run = [before.experiment for before in self._before(diagnosis)]
+        return sum(one is not None and one.axis == joint for one in run)
 
     def _known(self, model_id: int | None, joint: str) -> dict[str, dict[str, Parameter]]:
         """Known effects of the axis in the model, with their parameters."""
@@ -329,13 +338,11 @@ class Diagnosing(OpenJobs):
 
     def _weighing(self, diagnosis: DiagnosisEntry, joint: str) -> Weighing | None:
         """The newest campaign with a known mass that moved the axis, of this diagnosis or of one that it continues."""
-        at: DiagnosisEntry | None = diagnosis
-        while at is not None:
+        for at in (diagnosis, *self._before(diagnosis)):
             if at.weighed is not None:
                 swept = swept_axes(self._store, campaigns_of(self._store, [at.weighed.campaign_id]))
                 if joint in swept:
                     return at.weighed
-            at = None if at.parent is None else self._diagnoses.diagnosis(at.parent)
         return None
 
     def _composed(self, diagnosis: DiagnosisEntry) -> Diagnosis | None:

@@ -21,7 +21,7 @@ from service.model.results.diagnosis import AxisDiagnosis, Experiment
 from service.model.results.effect import RevisedAxis
 from service.planning.campaigns.live import EventFeed
 from service.planning.compiled_plan import Range
-from service.planning.diagnosis import build_experiment_plan
+from service.planning.diagnosis import ExperimentPlace, build_experiment_plan
 from service.planning.documents import ExperimentPlan, ExperimentRequest
 from service.planning.machine_setup import MachineSetup, NeedsConfirmation, on_machine
 from service.process.settings import Settings
@@ -74,22 +74,20 @@ class ExperimentPlanner:
         plan = build_experiment_plan(robot, request, designed, read_cell(self.settings.cells_dir / f"{name}.yaml"))
         return plan.model_copy(update={"made_for": made_for})
 
-    def refusal(self, robot_id: int, experiment: Experiment) -> str:
-        """Why the machine cannot run the experiment, or "": also if only a person can tell its robot or cell."""
-        if self.setup.cell is None:
-            return ""
+    def place(self, robot_id: int) -> ExperimentPlace | None:
+        """Where experiments of the robot would run; None if only a person can tell the machine's robot or cell."""
+        cell = self.setup.cell
+        if cell is None:
+            return None
         try:
-            self.plan(robot_id, experiment, None, {}, "")
+            self.setup.confirmed(self.store.robot(robot_id), cell, {}, "")
         except NeedsConfirmation:
-            return ""
-        except BadInput as error:
-            return str(error)
-        return ""
+            return None
+        read = read_cell(self.settings.cells_dir / f"{cell}.yaml")
+        return ExperimentPlace(ExperimentRequest(robot_id=robot_id, cell=cell), read, self.setup.axes)
 
 
 _log = structlog.get_logger(__name__)
-
-ROUNDS = 4  # unattended experiments of one axis
 
 
 class Experiments:
@@ -274,22 +272,10 @@ class Experiments:
                 Verdict.UNTESTABLE.value,
             ):
                 continue  # more tests are possible, but there is no gap left
-            if experiment.weighs:
-                causes.append(f"{axis}: a test mass needs a person")
-            elif self._rounds(diagnosis, axis) >= ROUNDS:
-                causes.append(f"{axis}: not decided after {ROUNDS} experiments")
-            else:
+            if not experiment.weighs:
                 return axis, ""
+            causes.append(f"{axis}: a test mass needs a person")
         return None, "; ".join(causes)
-
-    def _rounds(self, diagnosis: DiagnosisEntry, axis: str) -> int:
-        """Number of experiments of the axis that led to this diagnosis."""
-        count, parent = 0, diagnosis.parent
-        while parent is not None:
-            before = self._diagnoses.diagnosis(parent)
-            count += before.experiment is not None and before.experiment.axis == axis
-            parent = before.parent
-        return count
 
 
 def proposed(diagnosis: DiagnosisDocument, axis: str) -> Experiment:

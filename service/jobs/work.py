@@ -13,7 +13,7 @@ import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
 
@@ -41,6 +41,7 @@ if TYPE_CHECKING:  # numerical modules, and the report
     from service.identification.estimates.torque_gain import KnownMass
     from service.identification.estimates.update import Condensed
     from service.identification.estimation import SweepSpectrum
+    from service.planning.diagnosis import ExperimentPlace
     from service.report.content import CampaignReport
     from service.report.html import Form, ReportPage
     from service.store.files.recordings import RecordingFile
@@ -260,22 +261,31 @@ class DiagnosisJob(OfRobot):
     weighed: tuple[RecordedSweep, ...]
     estimate: Mapping[str, JsonValue] | None = None  # document from which the rigid model starts; None: CAD
     started_from: str = ""  # name of that estimate
+    experiments: int = 0  # of the axis that led to it
+    place: "ExperimentPlace | None" = None  # where the next would run; None: not known
 
     priority = 0
 
     def __call__(self) -> AxisDiagnosis:
         from service.diagnosis import axis_document, diagnose_axis
+        from service.diagnosis.experiments import all_runnable
         from service.diagnosis.fit.calibration import Weighed
         from service.formats.export.started_robot import started_from
 
-        robot = self.built()
+        origin = robot = self.built()
         if self.estimate is not None:
             robot = started_from(robot, self.estimate, self.started_from)
         sweeps = [sweep.read() for sweep in self.sweeps]
         weighed = None
         if self.mass is not None:
             weighed = Weighed(self.mass, tuple(sweep.read() for sweep in self.weighed))
-        return axis_document(diagnose_axis(robot, self.joint, sweeps, known=self.known, weighed=weighed))
+        runnable = all_runnable if self.place is None else partial(self.place.runnable, origin)
+        return axis_document(
+            diagnose_axis(
+                robot, self.joint, sweeps, known=self.known, weighed=weighed, experiments=self.experiments,
+                runnable=runnable,
+            )
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ An experiment, the next one that a diagnosis proposes, is planned in the same wa
 """
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ from service.planning.documents import (
     grid_of,
     limits,
 )
+from service.planning.machine_setup import DriveAxis, on_machine
 from service.planning.path import SweepPath
 from service.planning.poses import grid, room
 from service.planning.safety.envelope import Envelope
@@ -91,6 +93,25 @@ def build_experiment_plan(
         dropped=tuple(way.dropped),
         duration=way.path.duration,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentPlace:
+    """Where the experiments of a robot would run."""
+
+    request: ExperimentRequest
+    cell: Cell
+    drives: tuple[DriveAxis, ...]
+
+    def runnable(self, robot: Robot, designed: Sequence[DesignedSweep]) -> tuple[tuple[DesignedSweep, ...], str]:
+        """The designed sweeps that can be run, and the reason for the first that cannot, or ""."""
+        try:
+            plan = build_experiment_plan(on_machine(robot, self.drives), self.request, designed, self.cell)
+        except BadInput as error:
+            return (), error.reason
+        planned = {(sweep.spec.pose, sweep.spec.block) for sweep in plan.sweeps}
+        kept = tuple(sweep for sweep in designed if (sweep.spec.pose, sweep.spec.block) in planned)
+        return kept, plan.dropped[0].reason if plan.dropped else ""
 
 
 def spread(robot: Robot, index: int, candidates: Array) -> Array:

@@ -365,7 +365,7 @@ async def _open_cell(
     stack.push_async_callback(runner.close)
 
     planner = ExperimentPlanner(settings, store, setup)
-    diagnosing = Diagnosing(store, app.diagnoses, app.models, files, worker, planner.refusal)
+    diagnosing = Diagnosing(store, app.diagnoses, app.models, files, worker, planner.place)
     stack.push_async_callback(diagnosing.close)
     experiments = Experiments(settings, store, app.diagnoses, runner, diagnosing, planner)
     stack.push_async_callback(experiments.close)

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from service.diagnosis.experiments import ROUNDS
 from service.web.client import Json, ServiceClient, ServiceProblem
 from tests.command import sweepid
 from tests.system.rest_bench import CONFIG, Service, VirtualMachine, serving, until, virtual_machine
@@ -16,7 +17,6 @@ COULOMB = 90.0  # N m, that nobody told the model of
 ROBOT = "max100-class"
 DIAGNOSE = ("diagnose_axis", ROBOT, AXIS)
 MEASURE = (*DIAGNOSE, "--varied", "joint_2", "--poses", "3")
-ROUNDS = 4
 PATIENCE = 300.0  # s for a campaign or a diagnosis on a busy computer
 
 

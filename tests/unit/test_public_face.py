@@ -62,6 +62,11 @@ def test_each_kind_of_result_shows_itself() -> None:
     named = Diagnosis.read(stored("diagnosis-named"), "diagnosis")
     assert named.to_pandas()["verdict"].tolist() == [axis.verdict for axis in named.axes.values()]
     assert all(axis.summary in str(named) for axis in named.axes.values())
+    content = stored("diagnosis-named")
+    (effect, *_) = next(axis["effects"] for axis in content["axes"].values() if axis["effects"])
+    effect["parameters"]["change"] = {"value": 880.0, "std": 640_000.0, "unit": "N m"}
+    vague = str(Diagnosis.read(content, "diagnosis"))
+    assert ("not significant: change" in vague, "6.4e+05" in vague) == (True, False)
 
 
 def test_results_draw_themselves() -> None:

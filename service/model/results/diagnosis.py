@@ -354,7 +354,7 @@ def _axis_shown(joint: str, axis: AxisDiagnosis) -> Sequence[Table | str]:
 
 
 def _effect_lines(effect: Effect, before: str) -> list[str]:
-    return [
-        f"  {before}{effect.sentence}",
-        *(f"    {name} = {value.words}" for name, value in effect.parameters.items()),
-    ]
+    """A parameter of which the sweeps tell nothing is not shown."""
+    shown = [f"    {name} = {value.words}" for name, value in effect.parameters.items() if value.significant]
+    open_ = ", ".join(name for name, value in effect.parameters.items() if not value.significant)
+    return [f"  {before}{effect.sentence}", *shown, *([f"    not significant: {open_}"] if open_ else [])]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from service.model.recording import SweepSpec
 from service.model.robot import Axis, Prior, Robot, RobotDescription, build_robot
 from tests.numeric.second_plant.bodies import Rigid
 from tests.numeric.second_plant.draft import Draft, Hidden
@@ -13,8 +14,8 @@ from tests.numeric.second_plant.effects import CATALOGUE, FIRST, FREE, PULLED, T
 from tests.numeric.second_plant.faults import WITH_RIPPLE
 from tests.numeric.second_plant.machine import STEP, Controls
 from tests.numeric.second_plant.outside import OUTSIDE, PLUMB, SWINGING
-from tests.numeric.second_plant.plans import motion, plan
-from tests.numeric.second_plant.robots import FAMILIES, Mechanism, put_off, random_mechanism, urdf
+from tests.numeric.second_plant.plans import followed, motion, plan
+from tests.numeric.second_plant.robots import FAMILIES, Body, Mechanism, put_off, random_mechanism, urdf
 from tests.numeric.second_plant.sensors import Sensors
 
 Array = NDArray[np.float64]
@@ -36,6 +37,7 @@ class Wanted:
     fault: bool = False
     small: bool = False
     bare: bool = False  # the same machine with nothing hidden
+    later: tuple[tuple[SweepSpec, Body | None], ...] = ()  # further sweeps, with what is bolted to the flange
 
 
 @dataclass(frozen=True)
@@ -77,8 +79,10 @@ def build(random: np.random.Generator, wanted: Wanted, name: str) -> Scene:
     motor = motor_nominal * (1.0 + (0.03 if tight else 0.1) * float(np.clip(random.normal(), -1.5, 1.5)))
     limits = np.array([(j.lower, j.upper) for j in place.cad.joints])
     planned = plan(random, joint, index, limits, place.inertia + motor_nominal, rated, small=wanted.small)
+    drawn = len(planned.specs)
+    planned = followed(planned, [spec for spec, _ in wanted.later])
     wished = motion(planned, STEP)
-    fastest = float(np.abs(wished.velocity).max()) * ratios[index] / (2 * np.pi)  # motor revolutions a second
+    fastest = float(np.abs(wished.velocity[:, :drawn]).max()) * ratios[index] / (2 * np.pi)  # of the motor, turns/s
     count = float(random.choice([n for n in (36, 24, 16, 12, 8) if 2 * n * fastest < SAMPLED * planned.rate]))
     cogging, transmission = (count, 2 * count), (1.0, 2.0)
     sensors = _sensors(random, rated, float(ratios[index]))
@@ -86,10 +90,12 @@ def build(random: np.random.Generator, wanted: Wanted, name: str) -> Scene:
     if wanted.size == "small":
         size = sensors.floor * random.uniform(1.0, 2.0)
     draft = Draft(
-        random=own, built=built, index=index, plan=planned, wanted=wished, rated=rated,
+        random=own, later=np.random.default_rng(drawn), drawn=drawn, built=built, index=index, plan=planned,
+        wanted=wished, rated=rated,
         ratio=float(ratios[index]), cogging_orders=cogging, transmission_orders=transmission, size=size,
         size_class=wanted.size, motor=motor, viscous=viscous * random.uniform(0.75, 1.3), nominal_viscous=viscous,
         tight=tight, sensors=sensors,
+        carried=(None,) * drawn + tuple(body for _, body in wanted.later),
     )  # fmt: skip
     hidden = {} if wanted.bare else _hide(draft, wanted)
     inertia = place.inertia + motor_nominal

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.model.recording import Recording, Sweep
+from service.model.recording import Recording, Sweep, SweepSpec
 from service.model.robot import Robot
 from tests.numeric.second_plant.bodies import Rigid
 from tests.numeric.second_plant.build import Scene, Wanted, build
@@ -16,6 +16,8 @@ from tests.numeric.second_plant.effects import CATALOGUE
 from tests.numeric.second_plant.faults import FAULTS, Neighbour, broken
 from tests.numeric.second_plant.machine import STEP, run
 from tests.numeric.second_plant.outside import OUTSIDE
+from tests.numeric.second_plant.plans import spec_end
+from tests.numeric.second_plant.robots import Body
 from tests.numeric.second_plant.sensors import noise, sample
 
 Array = NDArray[np.float64]
@@ -125,24 +127,33 @@ def cases(
     return [*healthy, *one, *some, *more, *beyond, *faulty]
 
 
-def make(one: Case, *, small: bool = False, bare: bool = False) -> tuple[Robot, str, tuple[Sweep, ...], Truth]:
-    """Robot as on paper, joint, sweeps, and the truth. `small`: three poses and 42 sweeps; `bare`: nothing hidden."""
+def make(
+    one: Case, *, small: bool = False, bare: bool = False, later: Sequence[tuple[SweepSpec, Body | None]] = ()
+) -> tuple[Robot, str, tuple[Sweep, ...], Truth]:
+    """Robot as on paper, joint, sweeps, and the truth. `small`: three poses and 42 sweeps; `bare`: nothing hidden.
+
+    `later`: sweeps that the same machine runs afterwards, each with what is bolted to its flange by then; their records
+    follow the others, whose noise is another one with them.
+    """
     random, records = np.random.default_rng((one.seed, one.number)).spawn(2)
     of = one.kind
-    wanted = Wanted(one.names, one.size, of is Kind.OUTSIDE, of is Kind.NOMINAL, small, bare)
+    wanted = Wanted(one.names, one.size, of is Kind.OUTSIDE, of is Kind.NOMINAL, small, bare, tuple(later))
     scene = build(random, wanted, f"plant-{one.number:05}")
     draft, plan = scene.draft, scene.draft.plan
     feedback = records.normal(scale=2e-6, size=draft.wanted.velocity.shape)
-    raw = run(draft.train, scene.controls, draft.starts, draft.wanted, feedback)
+    raw = run(draft.train, scene.controls, plan.poses[:, draft.index], draft.wanted, feedback)
     told = sample(draft.sensors, replace(raw, torque=_told(draft.after, raw.torque, raw.position)), plan.rate, records)
-    rows = round(plan.duration * plan.rate)
-    setpoints = draft.wanted.velocity[:: round(1.0 / (plan.rate * STEP))][:rows]
+    rows = [
+        round((spec_end(spec) if k >= draft.drawn else plan.duration) * plan.rate) for k, spec in enumerate(plan.specs)
+    ]
+    setpoints = draft.wanted.velocity[:: round(1.0 / (plan.rate * STEP))]
     sweeps = [
         Sweep(
             spec,
             Recording(
-                time=told.time[:rows, k], effort=told.effort[:rows, k], velocity=told.velocity[:rows, k],
-                position=told.position[:rows, k], velocity_setpoint=setpoints[:, k] if scene.setpoint else None,
+                time=told.time[: rows[k], k], effort=told.effort[: rows[k], k], velocity=told.velocity[: rows[k], k],
+                position=told.position[: rows[k], k],
+                velocity_setpoint=setpoints[: rows[k], k] if scene.setpoint else None,
             ),
         )
         for k, spec in enumerate(plan.specs)
@@ -150,7 +161,7 @@ def make(one: Case, *, small: bool = False, bare: bool = False) -> tuple[Robot, 
     robot, joint = scene.robot, scene.joint
     fault = one.names[0] if one.kind is Kind.NOMINAL else ""
     if fault and not bare:
-        robot, joint, sweeps = broken(fault, robot, joint, sweeps, _neighbour(scene, rows, records), records)
+        robot, joint, sweeps = broken(fault, robot, joint, sweeps, _neighbour(scene, rows[0], records), records)
     truth = Truth(
         one.number, one.seed, one.kind.value, one.size, joint,
         {name: hidden.parameters for name, hidden in scene.hidden.items()},

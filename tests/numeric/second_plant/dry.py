@@ -7,14 +7,14 @@ from tests.numeric.second_plant.friction import Bristle, Level, Sliders
 
 
 def bristle(draft: Draft, level: Level, reach: float) -> Bristle:
-    return Bristle(level, reach, draft.random.uniform(-0.5, 0.5, draft.sweeps))
+    return Bristle(level, reach, draft.each(-0.5, 0.5))
 
 
 def sliders(draft: Draft, level: Level, reach: float) -> Sliders:
     """Eight, yielding from a quarter of `reach` to four times it."""
     reaches = reach * np.geomspace(0.25, 4.0, 8)[:, None]
     parts = draft.random.uniform(0.5, 1.5, (8, 1))
-    shares = np.repeat(draft.random.uniform(-0.5, 0.5, (1, draft.sweeps)), 8, axis=0)
+    shares = np.repeat(draft.each(-0.5, 0.5)[None], 8, axis=0)
     return Sliders(level, reaches, parts / parts.sum(), shares)
 
 
@@ -25,7 +25,7 @@ def effect_of_warmth(draft: Draft) -> Hidden:
     """
     law = str(draft.random.choice(["dry", "viscous", "both"]))
     specs = draft.plan.specs
-    pace = draft.random.uniform(0.3, 1.5) * specs[-1].started_at
+    pace = draft.random.uniform(0.3, 1.5) * specs[draft.drawn - 1].started_at
     power = np.square(draft.wanted.velocity).mean(axis=0) * draft.viscous
     warm, now, result = 0.0, 0.0, []
     for spec, heat in zip(specs, power, strict=True):
@@ -33,7 +33,7 @@ def effect_of_warmth(draft: Draft) -> Hidden:
         now = spec.started_at
         result.append(warm)
         warm += float(heat) * draft.plan.duration
-    warmth = np.array(result) / max(result)
+    warmth = np.array(result) / max(result[: draft.drawn])
     lost = {"dry": 0.0, "viscous": 0.0}
     parameters: dict[str, object] = {"law": law, "time_constant": pace}
     companions: tuple[str, ...] = ()

@@ -113,7 +113,7 @@ def gravity_error(draft: Draft) -> Hidden:
         draft.train.gravity = draft.curve(replace(draft.built, bodies=tuple(bodies)))
         return draft
 
-    unit = np.abs(shifted(0.1).train.gravity.values - before.values).max()
+    unit = draft.drawn_for(np.abs(shifted(0.1).train.gravity.values - before.values)).max()
     metres = 0.1 * amount / float(unit)
     shifted(metres)
     moment = draft.built.bodies[draft.index].mass * metres * way
@@ -133,7 +133,7 @@ def payload(draft: Draft) -> Hidden:
         draft.rebuild(replace(bare, bodies=(*bare.bodies[:-1], joined(bare.bodies[-1], body))))
 
     loaded(1.0)
-    mass = wanted / float(np.abs(draft.train.gravity.values - before).max())
+    mass = wanted / float(draft.drawn_for(np.abs(draft.train.gravity.values - before)).max())
     loaded(mass)
     return Hidden({"mass": mass, "com": (unit.centre - bare.flange).tolist()})
 
@@ -243,7 +243,7 @@ def _often_none(draft: Draft, most: float) -> float:
 
 
 def _spring(draft: Draft, frequency: float, hardening: float, play: float) -> Hidden:
-    load = float(draft.train.load.mean())
+    load = float(draft.drawn_for(draft.train.load).mean())
     stiffness = load * (2 * np.pi * frequency) ** 2
     ratio = draft.random.uniform(0.02, 0.06)
     twist = (draft.weight() + 0.1 * draft.rated) / stiffness

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from tests.numeric.second_plant.draft import Draft, Hidden
 from tests.numeric.second_plant.friction import Now
 from tests.numeric.second_plant.laws import Law
+from tests.numeric.second_plant.plans import Random
 
 Array = NDArray[np.float64]
 
@@ -17,8 +18,8 @@ def floor_vibration(draft: Draft) -> Hidden:
     """A press next door shakes the base; no two sweeps meet it at the same phase."""
     frequency = draft.random.uniform(4.0, 11.0)
     frequency += 0.25 if abs(frequency - round(frequency)) < 0.1 else 0.0
-    phases = draft.random.uniform(0, 2 * np.pi, draft.sweeps)
-    sizes = draft.size * draft.random.uniform(0.7, 1.3, draft.sweeps)
+    phases = draft.each(0, 2 * np.pi)
+    sizes = draft.size * draft.each(0.7, 1.3)
     draft.train.on_load.append(Law(lambda now: sizes * np.sin(2 * np.pi * frequency * now.time + phases)))
     return Hidden({"amplitude": draft.size, "frequency": frequency})
 
@@ -41,9 +42,9 @@ def tilted_base(draft: Draft) -> Hidden:
 def dragging_brake(draft: Draft) -> Hidden:
     """The holding brake touches now and then, for some tenths of a second."""
     times, touches = 400, np.empty((400, draft.sweeps))
-    touching = draft.random.random(draft.sweeps) < 0.3
+    touching = draft.each(0.0, 1.0) < 0.3
     for n in range(times):
-        change = draft.random.random(draft.sweeps) < np.where(touching, 0.08, 0.04)
+        change = draft.each(0.0, 1.0) < np.where(touching, 0.08, 0.04)
         touching = touching ^ change
         touches[n] = touching * draft.random.uniform(0.7, 1.3)
     there = 2.0 * draft.size
@@ -100,9 +101,9 @@ def counterbalance(draft: Draft) -> Hidden:
 
 def sagging_supply(draft: Draft) -> Hidden:
     """The supply's voltage wanders, and with it the torque that a count of current gives."""
-    wander = draft.random.normal(size=draft.sweeps)
+    wander = draft.each(0.0, 1.0, Random.normal)
     share = 2.0 * draft.size / (draft.weight() + 0.15 * draft.rated)
-    gain = 1.0 + share * wander / np.abs(wander).max()
+    gain = 1.0 + share * wander / np.abs(wander[: draft.drawn]).max()
     draft.train.delivered = lambda now: gain
     return Hidden({"share": share})
 

@@ -2,8 +2,8 @@
 last; before everything two holds. All sweeps of a case last equally long, so that they are stepped side by side.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,13 +101,24 @@ def plan(
     return Plan(tuple(specs()), rate, 2.0, 0.0 if random.random() < 0.5 else 0.6, 1.0)
 
 
+def followed(planned: Plan, later: Sequence[SweepSpec]) -> Plan:
+    """The plan with further sweeps, of any length, after its own."""
+    longest = max((spec_end(spec) for spec in later), default=0.0)
+    run_out = max(planned.run_out, longest - planned.measure_from - planned.window)
+    return replace(planned, specs=(*planned.specs, *later), run_out=run_out)
+
+
+def spec_end(spec: SweepSpec) -> float:
+    """When a further sweep stands again, s."""
+    return spec.measure_from + (spec.period or 0.0) * (spec.periods or 0) + RAMP
+
+
 def motion(planned: Plan, step: float) -> Motion:
     """What the controls ask for at every step of `step` s."""
     time = np.arange(round(planned.duration / step) + 1) * step
-    end = planned.measure_from + planned.window
-    gate = _smooth(time / RAMP) * (1.0 - _smooth((time - end) / RAMP))
-    rows = [_speed(spec, time) for spec in planned.specs]
-    velocity = gate[:, None] * np.array(rows).T
+    ends = [s.measure_from + (s.period or planned.window) * (s.periods or 1) for s in planned.specs]
+    gates = [_smooth(time / RAMP) * (1.0 - _smooth((time - end) / RAMP)) for end in ends]
+    velocity = np.array([gate * _speed(spec, time) for gate, spec in zip(gates, planned.specs, strict=True)]).T
     acceleration = np.gradient(velocity, step, axis=0)
     travel = np.cumsum((velocity[1:] + velocity[:-1]) * step / 2, axis=0)
     return Motion(velocity, acceleration, np.vstack([np.zeros(velocity.shape[1]), travel]))

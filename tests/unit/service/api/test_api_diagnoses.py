@@ -1,6 +1,6 @@
 """Check of the data and diagnosis over HTTP, from imported campaigns to an accepted model; nothing can move here."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +10,11 @@ import pytest
 import yaml
 
 from service.data_check import check, findings_document
+from service.diagnosis.experiments import ROUNDS
 from service.diagnosis.sensitivity import expected
-from service.identification.design.diagnosis_sweeps import full_design
+from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design
 from service.model.errors import BadInput
-from service.model.recording import Sweep
+from service.model.recording import Sweep, SweepSpec
 from service.model.robot import Robot
 from service.store.files.bundle import write_bundle
 from service.web.client import ServiceClient, ServiceProblem
@@ -26,11 +27,15 @@ FRICTION = 60.0  # N m, dry, that the model does not know
 
 
 def sweeps_of(robot: Robot, seed: int, *blocks: str) -> list[Sweep]:
+    return run(full_design(robot, "joint_1", np.array(POSES), sample_rate=250.0, blocks=blocks), seed)
+
+
+def run(designed: Sequence[DesignedSweep], seed: int) -> list[Sweep]:
     """The vertical axis with dry friction and 3 N m of noise."""
     random = np.random.default_rng(seed)
     sweeps: list[Sweep] = []
-    for designed in full_design(robot, "joint_1", np.array(POSES), sample_rate=250.0, blocks=blocks):
-        sweep = expected(designed, designed.spec.pose[0])
+    for one in designed:
+        sweep = expected(one, one.spec.pose[0])
         record = sweep.recording
         turning = np.gradient(record.velocity, record.time)
         friction = FRICTION * np.sign(record.velocity) + 200.0 * record.velocity
@@ -41,6 +46,7 @@ def sweeps_of(robot: Robot, seed: int, *blocks: str) -> list[Sweep]:
 
 def imported(client: ServiceClient, folder: Path, robot: Robot, sweeps: list[Sweep]) -> int:
     """A campaign of these sweeps; a diagnosis does not wait until they are identified."""
+    folder.mkdir(exist_ok=True)
     write_bundle(folder / "bundle", robot, sweeps)
     (folder / "bundle.zip").write_bytes(packed(folder / "bundle"))
     return int(client.import_bundle(folder / "bundle.zip")["id"])
@@ -102,6 +108,22 @@ def test_what_is_open_names_rivals_and_the_experiment_between_them(
     assert again["document"] == plan["document"]
     with pytest.raises(ServiceProblem, match="the verdict is ambiguous, not named"):
         client.accept_model(ambiguous["id"], "Ada")
+
+
+def test_what_is_proposed_leads_to_a_name(
+    client: ServiceClient, robot: Robot, ambiguous: dict[str, Any], tmp_path: Path
+) -> None:
+    """Each experiment as planned, until none is proposed."""
+    found, campaigns = ambiguous, list(ambiguous["campaigns"])
+    while found["verdicts"]["joint_1"] == "ambiguous":
+        assert len(campaigns) <= ROUNDS, found["document"]["axes"]["joint_1"]["summary"]
+        planned = client.plan_experiment(found["id"], "joint_1")["document"]["sweeps"]
+        designed = [DesignedSweep(SweepSpec(**one["spec"]), one["ramp"], one["settle"]) for one in planned]
+        campaigns.append(imported(client, tmp_path / str(len(campaigns)), robot, run(designed, len(campaigns))))
+        found = client.diagnosed(client.add_diagnosis(campaigns, start="cad")["id"])
+    axis = found["document"]["axes"]["joint_1"]
+    assert [effect["effect"] for effect in axis["effects"]] == ["coulomb_friction"]
+    assert (axis["verdict"], axis["next_experiment"]) == ("named", None)
 
 
 def test_an_experiment_that_cannot_begin_leaves_nothing(

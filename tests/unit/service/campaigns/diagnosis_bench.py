@@ -19,6 +19,7 @@ from service.jobs.work import JobFailed, Work, Worker
 from service.model.errors import SweepidError
 from service.model.recording import Sweep
 from service.model.robot import Robot
+from service.planning.diagnosis import ExperimentPlace
 from service.process.settings import Cluster
 from service.store.database import open_database
 from service.store.diagnoses import DiagnosisStore, ModelStore
@@ -97,13 +98,13 @@ class Bench:
 
 
 @asynccontextmanager
-async def open_bench(folder: Path, worker: Worker, refusal: str = "") -> AsyncGenerator[Bench]:
-    """`refusal`: why the machine runs no experiment."""
+async def open_bench(folder: Path, worker: Worker, place: ExperimentPlace | None = None) -> AsyncGenerator[Bench]:
+    """`place`: where experiments would run."""
     async with AsyncExitStack() as stack:
         database = stack.enter_context(open_database(f"sqlite:///{folder / 'sweepid.sqlite'}"))
         store, files, diagnoses = Store(database), RecordingFiles(folder), DiagnosisStore(database)
         models = ModelStore(database)
-        diagnosing = Diagnosing(store, diagnoses, models, files, worker, lambda *_: refusal)
+        diagnosing = Diagnosing(store, diagnoses, models, files, worker, lambda _: place)
         stack.push_async_callback(diagnosing.close)
         yield Bench(store, files, diagnoses, models, diagnosing)
 

@@ -9,6 +9,7 @@ from typing import Any, cast
 import pytest
 
 from service.diagnosis import axis_document, diagnose_axis
+from service.diagnosis.experiments import ROUNDS
 from service.diagnosis.sensitivity import expected
 from service.identification.design.diagnosis_sweeps import full_design
 from service.identification.estimates.torque_gain import KnownMass
@@ -16,12 +17,15 @@ from service.identification.estimation import estimate_document, sweep_spectrum
 from service.jobs.dask_workers import DaskWorkers
 from service.jobs.diagnosing import Start, campaigns_of, recorded_sweeps
 from service.jobs.experiments import accept_model
-from service.jobs.work import DiagnosisJob, Work
+from service.jobs.work import DiagnosisJob
 from service.jobs.worker import open_worker
+from service.model.configuration import read_cell
 from service.model.errors import BadInput, Conflict
-from service.model.results.diagnosis import AxisDiagnosis
 from service.model.robot import Robot
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move
+from service.planning.diagnosis import ExperimentPlace
+from service.planning.documents import ExperimentRequest
+from service.planning.machine_setup import DriveAxis
 from service.store.database import open_database
 from service.store.documents import (
     BoltedMass,
@@ -36,32 +40,50 @@ from service.store.files.bundle import Bundle, save_bundle
 from service.store.files.data_folder import campaign_bundle, import_campaign
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
-from tests.stored.documents import stored
 from tests.unit.service.campaigns.conftest import SPECTRUM, until
 from tests.unit.service.campaigns.diagnosis_bench import NOBODY, POSES, Bench, InProcess, axes_of, measured, open_bench
+from tests.unit.service.diagnosis.following import following
 
 pytestmark = pytest.mark.slow
 
 
-class Undecided(InProcess):
-    """Comes to a result that proposes an experiment."""
-
-    async def run(self, job: Work[Any]) -> Any:
-        return AxisDiagnosis.read(stored("diagnosis-open")["axes"]["joint_1"], "joint_1")
+WEAK = DriveAxis(joint="joint_1", effort_limit=0.01)
 
 
-@pytest.mark.parametrize("refusal", ["", "experiment: none of its sweeps can be run"])
-async def test_an_experiment_is_proposed_only_if_the_machine_can_run_it(
-    tmp_path: Path, robot: Robot, refusal: str
+@pytest.mark.parametrize(
+    ("drives", "before", "ended"),
+    [
+        ((), 0, ""),
+        ((WEAK,), 0, "and the machine cannot run what may decide it (none of its sweeps can be run"),
+        ((), ROUNDS, f"after {ROUNDS} experiments"),
+    ],
+)
+async def test_an_experiment_is_proposed_if_the_machine_can_run_it_and_not_too_many_were_run(
+    tmp_path: Path, robot: Robot, drives: tuple[DriveAxis, ...], before: int, ended: str
 ) -> None:
-    async with open_bench(tmp_path, Undecided(), refusal) as bench:
-        campaign = measured(bench.store, bench.files, robot, "joint_1", 1)
-        found = await bench.over((await bench.diagnosing.request([campaign], None, None, unattended=False)).id)
-        axis = found.found().axes["joint_1"]
-        assert (axis.next_experiment is None) == bool(refusal)
-        assert ("Next: measure the proposed experiment" in axis.summary) != bool(refusal)
-        ended = f"This machine cannot be diagnosed further, because of the next {refusal}"
-        assert (ended in axis.summary) == bool(refusal)
+    place = ExperimentPlace(ExperimentRequest(robot_id=1), read_cell(Path("config/cells/workshop.yaml")), drives)
+    async with open_bench(tmp_path, InProcess(), place) as bench:
+        new = NewDiagnosis(robot_id=1, campaigns=(once(bench.store, bench.files, robot),), axes=("joint_1",))
+        for _ in range(before):
+            parent = bench.diagnoses.add(new)
+            bench.diagnoses.finish(parent.id, {})
+            sweeps = [NewSweep(spec=sweep.spec, mode=None) for sweep in bench.store.sweeps(new.campaigns[0])]
+            bench.diagnoses.approve(parent.id, "joint_1", "Ada", None, {}, sweeps)
+            new = new.model_copy(update={"parent": parent.id})
+        diagnosis = bench.diagnoses.add(new)
+        bench.diagnosing.submit(diagnosis)
+        axis = (await bench.over(diagnosis.id)).found().axes["joint_1"]
+    assert axis.verdict == "untestable"
+    assert (axis.next_experiment is None) == bool(ended)
+    assert ended in axis.summary
+    assert ("It cannot be diagnosed further, because" in axis.summary) == bool(ended)
+
+
+def once(store: Store, files: RecordingFiles, robot: Robot) -> int:
+    """A campaign of joint_1 in one direction, not repeated."""
+    designed = full_design(robot, "joint_1", POSES, repeats=1, sample_rate=250.0, blocks=("forward_slow",))
+    sweeps = following(robot, "joint_1", designed)
+    return import_campaign(store, files, save_bundle(files, Bundle(robot, tuple(sweeps)))).id
 
 
 async def test_what_is_open_is_taken_up_by_the_next_process_and_what_is_done_is_not(

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import pytest
 
+from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.jobs.dask_workers import DaskWorkers
 from service.jobs.diagnosing import Diagnosing
-from service.jobs.experiments import ROUNDS, ExperimentPlanner, Experiments
+from service.jobs.experiments import ExperimentPlanner, Experiments
 from service.model.errors import BadInput, Conflict
 from service.model.robot import Robot
 from service.planning.campaigns.live import EventFeed
@@ -71,7 +72,7 @@ async def loop(again: Again, robot: Robot) -> AsyncIterator[Loop]:
         nobody = DaskWorkers(Cluster("tcp://127.0.0.1:1"))
         setup = MachineSetup("machine", robot=bench.store.robot(bench.campaign.robot_id), cell="workshop")
         planner, models = ExperimentPlanner(Settings(), bench.store, setup), ModelStore(bench.database)
-        diagnosing = Diagnosing(bench.store, diagnoses, models, bench.files, nobody, planner.refusal)
+        diagnosing = Diagnosing(bench.store, diagnoses, models, bench.files, nobody, planner.place)
         experiments = Experiments(Settings(), bench.store, diagnoses, bench.runner, diagnosing, planner)
         new = NewDiagnosis(
             robot_id=bench.campaign.robot_id, campaigns=(bench.campaign.id,), axes=("joint_1",), unattended=True
@@ -94,16 +95,21 @@ def test_an_experiment_that_the_machine_cannot_run_is_refused_when_it_is_planned
     """As of an axis whose drive permits less than every sweep needs."""
     wanted = loop.done("reversal", sweeps=True).found().axes["joint_1"].next_experiment
     assert wanted is not None
+    designed = [DesignedSweep(sweep.spec, sweep.ramp, sweep.settle) for sweep in wanted.sweeps]
     bench, weak = loop.bench, DriveAxis(joint="joint_1", effort_limit=0.01)
-    own = MachineSetup("machine", robot=bench.store.robot(loop.new.robot_id), cell="workshop")
-    for setup, reason in (
-        (own, ""),
-        (replace(own, cell=None), ""),  # a person names the cell
-        (replace(own, robot=None), ""),  # a person confirms the robot
-        (replace(own, axes=(weak,)), "experiment: none of its sweeps can be run; reason for the first: "),
+    robot = bench.store.robot(loop.new.robot_id)
+    own = MachineSetup("machine", robot=robot, cell="workshop")
+    for setup, kept, reason in (
+        (own, tuple(designed), ""),
+        (replace(own, axes=(weak,)), (), "none of its sweeps can be run; reason for the first: "),
     ):
-        told = ExperimentPlanner(Settings(), bench.store, setup).refusal(loop.new.robot_id, wanted)
+        place = ExperimentPlanner(Settings(), bench.store, setup).place(robot.id)
+        assert place is not None
+        runnable, told = place.runnable(robot.build(), designed)
+        assert runnable == kept
         assert told.startswith(reason) if reason else told == "", told
+    for setup in (replace(own, cell=None), replace(own, robot=None)):  # a person tells the cell, or that robot
+        assert ExperimentPlanner(Settings(), bench.store, setup).place(robot.id) is None
 
 
 @pytest.mark.parametrize("mass", [None, MASS])
@@ -163,15 +169,6 @@ async def test_an_aborted_experiment_ends_the_loop_that_nobody_attends(loop: Loo
     async with followed(loop):
         await asyncio.to_thread(loop.bench.store.move_campaign, campaign.id, lambda _: CampaignState.ABORTED)
         assert (await attended(loop, found.id)).cause == f"campaign {campaign.id} was aborted"
-
-
-async def test_a_loop_that_decides_nothing_ends(loop: Loop) -> None:
-    found = loop.done("reversal")
-    for _ in range(ROUNDS):
-        loop.measured(found, None)
-        found = loop.done("reversal", loop.new.model_copy(update={"parent": found.id}))
-    async with followed(loop, 0):
-        assert (await attended(loop, found.id)).cause == f"joint_1: not decided after {ROUNDS} experiments"
 
 
 async def test_only_what_was_proposed_is_approved(loop: Loop) -> None:

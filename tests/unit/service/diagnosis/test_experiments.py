@@ -17,6 +17,7 @@ from service.identification.design.diagnosis_sweeps import (
     BLOCKS,
     FAST,
     ROOM,
+    DesignedSweep,
     full_design,
     is_partial,
     machine_time,
@@ -26,6 +27,7 @@ from service.identification.design.diagnosis_sweeps import (
 )
 from service.identification.design.excitation import Excitation, velocity_setpoint
 from service.identification.estimates.torque_gain import KnownMass
+from service.model.recording import SweepSpec
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import (
     FORWARD,
@@ -56,7 +58,7 @@ def asked(
     robot = max100()
     sweeps = swept("joint_2", poses, hidden, noise=noise, load=load, blocks=blocks, revisit=False)
     selection = select(equations_of(robot, "joint_2", sweeps), (), list(rivals))
-    return next_experiment(selection, verdict, rivals, unseen or {}, sweeps)
+    return next_experiment(selection, verdict, rivals, unseen or {}, sweeps)[0]
 
 
 def needed(*args: Any, **others: Any) -> NextExperiment:
@@ -117,7 +119,7 @@ def test_the_mass_is_measured_in_sweeps_as_they_were_run_without_it() -> None:
     sweeps = following(robot, "joint_2", slower, load=heavier(0.05))
     rivals = ["payload", "torque_constant_error"]
     selection = select(equations_of(robot, "joint_2", sweeps), (), rivals)
-    wanted = next_experiment(selection, Verdict.AMBIGUOUS, rivals, {}, sweeps)
+    wanted, _ = next_experiment(selection, Verdict.AMBIGUOUS, rivals, {}, sweeps)
     assert wanted is not None
     assert {s.spec.offset_velocity for s in wanted.sweeps} == {s.spec.offset_velocity for s in slower}
     assert len({s.spec.pose for s in wanted.sweeps}) == 4
@@ -175,9 +177,56 @@ def test_the_papers_sweeps_can_be_followed_by_any_block() -> None:
     sweeps = following(robot, "joint_2", paper_design(robot, "joint_2", POSES, sample_rate=RATE), COULOMB)
     given = equations_of(robot, "joint_2", sweeps)
     selection = select(given, (), ["coulomb_friction", "effort_offset"])
-    wanted = next_experiment(selection, Verdict.AMBIGUOUS, ["coulomb_friction", "effort_offset"], {}, sweeps)
+    wanted, _ = next_experiment(selection, Verdict.AMBIGUOUS, ["coulomb_friction", "effort_offset"], {}, sweeps)
     assert wanted is not None
     assert min(sweep.spec.started_at for sweep in wanted.sweeps) > max(s.spec.started_at for s in sweeps)
+
+
+TOO_NEAR = "and the machine cannot run what may decide it (too near)"
+UNEXPLAINED = "no effect of the catalogue explains the sweeps"
+ALIKE = "Coulomb friction and effort offset explain the sweeps alike"
+
+
+@pytest.mark.parametrize(
+    ("verdict", "free", "experiments", "kind", "ended"),
+    [
+        (Verdict.UNKNOWN, lambda spec: spec.block != "wide", 0, "full_design", ""),
+        (Verdict.UNKNOWN, lambda spec: spec.pose != tuple(POSES[0].tolist()), 0, "more_poses", ""),
+        (Verdict.UNKNOWN, lambda spec: False, 0, "", f"{UNEXPLAINED} {TOO_NEAR}"),
+        (Verdict.AMBIGUOUS, lambda spec: False, 0, "", f"{ALIKE} {TOO_NEAR}"),
+        (Verdict.UNTESTABLE, lambda spec: False, 0, "", f"the sweeps do not show hose spring {TOO_NEAR}"),
+        (Verdict.UNKNOWN, lambda spec: True, 3, "", f"{UNEXPLAINED} after 3 experiments"),
+        (Verdict.NONE, lambda spec: False, 0, "", ""),
+        (Verdict.NAMED, lambda spec: True, 0, "", ""),
+    ],
+)  # fmt: skip
+def test_what_is_proposed_can_be_run_or_the_end_says_why(
+    verdict: Verdict, free: Callable[[SweepSpec], bool], experiments: int, kind: str, ended: str
+) -> None:
+    def runnable(sweeps: Sequence[DesignedSweep]) -> tuple[tuple[DesignedSweep, ...], str]:
+        kept = tuple(sweep for sweep in sweeps if free(sweep.spec))
+        return kept, "" if len(kept) == len(sweeps) else "too near"
+
+    rivals = ["coulomb_friction", "effort_offset"]
+    sweeps = swept("joint_2", POSES[:1], COULOMB, blocks=FORWARD, revisit=False)
+    selection = select(equations_of(max100(), "joint_2", sweeps), (), rivals)
+    unseen = {"hose_spring": UntestableEffect((), True)}
+    wanted, why = next_experiment(selection, verdict, rivals, unseen, sweeps, runnable, experiments)
+    assert ("" if wanted is None else wanted.kind, why) == (kind, ended)
+    assert wanted is None or all(free(sweep.spec) for sweep in wanted.sweeps)
+
+
+def test_where_fast_sweeps_are_no_other_speed_slower_ones_are_proposed_once() -> None:
+    robot, hidden = max100(), {Term("coulomb_friction"): (60.0,)}
+    designed = full_design(robot, "joint_2", POSES[:1], blocks=SLOW, sample_rate=RATE, travel=0.14, revisit=False)
+    sweeps = following(robot, "joint_2", designed, hidden)
+    for kind in ("full_design", "more_poses"):
+        selection = select(equations_of(robot, "joint_2", sweeps), (), ["measurement_delay"])
+        wanted, _ = next_experiment(selection, Verdict.UNKNOWN, (), {}, sweeps)
+        assert wanted is not None
+        assert wanted.kind == kind
+        sweeps = following(robot, "joint_2", [*designed, *wanted.sweeps], hidden)
+        assert measured_blocks([sweep.spec for sweep in sweeps]) == set(BLOCKS)
 
 
 THREE = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.0, -0.5, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])

@@ -251,7 +251,7 @@ ROLLED_BACK = "Rolled back, because held-out sweeps came out no better: backlash
                 "effects": [{"effect": name, "parameters": {}} for name in ("coulomb_friction", "joint_elasticity")],
                 "alternatives": [["coulomb_friction", "drift"], ["joint_elasticity"]],
             },
-            "do not tell whether it is Coulomb friction or drift. Significant: joint elasticity. ",
+            "do not tell whether it is Coulomb friction or drift. Significant: joint elasticity.",
             "",
         ),
         ({"verdict": "unknown", "part": [SPRING]}, "no effect of the catalogue explains it. Known in part: ", ""),
