@@ -13,6 +13,7 @@ import sweepid
 from service.identification.estimates.combination import JointEstimate, combine
 from service.identification.estimation import estimate_document
 from service.identification.model.regressor import axis_rows
+from service.identification.motion import record_faults
 from service.identification.motion.equations import whole_parameters
 from service.identification.motion.free_motion import free_motions
 from service.model.recording import Sweep
@@ -194,41 +195,87 @@ def test_the_model_of_a_free_motion_is_exported(tmp_path: Path) -> None:
     np.testing.assert_allclose(again.motor_inertias, model.motor_inertias)
 
 
-def opposite(one: Log) -> tuple[Robot, list[Sweep]]:
-    first, *rest = one.sweeps
-    return one.robot, [with_effort(first, -first.recording.effort), *rest]
-
-
-def exchanged(one: Log) -> tuple[Robot, list[Sweep]]:
-    first, second, *rest = one.sweeps
-    return one.robot, [with_effort(first, second.recording.effort), with_effort(second, first.recording.effort), *rest]
-
-
-def late(one: Log) -> tuple[Robot, list[Sweep]]:
-    time = one.sweeps[0].recording.time
-    return one.robot, [with_effort(s, np.interp(time - 0.2, time, s.recording.effort)) for s in one.sweeps]
-
-
-def turned(one: Log) -> tuple[Robot, list[Sweep]]:
-    description = one.robot.description.model_copy(update={"gravity": (0.0, -9.81, 0.0)})
-    return replace(one.robot, description=description), list(one.sweeps)
+Record = tuple[Robot, list[Sweep]]
 
 
 def with_effort(sweep: Sweep, effort: np.ndarray) -> Sweep:
     return replace(sweep, recording=replace(sweep.recording, effort=effort))
 
 
+def times(factor: float, *axes: int) -> Callable[[Record], Record]:
+    def planted(record: Record) -> Record:
+        own = (with_effort(s, s.recording.effort * (factor if k in axes else 1.0)) for k, s in enumerate(record[1]))
+        return record[0], list(own)
+
+    return planted
+
+
+def exchanged(record: Record) -> Record:
+    robot, (first, second, *rest) = record
+    return robot, [with_effort(first, second.recording.effort), with_effort(second, first.recording.effort), *rest]
+
+
+def late(record: Record) -> Record:
+    time = record[1][0].recording.time
+    return record[0], [with_effort(s, np.interp(time - 0.2, time, s.recording.effort)) for s in record[1]]
+
+
+def turned(record: Record) -> Record:
+    description = record[0].description.model_copy(update={"gravity": (0.0, -9.81, 0.0)})
+    return replace(record[0], description=description), record[1]
+
+
+EXCHANGED, LATE = r"the efforts of joint_1 and joint_2 seem to be exchanged", r"the efforts seem to be 200 ms late"
+TURNED = r"gravity seems to act along -z of the base"
+
+
+@pytest.mark.parametrize("motion", ["program", "wander", "single"])
 @pytest.mark.parametrize(
-    ("fault", "told"),
+    ("faults", "told"),
     [
-        (opposite, "the effort of joint_1 seems to have the wrong sign"),
-        (exchanged, "the efforts of joint_1 and joint_2 seem to be exchanged"),
-        (late, "the efforts seem to be 200 ms late"),
-        (turned, "gravity seems to act along -z of the base"),
+        ((), ()),
+        ((times(-1, 0),), ("the effort of joint_1 seems to have the wrong sign",)),
+        ((times(-1, 0, 1, 2),), ("all efforts seem to have the wrong sign",)),
+        ((exchanged,), (EXCHANGED,)),
+        ((late,), (LATE,)),
+        ((turned,), (TURNED,)),
+        ((times(1.5, 1),), (r"the effort of joint_2 seems to be 1\.[456]\d? times too large",)),
+        ((times(1000, 1),), (r"the effort of joint_2 seems to be \S+ times too large, as if in N mm",)),
+        ((times(0.01, 2), exchanged), (r"effort of joint_3 .* times too small, as if on the motor's side", EXCHANGED)),
+        ((times(-1, 2), turned), (TURNED, "the effort of joint_3 seems to have the wrong sign")),
+        ((times(0.5, 1), late), (r"the effort of joint_2 seems to be [12]\.\d* times too small", LATE)),
+        ((exchanged, turned), (TURNED, EXCHANGED)),
+        ((late, turned), (TURNED, LATE)),
     ],
 )
-def test_a_fault_of_the_records_is_located(fault: Callable[[Log], tuple[Robot, list[Sweep]]], told: str) -> None:
-    one = log(226, family="arm", motion="program", wall=False, duration=20.0)
+def test_faults_of_the_records_are_located(
+    faults: tuple[Callable[[Record], Record], ...], told: tuple[str, ...], motion: str
+) -> None:
+    one = of_three(motion)
+    robot, sweeps = one.robot, list(one.sweeps)
+    for fault in faults:
+        robot, sweeps = fault((robot, sweeps))
+    found = record_faults.faults(robot, free_motions(robot, sweeps))
+    assert len(found) == len(told), found
+    for sentence, pattern in zip(found, told, strict=True):
+        assert re.search(pattern, sentence)
+
+
+@cache
+def of_three(motion: str) -> Log:
+    return log(226, family="arm", small=False, motion=motion, wall=False, duration=20.0, rough=True)
+
+
+@pytest.mark.parametrize("unknown", ["payload", "balance"])
+@pytest.mark.parametrize("seed", range(240, 244))
+def test_what_the_nominal_model_lacks_is_no_fault_of_the_records(unknown: str, seed: int) -> None:
+    """A load on the last link, or a spring about the second axis."""
+    one = log(seed, family="arm", **{unknown: 0.3})
+    assert record_faults.faults(one.robot, free_motions(one.robot, one.sweeps)) == ()
+
+
+def test_a_located_fault_is_a_warning_of_the_estimate() -> None:
+    one = of_three("program")
     assert not document(one.robot, one.sweeps).warnings
-    robot, sweeps = fault(one)
-    assert told in document(robot, tuple(sweeps)).warnings[0]
+    robot, sweeps = exchanged((one.robot, list(one.sweeps)))
+    assert re.match(EXCHANGED, document(robot, tuple(sweeps)).warnings[0])

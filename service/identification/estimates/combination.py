@@ -57,13 +57,13 @@ from service.identification.motion.choice import (
     IdentifiedFriction,
     choose,
     extended,
-    faults,
     held_out,
     scales,
     wider,
 )
 from service.identification.motion.equations import Sampling, cogging
 from service.identification.motion.free_motion import FreeMotion
+from service.identification.motion.record_faults import faults
 from service.identification.motion.trajectory_record import TrajectoryRecord, calibrated, with_loads
 from service.identification.spectra.frequency_response import steps_and_slopes, stretches
 from service.model.arrays import Array, Complex
@@ -250,7 +250,7 @@ def combine(
         free_axes={} if free is None else held_out(motions, free.fit, free.others.plus(of_runs), free.start),
         friction={} if free is None else free.friction(robot, base, of_runs, of),
         chosen=free,
-        faults=() if free is None else faults(robot, base, motions, of, free),
+        faults=() if free is None else faults(robot, motions),
     )
 
 

@@ -17,24 +17,16 @@ Prediction error of a fit of free motions on held-out parts of them.
 Each of `FOLDS` parts in turn is left out of all records and predicted from the rest. The noise floor, below which no
 model error can fall, is the difference between runs of the same motion, half of its power in each; None if no motion
 was run twice.
-
-Faults of the records of free motions, where the whole inverse dynamics fits them badly.
-
-Each hypothesis changes the records or the robot file: an effort has the wrong sign, the efforts of two axes are
-exchanged, all efforts are late, or gravity has another direction. The simple estimator (`choice`), which knows no
-nominal model, then predicts held-out parts. A hypothesis that leaves less than 0.5 of the error of its axes, and less
-than 0.25 of their efforts, is told, with the evidence and what to change.
-Where all signs are wrong, or an axis is alone, friction is negative instead.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
 from service.identification.model.base_parameters import BaseParameters
-from service.identification.model.inverse_dynamics import Scale, dynamic_base, nominal_parameters, prior_information
+from service.identification.model.inverse_dynamics import Scale
 from service.identification.model.least_squares import Information
 from service.identification.motion.equations import AxisEquations, Sampling, all_equations, friction_laws
 from service.identification.motion.fit import FOLDS, FreeFit, fit_equations
@@ -282,83 +274,3 @@ def _with_laws(robot: Robot, parts: Sequence[AxisEquations], joints: frozenset[s
             own[:, robot.index(each.joint)] = each.lacks[:, : len(Sampling.low_speeds)]
         found.append(replace(each, rows=np.hstack([each.rows, own.reshape(len(own), -1)])))
     return found
-
-
-@dataclass(frozen=True)
-class _Hypothesis:
-    """`parts` as they would be without the fault; `joints` that it is about; `told` with the next step."""
-
-    robot: Robot
-    base: BaseParameters
-    parts: list[AxisEquations]
-    joints: tuple[str, ...]
-    told: str
-
-
-def faults(
-    robot: Robot,
-    base: BaseParameters,
-    records: Sequence[FreeMotion],
-    of: Mapping[str, Scale],
-    chosen: Chosen,
-) -> tuple[str, ...]:
-    """The most certain, or none; `of`: `scales` of the records."""
-    least = chosen.least_errors
-    limit = {joint: 0.25 * (of.get(joint, Scale()).effort or np.inf) for joint in least}
-    # a nominal model that the data do not contradict, and errors below the limits, raise no question
-    if chosen.widened == 1 and all(error < limit[joint] for joint, error in least.items()):
-        return ()
-    found: list[tuple[float, str]] = []
-    for one in _hypotheses(robot, base, records):
-        errors = _errors(one, records, of)
-        left = float(np.exp(np.mean([np.log(errors[joint] / least[joint]) for joint in one.joints])))
-        # a mended fault leaves less than half
-        if left < 0.5 and all(errors[joint] < limit[joint] for joint in one.joints):
-            found.append((left, f"{one.told}: the held-out error falls to {100 * left:.0f} %"))
-    return tuple(told for _, told in sorted(found)[:1])
-
-
-def _errors(one: _Hypothesis, records: Sequence[FreeMotion], of: Mapping[str, Scale]) -> dict[str, float]:
-    start = one.base.combination @ nominal_parameters(one.robot)
-    prior = wider(prior_information(one.robot, one.base, of), OPEN)
-    return held_out_errors(fit_equations(one.robot, records, one.parts, prior, start, order=0), prior, start)
-
-
-def _hypotheses(robot: Robot, base: BaseParameters, records: Sequence[FreeMotion]) -> Iterator[_Hypothesis]:
-    axes = ("x", "y", "z")
-    lags = np.arange(-0.3, 0.301, 0.05)  # s
-    parts = all_equations(robot, base, records)
-    joints = tuple(dict.fromkeys(each.joint for each in parts))
-    efforts = {(each.record, each.joint): each.values for each in parts}
-    for joint in joints:
-        opposite = [replace(each, values=-each.values) if each.joint == joint else each for each in parts]
-        told = f"the effort of {joint} seems to have the wrong sign: change it"
-        yield _Hypothesis(robot, base, opposite, (joint,), told)
-    for pair in combinations(joints, 2):
-        other = dict(zip(pair, reversed(pair), strict=True))
-        if all((each.record, other[each.joint]) in efforts for each in parts if each.joint in pair):
-            exchanged = [
-                replace(each, values=efforts[each.record, other[each.joint]]) if each.joint in pair else each
-                for each in parts
-            ]
-            told = f"the efforts of {pair[0]} and {pair[1]} seem to be exchanged: exchange their columns"
-            yield _Hypothesis(robot, base, exchanged, pair, told)
-    for lag in lags[np.abs(lags) > 0.01].tolist():
-        shifted = [replace(each, values=np.interp(each.time + lag, each.time, each.values)) for each in parts]
-        told = f"the efforts seem to be {1000 * lag:.0f} ms late: take them earlier by that"
-        yield _Hypothesis(robot, base, shifted, joints, told)
-    size = float(np.linalg.norm(robot.gravity)) or 9.81  # where the robot file has no gravity
-    oblique = dynamic_base(_turned(robot, (size, size, size)))  # of any direction: none makes a column vanish
-    for axis in range(3):
-        for sign in (1.0, -1.0):
-            gravity = [0.0, 0.0, 0.0]
-            gravity[axis] = sign * size
-            if np.allclose(gravity, robot.gravity, atol=0.1 * size):
-                continue
-            turned = _turned(robot, (gravity[0], gravity[1], gravity[2]))
-            told = f'gravity seems to act along {"-" if sign < 0 else ""}{axes[axis]} of the base: set "gravity"'
-            yield _Hypothesis(turned, oblique, all_equations(turned, oblique, records), joints, told)
-
-
-def _turned(robot: Robot, gravity: tuple[float, float, float]) -> Robot:
-    return replace(robot, description=robot.description.model_copy(update={"gravity": gravity}))

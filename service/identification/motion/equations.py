@@ -113,7 +113,7 @@ def equations(
                 ripple=low_pass(cogging(robot, index, motor.position[:, index]), rate, band)[kept],
                 lacks=low_pass(_lacks(motor, index, (fastest or {}).get(joint, highest)), rate, band)[kept],
                 springs=springs[:, index],
-                sound=inside & ~_at_rest(velocity, rate, band)[kept],
+                sound=inside & ~at_rest(velocity, rate, band)[kept],
                 time=time,
             )
         )
@@ -187,7 +187,7 @@ def _smooth(record: FreeMotion, position: Array, order: int) -> Array:
     return low_pass(position, record.rate, record.motion_cut, order)
 
 
-def _at_rest(velocity: Array, rate: float, band: float) -> Mask:
+def at_rest(velocity: Array, rate: float, band: float) -> Mask:
     """Where the low-pass covers samples at rest, (m,)."""
     still = np.abs(velocity) < Sampling.creeping * np.abs(velocity).max()
     # of the filter's weight
