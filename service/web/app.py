@@ -17,7 +17,6 @@ from service.web.api import (
     campaigns,
     diagnoses,
     drives,
-    health,
     live,
     login,
     metrics,
@@ -68,7 +67,7 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
         login.me_routes,
         login.login_routes,
         oidc.router,
-        health.health_routes,
+        metrics.health_routes,
     )
     app = DeclaredApi(
         title="sweepid",

@@ -1,6 +1,8 @@
 """`GET /metrics` for Prometheus: every metric, and where its values come from at each scrape.
 
 ``python -m service.web.api.metrics > docs/reference/metrics.md`` writes the reference page.
+
+Whether the process runs, and whether it can measure now.
 """
 
 import asyncio
@@ -15,6 +17,7 @@ from fastapi import APIRouter, Response
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
+from pydantic import BaseModel
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.machine.execution.statement import Condition
@@ -25,6 +28,59 @@ from service.store.database import refusal
 from service.web.api.dependencies import ApplicationOf
 from service.web.api.route_roles import allow
 from service.web.application import Application
+
+health_routes = APIRouter(prefix="/health", tags=["health"])
+
+
+class Live(BaseModel):
+    """The process answers."""
+
+    alive: bool
+
+
+class WaitingRecordings(BaseModel):
+    """Recordings that the object store does not have yet: number, time of the oldest, and the error of the store."""
+
+    waiting: int
+    since: datetime | None
+    trouble: str
+
+
+class Ready(BaseModel):
+    """`causes`: why measuring or identification is impossible now, one line per cause.
+
+    A service without a machine is ready while it can show the plant.
+    `recordings`: null if they stay in the data folder. An unreachable store is no cause: measuring continues.
+    """
+
+    ready: bool
+    causes: tuple[str, ...]
+    recordings: WaitingRecordings | None
+
+
+@health_routes.head("/live", include_in_schema=False)  # monitors ask so
+@health_routes.get("/live")
+@allow(None)
+async def get_live() -> Live:
+    return Live(alive=True)
+
+
+@health_routes.head("/ready", include_in_schema=False)
+@health_routes.get("/ready", responses={503: {"model": Ready, "description": "not ready to measure"}})
+@allow(None)
+async def get_ready(response: Response, application: ApplicationOf) -> Ready:
+    causes = await application.troubles()
+    response.status_code = 503 if causes else 200
+    return Ready(ready=not causes, causes=causes, recordings=await _recordings(application))
+
+
+async def _recordings(application: Application) -> WaitingRecordings | None:
+    moving = None if application.cell is None else application.cell.moving
+    if moving is None:
+        return None
+    found = await asyncio.to_thread(moving.backlog)
+    return WaitingRecordings.model_validate(found, from_attributes=True)
+
 
 metric_routes = APIRouter(tags=["health"])
 

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from service.machine.execution.plausibility import ImplausibleChannels, check_channels
+from service.machine.execution.recording import ImplausibleChannels, check_channels
 from service.model.recording import Recording, Sine, SweepSpec
 
 RATE = 250.0
