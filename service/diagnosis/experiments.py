@@ -293,7 +293,7 @@ class _Campaign:
                 continue
 
     def _designed(self, blocks: Sequence[str], poses: Array, *, revisit: bool = False) -> tuple[DesignedSweep, ...]:
-        """With the slow block too if a fast one is no other speed than that of the sweeps: those are then the fast."""
+        """With the slow blocks too where the measured ones are, beside those, no slower than the fast."""
         motion = self.selection.given.tracks
         slow = [block.replace("fast", "slow") for block in blocks if block in WARMING]
         for run in (blocks, list(dict.fromkeys([*slow, *blocks]))):
@@ -301,7 +301,7 @@ class _Campaign:
                 motion.robot, motion.joint, poses, repeats=REPEATS, sample_rate=motion.specs[0].sample_rate, blocks=run,
                 started_at=self._start, revisit=revisit,
             )  # fmt: skip
-            if measured_blocks([*motion.specs, *(sweep.spec for sweep in sweeps)]) >= set(blocks):
+            if measured_blocks([*motion.specs, *(s.spec for s in sweeps)]) >= {*blocks, *measured_blocks(motion.specs)}:
                 break
         return sweeps
 

@@ -160,11 +160,13 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--json", type=Path, help="every course as a file")
     given = parser.parse_args()
+    every: list[Course] = []
     with ProcessPoolExecutor(given.processes, mp_context=multiprocessing.get_context("spawn")) as pool:
-        every = list(pool.map(course, hundred(given.seed)))
-    for one in every:
-        told = "; ".join((*one.broken, *(f"grown: {name}" for name in one.grown)))
-        print(f"{one.case.number} {'+'.join(one.case.names) or 'none'} {one.start} | {' > '.join(one.steps)} | {told}")
+        for one in pool.map(course, hundred(given.seed)):
+            every.append(one)
+            told = "; ".join((*one.broken, *(f"grown: {name}" for name in one.grown)))
+            names = "+".join(one.case.names) or "none"
+            print(f"{one.case.number} {names} {one.start} | {' > '.join(one.steps)} | {told}", flush=True)
     print(Counter(one.end or "broken" for one in every), "experiments", Counter(len(one.steps) - 1 for one in every))
     if given.json:
         given.json.write_text(json.dumps([asdict(one) for one in every], default=str))

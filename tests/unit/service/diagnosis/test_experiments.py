@@ -216,9 +216,10 @@ def test_what_is_proposed_can_be_run_or_the_end_says_why(
     assert wanted is None or all(free(sweep.spec) for sweep in wanted.sweeps)
 
 
-def test_where_fast_sweeps_are_no_other_speed_slower_ones_are_proposed_once() -> None:
+@pytest.mark.parametrize("measured", [FORWARD, SLOW])
+def test_where_fast_sweeps_are_no_other_speed_slower_ones_are_proposed_once(measured: Sequence[str]) -> None:
     robot, hidden = max100(), {Term("coulomb_friction"): (60.0,)}
-    designed = full_design(robot, "joint_2", POSES[:1], blocks=SLOW, sample_rate=RATE, travel=0.14, revisit=False)
+    designed = full_design(robot, "joint_2", POSES[:1], blocks=measured, sample_rate=RATE, travel=0.14, revisit=False)
     sweeps = following(robot, "joint_2", designed, hidden)
     for kind in ("full_design", "more_poses"):
         selection = select(equations_of(robot, "joint_2", sweeps), (), ["measurement_delay"])
