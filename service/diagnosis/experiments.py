@@ -49,7 +49,7 @@ BY_MASS = frozenset({"torque_constant_error", "payload"})
 DRIFT = "friction_temperature_drift"
 ENOUGH = 100.0  # chi-squared: the separation is clear
 REPEATS = 2
-ROUNDS = 3  # experiments of one axis, after which it is not diagnosed further
+MOST_EXPERIMENTS = 3  # experiments of one axis, after which it is not diagnosed further
 BOLTING = 600.0  # s to mount and remove a test mass
 
 
@@ -97,13 +97,13 @@ def next_experiment(
 ) -> tuple[NextExperiment | None, str]:
     """What to measure next; if that is nothing, the reason for which the diagnosis ends undecided ("": it is decided).
 
-    `hidden`: what the `sweeps` cannot show. `experiments`: how many were run; after `ROUNDS` none follows.
+    `hidden`: what the `sweeps` cannot show. `experiments`: how many were run; after `MOST_EXPERIMENTS` none follows.
     """
     campaign = _Campaign(selection, tuple(sweeps), runnable)
-    wanted = _wanted(campaign, verdict, rivals, hidden) if experiments < ROUNDS else None
+    wanted = _wanted(campaign, verdict, rivals, hidden) if experiments < MOST_EXPERIMENTS else None
     if wanted is not None or verdict in (Verdict.NONE, Verdict.NAMED):
         return wanted, ""
-    if experiments >= ROUNDS:
+    if experiments >= MOST_EXPERIMENTS:
         why = f"after {experiments} experiments"
     elif campaign.refused:
         why = f"and the machine cannot run what may decide it ({campaign.refused[0]})"

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from service.diagnosis.experiments import ROUNDS
+from service.diagnosis.experiments import MOST_EXPERIMENTS
 from service.web.client import Json, ServiceClient, ServiceProblem
 from tests.command import sweepid
 from tests.system.rest_bench import CONFIG, Service, VirtualMachine, serving, until, virtual_machine
@@ -147,7 +147,7 @@ def test_a_person_approves_until_the_effect_has_a_name(
     assert found["verdicts"] == {AXIS: "ambiguous"}, found["cause"]
     assert "coulomb_friction" in found["document"]["axes"][AXIS]["candidates"]
     campaigns = [one_way]
-    while found["verdicts"][AXIS] == "ambiguous" and len(campaigns) <= ROUNDS:
+    while found["verdicts"][AXIS] == "ambiguous" and len(campaigns) <= MOST_EXPERIMENTS:
         assert machine.stands()
         campaign = client.approve_experiment(found["id"], AXIS, "Ada")
         assert (campaign["state"], campaign["plan_id"] is not None) == ("running", True)
@@ -170,7 +170,7 @@ def test_the_loop_runs_alone_on_a_virtual_machine(client: ServiceClient, machine
     rounds = 0
     while found["verdicts"] == {AXIS: "ambiguous"}:
         found, rounds = continued(client, found), rounds + 1
-        assert rounds <= ROUNDS
+        assert rounds <= MOST_EXPERIMENTS
         experiment = client.diagnosis(found["parent"])["experiment"]
         assert experiment["approved_by"] == "unattended"
     assert rounds >= 1

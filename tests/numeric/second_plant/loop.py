@@ -20,7 +20,7 @@ import numpy as np
 
 from service.diagnosis.diagnose import diagnose_axis
 from service.diagnosis.document import axis_document
-from service.diagnosis.experiments import ROUNDS
+from service.diagnosis.experiments import MOST_EXPERIMENTS
 from service.diagnosis.fit.calibration import Weighed
 from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.identification.estimates.torque_gain import KnownMass
@@ -73,7 +73,7 @@ def course(one: Case) -> Course:
     later: list[tuple[SweepSpec, Body | None]] = []
     asked: list[tuple[object, ...]] = []
     before: AxisDiagnosis | None = None
-    for number in range(ROUNDS + 1):
+    for number in range(MOST_EXPERIMENTS + 1):
         found = diagnose_axis(
             robot, joint, sweeps, weighed=weighed, twin=False, experiments=number,
             runnable=partial(place.runnable, robot),

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from service.data_check import check, findings_document
-from service.diagnosis.experiments import ROUNDS
+from service.diagnosis.experiments import MOST_EXPERIMENTS
 from service.diagnosis.sensitivity import expected
 from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design
 from service.model.errors import BadInput
@@ -116,7 +116,7 @@ def test_what_is_proposed_leads_to_a_name(
     """Each experiment as planned, until none is proposed."""
     found, campaigns = ambiguous, list(ambiguous["campaigns"])
     while found["verdicts"]["joint_1"] == "ambiguous":
-        assert len(campaigns) <= ROUNDS, found["document"]["axes"]["joint_1"]["summary"]
+        assert len(campaigns) <= MOST_EXPERIMENTS, found["document"]["axes"]["joint_1"]["summary"]
         planned = client.plan_experiment(found["id"], "joint_1")["document"]["sweeps"]
         designed = [DesignedSweep(SweepSpec(**one["spec"]), one["ramp"], one["settle"]) for one in planned]
         campaigns.append(imported(client, tmp_path / str(len(campaigns)), robot, run(designed, len(campaigns))))

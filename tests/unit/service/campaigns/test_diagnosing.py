@@ -9,7 +9,7 @@ from typing import Any, cast
 import pytest
 
 from service.diagnosis import axis_document, diagnose_axis
-from service.diagnosis.experiments import ROUNDS
+from service.diagnosis.experiments import MOST_EXPERIMENTS
 from service.diagnosis.sensitivity import expected
 from service.identification.design.diagnosis_sweeps import full_design
 from service.identification.estimates.torque_gain import KnownMass
@@ -55,7 +55,7 @@ WEAK = DriveAxis(joint="joint_1", effort_limit=0.01)
     [
         ((), 0, ""),
         ((WEAK,), 0, "and the machine cannot run what may decide it (none of its sweeps can be run"),
-        ((), ROUNDS, f"after {ROUNDS} experiments"),
+        ((), MOST_EXPERIMENTS, f"after {MOST_EXPERIMENTS} experiments"),
     ],
 )
 async def test_an_experiment_is_proposed_if_the_machine_can_run_it_and_not_too_many_were_run(
