@@ -133,8 +133,8 @@ def diagnose_axis(
     `weighed`: some sweeps repeated with a known test mass. A gain other than 1 is named as a wrong torque constant, and
     the effort is corrected before the diagnosis. A gain of 1 excludes a wrong torque constant.
     `twin`: also simulate the identified model; the result contains the RMS of the difference from the measured effort.
-    `experiments`: how many were run before this diagnosis; after `MOST_EXPERIMENTS` none is proposed. `runnable`: which sweeps of
-    one the machine can run.
+    `experiments`: how many were run before this diagnosis; after `MOST_EXPERIMENTS` none is proposed. `runnable`:
+    which sweeps of one the machine can run.
     """
     for name in known:
         if name not in CATALOGUE:
