@@ -108,7 +108,7 @@ def _products(robot: Robot, records: Sequence[FreeMotion]) -> _Products:
     for record in records:
         load, motor = load_and_motor(robot, record)
         rate, band = record.rate, record.band
-        coarse = max(1, int(rate / Sampling.link_rate))
+        coarse = max(1, int(2 * rate / Sampling.link_rate))
         fine = max(1, int(rate / coarse / (2 * band)))
         kept, time = slice(0, None, coarse * fine), np.arange(len(load.position)) / rate
         inside = (time[kept] > memory(band)) & (time[kept] < time[-1] - memory(band))
