@@ -36,14 +36,14 @@ from service.model.robot import Robot
 class _Settings:
     rate: float = 4.0  # Hz, of independent samples: errors of friction and springs last longer than noise
     floor: float = 0.02  # of an axis' RMS effort: least std, what no rigid model explains
-    fault: float = 4.0  # nats: evidence against each fault
+    fault: float = 3.0  # nats: evidence against each fault
     width: float = 2.0  # nats: against a nominal model that is three times as good or bad as its prior says
     widths: tuple[float, ...] = (1 / 3, 1.0, 3.0)
     gain: float = 0.5  # of a wrong effort: scale of the Cauchy distribution of log |h|
     rated: float = 0.3  # of the rated effort: RMS of an effort
     rated_spread: float = 0.92  # std of its logarithm: two of them are a factor of 6
-    least_gain: float = 1.3  # below, a motor's constant or the nominal model may be off
-    lags: tuple[float, ...] = tuple(0.02 * k for k in range(-15, 16) if k == 0 or abs(k) > 2)  # s, as efforts are late
+    least_gain: float = 1.3  # of a wrong effort: below, a motor's constant or the nominal model is off
+    lags: tuple[float, ...] = tuple(0.01 * k for k in range(-30, 31) if k == 0 or abs(k) > 4)  # s, as efforts are late
     kept: int = 5  # hypotheses to which a fault is added
 
 
@@ -108,7 +108,7 @@ def _products(robot: Robot, records: Sequence[FreeMotion]) -> _Products:
     for record in records:
         load, motor = load_and_motor(robot, record)
         rate, band = record.rate, record.band
-        coarse = max(1, int(rate / Sampling.link_rate))
+        coarse = max(1, int(2 * rate / Sampling.link_rate))
         fine = max(1, int(rate / coarse / (2 * band)))
         kept, time = slice(0, None, coarse * fine), np.arange(len(load.position)) / rate
         inside = (time[kept] > memory(band)) & (time[kept] < time[-1] - memory(band))
@@ -227,7 +227,13 @@ class _Search:
         return best
 
     def _of(self, faults: tuple[_Fault, ...]) -> _Fit:
-        return max((self._fit(faults, width) for width in _Settings.widths), key=lambda one: one.evidence)
+        """With the best width, and the best one of three neighbouring lags."""
+        lags, none = len(_Settings.lags), _Settings.lags.index(0.0)
+        late = [one for one in faults if one.kind == "late"]
+        near = {number for one in late for number in range(one.choice - 1, one.choice + 2)} & set(range(lags)) - {none}
+        rest = tuple(one for one in faults if one.kind != "late")
+        all_ = [tuple(sorted((*rest, _Fault("late", (), number)))) for number in sorted(near)] or [faults]
+        return max((self._fit(one, width) for one in all_ for width in _Settings.widths), key=lambda one: one.evidence)
 
     def _further(self, faults: tuple[_Fault, ...]) -> Iterator[_Fault]:
         """Faults that a hypothesis may have besides its own."""
@@ -242,12 +248,11 @@ class _Search:
         if "load" not in kinds:
             yield _Fault("load")
         yield from (_Fault("spring", (k,)) for k in self.moving if _Fault("spring", (k,)) not in faults)
-        for kind, values in (("late", _Settings.lags), ("gravity", self.products.directions)):
-            if kind not in kinds:
-                yield from (_Fault(kind, (), number) for number in range(len(values)) if number != self._none(kind))
-
-    def _none(self, kind: str) -> int:
-        return _Settings.lags.index(0.0) if kind == "late" else 0
+        if "late" not in kinds:
+            lags = range(1, len(_Settings.lags), 3)  # the neighbours are tried by `_of`
+            yield from (_Fault("late", (), number) for number in lags if number != _Settings.lags.index(0.0))
+        if "gravity" not in kinds:
+            yield from (_Fault("gravity", (), number) for number in range(1, len(self.products.directions)))
 
     def _fit(self, faults: tuple[_Fault, ...], width: float) -> _Fit:
         if (faults, width) not in self.tried:
@@ -281,6 +286,7 @@ class _Search:
             -np.sum((apart / settings.rated_spread) ** 2),
             -2 * np.sum(np.log1p((gains / settings.gain) ** 2) + np.log(settings.gain * np.sqrt(np.pi / 2))),
             2 * np.sum(positive[0] - positive[1]),
+            -np.inf if np.any(np.abs(gains) < np.log(settings.least_gain)) else 0.0,
             -2 * settings.fault * len(faults) - 2 * settings.width * abs(np.log(width)) / np.log(3),
         ]
         off = width * float(np.sqrt(np.mean(deviation[: 10 * len(left)] ** 2)))
@@ -297,7 +303,7 @@ class _Search:
                 sign[list(one.axes)] *= -1
         sprung = [_Fault("spring", (k,)) in faults for k in range(n)]
         shares = [np.isin(np.arange(n), one.axes) for one in faults if one.kind == "gain"]
-        direction, lag = chosen.get("gravity", 0), chosen.get("late", self._none("late"))
+        direction, lag = chosen.get("gravity", 0), chosen.get("late", _Settings.lags.index(0.0))
         links = self._known[: 10 * n]
         last = links.reshape(n, 10).max(axis=0) / self.robot.prior.inertia if "load" in chosen else width * links[-10:]
         size = np.sqrt(np.maximum(data.squares[np.arange(n), order, lag], 1e-18))  # N m (N)
@@ -334,14 +340,13 @@ class _Search:
         return largest / np.sqrt(np.where(square > 0, square, 1.0))
 
     def matters(self, fit: _Fit, fault: _Fault) -> bool:
-        """Whether it is one, and no motor's constant or nominal model explains it."""
+        """Whether it is one, and no nominal model explains it."""
         if fault.kind != "gain":
             return fault.kind not in ("load", "spring")
         gain, axes = self._log_gain(fit, fault), list(fault.axes)
         # of all axes: or all masses of the nominal model are wrong
         apart = float(np.median(self._model(fit.faults, fit.width).expected[axes]))
-        implausible = abs(apart) > max(2 * _Settings.rated_spread, abs(apart - gain))
-        return abs(gain) > np.log(_Settings.least_gain) and (len(axes) == 1 or implausible)
+        return len(axes) == 1 or abs(apart) > max(2 * _Settings.rated_spread, abs(apart - gain))
 
     def _log_gain(self, fit: _Fit, fault: _Fault) -> float:
         return float(np.median(fit.gains[list(fault.axes)]))
