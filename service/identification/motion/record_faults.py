@@ -75,7 +75,7 @@ class _Products:
 
 
 @dataclass(frozen=True)
-class _Fit:
+class _Hypothesis:
     """Of a hypothesis. `gains` (n,): log |h|; `left` (n,): RMS residual over RMS effort; `off`: RMS deviation of the
     links from the nominal model, in standard deviations of the robot file's prior.
     """
@@ -204,13 +204,13 @@ class _Model:
 class _Search:
     robot: Robot
     products: _Products
-    tried: dict[tuple[tuple[_Fault, ...], float], _Fit] = field(default_factory=dict)
+    tried: dict[tuple[tuple[_Fault, ...], float], _Hypothesis] = field(default_factory=dict)
 
     @cached_property
     def moving(self) -> list[int]:
         return np.flatnonzero(self.products.duration).tolist()
 
-    def best(self) -> _Fit:
+    def best(self) -> _Hypothesis:
         """Faults are added one by one to the most probable hypotheses, until none is more probable."""
         best = self._of(())
         front = [best]
@@ -226,7 +226,7 @@ class _Search:
             best = max(best, front[0], key=lambda one: one.evidence)
         return best
 
-    def _of(self, faults: tuple[_Fault, ...]) -> _Fit:
+    def _of(self, faults: tuple[_Fault, ...]) -> _Hypothesis:
         """With the best width, and the best one of three neighbouring lags."""
         lags, none = len(_Settings.lags), _Settings.lags.index(0.0)
         late = [one for one in faults if one.kind == "late"]
@@ -254,12 +254,12 @@ class _Search:
         if "gravity" not in kinds:
             yield from (_Fault("gravity", (), number) for number in range(1, len(self.products.directions)))
 
-    def _fit(self, faults: tuple[_Fault, ...], width: float) -> _Fit:
+    def _fit(self, faults: tuple[_Fault, ...], width: float) -> _Hypothesis:
         if (faults, width) not in self.tried:
             self.tried[faults, width] = self._fitted(faults, width)
         return self.tried[faults, width]
 
-    def _fitted(self, faults: tuple[_Fault, ...], width: float) -> _Fit:
+    def _fitted(self, faults: tuple[_Fault, ...], width: float) -> _Hypothesis:
         model, start = self._model(faults, width), np.append(nominal_parameters(self.robot), 0 * self._rated.repeat(2))
         axes, settings = self.moving, _Settings
         expected = np.array([np.median(model.expected[list(one.axes)]) for one in faults if one.kind == "gain"])
@@ -290,7 +290,7 @@ class _Search:
             -2 * settings.fault * len(faults) - 2 * settings.width * abs(np.log(width)) / np.log(3),
         ]
         off = width * float(np.sqrt(np.mean(deviation[: 10 * len(left)] ** 2)))
-        return _Fit(faults, width, float(np.sum(terms)) / 2, model.shares @ gains, raw, off)
+        return _Hypothesis(faults, width, float(np.sum(terms)) / 2, model.shares @ gains, raw, off)
 
     def _model(self, faults: tuple[_Fault, ...], width: float) -> "_Model":
         data, n = self.products, len(self._rated)
@@ -339,7 +339,7 @@ class _Search:
         largest = np.vstack([motors, viscous, np.ones(n), np.full(n, 0.2), np.ones((2, n))])
         return largest / np.sqrt(np.where(square > 0, square, 1.0))
 
-    def matters(self, fit: _Fit, fault: _Fault) -> bool:
+    def matters(self, fit: _Hypothesis, fault: _Fault) -> bool:
         """Whether it is one, and no nominal model explains it."""
         if fault.kind != "gain":
             return fault.kind not in ("load", "spring")
@@ -348,10 +348,10 @@ class _Search:
         apart = float(np.median(self._model(fit.faults, fit.width).expected[axes]))
         return len(axes) == 1 or abs(apart) > max(2 * _Settings.rated_spread, abs(apart - gain))
 
-    def _log_gain(self, fit: _Fit, fault: _Fault) -> float:
+    def _log_gain(self, fit: _Hypothesis, fault: _Fault) -> float:
         return float(np.median(fit.gains[list(fault.axes)]))
 
-    def told(self, fit: _Fit, fault: _Fault) -> str:
+    def told(self, fit: _Hypothesis, fault: _Fault) -> str:
         without = self._of(tuple(one for one in fit.faults if one != fault))
         axes = list(fault.axes) or self.moving
         before, after = (100 * float(np.sqrt(np.mean(one.left[axes] ** 2))) for one in (without, fit))
@@ -361,7 +361,7 @@ class _Search:
             f"{without.off:.2g}"
         )
 
-    def _mend(self, fit: _Fit, fault: _Fault) -> str:
+    def _mend(self, fit: _Hypothesis, fault: _Fault) -> str:
         joints = [self.robot.joints[k] for k in fault.axes]
         of = f"the effort of {joints[0]} seems" if len(joints) == 1 else "all efforts seem"
         match fault.kind:
