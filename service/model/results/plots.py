@@ -61,8 +61,10 @@ def body(table: Table) -> Sequence[Axes]:
     parts = {"mass, kg": slice(0, 1), "centre of mass, m": slice(1, 4), "inertia about it, kg m²": slice(4, None)}
     for panel, (title, part) in zip(panels, parts.items(), strict=True):
         names = [name.removeprefix("center ").removesuffix(" about the center") for name in table[""][part]]
-        panel.errorbar(names, table["value"][part], 2 * table["std"][part], fmt="o", capsize=3)
-        panel.set_title(title)
+        places = np.arange(len(names))
+        panel.errorbar(places, table["value"][part], 2 * table["std"][part], fmt="o", capsize=3)
+        panel.set_xticks(places, names)
+        panel.set(title=title, xlim=(-0.5, len(names) - 0.5))
     return tuple(panels)
 
 
@@ -70,7 +72,10 @@ def promise(confidence: Sequence[float | None]) -> Axes:
     """The predicted confidence of the inertia after each pose of a plan, as soon as it is determined."""
     _, axes = pyplot.subplots(figsize=(7, 4), layout="constrained")
     axes.plot(range(1, len(confidence) + 1), np.array(confidence, dtype=float), "o-", fillstyle="none")
-    axes.set(yscale="log", xlabel="poses", ylabel="largest standard deviation of J in percent")
+    axes.set(xlabel="poses", ylabel="largest standard deviation of J in percent")
+    axes.set_xlim(0.5, len(confidence) + 0.5)
+    axes.set_ylim(bottom=0)
+    axes.locator_params("x", integer=True)
     return axes
 
 
