@@ -74,7 +74,7 @@ def promise(confidence: Sequence[float | None]) -> Axes:
     axes.plot(range(1, len(confidence) + 1), np.array(confidence, dtype=float), "o-", fillstyle="none")
     axes.set(xlabel="poses", ylabel="largest standard deviation of J in percent")
     axes.set_xlim(0.5, len(confidence) + 0.5)
-    axes.set_ylim(bottom=0)
+    axes.set_ylim(0.0, 1.1 * max(filter(None, confidence), default=1.0))
     axes.locator_params("x", integer=True)
     return axes
 
