@@ -278,8 +278,8 @@ def _train_priors(
             continue
         index = robot.index(joint)
         sheet = shared_prior(robot, index, axis_rows(robot.chain, index, poses) @ inertial_parameters(robot), [])
-        # the friction, which the sweeps determine, and the damping are kept
-        variance = np.diag(sheet.covariance) * np.array([1.0, 0.0, 0.0, 1.0, 0.0])
+        # the motor's share of the friction, which does not twist the spring, is open; the damping is kept
+        variance = np.diag(sheet.covariance) * np.array([1.0, 1.0, 0.0, 1.0, 0.0])
         found[joint] = SharedPrior(sheet.mean, np.diag(variance))
     return found
 
