@@ -163,15 +163,16 @@ def test_the_inertia_matrix_and_what_single_axes_leave_open() -> None:
     assert np.sqrt(np.mean(np.square(new))) < 2
 
 
-def test_springs_are_found_if_all_friction_is_at_the_motor() -> None:
-    """Without noise and dry friction; nobody has analysed the axes."""
+@pytest.mark.parametrize(("noise", "limit"), [(1e-6, 0.004), (5.0, 0.07)])
+def test_springs_explain_neither_friction_of_the_motor_nor_noise(noise: float, limit: float) -> None:
+    """Without dry friction, with this part of the usual noise; nobody has analysed the axes."""
     plant, random = arm(3, 3), np.random.default_rng([3, 5])
     limits = np.array([(joint.lower, joint.upper) for joint in plant.built.joints])
-    quiet = replace(plant, dry=np.full(3, 1e-9), rated=1e-6 * plant.rated)
+    quiet = replace(plant, dry=np.full(3, 1e-9), rated=noise * plant.rated)
     poses = random.uniform(limits[:, 0] + 0.4, limits[:, 1] - 0.4, (65, 3))
     records = [measured(quiet, range(3), pose, 300 + k) for k, pose in enumerate(poses[:5])]
     one = score(plant, combine(plant.robot, (), records), poses[5:])
-    assert np.quantile(np.abs(one.diagonal), 0.95, axis=0).max() < 0.004
+    assert np.quantile(np.abs(one.diagonal), 0.95, axis=0).max() < limit
 
 
 if __name__ == "__main__":
