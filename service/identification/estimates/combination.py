@@ -209,7 +209,10 @@ def combine(
     begin[: len(start)] = start
     known, linear = Information(further, np.zeros(size)).plus(extended(others, size)), equations
     for _ in range(3):  # rounds of weighting, and of the drive trains
-        linear = _with_trains(robot, base, records, trains, priors, equations, values[: len(start)], by_train)
+        unexplained = {} if linear is equations else _unexplained(records, linear, values)  # of stiff trains at first
+        linear = _with_trains(
+            robot, base, records, trains, priors, equations, values[: len(start)], by_train, unexplained
+        )
         values = _sum(_motion_information(linear, noise, size), size).plus(known).solve(begin).values
         by_train = values[len(start) :]
         before, noise = noise, {joint: max(scatter[joint] or 0.0, _misfit(linear, joint, values)) for joint in noise}
@@ -255,9 +258,13 @@ def combine(
 
 
 def _all_equations(
-    robot: Robot, base: BaseParameters, records: Sequence[TrajectoryRecord], trains: Mapping[str, TwoMassTrain]
+    robot: Robot,
+    base: BaseParameters,
+    records: Sequence[TrajectoryRecord],
+    trains: Mapping[str, TwoMassTrain],
+    unexplained: Mapping[str, Complex] | None = None,
 ) -> list["_Equations"]:
-    loads = [with_loads(record, trains) for record in records]
+    loads = [with_loads(record, trains, unexplained) for record in records]
     return [equation for record in loads for equation in _equations(robot, base, record, trains)]
 
 
@@ -278,8 +285,8 @@ def _train_priors(
             continue
         index = robot.index(joint)
         sheet = shared_prior(robot, index, axis_rows(robot.chain, index, poses) @ inertial_parameters(robot), [])
-        # the friction, which the sweeps determine, and the damping are kept
-        variance = np.diag(sheet.covariance) * np.array([1.0, 0.0, 0.0, 1.0, 0.0])
+        # the motor's share of the friction, which does not twist the spring, is open; the damping is kept
+        variance = np.diag(sheet.covariance) * np.array([1.0, 1.0, 0.0, 1.0, 0.0])
         found[joint] = SharedPrior(sheet.mean, np.diag(variance))
     return found
 
@@ -293,10 +300,12 @@ def _with_trains(
     equations: Sequence["_Equations"],
     values: Array,
     moved: Array,
+    unexplained: Mapping[str, Complex],
 ) -> list["_Equations"]:
     """With a column for every parameter of a train with a std, in units of that: the equations of simultaneous sweeps
-    linear about trains that differ by `moved` (u,) from their priors, and base parameters `values`. At the low
-    frequencies of other trajectories a train is negligible.
+    linear about trains that differ by `moved` (u,) from their priors, and base parameters `values`. The `unexplained`
+    part of an effort moves no load: otherwise a soft spring would explain noise. At the low frequencies of other
+    trajectories a train is negligible.
     """
     sloped = [record for record in records if record.sloped]
     if not sloped:
@@ -311,7 +320,7 @@ def _with_trains(
     def with_one(joint: str, number: int) -> list[_Equations]:
         changed = {**here, joint: here[joint] + step * priors[joint].sigma * (np.arange(SHARED) == number)}
         own = {name: TwoMassTrain.of(one) for name, one in changed.items()}
-        return _all_equations(robot, base, sloped, {**trains, **own})
+        return _all_equations(robot, base, sloped, {**trains, **own}, unexplained)
 
     now = with_one(next(iter(here)), SHARED)
     others = [with_one(*parameter) for parameter in parameters]
@@ -388,6 +397,18 @@ def _equations(
             )
         )
     return equations
+
+
+def _unexplained(
+    records: Sequence[TrajectoryRecord], equations: Sequence[_Equations], values: Array
+) -> dict[str, Complex]:
+    """Residuals, by sweep, as harmonics (h + 1,), with the first parameters of `values`."""
+    tracks = [track for record in records for track in record.tracks]
+    found: dict[str, Complex] = {}
+    for track, own in zip(tracks, equations, strict=True):
+        left, count = own.values - own.rows @ values[: own.rows.shape[1]], len(track.effort)
+        found[track.spec.id] = np.append(np.sqrt(2) * left[0], left[1:count] + 1j * left[count:])
+    return found
 
 
 def _harmonics(signals: Array, count: int) -> Complex:

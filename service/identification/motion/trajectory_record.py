@@ -196,11 +196,13 @@ def calibrated(record: TrajectoryRecord, gains: Mapping[str, float]) -> Trajecto
     return replace(record, tracks=tuple(true(track, gains.get(track.joint, 1.0)) for track in record.tracks))
 
 
-def with_loads(record: TrajectoryRecord, trains: Mapping[str, TwoMassTrain]) -> TrajectoryRecord:
+def with_loads(
+    record: TrajectoryRecord, trains: Mapping[str, TwoMassTrain], noise: Mapping[str, Complex] | None = None
+) -> TrajectoryRecord:
     """With load positions also without a direct encoder: ql = qm - c (effort - Jm d2qm/dt2).
 
     Friction of the motor, which does not act on the spring, is left out. `trains`: drive trains from a joint fit; an
-    axis without one counts as stiff.
+    axis without one counts as stiff. `noise`: part of the harmonics of an effort, by sweep, that moves no load.
     """
     omega = 2j * np.pi * record.frequency
     tracks: list[AxisTrack] = []
@@ -209,7 +211,8 @@ def with_loads(record: TrajectoryRecord, trains: Mapping[str, TwoMassTrain]) -> 
         if track.load_position is None and train is not None:
             motor = track.position[: len(omega)]
             drive = (train.motor_inertia * omega + train.motor_friction) * omega * motor
-            twist = train.compliance * (track.effort - drive) / (1 + train.damping_time * omega)
+            torque = track.effort - (noise or {}).get(track.spec.id, 0.0) - drive
+            twist = train.compliance * torque / (1 + train.damping_time * omega)
             track = replace(track, load_position=motor - twist)
         tracks.append(track)
     return replace(record, tracks=tuple(tracks))
