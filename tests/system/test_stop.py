@@ -207,7 +207,7 @@ def test_a_flood_at_the_open_port_is_bounded_and_delays_no_other_stop(
             presses = (f"/stop?press={number}&" for number in range(times * FLOOD))
             assert set(senders.map(lambda path: stopped(port, path, "nobody", 0), presses)) <= {200, 202, 503}
 
-    flood(1)  # what each process needs once
+    flood(3)  # what each process needs once, also one that is new
     before = [each.memory_info().rss for each in processes]
     with ThreadPoolExecutor(1) as apart:
         flooding = apart.submit(flood, 3)
