@@ -465,6 +465,8 @@ def test_a_payload_is_known_with_its_sheet(folder: Path, tmp_path: Path) -> None
             assert sheet == run("export", "sheet", "--payload", str(out / "payload.json"), url=service.url).stdout
             assert "set_target_payload(" in sheet
             arguments = (*command, "--before", "1", "--after", "2", "--out")
+            code, _, printed = books.run(*arguments, str(tmp_path / "dry"), "--dry-run")
+            assert (code, (tmp_path / "dry").exists()) == (DONE, False), printed
             code, _, printed = books.run(*arguments, str(tmp_path / "again"))  # nothing moves
             assert (code, (tmp_path / "again" / "sheet.md").read_text("utf-8")) == (DONE, sheet), printed
             code, _, printed = books.run(*arguments, str(out))

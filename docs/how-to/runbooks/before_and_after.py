@@ -42,22 +42,8 @@ def before_and_after(book: Runbook) -> Exit:
         return first(book)
     before = book.completed(given.before)
     robot = book.identify_machine(client.robot(before["robot_id"]))
-    if given.after is None:
-        if before["plan_id"] is None:
-            raise BadInput(
-                "before", f"campaign {before['id']} was imported and has no plan to measure again: give --after too"
-            )
-        after = book.measured(robot, client.plan(before["plan_id"]))
-        if after is None:
-            return Exit.DONE
-        if after["state"] != "completed":
-            return book.not_completed(after)
-    else:
-        after = book.completed(given.after)
-        if given.dry_run:
-            book.step("compare", "moves nothing")
-            return Exit.DONE
-    return compared(book, robot, before, after)
+    after = book.repeated(robot, before)
+    return after if isinstance(after, Exit) else compared(book, robot, before, after)
 
 
 def first(book: Runbook) -> Exit:
@@ -69,10 +55,8 @@ def first(book: Runbook) -> Exit:
     robot = book.identify_machine(document)
     request = {"robot_id": document["id"], "cell": book.cell(), "axes": given.axes, "varied": given.varied}
     campaign = book.measured(robot, book.planned(request | {"step": given.step, "poses": given.poses}))
-    if campaign is None:
-        return Exit.DONE
-    if campaign["state"] != "completed":
-        return book.not_completed(campaign)
+    if isinstance(campaign, Exit):
+        return campaign
     book.step("after the repair", f"before_and_after.py {given.robot} --before {campaign['id']}")
     return Exit.DONE
 

@@ -47,10 +47,8 @@ def commission(book: Runbook) -> Exit:
     plan = book.planned(request | {"poses": given.poses, "step": given.step})
     book.step("first plan", "robot file and drives agree, and collision-free paths were found", plan=plan["id"])
     campaign = book.measured(robot, plan)
-    if campaign is None:
-        return Exit.DONE
-    if campaign["state"] != "completed":
-        return book.not_completed(campaign)
+    if isinstance(campaign, Exit):
+        return campaign
     return worst([checked(book, campaign["id"]), *(told(book, robot, campaign["id"], joint) for joint in axes)])
 
 

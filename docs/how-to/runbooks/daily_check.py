@@ -40,10 +40,8 @@ def check(book: Runbook) -> Exit:
     book.step("reference", f"campaign {reference['id']} of {reference['created_at'][:10]}", campaign=reference["id"])
     once = {"axes": axes, "poses": book.given.poses, "realisations": 1, "warm_up": 0.0}
     campaign = book.measured(robot, book.planned(request_of(plan) | once))
-    if campaign is None:
-        return Exit.DONE
-    if campaign["state"] != "completed":
-        return book.not_completed(campaign)
+    if isinstance(campaign, Exit):
+        return campaign
     codes = {joint: compared(book, robot, estimate, campaign, joint) for joint in axes}
     for joint in (joint for joint, code in codes.items() if code is Exit.FAILED):
         varied = ",".join(plan["document"]["request"]["varied"])

@@ -48,10 +48,8 @@ def diagnose(book: Runbook) -> Exit:
         wanted = {"kind": "diagnosis", "robot_id": document["id"], "cell": book.cell(), "axes": [given.axis]}
         plan = book.planned(wanted | {"varied": given.varied, "poses": given.poses})
         campaign = book.measured(robot, plan)
-        if campaign is None:
-            return Exit.DONE
-        if campaign["state"] != "completed":
-            return book.not_completed(campaign)
+        if isinstance(campaign, Exit):
+            return campaign
         campaigns = [int(campaign["id"])]
     return settled(book, robot, int(client.add_diagnosis(campaigns, [given.axis])["id"]))
 

@@ -30,12 +30,8 @@ def overnight(book: Runbook) -> Exit:
     request = {"robot_id": document["id"], "cell": book.cell(), "axes": given.axes, "varied": given.varied}
     plan = book.planned(request | {"step": given.step, "confidence": given.confidence})
     campaign = book.measured(robot, plan)
-    if campaign is None:
-        return Exit.DONE
-    if campaign["state"] != "completed":
-        code = book.not_completed(campaign)
-        book.step("ended by", "a person" if code is Exit.STOPPED else "a fault", cause=campaign["cause"])
-        return code
+    if isinstance(campaign, Exit):
+        return campaign
     return confidence(book, campaign, given.axes, given.confidence)
 
 

@@ -52,25 +52,16 @@ def payload(book: Runbook) -> Exit:
         bound = max(plan["document"]["payload_std"])
         book.step("mass", f"will be known to {bound:.2g} kg (std) at best by each of {given.trajectories} motions")
         before = book.measured(robot, plan)
-        if before is None:
-            return Exit.DONE
-        if before["state"] != "completed":
-            return book.not_completed(before)
+        if isinstance(before, Exit):
+            return before
         if not book.agreed("Mount the payload; nobody may be in the cell when it moves.", "mounted"):
             book.step("with the payload", f"payload.py {given.robot} --before {before['id']}")
             return Exit.DONE
     else:
         before = book.completed(given.before)
         robot = book.identify_machine(client.robot(before["robot_id"]))
-    if given.after is None:
-        after = book.measured(robot, client.plan(before["plan_id"]))
-        if after is None:
-            return Exit.DONE
-        if after["state"] != "completed":
-            return book.not_completed(after)
-    else:
-        after = book.completed(given.after)
-    return identified(book, before, after)
+    after = book.repeated(robot, before)
+    return after if isinstance(after, Exit) else identified(book, before, after)
 
 
 def identified(book: Runbook, before: Json, after: Json) -> Exit:

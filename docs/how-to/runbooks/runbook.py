@@ -173,6 +173,22 @@ class Runbook:
             raise BadInput("campaign", f"campaign {number} is {campaign['state']}, not completed")
         return campaign
 
+    def repeated(self, robot: Robot, before: Json) -> Json | Exit:
+        """The completed campaign given as `--after`, or the plan of `before` measured again; the exit code if there is
+        nothing to compare.
+        """
+        if self.given.after is not None:
+            after = self.completed(self.given.after)
+            if self.given.dry_run:
+                self.step("compare", "moves nothing")
+                return Exit.DONE
+            return after
+        if before["plan_id"] is None:
+            raise BadInput(
+                "before", f"campaign {before['id']} was imported and has no plan to measure again: give --after too"
+            )
+        return self.measured(robot, self.client.plan(before["plan_id"]))
+
     def tell_moves(self, robot: Robot, sweeps: Sequence[Json], indent: str = "") -> None:
         """Print the motion of a plan's sweeps for each axis, from the present positions."""
         stands = {axis["joint"]: axis["position"] for axis in self.client.drives()["axes"]}
@@ -186,8 +202,10 @@ class Runbook:
         self.step("approach", f"not known: {ahead['trouble']}" if ahead["trouble"] else legs or "none", ahead=ahead)
         return ahead["range"]
 
-    def measured(self, robot: Robot, plan: Json) -> Json | None:
-        """Print a plan and run it. Returns the ended campaign; None in a dry run. KeyboardInterrupt if declined."""
+    def measured(self, robot: Robot, plan: Json) -> Json | Exit:
+        """Print a plan and run it. Returns the completed campaign, or the exit code if it ended otherwise or in a dry
+        run. KeyboardInterrupt if declined.
+        """
         document = plan["document"]
         self.step(
             f"plan {plan['id']}",
@@ -203,11 +221,12 @@ class Runbook:
         self.tell_moves(robot, document["sweeps"])
         seen = self.tell_ahead(self.client.plan_ahead(plan["id"]))
         if self.given.dry_run:
-            return None
+            return Exit.DONE
         if not self.agreed("Is the cell clear, may the machine move?", "yes"):
             raise KeyboardInterrupt
-        campaign = int(self.client.add_campaign(plan["id"])["id"])
-        return self.watched(campaign, lambda: self.client.start(campaign, seen=seen))
+        number = int(self.client.add_campaign(plan["id"])["id"])
+        campaign = self.watched(number, lambda: self.client.start(number, seen=seen))
+        return campaign if campaign["state"] == "completed" else self.not_completed(campaign)
 
     def watched(self, campaign_id: int, begin: Callable[[], object]) -> Json:
         """Start or resume a campaign and report its sweeps. Returns the campaign when it is over or paused."""
@@ -242,7 +261,9 @@ class Runbook:
         for stop in stops:
             self.step(f"stop {stop['id']}", f"latched by {stop['by']}: {stop['why']}", stop=stop)
         person = campaign["state"] == "aborted" or campaign["cause"] == BY_REQUEST
-        return Exit.STOPPED if person or any(stop["by"] != HOST_WATCH for stop in stops) else Exit.FAILED
+        code = Exit.STOPPED if person or any(stop["by"] != HOST_WATCH for stop in stops) else Exit.FAILED
+        self.step("ended by", "a person" if code is Exit.STOPPED else "a fault", cause=campaign["cause"])
+        return code
 
 
 def minutes(seconds: float) -> str:
