@@ -16,7 +16,8 @@ approximation of their evidence (MacKay 1992, Neural Computation 4:415), in nats
 where the nominal model may be three times as good as its prior says, or as bad. Each fault more must raise it.
 """
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
@@ -44,6 +45,7 @@ class _Settings:
     rated_spread: float = 0.92  # std of its logarithm: two of them are a factor of 6
     least_gain: float = 1.3  # of a wrong effort: below, a motor's constant or the nominal model is off
     lags: tuple[float, ...] = tuple(0.01 * k for k in range(-30, 31) if k == 0 or abs(k) > 4)  # s, as efforts are late
+    on_time: int = lags.index(0.0)
     kept: int = 5  # hypotheses to which a fault is added
 
 
@@ -228,31 +230,27 @@ class _Search:
 
     def _of(self, faults: tuple[_Fault, ...]) -> _Hypothesis:
         """With the best width, and the best one of three neighbouring lags."""
-        lags, none = len(_Settings.lags), _Settings.lags.index(0.0)
         late = [one for one in faults if one.kind == "late"]
-        near = {number for one in late for number in range(one.choice - 1, one.choice + 2)} & set(range(lags)) - {none}
+        near = {number for one in late for number in range(one.choice - 1, one.choice + 2)}
+        near &= set(range(len(_Settings.lags))) - {_Settings.on_time}
         rest = tuple(one for one in faults if one.kind != "late")
         all_ = [tuple(sorted((*rest, _Fault("late", (), number)))) for number in sorted(near)] or [faults]
         return max((self._fit(one, width) for one in all_ for width in _Settings.widths), key=lambda one: one.evidence)
 
-    def _further(self, faults: tuple[_Fault, ...]) -> Iterator[_Fault]:
+    def _further(self, faults: tuple[_Fault, ...]) -> list[_Fault]:
         """Faults that a hypothesis may have besides its own."""
-        kinds = {one.kind for one in faults}
-        for axes in [*((k,) for k in self.moving), tuple(self.moving)]:
-            for kind in ("sign", "gain"):
-                if _Fault(kind, axes) not in faults:
-                    yield _Fault(kind, axes)
-        for pair in self.products.pairs:
-            if _Fault("swap", pair) not in faults:
-                yield _Fault("swap", pair)
-        if "load" not in kinds:
-            yield _Fault("load")
-        yield from (_Fault("spring", (k,)) for k in self.moving if _Fault("spring", (k,)) not in faults)
-        if "late" not in kinds:
-            lags = range(1, len(_Settings.lags), 3)  # the neighbours are tried by `_of`
-            yield from (_Fault("late", (), number) for number in lags if number != _Settings.lags.index(0.0))
-        if "gravity" not in kinds:
-            yield from (_Fault("gravity", (), number) for number in range(1, len(self.products.directions)))
+        once = {one.kind for one in faults} & {"load", "late", "gravity"}
+        alone = [(k,) for k in self.moving]
+        possible = [
+            *(_Fault(kind, axes) for axes in (*alone, tuple(self.moving)) for kind in ("sign", "gain")),
+            *(_Fault("swap", pair) for pair in self.products.pairs),
+            _Fault("load"),
+            *(_Fault("spring", axes) for axes in alone),
+            # their neighbours are tried by `_of`
+            *(_Fault("late", (), number) for number in range(1, len(_Settings.lags), 3) if number != _Settings.on_time),
+            *(_Fault("gravity", (), number) for number in range(1, len(self.products.directions))),
+        ]
+        return [one for one in possible if one.kind not in once and one not in faults]
 
     def _fit(self, faults: tuple[_Fault, ...], width: float) -> _Hypothesis:
         if (faults, width) not in self.tried:
@@ -260,7 +258,8 @@ class _Search:
         return self.tried[faults, width]
 
     def _fitted(self, faults: tuple[_Fault, ...], width: float) -> _Hypothesis:
-        model, start = self._model(faults, width), np.append(nominal_parameters(self.robot), 0 * self._rated.repeat(2))
+        model = self._model(faults, width)
+        start = np.append(nominal_parameters(self.robot), np.zeros(2 * len(self._rated)))
         axes, settings = self.moving, _Settings
         expected = np.array([np.median(model.expected[list(one.axes)]) for one in faults if one.kind == "gain"])
         values, gains = start, np.where(np.abs(expected) > 2.0, expected, 0.0)  # of N mm, or percent
@@ -279,20 +278,20 @@ class _Search:
         deviation, apart = (values - start) / std, (model.shares @ gains - model.expected)[axes]
         drives = np.array([part * len(left) + k for part in (10, 11, 12) for k in axes])  # rotors and friction
         positive = log_ndtr(np.stack([values[drives] / np.sqrt(np.abs(variance[drives])), start[drives] / std[drives]]))
-        terms = [
-            -2 * model.independent[axes] @ np.log(left[axes]),
-            -np.sum(deviation**2),
-            -np.linalg.slogdet(matrix * np.outer(scale, scale))[1],
-            -np.sum((apart / settings.rated_spread) ** 2),
-            -2 * np.sum(np.log1p((gains / settings.gain) ** 2) + np.log(settings.gain * np.sqrt(np.pi / 2))),
-            2 * np.sum(positive[0] - positive[1]),
+        terms: list[float] = [
+            -2 * float(model.independent[axes] @ np.log(left[axes])),
+            -float(np.sum(deviation**2)),
+            -float(np.linalg.slogdet(matrix * np.outer(scale, scale))[1]),
+            -float(np.sum((apart / settings.rated_spread) ** 2)),
+            -2 * float(np.sum(np.log1p((gains / settings.gain) ** 2) + np.log(settings.gain * np.sqrt(np.pi / 2)))),
+            2 * float(np.sum(positive[0] - positive[1])),
             -np.inf if np.any(np.abs(gains) < np.log(settings.least_gain)) else 0.0,
-            -2 * settings.fault * len(faults) - 2 * settings.width * abs(np.log(width)) / np.log(3),
+            -2 * settings.fault * len(faults) - 2 * settings.width * abs(math.log(width)) / math.log(3),
         ]
         off = width * float(np.sqrt(np.mean(deviation[: 10 * len(left)] ** 2)))
-        return _Hypothesis(faults, width, float(np.sum(terms)) / 2, model.shares @ gains, raw, off)
+        return _Hypothesis(faults, width, sum(terms) / 2, model.shares @ gains, raw, off)
 
-    def _model(self, faults: tuple[_Fault, ...], width: float) -> "_Model":
+    def _model(self, faults: tuple[_Fault, ...], width: float) -> _Model:
         data, n = self.products, len(self._rated)
         chosen = {one.kind: one.choice for one in faults}
         order, sign = np.arange(n), np.ones(n)
@@ -303,7 +302,7 @@ class _Search:
                 sign[list(one.axes)] *= -1
         sprung = [_Fault("spring", (k,)) in faults for k in range(n)]
         shares = [np.isin(np.arange(n), one.axes) for one in faults if one.kind == "gain"]
-        direction, lag = chosen.get("gravity", 0), chosen.get("late", _Settings.lags.index(0.0))
+        direction, lag = chosen.get("gravity", 0), chosen.get("late", _Settings.on_time)
         links = self._known[: 10 * n]
         last = links.reshape(n, 10).max(axis=0) / self.robot.prior.inertia if "load" in chosen else width * links[-10:]
         size = np.sqrt(np.maximum(data.squares[np.arange(n), order, lag], 1e-18))  # N m (N)
