@@ -102,7 +102,7 @@ def test_a_plan_draws_its_promise_and_a_bundle_its_efforts(desk: Path) -> None:
     [panel] = measured.plot()
     assert panel.get_title() == "j1"
     efforts = [line.get_ydata() for line in panel.lines]
-    assert np.array_equal(efforts, [sweep.recording.effort for sweep in measured.sweeps])
+    np.testing.assert_array_equal(efforts, [sweep.recording.effort for sweep in measured.sweeps])
 
 
 def test_a_table_marks_what_is_missing_and_escapes_what_it_shows() -> None:
