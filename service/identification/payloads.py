@@ -441,7 +441,7 @@ def payload_document(robot: Robot, found: PayloadFit) -> results.Payload:
 def sentences(found: PayloadFit) -> list[str]:
     """Notes for the user in addition to the values."""
     notes: list[str] = []
-    least = 5 * np.sqrt(found.covariance[0, 0])  # friction that changed between the runs looked like 4 std of a mass
+    least = results.DETECTED * np.sqrt(found.covariance[0, 0])
     if not abs(found.parameters[0]) > least and found.excited[0]:
         notes.append(
             f"No mass detected: {found.body[0]:.3g} kg, standard deviation {found.body_std[0]:.2g} kg. If the torques "

@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+DETECTED = 5.0  # standard deviations of a mass: friction that changed between the runs looked like four
+
+
 class BodyFigure(Part):
     """A value of the body; null if the motions did not excite it. `std_total`: including the torque constants."""
 

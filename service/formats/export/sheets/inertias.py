@@ -31,7 +31,7 @@ from service.identification.model.regressor import fold, lock
 from service.model.arrays import Array
 from service.model.errors import BadInput
 from service.model.results.estimate import Base, BaseParameter, Estimate, StandardParameters
-from service.model.results.payload import Payload
+from service.model.results.payload import DETECTED, Payload
 from service.model.results.sheet import Sheet, SheetParameter, Supplementary, SupplementaryLoad
 from service.model.robot import INERTIAL_NAMES, Robot, link_frames
 from service.model.urdf import LARGEST, Chain, inertia_vector, transform_inertial
@@ -146,7 +146,7 @@ def load_of(found: Payload) -> LoadData:
         raise BadInput(place, f"lacks {', '.join(open_)}: its motions did not excite them")
     if found.mass.std_total is None:
         raise BadInput(f"{place} mass.std_total", "is missing")
-    if found.mass.value is not None and found.mass.std is not None and found.mass.value < 5 * found.mass.std:
+    if found.mass.value is not None and found.mass.std is not None and found.mass.value < DETECTED * found.mass.std:
         told = f"is {found.mass.value:.3g} kg, standard deviation {found.mass.std:.2g} kg: no mass detected"
         raise BadInput(f"{place} mass", told)
     near = found.physical.nearest
