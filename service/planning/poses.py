@@ -302,26 +302,26 @@ class Choice:
     """Poses in the order of choice until the budget is used (k), and what is predicted after each (>= k: also after
     the poses that were tried beyond the budget).
 
-    `percent`: confidence by the sweeps alone; `settled`: whether the estimate states one; `determined`: base
+    `percent`: confidence by the sweeps alone; `states`: whether the estimate states one; `determined`: base
     parameters (p,) that it determines; `refused`: poses that would have been chosen but have no path from home, or no
     sweep.
     """
 
     poses: list[ChosenPose]
     percent: list[float]
-    settled: list[bool]
+    states: list[bool]
     determined: list[NDArray[np.bool_]]
     refused: list[DroppedPose]
 
     @property
     def promised(self) -> list[float]:
         """Confidence that the estimate will state after each pose, percent; inf if it will state none."""
-        known = zip(self.percent, self.settled, strict=True)
-        return [percent if settled else math.inf for percent, settled in known]
+        known = zip(self.percent, self.states, strict=True)
+        return [percent if stated else math.inf for percent, stated in known]
 
     def enough(self, count: int) -> int | None:
         """Least number of poses beyond `count` with a stated confidence; None if `count` have, or if none is known."""
-        complete = [n for n, settled in enumerate(self.settled, 1) if n >= count and settled]
+        complete = [n for n, stated in enumerate(self.states, 1) if n >= count and stated]
         return complete[0] if complete and complete[0] > count else None
 
 
@@ -331,14 +331,14 @@ class _Prediction:
 
     confidence: PredictedConfidence
     percent: list[float] = field(default_factory=list)
-    settled: list[bool] = field(default_factory=list)
+    states: list[bool] = field(default_factory=list)
     determined: list[NDArray[np.bool_]] = field(default_factory=list)
 
     def add(self, rows: Array, information: Array) -> None:
         self.confidence.add(rows, information)
         solution = self.confidence.solution()
         self.percent.append(self.confidence.percent())
-        self.settled.append(self.confidence.settled(solution))
+        self.states.append(self.confidence.determines(solution))
         self.determined.append(solution.determined)
 
 
@@ -395,14 +395,14 @@ class PoseChooser:
             chosen.append(pick)
             condition.append(number)
             duration += request.realisations * least_duration(self._sweeps[pick], self._groups)
-            reached = prediction.percent[-1] <= (request.confidence or 0.0) and prediction.settled[-1]
+            reached = prediction.percent[-1] <= (request.confidence or 0.0) and prediction.states[-1]
             full = len(chosen) == (request.poses or LARGEST_CHOICE) or (request.duration or math.inf) < duration
             if reached or full:
                 break
         if request.confidence is not None and chosen:
             if not reached:
                 raise BadInput("confidence", self._out_of_reach(request.confidence, len(chosen), prediction.confidence))
-            if len(chosen) > 1 and prediction.percent[-2] <= request.confidence:  # continued only to settle J
+            if len(chosen) > 1 and prediction.percent[-2] <= request.confidence:  # continued only to determine J
                 shown = [self._shows(pick) for pick in chosen]
                 chosen = [chosen[n] for n in needed(prediction.confidence, shown, request.confidence)]
                 condition = conditions(self._rows, chosen)
@@ -410,7 +410,7 @@ class PoseChooser:
                 for pick in chosen:
                     prediction.add(*self._shows(pick))
         reported = refused.copy()  # without those beyond the budget
-        while chosen and not prediction.settled[-1] and len(prediction.settled) < len(chosen) + USUAL_CHOICE:
+        while chosen and not prediction.states[-1] and len(prediction.states) < len(chosen) + USUAL_CHOICE:
             beyond = next(picks, None)
             if beyond is None:
                 break
@@ -419,7 +419,7 @@ class PoseChooser:
             ChosenPose(self._candidates[pick], number, self._sweeps[pick])
             for pick, number in zip(chosen, condition, strict=True)
         ]
-        return Choice(chosen_poses, prediction.percent, prediction.settled, prediction.determined, reported)
+        return Choice(chosen_poses, prediction.percent, prediction.states, prediction.determined, reported)
 
     def _seconds(self, away: Array) -> Array:
         """Robot time (m,) of the simultaneous sweeps of candidates at these path lengths (m,), s."""
@@ -471,7 +471,7 @@ class PoseChooser:
         best = f"{wanted:.4g} % requested, but the best {count} of {len(self._candidates)} measurable poses"
         solution, percent = predicted.solution(), predicted.percent_by_axis()
         unknown = ~solution.determined
-        if predicted.settled(solution):
+        if predicted.determines(solution):
             return f"{best} reach only {percent.max():.4g} % ({request.axes[int(percent.argmax())]})"
         names = ", ".join(name for name, open_ in zip(self._observed.names, unknown, strict=True) if open_)
         axes = ", ".join(joint for joint, on in zip(request.axes, predicted.depending(unknown), strict=True) if on)

@@ -302,7 +302,7 @@ class PredictedConfidence:
 
     def reaches(self, wanted: float) -> bool:
         """Whether the estimate of these sweeps will state a confidence of at most `wanted` percent."""
-        return self.percent() <= wanted and self.settled(self.solution())
+        return self.percent() <= wanted and self.determines(self.solution())
 
     def percent_by_axis(self) -> Array:
         """(a,) the same for each axis."""
@@ -322,9 +322,9 @@ class PredictedConfidence:
         size = np.abs(rows).reshape(-1, self._axes, self._size).max(axis=0)
         return (size[:, parameters] > PoseLimits.singular * size.max()).any(axis=1)
 
-    def settled(self, solution: Solution) -> bool:
+    def determines(self, solution: Solution) -> bool:
         """Whether the estimate will state a confidence: the nominal model hardly matters for J over the workspace."""
-        return solution.settled(self._workspace[:, : self._size], self._spread)
+        return solution.determines(self._workspace[:, : self._size], self._spread)
 
     def solution(self) -> Solution:
         """What the estimate of these sweeps will determine, if the noise is as assumed, with values of 0."""

@@ -36,14 +36,14 @@ def rmse_percent(a: Array, b: Array) -> float:
 
 
 def _axis_document(
-    estimate: RobotEstimate, axis: AxisEstimate, workspace: Array, *, settled: bool
+    estimate: RobotEstimate, axis: AxisEstimate, workspace: Array, *, determined: bool
 ) -> results.EstimatedAxis:
-    """The document of one axis; with a confidence if the inertias are settled."""
+    """The document of one axis; with a confidence if the inertias are determined."""
     measured = np.array([sweep.value for sweep in axis.sweeps])
     reference = np.array([sweep.reference for sweep in axis.sweeps])
     identified = estimate.model_at_sweeps(axis.joint)
     spread = None
-    if settled:
+    if determined:
         std = estimate.identified_std(axis.joint, workspace)
         spread = spread_document(std, estimate.identified(axis.joint, workspace))
     (squares, freedom), fit = estimate.chi_squared[axis.joint], axis.fit
@@ -199,9 +199,9 @@ def as_document(estimate: RobotEstimate, workspace: Array) -> results.Estimate:
     """
     standard = standard_parameters(estimate)
     symbolic, symbols = _in_words(estimate)
-    settled = estimate.settled(workspace)
+    determined = estimate.determines(workspace)
     return results.Estimate(
-        axes={axis.joint: _axis_document(estimate, axis, workspace, settled=settled) for axis in estimate.axes},
+        axes={axis.joint: _axis_document(estimate, axis, workspace, determined=determined) for axis in estimate.axes},
         base_parameters=base_document(estimate, symbolic, estimate.solution, estimate.spread),
         base=results.Base(
             locked=_locked(estimate), covariance=tuple(map(tuple, estimate.solution.covariance.tolist()))

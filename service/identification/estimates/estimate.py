@@ -166,10 +166,10 @@ class RobotEstimate:
         rows = self._rows(joint, poses[:, list(self.unlocked)])
         return np.sqrt(np.maximum(np.einsum("mi,ij,mj->m", rows, self.solution.covariance, rows), 0.0))
 
-    def settled(self, poses: Array) -> bool:
+    def determines(self, poses: Array) -> bool:
         """Whether the nominal model hardly matters for the inertias of all axes at poses (m, all joints)."""
         own = poses[:, list(self.unlocked)]
-        return all(self.solution.settled(self._rows(axis.joint, own), self.spread) for axis in self.axes)
+        return all(self.solution.determines(self._rows(axis.joint, own), self.spread) for axis in self.axes)
 
     def reference(self, joint: str, poses: Array) -> Array:
         """Inertia (m,) of the nominal model."""

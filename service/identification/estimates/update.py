@@ -399,12 +399,12 @@ class Condensed:
         )
         spread = base_spread(estimate.robot, estimate.chain, estimate.unlocked, estimate.base.combination, measured)
         solution = absolute.solve(nominal, spread)
-        settled = all(solution.settled(axis.workspace, spread) for axis in axes.values())
+        determined = all(solution.determines(axis.workspace, spread) for axis in axes.values())
         parameters = self.standard.parameters(rows, solution)
         covariance = tuple(tuple(map(float, row)) for row in solution.covariance)
         revision = {
             "axes": {
-                name: _axis_document(axis, solution, values[name], stds[name], *tests[name][:2], settled=settled)
+                name: _axis_document(axis, solution, values[name], stds[name], *tests[name][:2], determined=determined)
                 for name, axis in axes.items()
             },
             "base_parameters": base_document(estimate, self.symbolic, solution, spread),
@@ -471,13 +471,13 @@ def _condensed(
 
 
 def _axis_document(
-    axis: _Axis, solution: Solution, values: Array, std: Array, squares: float, freedom: float, *, settled: bool
+    axis: _Axis, solution: Solution, values: Array, std: Array, squares: float, freedom: float, *, determined: bool
 ) -> results.EstimatedAxis:
     """The axis' part of the document, with inertias (n,) of its sweeps and their standard deviations."""
     sweeps, train = axis.sweeps, axis.train
     identified, there = sweeps.rows @ solution.values, axis.workspace @ solution.values
     spread = None
-    if settled:
+    if determined:
         variance = np.sum((axis.workspace @ solution.covariance) * axis.workspace, axis=1)
         spread = spread_document(np.sqrt(np.maximum(variance, 0.0)), there)
     held_out, moved = held_out_document(sweeps.held_out, values), train.mean[SHARED:]

@@ -10,7 +10,7 @@ If the standard deviations S of a start value are given, columns are scaled by t
 S Lambda S then are the precision of the data relative to the start in each direction. A direction with less (eigenvalue
 below 1) is not changed by noisy data: it stays at the start, with the start's variance. A parameter that
 depends on such a direction by more than a tenth of its S counts as undetermined. Values that depend on such directions
-by less than a hundredth of what the start leaves open are settled, whatever parameters are undetermined.
+by less than a hundredth of what the start leaves open are determined, whatever parameters are not.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ class Rank:
 
     rank_tolerance: float = 1e-12  # of the scaled information matrix's largest eigenvalue
     better: float = 1.0  # times the start's precision: below, data do not determine a direction
-    settled: float = 0.01  # of a value's standard deviation at the start: what directions at the start may leave
+    at_start: float = 0.01  # of a value's standard deviation at the start: what directions at the start may leave
     unpredicted: float = 1e-8  # of a value's own precision: below, no other value predicts it
     unsettled: float = 0.05  # relative change of a noise estimate in the last round of reweighting: a warning above
 
@@ -106,10 +106,10 @@ class Solution:
         """(n,) standard deviations; inf for a parameter that the data do not determine."""
         return np.where(self.determined, np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), np.inf)
 
-    def settled(self, rows: Array, spread: Array) -> bool:
+    def determines(self, rows: Array, spread: Array) -> bool:
         """Whether the start, of these standard deviations (n,), hardly matters for the values of `rows` (m, n)."""
         left, before = (np.linalg.norm(rows @ each, axis=1) for each in (self.kept, np.diag(spread)))
-        return bool((left <= Rank.settled * before).all())
+        return bool((left <= Rank.at_start * before).all())
 
 
 @dataclass(frozen=True)

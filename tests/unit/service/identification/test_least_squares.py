@@ -44,8 +44,8 @@ def test_a_value_is_settled_where_what_stays_at_the_start_hardly_matters() -> No
     solution = Information(np.diag([100.0, 0.0]), np.zeros(2)).solve(np.zeros(2), spread)
     assert solution.determined.tolist() == [True, False]
     np.testing.assert_allclose(np.abs(solution.kept), [[0.0], [2.0]], atol=1e-12)
-    for share, settled in ((0.0, True), (0.0099, True), (0.0101, False), (1.0, False)):
-        assert solution.settled(np.array([[1.0, 0.0], [1.0, share]]), spread) == settled
+    for share, determined in ((0.0, True), (0.0099, True), (0.0101, False), (1.0, False)):
+        assert solution.determines(np.array([[1.0, 0.0], [1.0, share]]), spread) == determined
 
 
 def test_left_out_equals_solving_without() -> None:
