@@ -19,6 +19,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import httpx
+import numpy as np
 import psutil
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -207,8 +208,10 @@ def test_a_flood_at_the_open_port_is_bounded_and_delays_no_other_stop(
             presses = (f"/stop?press={number}&" for number in range(times * FLOOD))
             assert set(senders.map(lambda path: stopped(port, path, "nobody", 0), presses)) <= {200, 202, 503}
 
-    flood(3)  # what each process needs once, also one that is new
-    before = [each.memory_info().rss for each in processes]
+    memory: list[list[int]] = []
+    for _ in range(2):
+        flood(3)
+        memory.append([each.memory_info().rss for each in processes])
     with ThreadPoolExecutor(1) as apart:
         flooding = apart.submit(flood, 3)
         begun = time.monotonic()
@@ -217,8 +220,9 @@ def test_a_flood_at_the_open_port_is_bounded_and_delays_no_other_stop(
         flooding.result()
     assert status in (200, 503)  # a busy computer may confirm it later, and says so in time
     assert took <= ANSWERED
-    grown = [each.memory_info().rss - was for each, was in zip(processes, before, strict=True)]
-    assert max(grown) < 3 * FLOOD * KEPT / 2
+    memory.append([each.memory_info().rss for each in processes])
+    grown = np.diff(memory, axis=0).min(axis=0)  # what stops leave grows with each flood, what a new service needs once
+    assert grown.max() < 3 * FLOOD * KEPT / 2
     assert machine.stands()
     assert [stop["by"] for stop in client.stops()] == ["nobody", "Ada"]
     stopped(urlsplit(url).port, "/stop?", "Eve", 0)  # the last: what is still on its way would stop the next test
