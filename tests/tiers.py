@@ -161,7 +161,7 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     # further effects, faults, robots and seeds; statistics over many campaigns
     "tests/numeric/test_data_check.py::test_a_fault_of_the_second_plant_is_told": 9,
     "tests/numeric/second_plant/test_cases.py::test_a_large_effect_is_seen_and_no_monster": 20,
-    **{f"tests/numeric/second_plant/test_loop.py::test_a_hundred_diagnoses_end[{part}": 120 for part in range(4)},
+    **{f"tests/numeric/second_plant/test_loop.py::test_a_hundred_diagnoses_end[{part}": 65 for part in range(12)},
     "tests/numeric/second_plant/test_scoring.py::test_a_fair_sample_goes_through": 26,
     "tests/numeric/test_channel_timing.py::test_lags_are_found_within_their_uncertainty": 8,
     "tests/numeric/test_drift_in_stored_estimates.py::test_the_drift_is_found_and_the_other_seven_are_quiet": 13,

@@ -5,7 +5,7 @@ import pytest
 from tests.numeric.second_plant.cases import Case, Kind
 from tests.numeric.second_plant.loop import Course, course, hundred
 
-SEED, PARTS = 11, 4
+SEED, PARTS = 11, 12
 
 
 def check(one: Course) -> None:
