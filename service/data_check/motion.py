@@ -290,7 +290,9 @@ def _room(record: Record) -> float:
 
 
 def load_encoder(axis: AxisRecords) -> list[DataFinding]:
-    """Slope of load position over motor position, from all records with enough travel."""
+    """Slope of load position over motor position, from all records with enough travel; an elastic gear also twists by
+    the effort.
+    """
     limit = 0.02  # relative
     records = axis.those(lambda record: record.travels and record.load_position is not None)
     motor = np.concatenate([record.position for record in records]) if records else np.zeros(0)
@@ -298,9 +300,12 @@ def load_encoder(axis: AxisRecords) -> list[DataFinding]:
     # 0.05 rad (m): with less travel, twist and transmission error dominate
     if not records or np.ptp(motor) < 0.05:
         return []
-    away = motor - motor.mean()
-    gain = float(away @ (load - load.mean())) / float(away @ away)
-    if abs(gain - 1) <= limit:
+    effort = np.concatenate([record.effort for record in records])
+    columns = np.stack([motor, effort / axis.axis.rated_effort, np.ones(len(motor))], axis=-1)
+    solution = np.linalg.lstsq(columns, load)[0]
+    gain = float(solution[0])
+    # 3.0 times what the line leaves: twist that is no spring's, of a light load on a soft gear
+    if abs(gain - 1) <= max(limit, 3.0 * float(np.std(load - columns @ solution)) / float(np.std(motor))):
         return []
     ids = tuple(record.id for record in records)
     unit = motion_unit(axis, gain, velocity=False)

@@ -21,7 +21,7 @@ also jump to a later phase; if not, the encoder lost counts.
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter, median_filter
+from scipy.ndimage import maximum_filter, median_filter, minimum_filter
 
 from service.data_check.finding import Code, DataFinding, named
 from service.data_check.probabilities import poisson_quantile
@@ -138,7 +138,8 @@ def clipping(axis: AxisRecords) -> list[DataFinding]:
         for record, values in samples:
             for sign in (1.0, -1.0):
                 share = _on_limit(sign * values, record.steps[name])
-                if share > 0:
+                stands = name == "velocity" and (sign * values).max() == 0  # one way only
+                if share > 0 and not stands:
                     found.append((record.id, share, sign * float((sign * values).max())))
         # a limit applies to all sweeps: a few samples of one sweep may be there by chance
         # 0.02 of the window, in a single sweep
@@ -242,8 +243,8 @@ def spikes(axis: AxisRecords) -> list[DataFinding]:
             findings.append(
                 DataFinding(
                     "spikes", "wrong", axis.joint, ids, largest, None,
-                    f"{axis.joint}: {name} has {count} single sample{'s' * (count > 1)} far off what is beside, by up "
-                    f"to {largest:.4g} ({named(ids)}).",
+                    f"{axis.joint}: {name} has {count} single sample{'s' * (count > 1)} off the course of "
+                    f"those around, by up to {largest:.4g} ({named(ids)}).",
                     "Look for lost frames, loose shields or faults of the encoder, and record again.",
                 )
             )  # fmt: skip
@@ -269,8 +270,8 @@ def _off_course(values: Array, first: int, last: int) -> float:
 
 
 def _moved(record: Record, name: str, single: Indices) -> NDArray[np.bool_]:
-    """Where the other of effort and velocity also has the pulse, or velocity has a kink: backlash closes, or a load
-    breaks loose.
+    """Where the other of effort and velocity also has the pulse, or velocity has a kink or passes standstill: backlash
+    closes, a load breaks loose, or dry friction turns.
     """
     pulse = 8.0  # robust standard deviations
     other = "velocity" if name == "effort" else "effort"
@@ -281,7 +282,13 @@ def _moved(record: Record, name: str, single: Indices) -> NDArray[np.bool_]:
         return shown | _way(record, single)
     bent = np.abs(np.diff(record.velocity, 2, prepend=record.velocity[0], append=record.velocity[-1]))
     kinked = np.asarray(maximum_filter(bent, 2 * NEAR + 1, mode="nearest"), dtype=float)[single]
-    return shown | (kinked > max(pulse * spread(bent), 4 * record.steps["velocity"]))
+    least = max(pulse * spread(bent), 4 * record.steps["velocity"])
+    # before and after the record the axis may stand
+    low, high = (
+        np.asarray(extreme(record.velocity, 2 * NEAR + 1, mode="constant"), dtype=float)[single]
+        for extreme in (minimum_filter, maximum_filter)
+    )
+    return shown | (kinked > least) | ((low <= 0) & (high >= 0) & (high - low > least))
 
 
 def _way(record: Record, single: Indices) -> NDArray[np.bool_]:
