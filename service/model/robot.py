@@ -41,6 +41,8 @@ class Axis(BaseModel):
     motor_inertia: float | None = Field(default=None, ge=0, le=Most.inertia)  # kg m^2 on the motor side
     rated_effort: float = Field(ge=1e-9, le=Most.effort)  # N m (N)
     viscous_friction: float | None = Field(default=None, ge=0, le=Most.viscous)  # N m s/rad (N s/m)
+    # of the drive's speed control, N m s/rad (N s/m); omitted if it is not known, as older versions do
+    speed_gain: float | None = Field(default=None, ge=0, le=Most.viscous, exclude_if=_unsaid)
     cogging_orders: tuple[float, ...] = ()  # periods per motor revolution
     transmission_orders: tuple[float, ...] = ()
 

@@ -203,6 +203,7 @@ class PlanDocument(Shown, _PlanModel):
     duration: float  # s
     groups: tuple[tuple[str, ...], ...] = ()  # axes that move at once; (): one axis at a time
     compared: tuple[Alternative, ...] = ()  # for a request of simultaneous sweeps
+    alone: str = ""  # which of its axes go alone, and why
     made_for: MadeFor | None = None  # None: for any other machine
 
     def table(self) -> Table:

@@ -17,6 +17,7 @@ reason. With a confidence, other poses are chosen in its place.
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -39,7 +40,7 @@ from service.planning.documents import (
     SparePose,
     at_once,
 )
-from service.planning.path import SweepPath
+from service.planning.path import LEG_OVERHEAD, SweepPath
 from service.planning.poses import (
     ChosenPose,
     Groups,
@@ -67,15 +68,16 @@ def build_plan(
     as the budget, their estimates leave less to measure.
     """
     request.check(robot)
+    place = _Place.of(robot, request, cell, analyses or {})
     possible: list[PlanDocument] = []
     compared: list[Alternative] = []
     if not request.simultaneous:
-        return _build(robot, request, cell, analyses or {}, earlier, ())
-    for groups, count in _ways(request):
+        return _build(place, request, earlier, ())
+    for groups, count in _ways(request, place.design):
         asked = request.model_copy(update={"realisations": count})
         tried = Alternative(groups=groups, realisations=count)
         try:
-            plan = _build(robot, asked, cell, analyses or {}, earlier, groups)
+            plan = _build(place, asked, earlier, groups)
         except BadInput as error:
             compared.append(tried.model_copy(update={"reason": str(error)}))
         else:
@@ -85,19 +87,48 @@ def build_plan(
     if not possible:
         raise BadInput("simultaneous", compared[-1].reason)
     best = min(possible, key=lambda plan: (_robot_time(plan, request), plan.duration))
-    return best.model_copy(update={"compared": tuple(compared)})
+    return best.model_copy(update={"compared": tuple(compared), "alone": _alone(best, compared, place.design)})
 
 
-def _ways(request: PlanRequest) -> Iterator[tuple[Groups, int]]:
-    """Groups and realisations to compare: one axis at a time; all axes, base to tip, at once and in equal parts of two
-    to six, also with two and eight times as many realisations: the way back measures as well, and moves are saved.
+def _ways(request: PlanRequest, design: SweepDesign) -> Iterator[tuple[Groups, int]]:
+    """Groups and realisations to compare: one axis at a time; the three groupings that show most per time, also with
+    two and eight times as many realisations: the way back measures as well, and moves are saved.
     """
     yield (), request.realisations
-    for number in range(1, len(request.axes) // 2 + 1):
-        parts = [request.axes[own[0] : own[-1] + 1] for own in np.array_split(np.arange(len(request.axes)), number)]
-        if max(map(len, parts)) <= 6:
-            for count in sorted({min(20, times * request.realisations) for times in (1, 2, 8)}):
-                yield tuple(parts), count
+    groupings = [groups for groups in _groupings(request.axes, design) if len(groups) < len(request.axes)]
+    merits = {groups: design.merit(groups) for groups in groupings}
+    for groups in sorted(filter(lambda one: merits[one] > -math.inf, groupings), key=lambda one: -merits[one])[:3]:
+        for count in sorted({min(20, times * request.realisations) for times in (1, 2, 8)}):
+            yield groups, count
+
+
+def _groupings(axes: Sequence[str], design: SweepDesign) -> Iterator[Groups]:
+    """All divisions of axes into groups of one to six that hold their sweeps in some pose."""
+    if not axes:
+        yield ()
+        return
+    for number in range(min(6, len(axes))):
+        for others in combinations(axes[1:], number):
+            group = (axes[0], *others)
+            if design.factor(group).any():
+                for rest in _groupings([joint for joint in axes if joint not in group], design):
+                    yield (group, *rest)
+
+
+def _alone(plan: PlanDocument, compared: Sequence[Alternative], design: SweepDesign) -> str:
+    """Which axes go alone in a plan of simultaneous sweeps, and why; "" if none does."""
+    axes = plan.request.axes
+    alone = [group[0] for group in plan.groups or [(joint,) for joint in axes] if len(group) == 1]
+    pairs = [(k, j) for joint in alone for other in axes if other != joint for k, j in ((joint, other), (other, joint))]
+    if not pairs:
+        return ""
+    moved = {(k, j): float(np.median(design.moved((k, j))[:, 0, 1])) for k, j in pairs}
+    (k, j), limit = max(pairs, key=lambda pair: moved[pair]), SweepDesign.most_moved
+    text = f"{', '.join(alone)} alone: "
+    if moved[k, j] > limit:
+        return text + f"the sines of {j} would move {k} by {moved[k, j]:.2g} times its own, limit {limit:.2g}"
+    others = [one.duration for one in compared if one.duration and one.groups and set(one.groups) != set(plan.groups)]
+    return text + f"{plan.duration:.4g} s, " + (f"{min(others):.4g} s in other groups" if others else "no groups hold")
 
 
 def _robot_time(plan: PlanDocument, request: PlanRequest) -> float:
@@ -110,29 +141,40 @@ def _robot_time(plan: PlanDocument, request: PlanRequest) -> float:
     return plan.duration * max(predicted / (request.confidence or 1.0), 1.0 if request.confidence else 0.0) ** 2
 
 
-def _build(
-    robot: Robot,
-    request: PlanRequest,
-    cell: Cell,
-    analyses: Mapping[str, InitialAnalysis],
-    earlier: RobotType | None,
-    groups: Groups,
-) -> PlanDocument:
+@dataclass(frozen=True)
+class _Place:
+    """A robot in its cell with the candidates of a request: those of `poses` of the grid with room for its sweeps."""
+
+    robot: Robot
+    envelope: Envelope
+    home: Array
+    poses: int
+    candidates: Array  # (m, n)
+    design: SweepDesign
+
+    @classmethod
+    def of(cls, robot: Robot, request: PlanRequest, cell: Cell, analyses: Mapping[str, InitialAnalysis]) -> "_Place":
+        """BadInput if there are fewer candidates than the request's poses."""
+        envelope = Envelope(robot, cell)
+        home = np.array(cell.home_pose(robot.joints))
+        poses = grid(robot, request, envelope, home)
+        free = poses[envelope.checker.collision_free(poses)]
+        candidates = free[has_room(envelope, free, [robot.index(joint) for joint in request.axes])]
+        if len(candidates) < (request.poses or 1):
+            raise BadInput(
+                "poses",
+                f"{request.poses or 1} requested, but of {len(poses)} poses of the grid only "
+                f"{len(candidates)} are collision-free and have room for a sweep of every axis in cell {cell.name}",
+            )
+        design = SweepDesign(robot, request, envelope, candidates, analyses)
+        return cls(robot, envelope, home, len(poses), candidates, design)
+
+
+def _build(place: _Place, request: PlanRequest, earlier: RobotType | None, groups: Groups) -> PlanDocument:
     """The plan with the axes of `groups` at once; (): one at a time."""
-    envelope = Envelope(robot, cell)
-    home = np.array(cell.home_pose(robot.joints))
-    poses = grid(robot, request, envelope, home)
-    free = poses[envelope.checker.collision_free(poses)]
-    candidates = free[has_room(envelope, free, [robot.index(joint) for joint in request.axes])]
-    if len(candidates) < (request.poses or 1):
-        raise BadInput(
-            "poses",
-            f"{request.poses or 1} requested, but of {len(poses)} poses of the grid only "
-            f"{len(candidates)} are collision-free and have room for a sweep of every axis in cell {cell.name}",
-        )
+    robot, envelope, home = place.robot, place.envelope, place.home
     observed = observe(robot, request, home, groups)
-    design = SweepDesign(robot, request, envelope, candidates, analyses)
-    chooser = PoseChooser(request, envelope, design, observed, candidates, earlier, groups)
+    chooser = PoseChooser(request, envelope, place.design, observed, place.candidates, earlier, groups)
     itinerary = _Sequence(robot, request, envelope, groups)
     dropped: tuple[DroppedPose, ...] = ()
     while True:
@@ -159,8 +201,8 @@ def _build(
         spare=tuple(
             SparePose(number=n + 1, pose=tuple(chosen[n].pose.tolist())) for n in without_gain(choice.percent[:count])
         ),
-        candidates=len(poses),
-        measurable=len(candidates),
+        candidates=place.poses,
+        measurable=len(place.candidates),
         duration=sum(sweep.duration for sweep in sweeps),
         groups=groups,
     )
@@ -222,13 +264,14 @@ class _Sequence:
         path = SweepPath[PlannedSweep](self._robot, self._envelope, home, self._request.move_velocity)
         streamed: set[str] = set()  # axes that already have their host-streamed sweep
         dropped: list[DroppedPose] = []
-        for one in _in_order(chosen, home):
+        leg = LEG_OVERHEAD * self._request.move_velocity
+        for one in _in_order(chosen, home, leg, at_once=bool(self._groups)):
             goal, count = tuple(float(position) for position in one.pose), len(path.sweeps)
             warm_up = () if path.sweeps else self._warm_up(one.sweeps)
             try:
                 with path.all_or_none():
                     if self._groups:
-                        self._at_once(path, one)
+                        self._at_once(path, one, streamed)
                     for run in () if self._groups else (*warm_up, *self._measuring(one.pose, one.sweeps)):
                         spec, travel = self._spec(goal, run), run.excitation.travel
                         path.add(path.of_sines(spec, self._mode(run, streamed), run.excitation, travel), travel)
@@ -237,19 +280,28 @@ class _Sequence:
             streamed |= {each.spec.axis for each in path.sweeps[count:] if each.mode is SweepMode.HOST_STREAMED}
         return tuple(path.sweeps), tuple(dropped)
 
-    def _at_once(self, path: SweepPath[PlannedSweep], chosen: ChosenPose) -> None:
-        """The simultaneous sweeps of each group; every second realisation is the way back."""
-        runs, count = self._measuring(chosen.pose, chosen.sweeps), self._request.realisations
+    def _at_once(self, path: SweepPath[PlannedSweep], chosen: ChosenPose, streamed: set[str]) -> None:
+        """The sweeps of each group; every second realisation is the way back. An axis begins at the end of its way
+        that is nearer.
+        """
+        runs, count, start = self._measuring(chosen.pose, chosen.sweeps), self._request.realisations, chosen.pose.copy()
+        for number in range(0, len(runs), count):
+            index, travel = self._robot.index(runs[number].joint), runs[number].excitation.travel
+            if abs(path.here[index] - start[index] - travel) < abs(path.here[index] - start[index]):
+                start[index] += travel
+                runs[number : number + count] = [run.back for run in runs[number : number + count]]
+        pose = tuple(start.tolist())
         for group in self._groups:
-            pose = tuple(chosen.pose.tolist())
             for number in range(count):
                 moving = [run.back if number % 2 else run for run in runs[number::count] if run.joint in group]
-                change = {"excitation": "trajectory", "block": together(len(at_once(path.sweeps)) + 1, len(group))}
+                block = together(len(at_once(path.sweeps)) + 1, len(group))
+                change = {"excitation": "trajectory", "block": block} if len(group) > 1 else {}
                 specs = [self._spec(pose, run).model_copy(update=change) for run in moving]
                 travels = [run.excitation.travel for run in moving]
+                mode = SweepMode.HOST_STREAMED if len(group) > 1 else self._mode(moving[0], streamed)
                 path.add_together(
                     [
-                        path.of_sines(spec, SweepMode.HOST_STREAMED, run.excitation, travel)
+                        path.of_sines(spec, mode, run.excitation, travel)
                         for spec, run, travel in zip(specs, moving, travels, strict=True)
                     ],
                     travels,
@@ -303,14 +355,16 @@ class _Sequence:
         )
 
 
-def _in_order(chosen: Sequence[ChosenPose], home: Array) -> list[ChosenPose]:
-    """A short path through the poses that make the matrix regular, then one through the others."""
-    singular = sum(not math.isfinite(one.condition) for one in chosen)
+def _in_order(chosen: Sequence[ChosenPose], home: Array, leg: float, *, at_once: bool) -> list[ChosenPose]:
+    """A short path through the poses that make the matrix regular, then one through the others; one through all where
+    axes move `at_once`, since such a campaign does not end early.
+    """
+    regular = len(chosen) if at_once else sum(not math.isfinite(one.condition) for one in chosen) + 1
     here = home
     ordered: list[ChosenPose] = []
-    for part in (chosen[: singular + 1], chosen[singular + 1 :]):
+    for part in (chosen[:regular], chosen[regular:]):
         if part:
             poses = np.array([one.pose for one in part])
-            ordered += [part[k] for k in order_poses(poses, here)]
+            ordered += [part[k] for k in order_poses(poses, here, leg)]
             here = ordered[-1].pose
     return ordered

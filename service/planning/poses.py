@@ -7,19 +7,20 @@ after each chosen pose.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import accumulate, combinations, product
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.axis.nominal_priors import model_spread, pose_prior
-from service.identification.design.excitation import RAMP, Excitation, Sines, design_sweep, zippered_lines
+from service.identification.design.excitation import Excitation, Sines, design_sweep, zippered_lines
 from service.identification.design.pose_selection import (
     PredictedConfidence,
     choices,
     conditions,
     needed,
+    path_length,
     sweep_information,
 )
 from service.identification.estimates.estimate import RobotEstimate
@@ -32,7 +33,14 @@ from service.identification.model.base_parameters import (
     spread_evenly,
 )
 from service.identification.model.inverse_dynamics import coupling_rows
-from service.identification.model.regressor import axis_rows, gravity_terms, inertia_rows, lock, parameter_names
+from service.identification.model.regressor import (
+    axis_rows,
+    gravity_terms,
+    inertia_rows,
+    inertial_parameters,
+    lock,
+    parameter_names,
+)
 from service.model.arrays import Array
 from service.model.collision import reachable
 from service.model.configuration import Cell
@@ -41,6 +49,7 @@ from service.model.robot import Robot
 from service.planning.documents import LARGEST_CHOICE, USUAL_CHOICE, DroppedPose, PlanRequest
 from service.planning.path import LEG_OVERHEAD
 from service.planning.safety.envelope import Envelope
+from service.planning.safety.travel import order_poses
 
 Groups = tuple[tuple[str, ...], ...]  # of joints that move at once, in the order of the request's axes
 
@@ -181,9 +190,18 @@ def _locked(home: Array, free: tuple[int, ...]) -> dict[int, float]:
 
 
 class SweepDesign:
-    """The sweeps of a request in its candidates (m, n); `analyses`: initial analyses, by joint, as far as known."""
+    """The sweeps of a request in its candidates (m, n); `analyses`: initial analyses, by joint, as far as known.
+
+    Beside others an axis must keep turning, or it sticks. Its neighbours' sines a_j change its speed by up to
+    sum_j |M_kj| w a_j / |i w M_kk + K|, K the gain of its speed control, 0 if it is not known. With M of CAD and its
+    deviation this and the axis' own sines must leave a tenth of its offset. Where they do not, the largest of them
+    become equal and weaker: of all amplitudes that do, these have the largest product.
+    """
 
     travel_share = 0.95  # of the travel, for the offset motion; the sines oscillate around it
+    turning = 0.9  # of the offset, for the sines of an axis and what its neighbours do to it
+    weakest = 0.4  # factor of an axis' sines
+    most_moved = turning / Sines.load_margin / weakest / 2  # by one neighbour, relative to the own sines
 
     def __init__(
         self,
@@ -198,19 +216,87 @@ class SweepDesign:
         chain, parameters = robot.chain, robot.chain.inertial.ravel()
         index = {joint: robot.index(joint) for joint in request.axes}
         self._load = {joint: inertia_rows(chain, k, candidates) @ parameters for joint, k in index.items()}
+        self._coupling = self._coupled()
+        self._factors: dict[tuple[str, ...], Array] = {}
         self._gravity = {
             joint: gravity_terms(chain, parameters, robot.gravity, k, candidates) for joint, k in index.items()
         }
 
     def excitations(self, candidate: int, groups: Groups) -> tuple[Excitation, ...]:
         """The sweeps of the request's axes in a candidate pose; of `groups` at once. BadInput if one does not fit."""
-        zippered: dict[str, tuple[Sequence[float], int]] = {}
-        for group in groups:
-            window, lines = zippered_lines(len(group))
-            zippered |= {joint: (own, window) for joint, own in zip(group, lines, strict=True)}
-        return tuple(
-            self._excitation(joint, candidate, *zippered.get(joint, ((), None))) for joint in self._request.axes
-        )
+        found: dict[str, Excitation] = {}
+        for group in groups or [(joint,) for joint in self._request.axes]:
+            designed = zip(self._at_once(group, candidate).items(), self.factor(group)[candidate], strict=True)
+            found |= {joint: one.weaker(float(factor)) for (joint, one), factor in designed}
+        return tuple(found[joint] for joint in self._request.axes)
+
+    def factor(self, group: Sequence[str]) -> Array:
+        """(m, k) of the sines of axes that move at once; 0 where one would be below `weakest`. BadInput if a sweep fits
+        nowhere.
+        """
+        own, count = tuple(group), len(group)
+        if own not in self._factors:
+            parts = self.moved(own) + np.eye(count) if count > 1 else np.ones((len(self._candidates), 1, 1))
+            least = np.sort(parts, axis=2)
+            before = np.cumsum(least, axis=2) - least
+            most = ((SweepDesign.turning / Sines.load_margin - before) / np.arange(count, 0, -1)).max(axis=2)
+            factor = np.minimum(1.0, (most[:, :, None] / np.maximum(parts, 1e-9)).min(axis=1))
+            factor[factor.min(axis=1) < SweepDesign.weakest] = 0.0
+            self._factors[own] = factor
+        return self._factors[own]
+
+    def moved(self, group: Sequence[str]) -> Array:
+        """(m, k, j): most that the sines of axis j change the speed of axis k, relative to those of k."""
+        offset = np.array([abs(one.offset_velocity) for one in self._first(group).values()])
+        own = [self._request.axes.index(joint) for joint in group]
+        return self._coupling[:, own][:, :, own] * offset / offset[:, None]
+
+    def merit(self, groups: Groups) -> float:
+        """Logarithm of what these sweeps show of all axes per time, up to a constant; -inf with too few poses."""
+        factors = [self.factor(group) for group in groups]
+        holding = np.hstack(factors).all(axis=1)
+        if np.count_nonzero(holding) < (self._request.poses or 1):
+            return -math.inf
+        shown, seconds = 0.0, LEG_OVERHEAD * (1 + len(self._request.varied))
+        for group, factor in zip(groups, factors, strict=True):
+            first = list(self._first(group).values())
+            seconds += first[0].duration + LEG_OVERHEAD
+            power = [sum((one.frequency * one.amplitude) ** 2 for one in sweep.sines) for sweep in first]
+            shown += float(np.log(np.multiply(power, first[0].period * first[0].periods)).sum())
+            shown += 2 * float(np.log(factor[holding]).mean(axis=0).sum())
+        return shown - len(self._request.axes) * math.log(seconds)
+
+    def _first(self, group: Sequence[str]) -> dict[str, Excitation]:
+        """The sweeps in the first candidate where they fit, their speeds not yet disturbed; BadInput if in none."""
+        error = BadInput("poses", "there are none")
+        for candidate in range(len(self._candidates)):
+            try:
+                return self._at_once(group, candidate)
+            except BadInput as refused:
+                error = refused
+        raise error
+
+    def _coupled(self) -> Array:
+        """(m, k, j): speed of axis k by that of axis j at the highest line, M_kj with its deviation; 0 where k is j."""
+        robot, axes = self._robot, self._request.axes
+        found = np.zeros((len(self._candidates), len(axes), len(axes)))
+        pairs = list(combinations(range(len(axes)), 2)) if self._request.simultaneous else []
+        numbers = [(robot.index(axes[k]), robot.index(axes[j])) for k, j in pairs]
+        drives = [robot.axis(joint) for joint in axes]
+        inertia = np.stack([self._load[one.joint] + (one.reflected_motor_inertia or 0.0) for one in drives], 1)
+        held = np.array([one.speed_gain or 0.0 for one in drives]) / (2 * np.pi * Sines.lines[-1])
+        held = np.hypot(inertia, held)
+        for (k, j), number in zip(pairs, numbers, strict=True):
+            both = np.abs(coupling_rows(robot.chain, [number], self._candidates)[:, 0] @ inertial_parameters(robot))
+            found[:, k, j], found[:, j, k] = both / held[:, k], both / held[:, j]
+        return (1 + robot.prior.inertia) * found
+
+    def _at_once(self, group: Sequence[str], candidate: int) -> dict[str, Excitation]:
+        """The sweeps of axes that move at once, their speeds not yet disturbed."""
+        if len(group) == 1:
+            return {group[0]: self._excitation(group[0], candidate, (), None)}
+        window, lines = zippered_lines(len(group))
+        return {joint: self._excitation(joint, candidate, own, window) for joint, own in zip(group, lines, strict=True)}
 
     def _excitation(self, joint: str, candidate: int, zippered: Sequence[float], window: int | None) -> Excitation:
         """The sweep of one axis, forward if there is room, else backward."""
@@ -287,13 +373,8 @@ class ChosenPose:
     sweeps: tuple[Excitation, ...]
 
 
-def least_duration(sweeps: Sequence[Excitation], groups: Groups = ()) -> float:
-    """The time for a pose without the path to it, s: its sweeps, each with its way back and switching on and off.
-
-    The first sweeps of `groups`, whose axes move at once, one after the other.
-    """
-    if groups:
-        sweeps = [sweeps[n] for n in accumulate(map(len, groups[:-1]), initial=0)]
+def least_duration(sweeps: Sequence[Excitation]) -> float:
+    """The time for a pose without the path to it, s: its sweeps, each with its way back and switching on and off."""
     return sum(sweep.duration + 2 * LEG_OVERHEAD for sweep in sweeps)
 
 
@@ -359,6 +440,12 @@ class PoseChooser:
         self._request, self._envelope, self._design = request, envelope, design
         self._observed, self._candidates, self._groups = observed, candidates, groups
         self._rows = observed.measured(candidates)
+        joints = observed.robot.joints
+        of = {joint: own for group in groups for joint, own in zip(group, design.factor(group).T, strict=True)}
+        pairs = (np.sqrt(of[joints[k]] * of[joints[j]]) for k, j in observed.pairs)
+        # of the sines of each row; 0 where the axes of a group cannot hold their sweeps
+        factor = np.stack([*(of.get(joint, np.ones(len(candidates))) for joint in request.axes), *pairs], -1)
+        self._factor = factor * factor.all(axis=1, keepdims=True)
         workspace = observed.workspace(candidates)
         inertia = observed.inertia(workspace)
         known = None
@@ -385,6 +472,7 @@ class PoseChooser:
             lambda candidate: self._accepted(candidate, closed, refused),
             self._known,
             self._seconds if self._groups else None,
+            LEG_OVERHEAD * request.move_velocity,
         )
         prediction = self._prediction()
         chosen: list[int] = []
@@ -394,7 +482,7 @@ class PoseChooser:
             prediction.add(*self._shows(pick))
             chosen.append(pick)
             condition.append(number)
-            duration += request.realisations * least_duration(self._sweeps[pick], self._groups)
+            duration += self._sweeping(pick)
             reached = prediction.percent[-1] <= (request.confidence or 0.0) and prediction.states[-1]
             full = len(chosen) == (request.poses or LARGEST_CHOICE) or (request.duration or math.inf) < duration
             if reached or full:
@@ -402,9 +490,13 @@ class PoseChooser:
         if request.confidence is not None and chosen:
             if not reached:
                 raise BadInput("confidence", self._out_of_reach(request.confidence, len(chosen), prediction.confidence))
-            if len(chosen) > 1 and prediction.percent[-2] <= request.confidence:  # continued only to determine J
-                shown = [self._shows(pick) for pick in chosen]
-                chosen = [chosen[n] for n in needed(prediction.confidence, shown, request.confidence)]
+            left_out = len(chosen) > 1 and prediction.percent[-2] <= request.confidence  # continued to determine J
+            if left_out or self._groups:
+                if left_out:
+                    shown = [self._shows(pick) for pick in chosen]
+                    chosen = [chosen[n] for n in needed(prediction.confidence, shown, request.confidence)]
+                if self._groups:
+                    chosen = self._quicker(chosen, request.confidence, prediction.confidence, closed)
                 condition = conditions(self._rows, chosen)
                 prediction = self._prediction()
                 for pick in chosen:
@@ -421,11 +513,68 @@ class PoseChooser:
         ]
         return Choice(chosen_poses, prediction.percent, prediction.states, prediction.determined, reported)
 
+    def _quicker(
+        self, chosen: list[int], wanted: float, predicted: PredictedConfidence, closed: set[tuple[float, ...]]
+    ) -> list[int]:
+        """Poses left out or exchanged, one by one, as long as the robot time falls and `wanted` percent are reached."""
+        leg, tried, kept = LEG_OVERHEAD * self._request.move_velocity, 30, 0  # exchanges: those with the shortest way
+        seconds = self._robot_time(chosen)
+        while kept < len(chosen):
+            old, rest = chosen[0], chosen[1:]
+            predicted.remove(*self._shows(old))
+            others = np.vstack([self._candidates[rest], self._observed.home])
+            away = path_length(self._candidates[:, None], others, leg).min(axis=1)
+            away[chosen] = np.inf
+            near = np.argsort(away, kind="stable")[:tried].tolist()
+            options = [(self._robot_time(picks), picks) for picks in ([[*rest, k] for k in near] + [rest] * bool(rest))]
+            quicker = [picks for time, picks in sorted(options) if time < seconds - 0.1]
+            found = next((picks for picks in quicker if self._reaches(predicted, picks, rest, wanted, closed)), None)
+            if found is None:
+                predicted.add(*self._shows(old))
+            kept = kept + 1 if found is None else 0
+            chosen = found or [*rest, old]
+            seconds = self._robot_time(chosen)
+        return chosen
+
+    def _reaches(
+        self,
+        predicted: PredictedConfidence,
+        picks: Sequence[int],
+        known: Sequence[int],
+        wanted: float,
+        closed: set[tuple[float, ...]],
+    ) -> bool:
+        """Whether `predicted` of the `known` poses reaches it with those of `picks`, which it then contains."""
+        more = [pick for pick in picks[len(known) :] if self._accepted(pick, closed, [])]
+        if len(more) < len(picks) - len(known):
+            return False
+        for pick in more:
+            predicted.add(*self._shows(pick))
+        if predicted.reaches(wanted):
+            return True
+        for pick in more:
+            predicted.remove(*self._shows(pick))
+        return False
+
+    def _robot_time(self, picks: Sequence[int]) -> float:
+        """Of the sweeps in the candidates `picks` and of a short path through them, s."""
+        leg = LEG_OVERHEAD * self._request.move_velocity
+        poses, home = self._candidates[list(picks)], self._observed.home
+        way = np.vstack([home, poses[order_poses(poses, home, leg)]])
+        moves = path_length(way[1:], way[:-1], leg).sum() / self._request.move_velocity
+        return len(picks) * self._sweeping(picks[0]) + float(moves)
+
     def _seconds(self, away: Array) -> Array:
-        """Robot time (m,) of the simultaneous sweeps of candidates at these path lengths (m,), s."""
-        windows = [zippered_lines(len(group))[0] for group in self._groups]
-        sweeps = sum(windows) + len(windows) * (2 * RAMP + Sines.settle + 2 * LEG_OVERHEAD)
-        return self._request.realisations * sweeps + away / self._request.move_velocity
+        """Robot time (m,) of the sweeps in candidates at these path lengths (m,), s."""
+        sweeps = max((self._sweeping(pick) for pick in list(self._sweeps)[:1]), default=1.0)
+        return sweeps + away / self._request.move_velocity
+
+    def _sweeping(self, pick: int) -> float:
+        """Robot time of the sweeps in an accepted candidate, s; in groups every way back is a sweep."""
+        first = [self._request.axes.index(group[0]) for group in self._groups]
+        sweeps = [self._sweeps[pick][k] for k in first]
+        once = sum(one.duration + LEG_OVERHEAD for one in sweeps) or least_duration(self._sweeps[pick])
+        return self._request.realisations * once
 
     def _weighted(self, closed: set[tuple[float, ...]]) -> Array:
         """The rows of the candidates, with earlier robots or M_kj by what a sweep shows of each: then all are
@@ -436,12 +585,13 @@ class PoseChooser:
         first = next((k for k in range(len(self._candidates)) if self._accepted(k, closed, [])), None)
         if first is None:
             return self._rows
-        return self._rows * np.sqrt(self._shows(first)[1][:, 0, 0])[:, None]
+        weight = np.sqrt(self._shows(first)[1][:, 0, 0]) / self._factor[first]
+        return self._rows * (weight * self._factor)[..., None]
 
     def _accepted(self, candidate: int, closed: set[tuple[float, ...]], refused: list[DroppedPose]) -> bool:
         """Whether the candidate has a path from home and its sweeps; otherwise its reason is added to `refused`."""
         pose = tuple(float(position) for position in self._candidates[candidate])
-        if pose in closed:
+        if pose in closed or not self._factor[candidate].all():
             return False
         if candidate in self._sweeps:
             return True

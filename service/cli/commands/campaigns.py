@@ -209,6 +209,8 @@ def _tell_plan(document: Json, seconds: float) -> None:
         f"{len(confidence)} poses, {len(document['sweeps'])} sweeps, {seconds / 60:.0f} min; "
         f"confidence of J: {stated} in the workspace\n"
     )
+    if document["alone"]:
+        sys.stderr.write(f"{document['alone']}\n")
     if confidence[-1] is None and document["undetermined"]:
         enough = document["enough_poses"]
         sys.stderr.write(

@@ -100,6 +100,11 @@ class Excitation:
         """Signed travel from start to end, rad (m): the sines cancel over whole periods."""
         return self.offset_velocity * (self.ramp + self.settle + self.periods * self.period)
 
+    def weaker(self, factor: float) -> "Excitation":
+        """The same with sines of `factor` times the amplitude."""
+        sines = (sine.model_copy(update={"amplitude": factor * sine.amplitude}) for sine in self.sines)
+        return replace(self, sines=tuple(sines))
+
 
 def design_sweep(
     robot: Robot,

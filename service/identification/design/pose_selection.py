@@ -90,16 +90,18 @@ def choices(
     accept: Callable[[int], bool] = lambda _: True,
     known: Array | None = None,
     seconds: Callable[[Array], Array] | None = None,
+    leg: float = 0.0,
 ) -> Iterator[tuple[int, float]]:
     """All candidates in the order of selection, each with the condition number after it; computed lazily.
 
     `poses` (m, n) and `start` (n,), the initial pose of the robot: for condition_and_travel, whose path length is
     the sum over the joints, rad (m), because one joint moves at a time. A candidate that `accept` refuses is left
     out. `known` (p, p): information before the first choice, in the units of `rows`. `seconds`: robot time of
-    candidates with these path lengths (m,) to the nearest chosen one; then D-optimal is per robot time.
+    candidates with these path lengths (m,) to the nearest chosen one, `leg` more for each joint that moves; then
+    D-optimal is per robot time.
     """
     greedy = _Greedy(rows, known)
-    away = np.zeros(len(rows)) if poses is None else _way(poses, np.asarray(start, dtype=float))
+    away = np.zeros(len(rows)) if poses is None else path_length(poses, np.asarray(start, dtype=float), leg)
     slack = 1.0
     if criterion is Criterion.CONDITION_AND_TRAVEL:
         if poses is None:
@@ -113,7 +115,7 @@ def choices(
         if accept(pick):
             yield pick, greedy.take(pick)
             if poses is not None:
-                away = np.minimum(away, _way(poses, poses[pick]))
+                away = np.minimum(away, path_length(poses, poses[pick], leg))
 
 
 def conditions(rows: Array, picks: Sequence[int]) -> list[float]:
@@ -225,8 +227,10 @@ def _ritz(matrices: Array) -> Array:
     return matrices[:, 0] if matrices.shape[1] == 1 else np.asarray(np.linalg.eigvalsh(matrices), dtype=float)
 
 
-def _way(poses: Array, pose: Array) -> Array:
-    return np.abs(poses - pose).sum(axis=1)
+def path_length(poses: Array, pose: Array, leg: float = 0.0) -> Array:
+    """Way (...,) of all joints (..., n) one after the other, rad (m), and `leg` for each of them that moves."""
+    away = np.abs(poses - pose)
+    return away.sum(axis=-1) + leg * np.count_nonzero(away > 1e-9, axis=-1)
 
 
 @dataclass(frozen=True)

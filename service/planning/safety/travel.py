@@ -6,6 +6,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.design.pose_selection import path_length
 from service.model.arrays import Array
 from service.model.collision import CollisionChecker
 
@@ -33,14 +34,15 @@ def route(
     return None
 
 
-def order_poses(poses: Array, start: Array) -> list[int]:
-    """An order of `poses` (m, n) with a short path from `start` through all of them; the end is free.
+def order_poses(poses: Array, start: Array, leg: float = 0.0) -> list[int]:
+    """An order of `poses` (m, n) with a short path from `start` through all of them; the end is free. `leg`, rad (m):
+    what each joint that moves adds to the path, for the time in which it is switched on and off.
 
     Nearest neighbour, then 2-opt (Croes 1958) until no reversal of a segment shortens the path; of the segments that
     begin at one pose the best is used.
     """
     points = np.vstack([start, poses])
-    distance = np.sum(np.abs(points[:, None] - points[None]), axis=-1)
+    distance = path_length(points[:, None], points[None], leg)
     tour = _nearest_neighbours(distance)
     improved = True
     while improved:

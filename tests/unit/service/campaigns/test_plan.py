@@ -307,6 +307,39 @@ def test_axes_that_need_less_robot_time_together_move_at_once(arm: Robot) -> Non
     assert sum(map(len, at_once(plan.sweeps))) == len(plan.sweeps)
 
 
+LIGHT = {"motor_inertia": 1e-5}  # j2: 0.1 kg m^2 of 3.6
+
+
+@pytest.mark.parametrize("drive", [LIGHT, LIGHT | {"speed_gain": 1e6}])
+def test_axes_whose_neighbours_would_stop_them_go_alone(arm: Robot, drive: dict[str, float]) -> None:
+    """Stretched out, M_12 = 1 + 10 (0.25 + 0.5) kg m^2, 2.36 M_22: with its deviation j1 moves j2 by 3.1 times what its
+    own sines do, unless its drive holds it.
+    """
+    axes = (arm.axes[0], arm.axes[1].model_copy(update=drive))
+    light = build_robot(arm.description.model_copy(update={"axes": axes}), arm.urdf_text)
+    request = PlanRequest(robot_id=1, axes=("j1", "j2"), varied=("j1",), step=20.0, poses=4, simultaneous=True)
+    plan = build_plan(light, request, Cell(name="plain"))
+    held = "speed_gain" in drive
+    assert plan.groups == ((("j1", "j2"),) if held else ())
+    assert plan.alone == ("" if held else "j1, j2 alone: the sines of j1 would move j2 by 3.1 times its own, limit 1.4")
+
+
+def test_sweeps_at_once_leave_each_axis_a_tenth_of_its_speed(arm: Robot) -> None:
+    axes = (arm.axes[0], arm.axes[1].model_copy(update={"motor_inertia": 2e-4}))
+    light = build_robot(arm.description.model_copy(update={"axes": axes}), arm.urdf_text)
+    request = PlanRequest(robot_id=1, axes=("j1", "j2"), varied=("j1", "j2"), step=20.0, poses=8, simultaneous=True)
+    plan = build_plan(light, request, Cell(name="plain"))
+    weaker = 0
+    for pair in at_once(plan.sweeps):
+        one, other = (plan.sweeps[number - 1].spec for number in pair)
+        both = 1 + 10 * (0.25 + 0.5 * np.cos(other.pose[1]))  # M_12 by hand, kg m^2
+        by_neighbour = 1.3 * abs(both) / (2 + 1 + 2.5) * sum(sine.amplitude for sine in one.sines)
+        taken = sum(sine.amplitude for sine in other.sines) + by_neighbour
+        assert taken < 0.9 * abs(other.offset_velocity) * 1.1  # M_12 changes over 4 deg
+        weaker += sum(sine.amplitude for sine in other.sines) < 0.79 * abs(other.offset_velocity)
+    assert weaker
+
+
 def test_one_axis_moves_alone_and_what_single_axes_need_is_refused_together() -> None:
     one = warmed(axes=("j1",), simultaneous=True)
     assert (one.groups, len(one.compared), at_once(one.sweeps)) == ((), 1, ())
