@@ -216,7 +216,7 @@ class SweepDesign:
         chain, parameters = robot.chain, robot.chain.inertial.ravel()
         index = {joint: robot.index(joint) for joint in request.axes}
         self._load = {joint: inertia_rows(chain, k, candidates) @ parameters for joint, k in index.items()}
-        self._coupling = self._coupled()
+        self._matrix = self._inertia_matrix()
         self._factors: dict[tuple[str, ...], Array] = {}
         self._gravity = {
             joint: gravity_terms(chain, parameters, robot.gravity, k, candidates) for joint, k in index.items()
@@ -249,7 +249,10 @@ class SweepDesign:
         """(m, k, j): most that the sines of axis j change the speed of axis k, relative to those of k."""
         offset = np.array([abs(one.offset_velocity) for one in self._first(group).values()])
         own = [self._request.axes.index(joint) for joint in group]
-        return self._coupling[:, own][:, :, own] * offset / offset[:, None]
+        matrix = np.abs(self._matrix[:, own][:, :, own]) * (1 - np.eye(len(own)))
+        held = [(self._robot.axis(joint).speed_gain or 0.0) / (2 * np.pi * Sines.lines[-1]) for joint in group]
+        held = np.hypot(np.diagonal(self._matrix, axis1=1, axis2=2)[:, own], held)
+        return (1 + self._robot.prior.inertia) * matrix * offset / (held * offset)[:, :, None]
 
     def merit(self, groups: Groups) -> float:
         """Logarithm of what these sweeps show of all axes per time, up to a constant; -inf with too few poses."""
@@ -276,20 +279,15 @@ class SweepDesign:
                 error = refused
         raise error
 
-    def _coupled(self) -> Array:
-        """(m, k, j): speed of axis k by that of axis j at the highest line, M_kj with its deviation; 0 where k is j."""
+    def _inertia_matrix(self) -> Array:
+        """(m, k, j): M_kj of CAD, with the motors; without the pairs of axes that never move at once."""
         robot, axes = self._robot, self._request.axes
-        found = np.zeros((len(self._candidates), len(axes), len(axes)))
-        pairs = list(combinations(range(len(axes)), 2)) if self._request.simultaneous else []
-        numbers = [(robot.index(axes[k]), robot.index(axes[j])) for k, j in pairs]
-        drives = [robot.axis(joint) for joint in axes]
-        inertia = np.stack([self._load[one.joint] + (one.reflected_motor_inertia or 0.0) for one in drives], 1)
-        held = np.array([one.speed_gain or 0.0 for one in drives]) / (2 * np.pi * Sines.lines[-1])
-        held = np.hypot(inertia, held)
-        for (k, j), number in zip(pairs, numbers, strict=True):
-            both = np.abs(coupling_rows(robot.chain, [number], self._candidates)[:, 0] @ inertial_parameters(robot))
-            found[:, k, j], found[:, j, k] = both / held[:, k], both / held[:, j]
-        return (1 + robot.prior.inertia) * found
+        own = [self._load[joint] + (robot.axis(joint).reflected_motor_inertia or 0.0) for joint in axes]
+        found = np.stack(own, -1)[:, :, None] * np.eye(len(axes))
+        for k, j in combinations(range(len(axes)), 2) if self._request.simultaneous else ():
+            rows = coupling_rows(robot.chain, [(robot.index(axes[k]), robot.index(axes[j]))], self._candidates)
+            found[:, k, j] = found[:, j, k] = rows[:, 0] @ inertial_parameters(robot)
+        return found
 
     def _at_once(self, group: Sequence[str], candidate: int) -> dict[str, Excitation]:
         """The sweeps of axes that move at once, their speeds not yet disturbed."""
@@ -327,12 +325,13 @@ class SweepDesign:
             effort_limit=spare / (1 + 2 * prior.inertia) / 2,
         )
 
-    def coupled(self, one: str, other: str, excitations: Mapping[str, Excitation]) -> Array:
-        """As `information`, of M_kj: each torque at the other's lines."""
-        shown = np.zeros((2, 2))
+    def coupled(self, one: str, other: str, candidate: int, excitations: Mapping[str, Excitation]) -> Array:
+        """As `information`, (3, 3), of M_kj and the compliances of both: each torque at the other's lines."""
+        shown, (k, j) = np.zeros((3, 3)), map(self._request.axes.index, (one, other))
+        elastic = [float(self._matrix[candidate, k, j] * self._load[joint][candidate]) for joint in (one, other)]
         for torque, motion in ((one, other), (other, one)):
             sweep, rated = excitations[motion], self._robot.axis(torque).rated_effort
-            shown[0, 0] += sweep_information(sweep.sines, sweep.period * sweep.periods, rated, 0.0, 0.0)[0, 0]
+            shown += sweep_information(sweep.sines, sweep.period * sweep.periods, rated, elastic, 0.0)
         return shown
 
     def information(self, joint: str, candidate: int, excitation: Excitation) -> Array:
@@ -344,7 +343,7 @@ class SweepDesign:
             excitation.sines,
             excitation.periods * excitation.period,
             axis.rated_effort,
-            load,
+            [load**2],
             float(prior.sigma[1]),
             self._locked_rotor(joint, candidate),
         )
@@ -415,7 +414,7 @@ class _Prediction:
     states: list[bool] = field(default_factory=list)
     determined: list[NDArray[np.bool_]] = field(default_factory=list)
 
-    def add(self, rows: Array, information: Array) -> None:
+    def add(self, rows: Array, information: Sequence[Array]) -> None:
         self.confidence.add(rows, information)
         solution = self.confidence.solution()
         self.percent.append(self.confidence.percent())
@@ -458,9 +457,10 @@ class PoseChooser:
             earlier.check(observed.names, locked)
             known = earlier.information.matrix
         self._known = known
-        self._workspace = observed.rows(workspace), inertia, observed.spread(float(inertia.max())), known
+        pairs = [(observed.axes.index(k), observed.axes.index(j)) for k, j in observed.pairs]
+        self._workspace = observed.rows(workspace), inertia, observed.spread(float(inertia.max())), known, pairs
         self._sweeps: dict[int, tuple[Excitation, ...]] = {}
-        self._shown: dict[int, Array] = {}  # information of the sweeps in a candidate
+        self._shown: dict[int, list[Array]] = {}  # information of the sweeps in a candidate
 
     def choose(self, without: Sequence[DroppedPose]) -> Choice:
         """The poses of the request, none of them `without`; BadInput if the requested confidence is out of reach."""
@@ -585,7 +585,7 @@ class PoseChooser:
         first = next((k for k in range(len(self._candidates)) if self._accepted(k, closed, [])), None)
         if first is None:
             return self._rows
-        weight = np.sqrt(self._shows(first)[1][:, 0, 0]) / self._factor[first]
+        weight = np.sqrt([one[0, 0] for one in self._shows(first)[1]]) / self._factor[first]
         return self._rows * (weight * self._factor)[..., None]
 
     def _accepted(self, candidate: int, closed: set[tuple[float, ...]], refused: list[DroppedPose]) -> bool:
@@ -606,13 +606,13 @@ class PoseChooser:
     def _prediction(self) -> _Prediction:
         return _Prediction(PredictedConfidence(*self._workspace))
 
-    def _shows(self, pick: int) -> tuple[Array, Array]:
+    def _shows(self, pick: int) -> tuple[Array, Sequence[Array]]:
         """Rows of an accepted candidate and the information of its sweeps, as `PredictedConfidence.add` takes them."""
         if pick not in self._shown:
             sweeps, joints = dict(zip(self._request.axes, self._sweeps[pick], strict=True)), self._observed.robot.joints
             once = [self._design.information(joint, pick, sweep) for joint, sweep in sweeps.items()]
-            once += [self._design.coupled(joints[k], joints[j], sweeps) for k, j in self._observed.pairs]
-            self._shown[pick] = self._request.realisations * np.array(once)
+            once += [self._design.coupled(joints[k], joints[j], pick, sweeps) for k, j in self._observed.pairs]
+            self._shown[pick] = [self._request.realisations * one for one in once]
         return self._rows[pick], self._shown[pick]
 
     def _out_of_reach(self, wanted: float, count: int, predicted: PredictedConfidence) -> str:

@@ -36,6 +36,7 @@ Sines of amplitude a_i [rad/s] at omega_i over N samples of effort noise s show,
 
 (`drive_train` for small compliance c). If only J is unknown, this is the Cramer-Rao bound  var J = 2 s^2 / (N sum
 omega_i^2 a_i^2). Near a known locked-rotor frequency f, all three are multiplied by F_i^2 = (1 - (f_i / f)^2)^-2.
+At the lines of axis j axis k shows M_kj in the same way, with omega^3 M_kj (J_lk c_k + J_lj c_j).
 The gravity stiffness k_g has its prior, separately for each sweep, and is eliminated; the compliance c is shared by
 all sweeps of an axis and stays as an unknown in addition to the base parameters beta, J = w beta. The information of
 all sweeps on (beta, c) adds up:  Lambda = [[A, B], [B', C]].  The confidence is the largest standard deviation of J
@@ -246,21 +247,21 @@ def sweep_information(
     sines: Sequence[Sine],
     duration: float,
     rated_effort: float,
-    load_inertia: float,
+    elastic: Sequence[float],
     stiffness_sigma: float,
     locked_rotor: float | None = None,
 ) -> Array:
-    """Information (2, 2) of one sweep on [J, c], 1/(kg m^2)^2 and so on.
+    """Information (1 + c, 1 + c) of one sweep on an inertia and c compliances, 1/(kg m^2)^2 and so on.
 
-    `duration` of its window, s; `load_inertia` kg m^2 (kg); `stiffness_sigma` of the gravity stiffness' prior,
-    N m/rad; `locked_rotor` frequency, Hz, if it is known.
+    `duration` of its window, s; `elastic` (c,): what the compliances add to the inertia, by omega^2, (kg m^2)^2;
+    `stiffness_sigma` of the gravity stiffness' prior, N m/rad; `locked_rotor` frequency, Hz, if it is known.
     """
     frequency = np.array([sine.frequency for sine in sines])
     omega = 2 * np.pi * frequency
     gain = np.ones_like(omega) if locked_rotor is None else (1 - (frequency / locked_rotor) ** 2) ** -2
     noise = Assumed.effort_noise * rated_effort / np.sqrt(Assumed.noise_rate * duration / 2)
     weight = gain * np.array([sine.amplitude for sine in sines]) / noise
-    seen = weight[:, None] * np.stack([omega, omega**3 * load_inertia**2], -1)
+    seen = weight[:, None] * np.stack([omega, *(omega**3 * one for one in elastic)], -1)
     stiffness = -weight / omega * stiffness_sigma
     along = stiffness @ seen
     return seen.T @ seen - np.outer(along, along) / (1 + stiffness @ stiffness)
@@ -269,13 +270,21 @@ def sweep_information(
 class PredictedConfidence:
     """Confidence updated pose by pose. a axes are measured in each pose; p base parameters."""
 
-    def __init__(self, rows: Array, inertia: Array, spread: Array, known: Array | None = None) -> None:
+    def __init__(
+        self,
+        rows: Array,
+        inertia: Array,
+        spread: Array,
+        known: Array | None = None,
+        pairs: Sequence[tuple[int, int]] = (),
+    ) -> None:
         """`rows` (w, a, p) and the model's `inertia` (w, a) of the axes in the poses of the workspace; `spread` (p,):
         standard deviations of the base parameters in the nominal model; `known` (p, p): information that earlier robots
-        of the type give.
+        of the type give. `pairs`: numbers of the axes of the rows of M_kj, which follow those of the axes.
         """
         count, axes, size = rows.shape
         self._axes, self._size, self._spread = axes, size, spread
+        self._elastic = [*((axis,) for axis in range(axes)), *pairs]  # axes whose compliances a row depends on
         self._workspace = np.zeros((count * axes, size + axes))
         self._workspace[:, :size] = rows.reshape(-1, size) / inertia.reshape(-1, 1)
         softest = 1 / (np.median(inertia, axis=0) * (2 * np.pi * Assumed.softest) ** 2)
@@ -283,20 +292,17 @@ class PredictedConfidence:
         if known is not None:
             self._information[:size, :size] += known
 
-    def add(self, rows: Array, information: Array) -> None:
-        """Add a pose with its rows (a, p) and the `sweep_information` (a, 2, 2) of its sweeps.
-
-        Further rows, of M_kj, have no information on a compliance.
-        """
-        for axis, (row, about) in enumerate(zip(rows, information, strict=True)):
-            parts = np.zeros((2, len(self._information)))
+    def add(self, rows: Array, information: Sequence[Array], sign: float = 1.0) -> None:
+        """Add a pose with its rows (a, p), and those of the pairs, and the `sweep_information` of its sweeps."""
+        for row, axes, about in zip(rows, self._elastic, information, strict=True):
+            parts = np.zeros((1 + len(axes), len(self._information)))
             parts[0, : self._size] = row
-            parts[1, self._size + axis : self._size + self._axes] = np.arange(self._axes - axis) == 0
-            self._information += parts.T @ about @ parts
+            parts[np.arange(1, len(parts)), self._size + np.array(axes)] = 1.0
+            self._information += sign * parts.T @ about @ parts
 
-    def remove(self, rows: Array, information: Array) -> None:
+    def remove(self, rows: Array, information: Sequence[Array]) -> None:
         """Undo the `add` of a pose."""
-        self.add(rows, -information)
+        self.add(rows, information, -1.0)
 
     def percent(self) -> float:
         """Largest standard deviation of J over the workspace by the sweeps alone, percent of J; inf while rank
@@ -339,7 +345,7 @@ class PredictedConfidence:
         return Information(matrix, deviation).solve(deviation, self._spread)
 
 
-def needed(predicted: PredictedConfidence, poses: Sequence[tuple[Array, Array]], wanted: float) -> list[int]:
+def needed(predicted: PredictedConfidence, poses: Sequence[tuple[Array, Sequence[Array]]], wanted: float) -> list[int]:
     """Numbers (from 0) of the `poses` without which `predicted`, that of all of them, does not reach `wanted` percent.
 
     `poses`: rows and information of each, as in `add`. The last ones are tried first; `predicted` is left with the

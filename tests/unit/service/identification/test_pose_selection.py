@@ -147,42 +147,43 @@ def rows_of_lines(stiffness_sigma: float) -> np.ndarray:
 def test_an_unknown_gravity_stiffness_costs_what_it_costs_in_least_squares() -> None:
     rows = rows_of_lines(200.0)
     whole = np.linalg.inv(rows.T @ rows)[:2, :2]
-    information = sweep_information(SINES, DURATION, RATED, LOAD, 200.0)
+    information = sweep_information(SINES, DURATION, RATED, (LOAD**2,), 200.0)
     assert np.linalg.inv(information) == pytest.approx(whole, rel=1e-6)
 
 
 def test_near_the_locked_rotor_frequency_more_is_seen() -> None:
-    rigid = sweep_information(SINES[:1], DURATION, RATED, LOAD, 1.0)
-    elastic = sweep_information(SINES[:1], DURATION, RATED, LOAD, 1.0, locked_rotor=4.0)
+    rigid = sweep_information(SINES[:1], DURATION, RATED, (LOAD**2,), 1.0)
+    elastic = sweep_information(SINES[:1], DURATION, RATED, (LOAD**2,), 1.0, locked_rotor=4.0)
     assert elastic[0, 0] == pytest.approx(rigid[0, 0] / (1 - 0.25) ** 4, rel=1e-3)
 
 
 def test_confidence_is_that_of_the_whole_least_squares() -> None:
-    """Two axes, three base parameters, six poses; all rows stacked and inverted at once."""
+    """Two axes that move at once, five base parameters, six poses; all rows stacked and inverted at once."""
     rng = np.random.default_rng(0)
-    rows, workspace = rng.normal(size=(6, 2, 3)), rng.normal(size=(50, 2, 3))
+    rows, workspace = rng.normal(size=(6, 3, 5)), rng.normal(size=(50, 2, 5))
     inertia = rng.uniform(50, 200, (50, 2))
-    about = rng.normal(size=(6, 2, 4, 2)) * [10.0, 1e6]  # whitened rows of [J, c]
-    information = about.swapaxes(-1, -2) @ about
-    predicted = PredictedConfidence(workspace, inertia, np.ones(3))
+    elastic = ((0,), (1,), (0, 1))  # whose compliances J_0, J_1 and M_01 depend on
+    # whitened rows of [J, c] and of [M, c, c]
+    about = [[rng.normal(size=(4, 1 + len(own))) * [10.0, *[1e6] * len(own)] for own in elastic] for _ in range(6)]
+    predicted = PredictedConfidence(workspace, inertia, np.ones(5), None, [(0, 1)])
     percent = []
-    for row, own in zip(rows, information, strict=True):
+    for row, own in zip(rows, [[one.T @ one for one in pose] for pose in about], strict=True):
         predicted.add(row, own)
         percent.append(predicted.percent())
     prior = np.median(inertia, axis=0) * (2 * np.pi * Assumed.softest) ** 2
-    stacked = [np.concatenate([np.zeros(3), one]) for one in np.diag(prior)]
+    stacked = [np.concatenate([np.zeros(5), one]) for one in np.diag(prior)]
     for pose in range(6):
-        for axis in range(2):
-            for inertia_part, compliance_part in about[pose, axis]:
-                row = np.zeros(5)
-                row[:3] = inertia_part * rows[pose, axis]
-                row[3 + axis] = compliance_part
+        for number, axes in enumerate(elastic):
+            for inertia_part, *compliance_parts in about[pose][number]:
+                row = np.zeros(7)
+                row[:5] = inertia_part * rows[pose, number]
+                row[5 + np.array(axes)] = compliance_parts
                 stacked.append(row)
     whole = np.array(stacked)
-    covariance = np.linalg.inv(whole.T @ whole)[:3, :3]
+    covariance = np.linalg.inv(whole.T @ whole)[:5, :5]
     std = np.sqrt(np.einsum("wai,ij,waj->wa", workspace, covariance, workspace))
     assert percent[-1] == pytest.approx(100 * float((std / inertia).max()), rel=1e-6)
-    assert percent[0] == np.inf  # two rows, three parameters
+    assert percent[0] == np.inf  # three rows, five parameters
     assert percent[1:] == sorted(percent[1:], reverse=True)
 
 
