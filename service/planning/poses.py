@@ -490,11 +490,10 @@ class PoseChooser:
         if request.confidence is not None and chosen:
             if not reached:
                 raise BadInput("confidence", self._out_of_reach(request.confidence, len(chosen), prediction.confidence))
-            left_out = len(chosen) > 1 and prediction.percent[-2] <= request.confidence  # continued to determine J
-            if left_out or self._groups:
-                if left_out:
-                    shown = [self._shows(pick) for pick in chosen]
-                    chosen = [chosen[n] for n in needed(prediction.confidence, shown, request.confidence)]
+            # continued only to determine J, or exchanged for quicker ones
+            if self._groups or (len(chosen) > 1 and prediction.percent[-2] <= request.confidence):
+                shown = [self._shows(pick) for pick in chosen]
+                chosen = [chosen[n] for n in needed(prediction.confidence, shown, request.confidence)]
                 if self._groups:
                     chosen = self._quicker(chosen, request.confidence, prediction.confidence, closed)
                 condition = conditions(self._rows, chosen)
@@ -516,45 +515,24 @@ class PoseChooser:
     def _quicker(
         self, chosen: list[int], wanted: float, predicted: PredictedConfidence, closed: set[tuple[float, ...]]
     ) -> list[int]:
-        """Poses left out or exchanged, one by one, as long as the robot time falls and `wanted` percent are reached."""
+        """Poses exchanged one by one, as long as the robot time falls and `wanted` percent are reached."""
         leg, tried, kept = LEG_OVERHEAD * self._request.move_velocity, 30, 0  # exchanges: those with the shortest way
-        seconds = self._robot_time(chosen)
         while kept < len(chosen):
-            old, rest = chosen[0], chosen[1:]
+            old, rest, seconds = chosen[0], chosen[1:], self._robot_time(chosen)
             predicted.remove(*self._shows(old))
             others = np.vstack([self._candidates[rest], self._observed.home])
             away = path_length(self._candidates[:, None], others, leg).min(axis=1)
             away[chosen] = np.inf
             near = np.argsort(away, kind="stable")[:tried].tolist()
-            options = [(self._robot_time(picks), picks) for picks in ([[*rest, k] for k in near] + [rest] * bool(rest))]
-            quicker = [picks for time, picks in sorted(options) if time < seconds - 0.1]
-            found = next((picks for picks in quicker if self._reaches(predicted, picks, rest, wanted, closed)), None)
-            if found is None:
-                predicted.add(*self._shows(old))
-            kept = kept + 1 if found is None else 0
-            chosen = found or [*rest, old]
-            seconds = self._robot_time(chosen)
+            quicker = [(time, k) for k in near if (time := self._robot_time([*rest, k])) < seconds - 0.1]
+            for _, new in [*sorted(quicker), (seconds, old)]:
+                if self._accepted(new, closed, []):
+                    predicted.add(*self._shows(new))
+                    if new == old or predicted.reaches(wanted):
+                        kept, chosen = kept + 1 if new == old else 0, [*rest, new]
+                        break
+                    predicted.remove(*self._shows(new))
         return chosen
-
-    def _reaches(
-        self,
-        predicted: PredictedConfidence,
-        picks: Sequence[int],
-        known: Sequence[int],
-        wanted: float,
-        closed: set[tuple[float, ...]],
-    ) -> bool:
-        """Whether `predicted` of the `known` poses reaches it with those of `picks`, which it then contains."""
-        more = [pick for pick in picks[len(known) :] if self._accepted(pick, closed, [])]
-        if len(more) < len(picks) - len(known):
-            return False
-        for pick in more:
-            predicted.add(*self._shows(pick))
-        if predicted.reaches(wanted):
-            return True
-        for pick in more:
-            predicted.remove(*self._shows(pick))
-        return False
 
     def _robot_time(self, picks: Sequence[int]) -> float:
         """Of the sweeps in the candidates `picks` and of a short path through them, s."""
