@@ -87,7 +87,7 @@ def build_plan(
     if not possible:
         raise BadInput("simultaneous", compared[-1].reason)
     best = min(possible, key=lambda plan: (_robot_time(plan, request), plan.duration))
-    return best.model_copy(update={"compared": tuple(compared), "alone": _alone(best, compared, place.design)})
+    return best.model_copy(update={"compared": tuple(compared), "alone": _alone(best, place.design)})
 
 
 def _ways(request: PlanRequest, design: SweepDesign) -> Iterator[tuple[Groups, int]]:
@@ -115,7 +115,7 @@ def _groupings(axes: Sequence[str], design: SweepDesign) -> Iterator[Groups]:
                     yield (group, *rest)
 
 
-def _alone(plan: PlanDocument, compared: Sequence[Alternative], design: SweepDesign) -> str:
+def _alone(plan: PlanDocument, design: SweepDesign) -> str:
     """Which axes go alone in a plan of simultaneous sweeps, and why; "" if none does."""
     axes = plan.request.axes
     alone = [group[0] for group in plan.groups or [(joint,) for joint in axes] if len(group) == 1]
@@ -127,8 +127,7 @@ def _alone(plan: PlanDocument, compared: Sequence[Alternative], design: SweepDes
     text = f"{', '.join(alone)} alone: "
     if moved[k, j] > limit:
         return text + f"the sines of {j} would move {k} by {moved[k, j]:.2g} times its own, limit {limit:.2g}"
-    others = [one.duration for one in compared if one.duration and one.groups and set(one.groups) != set(plan.groups)]
-    return text + f"{plan.duration:.4g} s, " + (f"{min(others):.4g} s in other groups" if others else "no groups hold")
+    return text + f"{plan.duration:.4g} s, which no group would shorten"
 
 
 def _robot_time(plan: PlanDocument, request: PlanRequest) -> float:

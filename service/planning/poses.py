@@ -6,6 +6,7 @@ after each chosen pose.
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import combinations, product
 
@@ -231,23 +232,21 @@ class SweepDesign:
         return tuple(found[joint] for joint in self._request.axes)
 
     def factor(self, group: Sequence[str]) -> Array:
-        """(m, k) of the sines of axes that move at once; 0 where one would be below `weakest`. BadInput if a sweep fits
-        nowhere.
-        """
+        """(m, k) of the sines of axes that move at once; 0 where one would be below `weakest`, or if no sweep fits."""
         own, count = tuple(group), len(group)
         if own not in self._factors:
-            parts = self.moved(own) + np.eye(count) if count > 1 else np.ones((len(self._candidates), 1, 1))
+            parts = self.moved(own) + np.eye(count)
             least = np.sort(parts, axis=2)
             before = np.cumsum(least, axis=2) - least
             most = ((SweepDesign.turning / Sines.load_margin - before) / np.arange(count, 0, -1)).max(axis=2)
             factor = np.minimum(1.0, (most[:, :, None] / np.maximum(parts, 1e-9)).min(axis=1))
             factor[factor.min(axis=1) < SweepDesign.weakest] = 0.0
-            self._factors[own] = factor
+            self._factors[own] = factor if self._first(own) else np.zeros_like(factor)
         return self._factors[own]
 
     def moved(self, group: Sequence[str]) -> Array:
         """(m, k, j): most that the sines of axis j change the speed of axis k, relative to those of k."""
-        offset = np.array([abs(one.offset_velocity) for one in self._first(group).values()])
+        offset = np.array([abs(one.offset_velocity) for one in self._first(group).values()] or [1.0] * len(group))
         own = [self._request.axes.index(joint) for joint in group]
         matrix = np.abs(self._matrix[:, own][:, :, own]) * (1 - np.eye(len(own)))
         held = [(self._robot.axis(joint).speed_gain or 0.0) / (2 * np.pi * Sines.lines[-1]) for joint in group]
@@ -270,14 +269,11 @@ class SweepDesign:
         return shown - len(self._request.axes) * math.log(seconds)
 
     def _first(self, group: Sequence[str]) -> dict[str, Excitation]:
-        """The sweeps in the first candidate where they fit, their speeds not yet disturbed; BadInput if in none."""
-        error = BadInput("poses", "there are none")
+        """The sweeps in the first candidate where they fit, their speeds not yet disturbed; {} if in none."""
         for candidate in range(len(self._candidates)):
-            try:
+            with suppress(BadInput):
                 return self._at_once(group, candidate)
-            except BadInput as refused:
-                error = refused
-        raise error
+        return {}
 
     def _inertia_matrix(self) -> Array:
         """(m, k, j): M_kj of CAD, with the motors; without the pairs of axes that never move at once."""

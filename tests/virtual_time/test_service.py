@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 
+from tests.faults import FAULTS
 from tests.virtual_time.clock import Clock
 from tests.virtual_time.machine import VirtualMachine
 from tests.virtual_time.service import VirtualService, add_campaign
@@ -46,3 +47,30 @@ def test_a_killed_service_leaves_a_machine_that_stands_and_a_campaign_that_a_per
     assert machine.stands()
     service.client.resume(number, repeat=True)
     clock.wait_until(lambda: service.client.campaign(number)["state"] == "completed", "completed", 600.0, 1.0)
+
+
+# faults of the axis that is not the first of a simultaneous sweep, and the cause of its stop
+CAUSES = {
+    "drive fault": "drive_fault",
+    "silent node": "stop_not_confirmed",
+    "limit switch": "drive_fault",
+    "torque saturation": "envelope_left",
+    "emergency stop": "emergency_stop",
+}
+
+
+@pytest.mark.parametrize("name", CAUSES)
+def test_a_fault_in_a_simultaneous_sweep_ends_in_standstill_of_both_axes(
+    service: VirtualService, machine: VirtualMachine, clock: Clock, name: str
+) -> None:
+    order, details = FAULTS[name].make
+    number = add_campaign(service, simultaneous=True)
+    service.client.start(number)
+    clock.wait_until(lambda: len(machine.energised()) == 2, "two axes have energy", 60.0)
+    clock.sleep(2.0)
+    machine.order(order, **details | ({"joint": "joint_2"} if "joint" in details else {}))
+    clock.wait_until(lambda: service.client.campaign(number)["state"] == "paused", "paused", 60.0, 0.1)
+    assert machine.stands()
+    clock.sleep(1.0)
+    assert not machine.energised()
+    assert {sweep["structured_cause"]["code"] for sweep in service.client.sweeps(number)} == {CAUSES[name]}

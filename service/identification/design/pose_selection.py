@@ -50,7 +50,7 @@ The noise is an assumption before the measurement: white, of a drive that sample
 down to the requested rate, so that the noise at a line does not depend on that rate.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from itertools import pairwise
@@ -292,7 +292,7 @@ class PredictedConfidence:
         if known is not None:
             self._information[:size, :size] += known
 
-    def add(self, rows: Array, information: Sequence[Array], sign: float = 1.0) -> None:
+    def add(self, rows: Array, information: Iterable[Array], sign: float = 1.0) -> None:
         """Add a pose with its rows (a, p), and those of the pairs, and the `sweep_information` of its sweeps."""
         for row, axes, about in zip(rows, self._elastic, information, strict=True):
             parts = np.zeros((1 + len(axes), len(self._information)))
@@ -300,7 +300,7 @@ class PredictedConfidence:
             parts[np.arange(1, len(parts)), self._size + np.array(axes)] = 1.0
             self._information += sign * parts.T @ about @ parts
 
-    def remove(self, rows: Array, information: Sequence[Array]) -> None:
+    def remove(self, rows: Array, information: Iterable[Array]) -> None:
         """Undo the `add` of a pose."""
         self.add(rows, information, -1.0)
 
@@ -345,7 +345,7 @@ class PredictedConfidence:
         return Information(matrix, deviation).solve(deviation, self._spread)
 
 
-def needed(predicted: PredictedConfidence, poses: Sequence[tuple[Array, Sequence[Array]]], wanted: float) -> list[int]:
+def needed(predicted: PredictedConfidence, poses: Sequence[tuple[Array, Iterable[Array]]], wanted: float) -> list[int]:
     """Numbers (from 0) of the `poses` without which `predicted`, that of all of them, does not reach `wanted` percent.
 
     `poses`: rows and information of each, as in `add`. The last ones are tried first; `predicted` is left with the

@@ -166,7 +166,7 @@ def test_confidence_is_that_of_the_whole_least_squares() -> None:
     # whitened rows of [J, c] and of [M, c, c]
     about = [[rng.normal(size=(4, 1 + len(own))) * [10.0, *[1e6] * len(own)] for own in elastic] for _ in range(6)]
     predicted = PredictedConfidence(workspace, inertia, np.ones(5), None, [(0, 1)])
-    percent = []
+    percent: list[float] = []
     for row, own in zip(rows, [[one.T @ one for one in pose] for pose in about], strict=True):
         predicted.add(row, own)
         percent.append(predicted.percent())
