@@ -113,7 +113,7 @@ async function showOrdered() {
   nowCommands();
   byId("ordered").hidden = !left.length;
   const ahead = left.length && !owner(campaigns) ? await aheadOf(`/campaigns/${id}/ahead?repeat=${again}`) : null;
-  tell("takes", left.length ? text("campaign.takes", { time: duration(seconds) }) : "");
+  tell("takes", left.length ? text(progress.pace === 1 ? "campaign.takes-planned" : "campaign.takes", { time: duration(seconds) }) : "");
   const shown = `${plan?.id}/${command}/${left.length}/${language()}/${progress.pace}/${machine?.drives.connected}/${JSON.stringify([ahead?.range, ahead?.trouble])}`;
   seen = ahead?.range ?? null;
   if (!left.length || byId("motion").dataset.shown === shown) return;

@@ -31,7 +31,6 @@ FAMILIES = {
     "statement-of": {"moves", "energised", "unknown"},
     "diagnosis-state": {state.value for state in DiagnosisState},
     "verdict": set(get_args(Verdict)),
-    "verdict-told": {*get_args(Verdict), "wrong-data"},
     "severity": set(get_args(Severity)),
     "role": {role.word for role in Role},
     "block": {"sweep", "forward", "backward", *BLOCKS, FULL_DESIGN, MORE_POSES, TEST_MASS, WARM_UP},
@@ -44,7 +43,13 @@ FAMILIES = {
     "step": set(CauseCode),
     "figure": {"map", "gap_by_pose", "example", "evidence", "parameters"},
 }
-OPEN_FAMILIES = ("done", "parameter", "problem", "said")  # what has no word there is shown as the service has it
+OPEN_FAMILIES = (
+    "done",
+    "input",
+    "parameter",
+    "problem",
+    "said",
+)  # what has no word there is shown as the service has it
 # of a script that are no words: what the service stores of a stop, classes, units, names and routes
 NO_WORDS = {
     "api.js": {"Bearer"},
