@@ -201,7 +201,7 @@ def test_findings_are_told_in_german(root: Path) -> None:
         ("/#campaign-1", "#parameters tr"),
         ("/plan", "#axes-measured input"),
         ("/results#campaign-1", "#table tbody tr"),
-        ("/diagnosis#1", "#experiment"),
+        ("/diagnosis#1", "#figure-parameters .xtitle"),
         ("/fleet", "#robots tbody tr"),
     ],
 )

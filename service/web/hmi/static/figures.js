@@ -4,7 +4,7 @@ import { clear, draw } from "./drawing.js";
 import { element } from "./elements.js";
 import { foreign, isMain, separators, spoken, text, word } from "./words.js";
 
-const KEPT = ["type", "mode", "orientation", "color", "symbol", "anchor", "xanchor", "yanchor", "xref", "yref", "xaxis", "yaxis", "dash", "shape", "rangemode", "barmode", "textposition", "hoverinfo", "autorange", "align", "hovermode"];
+const KEPT = ["type", "mode", "orientation", "color", "symbol", "anchor", "xanchor", "yanchor", "xref", "yref", "dash", "shape", "rangemode", "barmode", "textposition", "hoverinfo", "autorange", "align", "hovermode"];
 const GRID = "rgba(128,128,128,.25)";
 
 /** @param {HTMLElement} place @param {Record<string, Api.PlotlyFigure>} figures @param {Api.AxisDiagnosis} axis */
