@@ -54,6 +54,7 @@ def not_in(written: str, text: str) -> bool:
     return any(piece not in written for piece in pieces(of_catalogue(text)))
 
 
+@pytest.mark.slow
 def test_each_sentence_is_one_of_the_service(root: Path) -> None:
     written = "\n".join(
         template(node)
