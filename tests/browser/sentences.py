@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from drivers.errors import CausedError, DriveError
-from service.model.errors import SweepidError
+from service import SweepidError
 from service.web.api.problem import RequestRefused
 
 TELLS = {"Cause", "DataFinding", "Trouble", "Unfinished"}
