@@ -1,8 +1,8 @@
 r"""Play of a gear (backlash), from sweeps about standstill. Nothing is replayed: impacts are seen, not predicted.
 
 The torque through the gear follows from the motor alone, Ts = effort - Jm a - motor friction. Where it is not 0, the
-gear touches the flank of its sign. Between two contacts the load moves without force. With b the play, s the flank (-1
-or 1, linear between contacts), and e the motor's way beyond the straight line between two contacts,
+gear touches the flank of its sign. Between two contacts only its friction slows the load. With b the play, s the flank
+(-1 or 1, linear between contacts), and e the motor's way beyond that of the load between two contacts,
 
     q_l = q - e - s b / 2,    effort = Jm a + J q_l'' + friction + gravity,
 
@@ -28,6 +28,7 @@ from service.model.robot import Robot
 
 PLAY = "backlash"
 BAND = 4.0  # Hz, of the Gaussian
+WIDTHS = (4e-5, 8e-5, 1.6e-4, 3e-4, 5e-4, 8e-4, 1.3e-3, 2e-3)  # rad (m), where a search begins
 WAYS = (2e-5, 1e-4, 5e-4, 2e-3)  # rad (m), of presliding as a rival
 
 
@@ -106,14 +107,18 @@ class _Rows:
 
 
 @dataclass(frozen=True)
-class _Motor:
-    """What is assumed of the motor to see where the gear touches: share of the viscous friction, dry friction, N m, and
-    the least torque of a contact in units of what is uncertain.
+class _Assumed:
+    """What is assumed to see where the gear touches: inertia, share of the viscous friction and dry friction, N m, of
+    the motor; the least torque of a contact, in units of what is uncertain. And of the load between contacts: the play,
+    and how dry friction slows it, rad/s2.
     """
 
+    inertia: float
     share: float
     dry: float
     least: float
+    width: float = 0.0
+    slowing: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +139,13 @@ class _Axis:
         return inertia_rows(robot.chain, robot.index(self.joint), self.poses) @ robot.chain.inertial.ravel()
 
     @cached_property
+    def dry(self) -> float:
+        """Dry friction of motor and load, N m (N): effort with the motion, on average."""
+        viscous, records = self.robot.axis(self.joint).viscous_friction or 0.0, [s.recording for s in self.sweeps]
+        means = [np.mean((one.effort - viscous * one.velocity) * np.sign(one.velocity)) for one in records]
+        return max(float(np.median(means)), 0.0)
+
+    @cached_property
     def presliding(self) -> list[Array]:
         """States (ways, t) of friction in each sweep."""
         return [bristles(sweep.recording.position[None], WAYS)[:, 0] for sweep in self.sweeps]
@@ -148,21 +160,43 @@ def measured_play(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Play | N
     if not inertia or len({sweep.spec.repeat for sweep in own}) < 2:
         return None
     axis = _Axis(robot, joint, own, inertia)
-    directions = [np.sign(sweep.recording.velocity) for sweep in own]
-    dry = float(np.median([(s.recording.effort * d).mean() for s, d in zip(own, directions, strict=True)]))
-    assumed = [_Motor(*one) for one in product((0.3, 0.7), (0.0, max(dry, 0.0)), (3.0, 5.0, 8.0))]
-    found = [play for motor in assumed if (play := _play(axis, motor)) is not None]
-    if not found:
+    tried = [_Assumed(inertia, *one) for one in product((0.3, 0.7), (0.0, axis.dry), (3.0, 5.0, 8.0))]
+    if axis.dry > 0.002 * robot.axis(joint).rated_effort:  # which may be on the load and stop it between the flanks
+        slowing = axis.dry / float(axis.nominal.mean())
+        tried += [_Assumed(inertia, 0.5, 0.0, 4.0, *one) for one in product(WIDTHS, (0.5 * slowing, slowing))]
+    found: list[tuple[float, _Assumed]] = []
+    for _ in range(4):
+        found += [(one.rms, one.next) for assumed in tried if (one := _fitted(axis, assumed)) is not None]
+        found.sort(key=lambda one: one[0])
+        tried = [better for _, better in found[:3]]
+    plays = [(play, assumed) for _, assumed in found[:6] if (play := _play(axis, assumed)) is not None]
+    if not plays:
         return None
-    best = min(found, key=lambda play: play.after)
-    spread = float(np.std([play.width for play in found if play.after < 1.3 * best.after]))
-    # 0.03: contacts are seen a few milliseconds late
-    best = replace(best, std=float(np.sqrt(best.std**2 + spread**2 + (0.03 * best.width) ** 2)))
-    return best if best.is_certain else None
+    best, assumed = min(plays, key=lambda one: one[0].after)
+    spread = float(np.std([play.width for play, _ in plays if play.after < 1.5 * best.after]))
+    # 0.05: contacts are seen a few milliseconds late
+    best = replace(best, std=float(np.sqrt(best.std**2 + spread**2 + (0.05 * best.width) ** 2)))
+    if not best.is_certain:
+        return None
+    seen = _by_encoder(axis, assumed)
+    return best if seen is None else replace(best, width=seen[0], std=seen[1])
 
 
-def _play(axis: _Axis, motor: _Motor) -> Play | None:
-    parts = [part for number in range(len(axis.sweeps)) if (part := _rows(axis, motor, number)) is not None]
+@dataclass(frozen=True)
+class _Fitted:
+    """A fit with play: its rows, columns, coefficients, inertia of the load in each pose, and what to assume next."""
+
+    rows: _Rows
+    law: Array
+    values: Array
+    inertia: Array
+    rms: float
+    next: _Assumed
+
+
+def _fitted(axis: _Axis, assumed: _Assumed) -> _Fitted | None:
+    """None if too few sweeps touch both flanks."""
+    parts = [part for number in range(len(axis.sweeps)) if (part := _rows(axis, assumed, number)) is not None]
     if len({int(part.repeat[0]) for part in parts}) < 2:
         return None
     rows = _Rows(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(_Rows)))
@@ -171,12 +205,31 @@ def _play(axis: _Axis, motor: _Motor) -> Play | None:
         values = _fit(axis, rows.law(inertia), rows.effort)
         inertia = np.maximum(values[rows.motor.shape[1] : at], 0.1 * axis.nominal)
     law = rows.law(inertia)
+    values = _fit(axis, law, rows.effort)
+    motor, _, on_motor, on_load, *_ = values.tolist()
+    following = replace(
+        assumed,
+        inertia=motor,
+        dry=max(on_motor, 0.0),
+        width=max(2 * float(values[at]), 0.0),
+        slowing=max(on_load, 0.0) / float(inertia.mean()),
+    )
+    return _Fitted(rows, law, values, inertia, _rms(rows.effort - law @ values), following)
+
+
+def _play(axis: _Axis, assumed: _Assumed) -> Play | None:
+    """The play as held-out repeats confirm it."""
+    fitted = _fitted(axis, assumed)
+    if fitted is None:
+        return None
+    rows, law = fitted.rows, fitted.law
+    at = rows.motor.shape[1] + rows.load.shape[1]
     rigid = np.column_stack([rows.motor, rows.load + rows.opened])
     before, smooth, after = (
         _left_out(axis, columns, rows) for columns in (rigid, np.column_stack([rigid, rows.smooth]), law)
     )
     values, std = _with_std(axis, law, rows)
-    closed, closed_std = _with_std(axis, np.column_stack([law, rows.opened @ inertia]), rows)
+    closed, closed_std = _with_std(axis, np.column_stack([law, rows.opened @ fitted.inertia]), rows)
     return Play(
         width=float(2 * values[at]),
         std=float(2 * std[at]),
@@ -231,24 +284,47 @@ def _between_repeats(left: Array, rows: _Rows) -> float:
     return float(np.sqrt(np.sum(away**2) / max(int(np.sum(count - 1)), 1)))
 
 
-def _rows(axis: _Axis, motor: _Motor, number: int) -> _Rows | None:
-    """The rows of one sweep; None if it does not touch both flanks, or too briefly."""
-    sweep, sheet = axis.sweeps[number], axis.robot.axis(axis.joint)
-    record, rate = sweep.recording, sweep.spec.sample_rate
-    position, velocity, viscous = record.position, record.velocity, sheet.viscous_friction or 0.0
-    brief = max(1e-3 * rate, 0.7)
-    acceleration = gaussian_filter1d(in_frequency(velocity[None], rate)[0], brief)
-    direction = np.sign(velocity)
-    through = gaussian_filter1d(record.effort, brief) - axis.inertia * acceleration
-    through -= motor.share * viscous * velocity + motor.dry * direction
+def _contacts(axis: _Axis, assumed: _Assumed, number: int) -> tuple[Array, Array, NDArray[np.intp]]:
+    """Acceleration of the motor (t,) and torque through the gear (t,) of a sweep, and the samples at a flank."""
+    record, rate = axis.sweeps[number].recording, axis.sweeps[number].spec.sample_rate
+    viscous, brief = axis.robot.axis(axis.joint).viscous_friction or 0.0, max(1e-3 * rate, 0.7)
+    acceleration = gaussian_filter1d(in_frequency(record.velocity[None], rate)[0], brief)
+    through = gaussian_filter1d(record.effort, brief) - assumed.inertia * acceleration
+    through -= assumed.share * viscous * record.velocity + assumed.dry * np.sign(record.velocity)
     unsure = (
         np.std(np.diff(record.effort, 2)) / np.sqrt(6.0),  # noise
         axis.robot.prior.motor_inertia * axis.inertia * np.std(acceleration),
-        0.3 * viscous * np.std(velocity),  # of the share
+        0.3 * viscous * np.std(record.velocity),  # of the share
     )
-    touching = np.abs(through) > motor.least * np.linalg.norm(unsure)
-    contacts, times = np.flatnonzero(touching), np.arange(len(position))
-    sides = np.sign(through[contacts])
+    return acceleration, through, np.flatnonzero(np.abs(through) > assumed.least * np.linalg.norm(unsure))
+
+
+def _by_encoder(axis: _Axis, assumed: _Assumed) -> tuple[float, float] | None:
+    """Play and its std from the load's encoder where the gear touches: a step between the flanks, beside elasticity."""
+    rows: list[Array] = []
+    for number, sweep in enumerate(axis.sweeps):
+        _, through, contacts = _contacts(axis, assumed, number)
+        if sweep.recording.load_position is None or not len(contacts):
+            continue
+        torque, lag = through[contacts], (sweep.recording.position - sweep.recording.load_position)[contacts]
+        columns = np.column_stack([np.sign(torque), torque, lag])
+        rows.append(columns - columns.mean(axis=0))  # two encoders need not have one zero
+    if len(rows) < 2:
+        return None
+    kept = [range(len(rows)), *([k for k in range(len(rows)) if k != out] for out in range(len(rows)))]
+    whole = [np.concatenate([rows[k] for k in some]) for some in kept]
+    widths = np.array([2 * np.linalg.lstsq(one[:, :2], one[:, 2])[0][0] for one in whole])
+    # 0.02: elasticity of the flanks is not quite linear in their damped torque
+    return float(widths[0]), float(np.hypot(np.sqrt(len(rows) - 1) * np.std(widths[1:]), 0.02 * widths[0]))
+
+
+def _rows(axis: _Axis, assumed: _Assumed, number: int) -> _Rows | None:
+    """The rows of one sweep; None if it does not touch both flanks, or too briefly."""
+    sweep, sheet = axis.sweeps[number], axis.robot.axis(axis.joint)
+    record, rate = sweep.recording, sweep.spec.sample_rate
+    position, viscous, times = record.position, sheet.viscous_friction or 0.0, np.arange(len(record.position))
+    acceleration, through, contacts = _contacts(axis, assumed, number)
+    sides, direction = np.sign(through[contacts]), np.sign(record.velocity)
     if len(contacts) < 10 or np.ptp(sides) < 2:
         return None
     width = rate / (2 * np.pi * BAND)
@@ -264,23 +340,42 @@ def _rows(axis: _Axis, motor: _Motor, number: int) -> _Rows | None:
 
     pose = int(np.argmax((axis.poses == np.array(sweep.spec.pose)).all(axis=1)))
     here = np.eye(len(axis.poses))[pose]
-    nominal, on_load = float(axis.nominal[pose]), (1 - motor.share) * viscous
+    nominal, on_load = float(axis.nominal[pose]), (1 - assumed.share) * viscous
     flank = np.interp(times, contacts, sides)
-    beyond = position - np.interp(times, contacts, position[contacts])
+    path = _between(
+        contacts, position[contacts] - sides * assumed.width / 2, times / rate, assumed.slowing, on_load / nominal
+    )
+    beyond = position - flank * assumed.width / 2 - path
+    moving = np.sign(np.gradient(path))
     away = position - sweep.spec.pose[axis.robot.index(axis.joint)]
     inertial, opened = low(acceleration), low(beyond, 2)
     weight = np.column_stack([np.ones(len(at)), low(away)])
     twist = [-(nominal * low(x, 2) + on_load * low(x, 1)) / sheet.rated_effort for x in (through, through**3)]
     presliding = [low(state) for state in axis.presliding[number]]
-    friction = [inertial, low(velocity), low(direction), low(direction * ~touching)]
+    friction = [inertial, low(record.velocity), low(direction), low(moving)]
     return _Rows(
         effort=low(record.effort) + on_load * low(beyond, 1),
         motor=np.column_stack([*friction, *(one * weight for one in here)]),
         load=(inertial - opened)[:, None] * here,
-        flank=-low(flank, 2)[:, None] * here,
+        flank=-(low(flank, 2) + on_load / nominal * low(flank, 1))[:, None] * here,
         opened=opened[:, None] * here,
         smooth=np.column_stack([*twist, *presliding]),
         sweep=np.full(len(at), number),
         repeat=np.full(len(at), sweep.spec.repeat),
         moment=at + len(times) * pose,
     )
+
+
+def _between(contacts: NDArray[np.intp], places: Array, time: Array, slowing: float, damping: float) -> Array:
+    """Position of the load at `time` (t,) from its `places` at the samples `contacts`: between two, friction slows it,
+    rad/s2 and 1/s, until it stands.
+    """
+    last = np.clip(np.searchsorted(contacts, np.arange(len(time)), side="right") - 1, 0, len(contacts) - 2)
+    begin, lasts = time[contacts[last]], time[contacts[last + 1]] - time[contacts[last]]
+    way = places[last + 1] - places[last]
+    length = np.abs(way)
+    slows = slowing + damping * length / lasts + 1e-12
+    whole = slows * lasts**2 / 2
+    speed = np.where(length > whole, length / lasts + slows * lasts / 2, np.sqrt(2 * slows * length))
+    since = np.minimum(np.clip(time - begin, 0.0, lasts), speed / slows)
+    return places[last] + np.sign(way) * (speed * since - slows * since**2 / 2)
