@@ -160,22 +160,22 @@ def measured_play(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Play | N
     if not inertia or len({sweep.spec.repeat for sweep in own}) < 2:
         return None
     axis = _Axis(robot, joint, own, inertia)
-    tried = [_Assumed(inertia, *one) for one in product((0.3, 0.7), (0.0, axis.dry), (3.0, 5.0, 8.0))]
+    tried = [_Assumed(inertia, *one) for one in product((0.3, 0.7), (0.0, axis.dry), (2.0, 4.0, 7.0))]
     if axis.dry > 0.002 * robot.axis(joint).rated_effort:  # which may be on the load and stop it between the flanks
         slowing = axis.dry / float(axis.nominal.mean())
         tried += [_Assumed(inertia, 0.5, 0.0, 4.0, *one) for one in product(WIDTHS, (0.5 * slowing, slowing))]
-    found: list[tuple[float, _Assumed]] = []
+    found: dict[float, _Assumed] = {}  # by what is left on held-out repeats
     for _ in range(4):
-        found += [(one.rms, one.next) for assumed in tried if (one := _fitted(axis, assumed)) is not None]
-        found.sort(key=lambda one: one[0])
-        tried = [better for _, better in found[:3]]
-    plays = [(play, assumed) for _, assumed in found[:6] if (play := _play(axis, assumed)) is not None]
+        found |= {one.left: one.next for assumed in tried if (one := _fitted(axis, assumed)) is not None}
+        tried = [found[left] for left in sorted(found)[:3]]
+    best_of = [found[left] for left in sorted(found)[:6]]
+    plays = [(play, assumed) for assumed in best_of if (play := _play(axis, assumed)) is not None]
     if not plays:
         return None
     best, assumed = min(plays, key=lambda one: one[0].after)
     spread = float(np.std([play.width for play, _ in plays if play.after < 1.5 * best.after]))
-    # 0.05: contacts are seen a few milliseconds late
-    best = replace(best, std=float(np.sqrt(best.std**2 + spread**2 + (0.05 * best.width) ** 2)))
+    # 0.06: contacts are seen a few milliseconds late
+    best = replace(best, std=float(np.sqrt(best.std**2 + spread**2 + (0.06 * best.width) ** 2)))
     if not best.is_certain:
         return None
     seen = _by_encoder(axis, assumed)
@@ -190,8 +190,13 @@ class _Fitted:
     law: Array
     values: Array
     inertia: Array
-    rms: float
+    left: float  # part of the rigid model's residual on held-out repeats
     next: _Assumed
+
+    @property
+    def rigid(self) -> Array:
+        """Columns without play."""
+        return np.column_stack([self.rows.motor, self.rows.load + self.rows.opened])
 
 
 def _fitted(axis: _Axis, assumed: _Assumed) -> _Fitted | None:
@@ -207,14 +212,17 @@ def _fitted(axis: _Axis, assumed: _Assumed) -> _Fitted | None:
     law = rows.law(inertia)
     values = _fit(axis, law, rows.effort)
     motor, _, on_motor, on_load, *_ = values.tolist()
+    most = 1.5 * axis.dry + 0.001 * axis.robot.axis(axis.joint).rated_effort
     following = replace(
         assumed,
         inertia=motor,
-        dry=max(on_motor, 0.0),
+        dry=float(np.clip(on_motor, 0.0, most)),
         width=max(2 * float(values[at]), 0.0),
-        slowing=max(on_load, 0.0) / float(inertia.mean()),
+        slowing=float(np.clip(on_load, 0.0, most)) / float(inertia.mean()),
     )
-    return _Fitted(rows, law, values, inertia, _rms(rows.effort - law @ values), following)
+    fitted = _Fitted(rows, law, values, inertia, 1.0, following)
+    before, after = _rms(_left_out(axis, fitted.rigid, rows)), _rms(_left_out(axis, law, rows))
+    return replace(fitted, left=round(after / before, 6))
 
 
 def _play(axis: _Axis, assumed: _Assumed) -> Play | None:
@@ -224,7 +232,7 @@ def _play(axis: _Axis, assumed: _Assumed) -> Play | None:
         return None
     rows, law = fitted.rows, fitted.law
     at = rows.motor.shape[1] + rows.load.shape[1]
-    rigid = np.column_stack([rows.motor, rows.load + rows.opened])
+    rigid = fitted.rigid
     before, smooth, after = (
         _left_out(axis, columns, rows) for columns in (rigid, np.column_stack([rigid, rows.smooth]), law)
     )
@@ -293,7 +301,7 @@ def _contacts(axis: _Axis, assumed: _Assumed, number: int) -> tuple[Array, Array
     through -= assumed.share * viscous * record.velocity + assumed.dry * np.sign(record.velocity)
     unsure = (
         np.std(np.diff(record.effort, 2)) / np.sqrt(6.0),  # noise
-        axis.robot.prior.motor_inertia * axis.inertia * np.std(acceleration),
+        axis.robot.prior.motor_inertia * axis.inertia * 1.5 * np.median(np.abs(acceleration)),
         0.3 * viscous * np.std(record.velocity),  # of the share
     )
     return acceleration, through, np.flatnonzero(np.abs(through) > assumed.least * np.linalg.norm(unsure))
@@ -341,10 +349,9 @@ def _rows(axis: _Axis, assumed: _Assumed, number: int) -> _Rows | None:
     pose = int(np.argmax((axis.poses == np.array(sweep.spec.pose)).all(axis=1)))
     here = np.eye(len(axis.poses))[pose]
     nominal, on_load = float(axis.nominal[pose]), (1 - assumed.share) * viscous
+    damping = on_load / nominal if assumed.width else 0.0  # of a way that is not known yet
     flank = np.interp(times, contacts, sides)
-    path = _between(
-        contacts, position[contacts] - sides * assumed.width / 2, times / rate, assumed.slowing, on_load / nominal
-    )
+    path = _between(contacts, position[contacts] - sides * assumed.width / 2, times / rate, assumed.slowing, damping)
     beyond = position - flank * assumed.width / 2 - path
     moving = np.sign(np.gradient(path))
     away = position - sweep.spec.pose[axis.robot.index(axis.joint)]

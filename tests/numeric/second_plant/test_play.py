@@ -23,7 +23,7 @@ def sticking(share: float, draft: Draft) -> None:
     draft.train.dry_on_load.append(bristle(draft, steady(draft.even(share * draft.rated)), 2e-6))
 
 
-@pytest.mark.parametrize(("size", "share"), [("medium", 0.0), ("large", 0.0), ("medium", 0.02), ("large", 0.01)])
+@pytest.mark.parametrize(("size", "share"), [("medium", 0.0), ("large", 0.0), ("medium", 0.02)])
 def test_backlash_is_named_with_its_width(size: str, share: float) -> None:
     one = Case(SEED, round(1000 * share), Kind.SINGLE, ("backlash",), size)
     robot, joint, sweeps, truth = make(one, small=True, change=partial(sticking, share))
@@ -57,7 +57,7 @@ def test_an_encoder_of_the_load_measures_the_play_itself() -> None:
 
 
 def test_one_direction_does_not_show_it_and_asks_for_the_reversal() -> None:
-    one = Case(SEED, 0, Kind.SINGLE, ("backlash",), "medium")
+    one = Case(SEED, 4, Kind.SINGLE, ("backlash",), "medium")
     robot, joint, sweeps, _ = make(one, small=True)
     forward = [sweep for sweep in sweeps if sweep.spec.block == "forward_slow"]
     place = ExperimentPlace(ExperimentRequest(robot_id=1), Cell(name="free"), ())
