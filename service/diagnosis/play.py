@@ -20,11 +20,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from service.diagnosis.rows.signals import bristles, in_frequency
-from service.identification.model.regressor import inertia_rows
-from service.model.arrays import Array
-from service.model.recording import Sweep
+from service.identification.model import inertia_rows
+from service.model import Array, Indices, Robot, Sweep
 from service.model.results.diagnosis import Gap
-from service.model.robot import Robot
 
 PLAY = "backlash"
 BAND = 4.0  # Hz, of the Gaussian
@@ -97,9 +95,9 @@ class _Rows:
     flank: Array
     opened: Array
     smooth: Array
-    sweep: NDArray[np.int_]
-    repeat: NDArray[np.int_]
-    moment: NDArray[np.int_]  # equal in the repeats of a pose
+    sweep: Indices
+    repeat: Indices
+    moment: Indices  # equal in the repeats of a pose
 
     def law(self, inertia: Array) -> Array:
         """Columns with play, for the inertia of the load in each pose."""
