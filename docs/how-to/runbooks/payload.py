@@ -16,10 +16,10 @@ from tempfile import TemporaryDirectory
 from runbook import CELL_HELP, Exit, Runbook, optional_list, parser_of, run
 
 import sweepid
+from service import BadInput, writing
 from service.cli.terminal import write_file
 from service.formats.export.sheets.inertias import load_of
 from service.formats.export.sheets.text import load_page
-from service.model.errors import BadInput, writing
 from service.model.results.part import with_std
 from service.store.files.bundle import Bundle, read_from
 from service.web.client import Json
