@@ -129,7 +129,8 @@ def plan(page: Page) -> None:
         ("campaign 3: start is not possible in state running", "3: Starten ist im Zustand läuft nicht möglich"),
         ("reversal separates asymmetric friction, backlash and payload best for its time.",
          "Umkehr trennt für ihre Dauer am besten: richtungsabhängige Reibung, Getriebespiel (Lose), Nutzlast."),
-        ("joint_1: effort has 3 single samples off the course of those around, by up to 12.5 (sweeps 0001, 0002 and 4 more).",
+        ("joint_1: effort has 3 single samples off the course of those around, by up to 12.5 "
+         "(sweeps 0001, 0002 and 4 more).",
          "joint_1: Drehmoment hat 3 Werte weit neben den Nachbarn, um bis zu 12,5 "
          "(Messfahrten 0001, 0002 und 4 weitere)."),
         ("joint_2: time jumps by up to 3 samples (sweep 0004).",

@@ -65,6 +65,7 @@ def of_catalogue(text: str) -> str:
     return "".join(piece if k % 2 == 0 else VALUE for k, piece in enumerate(text.replace("}", "{").split("{")))
 
 
+@pytest.mark.slow
 def test_each_sentence_is_one_of_the_service(root: Path) -> None:
     written = "\n".join(
         template(node)
@@ -76,6 +77,7 @@ def test_each_sentence_is_one_of_the_service(root: Path) -> None:
     assert other == []
 
 
+@pytest.mark.slow
 def test_what_a_page_shows_in_english_is_listed(root: Path) -> None:
     known = "\n".join(map(of_catalogue, SAID.values()))
     left: Counter[str] = Counter()

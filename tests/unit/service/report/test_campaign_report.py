@@ -81,6 +81,7 @@ def without_floor(axis: dict[str, Any]) -> dict[str, Any]:
     return axis | {"gap": gap | {"noise_floor_rms": None, "by_pose": poses}}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("axis", "words"),
     [
@@ -171,6 +172,7 @@ def text_of(page: str) -> str:
     return " ".join(re.sub(r"<[^>]+>", " ", body).split())
 
 
+@pytest.mark.slow
 def test_the_page_begins_with_verdict_and_origin(max100: Robot) -> None:
     drawn: Content = content(max100)
     page = campaign_page(report(), max100.joints, drawn.estimate, drawn).html()

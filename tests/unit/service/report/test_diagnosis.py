@@ -221,6 +221,7 @@ def page_of(case: str) -> str:
     return diagnosis_page(document(**PAGES[case][0]), "Robot <1>", "campaign 3").html()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", PAGES)
 def test_the_page_says_it_in_words_and_loads_nothing(case: str) -> None:
     page, (_, words, others) = page_of(case), PAGES[case]
@@ -229,6 +230,7 @@ def test_the_page_says_it_in_words_and_loads_nothing(case: str) -> None:
     assert [word for word in others if word in page] == []
 
 
+@pytest.mark.slow
 def test_figures_are_cards_and_findings_come_first_and_once() -> None:
     assert page_of("named").count("<figure>") == 5
     page = page_of("findings")

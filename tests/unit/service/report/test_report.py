@@ -100,6 +100,7 @@ def test_models_of_the_estimate(max100: Robot) -> None:
     assert [axis.varied for axis in axes] == [(1, 2), (2,), ()]
 
 
+@pytest.mark.slow
 def test_one_light_file_that_loads_nothing_with_the_tables_of_the_estimate(max100: Robot) -> None:
     page = estimate_page(content(max100, example=sweep())).html()
     assert len(page) < 800_000
@@ -160,6 +161,7 @@ def test_truth_and_what_is_not_determined(max100: Robot) -> None:
     assert "&lt;/script&gt;" in page
 
 
+@pytest.mark.slow
 def test_a_linear_axis_has_its_own_units(max100: Robot) -> None:
     urdf = max100.urdf_text
     for joint in ("joint_1", "joint_3"):
