@@ -10,19 +10,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from service.model.errors import BadInput, writing
+from service import BadInput, writing
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from service.formats.export.model import IdentifiedModel
     from service.identification.axis.nominal_priors import TorqueGain
+    from service.model import Robot
     from service.model.configuration import Cell
     from service.model.results.combination import Combination
     from service.model.results.diagnosis import DataCheck, Diagnosis
     from service.model.results.estimate import Estimate
     from service.model.results.payload import Payload
-    from service.model.robot import Robot
     from service.planning.documents import PlanDocument
     from service.store.files.bundle import Bundle
     from service.web.client import ServiceClient as Client
@@ -283,7 +283,7 @@ def combine(*bundles: Bundle | str | Path) -> Combination:
     BadInput
         The bundles are of different robots, or have no motion of several axes.
     """
-    from service.model.recording import Sweep
+    from service.model import Sweep
     from service.store.files.bundle import Bundle
 
     read = [_read(bundle) for bundle in bundles]

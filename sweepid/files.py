@@ -8,16 +8,16 @@ from typing import TypeVar, cast
 
 from pydantic import ConfigDict, Field
 
+from service import BadInput
 from service.identification.axis.known_effects import KnownEffects, known_effects
 from service.identification.axis.nominal_priors import TorqueGain
 from service.identification.estimates.robot_type import RobotType, robot_type
+from service.model import Robot
 from service.model.configuration import read_text, read_yaml
-from service.model.errors import BadInput
 from service.model.results.diagnosis import Diagnosis
 from service.model.results.effect import KnownModel, ModelFile
 from service.model.results.estimate import Estimate, Figure
 from service.model.results.part import Document, Part
-from service.model.robot import Robot
 
 Kind = TypeVar("Kind", bound=Document)
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.design.excitation import Excitation, way
-from service.model.robot import Robot
+from service.model import Robot
 from service.planning.documents import PlannedSweep
 from simulator import Scenario, run_sweeps
 from tests.numeric.campaign import run_of

@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable
 from typing import NoReturn
 
-from service.model.errors import BadInput
+from service import BadInput
 
 TIME = 5  # s of CPU that a parser may take; the product's process has its own limit
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.model.recording import Recording, Sine, Sweep, SweepSpec
+from service.model import Recording, Sine, Sweep, SweepSpec
 
 Array = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from pathlib import Path
 from drivers.commission.draft import map_text, profile_text, shortcomings
 from drivers.commission.drive import read_dictionary
 from drivers.errors import BadProfile
+from service import BadInput
 from service.formats.maker_urdf import check_urdf, read_description, side_file_text
 from service.formats.maker_urdf.packages import Packages
-from service.model.errors import BadInput
 
 
 def robot(path: Path, folder: Path) -> str:

@@ -8,8 +8,8 @@ import yaml
 
 from service.formats.maker_urdf import UrdfCheck, bare_robot, cell_text, check_urdf, side_file_text
 from service.formats.maker_urdf.packages import Packages
+from service.model import Robot, RobotDescription, build_robot
 from service.model.configuration import Cell, read_text
-from service.model.robot import Robot, RobotDescription, build_robot
 
 
 @dataclass(frozen=True)

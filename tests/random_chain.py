@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from service.model.robot import Axis, Robot, RobotDescription, build_robot
+from service.model import Axis, Robot, RobotDescription, build_robot
 
 
 def random_arm(seed: int, joints: int, **axis: Any) -> Robot:

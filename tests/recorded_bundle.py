@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from service.model import Recording, Sine, Sweep, SweepSpec
 from service.model.configuration import read_robot
-from service.model.recording import Recording, Sine, Sweep, SweepSpec
 from service.store.files.bundle import Bundle
 
 ROBOT = Path(__file__).resolve().parents[1] / "config/robots/max100-class.yaml"

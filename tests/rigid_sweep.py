@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from service.model.recording import Recording, Sine, Sweep, SweepSpec
-from service.model.robot import Robot
+from service.model import Recording, Robot, Sine, Sweep, SweepSpec
 from service.store.files.bundle import Bundle
 
 OFFSET, AMPLITUDE, FRICTION = 0.0105, 0.002, 180.0  # rad/s, rad/s, N m s/rad

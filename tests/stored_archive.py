@@ -10,7 +10,7 @@ import numpy as np
 
 from service.jobs.jobs import Batches, Jobs
 from service.jobs.worker import Worker
-from service.model.recording import Sweep
+from service.model import Sweep
 from service.store.database import Database, open_database
 from service.store.diagnoses import ModelStore
 from service.store.documents import BatchState, CampaignState

@@ -23,11 +23,17 @@ from service.identification.estimation import (
     sweep_spectrum,
     updated_estimate,
 )
-from service.identification.model.base_parameters import Independence, base_parameters, joint_ranges, reduce_columns
-from service.identification.model.regressor import axis_rows, inertia_rows, parameter_names
+from service.identification.model import (
+    Independence,
+    axis_rows,
+    inertia_rows,
+    joint_ranges,
+    parameter_names,
+    reduce_columns,
+)
+from service.identification.model.base_parameters import base_parameters
 from service.identification.spectra.frequency_response import window
-from service.model.recording import Sweep
-from service.model.robot import Robot
+from service.model import Robot, Sweep
 from tests.numeric.campaign import SimulatedCampaign, max100, measure_at, scenario_named
 from tests.numeric.second_plant.cases import Kind, case, make
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from service.identification.estimates.combination import combine
-from service.identification.model.regressor import axis_rows
+from service.identification.model import axis_rows
 from service.identification.motion.equations import whole_parameters
 from service.identification.motion.free_motion import free_motions
 from tests.numeric.second_plant.logs import Log, log

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from docs.benchmarks.measured import Measured, Timed, beside, timed
 from service.identification.design.pose_selection import Criterion, PoseLimits, choices, condition_numbers
-from service.identification.model.base_parameters import base_parameters, joint_ranges
+from service.identification.model import joint_ranges
+from service.identification.model.base_parameters import base_parameters
+from service.model import Robot
 from service.model.configuration import Cell, read_cell, read_robot
-from service.model.robot import Robot
 from service.planning.documents import PlanRequest
 from service.planning.plan import build_plan
 from service.planning.poses import has_room, observe

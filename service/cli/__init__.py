@@ -12,8 +12,8 @@ from typing import Annotated
 import typer
 
 from drivers.errors import BadProfile, DriveError
+from service import BadInput, SweepidError
 from service.cli.lazy import Commands
-from service.model.errors import BadInput, SweepidError
 
 GROUP = "sweepid.commands"
 _OWN = {

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.model.errors import BadInput
+from service import BadInput
 from service.process.settings import Settings, load_settings
 from service.store.access import Role
 from service.store.database import Database, open_database, parsed_url

@@ -20,18 +20,17 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn
 from rich.table import Table
 
+from service import BadInput, SweepidError
 from service.cli.report_pages import bundle_report
 from service.cli.terminal import print_result
 from service.cli.virtual_cell import CELL, PROFILE, ROBOT, Operator, VirtualCell, answer_of_drive, virtual_cell
 from service.diagnosis.summary import judged_on
+from service.identification.model import lock
 from service.identification.model.base_parameters import base_parameters
-from service.identification.model.regressor import lock
-from service.model.arrays import Array
+from service.model import Array, Robot
 from service.model.configuration import Cell, read_cell, read_robot
-from service.model.errors import BadInput, SweepidError
 from service.model.results.diagnosis import AxisDiagnosis, Diagnosis, RigidParameter
 from service.model.results.estimate import Estimate
-from service.model.robot import Robot
 from service.planning.documents import PlanRequest
 from service.planning.poses import workspace_grid
 from service.report.benefit.benefit import Benefit, FollowingError, Tracking, benefit, feed_forward

@@ -7,7 +7,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from service.model.errors import BadInput
+from service import BadInput
 
 Places = Mapping[str, str]
 """Where a command is, as ``module:function`` or ``module:Typer``, by its name: one word, or two for one in a group."""

@@ -9,8 +9,8 @@ from pathlib import Path
 from pydantic import Field
 
 import sweepid
+from service import BadInput
 from service.data_check import check, findings_document
-from service.model.errors import BadInput
 from service.model.results.diagnosis import Diagnosis
 from service.model.results.estimate import Estimate
 from service.model.results.part import Document, Part

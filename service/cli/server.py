@@ -17,8 +17,8 @@ from fastapi import FastAPI
 from starlette.types import Receive, Scope, Send
 
 from drivers.errors import DriveError
+from service import SweepidError
 from service.machine.stop_process.handle import StopNotStarted, StopProcess
-from service.model.errors import SweepidError
 from service.process.logs import configure_logs
 from service.process.settings import Settings
 from service.store.access import LOCAL

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from service.model.errors import writing
+from service import writing
 
 if TYPE_CHECKING:
     from rich.console import Console

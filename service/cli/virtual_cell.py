@@ -12,9 +12,9 @@ from pathlib import Path
 import yaml
 from pydantic import BaseModel, ConfigDict
 
+from service import SweepidError
+from service.model import Robot
 from service.model.configuration import read_yaml
-from service.model.errors import SweepidError
-from service.model.robot import Robot
 from service.web.client import HOST_WATCH, Json, ServiceClient, ServiceProblem
 
 

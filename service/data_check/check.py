@@ -11,8 +11,7 @@ from service.data_check.ripples import ripples
 from service.data_check.robot_file import description, nominals, rated_effort
 from service.data_check.samples import clipping, clock, frozen, lost_samples, quantisation, spikes
 from service.identification.motion.free_motion import at_once
-from service.model.recording import Sweep
-from service.model.robot import Robot
+from service.model import Robot, Sweep
 
 DISPLACED: tuple[Code, ...] = ("position_unit", "position_sign", "motion_sign")  # then positions differ from their pose
 

@@ -20,14 +20,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
+from service import BadInput
 from service.data_check.finding import DataFinding, named
 from service.data_check.motion import Commanded, effort_unit, effort_units
 from service.data_check.record import AxisRecords, Record
-from service.identification.model.regressor import gravity_rows
+from service.identification.model import gravity_rows
 from service.identification.spectra.frequency_response import Complex, ripple_orders, spectrum
 from service.identification.spectra.time_domain import fit_record
-from service.model.errors import BadInput
-from service.model.recording import Array
+from service.model import Array
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from service.model.recording import Sweep
+from service.model import Robot, Sweep
 from service.model.results.diagnosis import CheckedAxis, DataCheck, Finding
-from service.model.robot import Robot
 
 Severity = Literal["wrong", "warning"]
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from service.data_check.finding import Code, DataFinding, named
 from service.data_check.record import AxisRecords, Record, spread
-from service.model.recording import Array
+from service.model import Array
 
 
 @dataclass(frozen=True)

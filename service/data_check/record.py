@@ -7,10 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from service.identification.model.regressor import inertia_rows
+from service.identification.model import inertia_rows
 from service.identification.motion.trajectory_record import runs_at_once
-from service.model.recording import Array, Sweep, SweepSpec
-from service.model.robot import Axis, Robot
+from service.model import Array, Axis, Robot, Sweep, SweepSpec
 
 Channel = Literal["effort", "velocity", "position"]
 

@@ -13,13 +13,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.data_check.finding import DataFinding, named
 from service.data_check.probabilities import hypergeometric_tail
 from service.data_check.record import AxisRecords, Record
-from service.identification.spectra.frequency_response import Complex
-from service.model.recording import Array
+from service.model import Array, Complex, Mask
 
 BAND = (1.0, 20.0)  # Hz
 OWN = (25.0, 100.0)  # Hz, noise of the sensor
@@ -100,7 +98,7 @@ def _level(axis: AxisRecords, found: Sequence[Pair]) -> DataFinding | None:
     )  # fmt: skip
 
 
-def _anywhere(pairs: Sequence[Pair], those: NDArray[np.bool_]) -> bool:
+def _anywhere(pairs: Sequence[Pair], those: Mask) -> bool:
     """Whether these pairs occur in all kinds of motion, by Fisher's exact test of the kind with the most of them."""
     alike: dict[object, list[bool]] = {}
     for pair, yes in zip(pairs, those, strict=True):

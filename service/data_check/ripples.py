@@ -24,7 +24,7 @@ from service.data_check.finding import DataFinding
 from service.data_check.probabilities import log_chi2_above
 from service.data_check.record import AxisRecords, Record
 from service.identification.spectra.frequency_response import Complex, ripple_orders
-from service.model.recording import Array
+from service.model import Array
 
 RATE = 400.0  # Hz, minimum rate of effort after decimation: a ripple of 200 Hz moves no axis
 HIGHEST = 100.0  # order

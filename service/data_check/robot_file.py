@@ -4,7 +4,7 @@ import numpy as np
 
 from service.data_check.finding import DataFinding, named
 from service.data_check.record import AxisRecords
-from service.model.robot import Robot
+from service.model import Robot
 
 EARTH = (9.7, 9.9)  # m/s^2, 9.76 to 9.84 on the ground; a tilted base does not change the magnitude
 

@@ -26,7 +26,7 @@ from scipy.ndimage import maximum_filter, median_filter, minimum_filter
 from service.data_check.finding import Code, DataFinding, named
 from service.data_check.probabilities import poisson_quantile
 from service.data_check.record import AxisRecords, Record, spread
-from service.model.recording import Array, Sweep
+from service.model import Array, Mask, Sweep
 
 SINGLE = float(np.finfo(np.float32).eps)  # time may have been stored in 32 bits
 
@@ -269,7 +269,7 @@ def _off_course(values: Array, first: int, last: int) -> float:
     return float(np.abs(values[group] - course(group)).max())
 
 
-def _moved(record: Record, name: str, single: Indices) -> NDArray[np.bool_]:
+def _moved(record: Record, name: str, single: Indices) -> Mask:
     """Where the other of effort and velocity also has the pulse, or velocity has a kink or passes standstill: backlash
     closes, a load breaks loose, or dry friction turns.
     """
@@ -291,7 +291,7 @@ def _moved(record: Record, name: str, single: Indices) -> NDArray[np.bool_]:
     return shown | (kinked > least) | ((low <= 0) & (high >= 0) & (high - low > least))
 
 
-def _way(record: Record, single: Indices) -> NDArray[np.bool_]:
+def _way(record: Record, single: Indices) -> Mask:
     """Where position changes by the integral of a velocity pulse."""
     first, last = np.maximum(single - NEAR, 0), np.minimum(single + NEAR, record.count - 1)
     usual = np.asarray(median_filter(record.velocity, 2 * WIDTH, mode="nearest"), dtype=float)[single]

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service import BadInput
 from service.data_check import DataFinding, check, untrustworthy
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Patch
@@ -35,12 +35,9 @@ from service.diagnosis.unfinished import unfinished
 from service.diagnosis.verdict import Verdict, at_floor, judge, of_one_record, share, tie_sets, without
 from service.identification.axis.nominal_priors import TorqueGain
 from service.identification.motion.free_motion import at_once
-from service.model.errors import BadInput
-from service.model.recording import Sweep
+from service.model import Array, Robot, Sweep
 from service.model.results.diagnosis import Cell, Example, Gap, RigidParameter, Unfinished
-from service.model.robot import Robot
 
-Array = NDArray[np.float64]
 Known = Mapping[str, Mapping[str, Parameter]]
 
 NOTHING: Known = {}

@@ -8,7 +8,7 @@ from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.fitted import Parameter
 from service.diagnosis.model.revision import model_of
 from service.diagnosis.summary import summary
-from service.model.recording import SweepSpec
+from service.model import Robot, SweepSpec
 from service.model.results.diagnosis import (
     AxisDiagnosis,
     Change,
@@ -20,7 +20,6 @@ from service.model.results.diagnosis import (
     standing_of,
 )
 from service.model.results.effect import AxisFit, Effect, PoseGravity, PoseInertia, Value
-from service.model.robot import Robot
 
 if TYPE_CHECKING:  # the service composes documents of axes that its worker has diagnosed
     from service.diagnosis.diagnose import AxisResult, NamedEffect

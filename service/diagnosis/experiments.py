@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service import BadInput
 from service.diagnosis.fit.equations import Term
 from service.diagnosis.fit.select import RIVAL, TOLERANCE, Selection
 from service.diagnosis.sensitivity import PredictedSweeps, UntestableEffect, predict_sweeps, shown_in
@@ -33,10 +33,8 @@ from service.identification.design.diagnosis_sweeps import (
     other_poses,
     warm_up,
 )
-from service.model.errors import BadInput
-from service.model.recording import Sweep, SweepSpec
+from service.model import Array, Sweep, SweepSpec
 
-Array = NDArray[np.float64]
 Runnable = Callable[[Sequence[DesignedSweep]], tuple[tuple[DesignedSweep, ...], str]]
 """Of some sweeps, in one plan, those that the machine can run, and why the first of the others cannot ("": all can)."""
 

@@ -9,18 +9,15 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service import BadInput
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.cross_products import Gathered, solve
 from service.diagnosis.fit.equations import Equations, Term, equations, grouped
 from service.diagnosis.rows.signals import Tracks, tracks
 from service.identification.design.diagnosis_sweeps import BLOCKS, DesignedSweep, full_design, measured_blocks
 from service.identification.design.excitation import Excitation, velocity_setpoint
-from service.model.errors import BadInput
-from service.model.recording import Recording, Sweep
-
-Array = NDArray[np.float64]
+from service.model import Array, Recording, Sweep
 
 
 @dataclass(frozen=True)

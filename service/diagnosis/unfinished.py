@@ -8,7 +8,7 @@ from service.diagnosis.fit.calibration import WeighedGain
 from service.diagnosis.fit.cross_products import Ended
 from service.diagnosis.fit.select import Selection
 from service.diagnosis.summary import in_words
-from service.identification.model.least_squares import unsettled
+from service.identification.model import unsettled
 from service.model.results.diagnosis import Unfinished
 
 READ = "Its parameters may be further off than their standard deviations: compare the gap after with the noise floor."

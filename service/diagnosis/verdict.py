@@ -5,7 +5,6 @@ from dataclasses import replace
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.cross_products import solve
@@ -15,8 +14,7 @@ from service.diagnosis.fit.search import CurrentModel, Explanation
 from service.diagnosis.fit.select import CERTAIN, RIVAL, TOLERANCE, Selection, allowed_by_physics
 from service.diagnosis.sensitivity import grid, left, shows_beside, visible_part
 from service.identification.design.diagnosis_sweeps import is_partial
-
-Array = NDArray[np.float64]
+from service.model import Array
 
 AT_FLOOR = 1.5  # times the noise floor
 SLOW = 0.1  # of the explained part: possible effect of slow noise in one direction without repeats

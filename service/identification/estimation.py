@@ -18,12 +18,10 @@ from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.trajectory_record import AxisTrack, axis_track, runs_at_once, trajectories
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.identification.spectra.noise_response import NoiseSpectrum, has_reference, noise_spectrum
-from service.model.arrays import Array
+from service.model import Array, Robot, Sweep
 from service.model.collision import reachable
-from service.model.recording import Sweep
 from service.model.results import estimate as results
 from service.model.results.spectrum import AnySpectrum
-from service.model.robot import Robot
 
 SweepSpectrum = Spectrum | NoiseSpectrum | AxisTrack
 

@@ -32,30 +32,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from service import BadInput
 from service.identification.axis.nominal_priors import TorqueGain, uncalibrated
 from service.identification.estimates.torque_gain import fit_pairs, pairs, place
-from service.identification.model.base_parameters import BaseParameters
-from service.identification.model.inverse_dynamics import (
+from service.identification.model import (
+    BaseParameters,
+    Information,
     JointMotion,
     dynamic_base,
     dynamics_names,
+    inertia_rows,
     link_rows,
     nominal_parameters,
     prior_information,
 )
-from service.identification.model.least_squares import Information
 from service.identification.model.physical_consistency import SearchEnded, is_physical, nearest_physical
-from service.identification.model.regressor import inertia_rows
 from service.identification.motion.equations import AxisEquations, all_equations, equations, whole_parameters
 from service.identification.motion.fit import fit_equations
 from service.identification.motion.free_motion import FreeMotion, MotionBand, calibrated, free_motions
 from service.identification.spectra.frequency_response import Spectrum, spectrum, window
-from service.model.arrays import Array, Mask
-from service.model.errors import BadInput
-from service.model.recording import Sweep, SweepSpec
+from service.model import INERTIAL_NAMES, Array, Mask, Robot, Sweep, SweepSpec, inertia_matrix, inertia_vector
 from service.model.results import payload as results
-from service.model.robot import INERTIAL_NAMES, Robot
-from service.model.urdf import inertia_matrix, inertia_vector
 
 BODY = 10  # parameters of a rigid body
 

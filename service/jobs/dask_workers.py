@@ -18,8 +18,8 @@ import distributed
 from distributed.client import ClosedClientError
 from distributed.comm.core import CommClosedError
 
+from service import NotNow
 from service.jobs.work import TRACEPARENT, Answer, JobFailed, Work, Worker, WorkerLost, work
-from service.model.errors import NotNow
 from service.process.logs import current
 from service.process.settings import Cluster
 from service.process.telemetry import TRACING

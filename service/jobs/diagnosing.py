@@ -15,14 +15,14 @@ from functools import partial
 
 import structlog
 
+from service import BadInput, Conflict, NotFound
 from service.diagnosis import compose, is_evidence
 from service.diagnosis.fit.fitted import Parameter
 from service.formats.export.started_robot import started_from
 from service.identification.estimates.torque_gain import KnownMass
 from service.jobs.jobs import OpenJobs
 from service.jobs.work import DiagnosisJob, JobFailed, RecordedSweep, Worker
-from service.model.errors import BadInput, Conflict, NotFound
-from service.model.recording import SweepSpec
+from service.model import SweepSpec
 from service.model.results.diagnosis import AxisDiagnosis, Diagnosis
 from service.model.results.estimate import Estimate
 from service.planning.campaigns.stored_results import campaign_beside

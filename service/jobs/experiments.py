@@ -9,6 +9,7 @@ from typing import cast
 import structlog
 
 from drivers.errors import DriveError
+from service import BadInput, Conflict, SweepidError
 from service.diagnosis import model_document
 from service.diagnosis.verdict import Verdict
 from service.identification.design.diagnosis_sweeps import DesignedSweep
@@ -16,7 +17,6 @@ from service.jobs.diagnosing import Diagnosing
 from service.machine.execution.permission import Intention
 from service.machine.execution.runner import Runner
 from service.model.configuration import read_cell
-from service.model.errors import BadInput, Conflict, SweepidError
 from service.model.results.diagnosis import AxisDiagnosis, Experiment
 from service.model.results.effect import RevisedAxis
 from service.planning.campaigns.live import EventFeed

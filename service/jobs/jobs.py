@@ -17,6 +17,7 @@ from sqlalchemy.exc import OperationalError
 from structlog.contextvars import bound_contextvars
 
 from drivers.errors import Cause, CauseCode
+from service import BadInput, NotFound, NotNow
 from service.jobs.work import (
     CheckJob,
     Job,
@@ -27,7 +28,6 @@ from service.jobs.work import (
     Worker,
     WorkerLost,
 )
-from service.model.errors import BadInput, NotFound, NotNow
 from service.planning.campaigns.live import EventFeed
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.planning.campaigns.stored_results import analysis_behind, campaign_beside, siblings_behind

@@ -14,9 +14,9 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 from structlog.contextvars import bound_contextvars
 
+from service import BadInput, NotNow
 from service.jobs.work import JobFailed
 from service.jobs.worker import WorkerProcess
-from service.model.errors import BadInput, NotNow
 from service.process.settings import Settings
 from service.store.database import refusal
 from service.store.documents import RecordingDocument

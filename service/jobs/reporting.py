@@ -10,11 +10,11 @@ from importlib.metadata import version
 from pydantic import BaseModel, ConfigDict
 
 from drivers.ports import AxisIdentity
+from service import Conflict, NotFound
 from service.identification.fleet.document import Fleet
 from service.identification.motion.trajectory_record import runs_at_once
 from service.jobs.work import DiagnosisReportJob, FleetReportJob, RecordedSweep, ReportJob
 from service.model.causes import in_words
-from service.model.errors import Conflict, NotFound
 from service.model.results.diagnosis import DataCheck
 from service.model.results.effect import ModelFile
 from service.model.results.estimate import Estimate

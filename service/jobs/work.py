@@ -21,14 +21,13 @@ import structlog
 from pydantic import JsonValue, TypeAdapter
 from structlog.contextvars import bound_contextvars
 
+from service import NoPdf, SweepidError
 from service.identification.fleet.document import Fleet
-from service.model.errors import NoPdf, SweepidError
-from service.model.recording import Sweep, SweepSpec
+from service.model import Robot, RobotDescription, Sweep, SweepSpec, build_robot
 from service.model.results.diagnosis import AxisDiagnosis, DataCheck, Diagnosis
 from service.model.results.effect import KnownModel, StoredModel
 from service.model.results.estimate import Analyses, BaseParameter, Estimate
 from service.model.results.spectrum import AnySpectrum
-from service.model.robot import Robot, RobotDescription, build_robot
 from service.process.tasks import give_way
 from service.process.telemetry import TRACING
 from service.store.documents import ModelDocument

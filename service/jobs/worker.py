@@ -24,8 +24,8 @@ from typing import Any, cast
 import structlog
 from structlog.contextvars import bound_contextvars
 
+from service import NotNow
 from service.jobs.work import TRACEPARENT, Answer, JobFailed, Work, Worker, work
-from service.model.errors import NotNow
 from service.process.logs import configure_logs, current
 from service.process.settings import Cluster, Telemetry
 from service.process.tasks import ONE_THREAD, give_way

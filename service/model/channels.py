@@ -19,8 +19,8 @@ from dataclasses import fields, replace
 import numpy as np
 
 from drivers.ports import ChannelTiming
+from service import BadInput
 from service.model.arrays import Array
-from service.model.errors import BadInput
 from service.model.recording import Recording
 
 HALF = 6  # samples on either side

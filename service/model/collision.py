@@ -21,9 +21,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from service import BadInput
 from service.model.arrays import Array, Mask
 from service.model.configuration import Cell
-from service.model.errors import BadInput
 from service.model.robot import Robot
 from service.model.urdf import collision_meshes, joint_end, read_hull
 

@@ -9,7 +9,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.bounded_yaml import NO_VALUE, BoundedLoader
-from service.model.errors import BadInput
+from service import BadInput
 from service.model.robot import Robot, RobotDescription, robot_from_outside
 
 Model = TypeVar("Model", bound=BaseModel)

@@ -13,8 +13,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from service import BadInput
 from service.model.arrays import Array
-from service.model.errors import BadInput
 from service.model.urdf import Chain, inertia_at_centre
 
 

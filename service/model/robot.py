@@ -16,8 +16,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator
 
+from service import BadInput
 from service.model.arrays import Array
-from service.model.errors import BadInput
 from service.model.physical_bounds import Most, check_urdf
 from service.model.recording import Name
 from service.model.urdf import Chain, read_chain

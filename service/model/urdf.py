@@ -18,8 +18,8 @@ from xml.parsers import expat
 
 import numpy as np
 
+from service import BadInput
 from service.model.arrays import Array
-from service.model.errors import BadInput
 
 MOST_LINKS = 200  # a serial robot has about ten; the chain is read recursively
 MOST_ELEMENTS = 20_000

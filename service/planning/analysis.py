@@ -8,13 +8,11 @@ lines each, which together contain every integer frequency from 1 to 16 Hz.
 import numpy as np
 
 from drivers.ports import SweepMode
+from service import BadInput, EnvelopeViolation
 from service.identification.design.excitation import Excitation, NoiseExcitation, design_noise, design_sweep
-from service.identification.model.regressor import inertia_rows
-from service.model.arrays import Array
+from service.identification.model import inertia_rows
+from service.model import Array, Robot, SweepPurpose, SweepSpec
 from service.model.configuration import Cell
-from service.model.errors import BadInput, EnvelopeViolation
-from service.model.recording import SweepPurpose, SweepSpec
-from service.model.robot import Robot
 from service.planning.documents import (
     AnalysisPlan,
     AnalysisRequest,

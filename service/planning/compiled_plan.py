@@ -6,9 +6,9 @@ from importlib.metadata import version
 
 from drivers.errors import CommunicationLost
 from drivers.ports import AxisState, AxisStatus
+from service import Conflict
+from service.model import Robot
 from service.model.configuration import Cell, read_cell
-from service.model.errors import Conflict
-from service.model.robot import Robot
 from service.planning.documents import (
     AnalysisPlan,
     DiagnosisPlan,

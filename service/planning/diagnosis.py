@@ -12,15 +12,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.ports import SweepMode
+from service import BadInput, EnvelopeViolation
 from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design
-from service.identification.model.regressor import gravity_terms
-from service.model.arrays import Array
+from service.identification.model import gravity_terms
+from service.model import Array, Mask, Robot
 from service.model.configuration import Cell
-from service.model.errors import BadInput, EnvelopeViolation
-from service.model.robot import Robot
 from service.planning.documents import (
     DiagnosisPlan,
     DiagnosisRequest,
@@ -166,7 +164,7 @@ def _designed(robot: Robot, request: DiagnosisRequest, joint: str, poses: Array)
     )
 
 
-def _has_room(envelope: Envelope, poses: Array, index: int, blocks: Iterable[str]) -> NDArray[np.bool_]:
+def _has_room(envelope: Envelope, poses: Array, index: int, blocks: Iterable[str]) -> Mask:
     """Poses with room for the widest block, in each direction that occurs."""
     enough = np.ones(len(poses), dtype=bool)
     for direction in {-1 if block.startswith("backward") else 1 for block in blocks}:

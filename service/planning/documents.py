@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from drivers.ports import NoiseCommand, SineCommand, SweepCommand, SweepMode
+from service import BadInput
 from service.identification.design.diagnosis_sweeps import BLOCKS, FAST, SLOW, WIDE, WIDE_LINES
 from service.identification.design.excitation import Noise, Sines
 from service.identification.design.pose_selection import Criterion
 from service.identification.estimates.torque_gain import KnownMass
-from service.model.errors import BadInput
-from service.model.recording import SweepSpec
+from service.model import Robot, SweepSpec
 from service.model.results.part import Shown, Table, columns_of_sweeps
-from service.model.robot import Robot
 from service.planning.campaigns.stored_plan import MadeFor
 from service.planning.safety.envelope import MethodLimits
 from service.store.documents import LARGEST_ID, BoltedMass

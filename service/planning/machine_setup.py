@@ -19,9 +19,9 @@ from typing import cast
 import structlog
 from pydantic import BaseModel, ConfigDict, OnErrorOmit, field_validator
 
+from service import BadInput, Conflict
+from service.model import Robot
 from service.model.configuration import read_cell
-from service.model.errors import BadInput, Conflict
-from service.model.robot import Robot
 from service.planning.campaigns.stored_plan import MadeFor
 from service.process.settings import Settings
 from service.store.documents import RobotDocument

@@ -5,15 +5,11 @@ from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from typing import Generic, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from drivers.ports import SweepMode
+from service import BadInput
 from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.identification.design.excitation import Excitation
-from service.model.errors import BadInput
-from service.model.recording import SweepSpec
-from service.model.robot import Robot
+from service.model import Array, Robot, SweepSpec
 from service.planning.documents import PlannedLeg, PlannedNoise, PlannedSweep
 from service.planning.safety.envelope import Envelope
 
@@ -24,7 +20,7 @@ Planned = TypeVar("Planned", bound=PlannedSweep | PlannedNoise)
 class SweepPath(Generic[Planned]):
     """Collects sweeps. `here`: positions of all axes after the last one, rad (m); `duration` of all, s."""
 
-    def __init__(self, robot: Robot, envelope: Envelope, home: NDArray[np.float64], move_velocity: float) -> None:
+    def __init__(self, robot: Robot, envelope: Envelope, home: Array, move_velocity: float) -> None:
         if move_velocity > (limit := envelope.limits.move_velocity):
             raise BadInput("move_velocity", f"{move_velocity} is above the limit {limit} rad/s (m/s)")
         self._robot, self._envelope, self._velocity = robot, envelope, move_velocity

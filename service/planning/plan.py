@@ -21,15 +21,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.ports import SweepMode
+from service import BadInput, EnvelopeViolation
 from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.design.excitation import Excitation, realisations
 from service.identification.design.pose_selection import without_gain
 from service.identification.estimates.robot_type import RobotType
-from service.model.arrays import Array
+from service.model import Array, Robot, SweepPurpose, SweepSpec, together
 from service.model.configuration import Cell
-from service.model.errors import BadInput, EnvelopeViolation
-from service.model.recording import SweepPurpose, SweepSpec, together
-from service.model.robot import Robot
 from service.planning.documents import (
     Alternative,
     DroppedPose,

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from itertools import accumulate, combinations, product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service import BadInput, EnvelopeViolation
 from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.axis.nominal_priors import model_spread, pose_prior
 from service.identification.design.excitation import RAMP, Excitation, Sines, design_sweep, zippered_lines
@@ -24,20 +24,22 @@ from service.identification.design.pose_selection import (
 )
 from service.identification.estimates.estimate import RobotEstimate
 from service.identification.estimates.robot_type import RobotType
-from service.identification.model.base_parameters import (
+from service.identification.model import (
     Independence,
-    base_parameters,
+    axis_rows,
+    coupling_rows,
+    gravity_terms,
+    inertia_rows,
     joint_ranges,
+    lock,
+    parameter_names,
     reduce_columns,
     spread_evenly,
 )
-from service.identification.model.inverse_dynamics import coupling_rows
-from service.identification.model.regressor import axis_rows, gravity_terms, inertia_rows, lock, parameter_names
-from service.model.arrays import Array
+from service.identification.model.base_parameters import base_parameters
+from service.model import Array, Mask, Robot
 from service.model.collision import reachable
 from service.model.configuration import Cell
-from service.model.errors import BadInput, EnvelopeViolation
-from service.model.robot import Robot
 from service.planning.documents import LARGEST_CHOICE, USUAL_CHOICE, DroppedPose, PlanRequest
 from service.planning.path import LEG_OVERHEAD
 from service.planning.safety.envelope import Envelope
@@ -81,7 +83,7 @@ def grid(robot: Robot, request: PlanRequest, envelope: Envelope, home: Array) ->
     return poses
 
 
-def has_room(envelope: Envelope, poses: Array, axes: Sequence[int]) -> NDArray[np.bool_]:
+def has_room(envelope: Envelope, poses: Array, axes: Sequence[int]) -> Mask:
     """Poses (m, n) from which each axis can sweep forward or backward."""
     enough = np.ones(len(poses), dtype=bool)
     for axis in axes:
@@ -91,7 +93,7 @@ def has_room(envelope: Envelope, poses: Array, axes: Sequence[int]) -> NDArray[n
     return enough
 
 
-def room(envelope: Envelope, poses: Array, axis: int, direction: int) -> NDArray[np.bool_]:
+def room(envelope: Envelope, poses: Array, axis: int, direction: int) -> Mask:
     """Poses in which joint `axis` can move by the whole travel and its margins in one direction."""
     limits = envelope.limits
     start = poses.copy()
@@ -310,7 +312,7 @@ class Choice:
     poses: list[ChosenPose]
     percent: list[float]
     states: list[bool]
-    determined: list[NDArray[np.bool_]]
+    determined: list[Mask]
     refused: list[DroppedPose]
 
     @property
@@ -332,7 +334,7 @@ class _Prediction:
     confidence: PredictedConfidence
     percent: list[float] = field(default_factory=list)
     states: list[bool] = field(default_factory=list)
-    determined: list[NDArray[np.bool_]] = field(default_factory=list)
+    determined: list[Mask] = field(default_factory=list)
 
     def add(self, rows: Array, information: Array) -> None:
         self.confidence.add(rows, information)

@@ -3,20 +3,17 @@
 import numpy as np
 
 from drivers.ports import SweepMode
+from service import BadInput, EnvelopeViolation
 from service.identification.design.exciting_trajectory import (
     Trajectory,
     TrajectoryLimits,
     TrajectoryShape,
     design_trajectory,
 )
-from service.identification.model.base_parameters import joint_ranges
-from service.identification.model.inverse_dynamics import dynamic_base
+from service.identification.model import dynamic_base, joint_ranges
 from service.identification.payloads import planned_mass_std
-from service.model.arrays import Array
+from service.model import Array, Robot, SweepSpec, together
 from service.model.configuration import Cell
-from service.model.errors import BadInput, EnvelopeViolation
-from service.model.recording import SweepSpec, together
-from service.model.robot import Robot
 from service.planning.documents import PlannedSweep, TrajectoryPlan, TrajectoryRequest
 from service.planning.path import SweepPath
 from service.planning.safety.envelope import Envelope

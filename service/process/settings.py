@@ -16,8 +16,8 @@ from urllib.parse import urlsplit
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, IPvAnyNetwork, StringConstraints, ValidationError
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
+from service import BadInput
 from service.model.configuration import bad_field, read_yaml
-from service.model.errors import BadInput
 
 AUDIT_HEADS = "audit-heads.txt"  # default name, in the data directory
 

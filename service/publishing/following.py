@@ -8,9 +8,9 @@ import structlog
 from pydantic import JsonValue
 from sqlalchemy.exc import SQLAlchemyError
 
+from service import BadInput, NotFound
 from service.machine.execution.machine import Machine
 from service.machine.execution.runner import Runner
-from service.model.errors import BadInput, NotFound
 from service.planning.campaigns.live import EventFeed
 from service.planning.campaigns.stored_results import quality_of
 from service.publishing.publisher import Publisher

@@ -24,8 +24,8 @@ from asyncua.ua.uaerrors import UaError
 from asyncua.ua.uatypes import VariantType
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
-from numpy.typing import NDArray
 
+from service.model import Array
 from service.planning.campaigns.stored_results import AxisEstimateQuality
 from service.process.settings import OpcUa
 from service.publishing.state import CampaignProgress, FromPublisher, LatestEstimate, MachineState, PublishedState
@@ -317,7 +317,7 @@ def load_of(parameters: Mapping[str, float]) -> PrincipalLoad | None:
     return PrincipalLoad(mass, (x, y, z), _angles_of(axes), (least, middle, most))
 
 
-def _angles_of(rotation: NDArray[np.float64]) -> tuple[float, float, float]:
+def _angles_of(rotation: Array) -> tuple[float, float, float]:
     """A, B, C of a rotation (3, 3) = Rz(C) Ry(B) Rx(A); C is 0 if B is +-90 degrees."""
     b = math.asin(max(-1.0, min(1.0, -float(rotation[2, 0]))))
     if abs(rotation[2, 0]) > 1 - 1e-12:

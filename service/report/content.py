@@ -12,13 +12,11 @@ from itertools import product
 import numpy as np
 
 from drivers.ports import AxisIdentity
-from service.identification.model.regressor import SAME_POSITION, axis_rows, lock
-from service.model.arrays import Array
+from service.identification.model import SAME_POSITION, axis_rows, lock
+from service.model import INERTIAL_NAMES, Array, Robot, Sweep, SweepSpec
 from service.model.collision import reachable
-from service.model.recording import Sweep, SweepSpec
 from service.model.results.diagnosis import DataCheck, Diagnosis
 from service.model.results.estimate import BaseParameter, Estimate
-from service.model.robot import INERTIAL_NAMES, Robot
 from service.report.drawing import slides
 
 

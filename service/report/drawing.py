@@ -7,8 +7,7 @@ from typing import TypedDict, TypeVar
 
 import numpy as np
 
-from service.model.arrays import Array
-from service.model.robot import Robot
+from service.model import Array, Robot
 
 T = TypeVar("T")
 Drawn = str | float | None | Sequence["Drawn"] | Mapping[str, "Drawn"]  # accepted by plotly.js

@@ -4,9 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.model.arrays import Array
-from service.model.recording import Sweep
-from service.model.robot import Robot
+from service.model import Array, Robot, Sweep
 from service.report.content import ReportedAxis, Revision
 from service.report.drawing import (
     DECADES,

@@ -13,7 +13,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Literal, Protocol, TypedDict, cast
 
-from service.model.errors import NoPdf
+from service import NoPdf
 from service.report.drawing import DrawnFigure
 
 Form = Literal["html", "pdf", "json"]

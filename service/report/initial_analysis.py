@@ -4,11 +4,10 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.axis.drive_train import impedance
 from service.identification.axis.ideal_frequency import InitialAnalysis, PoseAnalysis
-from service.model.arrays import Array
+from service.model import Array, Complex
 from service.model.results.part import with_std
 from service.report.drawing import (
     DECADES,
@@ -161,7 +160,7 @@ def _one_pose(analysis: InitialAnalysis, pose: PoseAnalysis, ends: tuple[float, 
     ]
 
 
-def _fitted(analysis: InitialAnalysis, pose: PoseAnalysis, frequency: Array) -> NDArray[np.complex128]:
+def _fitted(analysis: InitialAnalysis, pose: PoseAnalysis, frequency: Array) -> Complex:
     return impedance(frequency, analysis.train, pose.load_inertia, 0.0).total
 
 

@@ -5,6 +5,7 @@ from collections.abc import Collection, Sequence
 from html import escape
 
 from service.identification.estimates.initial_analysis import analyses_from
+from service.model import Robot
 from service.model.results.estimate import (
     CONFIDENCE,
     UNSURE,
@@ -15,7 +16,6 @@ from service.model.results.estimate import (
     not_for_use,
 )
 from service.model.results.part import two_digits, with_std
-from service.model.robot import Robot
 from service.report import figures, initial_analysis
 from service.report.content import Content, ReportedAxis, axes_of
 from service.report.drawing import slides

@@ -22,8 +22,8 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
+from service.model import Array
 from service.report.drawing import GRID, DrawnFigure
 
 WIDTH, PAPER_WIDTH = 960.0, 680.0  # px: of a page, and of A4 between its margins
@@ -80,7 +80,7 @@ def drawn(figure: DrawnFigure, width: float = WIDTH) -> Canvas:
     for pair in panels.axes:
         own = [trace for trace in traces if _pair(trace) == pair]
         bars = [trace for trace in own if trace.get("type") == "bar" and _has_values(trace)]
-        before: NDArray[np.float64] | None = None
+        before: Array | None = None
         for trace in own:
             x, y = (panels.places(name, trace[kind]) for name, kind in zip(pair, "xy", strict=True))
             match trace.get("type", "scatter"):
@@ -121,7 +121,7 @@ class _Panels:
         notes = layout.get("annotations", ())
         self._notes = [(note, self._write(note)) for note in notes]
 
-    def places(self, name: str, values: Sequence[Any]) -> NDArray[np.float64]:
+    def places(self, name: str, values: Sequence[Any]) -> Array:
         """Numbers, NaN for what is missing; categories by their order."""
         names = self._names.setdefault(name, [])
         names += [value for value in dict.fromkeys(values) if isinstance(value, str) and value not in names]
@@ -233,9 +233,9 @@ def _power(value: float, _: object) -> str:
 def _curve(
     axes: Axes,
     trace: Words,
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    before: NDArray[np.float64] | None,
+    x: Array,
+    y: Array,
+    before: Array | None,
     patterns: Mapping[str, Any],
 ) -> None:
     if trace.get("fill") == "tonexty" and before is not None:
@@ -245,7 +245,7 @@ def _curve(
         axes.plot(x, y, color=line["color"], linewidth=0.85 * line["width"], linestyle=_dash(line, patterns))
 
 
-def _points(axes: Axes, trace: Words, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+def _points(axes: Axes, trace: Words, x: Array, y: Array) -> None:
     for kind in ("x", "y"):
         if (error := trace.get(f"error_{kind}")) is not None:
             half = {f"{kind}err": [0.0 if value is None else value for value in error["array"]]}
@@ -269,9 +269,7 @@ def _points(axes: Axes, trace: Words, x: NDArray[np.float64], y: NDArray[np.floa
     )
 
 
-def _bars(
-    axes: Axes, trace: Words, x: NDArray[np.float64], y: NDArray[np.float64], bars: Sequence[Words], layout: Words
-) -> None:
+def _bars(axes: Axes, trace: Words, x: Array, y: Array, bars: Sequence[Words], layout: Words) -> None:
     if trace not in bars:
         return
     width, beside = trace.get("width", 0.8), 0.0
@@ -285,7 +283,7 @@ def _bars(
         axes.bar_label(drawn, trace["text"], padding=3, fontsize=11.5)
 
 
-def _field(canvas: Canvas, axes: Axes, trace: Words, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+def _field(canvas: Canvas, axes: Axes, trace: Words, x: Array, y: Array) -> None:
     field = axes.pcolormesh(
         x,
         y,
@@ -301,7 +299,7 @@ def _field(canvas: Canvas, axes: Axes, trace: Words, x: NDArray[np.float64], y: 
     key.set_title(_plain(trace["colorbar"]["title"]["text"]), size=12, loc="left")
 
 
-def _levels(axes: Axes, trace: Words, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+def _levels(axes: Axes, trace: Words, x: Array, y: Array) -> None:
     if len(x) > 1 and len(y) > 1:
         drawn = axes.contour(
             x, y, _matrix(trace["z"]), trace["ncontours"], colors=trace["line"]["color"], linewidths=0.8
@@ -378,7 +376,7 @@ def _colours(scale: Sequence[tuple[float, str]]) -> LinearSegmentedColormap:
     return LinearSegmentedColormap.from_list("", [(place, colour) for place, colour in scale])
 
 
-def _matrix(rows: Sequence[Sequence[float | None]]) -> NDArray[np.float64]:
+def _matrix(rows: Sequence[Sequence[float | None]]) -> Array:
     return np.array([[np.nan if value is None else value for value in row] for row in rows], float)
 
 

@@ -27,7 +27,7 @@ from typing import Annotated, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError
 
-from service.model.errors import BadInput, SweepidError
+from service import BadInput, SweepidError
 from service.store.database import BUSY_TIMEOUT, known_schemas, parsed_url, unknown_schema
 from service.store.files.data_folder import OWNER_FILE, read_owner
 from service.store.files.recordings import RecordingFiles, check_new, file_sha256, place_folder, sync

@@ -12,7 +12,7 @@ from sqlalchemy import Column, Table, bindparam, delete, insert, select, update
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
-from service.model.errors import BadInput, SweepidError
+from service import BadInput, SweepidError
 from service.store import tables as t
 from service.store.database import Database, refusal
 from service.store.lease_and_latch import MachineLease

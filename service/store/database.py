@@ -27,7 +27,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError, SQLAlche
 from sqlalchemy.orm import Session
 from sqlalchemy.pool import ConnectionPoolEntry
 
-from service.model.errors import BadInput, SweepidError
+from service import BadInput, SweepidError
 from service.store import tables as t
 
 BUSY_TIMEOUT = 30.0  # s to wait for another writer, or for an unavailable server

@@ -10,7 +10,7 @@ from pydantic import JsonValue
 from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
-from service.model.errors import Conflict
+from service import Conflict
 from service.store import rows, tables as t
 from service.store.documents import (
     BoltedMass,

@@ -14,13 +14,12 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from drivers.errors import Cause
 from drivers.ports import SweepMode
-from service.model.errors import Conflict
-from service.model.recording import SweepSpec
+from service import Conflict
+from service.model import Robot, RobotDescription, SweepSpec, build_robot
 from service.model.results.diagnosis import Diagnosis
 from service.model.results.effect import ModelRevision
 from service.model.results.estimate import Estimate
 from service.model.results.part import JsonOf
-from service.model.robot import Robot, RobotDescription, build_robot
 
 LARGEST_ID = 2**31 - 1  # maximum of the integer column of every database
 

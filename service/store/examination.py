@@ -11,7 +11,7 @@ from typing import TypeVar
 from sqlalchemy import Connection, inspect
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.model.errors import BadInput
+from service import BadInput
 from service.process.settings import AUDIT_HEADS, StoreAddress
 from service.store.backup import Contents, check_owner, contents, contents_of, integrity, look, machine_of, sqlite_file
 from service.store.database import NotReached, kind_of, parsed_url, refusal

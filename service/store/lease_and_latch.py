@@ -16,7 +16,7 @@ from sqlalchemy import Select, delete, func, select, update
 from sqlalchemy.orm import Session
 
 from drivers.errors import Cause
-from service.model.errors import Conflict, NotFound
+from service import Conflict, NotFound
 from service.store import rows, tables as t
 from service.store.database import Database
 from service.store.documents import EventKind, StopDocument, StoredAnswer, StoredDocument

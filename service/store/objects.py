@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, BinaryIO, cast
 from uuid import uuid4
 
-from service.model.errors import BadInput, NotNow
-from service.model.recording import Recording
+from service import BadInput, NotNow
+from service.model import Recording
 from service.process.settings import StoreAddress
 from service.store.files.columns import read_columns
 from service.store.files.recordings import RecordingFile, RecordingFiles, check_file, place, place_new, still_here, sync

@@ -12,7 +12,7 @@ from pydantic import JsonValue
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from service.model.errors import BadInput, Conflict, NotFound
+from service import BadInput, Conflict, NotFound
 from service.model.results.estimate import Estimate
 from service.model.results.part import JsonOf
 from service.model.results.payload import Payload

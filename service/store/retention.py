@@ -18,7 +18,7 @@ from pydantic import JsonValue
 from sqlalchemy import ColumnElement, Select, delete, func, select
 from sqlalchemy.orm import Session
 
-from service.model.errors import Conflict, NotFound
+from service import Conflict, NotFound
 from service.store import rows, tables as t
 from service.store.database import Database
 from service.store.documents import BatchState, CampaignState, DiagnosisState, RecordingDocument, StoredDocument

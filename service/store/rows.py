@@ -8,7 +8,7 @@ from sqlalchemy import ColumnElement, Select, select
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from drivers.errors import Cause
-from service.model.errors import Conflict, NotFound
+from service import Conflict, NotFound
 from service.store import tables as t
 from service.store.database import Database
 from service.store.documents import EventKind, NewSweep, SweepDocument, SweepState

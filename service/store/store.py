@@ -12,9 +12,8 @@ from pydantic import JsonValue
 from sqlalchemy import func, select
 
 from drivers.errors import Cause
-from service.model.errors import Conflict, NotFound
-from service.model.recording import SweepSpec
-from service.model.robot import Robot
+from service import Conflict, NotFound
+from service.model import Robot, SweepSpec
 from service.store import rows, tables as t
 from service.store.documents import (
     CampaignDocument,

@@ -14,6 +14,7 @@ import structlog
 
 from drivers.errors import Cause, CauseCode, DriveError
 from drivers.registry import open_profile
+from service import BadInput, Conflict
 from service.diagnosis.effects import CATALOGUE
 from service.jobs.diagnosing import Diagnosing
 from service.jobs.experiments import ExperimentPlanner, Experiments
@@ -28,7 +29,6 @@ from service.machine.execution.statement import Condition
 from service.machine.execution.sweep_executor import SweepExecutor
 from service.machine.stop_process.handle import StopProcess
 from service.model.configuration import read_robot
-from service.model.errors import BadInput, Conflict
 from service.planning.campaigns.live import EventFeed, LiveHub
 from service.planning.campaigns.stored_plan import PlannedTime, PlanSubject, plan_subject, planned_times
 from service.planning.campaigns.stored_results import FleetHistory, Quality, quality_of

@@ -15,7 +15,7 @@ from urllib.parse import urlencode
 
 import httpx
 
-from service.model.errors import BadInput, ServiceProblem, ServiceUnreachable
+from service import BadInput, ServiceProblem, ServiceUnreachable
 
 Json = dict[str, Any]
 

@@ -9,8 +9,8 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design, paper_design
+from service.model import Recording, Sweep
 from service.model.configuration import read_robot
-from service.model.recording import Recording, Sweep
 from service.store.files.bundle import write_bundle
 from service.web.client import ServiceClient
 from simulator import Scenario, SweepRun, load_scenario, run_sweeps

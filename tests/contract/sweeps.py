@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from drivers.ports import DrivePort, SampleBlock, SineCommand, SweepCommand, SweepMode
 from service.identification.estimates.estimate import identify
 from service.identification.spectra.frequency_response import spectrum
-from service.model.recording import Recording, Sine, Sweep, SweepSpec
-from service.model.robot import Robot, RobotDescription, build_robot
+from service.model import Recording, Robot, RobotDescription, Sine, Sweep, SweepSpec, build_robot
 
 ROBOT = Path(__file__).parents[2] / "config" / "robots" / "max100-class.yaml"
 # Hz; each axis has lines of its own, so that on a real arm what one axis does to another shows at neither's lines

@@ -16,7 +16,7 @@ from drivers.contract.bench import closing, column, consume
 from drivers.errors import LimitExceeded, SweepInterrupted
 from drivers.ports import AxisState, DrivePort, SampleBlock, SweepCommand, SweepMode
 from drivers.registry import open_drive
-from service.model.robot import Robot
+from service.model import Robot
 from tests.contract.bench import AXIS, BENCHES, DRIVES, SYNC_PERIOD, in_one_process
 from tests.contract.makers import profile
 from tests.contract.sweeps import LINES, POSE, Run, command, compare, move, robot, run, wide

@@ -16,6 +16,7 @@ from drivers.errors import BadProfile
 from drivers.modbus.profile import parse_profile as modbus_profile
 from drivers.modbus.registers import load_registers
 from drivers.registry import load_profile
+from service import BadInput
 from service.cli.commands.campaigns import plan_number
 from service.cli.commands.export import export_path
 from service.cli.commands.imports import import_control_file
@@ -30,13 +31,11 @@ from service.formats.sinumerik.document import Given
 from service.formats.traces.trace_import import import_trace, mapping_of, read_traces
 from service.machine.execution.recording import read_stream
 from service.machine.paths.sweep_paths import read_control
+from service.model import Robot, read_chain
 from service.model.collision import CollisionChecker
 from service.model.configuration import read_cell, read_robot, read_text
-from service.model.errors import BadInput
 from service.model.results.estimate import Estimate
 from service.model.results.payload import Payload
-from service.model.robot import Robot
-from service.model.urdf import read_chain
 from service.process.settings import load_settings
 from service.store.backup import read_manifest
 from service.store.files.bundle import read_from, write_bundle

@@ -20,8 +20,8 @@ import pyarrow as pa
 
 import sweepid
 from service.identification.design.excitation import Excitation, way
+from service.model import Sine, Sweep
 from service.model.configuration import read_cell, read_robot
-from service.model.recording import Sine, Sweep
 from service.planning.plan import PlanRequest, build_plan
 from service.store.backup import Manifest, StoredFile
 from service.store.files.bundle import write_bundle

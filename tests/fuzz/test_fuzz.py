@@ -18,7 +18,7 @@ import pyarrow
 import pytest
 from hypothesis import Phase, given, settings, strategies as st
 
-from service.model.errors import BadInput
+from service import BadInput
 from tests.forked import copied
 from tests.fuzz.edits import edited
 from tests.fuzz.parsers import PARSERS

@@ -9,10 +9,9 @@ import numpy as np
 import yaml
 
 from service.identification.design.excitation import Excitation, design_sweep
-from service.identification.model.regressor import inertia_rows, lock
+from service.identification.model import inertia_rows, lock
 from service.identification.spectra.frequency_response import Spectrum, spectrum
-from service.model.recording import Recording, Sweep, SweepSpec
-from service.model.robot import Robot, RobotDescription, build_robot
+from service.model import Recording, Robot, RobotDescription, Sweep, SweepSpec, build_robot
 from simulator import Scenario, SweepRun, load_scenario, run_sweeps, true_inertia
 
 CONFIG = Path(__file__).parents[2] / "config"

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from service.model.recording import Array, Sweep, SweepSpec
-from service.model.robot import Axis, build_robot
+from service.model import Array, Axis, Sweep, SweepSpec, build_robot
 from service.store.files.bundle import Bundle
 from tests.numeric.second_plant.cases import Kind, case, make
 from tests.numeric.second_plant.effects import CATALOGUE

@@ -24,10 +24,9 @@ from service.identification.axis.axis_estimate import identify_axis
 from service.identification.axis.known_effects import KnownAxis
 from service.identification.axis.nominal_priors import pose_prior, shared_prior, uncalibrated
 from service.identification.estimates.estimate import moving_chain
-from service.identification.model.regressor import axis_rows, gravity_terms, inertial_parameters
+from service.identification.model import axis_rows, gravity_terms, inertial_parameters
 from service.identification.spectra.frequency_response import Spectrum, window
-from service.model.recording import Sweep
-from service.model.robot import Robot
+from service.model import Robot, Sweep
 from simulator import Measurement
 from tests.numeric.campaign import SimulatedCampaign, measure_at, scenario_named
 

@@ -12,8 +12,7 @@ import pinocchio as pin
 from scipy.signal import lfilter
 
 from service.identification.model.physical_consistency import pseudo_inertia
-from service.model.recording import Recording, Sweep, SweepSpec
-from service.model.robot import Axis, Prior, Robot, RobotDescription, build_robot
+from service.model import Axis, Prior, Recording, Robot, RobotDescription, Sweep, SweepSpec, build_robot
 from tests.random_chain import random_urdf
 
 RATE = 250.0

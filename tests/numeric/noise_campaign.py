@@ -7,10 +7,9 @@ import numpy as np
 from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.design.excitation import design_noise
 from service.identification.estimates.initial_analysis import analyse
-from service.identification.model.regressor import inertia_rows
+from service.identification.model import inertia_rows
 from service.identification.spectra.noise_response import NoiseSpectrum, noise_spectrum
-from service.model.recording import Recording, Sweep, SweepSpec
-from service.model.robot import Robot
+from service.model import Recording, Robot, Sweep, SweepSpec
 from simulator import DriveTrain, NoiseRun, Scenario, load_scenario, run_sweeps, true_inertia
 from tests.numeric.campaign import CONFIG, max100
 

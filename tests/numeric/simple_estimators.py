@@ -12,8 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
-from service.model.recording import Sweep
-from service.model.robot import Robot
+from service.model import Robot, Sweep
 
 Array = NDArray[np.float64]
 Moves = NDArray[np.bool_]

@@ -13,16 +13,12 @@ from service.identification.design.exciting_trajectory import (
     design_trajectory,
 )
 from service.identification.estimates.combination import JointEstimate
-from service.identification.model.base_parameters import joint_ranges
-from service.identification.model.inverse_dynamics import dynamic_base
-from service.identification.model.regressor import inertia_rows
+from service.identification.model import dynamic_base, inertia_rows, joint_ranges
 from service.identification.motion.trajectory_record import TrajectoryRecord, axis_track, trajectory
 from service.identification.spectra.frequency_response import Spectrum, spectrum, window
+from service.model import Recording, Robot, Sweep, read_chain
 from service.model.collision import CollisionChecker
 from service.model.configuration import read_cell
-from service.model.recording import Recording, Sweep
-from service.model.robot import Robot
-from service.model.urdf import read_chain
 from simulator import Scenario, run_trajectories
 from simulator.rigid_body import real_urdf
 from tests.numeric.campaign import CONFIG, run_of, run_plan, spec_of

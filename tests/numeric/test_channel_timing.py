@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 
 from drivers.ports import ChannelTiming
+from service import BadInput
 from service.identification.axis.channel_timing import ChannelLags, channel_lags
 from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.identification.design.excitation import Sines, design_sweep
 from service.identification.estimates.estimate import identify
-from service.identification.model.regressor import inertia_rows, lock
+from service.identification.model import inertia_rows, lock
 from service.identification.spectra.frequency_response import spectrum
+from service.model import Robot, Sweep
 from service.model.channels import align
-from service.model.errors import BadInput
-from service.model.recording import Sweep
-from service.model.robot import Robot
 from simulator import Scenario, true_inertia
 from tests.numeric.campaign import AXES, max100, run_plan, scenario_named, spec_of
 

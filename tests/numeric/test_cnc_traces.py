@@ -6,14 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.formats.traces.trace_import import import_trace
 from service.identification.estimates.estimate import identify
 from service.identification.spectra.frequency_response import spectrum
 from service.machine.paths.sweep_paths import export_paths, read_control
+from service.model import Recording, Robot, Sweep
 from service.model.configuration import read_cell, read_robot
-from service.model.errors import BadInput
-from service.model.recording import Recording, Sweep
-from service.model.robot import Robot
 from service.planning.documents import PlanDocument, PlannedSweep, PlanRequest
 from service.planning.plan import build_plan
 from service.store.files.bundle import write_bundle

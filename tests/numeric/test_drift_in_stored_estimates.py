@@ -14,8 +14,7 @@ import pytest
 from service.identification.estimation import estimate_document, sweep_spectrum
 from service.identification.fleet.document import FleetType
 from service.identification.fleet.survey import FleetRules
-from service.model.recording import Sweep
-from service.model.robot import Robot, build_robot
+from service.model import Robot, Sweep, build_robot
 from service.planning.campaigns.stored_results import FleetHistory
 from service.store import tables as t
 from service.store.database import Database, open_database

@@ -13,7 +13,7 @@ import yaml
 from service.formats.export import IdentifiedModel, model_files, model_of
 from service.identification.estimates.combination import combine
 from service.identification.estimation import estimate_document
-from service.identification.model.regressor import gravity_rows
+from service.identification.model import gravity_rows
 from service.identification.motion.equations import whole_parameters
 from service.identification.motion.free_motion import free_motions
 from tests.numeric.second_plant.logs import Log, log

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import sweepid
+from service import BadInput
 from service.formats.export.sheets.making import sheet
 from service.identification.estimates.combination import AxisInertias, JointEstimate, combine
-from service.identification.model.inverse_dynamics import JointMotion
+from service.identification.model import JointMotion
 from service.identification.motion.free_motion import free_motions
-from service.model.errors import BadInput
-from service.model.recording import Sweep
+from service.model import Sweep
 from service.store.files.bundle import Bundle, read_bundle, write_bundle
 from tests.numeric.free_motion import Truth, draw, log, program, wander
 

@@ -11,8 +11,8 @@ from pydantic import JsonValue
 from service.formats.export import IdentifiedModel, identified_model, model_files
 from service.identification.estimates.document import as_document
 from service.identification.estimates.estimate import RobotEstimate, identify
+from service.identification.model import gravity_rows
 from service.identification.model.physical_consistency import is_physical
-from service.identification.model.regressor import gravity_rows
 from simulator.rigid_body import RigidBody
 from tests.numeric.campaign import AXES, measure, scenario_named
 

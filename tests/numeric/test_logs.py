@@ -12,14 +12,13 @@ import pytest
 import sweepid
 from service.identification.estimates.combination import JointEstimate, combine
 from service.identification.estimation import estimate_document
-from service.identification.model.regressor import axis_rows
+from service.identification.model import axis_rows
 from service.identification.motion import record_faults
 from service.identification.motion.equations import whole_parameters
 from service.identification.motion.free_motion import free_motions
-from service.model.recording import Sweep
+from service.model import Robot, Sweep, build_robot
 from service.model.results.combination import Combination as Document
 from service.model.results.estimate import Estimate
-from service.model.robot import Robot, build_robot
 from service.store.files.bundle import Bundle
 from tests.numeric.second_plant.logs import Log, log
 from tests.numeric.simple_estimators import errors, simple

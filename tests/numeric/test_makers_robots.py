@@ -21,12 +21,11 @@ from service.formats.maker_urdf.virtual import DraftedRobot, virtual_machine
 from service.identification.estimates.document import as_document
 from service.identification.estimates.estimate import RobotEstimate, identify
 from service.identification.estimates.standard_parameters import TOLERANCE
-from service.identification.model.regressor import gravity_rows, inertia_rows
+from service.identification.model import gravity_rows, inertia_rows
 from service.identification.spectra.frequency_response import spectrum
+from service.model import Robot, Sweep, transform_inertial
 from service.model.configuration import Cell, read_cell, read_robot
-from service.model.recording import Sweep
-from service.model.robot import Robot
-from service.model.urdf import collision_meshes, transform_inertial
+from service.model.urdf import collision_meshes
 from service.planning.documents import PlanDocument, PlanRequest
 from service.planning.machine_setup import DriveProfile, differences
 from service.planning.plan import build_plan

@@ -9,7 +9,7 @@ import pytest
 from service.identification.estimates.document import as_document
 from service.identification.estimates.estimate import RobotEstimate, identify
 from service.identification.spectra.frequency_response import Spectrum, spectrum
-from service.model.recording import Sweep
+from service.model import Sweep
 from simulator import true_inertia
 from tests.numeric.campaign import AXES, SimulatedCampaign, measure
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.identification.estimates.torque_gain import KnownMass
 from service.identification.payloads import PayloadFit, body_of, payload, planned_mass_std, sentences
-from service.model.errors import BadInput
-from service.model.recording import Sine, Sweep
+from service.model import Sine, Sweep
 from service.store.files.bundle import write_bundle
 from simulator import LinkDeviation
 from simulator.scenario import AddedBody

@@ -11,8 +11,8 @@ from service.identification.design.pose_selection import Criterion
 from service.identification.estimates.estimate import identify
 from service.identification.estimation import estimate_document
 from service.identification.spectra.frequency_response import Spectrum, spectrum
+from service.model import Robot, build_robot
 from service.model.configuration import read_cell
-from service.model.robot import Robot, build_robot
 from service.planning.documents import PlanDocument, PlanRequest
 from service.planning.plan import build_plan
 from service.planning.poses import workspace_grid

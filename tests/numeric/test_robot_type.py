@@ -6,16 +6,15 @@ from functools import cache
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.identification.estimates.estimate import RobotEstimate, identify
 from service.identification.estimates.robot_type import RobotType, robot_type
 from service.identification.estimation import estimate_document
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.jobs.work import Job, Revisions
+from service.model import Axis, Prior, Robot, RobotDescription, SweepSpec, build_robot
 from service.model.configuration import Cell
-from service.model.errors import BadInput
-from service.model.recording import SweepSpec
 from service.model.results.estimate import Estimate
-from service.model.robot import Axis, Prior, Robot, RobotDescription, build_robot
 from service.planning.documents import PlanDocument, PlanRequest
 from service.planning.plan import build_plan
 from tests.formula_sweep import Turning, by_formula

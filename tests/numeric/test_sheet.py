@@ -9,18 +9,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from service import BadInput
 from service.formats.export import model_of
 from service.formats.export.sheets.inertias import of_estimate
 from service.formats.export.sheets.making import compare, fingerprint, sheet
 from service.formats.export.sheets.text import as_markdown
 from service.identification.estimates.document import as_document
 from service.identification.estimates.estimate import RobotEstimate, identify
-from service.identification.model.regressor import fold
-from service.model.errors import BadInput
+from service.identification.model import fold
+from service.model import INERTIAL_NAMES, Robot, inertia_vector, link_frames, transform_inertial
 from service.model.results import estimate as results
 from service.model.results.sheet import Sheet
-from service.model.robot import INERTIAL_NAMES, Robot, link_frames
-from service.model.urdf import inertia_vector, transform_inertial
 from tests.numeric.campaign import AXES, SimulatedCampaign, measure
 
 mujoco: Any = untyped  # a compiled module without types

@@ -14,8 +14,7 @@ import sweepid
 from service.identification.design.exciting_trajectory import TrajectoryShape
 from service.identification.estimates.combination import JointEstimate, combine, inertias_of
 from service.identification.estimates.estimate import identify
-from service.model.recording import Sweep
-from service.model.robot import Robot
+from service.model import Robot, Sweep
 from service.store.files.bundle import read_bundle, write_bundle
 from simulator import Scenario, load_scenario, true_inertia
 from tests.numeric.campaign import CONFIG, max100

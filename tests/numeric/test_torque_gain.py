@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.identification.estimates.document import as_document
 from service.identification.estimates.estimate import identify
 from service.identification.estimates.torque_gain import KnownMass, torque_gains
 from service.identification.spectra.frequency_response import Spectrum, spectrum
-from service.model.errors import BadInput
 from simulator import LinkDeviation
 from simulator.scenario import AddedBody
 from tests.numeric.campaign import AXES, SimulatedCampaign, measure_at, scenario_named

@@ -14,7 +14,7 @@ import numpy as np
 from service.diagnosis.rows.signals import in_frequency
 from service.diagnosis.sensitivity import expected
 from service.identification.design.diagnosis_sweeps import full_design
-from service.model.recording import Sweep
+from service.model import Sweep
 from service.store.files.bundle import write_bundle
 from tests.command import sweepid
 from tests.numeric.campaign import max100, measure

@@ -10,8 +10,7 @@ import pytest
 
 import sweepid
 from drivers.ports import AxisState
-from service.identification.model.inverse_dynamics import dynamic_base
-from service.identification.model.regressor import axis_rows
+from service.identification.model import axis_rows, dynamic_base
 from service.machine.execution.permission import Intention
 from service.model.configuration import read_cell, read_robot
 from service.planning.documents import PlanRequest, TrajectoryRequest

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from service.model.errors import BadInput
+from service import BadInput
 from service.web.client import Json, ServiceClient
 from tests.system.rest_bench import (
     ROBOT,

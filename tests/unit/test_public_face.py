@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import sweepid
-from service.model.errors import BadInput
+from service import BadInput
 from service.model.results.diagnosis import Diagnosis
 from service.model.results.estimate import Estimate
 from service.model.results.part import Column, Part, Table

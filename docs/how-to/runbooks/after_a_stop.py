@@ -15,7 +15,7 @@ from functools import partial
 from reached import confidence
 from runbook import Exit, Runbook, ending, parser_of, run
 
-from service.model.errors import BadInput
+from service import BadInput
 from service.web.client import Json
 
 NOTHING = "moves nothing"

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 
 from runbook import Exit, Runbook, parser_of, run
 
-from service.model.errors import BadInput
+from service import BadInput
 from service.process.settings import load_settings
 from service.store.backup import DATABASE, make_backup, restore, sqlite_file
 from service.store.examination import examine

@@ -17,9 +17,9 @@ from inertias import inertia_unit, inertias
 from numpy.typing import NDArray
 from runbook import CELL_HELP, Exit, Runbook, judged, optional_list, parser_of, run, worst
 
+from service import BadInput
 from service.formats.export.sheets.inertias import Inertias
-from service.model.errors import BadInput
-from service.model.robot import Robot
+from service.model import Robot
 from service.web.client import Json
 
 

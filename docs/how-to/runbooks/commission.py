@@ -15,8 +15,8 @@ from inertias import inertia_unit
 from runbook import Exit, Runbook, optional_list, parser_of, run, worst
 
 from service.data_check import check, findings_document
+from service.model import Robot
 from service.model.configuration import read_cell, read_robot
-from service.model.robot import Robot
 from service.store.files.bundle import read_from
 
 

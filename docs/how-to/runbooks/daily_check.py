@@ -12,8 +12,8 @@ import numpy as np
 from inertias import inertia_unit, inertias
 from runbook import Exit, Runbook, judged, optional_list, parser_of, request_of, run, worst
 
-from service.model.errors import BadInput
-from service.model.robot import Robot
+from service import BadInput
+from service.model import Robot
 from service.web.client import Json, ServiceProblem
 
 LEAST_POSES = 3  # per axis; a campaign with fewer poses is itself a check and no reference

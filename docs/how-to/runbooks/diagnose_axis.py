@@ -13,8 +13,8 @@ import sys
 
 from runbook import CELL_HELP, Exit, Runbook, minutes, optional_list, parser_of, run, worst
 
-from service.model.errors import BadInput
-from service.model.robot import Robot
+from service import BadInput
+from service.model import Robot
 from service.web.client import Json
 
 SETTLED = ("none", "named")

@@ -13,10 +13,10 @@ from inertias import inertia_unit
 from runbook import Exit, Runbook, parser_of, run
 
 import sweepid
+from service import BadInput
 from service.cli.terminal import write_file
 from service.data_check import check, findings_document
 from service.formats.traces.trace_import import import_trace
-from service.model.errors import BadInput
 from service.store.files.bundle import write_bundle
 
 

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.formats.export.sheets.inertias import of_estimate
+from service.model import Robot
 from service.model.results.estimate import Estimate
-from service.model.robot import Robot
 
 Array = NDArray[np.float64]
 Json = Mapping[str, Any]

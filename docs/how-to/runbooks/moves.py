@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from service.formats.export.sheets.inertias import Inertias
-from service.model.robot import Robot, RobotDescription, build_robot
+from service.model import Robot, RobotDescription, build_robot
 from service.report.benefit.benefit import ON_THE_AXIS, lever_arm
 
 Json = Mapping[str, Any]

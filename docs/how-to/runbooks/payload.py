@@ -14,8 +14,8 @@ from pathlib import Path
 
 from runbook import CELL_HELP, Exit, Runbook, optional_list, parser_of, run
 
+from service import BadInput, writing
 from service.cli.terminal import write_file
-from service.model.errors import BadInput, writing
 from service.model.results.part import with_std
 from service.model.results.payload import Payload
 from service.web.client import Json, ServiceProblem

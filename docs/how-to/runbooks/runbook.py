@@ -19,9 +19,9 @@ from typing import Any
 
 from moves import Move, moves, robot_of
 
+from service import BadInput, SweepidError
 from service.cli.commands.campaigns import TerminationSignals
-from service.model.errors import BadInput, SweepidError
-from service.model.robot import Robot
+from service.model import Robot
 from service.planning.campaigns.stored_plan import PlanSubject
 from service.web.client import HOST_WATCH, Json, ServiceClient
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self, cast
 
 import typer
 
+from service import BadInput, SweepidError
 from service.cli.terminal import DEFAULT_URL, CellName, ConfirmCell, ConfirmRobot, RobotFile, Url, waiting, write_file
-from service.model.errors import BadInput, SweepidError
 
 if TYPE_CHECKING:
     from service.web.client import Json, ServiceClient

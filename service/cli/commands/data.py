@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service import BadInput
 from service.cli.terminal import Config, DataDir, waiting
-from service.model.errors import BadInput
 
 if TYPE_CHECKING:
     from service.process.settings import Settings

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 import sweepid
+from service import BadInput
 from service.cli.terminal import BundleArg, Gains, JsonTo, counted, put_json, show, waiting
-from service.model.errors import BadInput
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from service.identification.axis.channel_timing import ChannelLags, Lag
     from service.identification.axis.nominal_priors import TorqueGain
     from service.identification.estimates.torque_gain import Calibration, KnownMass
-    from service.model.robot import Robot
+    from service.model import Robot
     from service.report.benefit.benefit import Benefit, ModelBenefit
     from service.store.files.bundle import Bundle
     from sweepid.files import AxisChannels, LagDocument

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import sweepid
+from service import BadInput
 from service.cli.terminal import DEFAULT_URL, BundleArg, JsonTo, SideFile, Source, Url, put_json, waiting
-from service.model.errors import BadInput
 
 if TYPE_CHECKING:
+    from service.model import Robot
     from service.model.results.estimate import Estimate
-    from service.model.robot import Robot
     from service.planning.documents import PlanDocument
     from service.store.files.bundle import Bundle
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import sweepid
+from service import BadInput
 from service.cli.terminal import (
     DEFAULT_URL,
     BundleArg,
@@ -20,16 +21,12 @@ from service.cli.terminal import (
     waiting,
     write_file,
 )
-from service.model.errors import BadInput
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from service.model import Array, Robot
     from service.model.results.diagnosis import DiagnosedModel
     from service.model.results.estimate import Estimate
     from service.model.results.sheet import AxisCheck, SheetCheck
-    from service.model.robot import Robot
 
 
 def identify(
@@ -176,7 +173,7 @@ def _line(axis: AxisCheck) -> str:
     )
 
 
-def of_bundle(place: Path) -> tuple[Robot, Estimate, dict[str, NDArray[np.float64]]]:
+def of_bundle(place: Path) -> tuple[Robot, Estimate, dict[str, Array]]:
     """Robot, estimate and the poses of each axis."""
     measured = sweepid.read_bundle(place)
     specs = {sweep.spec.id: sweep.spec.pose for sweep in measured.sweeps}
@@ -184,10 +181,10 @@ def of_bundle(place: Path) -> tuple[Robot, Estimate, dict[str, NDArray[np.float6
     return measured.robot, estimate, _poses(estimate, specs)
 
 
-def of_campaign(number: int, url: str) -> tuple[Robot, Estimate, dict[str, NDArray[np.float64]]]:
+def of_campaign(number: int, url: str) -> tuple[Robot, Estimate, dict[str, Array]]:
     """The same of a campaign of the service."""
+    from service.model import RobotDescription, build_robot
     from service.model.results.estimate import Estimate
-    from service.model.robot import RobotDescription, build_robot
     from service.web.client import ServiceClient
 
     with ServiceClient(url) as client:
@@ -198,7 +195,7 @@ def of_campaign(number: int, url: str) -> tuple[Robot, Estimate, dict[str, NDArr
     return robot, estimate, _poses(estimate, specs)
 
 
-def _poses(estimate: Estimate, specs: dict[str, tuple[float, ...]]) -> dict[str, NDArray[np.float64]]:
+def _poses(estimate: Estimate, specs: dict[str, tuple[float, ...]]) -> dict[str, Array]:
     """Of the sweeps that each axis was identified by."""
     import numpy as np
 

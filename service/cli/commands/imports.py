@@ -12,12 +12,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service import BadInput, writing
 from service.cli.terminal import DEFAULT_URL, Url, put_json, waiting, write_file
-from service.model.errors import BadInput, writing
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
     from rich.console import Console
 
     from service.data_check import DataFinding
@@ -29,6 +27,7 @@ if TYPE_CHECKING:
         ServoTuning,
         Size,
     )
+    from service.model import Array
 
 
 def import_bundle(
@@ -219,7 +218,7 @@ def import_control_file(path: Path, given: Given, out: Path | None, json_to: str
     _print(document, Console())
 
 
-def _write(out: Path, text: str, tables: dict[str, dict[str, NDArray[np.float64]]]) -> None:
+def _write(out: Path, text: str, tables: dict[str, dict[str, Array]]) -> None:
     import numpy as np
 
     with writing(out):

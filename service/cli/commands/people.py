@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service import BadInput
 from service.cli.terminal import Config, DataDir, write_file
-from service.model.errors import BadInput
 
 if TYPE_CHECKING:
     from service.store.access import Role

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from service import BadInput
 from service.cli.terminal import DEFAULT_URL, Url, waiting, write_report
-from service.model.errors import BadInput
 
 Form = Literal["html", "pdf", "json"]
 

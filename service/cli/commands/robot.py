@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service import BadInput, writing
 from service.cli.terminal import write_file
-from service.model.errors import BadInput, writing
 
 if TYPE_CHECKING:
     from rich.console import Console

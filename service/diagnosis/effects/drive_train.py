@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import (
     CatalogueEffect,
@@ -18,8 +17,7 @@ from service.diagnosis.effects.effect import (
     spread,
 )
 from service.diagnosis.rows.signals import Complex, Tracks, back, spectrum, through
-
-Array = NDArray[np.float64]
+from service.model import Array, Indices
 
 RATIO = (0.8, 1.25)  # limits, relative to the value for two masses
 
@@ -187,9 +185,7 @@ def _backlash_scan(tracks: Tracks, model: Model, shapes: Sequence[Shape]) -> Seq
     return [[result[k]] for k in range(len(shapes))]
 
 
-def missing(
-    tracks: Tracks, gravity: Array, rows: NDArray[np.int_], inertia: Array, viscous: Array, plays: Array
-) -> Array:
+def missing(tracks: Tracks, gravity: Array, rows: Indices, inertia: Array, viscous: Array, plays: Array) -> Array:
     """Torque difference (plays, rows, t) for backlash `plays` (rad): no load torque between the flanks, and impacts.
 
     In the frame of the motor: r is the motor angle minus the load angle; r'' = a + (gravity + b v_l) / J while |r|

@@ -12,10 +12,10 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, NotRequired, TypedDict, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service import BadInput
 from service.diagnosis.rows.signals import Tracks
-from service.model.errors import BadInput
+from service.model import Array
 
 Parts = dict[str, float]  # of a spring, of a ripple, ...
 
@@ -110,7 +110,6 @@ def merged(first: AnyPart, second: Mapping[str, object]) -> AnyPart:
     return result
 
 
-Array = NDArray[np.float64]
 Shape = tuple[float, ...]
 Readout = Mapping[str, tuple[float, float, str]]
 """Value, standard deviation and unit of parameters by name."""

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import (
     CatalogueEffect,
@@ -18,6 +17,7 @@ from service.diagnosis.effects.effect import (
     spread,
 )
 from service.diagnosis.rows.signals import Tracks, bristles
+from service.model import Array
 
 COULOMB_FRICTION = CatalogueEffect(
     name="coulomb_friction",
@@ -57,9 +57,6 @@ ASYMMETRIC_FRICTION = CatalogueEffect(
     essential=1,
     possible=_asymmetric_possible,
 )
-
-
-Array = NDArray[np.float64]
 
 
 def _stribeck_columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:

@@ -3,13 +3,11 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import CatalogueEffect, Model, Patch, Readout, Shape, named, positive
 from service.diagnosis.rows.rigid import deviations_left, load_rows
 from service.diagnosis.rows.signals import Tracks
-
-Array = NDArray[np.float64]
+from service.model import Array
 
 
 def _gravity_readout(tracks: Tracks, change: Array, covariance: Array) -> Readout:

@@ -3,13 +3,11 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import CatalogueEffect, Model, Patch, Readout, Shape, ShapeParameter, named
 from service.diagnosis.rows.rigid import load_rows, nominal_parameters
 from service.diagnosis.rows.signals import PaddedSpectrum, Tracks, spectrum
-
-Array = NDArray[np.float64]
+from service.model import Array
 
 
 def _delay_columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:

@@ -16,20 +16,17 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service import BadInput
 from service.diagnosis.fit.equations import nominal_right
 from service.diagnosis.rows.rigid import load_rows
 from service.diagnosis.rows.signals import Tracks, tracks
 from service.identification.axis.nominal_priors import TorqueGain
 from service.identification.estimates.torque_gain import KnownMass, torque_gains
-from service.identification.model.least_squares import finite
+from service.identification.model import finite
 from service.identification.spectra.frequency_response import spectrum
-from service.model.errors import BadInput
-from service.model.recording import Sweep, SweepSpec
-from service.model.robot import Robot
+from service.model import Array, Robot, Sweep, SweepSpec
 
-Array = NDArray[np.float64]
 Visit = tuple[int, tuple[int, ...]]
 
 

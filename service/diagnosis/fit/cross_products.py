@@ -18,10 +18,10 @@ from enum import Enum
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 
-from service.model.errors import SweepidError
+from service import SweepidError
+from service.model import Array, Indices, Mask
 
 
 class Ended(Enum):
@@ -31,8 +31,6 @@ class Ended(Enum):
     AT_REST = "no step, also not a shortened or damped one, lowers the cost"
     UNFINISHED = "the result still changes in the last one"
 
-
-Array = NDArray[np.float64]
 
 FLAT = 1e-12  # of a column's own product: below, it is a linear combination of the others
 
@@ -94,8 +92,7 @@ def _scaled(system: Array, precision: Array) -> tuple[Array, Array, Array]:
     return values, vectors, scale
 
 
-Mask = NDArray[np.bool_]
-Index = NDArray[np.int_]
+Index = Indices
 Gathered = tuple[Array, ...]  # for each fold (k, rows)
 
 ORDER = 8  # of the autoregressive model

@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Model, Shape
@@ -33,10 +32,8 @@ from service.diagnosis.fit.cross_products import (
 )
 from service.diagnosis.rows.rigid import Rigid, nominal_load, rigid
 from service.diagnosis.rows.signals import EVERY, Complex, Tracks, bins, through, white_covariance
-from service.identification.model.least_squares import finite
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from service.identification.model import finite
+from service.model import Array, Mask
 
 COLOURED = 3.0  # times the RMS of white sensor noise: flicker noise and drift give about 2
 

@@ -13,14 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Inexpressible, Patch
 from service.diagnosis.fit.cross_products import Gathered, covariance, solve
 from service.diagnosis.fit.equations import Equations, Term, with_base
-
-Array = NDArray[np.float64]
+from service.model import Array
 
 ABSORBED = 0.01  # part of the residual that counts as an additional parameter error
 

@@ -9,13 +9,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.diagnosis.fit.cross_products import ORDER, Group, given_rest, pairing, solve, symmetric
 from service.diagnosis.fit.equations import Equations, Term, reshaped
+from service.model import Array
 from service.model.results.diagnosis import Gap, PoseGap
-
-Array = NDArray[np.float64]
 
 
 def gap(given: Equations, before: Array, after: Array, unseen: Sequence[int], twin_rms: float | None = None) -> Gap:

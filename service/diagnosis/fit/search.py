@@ -11,15 +11,13 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Shape, ShapeParameter
 from service.diagnosis.fit.cross_products import Ended, Gathered, solve, symmetric
 from service.diagnosis.fit.equations import Equations, Term, remodelled, reshaped, with_base
 from service.diagnosis.fit.gap import over_floor
-
-Array = NDArray[np.float64]
+from service.model import Array
 
 LONGEST = 0.7  # largest step of the logarithm of a shape parameter
 NUDGE = 1e-3  # step for numerical derivatives

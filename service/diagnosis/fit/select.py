@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from service.diagnosis.effects import CATALOGUE
@@ -25,8 +24,7 @@ from service.diagnosis.fit.equations import Equations, Term, remodelled, with_ba
 from service.diagnosis.fit.fitted import by_name, of_load
 from service.diagnosis.fit.gap import over_floor
 from service.diagnosis.fit.search import LITTLE, NEAR_FLOOR, CurrentModel, Explanation, bends, together
-
-Array = NDArray[np.float64]
+from service.model import Array
 
 CHANCE = 1e-4  # probability that an effect is named although there is none
 MATERIAL = 0.004  # of the noise variance

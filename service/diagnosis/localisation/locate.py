@@ -15,9 +15,8 @@ from scipy.special import fdtrc, ndtri
 from service.diagnosis.fit.cross_products import Group
 from service.diagnosis.fit.equations import Equations
 from service.diagnosis.rows.signals import EVERY, Tracks, row_samples
+from service.model import Array, Indices, Mask
 from service.model.results.diagnosis import Cell, Example
-
-Array = NDArray[np.float64]
 
 SIGNIFICANT = 5.0
 MANY = 1.5  # times the total RMS: a cell above is reported
@@ -33,8 +32,8 @@ class _Rows:
 
     product: Array
     after: Array
-    number: NDArray[np.int_]  # of the sweep
-    row: NDArray[np.int_]
+    number: Indices  # of the sweep
+    row: Indices
 
 
 def cells(tracks: Tracks, groups: Sequence[Group], residual: Array, after: Array, noise: float) -> tuple[Cell, ...]:
@@ -140,7 +139,7 @@ def _power(signal: Array, time: Array, frequency: float) -> float:
     return float(2 * np.abs(np.mean(signal * np.exp(-2j * np.pi * frequency * time))) ** 2)
 
 
-def _cell(dimension: str, value: str, rows: _Rows, here: NDArray[np.bool_], noise: float) -> Cell:
+def _cell(dimension: str, value: str, rows: _Rows, here: Mask, noise: float) -> Cell:
     mean, after = float(rows.product[here].mean()), float(rows.after[here].mean())
     # the filter correlates neighbouring rows: about four are one independent value
     significance = mean / max(noise**2, 1e-300) * np.sqrt(np.count_nonzero(here) / 4)
@@ -156,8 +155,8 @@ def _cell(dimension: str, value: str, rows: _Rows, here: NDArray[np.bool_], nois
 def _rows(tracks: Tracks, groups: Sequence[Group], residual: Array, after: Array, noise: float) -> _Rows:
     products: list[Array] = []
     remaining: list[Array] = []
-    numbers: list[NDArray[np.int_]] = []
-    at: list[NDArray[np.int_]] = []
+    numbers: list[Indices] = []
+    at: list[Indices] = []
     for group in groups:
         good = np.stack([tracks.usable[p.sweep, p.first : p.first + p.rows] for p in group.pieces]).all(axis=0)
         where = np.flatnonzero(good)

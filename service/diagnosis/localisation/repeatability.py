@@ -8,12 +8,10 @@ in the top band of the record, where there is no machine motion.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.diagnosis.fit.equations import Equations
 from service.diagnosis.rows.signals import EVERY
-
-Array = NDArray[np.float64]
+from service.model import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,14 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.data_check import DataFinding
 from service.diagnosis.fit.equations import Equations
 from service.diagnosis.rows.signals import BAND, row_samples
-from service.model.robot import Axis, Robot
-
-Array = NDArray[np.float64]
+from service.model import Array, Axis, Complex, Mask, Robot
 
 PEAK = 0.3  # of the residual power: a ripple above is reported
 
@@ -125,17 +122,13 @@ def _orders(given: Equations, turning: Sequence[tuple[int, int]], ratio: float, 
     return np.arange(lowest, highest, step) if highest > lowest else np.empty(0)
 
 
-def _amplitudes(
-    left: Array, angle: Array, usable: NDArray[np.bool_], sweep: int, orders: Array
-) -> NDArray[np.complex128]:
+def _amplitudes(left: Array, angle: Array, usable: Mask, sweep: int, orders: Array) -> Complex:
     good = usable[sweep]
     wave = np.exp(-1j * np.outer(orders, angle[sweep][good]))
     return np.asarray(2 * (wave @ left[sweep][good]) / max(int(good.sum()), 1), dtype=np.complex128)
 
 
-def _spectrum(
-    left: Array, angle: Array, usable: NDArray[np.bool_], turning: Sequence[tuple[int, int]], orders: Array
-) -> Array:
+def _spectrum(left: Array, angle: Array, usable: Mask, turning: Sequence[tuple[int, int]], orders: Array) -> Array:
     total = np.zeros(len(orders))
     for one, other in turning:
         first = _amplitudes(left, angle, usable, one, orders)
@@ -144,7 +137,7 @@ def _spectrum(
     return total / len(turning)
 
 
-def _power(left: Array, usable: NDArray[np.bool_], turning: Sequence[tuple[int, int]]) -> float:
+def _power(left: Array, usable: Mask, turning: Sequence[tuple[int, int]]) -> float:
     """Repeatable power, N^2 m^2."""
     powers: list[float] = []
     for one, other in turning:
@@ -156,7 +149,7 @@ def _power(left: Array, usable: NDArray[np.bool_], turning: Sequence[tuple[int, 
 def _refined(
     left: Array,
     angle: Array,
-    usable: NDArray[np.bool_],
+    usable: Mask,
     turning: Sequence[tuple[int, int]],
     order: float,
     travel: float,
@@ -171,7 +164,7 @@ def _refined(
     return float(tried[int(np.argmax(np.abs(total)))])
 
 
-def _without(left: Array, angle: Array, usable: NDArray[np.bool_], order: float) -> Array:
+def _without(left: Array, angle: Array, usable: Mask, order: float) -> Array:
     """The residual without this line in each sweep."""
     result = left.copy()
     for k in range(len(left)):

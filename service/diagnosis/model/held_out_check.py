@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Inexpressible, Patch
@@ -25,9 +24,7 @@ from service.diagnosis.fit.select import local
 from service.diagnosis.model.scenario import axis_entry, gravity_of_fit
 from service.diagnosis.model.twin import TwinRun, torques, ways
 from service.diagnosis.rows.signals import laid_out
-from service.model.recording import Sweep
-
-Array = NDArray[np.float64]
+from service.model import Array, Sweep
 
 
 @dataclass(frozen=True)

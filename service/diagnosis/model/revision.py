@@ -20,10 +20,9 @@ from service.diagnosis.model.scenario import (
     joined,
     stiffened,
 )
-from service.model.arrays import Array
+from service.model import Array, Robot
 from service.model.results.diagnosis import AxisDiagnosis, DiagnosedModel, Diagnosis
 from service.model.results.effect import AxisFit, ModelRevision, RevisedAxis
-from service.model.robot import Robot
 
 Axes = Mapping[str, RevisedAxis]
 

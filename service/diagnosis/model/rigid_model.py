@@ -1,16 +1,12 @@
 """The identified rigid model in base parameters: CAD value, value from these sweeps, standard deviation."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.diagnosis.fit.equations import Equations
 from service.diagnosis.model.held_out_check import Fit
 from service.diagnosis.rows.rigid import SLACK, deviations_left, load_rows, nominal_parameters, parameter_spread
-from service.identification.model.base_parameters import joint_ranges, reduce_columns
-from service.identification.model.regressor import parameter_names
+from service.identification.model import joint_ranges, parameter_names, reduce_columns
 from service.model.results.diagnosis import RigidParameter
-
-Array = NDArray[np.float64]
 
 VISCOUS = "viscous_friction"
 

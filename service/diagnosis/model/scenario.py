@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from service.diagnosis.effects.effect import (
@@ -24,11 +23,10 @@ from service.diagnosis.effects.effect import (
     TrainEntry,
     merged,
 )
-from service.identification.model.regressor import gravity_terms, inertia_rows
-from service.model.robot import Robot
-from service.model.urdf import inertia_vector, read_inertial, transform_inertial
+from service.identification.model import gravity_terms, inertia_rows
+from service.model import Array, Robot, inertia_vector, transform_inertial
+from service.model.urdf import read_inertial
 
-Array = NDArray[np.float64]
 Links = Mapping[str, LinkEntry]
 """The links of a scenario, by name."""
 

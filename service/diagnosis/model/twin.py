@@ -5,16 +5,13 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from service.diagnosis.effects.effect import Inexpressible
 from service.diagnosis.model.scenario import AxisEntry
-from service.model.recording import Sweep
-from service.model.robot import Robot
+from service.model import Array, Robot, Sweep
 from simulator import DriveTrain, Gravity, Measurement, Motion, MovingAxis, Turn, replay, warmth
 
-Array = NDArray[np.float64]
 Part = TypeVar("Part", DriveTrain, Measurement)
 
 

@@ -4,13 +4,10 @@ from collections.abc import Sequence
 from dataclasses import fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service import BadInput
 from service.diagnosis.rows.signals import is_evidence
-from service.model.errors import BadInput
-from service.model.recording import Recording, Sweep
-
-Array = NDArray[np.float64]
+from service.model import Recording, Sweep
 
 
 def in_periods(joint: str, sweeps: Sequence[Sweep]) -> list[Sweep]:

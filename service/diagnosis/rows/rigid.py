@@ -18,13 +18,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from service.identification.model.regressor import axis_rows, gravity_rows
-from service.model.robot import Knowledge, Robot
-
-Array = NDArray[np.float64]
+from service.identification.model import axis_rows, gravity_rows
+from service.model import Array, Indices, Knowledge, Robot
 
 SLACK = 1e-5  # of the rated effort, one sigma: elastic links, inexact lengths in CAD
 LEAST_MOMENT = 0.05  # m times the mass: smallest first moment to which the relative prior applies
@@ -46,7 +43,7 @@ class Rigid:
         """(3, m) for coefficients (k,)."""
         return self.nominal + np.tensordot(coefficients, self.basis, axes=1)
 
-    def along(self, pose_index: NDArray[np.int_], parts: Array) -> Array:
+    def along(self, pose_index: Indices, parts: Array) -> Array:
         """The columns of the load (n, t, k) for signals (3, n, t) that multiply it, each sweep in its pose."""
         return np.einsum("bkn,knt->ntb", self.basis[:, :, pose_index], parts, optimize=True)
 

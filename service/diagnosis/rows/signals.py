@@ -12,18 +12,12 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
-from service.identification.model.least_squares import finite
-from service.identification.model.regressor import gravity_rows
+from service import BadInput
+from service.identification.model import finite, gravity_rows
 from service.identification.motion.trajectory_record import runs_at_once
-from service.model.errors import BadInput
-from service.model.recording import Recording, Sweep, SweepSpec
-from service.model.robot import Robot
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from service.model import Array, Complex, Indices, Mask, Recording, Robot, Sweep, SweepSpec
 
 ENDING = 0.05  # s, in which the slope at the end of a record decreases to zero
 
@@ -103,8 +97,6 @@ def _padded(samples: int) -> int:
     return next_fast_len(3 * samples, real=True)
 
 
-Mask = NDArray[np.bool_]
-
 RATE = 250.0  # Hz, of the columns
 BAND = 20.0  # Hz, of the Gaussian
 BLOCK = 32  # rows filtered in one operation
@@ -129,7 +121,7 @@ class Tracks:
     joint: str
     specs: tuple[SweepSpec, ...]
     rate: float
-    pose_index: NDArray[np.int_]
+    pose_index: Indices
     poses: Array
     time: Array
     effort: Array
@@ -282,7 +274,7 @@ def white_covariance(signal: Array, inside: Mask, rate: float, lags: int) -> Arr
     return float(np.median(powers)) * np.array([kernel @ every[k * EVERY :][: len(kernel)] for k in range(lags + 1)])
 
 
-def row_samples(samples: int, rate: float) -> NDArray[np.int_]:
+def row_samples(samples: int, rate: float) -> Indices:
     """Sample numbers of the rows."""
     reach = len(_kernel(rate)) // 2
     return np.arange(reach, samples - reach, EVERY)
@@ -414,7 +406,7 @@ def _jitter(sweeps: Sequence[Sweep]) -> float:
     return float(np.median([np.std(np.diff(sweep.recording.position, 8)) for sweep in sweeps])) / np.sqrt(12870)
 
 
-def _poses(sweeps: Sequence[Sweep]) -> tuple[Array, NDArray[np.int_]]:
+def _poses(sweeps: Sequence[Sweep]) -> tuple[Array, Indices]:
     """The poses (m, all joints), and for each sweep the number of its pose (n,)."""
     commanded = np.array([sweep.spec.pose for sweep in sweeps])
     # 1e-3 rad (m): largest difference of the joints within one pose

@@ -20,13 +20,12 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from service import BadInput, writing
 from service.formats.export.model import IdentifiedModel, LinkBody, body_of
 from service.identification.model.physical_consistency import SearchEnded, nearest_physical
-from service.model.arrays import Array
-from service.model.errors import BadInput, writing
+from service.model import INERTIAL_NAMES, Array, joint_end, transform_inertial
 from service.model.results.combination import FrictionPoint
-from service.model.robot import INERTIAL_NAMES
-from service.model.urdf import joint_end, read_inertial, read_origin, transform_inertial
+from service.model.urdf import read_inertial, read_origin
 
 Yaml = str | float | None | Sequence["Yaml"] | Mapping[str, "Yaml"]
 

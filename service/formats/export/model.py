@@ -7,12 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
+from service import BadInput
 from service.identification.estimates.standard_parameters import AxisWorth, NominalModel, ObservedCombinations
+from service.identification.model import dynamic_base, fold, lock
 from service.identification.model.base_parameters import base_parameters
-from service.identification.model.inverse_dynamics import dynamic_base
-from service.identification.model.regressor import fold, lock
-from service.model.arrays import Array
-from service.model.errors import BadInput
+from service.model import INERTIAL_NAMES, Array, Robot, inertia_matrix
 from service.model.results.combination import Combination, FrictionPoint
 from service.model.results.estimate import (
     BaseParameter,
@@ -23,8 +22,6 @@ from service.model.results.estimate import (
     UsedEffect,
 )
 from service.model.results.part import Column, Shown, Table
-from service.model.robot import INERTIAL_NAMES, Robot
-from service.model.urdf import inertia_matrix
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from service.model.errors import BadInput, writing
-from service.model.recording import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, Sweep, SweepSpec
-from service.model.robot import Robot, RobotDescription
+from service import BadInput, writing
+from service.model import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, Robot, RobotDescription, Sweep, SweepSpec
 from service.store.files.bundle import Bundle, write_bundle
 from service.store.files.columns import columns_of, write_columns
 

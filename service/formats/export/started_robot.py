@@ -18,18 +18,15 @@ from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from service import BadInput
 from service.formats.export import identified_model
 from service.formats.export.files import as_urdf
 from service.identification.axis.nominal_priors import link_spread
+from service.identification.model import fold, lock
 from service.identification.model.base_parameters import base_parameters
-from service.identification.model.regressor import fold, lock
-from service.model.errors import BadInput
-from service.model.robot import Knowledge, Robot, build_robot
-
-Array = NDArray[np.float64]
+from service.model import Knowledge, Robot, build_robot
 
 
 class _Base(BaseModel):

@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from service.model.errors import BadInput
-from service.model.robot import rotation_about
-from service.model.urdf import joint_end, read_axis, read_inertial, read_origin
+from service import BadInput
+from service.model import joint_end, rotation_about
+from service.model.urdf import read_axis, read_inertial, read_origin
 
 MOVING = ("revolute", "continuous", "prismatic")
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import yaml
 
+from service import BadInput
 from service.formats.maker_urdf.chain import UrdfFinding, choose_chain
 from service.formats.maker_urdf.inertials import (
     POSES,
@@ -20,13 +21,10 @@ from service.formats.maker_urdf.inertials import (
     random_poses,
 )
 from service.formats.maker_urdf.packages import Packages
-from service.model.arrays import Array
+from service.model import Array, Axis, Chain, Joint, Most, Robot, RobotDescription, build_robot, read_chain
 from service.model.collision import CollisionChecker
 from service.model.configuration import Cell
-from service.model.errors import BadInput
-from service.model.physical_bounds import Most
-from service.model.robot import Axis, Robot, RobotDescription, build_robot
-from service.model.urdf import MOST_LINKS, Chain, Joint, look_over, read_chain
+from service.model.urdf import MOST_LINKS, look_over
 
 Pair = tuple[str, str]
 CLEARANCE, MARGIN = 0.03, 0.02  # m; rad (m)

@@ -16,23 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from service import BadInput
 from service.formats.maker_urdf.chain import UrdfFinding
 from service.formats.maker_urdf.packages import Packages, mesh_points
-from service.model.arrays import Array
-from service.model.errors import BadInput
-from service.model.physical_bounds import Most
-from service.model.robot import link_frames
-from service.model.urdf import (
-    Chain,
-    collision_meshes,
-    inertia_at_centre,
-    joint_end,
-    read_chain,
-    read_hull,
-    read_inertial,
-    read_origin,
-    write_hull,
-)
+from service.model import Array, Chain, Most, joint_end, link_frames, read_chain
+from service.model.urdf import collision_meshes, inertia_at_centre, read_hull, read_inertial, read_origin, write_hull
 
 POSES = 200  # random ones, to find shapes that overlap by construction, and loads
 FINEST = 1e-4  # m, edge of the grid's cells

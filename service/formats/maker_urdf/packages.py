@@ -24,10 +24,9 @@ import numpy as np
 import xacro
 from numpy.typing import NDArray
 
-from service.model.arrays import Array
+from service import BadInput
+from service.model import Array, rotation_about
 from service.model.configuration import read_text
-from service.model.errors import BadInput
-from service.model.robot import rotation_about
 
 
 @dataclass(frozen=True, slots=True)

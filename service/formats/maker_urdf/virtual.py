@@ -12,12 +12,21 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict
 
+from service import BadInput
 from service.formats.maker_urdf.check import cell_text
 from service.formats.maker_urdf.inertials import gravity_efforts, random_poses
-from service.model.arrays import Array
-from service.model.errors import BadInput
-from service.model.robot import Robot, RobotDescription, link_frames, robot_from_outside
-from service.model.urdf import Chain, Joint, inertia_matrix, read_chain, transform_inertial
+from service.model import (
+    Array,
+    Chain,
+    Joint,
+    Robot,
+    RobotDescription,
+    inertia_matrix,
+    link_frames,
+    read_chain,
+    robot_from_outside,
+    transform_inertial,
+)
 
 
 @dataclass(frozen=True)

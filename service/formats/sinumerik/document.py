@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from service import BadInput
 from service.formats.sinumerik.measurement import GAIN, PARAMETERS, LoopMeasurement, Quantity, SpeedController, Tuning
 from service.identification.spectra.speed_loop import LoopFit, fit_closed_loop, fit_torque_response
-from service.model.arrays import Array, Complex
-from service.model.errors import BadInput
+from service.model import Array, Complex
 from service.model.results.part import Part
 
 COHERENT = 0.5  # minimum coherence of a line that is used, if the file has a coherence

@@ -19,9 +19,9 @@ from enum import Enum
 
 import numpy as np
 
+from service import BadInput
 from service.formats.sinumerik.members import Member
-from service.model.arrays import Array, Complex
-from service.model.errors import BadInput
+from service.model import Array, Complex
 from service.model.results.part import Part
 
 DRIVE, CONTROL = 5, 6  # platforms of signals and parameters

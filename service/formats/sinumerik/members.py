@@ -12,8 +12,8 @@ from xml.parsers import expat
 
 import numpy as np
 
-from service.model.arrays import Array
-from service.model.errors import BadInput
+from service import BadInput
+from service.model import Array
 
 LARGEST = 32_000_000  # bytes of a file; the control writes 0.2 to 0.3 MB
 

@@ -16,9 +16,9 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import fftconvolve
 
+from service import BadInput
 from service.identification.design.excitation import Excitation, way
-from service.model.arrays import Array
-from service.model.errors import BadInput
+from service.model import Array
 
 RESIDUAL = 0.05  # of the sines' RMS amplitude
 START = 2e-3  # rad (m)

@@ -19,8 +19,8 @@ from typing import Any, Protocol, cast
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from service.model.arrays import Array
-from service.model.errors import BadInput
+from service import BadInput
+from service.model import Array
 from service.store.files.isolated_reader import LIMITS, Limits, read_isolated
 
 # exceptions of the libraries for truncated or malicious files; memory and disk errors are not caught

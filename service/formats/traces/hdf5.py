@@ -10,6 +10,7 @@ from typing import Any, cast
 import h5py
 import numpy as np
 
+from service import BadInput
 from service.formats.traces.containers import (
     ChannelName,
     ListedChannel,
@@ -22,7 +23,6 @@ from service.formats.traces.containers import (
     split_source,
     taken_of,
 )
-from service.model.errors import BadInput
 from service.store.files.columns import MOST_NUMBERS
 
 _h5: Any = h5py  # has no types; each value is checked when it is read

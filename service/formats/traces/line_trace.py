@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
+from service import BadInput
 from service.formats.sinumerik.members import parse
 from service.formats.traces.containers import ChannelName, ListedChannel, Taken, check_numbers, shown
 from service.formats.traces.units import axis_of, role_of
-from service.model.arrays import Array
-from service.model.errors import BadInput
+from service.model import Array
 from service.store.files.columns import LARGEST_CSV, MOST_NUMBERS
 
 _UNITS = {"posn": "posn", "velo": "velo", "torque": "motor Nm", "force": "N", "current": "A", "percent": "%"}

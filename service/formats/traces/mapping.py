@@ -9,9 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 
-from service.model.physical_bounds import Most, Position, Velocity
-from service.model.recording import Name, SweepSpec
-from service.model.robot import Axis, Prior
+from service.model import Axis, Most, Name, Position, Prior, SweepSpec, Velocity
 
 Unit = Literal[
     "axis position",  # deg or mm as the CNC displays it: with the direction and zero of the CNC axis

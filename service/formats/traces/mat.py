@@ -8,6 +8,7 @@ import numpy as np
 from scipy.io import loadmat, whosmat
 from scipy.io.matlab import MatlabOpaque, MatReadError
 
+from service import BadInput
 from service.formats.traces.containers import (
     ChannelName,
     ListedChannel,
@@ -19,7 +20,6 @@ from service.formats.traces.containers import (
     shown,
     taken_of,
 )
-from service.model.errors import BadInput
 from service.store.files.columns import MOST_NUMBERS
 
 LIBRARY_ERRORS: tuple[type[Exception], ...] = (MatReadError,)

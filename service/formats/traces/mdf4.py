@@ -17,10 +17,10 @@ from asammdf.blocks.mdf_v4 import MDF4
 from asammdf.blocks.utils import MdfException
 from numpy.typing import NDArray
 
+from service import BadInput
 from service.formats.traces.containers import ChannelName, ListedChannel, Taken, check_numbers, shown
 from service.formats.traces.units import to_si
-from service.model.arrays import Array
-from service.model.errors import BadInput
+from service.model import Array, Mask
 from service.store.files.columns import MOST_NUMBERS
 
 try:
@@ -167,7 +167,7 @@ def _values(file: Any, place: tuple[int, int], path: str) -> Array:
     here = f"{path} channel {channel.name}"
     factor, offset = _conversion(channel.conversion, here)
     raw, invalid = cast(
-        "tuple[NDArray[Any], NDArray[np.bool_] | None]",
+        "tuple[NDArray[Any], Mask | None]",
         file.get(group=group, index=number, raw=True, samples_only=True, ignore_invalidation_bits=True),
     )
     if raw.ndim != 1 or raw.dtype.kind not in "iuf":

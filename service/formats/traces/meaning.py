@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from service import BadInput
 from service.formats.traces.mapping import SourceColumn
 from service.formats.traces.units import QUANTITIES, measures, quantity_of, to_si
-from service.model.arrays import Array
-from service.model.errors import BadInput
+from service.model import Array
 
 FITS = math.log(1.15)  # a ratio of speeds may be off by 15 %; units differ by more
 _SHOWN = ("", "velo", "velo motor")  # no unit, or the one that a control shows

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from service import BadInput
 from service.formats.traces.containers import (
     ChannelName,
     ListedChannel,
@@ -19,8 +20,7 @@ from service.formats.traces.line_trace import LineTrace
 from service.formats.traces.mapping import Columns, Csv, FromPosition, Mapping, SourceColumn, TraceSweep
 from service.formats.traces.tables import TextTable
 from service.formats.traces.units import find_roles
-from service.model.arrays import Array
-from service.model.errors import BadInput
+from service.model import Array
 from service.store.files.columns import read_table, table_names
 
 GROUPED = ("mdf4", "hdf5", "ros", "xml")

@@ -19,9 +19,9 @@ from rosbags.rosbag2 import ReaderError as Ros2Error
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
+from service import BadInput
 from service.formats.traces.containers import ChannelName, ListedChannel, Taken, check_numbers, shown
-from service.model.arrays import Array
-from service.model.errors import BadInput
+from service.model import Array
 from service.store.files.columns import MOST_NUMBERS
 
 LIBRARY_ERRORS: tuple[type[Exception], ...] = (AnyReaderError, McapError, Ros1Error, Ros2Error, SerdeError)

@@ -21,11 +21,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pa_csv
 
+from service import BadInput
 from service.formats.traces.containers import ChannelName, ListedChannel, Taken, check_numbers, first_bytes, shown
 from service.formats.traces.mapping import Csv
 from service.formats.traces.units import known_unit, measures, unit_in
-from service.model.arrays import Array
-from service.model.errors import BadInput
+from service.model import Array
 from service.store.files.columns import LARGEST_CSV, MOST_NUMBERS
 
 _STAMP = re.compile(

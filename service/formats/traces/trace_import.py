@@ -24,6 +24,7 @@ import yaml
 from pydantic import ValidationError
 from scipy.signal import butter, sosfiltfilt
 
+from service import BadInput
 from service.formats.traces.alignment import check_follows, motion_start
 from service.formats.traces.mapping import CncAxis, Columns, FromPosition, Mapping, SingleAxis, TraceSweep
 from service.formats.traces.meaning import KnownTrain, SourceChannel, find_kind, scalings
@@ -33,11 +34,8 @@ from service.formats.traces.units import check_same, to_si
 from service.identification.design.excitation import Excitation, way
 from service.identification.estimates.estimate import identify
 from service.identification.spectra.frequency_response import spectrum
-from service.model.arrays import Array
+from service.model import Array, Axis, Recording, Robot, RobotDescription, Sweep, SweepSpec, robot_from_outside
 from service.model.configuration import bad_field, read_robot, read_yaml
-from service.model.errors import BadInput
-from service.model.recording import Recording, Sweep, SweepSpec
-from service.model.robot import Axis, Robot, RobotDescription, robot_from_outside
 from service.store.files.columns import check_samples
 
 

@@ -12,9 +12,9 @@ import re
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
+from service import BadInput
 from service.formats.traces.containers import ListedChannel, shown
 from service.formats.traces.mapping import Unit
-from service.model.errors import BadInput
 
 Scaling = tuple[float, float]  # factor and offset
 

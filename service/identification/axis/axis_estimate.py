@@ -58,14 +58,11 @@ from service.identification.axis.nominal_priors import (
     with_known_hose,
     with_known_spring,
 )
-from service.identification.model.least_squares import unsettled
-from service.identification.model.regressor import axis_rows, gravity_terms
+from service.identification.model import axis_rows, gravity_terms, unsettled
 from service.identification.spectra.frequency_response import Spectrum
 from service.identification.spectra.time_domain import fit_record
-from service.model.arrays import Array, Complex
+from service.model import Array, Chain, Complex, Robot
 from service.model.results.estimate import Suspect
-from service.model.robot import Robot
-from service.model.urdf import Chain
 
 SAME_SINES = 1e-6  # relative, of frequencies and amplitudes; phases, rad
 

@@ -29,16 +29,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
+from service import BadInput
 from service.identification.axis.drive_train import OWN, SHARED, TwoMassTrain, effort_residual
 from service.identification.axis.joint_fit import FitLimits, complete_prior, real_parts
 from service.identification.axis.nominal_priors import NOISE_GUESS, PosePrior, SharedPrior, pose_prior, shared_prior
-from service.identification.model.least_squares import SearchResult, converged, finite, scaled_inverse
-from service.identification.model.regressor import axis_rows, gravity_terms, inertial_parameters
+from service.identification.model import (
+    SearchResult,
+    axis_rows,
+    converged,
+    finite,
+    gravity_terms,
+    inertial_parameters,
+    scaled_inverse,
+)
 from service.identification.spectra.frequency_response import Spectrum, spectrum, window
-from service.model.arrays import Array, Complex
-from service.model.errors import BadInput
-from service.model.recording import Sweep
-from service.model.robot import Robot
+from service.model import Array, Complex, Robot, Sweep
 
 START_SQUARE = 0.5e-3**2  # s^2, q
 

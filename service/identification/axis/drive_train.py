@@ -47,10 +47,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.spectra.frequency_response import Spectrum
-from service.model.arrays import Array, Complex, Mask
+from service.model import Array, Complex, Indices, Mask
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +123,7 @@ OWN = 5  # J_l, k_g, G0, t0, t1; the factors of the direct terms follow
 class Stack:
     """n sweeps with the same number of bins b and direct terms r; `place` (n,): their index in the original list."""
 
-    place: NDArray[np.int_]
+    place: Indices
     s: Complex  # (n, b), i omega
     line: Mask  # (n, b)
     effort: Complex  # (n, b)

@@ -28,14 +28,14 @@ from itertools import pairwise
 import numpy as np
 from scipy import optimize
 
+from service import BadInput
 from service.identification.axis.drive_train import TwoMassTrain, impedance
 from service.identification.axis.joint_fit import SHARED, FitLimits
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
 from service.identification.design.excitation import Sines
-from service.identification.model.least_squares import SearchResult, converged, finite, scaled_inverse
+from service.identification.model import SearchResult, converged, finite, scaled_inverse
 from service.identification.spectra.noise_response import FrequencyResponse
-from service.model.arrays import Array, Complex
-from service.model.errors import BadInput
+from service.model import Array, Complex
 from service.model.results.estimate import Figure, Ideal, PoseClass
 
 LEVEL = (0.15, 0.45)  # of f_l: lines used for the level asymptote

@@ -23,6 +23,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import chdtri
 
+from service import BadInput
 from service.identification.axis.drive_train import (
     SHARED,
     Stack,
@@ -33,10 +34,9 @@ from service.identification.axis.drive_train import (
     stacks,
 )
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
-from service.identification.model.least_squares import finite, scaled_inverse, scaled_solution
+from service.identification.model import finite, scaled_inverse, scaled_solution
 from service.identification.spectra.frequency_response import Spectrum
-from service.model.arrays import Array, Complex, Mask
-from service.model.errors import BadInput
+from service.model import Array, Complex, Mask
 
 
 @dataclass(frozen=True)

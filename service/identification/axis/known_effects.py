@@ -34,10 +34,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from service import BadInput
 from service.identification.axis.drive_train import TwoMassTrain, impedance
 from service.identification.spectra.frequency_response import Spectrum
-from service.model.arrays import Array, Complex
-from service.model.errors import BadInput
+from service.model import Array, Complex
 from service.model.results.effect import Effect, KnownModel, ModelSource
 
 DELAY = "measurement_delay"

@@ -9,11 +9,9 @@ import numpy as np
 
 from service.identification.axis.known_effects import ELASTICITY, GAIN, HOSE, KnownAxis
 from service.identification.design.pose_selection import Assumed
-from service.identification.model.inverse_dynamics import link_sizes
+from service.identification.model import link_sizes
 from service.identification.spectra.frequency_response import Spectrum
-from service.model.arrays import Array
-from service.model.robot import Robot
-from service.model.urdf import Chain
+from service.model import Array, Chain, Robot
 
 NOISE_GUESS = 0.002  # of the rated effort: start value only, the noise is then estimated
 

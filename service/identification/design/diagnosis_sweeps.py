@@ -13,10 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.identification.design.excitation import RAMP, Excitation, design_sweep
-from service.identification.model.regressor import inertia_rows
-from service.model.arrays import Array
-from service.model.recording import Sine, SweepSpec
-from service.model.robot import Robot
+from service.identification.model import inertia_rows
+from service.model import Array, Robot, Sine, SweepSpec
 
 SLOW = float(np.radians(4.0))  # rad (m), travel of the slow sweeps
 FAST = 3.0  # times the travel of the slow sweeps

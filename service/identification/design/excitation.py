@@ -53,10 +53,8 @@ from math import ceil, floor
 
 import numpy as np
 
-from service.model.arrays import Array
-from service.model.errors import BadInput
-from service.model.recording import Sine
-from service.model.robot import Axis, Robot
+from service import BadInput
+from service.model import Array, Axis, Robot, Sine
 
 
 @dataclass(frozen=True)

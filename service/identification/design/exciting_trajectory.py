@@ -19,13 +19,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from service import BadInput
 from service.identification.design.excitation import Excitation, velocity_setpoint, way
-from service.identification.model.base_parameters import condition_number
-from service.identification.model.inverse_dynamics import JointMotion, dynamics_rows
-from service.model.arrays import Array, Mask
-from service.model.errors import BadInput
-from service.model.recording import Sine
-from service.model.robot import Robot
+from service.identification.model import JointMotion, condition_number, dynamics_rows
+from service.model import Array, Mask, Robot, Sine
 
 BREAKAWAY = 0.1  # of the rated effort: Coulomb friction to add to a predicted effort
 

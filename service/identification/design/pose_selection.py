@@ -57,9 +57,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.model.least_squares import Information, Solution
-from service.model.arrays import Array, Mask
-from service.model.recording import Sine
+from service.identification.model import Information, Solution
+from service.model import Array, Mask, Sine
 
 Indices = NDArray[np.intp]
 

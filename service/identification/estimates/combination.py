@@ -31,24 +31,33 @@ from functools import reduce
 
 import numpy as np
 
+from service import BadInput
 from service.identification.axis.drive_train import SHARED, TwoMassTrain
 from service.identification.axis.nominal_priors import SharedPrior, TorqueGain, shared_prior, uncalibrated
 from service.identification.estimates.estimate import RobotEstimate
 from service.identification.estimates.standard_parameters import physical_document, standard_document
-from service.identification.model.base_parameters import BaseParameters, joint_ranges, spread_evenly
-from service.identification.model.inverse_dynamics import (
+from service.identification.model import (
+    BaseParameters,
+    Information,
     JointMotion,
+    Solution,
+    axis_rows,
     drive_rows,
     dynamic_base,
     dynamics_rows,
+    finite,
+    inertia_rows,
+    inertial_parameters,
+    joint_ranges,
     link_rows,
     nominal_parameters,
     parameter_spread,
     prior_information,
+    span,
+    spread_evenly,
+    unsettled,
 )
-from service.identification.model.least_squares import Information, Solution, finite, span, unsettled
 from service.identification.model.physical_consistency import NearestPhysical, nearest_physical
-from service.identification.model.regressor import axis_rows, inertia_rows, inertial_parameters
 from service.identification.motion import free_motion
 from service.identification.motion.choice import (
     SIMPLE,
@@ -66,10 +75,8 @@ from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.record_faults import faults
 from service.identification.motion.trajectory_record import TrajectoryRecord, calibrated, with_loads
 from service.identification.spectra.frequency_response import steps_and_slopes, stretches
-from service.model.arrays import Array, Complex
-from service.model.errors import BadInput
+from service.model import Array, Complex, Robot
 from service.model.results import combination as results
-from service.model.robot import Robot
 
 IDENTIFIED = 0.5  # of the prior's standard deviation: maximum for an identified parameter
 POSITIVE_NAMES = ("Jm(", "Fv(", "Fc(")  # alone: names of parameters that are positive on every robot

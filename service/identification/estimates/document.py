@@ -14,10 +14,9 @@ from service.identification.estimates.standard_parameters import (
     standard_document,
     standard_parameters,
 )
-from service.identification.model.base_parameters import combination_of
-from service.identification.model.least_squares import Solution
+from service.identification.model import Solution, combination_of
 from service.identification.model.symbols import Dimension, symbolic_names
-from service.model.arrays import Array
+from service.model import Array
 from service.model.results import estimate as results
 from service.model.results.effect import Value
 

@@ -33,27 +33,30 @@ import numpy as np
 from scipy import linalg
 from scipy.special import chdtri, ndtri
 
+from service import BadInput
 from service.identification.axis.axis_estimate import AxisEstimate, identify_axis
 from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.axis.joint_fit import FitLimits
 from service.identification.axis.known_effects import KnownEffects
 from service.identification.axis.nominal_priors import MeasuredInertias, TorqueGain, base_spread, torque_gain
 from service.identification.estimates.robot_type import RobotType
-from service.identification.model.base_parameters import (
+from service.identification.model import (
+    SAME_POSITION,
     BaseParameters,
-    base_parameters,
+    Information,
+    LeftOut,
+    Solution,
+    axis_rows,
     condition_number,
+    inertial_parameters,
     joint_ranges,
+    lock,
     spread_evenly,
 )
-from service.identification.model.least_squares import Information, LeftOut, Solution
-from service.identification.model.regressor import SAME_POSITION, axis_rows, inertial_parameters, lock
+from service.identification.model.base_parameters import base_parameters
 from service.identification.spectra.frequency_response import Spectrum, check_moved_alone
-from service.model.arrays import Array
-from service.model.errors import BadInput
+from service.model import Array, Chain, Robot
 from service.model.results.estimate import Suspect, TypePrior
-from service.model.robot import Robot
-from service.model.urdf import Chain
 
 MEDIAN = -float(ndtri(0.25))  # of the size of a standard normal value
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from service.identification.axis.ideal_frequency import InitialAnalysis, PoseAnalysis, analyse_axis
 from service.identification.axis.nominal_priors import pose_prior, shared_prior
-from service.identification.model.regressor import SAME_POSITION, axis_rows, gravity_terms, inertial_parameters
+from service.identification.model import SAME_POSITION, axis_rows, gravity_terms, inertial_parameters
 from service.identification.spectra.frequency_response import Spectrum
 from service.identification.spectra.noise_response import (
     FrequencyResponse,
@@ -16,10 +16,9 @@ from service.identification.spectra.noise_response import (
     noise_response,
     stepped_response,
 )
-from service.model.recording import SweepSpec
+from service.model import Robot, SweepSpec
 from service.model.results import estimate as results
 from service.model.results.effect import Value
-from service.model.robot import Robot
 
 
 def analyse(

@@ -24,14 +24,12 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import fdtrc
 
+from service import BadInput
 from service.identification.axis.nominal_priors import link_spread
+from service.identification.model import SAME_POSITION, Information, jackknife_factor, lock
 from service.identification.model.base_parameters import base_parameters
-from service.identification.model.least_squares import Information, jackknife_factor
-from service.identification.model.regressor import SAME_POSITION, lock
-from service.model.arrays import Array
-from service.model.errors import BadInput
+from service.model import Array, Robot
 from service.model.results.estimate import Estimate, TypeMember, TypePrior
-from service.model.robot import Robot
 
 LEAST_ROBOTS = 4  # each is compared with the others, of which mean and common change take two
 WORTH = 2.0  # robots that count as much as the scatter by links

@@ -27,17 +27,15 @@ from functools import cached_property
 import numpy as np
 
 from service.identification.estimates.estimate import AxisEstimate, RobotEstimate
-from service.identification.model.least_squares import Solution
+from service.identification.model import Solution, axis_rows, fold, gravity_rows
 from service.identification.model.physical_consistency import (
     NearestPhysical,
     SearchEnded,
     nearest_physical,
     nominal_factor,
 )
-from service.identification.model.regressor import axis_rows, fold, gravity_rows
-from service.model.arrays import Array
+from service.model import INERTIAL_NAMES, Array, Robot
 from service.model.results import combination as results
-from service.model.robot import INERTIAL_NAMES, Robot
 
 POSES = 100
 TOLERANCE = 1.05  # of CAD's expected error, below which a difference has no consequence

@@ -16,22 +16,20 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
+from service import BadInput
 from service.identification.axis.joint_fit import FitLimits, JointFit, fit_axis
 from service.identification.axis.nominal_priors import NOISE_GUESS, TorqueGain, pose_prior, shared_prior
-from service.identification.model.least_squares import Information, LeftOut
-from service.identification.model.regressor import (
+from service.identification.model import (
     SAME_POSITION,
+    Information,
+    LeftOut,
     axis_rows,
     gravity_terms,
     inertia_rows,
     inertial_parameters,
 )
 from service.identification.spectra.frequency_response import Spectrum
-from service.model.arrays import Array
-from service.model.errors import BadInput
-from service.model.recording import SweepSpec
-from service.model.robot import Robot
-from service.model.urdf import transform_inertial
+from service.model import Array, Robot, SweepSpec, transform_inertial
 
 
 @dataclass(frozen=True)

@@ -59,11 +59,17 @@ from service.identification.estimates.estimate import (
     unexplained,
 )
 from service.identification.estimates.standard_parameters import StandardModel, physical_document, standard_document
-from service.identification.model.base_parameters import condition_number
-from service.identification.model.least_squares import Information, Solution, scaled_inverse, scaled_solution
-from service.identification.model.regressor import axis_rows, gravity_terms
+from service.identification.model import (
+    Information,
+    Solution,
+    axis_rows,
+    condition_number,
+    gravity_terms,
+    scaled_inverse,
+    scaled_solution,
+)
 from service.identification.spectra.frequency_response import Spectrum
-from service.model.arrays import Array
+from service.model import Array
 from service.model.results import estimate as results
 from service.model.results.estimate import Estimate
 

@@ -27,8 +27,8 @@ from itertools import takewhile
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from service.model.arrays import Array
-from service.model.errors import BadInput
+from service import BadInput
+from service.model import Array
 
 
 @dataclass(frozen=True, slots=True)

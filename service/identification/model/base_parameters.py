@@ -16,10 +16,9 @@ from itertools import count, islice
 
 import numpy as np
 
+from service import BadInput
 from service.identification.model.regressor import axis_rows, parameter_names
-from service.model.arrays import Array
-from service.model.errors import BadInput
-from service.model.urdf import Chain
+from service.model import Array, Chain
 
 
 @dataclass(frozen=True)

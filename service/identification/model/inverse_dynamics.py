@@ -25,9 +25,7 @@ import numpy as np
 from service.identification.model.base_parameters import BaseParameters, joint_ranges, reduce_columns
 from service.identification.model.least_squares import Information
 from service.identification.model.regressor import apply_each, inertia_rows, inertial_parameters, parameter_names
-from service.model.arrays import Array
-from service.model.robot import Robot, link_frames
-from service.model.urdf import Chain
+from service.model import Array, Chain, Robot, link_frames
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 from scipy.special import ndtri, stdtrit
 
-from service.model.arrays import Array, Complex, Mask
-from service.model.errors import BadInput
+from service import BadInput
+from service.model import Array, Complex, Indices, Mask
 
 
 @dataclass(frozen=True)
@@ -153,7 +152,7 @@ class LeftOut:
         left = np.where(predicted, left, 1.0)
         return np.where(predicted, self.white.T @ self.residual / left, 0.0), np.where(predicted, 1 / left, np.inf)
 
-    def together(self, members: NDArray[np.int_]) -> tuple[Array, Array] | None:
+    def together(self, members: Indices) -> tuple[Array, Array] | None:
         """Errors (f,) and covariance (f, f) of some values left out together; None if the others do not predict
         them.
         """
@@ -167,7 +166,7 @@ class LeftOut:
         covariance = np.asarray(np.linalg.inv(left / np.outer(scale, scale)), dtype=float) / np.outer(scale, scale)
         return covariance @ (white.T @ self.residual), covariance
 
-    def chi_squared(self, members: NDArray[np.int_]) -> tuple[float, float]:
+    def chi_squared(self, members: Indices) -> tuple[float, float]:
         """Squared white residual of some values and their remaining degrees of freedom."""
         squares = float(np.sum(self.residual[members] ** 2))
         return squares, len(members) - float(np.sum(self.span[members] ** 2))

@@ -31,8 +31,7 @@ from enum import Enum
 import numpy as np
 
 from service.identification.model.least_squares import finite
-from service.model.arrays import Array, Mask
-from service.model.urdf import inertia_matrix
+from service.model import Array, Mask, inertia_matrix
 
 
 @dataclass(frozen=True)

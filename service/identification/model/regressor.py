@@ -17,9 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.model.arrays import Array
-from service.model.robot import INERTIAL_NAMES, Robot, link_frames, rotation_about
-from service.model.urdf import Chain, Joint, transform_inertial
+from service.model import INERTIAL_NAMES, Array, Chain, Joint, Robot, link_frames, rotation_about, transform_inertial
 
 
 def inertia_rows(chain: Chain, joint: int, poses: Array) -> Array:

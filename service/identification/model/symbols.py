@@ -15,9 +15,7 @@ from itertools import combinations, combinations_with_replacement
 import numpy as np
 
 from service.identification.model.regressor import parameter_names
-from service.model.arrays import Array
-from service.model.robot import rotation_about
-from service.model.urdf import Chain, Joint
+from service.model import Array, Chain, Joint, rotation_about
 
 
 @dataclass(frozen=True)

@@ -25,14 +25,11 @@ from itertools import combinations
 
 import numpy as np
 
-from service.identification.model.base_parameters import BaseParameters
-from service.identification.model.inverse_dynamics import Scale
-from service.identification.model.least_squares import Information
+from service.identification.model import BaseParameters, Information, Scale
 from service.identification.motion.equations import AxisEquations, Sampling, all_equations, friction_laws
 from service.identification.motion.fit import FOLDS, FreeFit, fit_equations
 from service.identification.motion.free_motion import FreeMotion, low_pass
-from service.model.arrays import Array
-from service.model.robot import Robot
+from service.model import Array, Robot
 
 
 @dataclass(frozen=True)

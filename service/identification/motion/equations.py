@@ -13,11 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.identification.model.base_parameters import BaseParameters
-from service.identification.model.inverse_dynamics import JointMotion, link_rows
+from service.identification.model import BaseParameters, JointMotion, link_rows
 from service.identification.motion.free_motion import FreeMotion, low_pass, memory
-from service.model.arrays import Array, Mask
-from service.model.robot import Robot
+from service.model import Array, Mask, Robot
 
 
 @dataclass(frozen=True)

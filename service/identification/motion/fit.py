@@ -39,16 +39,14 @@ from functools import cached_property, reduce
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr, stdtr, stdtrit
 
-from service.identification.model.least_squares import Information, Rank, finite, scaled_inverse, span
+from service import BadInput
+from service.identification.model import Information, Rank, finite, scaled_inverse, span
 from service.identification.motion.equations import LACKS, AxisEquations
 from service.identification.motion.free_motion import FreeMotion, memory
 from service.identification.spectra.frequency_response import stretches
-from service.model.arrays import Array
-from service.model.errors import BadInput
-from service.model.robot import Robot
+from service.model import Array, Indices, Robot
 
 ORDER = 6
 
@@ -182,7 +180,7 @@ class WhiteEquations:
     values: Array
     lacks: Array
     springs: Array
-    block: NDArray[np.int_]
+    block: Indices
 
     def over(self, factor: float) -> "WhiteEquations":
         """All divided by a factor."""
@@ -288,7 +286,7 @@ def _colours(
     }
 
 
-def _whitened(each: AxisEquations, colour: Colour, block: NDArray[np.int_]) -> WhiteEquations:
+def _whitened(each: AxisEquations, colour: Colour, block: Indices) -> WhiteEquations:
     parts = stretches(each.sound)
     together = np.column_stack([each.rows, each.values, each.lacks, each.springs, each.ripple])
     white = np.concatenate([colour.whiten(together[part]) for part in parts]) if parts else together[:0]
@@ -316,7 +314,7 @@ def _sum(white: Sequence[WhiteEquations], size: int, fold: int | None = None) ->
     return information
 
 
-def _blocks(records: Sequence[FreeMotion], parts: Sequence[AxisEquations]) -> list[NDArray[np.int_]]:
+def _blocks(records: Sequence[FreeMotion], parts: Sequence[AxisEquations]) -> list[Indices]:
     """Block number of every equation; repeats of a motion share theirs."""
     first = [next(k for k, other in enumerate(records) if other.same_motion(record)) for record in records]
     numbers: dict[tuple[int, int], int] = {}
@@ -363,7 +361,7 @@ def _spread(
 
 
 def _lacking(
-    columns: Array, rows: Array, residual: Array, where: NDArray[np.int_], count: int
+    columns: Array, rows: Array, residual: Array, where: Indices, count: int
 ) -> Iterator[tuple[str, Array, float]]:
     """Name of each column (m, t) that the residual (m,) shows, the change of the parameters (p,) with it beyond noise,
     and the probability of that by noise: a t-test of the blocks' scores. `rows` (m, p) with `rows.T @ rows` = 1.

@@ -20,12 +20,10 @@ import numpy as np
 from scipy.fft import next_fast_len
 from scipy.special import erfc
 
+from service import BadInput
 from service.identification.axis.drive_train import TwoMassTrain
 from service.identification.spectra.frequency_response import check_numbers
-from service.model.arrays import Array, Complex
-from service.model.errors import BadInput
-from service.model.recording import Sweep, SweepSpec
-from service.model.robot import Robot
+from service.model import Array, Complex, Robot, Sweep, SweepSpec
 
 
 @dataclass(frozen=True)

@@ -25,12 +25,10 @@ from itertools import combinations
 import numpy as np
 from scipy.special import log_ndtr
 
-from service.identification.model.inverse_dynamics import JointMotion, link_rows, nominal_parameters, parameter_spread
-from service.identification.model.least_squares import scaled_solution
+from service.identification.model import JointMotion, link_rows, nominal_parameters, parameter_spread, scaled_solution
 from service.identification.motion.equations import Sampling, at_rest, drive_along, load_and_motor
 from service.identification.motion.free_motion import FreeMotion, low_pass, memory
-from service.model.arrays import Array
-from service.model.robot import Robot
+from service.model import Array, Robot
 
 
 @dataclass(frozen=True)

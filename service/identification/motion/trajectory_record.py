@@ -16,15 +16,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from service import BadInput
 from service.identification.axis.drive_train import TwoMassTrain
-from service.identification.model.inverse_dynamics import JointMotion
+from service.identification.model import JointMotion
 from service.identification.motion.free_motion import MotionBand
 from service.identification.spectra.frequency_response import check_numbers, from_pairs, pairs, way_of, window
-from service.model.arrays import Array, Complex
-from service.model.errors import BadInput
-from service.model.recording import Sweep, SweepSpec
+from service.model import Array, Complex, Robot, Sweep, SweepSpec
 from service.model.results.spectrum import TrackDocument
-from service.model.robot import Robot
 
 
 @dataclass(frozen=True)

@@ -24,13 +24,10 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from service.model.arrays import Array, Complex, Mask
-from service.model.errors import BadInput
-from service.model.recording import Recording, Sweep, SweepSpec
+from service import BadInput
+from service.model import Array, Axis, Complex, Indices, Mask, Recording, Robot, Sweep, SweepSpec, link_frames
 from service.model.results.spectrum import Pairs, SpectrumDocument
-from service.model.robot import Axis, Robot, link_frames
 
 
 def pairs(values: Complex) -> Pairs:
@@ -43,7 +40,7 @@ def from_pairs(values: Pairs) -> Complex:
     return np.array([complex(re, im) for re, im in values], dtype=np.complex128)
 
 
-Bins = NDArray[np.int_]
+Bins = Indices
 
 
 @dataclass(frozen=True)

@@ -33,8 +33,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service import BadInput
 from service.identification.spectra.frequency_response import (
     Band,
     Spectrum,
@@ -44,11 +44,8 @@ from service.identification.spectra.frequency_response import (
     ripple_orders,
     window,
 )
-from service.model.arrays import Array, Complex
-from service.model.errors import BadInput
-from service.model.recording import Sweep, SweepSpec
+from service.model import Array, Axis, Complex, Indices, Robot, Sweep, SweepSpec
 from service.model.results.spectrum import NoiseDocument
-from service.model.robot import Axis, Robot
 
 NEAR = 2  # bins on either side of a line from which ripple is found
 
@@ -225,7 +222,7 @@ def _ripple(axis: Axis, position: Array) -> list[Array]:
     return [wave for angle in angles for wave in (np.cos(angle), np.sin(angle))]
 
 
-def _ripple_and_ends(effort: Array, velocity: Array, waves: Array, lines: NDArray[np.int_]) -> tuple[Array, Complex]:
+def _ripple_and_ends(effort: Array, velocity: Array, waves: Array, lines: Indices) -> tuple[Array, Complex]:
     """theta (r,) of the waves (r, n) and e (b,) at `lines` (b,) of the whole window; see the module's header."""
     near = np.arange(-NEAR, NEAR + 1)
     last = len(effort) // 2

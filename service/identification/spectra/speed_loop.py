@@ -21,12 +21,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from service.identification.model.least_squares import finite, jackknife_factor
-from service.model.arrays import Array, Complex, Mask
-from service.model.errors import BadInput
+from service import BadInput
+from service.identification.model import finite, jackknife_factor
+from service.model import Array, Complex, Indices, Mask
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,7 @@ def fit_closed_loop(frequency: Array, response: Complex, place: str, reset_time:
     integral: Complex = np.ones_like(s) if reset_time is None else reset_time * s / (1 + reset_time * s)
     first = float(np.median(((1 / measured - 1) / integral / s).real[: Loop.fewest]))
 
-    def solve(used: NDArray[np.int_]) -> _Solution:
+    def solve(used: Indices) -> _Solution:
         def error(x: Array) -> Array:
             train = (x[0] * first * s[used] + x[2]) * np.exp(s[used] * x[1] * Loop.delay)
             left = 1 / (1 + train * integral[used]) - measured[used]
@@ -120,7 +119,7 @@ def fit_torque_response(
     rows: Complex = np.stack([s * swing * measured, measured], -1)
     values: Complex = 1 - s * motor_inertia * (1 - swing) * measured
 
-    def solve(used: NDArray[np.int_]) -> _Solution:
+    def solve(used: Indices) -> _Solution:
         matrix = np.vstack([rows[used].real, rows[used].imag])
         right = np.concatenate([values[used].real, values[used].imag])
         x = np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0], dtype=float)
@@ -155,7 +154,7 @@ def _follows(response: Complex) -> Mask:
     return np.arange(len(response)) < (stop[0] if len(stop) else len(response))
 
 
-def _band(frequency: Array, wanted: Mask, place: str) -> NDArray[np.int_]:
+def _band(frequency: Array, wanted: Mask, place: str) -> Indices:
     inside = np.flatnonzero(wanted & (frequency > 0))
     if len(inside) < Loop.fewest:
         raise BadInput(
@@ -171,9 +170,7 @@ def _of_jacobian(values: Array, jacobian: Array, left: Array, measured: Complex)
     return _Solution(values, covariance, float(np.linalg.norm(left) / np.linalg.norm(measured)))
 
 
-def _with_parts(
-    frequency: Array, solve: Callable[[NDArray[np.int_]], _Solution], place: str
-) -> tuple[_Solution, Array]:
+def _with_parts(frequency: Array, solve: Callable[[Indices], _Solution], place: str) -> tuple[_Solution, Array]:
     """The fit of all lines at `frequency` (b,) and its standard deviations (p,); see the module's header.
 
     BadInput where a fit without one stretch of lines does not converge: there is no standard deviation then.

@@ -34,10 +34,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.identification.model.least_squares import jackknife_factor, span
+from service import BadInput
+from service.identification.model import jackknife_factor, span
 from service.identification.spectra.frequency_response import Spectrum
-from service.model.arrays import Array, Complex
-from service.model.errors import BadInput
+from service.model import Array, Complex
 
 PARTS = 10  # stretches of the record
 

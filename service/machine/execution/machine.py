@@ -27,12 +27,12 @@ from drivers.ports import (
     ReportsTraffic,
     SetPointTiming,
 )
+from service import Conflict
 from service.machine.execution.motion import Bounds, MotionAccess
 from service.machine.execution.permission import Epochs, Intention
 from service.machine.execution.statement import Condition, Reports, Statement
 from service.machine.execution.stops import Hold, LatchedStops, StopSequences, renew
 from service.machine.stop_process.handle import StopProcess
-from service.model.errors import Conflict
 from service.process.tasks import Background, run_to_end
 from service.store.documents import StopDocument
 from service.store.lease_and_latch import LeaseLost, MachineLease, StopLatch

@@ -14,8 +14,8 @@ from typing import Protocol
 
 from drivers.errors import Cause, CommunicationLost, DriveError, distinct
 from drivers.ports import DrivePort, NoiseCommand, SampleBlock, SweepCommand
+from service import Conflict
 from service.machine.execution.statement import Reports
-from service.model.errors import Conflict
 
 Command = SweepCommand | NoiseCommand
 Go = Callable[[float], Coroutine[object, object, None]]

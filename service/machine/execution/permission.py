@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 
 from drivers.errors import Cause, CauseCode
-from service.model.errors import BadInput, Conflict, Superseded
+from service import BadInput, Conflict, Superseded
 from service.store.lease_and_latch import ApprovalDocument, ApprovalStore
 from service.store.tables import now
 

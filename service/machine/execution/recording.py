@@ -30,11 +30,10 @@ from structlog.contextvars import bound_contextvars
 
 from drivers.errors import Cause, CauseCode
 from drivers.ports import ChannelTiming, SampleBlock
+from service import BadInput, MotionFailed, NotFound
 from service.machine.execution.motion import Command
-from service.model.arrays import Array
+from service.model import Array, Recording, SweepSpec
 from service.model.channels import align, noise_gain
-from service.model.errors import BadInput, MotionFailed, NotFound
-from service.model.recording import Recording, SweepSpec
 from service.model.results.spectrum import ChannelCorrection, Facts
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.store.documents import CampaignState, NewRecording, RecordingState, SweepState

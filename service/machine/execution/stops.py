@@ -21,7 +21,7 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import Cause, CauseCode, DriveError, StopNotConfirmed
-from service.model.errors import Conflict, NotFound, NotNow
+from service import Conflict, NotFound, NotNow
 from service.process.tasks import Background
 from service.store.access import masked
 from service.store.database import refusal

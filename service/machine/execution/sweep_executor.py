@@ -26,12 +26,12 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import Cause, CauseCode, CausedError, CommunicationLost, Measured, SweepInterrupted, distinct
 from drivers.ports import AxisState, AxisStatus, SampleBlock, SweepCommand
+from service import EnvelopeViolation, MotionFailed, SweepidError
 from service.machine.execution.machine import Machine
 from service.machine.execution.motion import Command, Go, MotionAccess
 from service.machine.execution.permission import Intention
 from service.machine.execution.recording import Gapless, Recorder, break_off, end_runs, finish, store_streams
-from service.model.errors import EnvelopeViolation, MotionFailed, SweepidError
-from service.model.recording import SweepSpec
+from service.model import SweepSpec
 from service.model.results.spectrum import Facts
 from service.planning.campaigns.live import LiveHub
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move

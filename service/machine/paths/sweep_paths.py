@@ -25,12 +25,11 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
+from service import BadInput, EnvelopeViolation
 from service.formats.traces.mapping import CncAxis, Columns, Csv, Mapping, SweepTimes, TraceSweep
 from service.identification.design.excitation import Excitation, peak_jerk, velocity_setpoint, way
-from service.model.arrays import Array
+from service.model import Array, Robot
 from service.model.configuration import Cell, read_yaml
-from service.model.errors import BadInput, EnvelopeViolation
-from service.model.robot import Robot
 from service.planning.documents import PlanDocument, PlannedSweep
 from service.planning.safety.envelope import Envelope
 from service.store.files.bundle import check_specs

@@ -14,8 +14,8 @@ from typing import Any, Self
 
 import structlog
 
+from service import SweepidError
 from service.machine.stop_process import END, ORDER, TAKEN_OVER
-from service.model.errors import SweepidError
 
 _log = structlog.get_logger(__name__)
 

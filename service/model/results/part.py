@@ -25,7 +25,7 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
-from service.model.errors import BadInput
+from service import BadInput
 from service.model.recording import SweepSpec
 
 if TYPE_CHECKING:

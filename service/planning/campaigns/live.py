@@ -14,7 +14,7 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.ports import SampleBlock
-from service.model.arrays import Array
+from service.model import Array
 from service.store.database import Database, refusal
 from service.store.documents import EventDocument
 from service.store.store import Store

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from enum import Enum
 from typing import TypeVar
 
-from service.model.errors import Conflict
+from service import Conflict
 from service.store.documents import CampaignState as C, SweepState as S
 
 State = TypeVar("State", bound=Enum)

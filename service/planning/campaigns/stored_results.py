@@ -9,6 +9,7 @@ from typing import Literal, cast
 
 import structlog
 
+from service import BadInput, NotFound
 from service.identification.fleet.document import Fleet
 from service.identification.fleet.survey import (
     AxisMeasured,
@@ -20,7 +21,6 @@ from service.identification.fleet.survey import (
     pose_key,
     survey,
 )
-from service.model.errors import BadInput, NotFound
 from service.model.results.estimate import Analyses, Estimate, EstimatedAxis
 from service.store.documents import CampaignDocument, EstimateDocument
 from service.store.plant import FleetStore, MeasuredCampaign

@@ -27,17 +27,14 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.errors import CauseCode, Measured, distinct
 from drivers.ports import NoiseCommand, SampleBlock, SineCommand, SweepCommand
+from service import EnvelopeViolation
 from service.identification.design.excitation import Excitation, Sines, velocity_setpoint, way
 from service.identification.design.exciting_trajectory import BREAKAWAY, nominal_effort
 from service.identification.estimates.torque_gain import KnownMass
-from service.identification.model.inverse_dynamics import JointMotion
-from service.identification.model.regressor import gravity_terms, inertia_rows
-from service.model.arrays import Array
+from service.identification.model import JointMotion, gravity_terms, inertia_rows
+from service.model import Array, Robot, Sine
 from service.model.collision import CollisionChecker
 from service.model.configuration import Cell
-from service.model.errors import EnvelopeViolation
-from service.model.recording import Sine
-from service.model.robot import Robot
 from service.planning.safety.travel import Leg, route
 
 Command = SweepCommand | NoiseCommand

@@ -6,7 +6,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from service.model.arrays import Array
+from service.model import Array
 from service.model.collision import CollisionChecker
 
 Leg = tuple[int, float]  # number of the joint, position to move it to, rad (m)

@@ -48,24 +48,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
+from service import BadInput
 from service.identification.axis.axis_estimate import AxisEstimate
 from service.identification.axis.drive_train import TwoMassTrain, impedance
 from service.identification.estimates.estimate import RobotEstimate, identify
 from service.identification.estimates.standard_parameters import standard_parameters
-from service.identification.model.inverse_dynamics import JointMotion, dynamics_rows
-from service.identification.model.regressor import axis_rows, gravity_terms
+from service.identification.model import JointMotion, axis_rows, dynamics_rows, gravity_terms
 from service.identification.spectra.frequency_response import Spectrum, spectrum, window
-from service.model.arrays import Array
-from service.model.errors import BadInput
-from service.model.recording import Sweep, SweepSpec
+from service.model import Array, Complex, Indices, Robot, Sweep, SweepSpec, joint_end, link_frames
 from service.model.results.effect import Number, Value
 from service.model.results.part import Document, Part
-from service.model.robot import Robot, link_frames
-from service.model.urdf import joint_end, read_origin
+from service.model.urdf import read_origin
 
 
 @dataclass(frozen=True)
@@ -84,9 +80,9 @@ class Window:
     effort: Array
     way: Array
     velocity: Array
-    bins: NDArray[np.int_]
+    bins: Indices
     frequency: Array  # (b,) Hz
-    speed: NDArray[np.complex128]
+    speed: Complex
 
 
 def window_of(sweep: Sweep, spectrum: Spectrum, own: int) -> Window:

@@ -18,11 +18,10 @@ from uuid import uuid4
 import numpy as np
 from pydantic import BaseModel, ConfigDict, StringConstraints, ValidationError
 
+from service import BadInput
+from service.model import Robot, RobotDescription, Sweep, SweepSpec, robot_from_outside
 from service.model.configuration import bad_field, read_text
-from service.model.errors import BadInput
-from service.model.recording import Sweep, SweepSpec
 from service.model.results.part import Column, Shown, Table, columns_of_sweeps
-from service.model.robot import Robot, RobotDescription, robot_from_outside
 from service.store.documents import NewRecording, RecordingState
 from service.store.files.columns import check_possible, check_samples, columns_of, read_columns, write_columns
 from service.store.files.recordings import RecordingFiles, check_new, new_folder

@@ -13,10 +13,9 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pa_parquet
 from numpy.typing import NDArray
 
-from service.model.arrays import Array
-from service.model.errors import BadInput, SweepidError
+from service import BadInput, SweepidError
+from service.model import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, Array, Recording
 from service.model.physical_bounds import most_of_column
-from service.model.recording import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, Recording
 
 # pyarrow has no type stubs: its modules are untyped here, and every returned value is narrowed
 _arrow, _csv, _parquet = cast(Any, pa), cast(Any, pa_csv), cast(Any, pa_parquet)

@@ -13,9 +13,8 @@ from uuid import uuid4
 from pydantic import BaseModel, ConfigDict, ValidationError
 from sqlalchemy import select
 
-from service.model.errors import BadInput, Conflict
-from service.model.recording import Sweep
-from service.model.robot import build_robot
+from service import BadInput, Conflict
+from service.model import Sweep, build_robot
 from service.store import tables as t
 from service.store.database import Database
 from service.store.documents import CampaignDocument, NewSweep

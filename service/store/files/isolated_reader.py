@@ -16,7 +16,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from service.model.errors import BadInput
+from service import BadInput
 from service.process.tasks import ONE_THREAD, child_process, give_way
 
 

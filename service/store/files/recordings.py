@@ -23,8 +23,8 @@ from uuid import uuid4
 
 from pydantic import JsonValue
 
-from service.model.errors import BadInput
-from service.model.recording import Recording
+from service import BadInput
+from service.model import Recording
 from service.model.results.spectrum import AnySpectrum, Facts
 from service.process.settings import StoreAddress
 from service.store.documents import NewRecording, RecordingDocument, RecordingState, SpectrumRecord

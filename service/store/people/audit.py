@@ -27,7 +27,7 @@ from sqlalchemy import func, select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
-from service.model.errors import BadInput, SweepidError
+from service import BadInput, SweepidError
 from service.store import rows, tables as t
 from service.store.access import Callers, masked
 from service.store.tables import now

@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict
 from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session
 
-from service.model.errors import BadInput, Conflict, NotFound
+from service import BadInput, Conflict, NotFound
 from service.store import rows, tables as t
 from service.store.access import Role, key_sha256, new_key, unique_name
 from service.store.database import Database

@@ -21,6 +21,7 @@ from starlette.datastructures import Headers
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from service import BadInput
 from service.jobs.diagnosing import Diagnosing
 from service.jobs.experiments import Experiments
 from service.jobs.jobs import Batches
@@ -28,7 +29,6 @@ from service.jobs.worker import Worker
 from service.machine.execution.machine import Machine
 from service.machine.execution.permission import Approvals, Intention
 from service.machine.execution.runner import Runner
-from service.model.errors import BadInput
 from service.planning.campaigns.stored_results import FleetHistory
 from service.process.settings import Settings
 from service.store.diagnoses import DiagnosisStore, ModelStore

@@ -11,9 +11,9 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 from starlette.concurrency import run_in_threadpool
 
+from service import Conflict
 from service.jobs import experiments
 from service.jobs.diagnosing import Start
-from service.model.errors import Conflict
 from service.planning.compiled_plan import Range
 from service.planning.documents import CELL_NAME
 from service.report.diagnosis import diagnosis_figures

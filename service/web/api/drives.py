@@ -9,9 +9,9 @@ from pydantic import BaseModel, ConfigDict
 
 from drivers.errors import Cause
 from drivers.ports import AxisIdentity, AxisState, AxisStatus, Capabilities, SweepMode
+from service import NotFound
 from service.machine.execution.machine import Machine
 from service.machine.execution.statement import NO_MACHINE, Condition, Statement
-from service.model.errors import NotFound
 from service.store.access import Role
 from service.store.plant import MachineDocument
 from service.store.rows import NoMachine

@@ -17,7 +17,7 @@ from fastapi import APIRouter, Depends, Header, Query, WebSocket, WebSocketDisco
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 
-from service.model.errors import BadInput, NotFound
+from service import BadInput, NotFound
 from service.planning.campaigns.live import Array, LiveBlock
 from service.store.access import Role
 from service.store.documents import LARGEST_ID, EventKind

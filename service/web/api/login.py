@@ -12,7 +12,7 @@ from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, SecretStr, StringConstraints
 from starlette.concurrency import run_in_threadpool
 
-from service.model.errors import Conflict
+from service import Conflict
 from service.store.access import Role
 from service.store.people.audit import AuditDocument, Fact
 from service.store.people.users import UserDocument, UserStore

@@ -23,7 +23,7 @@ from pydantic import BaseModel, ConfigDict, JsonValue, StringConstraints, Valida
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
 
-from service.model.errors import BadInput, Conflict, NotNow, SweepidError
+from service import BadInput, Conflict, NotNow, SweepidError
 from service.process.settings import Address, IdentityProvider, is_loopback
 from service.store.access import Role, is_name, unique_name
 from service.web.api.access import AuditTrail, Guesses, audit_trail_of, cookie_name, too_many, unauthorized

@@ -8,9 +8,9 @@ from typing import Annotated
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
+from service import BadInput
 from service.formats.export.sheets.inertias import load_of
 from service.formats.export.sheets.text import load_page
-from service.model.errors import BadInput
 from service.store.access import LOCAL, Role
 from service.store.documents import LARGEST_ID
 from service.store.plant import PayloadDocument, PayloadEntry

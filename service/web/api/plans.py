@@ -15,15 +15,15 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, JsonValue, Str
 from starlette.concurrency import run_in_threadpool
 
 from drivers.errors import DriveError
+from service import BadInput, Conflict, NotFound, SweepidError
 from service.identification.estimates.initial_analysis import analyses_from
 from service.identification.estimates.robot_type import robot_type
 from service.machine.execution.sweep_executor import travels
+from service.model import RobotDescription, robot_from_outside
 from service.model.configuration import read_cell
-from service.model.errors import BadInput, Conflict, NotFound, SweepidError
 from service.model.outline import Outline, Outlines
 from service.model.results.estimate import Analyses
 from service.model.results.part import JsonOf
-from service.model.robot import RobotDescription, robot_from_outside
 from service.planning.analysis import build_analysis_plan
 from service.planning.campaigns.stored_plan import PlanSubject, planned_times
 from service.planning.campaigns.stored_results import check_beside, latest_analysis, siblings

@@ -19,7 +19,7 @@ from starlette.exceptions import HTTPException
 from starlette.routing import Match
 
 from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady
-from service.model.errors import BadInput, Conflict, EnvelopeViolation, NoPdf, NotFound, NotNow, SweepidError
+from service import BadInput, Conflict, EnvelopeViolation, NoPdf, NotFound, NotNow, SweepidError
 from service.planning.machine_setup import NeedsConfirmation
 from service.store.lease_and_latch import KeyReused
 from service.store.people.audit import AuditUnreadable, NotAudited

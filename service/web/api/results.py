@@ -10,6 +10,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
+from service import NoPdf
 from service.formats.export import model_files, model_of
 from service.formats.export.sheets.making import sheet
 from service.formats.export.sheets.text import as_markdown
@@ -18,7 +19,6 @@ from service.identification.fleet.survey import FleetRules
 from service.jobs.reporting import Reporting, of_fleet
 from service.jobs.work import Work, Written
 from service.jobs.worker import Worker
-from service.model.errors import NoPdf
 from service.planning.campaigns.stored_results import campaign_beside
 from service.planning.compiled_plan import plan_of
 from service.planning.plan import PlanDocument

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.model.recording import SweepSpec
-from service.model.robot import Axis, Prior, Robot, RobotDescription, build_robot
+from service.model import Axis, Prior, Robot, RobotDescription, SweepSpec, build_robot
 from tests.numeric.second_plant.bodies import Rigid
 from tests.numeric.second_plant.draft import Draft, Hidden
 from tests.numeric.second_plant.effects import CATALOGUE, FIRST, FREE, PULLED, TIGHT, TURNING

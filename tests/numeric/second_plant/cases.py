@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.model.recording import Recording, Sweep, SweepSpec
-from service.model.robot import Robot
+from service.model import Recording, Robot, Sweep, SweepSpec
 from tests.numeric.second_plant.bodies import Rigid
 from tests.numeric.second_plant.build import Scene, Wanted, build
 from tests.numeric.second_plant.effects import CATALOGUE

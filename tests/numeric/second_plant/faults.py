@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.model.recording import Recording, Sweep
-from service.model.robot import Robot, build_robot
+from service.model import Recording, Robot, Sweep, build_robot
 
 Array = NDArray[np.float64]
 Random = np.random.Generator

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from service.model.recording import Recording, Sweep, SweepSpec
-from service.model.robot import Robot, RobotDescription, build_robot
+from service.model import Recording, Robot, RobotDescription, Sweep, SweepSpec, build_robot
 
 COLUMNS = ("time", "effort", "velocity", "position", "velocity_setpoint")
 

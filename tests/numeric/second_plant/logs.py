@@ -8,8 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from service.model.recording import Recording, Sweep, SweepSpec
-from service.model.robot import Axis, Prior, Robot, RobotDescription, build_robot
+from service.model import Axis, Prior, Recording, Robot, RobotDescription, Sweep, SweepSpec, build_robot
 from tests.numeric.second_plant.bodies import Rigid
 from tests.numeric.second_plant.friction import Bristle, Now
 from tests.numeric.second_plant.robots import Body, Mechanism, joined, put_off, random_mechanism, urdf

@@ -18,18 +18,17 @@ from pathlib import Path
 
 import numpy as np
 
+from service import BadInput
 from service.diagnosis.diagnose import diagnose_axis
 from service.diagnosis.document import axis_document
 from service.diagnosis.experiments import MOST_EXPERIMENTS
 from service.diagnosis.fit.calibration import Weighed
 from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.identification.estimates.torque_gain import KnownMass
-from service.identification.model.regressor import gravity_terms
+from service.identification.model import gravity_terms
+from service.model import Robot, Sweep, SweepSpec
 from service.model.configuration import Cell
-from service.model.errors import BadInput
-from service.model.recording import Sweep, SweepSpec
 from service.model.results.diagnosis import AxisDiagnosis, DiagnosedModel, Diagnosis, Experiment
-from service.model.robot import Robot
 from service.planning.diagnosis import ExperimentPlace, build_experiment_plan
 from service.planning.documents import ExperimentRequest
 from service.store.documents import BoltedMass

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.model.recording import Sine, SweepSpec
+from service.model import Sine, SweepSpec
 
 Array = NDArray[np.float64]
 Random = np.random.Generator

@@ -16,9 +16,8 @@ from service.identification.estimates.combination import combine
 from service.identification.estimates.estimate import identify
 from service.identification.motion.trajectory_record import axis_track, trajectory
 from service.identification.spectra.frequency_response import spectrum
+from service.model import Recording, Robot, Sweep
 from service.model.configuration import Cell, read_cell, read_robot
-from service.model.recording import Recording, Sweep
-from service.model.robot import Robot
 from service.planning.documents import PlanDocument, PlannedSweep, PlanRequest, at_once
 from service.planning.plan import build_plan
 from tests.numeric.second_plant.machine import STEP

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from service.model.robot import Axis, Prior, Robot, RobotDescription, build_robot
+from service.model import Axis, Prior, Robot, RobotDescription, build_robot
 from tests.numeric.second_plant.bodies import Rigid
 from tests.numeric.second_plant.machine import STEP
 from tests.numeric.second_plant.robots import Mechanism, put_off, random_mechanism, urdf

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from service.diagnosis.effects import CATALOGUE as NAMES
-from service.model.recording import Sweep
-from service.model.robot import Robot
+from service.model import Robot, Sweep
 from tests.numeric.second_plant.cases import Case, Kind, Truth, case, cases, make
 from tests.numeric.second_plant.effects import CATALOGUE
 from tests.numeric.second_plant.faults import FAULTS

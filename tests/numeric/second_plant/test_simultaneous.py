@@ -21,11 +21,9 @@ from service.identification.design.excitation import (
     zippered_lines,
 )
 from service.identification.estimates.combination import AxisInertias, JointEstimate, combine
-from service.identification.model.inverse_dynamics import nominal_parameters, prior_information
-from service.identification.model.regressor import axis_rows
+from service.identification.model import axis_rows, nominal_parameters, prior_information
 from service.identification.motion.trajectory_record import TrajectoryRecord, axis_track, trajectory
-from service.model.recording import Recording, Sweep, SweepSpec
-from service.model.robot import build_robot
+from service.model import Recording, Sweep, SweepSpec, build_robot
 from tests.numeric.second_plant.machine import STEP
 from tests.numeric.second_plant.robots import urdf
 from tests.numeric.second_plant.simultaneous import RATE, Arm, arm, run

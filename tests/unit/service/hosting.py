@@ -20,8 +20,8 @@ import structlog
 from fastapi import FastAPI
 
 import service.web.application
+from service import NotNow
 from service.jobs.work import Answer, JobFailed, Work, Worker
-from service.model.errors import NotNow
 from service.process.settings import Settings
 from service.web.app import create_app, end_motion, end_streams
 

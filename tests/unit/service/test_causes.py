@@ -12,9 +12,9 @@ import drivers
 import service.machine.execution
 import service.planning.safety
 from drivers.errors import Cause, CauseCode, CausedError, DriveFault, EnvelopeLeft, LimitExceeded, Measured, NotReady
+from service import BadInput, Conflict, EnvelopeViolation, NotFound, SweepidError
 from service.machine.execution.sweep_executor import cause_of_error
 from service.model.causes import in_words, read
-from service.model.errors import BadInput, Conflict, EnvelopeViolation, NotFound, SweepidError
 from service.web.hmi.pages import texts
 
 ROOMS = (drivers, service.machine.execution, service.planning.safety)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from drivers.ports import ChannelTiming
+from service import BadInput
+from service.model import Recording
 from service.model.channels import HALF, align, noise_gain
-from service.model.errors import BadInput
-from service.model.recording import Recording
 
 RATE = 250.0
 COUNT = 1000

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from service import BadInput
+from service.model import build_robot
 from service.model.collision import CollisionChecker, reachable
 from service.model.configuration import Box, Cell, read_robot
-from service.model.errors import BadInput
-from service.model.robot import build_robot
 from tests.unit.service.campaigns.small_arm import small_arm
 
 CLEARANCE = 0.05

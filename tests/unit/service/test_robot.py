@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from service.model.errors import BadInput
-from service.model.robot import Axis, RobotDescription, build_robot, link_frames
-from service.model.urdf import read_chain
+from service import BadInput
+from service.model import Axis, RobotDescription, build_robot, link_frames, read_chain
 
 pinocchio = (  # elsewhere it must be there
     pytest.importorskip("pinocchio", reason="the oracle has no Windows wheels")

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from service.model.errors import BadInput
+from service import BadInput
 from tests.unit.service.benefit.pair import URDF, robot
 
 RUNBOOKS = Path(__file__).parents[3] / "docs" / "how-to" / "runbooks"

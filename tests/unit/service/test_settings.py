@@ -7,8 +7,8 @@ import pytest
 import yaml
 
 from drivers.bounded_yaml import BoundedLoader
+from service import BadInput
 from service.model.configuration import LARGEST_YAML, Cell, read_text, read_yaml
-from service.model.errors import BadInput
 from service.process.settings import Settings, load_settings
 from service.web.app import create_app
 

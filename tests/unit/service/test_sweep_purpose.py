@@ -2,7 +2,7 @@
 
 import pytest
 
-from service.model.recording import SweepPurpose, SweepSpec, together
+from service.model import SweepPurpose, SweepSpec, together
 
 
 def spec(excitation: str, block: str = "", offset: float = 0.1) -> SweepSpec:

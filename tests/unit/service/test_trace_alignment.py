@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from service import BadInput
 from service.formats.traces.alignment import check_follows, motion_start
 from service.identification.design.excitation import Excitation, way
-from service.model.errors import BadInput
-from service.model.recording import Sine
+from service.model import Sine
 
 SINES = tuple(Sine(frequency=f, amplitude=0.003, phase=p) for f, p in ((2.0, 0.0), (3.0, 4.7), (4.0, 1.6), (5.0, 3.1)))
 SWEEP = Excitation(0.0162, SINES, 1.0, 3, 0.5, 0.5)

@@ -15,10 +15,10 @@ import pytest
 from asammdf.blocks.v4_blocks import ChannelConversion
 from scipy.io import savemat
 
+from service import BadInput
 from service.formats.export.recordings import write_recordings
 from service.formats.traces.containers import ChannelName, Taken, read_containers, read_here
 from service.formats.traces.trace_import import import_trace
-from service.model.errors import BadInput
 from service.store.files.columns import MOST_NUMBERS
 from service.store.files.isolated_reader import Limits
 from tests.command import sweepid

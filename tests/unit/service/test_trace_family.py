@@ -22,12 +22,12 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
+from service import BadInput
 from service.formats.traces.containers import ChannelName
 from service.formats.traces.mapping import Csv
 from service.formats.traces.tables import TextTable
 from service.formats.traces.trace_import import Imported, import_trace, mapping_of, mapping_text, read_traces
-from service.model.errors import BadInput
-from service.model.recording import Recording
+from service.model import Recording
 from service.store.files.columns import write_columns
 
 Array = np.ndarray[Any, np.dtype[np.float64]]

@@ -7,8 +7,8 @@ import pytest
 import yaml
 from scipy.io import savemat
 
+from service import BadInput
 from service.formats.traces.trace_import import differentiate, import_trace
-from service.model.errors import BadInput
 from service.store.files.bundle import write_bundle
 
 pytestmark = pytest.mark.slow

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 import yaml
 
+from service import BadInput
 from service.formats.traces.mapping import CncAxis, Mapping, SourceColumn, Unit
+from service.model import Axis
 from service.model.configuration import read_yaml
-from service.model.errors import BadInput
-from service.model.robot import Axis
 
 GEAR = Axis(joint="j", gear_ratio=-171.0, rated_effort=3000.0)
 AXIS = CncAxis(name="A2", direction=-1, zero=90.0)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from service.model.errors import BadInput
-from service.model.urdf import DEEPEST, MOST_ELEMENTS, MOST_LINKS, read_chain
+from service import BadInput
+from service.model import read_chain
+from service.model.urdf import DEEPEST, MOST_ELEMENTS, MOST_LINKS
 
 BODY = '<inertial><mass value="2"/><inertia ixx="1" iyy="2" izz="3" ixy="0" ixz="0" iyz="0"/></inertial>'
 LIMIT = '<limit lower="-1" upper="2" velocity="3" effort="4"/>'

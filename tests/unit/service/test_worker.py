@@ -16,8 +16,8 @@ import pytest
 
 from service.jobs.work import Job, JobFailed, RecordedSweep, Worker, WorkerLost, work
 from service.jobs.worker import open_worker
+from service.model import Robot
 from service.model.configuration import Cell, read_robot
-from service.model.robot import Robot
 from service.planning.safety.envelope import Envelope
 from service.process.settings import Certificates, Cluster
 from service.store.files.recordings import SpectrumFile

@@ -24,17 +24,15 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
-from service.identification.model.base_parameters import BaseParameters, base_parameters
-from service.identification.model.least_squares import converged
+from service import BadInput
+from service.identification.model import BaseParameters, converged, fold, lock
+from service.identification.model.base_parameters import base_parameters
 from service.identification.model.physical_consistency import pseudo_inertia
-from service.identification.model.regressor import fold, lock
-from service.model.arrays import Array
-from service.model.errors import BadInput
+from service.model import INERTIAL_NAMES, Array, Chain, Robot, inertia_vector, link_frames, transform_inertial
 from service.model.results.estimate import Base, BaseParameter, Estimate, StandardParameters
 from service.model.results.payload import DETECTED, Payload
 from service.model.results.sheet import Sheet, SheetParameter, Supplementary, SupplementaryLoad
-from service.model.robot import INERTIAL_NAMES, Robot, link_frames
-from service.model.urdf import LARGEST, Chain, inertia_vector, transform_inertial
+from service.model.urdf import LARGEST
 
 UPRIGHT = -90.0  # deg: position of the second axis that defines the frame of its load
 

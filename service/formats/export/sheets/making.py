@@ -19,12 +19,12 @@ import numpy as np
 from pydantic import ValidationError
 from scipy.special import chdtrc
 
+from service import BadInput
 from service.formats.export.model import IdentifiedModel, model_of
 from service.formats.export.sheets.inertias import UPRIGHT, Inertias, of_estimate, of_sheet, supplementary
 from service.identification.model.physical_consistency import is_physical
-from service.model.arrays import Array
+from service.model import INERTIAL_NAMES, Array, Robot
 from service.model.configuration import bad_field
-from service.model.errors import BadInput
 from service.model.results.estimate import (
     UNSURE,
     Estimate,
@@ -43,7 +43,6 @@ from service.model.results.sheet import (
     SheetParameter,
     SheetVerdict,
 )
-from service.model.robot import INERTIAL_NAMES, Robot
 
 
 def sheet(

@@ -11,8 +11,8 @@ from pathlib import Path
 import httpx
 import pytest
 
+from service.model import Robot
 from service.model.configuration import read_robot
-from service.model.robot import Robot
 from service.process.settings import Settings
 from service.store.files.bundle import write_bundle
 from service.web.app import create_app

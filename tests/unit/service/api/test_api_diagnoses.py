@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 import yaml
 
+from service import BadInput
 from service.data_check import check, findings_document
 from service.diagnosis.experiments import MOST_EXPERIMENTS
 from service.diagnosis.sensitivity import expected
 from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design
-from service.model.errors import BadInput
-from service.model.recording import Sweep, SweepSpec
-from service.model.robot import Robot
+from service.model import Robot, Sweep, SweepSpec
 from service.store.files.bundle import write_bundle
 from service.web.client import ServiceClient, ServiceProblem
 from tests.unit.service.api.conftest import packed

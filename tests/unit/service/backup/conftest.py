@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from service.model import Recording, Sweep, SweepSpec
 from service.model.configuration import read_robot
-from service.model.recording import Recording, Sweep, SweepSpec
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move
 from service.store.database import open_database
 from service.store.documents import NewSweep

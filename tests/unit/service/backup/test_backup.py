@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from service.model.errors import BadInput
+from service import BadInput
 from service.process.settings import load_settings
 from service.store.backup import FILE, make_backup, read_manifest, restore, sqlite_file
 from service.store.database import open_database

@@ -6,8 +6,7 @@ believes in a slide of 1 kg.
 
 import numpy as np
 
-from service.model.recording import Sweep
-from service.model.robot import Axis, Robot, RobotDescription, build_robot
+from service.model import Axis, Robot, RobotDescription, Sweep, build_robot
 from tests.formula_sweep import Turning, by_formula, lines
 
 URDF = """<robot name="pair">

@@ -5,9 +5,9 @@ import re
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.identification.axis.drive_train import TwoMassTrain
 from service.identification.spectra.frequency_response import spectrum
-from service.model.errors import BadInput
 from service.report.benefit.benefit import (
     Benefit,
     ModelBenefit,

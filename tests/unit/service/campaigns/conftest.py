@@ -22,9 +22,8 @@ from service.machine.execution.machine import Machine
 from service.machine.execution.permission import Approvals, Intention
 from service.machine.execution.runner import Runner
 from service.machine.execution.sweep_executor import SweepExecutor
+from service.model import Robot, Sine, SweepSpec
 from service.model.configuration import Cell, read_robot
-from service.model.recording import Sine, SweepSpec
-from service.model.robot import Robot
 from service.planning.campaigns.live import LiveHub
 from service.planning.compiled_plan import CompiledPlan
 from service.planning.safety.envelope import Envelope

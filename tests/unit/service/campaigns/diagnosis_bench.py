@@ -9,16 +9,15 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from service import SweepidError
 from service.diagnosis.sensitivity import expected
 from service.identification.design.diagnosis_sweeps import full_design
 from service.identification.estimates.torque_gain import KnownMass
-from service.identification.model.regressor import gravity_terms, inertia_rows
+from service.identification.model import gravity_terms, inertia_rows
 from service.jobs.dask_workers import DaskWorkers
 from service.jobs.diagnosing import Diagnosing
 from service.jobs.work import JobFailed, Work, Worker
-from service.model.errors import SweepidError
-from service.model.recording import Sweep
-from service.model.robot import Robot
+from service.model import Robot, Sweep
 from service.planning.diagnosis import ExperimentPlace
 from service.process.settings import Cluster
 from service.store.database import open_database

@@ -1,6 +1,6 @@
 """A small arm whose geometry can be checked by hand."""
 
-from service.model.robot import Axis, Robot, RobotDescription, build_robot
+from service.model import Axis, Robot, RobotDescription, build_robot
 
 
 def _link(name: str, mass: float) -> str:

@@ -10,11 +10,11 @@ import yaml
 from sqlalchemy import text
 
 from drivers.registry import load_profile
+from service import BadInput, Conflict, NotFound, NotNow
 from service.machine.execution.permission import Approvals
 from service.machine.execution.runner import Runner
 from service.machine.execution.sweep_executor import SweepExecutor
 from service.model.configuration import Box, Cell
-from service.model.errors import BadInput, Conflict, NotFound, NotNow
 from service.planning.compiled_plan import motion_sha256
 from service.planning.machine_setup import machine_sha256
 from service.process.settings import Settings

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from drivers.ports import SweepCommand
+from service import BadInput, EnvelopeViolation
 from service.identification.design.pose_selection import Criterion, PoseLimits
+from service.model import Robot, build_robot
 from service.model.configuration import Cell, read_cell, read_robot
-from service.model.errors import BadInput, EnvelopeViolation
-from service.model.robot import Robot, build_robot
 from service.planning.documents import PlanDocument, PlanRequest
 from service.planning.plan import build_plan
 from service.planning.safety.envelope import Envelope

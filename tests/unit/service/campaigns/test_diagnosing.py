@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import pytest
 
+from service import BadInput, Conflict
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.experiments import MOST_EXPERIMENTS
 from service.diagnosis.sensitivity import expected
@@ -19,9 +20,8 @@ from service.jobs.diagnosing import Start, campaigns_of, recorded_sweeps
 from service.jobs.experiments import accept_model
 from service.jobs.work import DiagnosisJob
 from service.jobs.worker import open_worker
+from service.model import Robot
 from service.model.configuration import read_cell
-from service.model.errors import BadInput, Conflict
-from service.model.robot import Robot
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move
 from service.planning.diagnosis import ExperimentPlace
 from service.planning.documents import ExperimentRequest

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, strategies as st
 
 from drivers.ports import SampleBlock, SineCommand, SweepCommand, SweepMode
+from service import EnvelopeViolation
 from service.identification.estimates.torque_gain import KnownMass
+from service.model import Robot
 from service.model.configuration import Box, Cell
-from service.model.errors import EnvelopeViolation
-from service.model.robot import Robot
 from service.planning.safety.envelope import Envelope, peak_acceleration, peak_velocity, travel_bounds
 from tests.unit.service.campaigns.small_arm import small_arm
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import pytest
 
+from service import BadInput, Conflict
 from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.jobs.dask_workers import DaskWorkers
 from service.jobs.diagnosing import Diagnosing
 from service.jobs.experiments import ExperimentPlanner, Experiments
-from service.model.errors import BadInput, Conflict
-from service.model.robot import Robot
+from service.model import Robot
 from service.planning.campaigns.live import EventFeed
 from service.planning.documents import PEAK_VELOCITY
 from service.planning.machine_setup import DriveAxis, MachineSetup

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from pydantic import JsonValue
 
+from service import BadInput
 from service.identification.axis.known_effects import known_effects
 from service.identification.estimation import estimate_document
 from service.identification.spectra.frequency_response import spectrum
@@ -21,10 +22,9 @@ from service.jobs.jobs import MOST_REVISIONS, Jobs, open_groups, sweeps_a_revisi
 from service.jobs.work import Job, JobFailed, Work, Worker
 from service.jobs.worker import open_worker
 from service.machine.execution.recording import recover
-from service.model.errors import BadInput
+from service.model import Robot
 from service.model.results.effect import KnownModel, StoredModel
 from service.model.results.estimate import Estimate
-from service.model.robot import Robot
 from service.planning.campaigns.live import EventFeed
 from service.store.database import open_database
 from service.store.diagnoses import DiagnosisStore, ModelStore

@@ -15,10 +15,10 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from structlog.testing import capture_logs
 
 from drivers.errors import Cause, CauseCode, CommunicationLost, DriveFault, StopNotConfirmed
+from service import Conflict, EnvelopeViolation, NotFound, NotNow
 from service.machine.execution import sweep_executor
 from service.machine.execution.machine import watching
 from service.machine.execution.stops import LatchedStops, StopSequences
-from service.model.errors import Conflict, EnvelopeViolation, NotFound, NotNow
 from service.planning.safety.envelope import Envelope
 from service.store.documents import CampaignState, SweepState
 from service.store.lease_and_latch import LeaseLost, MachineLease, StopLatch

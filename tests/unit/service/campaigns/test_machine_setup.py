@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from drivers.registry import load_profile
+from service import BadInput, Conflict
+from service.model import Robot, build_robot
 from service.model.configuration import read_cell, read_robot
-from service.model.errors import BadInput, Conflict
-from service.model.robot import Robot, build_robot
 from service.planning.campaigns.stored_plan import MadeFor
 from service.planning.compiled_plan import Range, check_seen, compile_plan, planned_sweeps, with_approach
 from service.planning.documents import PlanRequest

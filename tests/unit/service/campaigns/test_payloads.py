@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from service import BadInput, Conflict, NotFound
 from service.jobs.jobs import Batches
-from service.model.errors import BadInput, Conflict, NotFound
 from service.store import tables as t
 from service.store.database import Database, open_database
 from service.store.diagnoses import ModelStore

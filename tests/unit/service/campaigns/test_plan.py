@@ -15,19 +15,18 @@ import pytest
 from pydantic import ValidationError
 
 from drivers.ports import NoiseCommand, SweepCommand, SweepMode
+from service import BadInput, EnvelopeViolation
 from service.identification.axis.ideal_frequency import InitialAnalysis, PoseAnalysis
 from service.identification.design.diagnosis_sweeps import BLOCKS, DesignedSweep, full_design
 from service.identification.design.excitation import Excitation
 from service.identification.design.pose_selection import Criterion
 from service.identification.estimates.torque_gain import KnownMass
-from service.identification.model.base_parameters import base_parameters, condition_number
-from service.identification.model.regressor import gravity_terms, inertia_rows, lock
+from service.identification.model import condition_number, gravity_terms, inertia_rows, lock
+from service.identification.model.base_parameters import base_parameters
 from service.identification.spectra.noise_response import FrequencyResponse
+from service.model import Robot, SweepPurpose, build_robot
 from service.model.configuration import Box, Cell, read_cell
-from service.model.errors import BadInput, EnvelopeViolation
-from service.model.recording import SweepPurpose
 from service.model.results.estimate import Ideal
-from service.model.robot import Robot, build_robot
 from service.planning.analysis import build_analysis_plan
 from service.planning.compiled_plan import plan_of
 from service.planning.diagnosis import build_diagnosis_plan, build_experiment_plan

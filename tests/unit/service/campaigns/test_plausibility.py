@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.machine.execution.recording import ImplausibleChannels, check_channels
-from service.model.recording import Recording, Sine, SweepSpec
+from service.model import Recording, Sine, SweepSpec
 
 RATE = 250.0
 SPEC = SweepSpec(

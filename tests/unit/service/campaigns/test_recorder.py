@@ -21,7 +21,7 @@ from drivers.ports import ChannelTiming, SampleBlock, SineCommand, SweepCommand,
 from service.machine.execution import sweep_executor
 from service.machine.execution.recording import Recorder, SamplesMissing, finish, read_stream, recover, salvage
 from service.machine.execution.sweep_executor import BegunSweep, Incoming
-from service.model.recording import SweepSpec
+from service.model import SweepSpec
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.store.documents import CampaignState, RecordingState, SweepState
 from service.store.files.columns import UnreadableStream, read_columns

@@ -4,11 +4,11 @@ from typing import Any
 
 import pytest
 
+from service import Conflict, NotFound
 from service.identification.estimation import estimate_document
 from service.identification.spectra.frequency_response import spectrum
 from service.jobs.reporting import CONVERGENCE, Reporting, spread
-from service.model.errors import Conflict, NotFound
-from service.model.robot import Robot
+from service.model import Robot
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move
 from service.store.diagnoses import DiagnosisStore
 from service.store.documents import BoltedMass, NewDiagnosis, NewSweep, SweepState

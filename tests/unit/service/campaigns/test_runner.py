@@ -21,9 +21,9 @@ from structlog.testing import capture_logs
 
 from drivers.errors import CommunicationLost, DriveFault
 from drivers.ports import SampleBlock, SweepCommand
+from service import Conflict, EnvelopeViolation, NotFound
 from service.machine.execution.runner import Runner
-from service.model.errors import Conflict, EnvelopeViolation, NotFound
-from service.model.recording import Recording
+from service.model import Recording
 from service.store import tables as t
 from service.store.documents import CampaignDocument, CampaignState, RecordingState, SweepState
 from service.store.files.columns import read_columns

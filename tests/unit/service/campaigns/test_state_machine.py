@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from service.model.errors import Conflict
+from service import Conflict
 from service.planning.campaigns.state_machine import (
     CAMPAIGN,
     SWEEP,

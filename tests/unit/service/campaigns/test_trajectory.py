@@ -9,12 +9,11 @@ import pytest
 
 from drivers.errors import Cause, CauseCode, DriveFault
 from drivers.ports import SineCommand, SweepCommand, SweepMode
+from service import BadInput, EnvelopeViolation
 from service.machine.execution.runner import Runner
 from service.machine.execution.sweep_executor import SweepExecutor
+from service.model import Robot, SweepSpec
 from service.model.configuration import Box, Cell
-from service.model.errors import BadInput, EnvelopeViolation
-from service.model.recording import SweepSpec
-from service.model.robot import Robot
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move
 from service.planning.compiled_plan import CompiledPlan
 from service.planning.documents import TrajectoryPlan, TrajectoryRequest, at_once

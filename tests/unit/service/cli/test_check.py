@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from service.model.recording import Sweep
+from service.model import Sweep
 from service.store.files.bundle import write_bundle
 from tests.command import carried_out
 from tests.unit.service.data_check.conftest import lift_sweep, pair

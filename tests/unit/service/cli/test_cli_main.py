@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from service import BadInput
 from service.cli import build
 from service.model.configuration import read_cell
-from service.model.errors import BadInput
 from service.store.files.bundle import write_bundle
 from tests.command import SWEEPID, carried_out, console, refused, sweepid
 from tests.ports import free_port

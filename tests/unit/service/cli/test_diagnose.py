@@ -10,7 +10,7 @@ import pytest
 from service.diagnosis.rows.signals import in_frequency
 from service.diagnosis.sensitivity import expected
 from service.identification.design.diagnosis_sweeps import full_design
-from service.model.recording import Sweep
+from service.model import Sweep
 from service.store.files.bundle import write_bundle
 from simulator import load_scenario
 from tests.command import carried_out, refused, sweepid

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
+from service import BadInput
 from service.cli.commands.campaigns import plan_number
-from service.model.errors import BadInput
 from service.model.results.estimate import Estimate
 from sweepid.files import read_document
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import yaml
 
+from service import BadInput
 from service.cli.commands.estimate import as_document, profile_lines, torque_gain
 from service.identification.axis.channel_timing import ChannelLags, Lag
 from service.identification.axis.drive_train import TwoMassTrain
-from service.model.errors import BadInput
 from service.report.benefit.benefit import Benefit
 from service.store.files.bundle import write_bundle
 from sweepid.files import read_gains

@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.formats.export.sheets.inertias import LoadData, load_of
 from service.formats.export.sheets.making import check_sheet, fingerprint, sheet
 from service.formats.export.sheets.text import as_markdown
 from service.model.configuration import read_robot
-from service.model.errors import BadInput
 from service.model.results.estimate import Estimate
 from service.model.results.payload import Payload
 from service.model.results.sheet import Sheet

@@ -11,8 +11,8 @@ from rich.console import Console
 
 from service.cli.terminal import print_result
 from service.identification.estimates.initial_analysis import analyses_document
+from service.model import Axis, RobotDescription, build_robot
 from service.model.results.estimate import Estimate
-from service.model.robot import Axis, RobotDescription, build_robot
 from service.store.files.bundle import write_bundle
 from tests.command import carried_out, refused, sweepid
 from tests.formula_sweep import Turning, by_formula, lines

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import yaml
 
+from service import BadInput
 from service.model.collision import CollisionChecker
 from service.model.configuration import read_cell, read_robot
-from service.model.errors import BadInput
 from tests.command import carried_out, refused, sweepid
 from tests.makers_robots import MAKERS, Maker, share, told_of
 

@@ -9,7 +9,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
-from service.model.errors import BadInput
+from service import BadInput
 from service.web.client import ServiceClient, ServiceProblem
 
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from service.model.recording import Recording, Sine, Sweep, SweepSpec
-from service.model.robot import Axis, Robot, RobotDescription, build_robot
+from service.model import Axis, Recording, Robot, RobotDescription, Sine, Sweep, SweepSpec, build_robot
 from tests.unit.service.identification.conftest import URDF
 
 RATED = 3000.0  # N m

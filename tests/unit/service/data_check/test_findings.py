@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from service.data_check import DataFinding, check, findings_document, untrustworthy
-from service.model.recording import Sweep
+from service.model import Robot, Sweep, build_robot
 from service.model.results.diagnosis import CheckedAxis
-from service.model.robot import Robot, build_robot
 from tests.unit.service.data_check.conftest import (
     INERTIA,
     OFFSET,

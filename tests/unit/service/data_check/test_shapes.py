@@ -10,10 +10,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import sweepid
+from service import BadInput
 from service.data_check import check, findings_document
-from service.model.errors import BadInput
-from service.model.recording import Recording, Sweep
-from service.model.robot import Robot
+from service.model import Recording, Robot, Sweep
 from service.store.files.bundle import Bundle, read_bundle, write_bundle
 from service.store.files.columns import write_columns
 from tests.unit.service.data_check.conftest import OFFSET, RATED, lift_sweep, pair

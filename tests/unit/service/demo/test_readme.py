@@ -8,7 +8,7 @@ import pytest
 
 from service.cli.demo import ERRORS, SCENARIO, error, read_truth
 from service.cli.virtual_cell import CELL, ROBOT
-from service.identification.model.regressor import axis_rows
+from service.identification.model import axis_rows
 from service.model.configuration import read_cell, read_robot
 from service.planning.documents import PlanRequest
 from service.planning.poses import workspace_grid

@@ -12,8 +12,7 @@ from service.diagnosis.rows.signals import Tracks, tracks
 from service.diagnosis.sensitivity import expected
 from service.identification.design.diagnosis_sweeps import BLOCKS, DesignedSweep, full_design
 from service.identification.estimates.torque_gain import KnownMass
-from service.model.recording import Sweep
-from service.model.robot import Robot
+from service.model import Robot, Sweep
 from tests.numeric.campaign import max100
 
 Array = NDArray[np.float64]

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.fit.calibration import Weighed, corrected, is_decided, is_wrong, weighed_gain
 from service.diagnosis.fit.fitted import Parameter
@@ -14,9 +15,7 @@ from service.diagnosis.rows.signals import tracks
 from service.diagnosis.sensitivity import expected
 from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design
 from service.identification.estimates.torque_gain import KnownMass
-from service.model.errors import BadInput
-from service.model.recording import Sweep
-from service.model.robot import Robot
+from service.model import Robot, Sweep
 from tests.unit.service.diagnosis.following import SLOW, carrying, known_to
 
 pytestmark = pytest.mark.slow

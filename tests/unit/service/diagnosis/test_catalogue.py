@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.drive_train import missing
 from service.diagnosis.effects.effect import Catalogue, Model
@@ -15,7 +16,6 @@ from service.diagnosis.effects.friction import warmth
 from service.diagnosis.rows.signals import Tracks, bristle, tracks
 from service.diagnosis.sensitivity import expected
 from service.identification.design.diagnosis_sweeps import full_design
-from service.model.errors import BadInput
 from tests.numeric.campaign import max100
 
 

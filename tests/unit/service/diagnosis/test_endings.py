@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from rich.console import Console
 
+from service import BadInput
 from service.cli.terminal import print_result
 from service.diagnosis import axis_document, diagnose_axis, model_document
 from service.diagnosis.effects import CATALOGUE
@@ -25,8 +26,7 @@ from service.diagnosis.model.scenario import inertia_factors
 from service.diagnosis.rows.rigid import nominal_load
 from service.diagnosis.unfinished import unfinished
 from service.identification.design.diagnosis_sweeps import full_design
-from service.model.errors import BadInput
-from service.model.recording import Sweep
+from service.model import Sweep
 from service.report.diagnosis import diagnosis_page
 from tests.numeric.campaign import max100
 from tests.stored.documents import axis_document as stored_axis, diagnosis

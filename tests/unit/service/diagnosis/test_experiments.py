@@ -27,7 +27,7 @@ from service.identification.design.diagnosis_sweeps import (
 )
 from service.identification.design.excitation import Excitation, velocity_setpoint
 from service.identification.estimates.torque_gain import KnownMass
-from service.model.recording import SweepSpec
+from service.model import SweepSpec
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import (
     FORWARD,

@@ -10,7 +10,7 @@ from service.diagnosis.fit.equations import Equations, Term
 from service.diagnosis.fit.gap import gap
 from service.diagnosis.model.held_out_check import check_held_out
 from service.identification.design.diagnosis_sweeps import full_design
-from service.model.recording import Recording, Sweep
+from service.model import Recording, Sweep
 from simulator import DriveTrain, Measurement, Scenario, run_sweeps
 from tests.numeric.campaign import max100, scenario_named
 from tests.unit.service.diagnosis.following import equations_of

@@ -12,7 +12,7 @@ from service.diagnosis.localisation.locate import lines, sentences
 from service.diagnosis.localisation.repeatability import Unrepeated, unrepeated
 from service.diagnosis.rows.signals import tracks
 from service.identification.design.diagnosis_sweeps import full_design
-from service.model.recording import Sweep
+from service.model import Sweep
 from service.model.results.diagnosis import Cell
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import FORWARD, RATE, SLOW, equations_of, following, swept

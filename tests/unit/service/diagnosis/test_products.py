@@ -8,7 +8,7 @@ from service.diagnosis.effects.friction import law
 from service.diagnosis.fit.cross_products import PLAIN, Group, Piece, between_periods, noise_model, pairing
 from service.diagnosis.rows.periods import in_periods
 from service.diagnosis.rows.signals import back, bins, derivative_spectrum, in_frequency, lowpass, row_samples
-from service.model.recording import Recording, Sweep, SweepSpec
+from service.model import Recording, Sweep, SweepSpec
 
 RATE = 250.0
 

@@ -7,7 +7,7 @@ from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.rows.rigid import Rigid, load_rows, nominal_load, parameter_spread, rigid
 from service.diagnosis.rows.signals import tracks
 from service.identification.estimates.torque_gain import KnownMass
-from service.model.robot import Axis, Prior, Robot, RobotDescription
+from service.model import Axis, Prior, Robot, RobotDescription
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import FORWARD, carrying, swept
 

@@ -12,9 +12,8 @@ from service.diagnosis.fit.equations import Term, grouped, held_back
 from service.diagnosis.rows.rigid import deviations_left, load_rows, nominal_parameters
 from service.diagnosis.rows.signals import tracks
 from service.diagnosis.verdict import Verdict
-from service.identification.model.base_parameters import joint_ranges, reduce_columns
-from service.identification.model.regressor import parameter_names
-from service.model.recording import Sweep
+from service.identification.model import joint_ranges, parameter_names, reduce_columns
+from service.model import Sweep
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import FORWARD, heavier, known_to, swept
 

@@ -9,7 +9,7 @@ import pytest
 from service.diagnosis.fit.equations import Equations
 from service.diagnosis.localisation.ripple_search import ripples, with_ripples
 from service.diagnosis.rows.signals import row_samples
-from service.model.robot import Robot
+from service.model import Robot
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import SLOW, equations_of, swept
 

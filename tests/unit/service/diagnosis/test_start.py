@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from service import BadInput
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.equations import Term
@@ -18,9 +19,7 @@ from service.diagnosis.rows.signals import Tracks
 from service.formats.export.started_robot import started_from
 from service.identification.design.diagnosis_sweeps import full_design
 from service.identification.estimation import estimate_document, sweep_spectrum
-from service.model.errors import BadInput
-from service.model.recording import Sweep
-from service.model.robot import INERTIAL_NAMES, Robot
+from service.model import INERTIAL_NAMES, Robot, Sweep
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, SLOW, following, known_to, swept
 

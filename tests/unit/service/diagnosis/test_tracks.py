@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.fit.equations import Term, grouped
 from service.diagnosis.rows.signals import tracks
-from service.model.errors import BadInput
-from service.model.recording import Sweep
+from service.model import Sweep
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import FORWARD, SLOW, swept
 

@@ -20,9 +20,8 @@ from service.diagnosis.model.twin import TwinRun, torques, ways
 from service.diagnosis.rows.rigid import load_rows, nominal_load, nominal_parameters
 from service.diagnosis.rows.signals import Tracks, laid_out, tracks
 from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design
-from service.model.recording import Recording, Sweep
+from service.model import Recording, Robot, Sweep
 from service.model.results.diagnosis import DiagnosedModel
-from service.model.robot import Robot
 from simulator import Measurement, Motion, SweepRun, load_scenario, replay, run_sweeps
 from simulator.rigid_body import RigidBody, moving_axis
 from tests.numeric import campaign

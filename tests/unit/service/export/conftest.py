@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from service.model import INERTIAL_NAMES, Axis, Robot, RobotDescription, build_robot
 from service.model.configuration import read_robot
-from service.model.robot import INERTIAL_NAMES, Axis, Robot, RobotDescription, build_robot
 from tests.random_chain import random_urdf
 
 CONFIG = Path(__file__).parents[4] / "config"

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import yaml
 
+from service import BadInput
 from service.formats.export import identified_model, model_files, write_model
 from service.formats.export.files import quaternion
 from service.identification.estimates.standard_parameters import AxisWorth, Worth
 from service.identification.model.physical_consistency import is_physical
+from service.model import INERTIAL_NAMES, Axis, Robot, RobotDescription, build_robot, read_chain, rotation_about
 from service.model.configuration import read_robot
-from service.model.errors import BadInput
-from service.model.robot import INERTIAL_NAMES, Axis, Robot, RobotDescription, build_robot, rotation_about
-from service.model.urdf import read_chain, read_inertial
+from service.model.urdf import read_inertial
 from tests.unit.service.export.conftest import estimate_of
 
 _mujoco = cast(Any, mujoco)  # a binary module without type stubs

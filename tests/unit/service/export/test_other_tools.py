@@ -9,8 +9,8 @@ import pinocchio as pin
 import pytest
 
 from service.formats.export import IdentifiedModel, identified_model, model_files
-from service.identification.model.regressor import axis_rows
-from service.model.robot import Robot
+from service.identification.model import axis_rows
+from service.model import Robot
 from tests.unit.service.export.conftest import estimate_of
 
 _mujoco = cast(Any, mujoco)  # a binary module without type stubs

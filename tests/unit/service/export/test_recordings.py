@@ -17,7 +17,7 @@ import pytest
 from mcap.reader import make_reader
 
 from service.formats.export.recordings import write_recordings
-from service.model.recording import Sweep
+from service.model import Sweep
 from service.store.files.bundle import read_bundle, write_bundle
 from service.store.files.columns import columns_of
 from tests.command import sweepid

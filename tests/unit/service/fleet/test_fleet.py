@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from service import BadInput
 from service.identification.fleet.statistics import (
     FEWEST,
     AlarmRate,
@@ -15,7 +16,6 @@ from service.identification.fleet.statistics import (
     looks,
     outliers,
 )
-from service.model.errors import BadInput
 
 pytestmark = pytest.mark.slow
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from service.model.robot import Axis, Prior, Robot, RobotDescription, build_robot
+from service.model import Axis, Prior, Robot, RobotDescription, build_robot
 
 URDF = """<robot name="pair"><link name="base"/>
 <link name="column"><inertial><origin xyz="0 0 0.3"/><mass value="200"/>

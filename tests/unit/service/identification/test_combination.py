@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.identification.design.exciting_trajectory import (
     TrajectoryLimits,
     TrajectoryShape,
@@ -17,17 +18,9 @@ from service.identification.estimates.combination import (
     combination_document,
     combine,
 )
-from service.identification.model.inverse_dynamics import (
-    JointMotion,
-    dynamic_base,
-    dynamics_rows,
-    nominal_parameters,
-)
-from service.identification.model.regressor import axis_rows
+from service.identification.model import JointMotion, axis_rows, dynamic_base, dynamics_rows, nominal_parameters
 from service.identification.motion.trajectory_record import AxisTrack, TrajectoryRecord
-from service.model.errors import BadInput
-from service.model.recording import SweepSpec
-from service.model.robot import Robot
+from service.model import Robot, SweepSpec
 from tests.random_chain import random_arm
 
 pytestmark = pytest.mark.slow

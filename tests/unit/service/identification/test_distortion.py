@@ -25,8 +25,7 @@ from service.identification.design.excitation import (
 from service.identification.estimates.document import as_document
 from service.identification.estimates.estimate import identify
 from service.identification.spectra.frequency_response import Spectrum, spectrum
-from service.model.recording import Recording, Sweep
-from service.model.robot import Robot
+from service.model import Recording, Robot, Sweep
 from tests.numeric.campaign import spec_of
 
 pytestmark = pytest.mark.slow

@@ -3,15 +3,13 @@
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.identification.estimates.estimate import identify
 from service.identification.estimation import estimate_document
-from service.identification.model.base_parameters import joint_ranges
+from service.identification.model import joint_ranges
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.identification.spectra.time_domain import fit_record
-from service.model.errors import BadInput
-from service.model.recording import Sweep
-from service.model.robot import Axis, Robot, RobotDescription, build_robot
-from service.model.urdf import read_chain
+from service.model import Axis, Robot, RobotDescription, Sweep, build_robot, read_chain
 from tests.formula_sweep import Turning, by_formula, lines
 from tests.unit.service.identification.conftest import URDF
 

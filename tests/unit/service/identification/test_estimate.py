@@ -7,19 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.identification.axis import joint_fit
 from service.identification.axis.axis_estimate import identify_axis
 from service.identification.design.excitation import design_sweep, velocity_setpoint
 from service.identification.estimates import estimate as estimates
 from service.identification.estimates.document import as_document
 from service.identification.estimates.estimate import Judged, WeightingEnded, identify, judge
-from service.identification.model import physical_consistency
-from service.identification.model.least_squares import Array
-from service.identification.model.regressor import gravity_terms, inertia_rows
+from service.identification.model import gravity_terms, inertia_rows, physical_consistency
 from service.identification.spectra.frequency_response import Spectrum, spectrum
-from service.model.errors import BadInput
-from service.model.recording import Recording, Sine, Sweep
-from service.model.robot import Robot
+from service.model import Array, Recording, Robot, Sine, Sweep
 from tests.formula_sweep import Turning, by_formula
 from tests.numeric.campaign import spec_of
 

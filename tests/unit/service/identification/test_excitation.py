@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings, strategies as st
 
+from service import BadInput
 from service.identification.design.excitation import (
     Excitation,
     Sines,
@@ -13,9 +14,7 @@ from service.identification.design.excitation import (
     way,
     zippered_lines,
 )
-from service.model.errors import BadInput
-from service.model.recording import Sine
-from service.model.robot import Axis, Robot, RobotDescription, build_robot
+from service.model import Axis, Robot, RobotDescription, Sine, build_robot
 from tests.random_chain import random_arm
 from tests.unit.service.identification.conftest import URDF
 

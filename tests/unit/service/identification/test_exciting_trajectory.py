@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.identification.design.excitation import velocity_setpoint
 from service.identification.design.exciting_trajectory import (
     Trajectory,
@@ -12,9 +13,8 @@ from service.identification.design.exciting_trajectory import (
     nominal_effort,
     steady_motion,
 )
-from service.identification.model.inverse_dynamics import dynamic_base
-from service.model.errors import BadInput
-from service.model.robot import Robot
+from service.identification.model import dynamic_base
+from service.model import Robot
 from tests.random_chain import random_arm
 
 pytestmark = pytest.mark.slow

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.identification.axis.drive_train import TwoMassTrain
 from service.identification.estimates.combination import combine
 from service.identification.estimation import estimate_document, sweep_spectrum
@@ -13,9 +14,7 @@ from service.identification.motion.equations import mean_sign
 from service.identification.motion.fit import Colour
 from service.identification.motion.free_motion import at_once, calibrated, free_motions, low_pass, memory, with_loads
 from service.identification.spectra.frequency_response import stretches
-from service.model.errors import BadInput
-from service.model.recording import Recording, Sweep, SweepSpec
-from service.model.robot import Robot
+from service.model import Recording, Robot, Sweep, SweepSpec
 from tests.random_chain import random_arm
 
 RATE = 200.0

@@ -6,14 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.identification.estimation import spectrum_from, sweep_spectrum
 from service.identification.motion.free_motion import free_motions
 from service.identification.motion.trajectory_record import AxisTrack, axis_track
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.identification.spectra.noise_response import NoiseSpectrum, noise_spectrum
-from service.model.errors import BadInput
-from service.model.recording import Recording, Sine, Sweep, SweepSpec
-from service.model.robot import Robot
+from service.model import Recording, Robot, Sine, Sweep, SweepSpec
 from tests.formula_sweep import by_formula
 
 RATE = 250.0

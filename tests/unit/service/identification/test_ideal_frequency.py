@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.identification.axis.drive_train import TwoMassTrain, impedance
 from service.identification.axis.ideal_frequency import InitialAnalysis, analyse_axis, nearest_line
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
 from service.identification.estimates.initial_analysis import analyses_document, analyses_from
 from service.identification.spectra.noise_response import FrequencyResponse
-from service.model.errors import BadInput
 from service.model.results import estimate as results
 
 pytestmark = pytest.mark.slow

@@ -8,15 +8,14 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lsim
 
+from service import BadInput
 from service.identification.axis import joint_fit
 from service.identification.axis.drive_train import SHARED, TwoMassTrain, direct_terms, effort_residual
 from service.identification.axis.joint_fit import FitEnded, complete_prior, fit_axis
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
 from service.identification.design.excitation import design_sweep, velocity_setpoint
 from service.identification.spectra.frequency_response import Spectrum, spectrum
-from service.model.errors import BadInput
-from service.model.recording import Recording, Sweep
-from service.model.robot import Robot
+from service.model import Recording, Robot, Sweep
 from tests.formula_sweep import Turning, by_formula, lines
 from tests.numeric.campaign import spec_of
 

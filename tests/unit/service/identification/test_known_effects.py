@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.diagnosis.effects.friction import law
 from service.identification.axis.known_effects import (
     LAWS,
@@ -16,9 +17,7 @@ from service.identification.axis.known_effects import (
     corrected,
 )
 from service.identification.spectra.frequency_response import Spectrum, spectrum
-from service.model.errors import BadInput
-from service.model.recording import Sine
-from service.model.robot import Robot
+from service.model import Robot, Sine
 from tests.formula_sweep import by_formula, turning
 from tests.unit.service.identification.known import Parameters, known, model, read
 

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from service import BadInput
 from service.identification.estimates.estimate import identify
 from service.identification.estimation import estimate_document
-from service.identification.model.least_squares import Information, LeftOut, converged
+from service.identification.model import Information, LeftOut, converged
 from service.identification.spectra.frequency_response import Spectrum, spectrum
-from service.model.errors import BadInput
-from service.model.recording import Sine
-from service.model.robot import Robot, build_robot
+from service.model import Robot, Sine, build_robot
 from tests.formula_sweep import Turning, by_formula
 
 

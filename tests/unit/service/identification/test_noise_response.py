@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.identification.axis.drive_train import TwoMassTrain, impedance
 from service.identification.spectra.noise_response import NoiseSpectrum, noise_response, noise_spectrum
-from service.model.errors import BadInput
-from service.model.recording import Recording, Sweep, SweepSpec
-from service.model.robot import Robot
+from service.model import Recording, Robot, Sweep, SweepSpec
 
 TRAIN = TwoMassTrain(58.0, 140.0, 60.0, 1 / 7.4e5, 1.2e-3)
 FREQUENCY = np.arange(2, 60) / 1.6

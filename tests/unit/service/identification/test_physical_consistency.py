@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from service import BadInput
 from service.identification.model.base_parameters import base_parameters
 from service.identification.model.physical_consistency import (
     NearestPhysical,
@@ -13,8 +14,7 @@ from service.identification.model.physical_consistency import (
     nearest_physical,
     pseudo_inertia,
 )
-from service.model.errors import BadInput
-from service.model.urdf import Chain, read_chain
+from service.model import Chain, read_chain
 from tests.random_chain import random_urdf
 
 pytestmark = pytest.mark.slow

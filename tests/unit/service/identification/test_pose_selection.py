@@ -17,7 +17,7 @@ from service.identification.design.pose_selection import (
     sweep_information,
     without_gain,
 )
-from service.model.recording import Sine
+from service.model import Sine
 from tests.naive_selection import naive_condition
 
 

@@ -5,23 +5,24 @@ import pinocchio as pin
 import pytest
 from scipy.stats import qmc
 
-from service.identification.model.base_parameters import (
-    base_parameters,
-    condition_number,
-    reduce_columns,
-    spread_evenly,
-)
-from service.identification.model.inverse_dynamics import JointMotion, dynamics_names, dynamics_rows, link_rows
-from service.identification.model.regressor import (
+from service.identification.model import (
+    JointMotion,
     axis_rows,
+    condition_number,
+    dynamics_names,
+    dynamics_rows,
     fold,
     gravity_rows,
     gravity_terms,
     inertia_rows,
+    link_rows,
     lock,
     parameter_names,
+    reduce_columns,
+    spread_evenly,
 )
-from service.model.urdf import read_chain
+from service.identification.model.base_parameters import base_parameters
+from service.model import read_chain
 from tests.random_chain import random_urdf
 
 GRAVITY = np.array([0.0, 0.0, -9.81])

@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from service import BadInput
 from service.identification.spectra import speed_loop
 from service.identification.spectra.speed_loop import fit_closed_loop, fit_torque_response
-from service.model.errors import BadInput
 
 OVER_GAIN, FRICTION, DELAY = 3.6e-3, 0.025, 0.7e-3  # J/K in s, mu/K, s
 FREQUENCY = np.arange(1, 256) * 8000 / 2047

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.identification.model.base_parameters import BaseParameters, base_parameters, combination_of
-from service.identification.model.regressor import lock, parameter_names
+from service.identification.model import BaseParameters, combination_of, lock, parameter_names
+from service.identification.model.base_parameters import base_parameters
 from service.identification.model.symbols import (
     Dimension,
     Product,
@@ -16,7 +16,7 @@ from service.identification.model.symbols import (
     products,
     symbolic_names,
 )
-from service.model.urdf import Chain, read_chain
+from service.model import Chain, read_chain
 from tests.random_chain import random_urdf
 
 MAX100 = Path(__file__).parents[4] / "config/robots/max100-class.urdf"

@@ -11,8 +11,7 @@ from service.formats.traces.trace_import import import_trace
 from service.identification.estimates.estimate import identify
 from service.identification.spectra.frequency_response import spectrum
 from service.identification.spectra.time_domain import RecordFit, fit_record
-from service.model.recording import Recording, Sweep, SweepSpec
-from service.model.robot import Axis, Robot, RobotDescription, build_robot
+from service.model import Axis, Recording, Robot, RobotDescription, Sweep, SweepSpec, build_robot
 
 INERTIA, VISCOUS, DRY = 1.5e-3, 4e-4, 0.25  # of a servo motor on its bench: kg m^2, N m s/rad, N m
 RATE, DURATION, TOP = 1000.0, 6.0, 200.0  # Hz, s, rad/s

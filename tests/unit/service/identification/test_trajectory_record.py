@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.identification.axis.drive_train import TwoMassTrain
 from service.identification.motion.trajectory_record import (
     TrajectoryRecord,
@@ -15,9 +16,7 @@ from service.identification.motion.trajectory_record import (
     trajectory,
     with_loads,
 )
-from service.model.errors import BadInput
-from service.model.recording import Recording, Sine, Sweep, SweepSpec
-from service.model.robot import Robot
+from service.model import Recording, Robot, Sine, Sweep, SweepSpec
 from tests.random_chain import random_arm
 
 RATE, PERIOD, PERIODS, START = 200.0, 2.0, 3, 1.0

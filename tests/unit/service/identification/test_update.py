@@ -16,7 +16,7 @@ from service.identification.estimates.update import Condensed
 from service.identification.estimation import condensed_estimate, estimate_document, sweep_spectrum
 from service.identification.spectra.frequency_response import Spectrum
 from service.jobs.work import Job, Revisions
-from service.model.robot import Robot
+from service.model import Robot
 from service.store.files.recordings import SpectrumFile, encode_spectrum
 from tests.numeric.campaign import measure_at, scenario_named
 

@@ -5,10 +5,10 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.formats.maker_urdf.chain import choose_chain
-from service.model.errors import BadInput
-from service.model.robot import link_frames
-from service.model.urdf import Chain, read_chain, read_origin
+from service.model import Chain, link_frames, read_chain
+from service.model.urdf import read_origin
 
 LIMIT = '<limit lower="-1" upper="2" velocity="3" effort="4"/>'
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.spatial import ConvexHull
 
+from service import BadInput
 from service.formats.maker_urdf.inertials import (
     FINEST,
     MOST_VERTICES,
@@ -19,8 +20,8 @@ from service.formats.maker_urdf.inertials import (
     solid,
 )
 from service.formats.maker_urdf.packages import Packages
-from service.model.errors import BadInput
-from service.model.urdf import read_chain, read_hull
+from service.model import read_chain
+from service.model.urdf import read_hull
 
 ARM = """<robot name="arm"><link name="base"/><joint name="j" type="revolute"><parent link="base"/><child link="tip"/>
 <axis xyz="0 0 1"/>

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from hypothesis import given, strategies as st
 
+from service import BadInput
 from service.formats.maker_urdf import UrdfCheck, check_urdf, read_description, side_file_text
 from service.formats.maker_urdf.packages import Packages
-from service.model.errors import BadInput
 
 BODY = 'ixx="0.05" ixy="0" ixz="0" iyy="0.05" iyz="0" izz="0.02"'
 LIMIT = '<limit lower="-2.5" upper="2.5" velocity="2" effort="200"/>'

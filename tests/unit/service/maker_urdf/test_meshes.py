@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.formats.maker_urdf import packages
 from service.formats.maker_urdf.packages import MeshLimits, Packages, mesh_points
-from service.model.errors import BadInput
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]])
 

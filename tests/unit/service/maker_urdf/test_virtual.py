@@ -7,10 +7,10 @@ import yaml
 
 from drivers.canopen.profile import parse_profile
 from drivers.registry import load_profile
+from service import BadInput
 from service.formats.maker_urdf import side_file_text
 from service.formats.maker_urdf.virtual import DraftedRobot, virtual_machine
 from service.model.configuration import read_cell, read_robot
-from service.model.errors import BadInput
 from service.planning.machine_setup import DriveProfile, differences
 from simulator import load_scenario
 from tests.unit.service.maker_urdf.test_kinds import LIMIT, arm, checked, inertial, joint, limit, link

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.model.errors import BadInput
+from service import BadInput
 from service.process.settings import Settings, StoreAddress, store_address
 from service.store.files.columns import read_columns
 from service.store.files.recordings import RecordingFile, file_sha256

@@ -12,8 +12,8 @@ from pathlib import Path
 import httpx
 import pytest
 
+from service import BadInput, NotNow
 from service.jobs.recording_uploads import RecordingUploads, Transfers
-from service.model.errors import BadInput, NotNow
 from service.process.settings import Settings, StoreAddress
 from service.process.tasks import Background
 from service.store.backup import make_backup, restore

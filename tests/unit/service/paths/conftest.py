@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from service.machine.paths.sweep_paths import CncControl, read_control
+from service.model import Robot
 from service.model.configuration import Cell, read_cell, read_robot
-from service.model.robot import Robot
 from service.planning.documents import PlanDocument, PlanRequest
 from service.planning.plan import build_plan
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
+from service import BadInput
 from service.formats.traces.mapping import CncAxis, Mapping
 from service.identification.design.excitation import velocity_setpoint
 from service.machine.paths.sweep_paths import (
@@ -25,9 +26,8 @@ from service.machine.paths.sweep_paths import (
     read_control,
     velocity_bound,
 )
+from service.model import Robot
 from service.model.configuration import Cell, read_robot, read_yaml
-from service.model.errors import BadInput
-from service.model.robot import Robot
 from service.planning.documents import PlanDocument
 from tests.unit.service.paths.conftest import CELL, CONTROL, ROBOT, ROOT
 from tests.unit.service.paths.nc_walk import Walk, walk

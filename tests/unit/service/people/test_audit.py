@@ -10,8 +10,8 @@ from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError
 from structlog.testing import capture_logs
 
+from service import BadInput, Conflict
 from service.cli.commands.people import add_key, export_audit, list_people
-from service.model.errors import BadInput, Conflict
 from service.store.access import LOCAL
 from service.store.database import Database, open_database
 from service.store.people.audit import (

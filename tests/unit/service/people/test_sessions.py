@@ -18,8 +18,8 @@ import pytest
 from argon2 import PasswordHasher
 from sqlalchemy import select, text
 
+from service import BadInput, Conflict, NotFound
 from service.cli.commands.people import revoke_session, sessions
-from service.model.errors import BadInput, Conflict, NotFound
 from service.store import tables as t
 from service.store.access import Role
 from service.store.database import Database, SteadyClock, open_database

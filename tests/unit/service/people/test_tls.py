@@ -13,7 +13,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from service.model.errors import BadInput
+from service import BadInput
 from service.process.settings import Settings
 from service.store.access import Role
 from service.store.database import open_database

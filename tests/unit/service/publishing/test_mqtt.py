@@ -12,7 +12,7 @@ import psutil
 import pytest
 from aiomqtt import Client, MqttError
 
-from service.model.errors import BadInput
+from service import BadInput
 from service.process.settings import Mqtt
 from service.publishing import mqtt
 from service.publishing.mqtt import Broker

@@ -13,7 +13,7 @@ from asyncua import ua
 from asyncua.client.client import Client
 from asyncua.ua.status_codes import StatusCodes
 
-from service.model.errors import BadInput
+from service import BadInput
 from service.process.settings import OpcUa
 from service.publishing.opcua import OpcUaServer, load_of
 from service.publishing.state import FromPublisher, PublishedState

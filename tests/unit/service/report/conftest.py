@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from service.model import Robot
 from service.model.configuration import read_robot
-from service.model.robot import Robot
 
 
 @pytest.fixture(scope="session")

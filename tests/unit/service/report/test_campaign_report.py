@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from service.model import Robot
 from service.model.results.diagnosis import DataCheck, Diagnosis, Finding
 from service.model.results.estimate import BaseParameter, Estimate, not_for_use
-from service.model.robot import Robot
 from service.report.campaign import CONFIRMED, CONTRADICTED, OPEN, EstimateVerdict, campaign_page, verdict
 from service.report.content import CampaignReport, Content, Drive, content_of
 from tests.stored import documents

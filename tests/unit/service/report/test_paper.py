@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from pypdf import PdfReader
 
-from service.model.errors import NoPdf
+from service import NoPdf
+from service.model import Robot
 from service.model.results.diagnosis import Diagnosis
-from service.model.robot import Robot
 from service.report.campaign import campaign_page
 from service.report.diagnosis import diagnosis_figures
 from service.report.drawing import DrawnFigure, Part, figure, line, points, scale

@@ -9,10 +9,9 @@ import pytest
 
 from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.estimates.initial_analysis import analyses_document
-from service.identification.model.regressor import axis_rows, lock
-from service.model.recording import Recording, Sine, Sweep, SweepSpec
+from service.identification.model import axis_rows, lock
+from service.model import INERTIAL_NAMES, Recording, Robot, Sine, Sweep, SweepSpec, build_robot
 from service.model.results.estimate import BaseParameter, Estimate
-from service.model.robot import INERTIAL_NAMES, Robot, build_robot
 from service.report.campaign import campaign_page
 from service.report.content import CampaignReport, Content, TruthRow, axes_of, revision
 from service.report.figures import parameter_unit

@@ -7,8 +7,8 @@ from typing import Any, get_args
 import pytest
 from pydantic import BaseModel
 
+from service import BadInput
 from service.diagnosis import experiments, verdict
-from service.model.errors import BadInput
 from service.model.results.diagnosis import TEST_MASS, AxisDiagnosis, Bin, Cell, DataCheck, Diagnosis, Verdict
 from service.model.results.effect import ModelRevision
 from service.model.results.estimate import Estimate

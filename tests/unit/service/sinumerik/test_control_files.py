@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from service import BadInput
 from service.cli.commands.imports import import_trace
 from service.formats.sinumerik.document import (
     Given,
@@ -18,7 +19,6 @@ from service.formats.sinumerik.document import (
 )
 from service.formats.sinumerik.measurement import LoopMeasurement, SpeedController, measurement_of, tuning_of
 from service.formats.sinumerik.members import LARGEST, decode, read_members
-from service.model.errors import BadInput
 from tests.command import sweepid
 from tests.control_file import DELAY, GAIN, INERTIA, TOTAL, Loop, base85, tuning_xml
 

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from service.model import Robot, SweepSpec
 from service.model.configuration import read_robot
-from service.model.recording import SweepSpec
-from service.model.robot import Robot
 from service.store.database import Database, open_database
 from service.store.store import Store
 from tests.postgresql_server import PostgresqlServer, running_server

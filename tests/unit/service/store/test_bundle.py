@@ -18,9 +18,19 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 from pydantic import ValidationError
 
-from service.model.errors import BadInput
-from service.model.recording import Recording, Sine, Sweep, SweepSpec
-from service.model.robot import Axis, Prior, Robot, RobotDescription, build_robot, robot_from_outside
+from service import BadInput
+from service.model import (
+    Axis,
+    Prior,
+    Recording,
+    Robot,
+    RobotDescription,
+    Sine,
+    Sweep,
+    SweepSpec,
+    build_robot,
+    robot_from_outside,
+)
 from service.store.files.bundle import Bundle, read_bundle, read_from, write_bundle
 from tests.recorded_bundle import bundle
 

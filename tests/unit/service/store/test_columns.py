@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from hypothesis.extra import numpy as hnp
 
-from service.model.errors import BadInput
-from service.model.recording import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, Recording
+from service import BadInput
+from service.model import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, Recording
 from service.store.files.columns import LARGEST_CSV, MOST_NUMBERS, read_columns, read_table, write_columns
 
 PLAIN = "time,effort,velocity,position\n0,1,2,3\n0.5,1,2,3\n"
@@ -24,7 +24,7 @@ PEAK = """
 import sys
 from pathlib import Path
 import pyarrow
-from service.model.errors import BadInput
+from service import BadInput
 from service.store.files.columns import read_columns
 try:
     read_columns(Path(sys.argv[1]))

@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.model.errors import BadInput
-from service.model.recording import Recording, SweepSpec
-from service.model.robot import Robot
+from service import BadInput
+from service.model import Recording, Robot, SweepSpec
 from service.store.database import open_database
 from service.store.documents import NewRecording, NewSweep, RecordingState
 from service.store.files.data_folder import OWNER_FILE, ForeignFolder, claim_folder

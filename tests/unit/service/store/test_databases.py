@@ -17,9 +17,8 @@ from sqlalchemy import create_engine, select, text
 from sqlalchemy.exc import IntegrityError, OperationalError, TimeoutError as NoConnection
 from sqlalchemy.orm import Session
 
-from service.model.errors import BadInput
-from service.model.recording import SweepSpec
-from service.model.robot import Robot
+from service import BadInput
+from service.model import Robot, SweepSpec
 from service.store import tables as t
 from service.store.access import Role
 from service.store.copying import RowsNotCopied, copy_rows

@@ -14,9 +14,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from service.model.errors import BadInput
-from service.model.recording import Recording, Sweep
-from service.model.robot import Robot
+from service import BadInput
+from service.model import Recording, Robot, Sweep
 from service.store.files.bundle import take_in, write_bundle
 from service.store.files.isolated_reader import Limits, read_isolated
 from tests.unit.service.store.conftest import Specs

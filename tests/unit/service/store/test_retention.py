@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.model.errors import BadInput, Conflict, NotFound
-from service.model.recording import Recording
-from service.model.robot import Robot
+from service import BadInput, Conflict, NotFound
+from service.model import Recording, Robot
 from service.store import tables as t
 from service.store.database import Database, open_database
 from service.store.diagnoses import DiagnosisStore, ModelStore

@@ -8,9 +8,8 @@ import pytest
 from sqlalchemy.exc import IntegrityError
 
 from drivers.errors import Cause, CauseCode
-from service.model.errors import BadInput, Conflict, NotFound
-from service.model.recording import Recording, Sweep
-from service.model.robot import Robot
+from service import BadInput, Conflict, NotFound
+from service.model import Recording, Robot, Sweep
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.store import tables as t
 from service.store.database import Database

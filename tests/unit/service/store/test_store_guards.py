@@ -14,9 +14,8 @@ from pathlib import Path
 import pytest
 
 from drivers.ports import SweepMode
-from service.model.errors import Conflict, NotFound
-from service.model.recording import SweepSpec
-from service.model.robot import Robot
+from service import Conflict, NotFound
+from service.model import Robot, SweepSpec
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.store.database import Database, open_database
 from service.store.diagnoses import DiagnosisStore

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from service.model.errors import BadInput
+from service import BadInput
 from service.process.settings import Telemetry
 from service.process.span_export import SpanExport
 from service.process.telemetry import TRACING, traced
