@@ -28,6 +28,7 @@ LEFT = {
     "service/store/files/data_folder.py": (1, "of the command `export`"),
     "service/store/lease_and_latch.py": (1, "of programs that repeat a request"),
     "service/store/people/users.py": (3, "of the commands `people`"),
+    "service/store/plant.py": (1, "of programs: the page offers no sheet without a result"),
     "service/store/retention.py": (2, "of the commands `data`"),
     "service/web/api/diagnoses.py": (1, "of programs: the page orders no unattended experiments"),
     "service/web/api/login.py": (2, "of programs: the page asks for no login where there is none"),
