@@ -18,11 +18,11 @@ from tests.browser.looking import settled
 from tests.browser.scripted import Json, campaign, drives, scripted
 from tests.browser.sentences import sentences
 from tests.programs import needs
-from tests.stored.documents import axis_document, diagnosis_document, stored
+from tests.stored.documents import axis_document, diagnosis_document, payload, stored
 
 pytestmark = needs("chromium")
 
-_SEEN = """() => {
+SEEN = """() => {
   const told = [], walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
   const names = ["title", "placeholder", "aria-label"];
   const left = "code, #language";
@@ -109,6 +109,8 @@ def everything(root: Path) -> dict[str, Json]:
         "drives": drives(),
         "fleet": examples["Fleet"],
         "audit": {"items": [examples["AuditDocument"]], "next": None},
+        "payloads": {"items": [examples["PayloadEntry"]], "next": None},
+        "payloads/3": examples["PayloadView"] | {"state": "done", "document": payload(), "no_sheet": ""},
         "models": {"items": [examples["ModelDocument"]], "next": None},
         "diagnoses/1/figures": {"axes": {"joint_1": figures_of(AxisDiagnosis.model_validate(undecided))}},
     }
@@ -200,6 +202,7 @@ def test_findings_are_told_in_german(root: Path) -> None:
     [
         ("/#campaign-1", "#parameters tr"),
         ("/plan", "#axes-measured input"),
+        ("/payload#3", "#body tr"),
         ("/results#campaign-1", "#table tbody tr"),
         ("/diagnosis#1", "#figure-parameters .xtitle"),
         ("/fleet", "#robots tbody tr"),
@@ -212,7 +215,7 @@ def test_no_english_word_and_no_decimal_point_on_a_german_page(root: Path, url: 
             plan(page)
         settled(page)
         page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
-        assert english(page.evaluate(_SEEN)) == set()
+        assert english(page.evaluate(SEEN)) == set()
         assert page.locator("body [lang=en]:not(option, #dead [lang])").all_text_contents() == []
         assert (
             set(page.evaluate("[...document.querySelectorAll('[lang=\"\"]')].map((one) => one.dataset.source)"))

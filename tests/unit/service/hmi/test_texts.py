@@ -41,6 +41,9 @@ FAMILIES = {
     "pose-state": {"chosen", "free", "no_room", "collides"},
     "cause": set(CauseCode),
     "step": set(CauseCode),
+    "payload-step": {"plan", "bare", "mount", "loaded", "result"},
+    "payload-next": {"plan", "bare", "mount", "waiting", "compute", "computing", "done", "failed"},
+    "payload-run": {state.value for state in CampaignState} - {"completed", "aborted"},
     "figure": {"map", "gap_by_pose", "example", "evidence", "parameters"},
 }
 OPEN_FAMILIES = (
@@ -59,6 +62,7 @@ NO_WORDS = {
     "diagnosis.js": {"badge", "verdict"},
     "elements.js": {"min"},
     "findings.js": {"finding"},
+    "payload.js": {"badge", "kg m²", "verdict"},
     "results.js": {"badge"},
     "machine.js": {"state", "state bad"},
     "login.js": {"not authenticated"},
