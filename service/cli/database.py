@@ -1,6 +1,5 @@
 """The service's database, for commands that work beside it."""
 
-import getpass
 import json
 import sys
 from collections.abc import Generator
@@ -13,7 +12,6 @@ from service import BadInput
 from service.process.settings import Settings, load_settings
 from service.store.access import Role
 from service.store.database import Database, open_database, parsed_url
-from service.store.people.audit import Entry
 from service.store.people.users import KeyDocument, SessionStore, UserDocument
 
 
@@ -35,11 +33,6 @@ def opened(config: Path | None, data_dir: Path | None, make: bool = False) -> Ge
 def audit_heads_file(config: Path | None, data_dir: Path | None) -> Path:
     """File with the heads of the audit that the service wrote; it may not exist."""
     return settings_of(config, data_dir).audit_heads_file
-
-
-def shell_entry() -> Entry:
-    """Who is at the terminal, for the audit."""
-    return {"actor": f"{getpass.getuser()} (shell)", "address": "shell"}
 
 
 def session_store(database: Database, config: Path | None) -> SessionStore:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import getpass
 import io
 import json
 import re
@@ -25,6 +26,20 @@ if TYPE_CHECKING:
     from service.model.results.estimate import Estimate
     from service.model.results.part import Part, Shown, Table
     from service.model.results.payload import Payload
+    from service.store.people.audit import Entry
+    from service.web.client import ServiceClient
+
+
+def connect(url: str) -> ServiceClient:
+    """The service at an address; close it after use."""
+    from service.web.client import ServiceClient
+
+    return ServiceClient(url)
+
+
+def shell_entry() -> Entry:
+    """Who is at the terminal, for the audit."""
+    return {"actor": f"{getpass.getuser()} (shell)", "address": "shell"}
 
 
 def put_json(document: Part, json_to: str | None) -> bool:

@@ -20,13 +20,12 @@ also jump to a later phase; if not, the encoder lost counts.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, median_filter, minimum_filter
 
 from service.data_check.finding import Code, DataFinding, named
 from service.data_check.probabilities import poisson_quantile
 from service.data_check.record import AxisRecords, Record, spread
-from service.model import Array, Mask, Sweep
+from service.model import Array, Indices, Mask, Sweep
 
 SINGLE = float(np.finfo(np.float32).eps)  # time may have been stored in 32 bits
 
@@ -215,8 +214,6 @@ def _whole(axis: AxisRecords, record: Record, name: str) -> float:
         return axis.axis.rated_effort
     return record.peak if name == "velocity" else float(np.ptp(record.position))
 
-
-Indices = NDArray[np.intp]
 
 WIDTH = 7  # samples of the median
 NEAR = 3  # samples within which a pulse of motion is visible in effort and velocity

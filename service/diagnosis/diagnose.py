@@ -28,6 +28,7 @@ from service.diagnosis.localisation.repeatability import unrepeated
 from service.diagnosis.localisation.ripple_search import ripples, with_ripples
 from service.diagnosis.model.held_out_check import Fit, Fitted, HeldOutCheck, check_held_out
 from service.diagnosis.model.rigid_model import rigid_model
+from service.diagnosis.play import PLAY, Play, measured_play
 from service.diagnosis.rows.periods import in_periods
 from service.diagnosis.rows.signals import SHORTEST, finite_samples, sticking_within, tracks
 from service.diagnosis.sensitivity import UntestableEffect, untestable
@@ -191,9 +192,10 @@ def _diagnosed(
     if wanted is not None and weighed is not None:
         wanted = replace(wanted, reason=f"{wanted.reason} {HEAVIER if wanted.kind == TEST_MASS else OFF}")
     unit = "N" if motion.prismatic else "N m"
+    play = measured_play(robot, joint, own) if trusted and verdict is Verdict.UNKNOWN else None
     loose = unrepeated(selection.given, shown.after)
     said = (loose.sentence(joint, unit),) if loose is not None and loose.is_physical else ()
-    return AxisResult(
+    result = AxisResult(
         joint=joint,
         unit=unit,
         verdict=verdict,
@@ -220,6 +222,30 @@ def _diagnosed(
         unfinished=unfinished(joint, selection, by_mass),
         untestable=(*hidden, *(name for name in CATALOGUE if name not in known and not applies(selection.given, name))),
         biasing=_biasing(hidden),
+    )
+    return result if play is None else _with_play(result, play, selection)
+
+
+def _with_play(found: AxisResult, play: Play, selection: Selection) -> AxisResult:
+    """The result of an axis whose gap no column explains, with the play that was measured about standstill."""
+    given = selection.given
+    patch = CATALOGUE[PLAY].scenario({"play": play.width, "load_friction_share": 0.5}, given.tracks, given.model)
+    parameters = {"play": Parameter(play.width, play.std, "rad")}
+    effect = NamedEffect(PLAY, parameters, np.array([[play.std**2]]), patch, play.gain, play.gain - np.log(play.rows))
+    is_known = PLAY in (one.name for one in found.known)
+    return replace(
+        found,
+        verdict=Verdict.NONE if is_known and not found.effects else Verdict.NAMED,
+        effects=found.effects if is_known else (*found.effects, effect),
+        known=tuple(effect if one.name == PLAY else one for one in found.known),
+        part=(),
+        rolled_back=(),
+        sentences=(play.sentence(found.joint, found.unit), *found.sentences),
+        gap=play.gap,
+        unexplained=(play.after / play.before) ** 2,
+        next_experiment=None,
+        ended="",
+        unfinished=(),
     )
 
 

@@ -1,4 +1,4 @@
-"""Open jobs of the store: identification of recorded sweeps, data check of a campaign, re-identification in batches.
+"""Open jobs of the store: identification of recorded sweeps, data check of a campaign, re-identification, payloads.
 
 The store is the outbox: a job is open while its row has no result; open jobs are found again after a restart. Each runs
 in a task of its own, is repeated if the store or the disk fails, and must be repeatable, as after a restart.
@@ -18,7 +18,16 @@ from structlog.contextvars import bound_contextvars
 
 from drivers.errors import Cause, CauseCode
 from service import BadInput, NotFound, NotNow
-from service.jobs.work import CheckJob, Job, JobFailed, RecordedSweep, ReidentifyJob, Worker, WorkerLost
+from service.jobs.work import (
+    CheckJob,
+    Job,
+    JobFailed,
+    PayloadJob,
+    RecordedSweep,
+    ReidentifyJob,
+    Worker,
+    WorkerLost,
+)
 from service.planning.campaigns.live import EventFeed
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.planning.campaigns.stored_results import analysis_behind, campaign_beside, siblings_behind
@@ -36,7 +45,7 @@ from service.store.documents import (
     SweepState,
 )
 from service.store.files.recordings import RecordingFiles
-from service.store.plant import BatchDocument, BatchStore
+from service.store.plant import BatchDocument, BatchStore, PayloadDocument
 from service.store.store import COMPLETE, OVER, CheckStore, Store
 
 _log = structlog.get_logger(__name__)
@@ -365,14 +374,21 @@ class Batches(OpenJobs):
         self._submit(batch.id)
         return batch
 
+    async def request_payload(self, before: int, after: int, asked_by: str) -> PayloadDocument:
+        """Identify the payload of campaign `after`; returns immediately. BadInput names the field."""
+        payload = await asyncio.to_thread(self._batches.add_payload, before, after, asked_by)
+        self._submit(payload.id)
+        return payload
+
     async def cancel(self, batch_id: int) -> BatchDocument:
         """Cancel the rest of the batch; computed results are kept. No effect on a batch that is over."""
+        await asyncio.to_thread(self._batches.batch, batch_id)
         batch = await asyncio.to_thread(self._batches.end, batch_id, BatchState.CANCELLED)
-        self.end(f"re-identification {batch_id}")
+        self.end(f"job {batch_id}")
         return batch
 
     def _submit(self, batch_id: int) -> None:
-        self.begin(f"re-identification {batch_id}", partial(self._do, batch_id))
+        self.begin(f"job {batch_id}", partial(self._do, batch_id))
 
     async def _do(self, batch_id: int) -> None:
         campaigns = iter(await asyncio.to_thread(self._batches.begin, batch_id))
@@ -381,7 +397,7 @@ class Batches(OpenJobs):
         except WorkerLost:
             workers = 1
         lanes = [
-            asyncio.create_task(self._lane(batch_id, campaigns), name="lane of a re-identification")
+            asyncio.create_task(self._lane(batch_id, campaigns), name="lane of a job")
             for _ in range(2 * max(workers, 1))  # no worker waits for the next job
         ]
         try:
@@ -397,18 +413,26 @@ class Batches(OpenJobs):
         """Process campaigns one after the other from the iterator that all lanes share."""
         for campaign_id in campaigns:
             try:
-                job = await asyncio.to_thread(self._job, campaign_id)
+                job = await asyncio.to_thread(self._job, batch_id, campaign_id)
                 found = await self._worker.run_patiently(job)
-                result = found.sweeps, found.estimate, found.change_percent, ""
+                result = found.sweeps, found.document, found.change_percent, ""
             except (JobFailed, BadInput, NotFound) as error:
-                _log.warning("not_identified_again", batch=batch_id, campaign=campaign_id, cause=str(error))
+                _log.warning("no_result_of_campaign", batch=batch_id, campaign=campaign_id, cause=str(error))
                 result = 0, None, None, str(error)
             await asyncio.to_thread(self._batches.add_result, batch_id, campaign_id, *result)
 
-    def _job(self, campaign_id: int) -> ReidentifyJob:
-        """The job, with the input of the stored estimate and the present model of the robot."""
+    def _job(self, batch_id: int, campaign_id: int) -> ReidentifyJob | PayloadJob:
+        """The job, with the input of the stored estimate and the present model of the robot; or that of a payload."""
         campaign = self._store.campaign(campaign_id)
         robot = self._store.robot(campaign.robot_id)
+        empty = self._batches.before(batch_id)
+        if empty is not None:
+            pair = [self._store.recorded_sweeps(number, COMPLETE) for number in (empty, campaign_id)]
+            digest = _digest([[recording.sha256 for _, recording in part] for part in pair])
+            before, after = (
+                tuple(RecordedSweep(spec, self._files.named(file)) for spec, file in part) for part in pair
+            )
+            return PayloadJob(f"payload-{digest}", robot.description, robot.urdf_text, before, after)
         beside = campaign_beside(self._store, campaign)
         numbers = (campaign_id,) if beside is None else (beside.id, campaign_id)
         found = [each for one in numbers for each in self._store.recorded_sweeps(one, {SweepState.IDENTIFIED})]

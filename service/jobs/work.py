@@ -299,7 +299,7 @@ class ReidentifyJob(OfRobot):
 
     priority = -1  # after all jobs for which a person waits
 
-    def __call__(self) -> "Reidentified":
+    def __call__(self) -> "BatchResult":
         from service.identification.estimates.initial_analysis import analyses_from
         from service.identification.estimation import estimate_document, sweep_spectrum
         from service.store.files.recordings import check_file
@@ -312,16 +312,33 @@ class ReidentifyJob(OfRobot):
         analyses, known = analyses_from(self.analyses), _known(self.model, robot)
         found = estimate_document(robot, spectra, analyses, known=known, earlier=_of_type(robot, self.siblings))
         before = Estimate.read(self.before, "stored estimate") if self.before else None
-        return Reidentified(found.as_json(), len(spectra), _largest_change(before, found))
+        return BatchResult(found.as_json(), len(spectra), _largest_change(before, found))
 
 
 @dataclass(frozen=True, slots=True)
-class Reidentified:
-    """The estimate's document. `change_percent`: largest change of J of any sweep from the stored estimate, percent."""
+class BatchResult:
+    """The document. `change_percent`: largest change of J of any sweep from the stored estimate, percent."""
 
-    estimate: dict[str, JsonValue]
+    document: dict[str, JsonValue]
     sweeps: int
-    change_percent: float | None
+    change_percent: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PayloadJob(OfRobot):
+    """Identify the payload that was mounted in the sweeps `after` and not in `before`."""
+
+    before: tuple[RecordedSweep, ...]
+    after: tuple[RecordedSweep, ...]
+
+    priority = 0
+
+    def __call__(self) -> BatchResult:
+        from service.identification.payloads import payload, payload_document
+
+        robot = self.built()
+        before, after = ([sweep.read() for sweep in part] for part in (self.before, self.after))
+        return BatchResult(payload_document(robot, payload(robot, before, after)).as_json(), len(after))
 
 
 def _largest_change(before: Estimate | None, now: Estimate) -> float | None:

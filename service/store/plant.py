@@ -6,15 +6,16 @@ Every method is one transaction and blocks, as in `service.store.store`; `NotFou
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from pydantic import JsonValue
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from service import BadInput, NotFound
+from service import BadInput, Conflict, NotFound
 from service.model.results.estimate import Estimate
 from service.model.results.part import JsonOf
+from service.model.results.payload import Payload
 from service.store import rows, tables as t
 from service.store.database import Database
 from service.store.documents import BatchState, CampaignState, EstimateDocument, EventKind, StoredDocument, SweepState
@@ -201,6 +202,40 @@ class BatchEstimate(BatchEntry):
     document: Annotated[dict[str, JsonValue], JsonOf(Estimate)] | None
 
 
+class PayloadEntry(StoredDocument):
+    """The payload that the robot carried in campaign `after` and not in `before`; `machine`, `here` as of a job.
+
+    `cause`: why there is no result although it is done; empty if there is one.
+    """
+
+    id: int
+    machine: str
+    here: bool
+    before: int
+    after: int
+    asked_by: str
+    state: BatchState
+    cause: str
+    created_at: datetime
+    finished_at: datetime | None
+
+
+class PayloadDocument(PayloadEntry):
+    """A payload with its `document`, as `sweepid estimate payload --json` prints it, once it is done."""
+
+    document: Annotated[dict[str, JsonValue], JsonOf(Payload)] | None
+
+    @property
+    def found(self) -> Payload:
+        """Content of `document`. Raises Conflict if there is none, BadInput."""
+        if self.document is None:
+            raise Conflict(f"payload {self.id} has no result: {self.cause or self.state.value}")
+        return Payload.read(self.document, f"payload {self.id}")
+
+
+_REIDENTIFY, _PAYLOAD = "reidentify", "payload"  # kinds of a batch
+
+
 class BatchStore(rows.Transactions):
     """Batches of the plant; only those of this service's machine are changed."""
 
@@ -217,21 +252,49 @@ class BatchStore(rows.Transactions):
             wanted = sorted(usable if campaigns is None else set(campaigns))
             if not wanted:
                 raise BadInput("campaigns", "this machine has no campaign that has ended and has an identified sweep")
-            row = t.BatchRow(
-                machine_id=rows.own_id(session),
-                kind="reidentify",
-                campaigns=wanted,
-                asked_by=asked_by,
-                state=BatchState.WAITING,
-            )
-            return _with_event(session, rows.added(session, row))
+            return _document(session, _added(session, _REIDENTIFY, wanted, asked_by))
+
+    def add_payload(self, before: int, after: int, asked_by: str) -> PayloadDocument:
+        """A waiting batch of a payload. BadInput unless the campaigns are completed, of one plan and this machine."""
+        with self._database.write() as session:
+            first = _completed(session, "before", before)
+            second = _completed(session, "after", after)
+            for what, own, other in (
+                ("robot", first.robot_id, second.robot_id),
+                ("plan", first.plan_id or "none, imported", second.plan_id or "none, imported"),
+            ):
+                if own != other:
+                    raise BadInput(
+                        "after",
+                        f"campaign {after} has {what} {other}, campaign {before} has {what} {own}, must be the same: "
+                        f"measure the plan of campaign {before} again with the payload",
+                    )
+            if before == after:
+                raise BadInput("after", f"is {after}, as `before`: name the campaign with the payload")
+            return _payload(PayloadDocument, session, _added(session, _PAYLOAD, [before, after], asked_by))
+
+    def payload(self, payload_id: int) -> PayloadDocument:
+        with self._database.read() as session:
+            return _payload(PayloadDocument, session, _of_kind(session, _PAYLOAD, payload_id))
+
+    def payloads(self, after: int = 0, limit: int = 100) -> tuple[PayloadEntry, ...]:
+        """Without their documents."""
+        query = rows.page(t.BatchRow, after, limit).where(t.BatchRow.kind == _PAYLOAD)
+        with self._database.read() as session:
+            return tuple(_payload(PayloadEntry, session, row) for row in session.scalars(query))
+
+    def before(self, batch_id: int) -> int | None:
+        """Of a payload, the campaign without it; None for other batches."""
+        with self._database.read() as session:
+            row = rows.get(session, t.BatchRow, batch_id, "job")
+            return row.campaigns[0] if row.kind == _PAYLOAD else None
 
     def batch(self, batch_id: int) -> BatchDocument:
         with self._database.read() as session:
-            return _document(session, rows.get(session, t.BatchRow, batch_id, "job"))
+            return _document(session, _of_kind(session, _REIDENTIFY, batch_id))
 
     def batches(self, after: int = 0, limit: int = 100) -> tuple[BatchDocument, ...]:
-        query = rows.page(t.BatchRow, after, limit)
+        query = rows.page(t.BatchRow, after, limit).where(t.BatchRow.kind == _REIDENTIFY)
         with self._database.read() as session:
             return tuple(_document(session, row) for row in session.scalars(query))
 
@@ -242,7 +305,7 @@ class BatchStore(rows.Transactions):
             return tuple(session.scalars(query.where(t.BatchRow.machine_id == rows.own_id(session))))
 
     def begin(self, batch_id: int) -> tuple[int, ...]:
-        """Its campaigns without a result; the batch is then running. () if it is finished."""
+        """Its campaigns without a result (of a payload, `after`); the batch then runs. () if it is finished."""
         with self._database.write() as session:
             row = _own(session, batch_id)
             if row.state not in _UNFINISHED:
@@ -253,7 +316,8 @@ class BatchStore(rows.Transactions):
             done = set(
                 session.scalars(select(t.BatchResultRow.campaign_id).where(t.BatchResultRow.batch_id == batch_id))
             )
-            return tuple(number for number in row.campaigns if number not in done)
+            wanted = row.campaigns[1:] if row.kind == _PAYLOAD else row.campaigns
+            return tuple(number for number in wanted if number not in done)
 
     def add_result(
         self,
@@ -290,16 +354,56 @@ class BatchStore(rows.Transactions):
         row = t.BatchResultRow
         query = select(row).where(row.batch_id == batch_id, row.campaign_id > after)
         with self._database.read() as session:
-            rows.get(session, t.BatchRow, batch_id, "job")
+            _of_kind(session, _REIDENTIFY, batch_id)
             return rows.documents(BatchEntry, session, query.order_by(row.campaign_id).limit(limit))
 
     def result(self, batch_id: int, campaign_id: int) -> BatchEstimate:
+        self.batch(batch_id)
         row = t.BatchResultRow
         query = select(row).where(row.batch_id == batch_id, row.campaign_id == campaign_id)
         found = self._first(BatchEstimate, query)
         if found is None:
             raise NotFound(f"job {batch_id} has no result of campaign {campaign_id}")
         return found
+
+
+def _added(session: Session, kind: str, campaigns: list[int], asked_by: str) -> t.BatchRow:
+    """A waiting batch, with its event."""
+    state = BatchState.WAITING
+    row = t.BatchRow(machine_id=rows.own_id(session), kind=kind, campaigns=campaigns, asked_by=asked_by, state=state)
+    _with_event(session, rows.added(session, row))
+    return row
+
+
+def _completed(session: Session, place: str, campaign_id: int) -> t.CampaignRow:
+    """A completed campaign of this machine; BadInput, OtherMachine."""
+    try:
+        row = rows.own_campaign(session, campaign_id)
+    except NotFound as error:
+        raise BadInput(place, f"{error}: name a completed campaign") from None
+    if row.state is not CampaignState.COMPLETED:
+        raise BadInput(
+            place, f"campaign {campaign_id} is {row.state.value}, must be completed: let it end, or measure it again"
+        )
+    return row
+
+
+def _of_kind(session: Session, kind: str, batch_id: int) -> t.BatchRow:
+    name = _PAYLOAD if kind == _PAYLOAD else "job"
+    row = rows.get(session, t.BatchRow, batch_id, name)
+    if row.kind != kind:
+        raise NotFound(f"{name} {batch_id} does not exist")
+    return row
+
+
+_Payload = TypeVar("_Payload", bound=PayloadEntry)
+
+
+def _payload(kind: type[_Payload], session: Session, row: t.BatchRow) -> _Payload:
+    before, after = row.campaigns
+    result = session.scalar(select(t.BatchResultRow).where(t.BatchResultRow.batch_id == row.id))
+    found = {"cause": "", "document": None} if result is None else {"cause": result.cause, "document": result.document}
+    return rows.document(kind, row, before=before, after=after, **found)
 
 
 def _own(session: Session, batch_id: int) -> t.BatchRow:

@@ -264,6 +264,19 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
     def cancel_job(self, job_id: int) -> Json:
         return self._post(f"/jobs/{job_id}/cancel")
 
+    # -- payloads
+    def payload_over(self, before: int, after: int) -> Json:
+        """The payload of campaign `after`, of the plan of `before`, once it is computed."""
+        wanted = self._post("/payloads", {"before": before, "after": after})
+        return self._over("batch", int(wanted["id"]), self._payload)
+
+    def _payload(self, payload_id: int) -> Json:
+        return self._get(f"/payloads/{payload_id}")
+
+    def payload_sheet(self, payload_id: int) -> str:
+        """What to enter in the controls, Markdown."""
+        return self._file(f"/payloads/{payload_id}/sheet.md").decode()
+
     # -- the machine
     def ready(self) -> Json:
         """``{"ready", "causes"}``; not ready is a normal answer, no error."""

@@ -32,6 +32,12 @@ RUNS = campaign(
 )
 SIX = [axis(f"joint_{number}") for number in range(1, 7)]
 FILLED = everything(Path(__file__).parents[2])
+_REQUEST = FILLED["plans/1"]["document"]["request"] | {"kind": "trajectory", "trajectories": 1}
+PAIR: Json = {name: FILLED[name] for name in ("campaigns/1/ahead", "robots", "robots/2", "cells", "machines")} | {
+    "campaigns/1/sweeps": [{"state": "planned"}],
+    "plans/1": FILLED["plans/1"]
+    | {"document": FILLED["plans/1"]["document"] | {"request": _REQUEST, "payload_std": [0.07]}},
+}  # of a plan of trajectories
 FAULT = {"code": 0x2310, "text": "2310h overcurrent", "emergency_stop": False}
 
 
@@ -81,10 +87,14 @@ STATES: dict[str, tuple[str, dict[str, Json], str]] = {
     "operator-unknown": ("", {"drives": drives(statement=statement("unknown", joint_2="unknown"))}, "not known"),
     "operator-disconnected": ("", {"drives": drives(connected=False, trouble="no bus", axes=[])}, "no bus"),
     "plan": ("plan", {}, "all axes stand without energy"),
+    "payload": ("payload", PAIR, "all axes stand without energy"),
+    "payload-planned": ("payload", of(campaign(state="planned", plan_id=1), **PAIR), "all axes stand without energy"),
+    "payload-mount": ("payload", of(campaign(state="completed", plan_id=1), **PAIR), "all axes stand without energy"),
     "results": ("results", {}, "all axes stand without energy"),
     "diagnosis": ("diagnosis", {}, "all axes stand without energy"),
     "fleet": ("fleet", {}, "all axes stand without energy"),
     "operator-filled": ("#campaign-1", FILLED, "all axes stand without energy"),
+    "payload-filled": ("payload#3", FILLED, "all axes stand without energy"),
     "results-filled": ("results#campaign-1", FILLED, "all axes stand without energy"),
     "diagnosis-filled": ("diagnosis#1", FILLED, "all axes stand without energy"),
     "fleet-filled": ("fleet", FILLED, "all axes stand without energy"),

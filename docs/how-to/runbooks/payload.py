@@ -11,18 +11,14 @@ is not, or failed, 2 bad input, 3 stopped, 4 no mass detected, or no body can ha
 
 import sys
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from runbook import CELL_HELP, Exit, Runbook, optional_list, parser_of, run
 
-import sweepid
 from service import BadInput, writing
 from service.cli.terminal import write_file
-from service.formats.export.sheets.inertias import load_of
-from service.formats.export.sheets.text import load_page
 from service.model.results.part import with_std
-from service.store.files.bundle import Bundle, read_from
-from service.web.client import Json
+from service.model.results.payload import Payload
+from service.web.client import Json, ServiceProblem
 
 
 def main() -> int:
@@ -35,7 +31,7 @@ def main() -> int:
     parser.add_argument("--trajectories", type=int, default=2, help="how many; two show how well the mass repeats")
     parser.add_argument("--velocity", type=float, default=0.5, help="rad/s (m/s), of each axis")
     parser.add_argument("--move-velocity", type=float, default=0.5, help="rad/s (m/s), on the ways between")
-    parser.add_argument("--out", type=Path, default=Path("payload"), help="new folder: payload.json, sheet.md, bundles")
+    parser.add_argument("--out", type=Path, default=Path("payload"), help="new folder: payload.json, sheet.md")
     return run("payload", parser, payload)
 
 
@@ -69,12 +65,10 @@ def identified(book: Runbook, before: Json, after: Json) -> Exit:
     out: Path = book.given.out
     with writing(out):
         out.mkdir(parents=True)
-    pair: list[Bundle] = []
-    for name, campaign in (("before", before), ("after", after)):
-        book.client.export_bundle(campaign["id"], out / f"{name}.zip")
-        with TemporaryDirectory() as folder:
-            pair.append(read_from(out / f"{name}.zip", Path(folder)))
-    found = sweepid.payload(*pair)
+    computed = book.client.payload_over(before["id"], after["id"])
+    if computed["document"] is None:
+        raise BadInput("payload", computed["cause"])
+    found = Payload.read(computed["document"], "payload")
     write_file(out / "payload.json", found.to_json())
     parts = {"mass": found.mass} | {f"centre {x}": one for x, one in found.center.items()} | dict(found.inertia)
     units = ["kg", *3 * ["m"], *6 * ["kg m2"]]
@@ -84,8 +78,8 @@ def identified(book: Runbook, before: Json, after: Json) -> Exit:
     for sentence in found.sentences:
         book.step("note", sentence)
     try:
-        write_file(out / "sheet.md", load_page(load_of(found)))
-    except BadInput as error:
+        write_file(out / "sheet.md", book.client.payload_sheet(computed["id"]))
+    except ServiceProblem as error:
         book.step("sheet", f"none: {error}")
         return Exit.AMBER
     book.step("sheet", f"{out / 'sheet.md'}: what to enter in the control")

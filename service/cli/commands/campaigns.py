@@ -14,7 +14,17 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self, cast
 import typer
 
 from service import BadInput, SweepidError
-from service.cli.terminal import DEFAULT_URL, CellName, ConfirmCell, ConfirmRobot, RobotFile, Url, waiting, write_file
+from service.cli.terminal import (
+    DEFAULT_URL,
+    CellName,
+    ConfirmCell,
+    ConfirmRobot,
+    RobotFile,
+    Url,
+    connect,
+    waiting,
+    write_file,
+)
 
 if TYPE_CHECKING:
     from service.web.client import Json, ServiceClient
@@ -183,10 +193,9 @@ def _planned(
     confirm_cell: str | None,
 ) -> Json:
     """The stored plan; its robot, cell and machine are told."""
-    from service.web.client import ServiceClient
 
     names = {"confirm_robot": confirm_robot, "confirm_cell": confirm_cell}
-    with ServiceClient(url) as client:
+    with connect(url) as client:
         number = robot_number(client, robot)
         with waiting(doing):
             planned = client.add_plan(request | {"robot_id": number}, elsewhere=elsewhere, **names)
@@ -276,9 +285,8 @@ class NotCompleted(SweepidError):
 
 def run_plan(plan: str, url: str) -> int:
     """Move, measure, identify; the number of the campaign. A signal that ends the program stops the machine first."""
-    from service.web.client import ServiceClient
 
-    with ServiceClient(url) as client:
+    with connect(url) as client:
         campaign_id = int(client.add_campaign(plan_number(plan))["id"])
         with TerminationSignals() as signals:
             try:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service import BadInput
-from service.cli.terminal import Config, DataDir, waiting
+from service.cli.terminal import Config, DataDir, shell_entry, waiting
 
 if TYPE_CHECKING:
     from service.process.settings import Settings
@@ -120,7 +120,6 @@ def prune(
 
     Settings: keep_samples_days, keep_spectra_days, keep_estimates_days. The service may run. stdout: a line a campaign.
     """
-    from service.cli.database import shell_entry
     from service.store.objects import ObjectStore
     from service.store.retention import RetentionRules, prune as prune_store
 
@@ -154,8 +153,6 @@ def hold(
     data_dir: DataDir = None,
 ) -> None:
     """Never remove anything of a campaign, because a signed report or a decision rests on it."""
-    from service.cli.database import shell_entry
-
     with _retention(config, data_dir) as (store, _):
         held = store.hold(campaign, getpass.getuser(), why, shell_entry())
     typer.echo(f"campaign {held.campaign_id} is held by {held.by}: {held.why}")
@@ -163,8 +160,6 @@ def hold(
 
 def release(campaign: Campaign, config: Config = None, data_dir: DataDir = None) -> None:
     """Let the retention rule apply to a held campaign again."""
-    from service.cli.database import shell_entry
-
     with _retention(config, data_dir) as (store, _):
         store.release(campaign, shell_entry())
     typer.echo(f"campaign {campaign} is released: the retention rule applies to it")

@@ -30,11 +30,10 @@ def channels(
     json_to: JsonTo = None,
 ) -> None:
     """Measure how far effort and velocity lag behind position. Prints the lines for the drive profile."""
-    from service.store.files.bundle import read_bundle
     from sweepid.files import ChannelTimings
 
     with waiting("measuring delays"):
-        found = measure_channels(read_bundle(bundle), axis, str(bundle))
+        found = measure_channels(sweepid.read_bundle(bundle), axis, str(bundle))
     if put_json(ChannelTimings(axes={joint: as_document(lags) for joint, lags in found.items()}), json_to):
         return
     for joint, lags in found.items():
@@ -53,7 +52,6 @@ def torque_gain(
 ) -> None:
     """Calibrate the torque constant of every axis with a known mass on the last link."""
     from service.identification.estimates.torque_gain import KnownMass
-    from service.store.files.bundle import read_bundle
     from sweepid.files import AxisGain, Gain, TorqueGains
 
     place, shape = _numbers("--center", center, 3), _numbers("--inertia", inertia, 6)
@@ -61,7 +59,7 @@ def torque_gain(
         mass, cast(tuple[float, float, float], place), cast(tuple[float, float, float, float, float, float], shape)
     )
     with waiting("comparing the bundles"):
-        found = calibrate(read_bundle(before), read_bundle(after), body, str(after))
+        found = calibrate(sweepid.read_bundle(before), sweepid.read_bundle(after), body, str(after))
     axes = {
         joint: AxisGain(gain=Gain(value=one.gain.gain, std=one.gain.std), poses=one.poses, added_inertia=one.added)
         for joint, one in found.items()
@@ -110,9 +108,8 @@ def benefit(
 
     from service.model.configuration import read_robot
     from service.report.benefit.benefit import benefit as benefit_of
-    from service.store.files.bundle import read_bundle
 
-    measured = read_bundle(bundle)
+    measured = sweepid.read_bundle(bundle)
     cad = measured.robot if robot is None else _same_joints(read_robot(robot), measured.robot, robot)
     with waiting("estimating"):
         found = benefit_of(cad, measured.sweeps, str(bundle))

@@ -13,7 +13,7 @@ import typer
 
 import sweepid
 from service import BadInput
-from service.cli.terminal import DEFAULT_URL, BundleArg, JsonTo, SideFile, Source, Url, put_json, waiting
+from service.cli.terminal import DEFAULT_URL, BundleArg, JsonTo, SideFile, Source, Url, connect, put_json, waiting
 
 if TYPE_CHECKING:
     from service.model import Robot
@@ -38,11 +38,9 @@ def export_bundle(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Write the recorded sweeps of a campaign as a bundle. Prints the folder."""
-    from service.web.client import ServiceClient
-
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise BadInput(str(folder), "exists already and is not an empty folder")
-    with ServiceClient(url) as client, tempfile.TemporaryDirectory() as temporary:
+    with connect(url) as client, tempfile.TemporaryDirectory() as temporary:
         archive = Path(temporary) / "bundle.zip"
         with waiting("the service packs the recordings"):
             client.export_bundle(campaign, archive)

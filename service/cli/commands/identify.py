@@ -15,6 +15,7 @@ from service.cli.terminal import (
     Gains,
     JsonTo,
     Url,
+    connect,
     counted,
     put_json,
     show,
@@ -185,9 +186,8 @@ def of_campaign(number: int, url: str) -> tuple[Robot, Estimate, dict[str, Array
     """The same of a campaign of the service."""
     from service.model import RobotDescription, build_robot
     from service.model.results.estimate import Estimate
-    from service.web.client import ServiceClient
 
-    with ServiceClient(url) as client:
+    with connect(url) as client:
         stored = client.robot(client.campaign(number)["robot_id"])
         estimate = Estimate.read(client.estimate(number)["document"], f"campaign {number}")
         specs = {sweep["spec"]["id"]: tuple(sweep["spec"]["pose"]) for sweep in client.sweeps(number)}

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service import BadInput, writing
-from service.cli.terminal import DEFAULT_URL, Url, put_json, waiting, write_file
+from service.cli.terminal import DEFAULT_URL, Url, connect, put_json, waiting, write_file
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -42,9 +42,8 @@ def import_bundle(
 
     from service.store.files.bundle import pack
     from service.store.files.isolated_reader import read_isolated
-    from service.web.client import ServiceClient
 
-    with ServiceClient(url) as client, tempfile.TemporaryDirectory() as folder:
+    with connect(url) as client, tempfile.TemporaryDirectory() as folder:
         if bundle.is_dir() and not (bundle / "bundle.json").is_file():
             raise BadInput(str(bundle / "bundle.json"), "does not exist")
         archive = pack(bundle, Path(folder) / "bundle.zip") if bundle.is_dir() else bundle

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service import BadInput
-from service.cli.terminal import Config, DataDir, write_file
+from service.cli.terminal import Config, DataDir, shell_entry, write_file
 
 if TYPE_CHECKING:
     from service.store.access import Role
     from service.store.people.audit import Entry
-    from service.store.people.users import UserStore
+    from service.store.people.users import KeyStore, UserStore
 
 Name = Annotated[str, typer.Argument(metavar="NAME", help="A person or a program.")]
 _ROLES = "viewer, operator, engineer, admin"
@@ -59,7 +59,7 @@ def enable_user(name: Name, config: Config = None, data_dir: DataDir = None) -> 
 @contextmanager
 def _users(config: Path | None, data_dir: Path | None, make: bool = False) -> Generator[tuple[UserStore, Entry]]:
     """The users, and the entry of the audit for the person at the terminal."""
-    from service.cli.database import opened, shell_entry
+    from service.cli.database import opened
     from service.store.people.users import UserStore
 
     with opened(config, data_dir, make) as database:
@@ -82,7 +82,7 @@ def revoke_session(
     data_dir: DataDir = None,
 ) -> None:
     """From now on that browser has to log in again."""
-    from service.cli.database import opened, session_store, shell_entry
+    from service.cli.database import opened, session_store
 
     with opened(config, data_dir) as database:
         typer.echo(session_store(database, config).end(number, shell_entry()).id)
@@ -99,22 +99,26 @@ def add_key(
     data_dir: DataDir = None,
 ) -> None:
     """Make a key and print it, once: only its hash is stored. To be sent as `Authorization: Bearer KEY`."""
-    from service.cli.database import opened, shell_entry
-    from service.store.people.users import KeyStore
-
     name, what, scopes = name_of(name), role_of(role), scopes_of(scope or [])
-    with opened(config, data_dir, make=True) as database:
-        _, key = KeyStore(database).add(name, what, timedelta(days=days), shell_entry(), scopes)
+    with _keys(config, data_dir, make=True) as (keys, entry):
+        _, key = keys.add(name, what, timedelta(days=days), entry, scopes)
     sys.stdout.write(f"{key}\n")
 
 
 def revoke_key(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
     """From now on the key opens nothing; a service that runs knows at once."""
-    from service.cli.database import opened, shell_entry
+    with _keys(config, data_dir) as (keys, entry):
+        typer.echo(keys.revoke(name, entry).name)
+
+
+@contextmanager
+def _keys(config: Path | None, data_dir: Path | None, make: bool = False) -> Generator[tuple[KeyStore, Entry]]:
+    """The keys, and the entry of the audit for the person at the terminal."""
+    from service.cli.database import opened
     from service.store.people.users import KeyStore
 
-    with opened(config, data_dir) as database:
-        typer.echo(KeyStore(database).revoke(name, shell_entry()).name)
+    with opened(config, data_dir, make) as database:
+        yield KeyStore(database), shell_entry()
 
 
 def list_people(config: Config = None, data_dir: DataDir = None) -> None:

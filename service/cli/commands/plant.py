@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.terminal import DEFAULT_URL, JsonTo, Url, put_json, waiting, write_report
+from service.cli.terminal import DEFAULT_URL, JsonTo, Url, connect, put_json, waiting, write_report
 
 if TYPE_CHECKING:
     from service.identification.fleet.document import Fleet, FleetRobot, FleetType
-    from service.store.plant import BatchDocument, BatchEntry
+    from service.web.client import Json
 
 Job = Annotated[int, typer.Argument(metavar="JOB", help="Number of the job.", min=1, show_default=False)]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON lines.")]
@@ -31,10 +31,9 @@ def fleet(
 ) -> None:
     """Print a line for each robot of the plant: last measurement, changes, difference from robots of its type."""
     from service.identification.fleet.document import Fleet
-    from service.web.client import ServiceClient
 
     wanted = [("html", report), ("pdf", pdf), ("json", tables)]
-    with ServiceClient(url) as client, waiting("reading the estimates of the plant"):
+    with connect(url) as client, waiting("reading the estimates of the plant"):
         found = Fleet.model_validate(client.fleet(type_name))
         written = [(form, path, client.fleet_report(type_name, form)) for form, path in wanted if path is not None]
     for form, path, content in written:
@@ -50,49 +49,37 @@ def reidentify(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Identify stored campaigns of the service's machine again; prints the job. Stored estimates stay as they are."""
-    from service.store.plant import BatchDocument
-    from service.web.client import ServiceClient
-
-    with ServiceClient(url) as client:
+    with connect(url) as client:
         job = client.add_job(campaign)
         if wait:
             with waiting(f"job {job['id']}: {job['campaigns']} campaigns"):
                 job = client.job_over(int(job["id"]))
-    typer.echo(job_line(BatchDocument.model_validate(job)))
+    typer.echo(job_line(job))
 
 
 def list_jobs(as_json: AsJson = False, url: Url = DEFAULT_URL) -> None:
     """Print a line for each job of the plant, the oldest first."""
-    from service.store.plant import BatchDocument
-    from service.web.client import ServiceClient
-
-    with ServiceClient(url) as client:
+    with connect(url) as client:
         for job in client.jobs():
-            typer.echo(json.dumps(job) if as_json else job_line(BatchDocument.model_validate(job)))
+            typer.echo(json.dumps(job) if as_json else job_line(job))
 
 
 def show(job: Job, as_json: AsJson = False, url: Url = DEFAULT_URL) -> None:
     """Print a job and a line for each campaign that is done: largest change of J, or why there is no result."""
-    from service.store.plant import BatchDocument, BatchEntry
-    from service.web.client import ServiceClient
-
-    with ServiceClient(url) as client:
+    with connect(url) as client:
         found, results = client.job(job), client.job_results(job)
     if as_json:
         sys.stdout.writelines(f"{json.dumps(one)}\n" for one in (found, *results))
         return
-    typer.echo(job_line(BatchDocument.model_validate(found)))
+    typer.echo(job_line(found))
     for one in results:
-        typer.echo(result_line(BatchEntry.model_validate(one)))
+        typer.echo(result_line(one))
 
 
 def cancel(job: Job, url: Url = DEFAULT_URL) -> None:
     """Compute no more of a job; what was computed stays."""
-    from service.store.plant import BatchDocument
-    from service.web.client import ServiceClient
-
-    with ServiceClient(url) as client:
-        typer.echo(job_line(BatchDocument.model_validate(client.cancel_job(job))))
+    with connect(url) as client:
+        typer.echo(job_line(client.cancel_job(job)))
 
 
 def fleet_lines(fleet: Fleet) -> list[str]:
@@ -123,15 +110,21 @@ def _robot(robot: FleetRobot) -> str:
     return ", ".join(parts)
 
 
-def job_line(job: BatchDocument) -> str:
-    """State and counts."""
+def job_line(document: Json) -> str:
+    """State and counts of a job."""
+    from service.store.plant import BatchDocument
+
+    job = BatchDocument.model_validate(document)
     failed = f", {job.failed} without a result" if job.failed else ""
     done = f"{job.done} of {job.campaigns} campaigns, {job.sweeps} sweeps{failed}"
     return f"job {job.id} ({job.kind}, {job.machine}): {job.state.value}, {done}"
 
 
-def result_line(one: BatchEntry) -> str:
+def result_line(document: Json) -> str:
     """Of one campaign of a job."""
+    from service.store.plant import BatchEntry
+
+    one = BatchEntry.model_validate(document)
     if one.cause:
         return f"  campaign {one.campaign_id}: no result: {one.cause}"
     change = "nothing to compare" if one.change_percent is None else f"J changed by {one.change_percent:.3g} % at most"

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from service import BadInput
-from service.cli.terminal import DEFAULT_URL, Url, waiting, write_report
+from service.cli.terminal import DEFAULT_URL, Url, connect, waiting, write_report
 
 Form = Literal["html", "pdf", "json"]
 
@@ -47,8 +47,6 @@ def report(
 
 
 def _of_service(number: int, diagnosis: bool, forms: list[Form], url: str) -> list[str | bytes]:
-    from service.web.client import ServiceClient
-
-    with ServiceClient(url) as client:
+    with connect(url) as client:
         drawn = client.diagnosis_report if diagnosis else client.campaign_report
         return [drawn(number, form) for form in forms]

@@ -56,12 +56,9 @@ from enum import Enum
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.model import Information, Solution
-from service.model import Array, Mask, Sine
-
-Indices = NDArray[np.intp]
+from service.model import Array, Indices, Mask, Sine
 
 
 @dataclass(frozen=True)

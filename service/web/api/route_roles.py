@@ -68,7 +68,7 @@ class Permissions:
             return "read"
         changes = {"campaigns": "measure"} | dict.fromkeys(("drives", "stop"), "machine")
         changes |= dict.fromkeys(("robots", "plans", "bundles"), "store")
-        return (changes | dict.fromkeys(("diagnoses", "jobs"), "diagnose"))[word]
+        return (changes | dict.fromkeys(("diagnoses", "jobs", "payloads"), "diagnose"))[word]
 
     def lacking(self, role: Role, scopes: Sequence[str] | None, route: RouteKey | None) -> str:
         """What this route requires and role and scopes (None: all) do not have; empty if nothing is missing."""

@@ -16,6 +16,7 @@ _Endpoint = Callable[[], Coroutine[None, None, Response]]
 _PAGES = {
     "/": "index.html",
     "/plan": "plan.html",
+    "/payload": "payload.html",
     "/results": "results.html",
     "/diagnosis": "diagnosis.html",
     "/fleet": "fleet.html",

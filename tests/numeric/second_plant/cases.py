@@ -1,6 +1,6 @@
 """Cases: what is hidden where, by seed; how one becomes a bundle, and its truth, which never lies beside it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from typing import Any
@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from service.model import Recording, Robot, Sweep, SweepSpec
 from tests.numeric.second_plant.bodies import Rigid
 from tests.numeric.second_plant.build import Scene, Wanted, build
+from tests.numeric.second_plant.draft import Draft
 from tests.numeric.second_plant.effects import CATALOGUE
 from tests.numeric.second_plant.faults import FAULTS, Neighbour, broken
 from tests.numeric.second_plant.machine import STEP, run
 from tests.numeric.second_plant.outside import OUTSIDE
 from tests.numeric.second_plant.plans import spec_end
 from tests.numeric.second_plant.robots import Body
-from tests.numeric.second_plant.sensors import noise, sample
+from tests.numeric.second_plant.sensors import counted, noise, sample
 
 Array = NDArray[np.float64]
 
@@ -127,25 +128,36 @@ def cases(
 
 
 def make(
-    one: Case, *, small: bool = False, bare: bool = False, later: Sequence[tuple[SweepSpec, Body | None]] = ()
+    one: Case,
+    *,
+    small: bool = False,
+    bare: bool = False,
+    later: Sequence[tuple[SweepSpec, Body | None]] = (),
+    change: Callable[[Draft], None] | None = None,
+    load_encoder: bool = False,
 ) -> tuple[Robot, str, tuple[Sweep, ...], Truth]:
     """Robot as on paper, joint, sweeps, and the truth. `small`: three poses and 42 sweeps; `bare`: nothing hidden.
 
     `later`: sweeps that the same machine runs afterwards, each with what is bolted to its flange by then; their records
-    follow the others, whose noise is another one with them.
+    follow the others, whose noise is another one with them. `change`: of the machine before it runs. `load_encoder`:
+    the records have the position of the load, from an encoder as good as the motor's.
     """
     random, records = np.random.default_rng((one.seed, one.number)).spawn(2)
     of = one.kind
     wanted = Wanted(one.names, one.size, of is Kind.OUTSIDE, of is Kind.NOMINAL, small, bare, tuple(later))
     scene = build(random, wanted, f"plant-{one.number:05}")
     draft, plan = scene.draft, scene.draft.plan
+    if change is not None:
+        change(draft)
     feedback = records.normal(scale=2e-6, size=draft.wanted.velocity.shape)
     raw = run(draft.train, scene.controls, plan.poses[:, draft.index], draft.wanted, feedback)
     told = sample(draft.sensors, replace(raw, torque=_told(draft.after, raw.torque, raw.position)), plan.rate, records)
     rows = [
         round((spec_end(spec) if k >= draft.drawn else plan.duration) * plan.rate) for k, spec in enumerate(plan.specs)
     ]
-    setpoints = draft.wanted.velocity[:: round(1.0 / (plan.rate * STEP))]
+    stride = round(1.0 / (plan.rate * STEP))
+    load = counted(draft.sensors, raw.load_position, records)[::stride] if load_encoder else None
+    setpoints = draft.wanted.velocity[::stride]
     sweeps = [
         Sweep(
             spec,
@@ -153,6 +165,7 @@ def make(
                 time=told.time[: rows[k], k], effort=told.effort[: rows[k], k], velocity=told.velocity[: rows[k], k],
                 position=told.position[: rows[k], k],
                 velocity_setpoint=setpoints[: rows[k], k] if scene.setpoint else None,
+                load_position=None if load is None else load[: rows[k], k],
             ),
         )
         for k, spec in enumerate(plan.specs)

@@ -70,6 +70,7 @@ class Train:
     on_motor: list[Force] = field(default_factory=list)
     on_load: list[Force] = field(default_factory=list)
     dry: list[Sticking] = field(default_factory=list)
+    dry_on_load: list[Sticking] = field(default_factory=list)  # behind the spring
     spring: Spring | None = None
     delivered: Callable[[Now], Array] | None = None  # share of the torque asked for that arrives
 
@@ -168,7 +169,9 @@ def _elastic_step(train: Train, spring: Spring, now: Now, motor: _Side, load: _S
     dry, stiff = _dry(train.dry, now, motor.velocity)
     motor.go(middle, push - dry, train.motor, stiff + 0.5 * train.viscous_motor)
     _moved(train.dry, now, motor.velocity)
-    load.go(bottom, carried - resisted, train.load, 0.5 * train.viscous_load)
+    dry, stiff = _dry(train.dry_on_load, now, load.velocity)
+    load.go(bottom, carried - resisted - dry, train.load, stiff + 0.5 * train.viscous_load)
+    _moved(train.dry_on_load, now, load.velocity)
 
 
 def _holding(train: Train, now: Now) -> Array:

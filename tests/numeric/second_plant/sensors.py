@@ -47,9 +47,8 @@ class Samples:
 def sample(sensors: Sensors, raw: Raw, rate: float, random: Random) -> Samples:
     """Every so many steps one row."""
     stride = round(1.0 / (rate * STEP))
-    counted = raw.position + sensors.jumpy * random.standard_normal(raw.position.shape)
-    counted = np.round(counted / sensors.count) * sensors.count
-    velocity = np.gradient(counted, STEP, axis=0)
+    position = counted(sensors, raw.position, random)
+    velocity = np.gradient(position, STEP, axis=0)
     effort = _late(raw.torque, sensors)[::stride]
     effort = effort + noise(sensors, effort.shape, rate, random)
     if sensors.effort_step:
@@ -57,8 +56,14 @@ def sample(sensors: Sensors, raw: Raw, rate: float, random: Random) -> Samples:
     stamps = np.arange(effort.shape[0])[:, None] + np.zeros(effort.shape[1])
     stamps[1:] += np.clip(sensors.jitter * random.standard_normal(stamps[1:].shape), -0.2, 0.2)
     kind = np.float32 if sensors.single else np.float64
-    columns = (column.astype(kind).astype(float) for column in (effort, velocity[::stride], counted[::stride]))
+    columns = (column.astype(kind).astype(float) for column in (effort, velocity[::stride], position[::stride]))
     return Samples(stamps / rate, *columns)
+
+
+def counted(sensors: Sensors, position: Array, random: Random) -> Array:
+    """Positions as an encoder tells them."""
+    seen = position + sensors.jumpy * random.standard_normal(position.shape)
+    return np.round(seen / sensors.count) * sensors.count
 
 
 def noise(sensors: Sensors, shape: tuple[int, ...], rate: float, random: Random) -> Array:

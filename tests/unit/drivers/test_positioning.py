@@ -75,8 +75,13 @@ async def moved(drive: Drive, positions: list[float]) -> float:
     return drive.time
 
 
-async def test_a_drive_that_is_slow_and_comes_nearer_arrives() -> None:
-    assert await moved(Drive("joint_1"), [k / 200 for k in range(21)]) > 2.0 + 5.0
+@pytest.mark.parametrize(
+    ("gap", "positions", "longer"),
+    [(0.0, [k / 200 for k in range(21)], 2.0 + 5.0), (3600.0, [0.05, 0.09, 0.1], 3600.0)],
+    ids=["slow", "host suspended near the end"],
+)
+async def test_a_drive_that_comes_nearer_arrives(gap: float, positions: list[float], longer: float) -> None:
+    assert await moved(Drive("joint_1", gap=gap), positions) > longer
 
 
 @pytest.mark.parametrize(
@@ -93,8 +98,3 @@ async def test_a_drive_that_comes_no_nearer_is_told_with_its_place(positions: li
     with pytest.raises(DriveError, match=rf"{place} rad from its target 0\.1 rad, no nearer for 5\.0 s"):
         await moved(drive, positions)
     assert drive.time < 3 * 5.0
-
-
-async def test_a_host_that_was_suspended_near_the_end_finds_the_axis_arrived() -> None:
-    drive = Drive("joint_1", gap=3600.0)
-    assert await moved(drive, [0.05, 0.09, 0.1]) > drive.gap

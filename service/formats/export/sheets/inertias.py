@@ -135,9 +135,8 @@ class LoadData:
     tensor: Array
 
 
-def load_of(found: Payload) -> LoadData:
+def load_of(found: Payload, place: str = "--payload") -> LoadData:
     """BadInput if a value that a control needs is missing, or no body can have these values."""
-    place = "--payload"
     figures = {"mass": found.mass, **found.center, **found.inertia}
     open_ = [name for name, part in figures.items() if part.value is None]
     if open_:

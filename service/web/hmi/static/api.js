@@ -1,6 +1,6 @@
 // The public API only: another program can do everything that these pages can do.
 
-import { foreign, knows, parts, Told } from "./words.js";
+import { foreign, knows, outside, parts, Told } from "./words.js";
 
 const API = "api/v1";
 const TURN = 50; // ms for an answer that arrived while the page drew a plan: it is not late
@@ -70,7 +70,7 @@ export async function call(method, path, body, headers = {}, patience = null) {
     answer = await fetch(address(path), { method, headers, body: body && JSON.stringify(body), signal: late.signal, cache: "no-store" });
     content = await answer.json();
   } catch (error) {
-    throw new Silent("error.silent", { why: foreign(/** @type {Error} */ (error).message) });
+    throw new Silent("error.silent", { why: outside("system", /** @type {Error} */ (error).message) });
   } finally {
     clearTimeout(timer);
   }

@@ -1,22 +1,22 @@
 // The operator page: campaigns and their estimates.
 
 import { address, all, call, get, Refused } from "./api.js";
-import { showApproval, watchApproval } from "./approval.js";
+import { watchApproval } from "./approval.js";
 import { showAxes, watchAxes } from "./axes.js";
 import { showCommands, watchCommands } from "./commands.js";
 import { byFault, causeWithDetails } from "./causes.js";
 import { clear } from "./drawing.js";
-import { byId, choices, complain, duration, effectsTold, element, estimateTold, measured, row, tell } from "./elements.js";
+import { byId, choices, complain, effectsTold, element, estimateTold, measured, row, tell } from "./elements.js";
 import { findingParts } from "./findings.js";
 import { campaignName, first, held, noCampaign, owner } from "./intent.js";
 import { showLive, titleLive, watchLive } from "./live.js";
 import { watchMachine } from "./machine.js";
-import { showMotion, unitsOf, unitsOfMachine } from "./motion.js";
+import { unitsOf, unitsOfMachine } from "./motion.js";
 import { showMoving } from "./moving.js";
+import { order, questionOf, showOrdered } from "./ordered.js";
 import { plot } from "./plots.js";
 import { refresher } from "./refresh.js";
 import { events } from "./stream.js";
-import { aheadOf } from "./subject.js";
 import { formula, language, text, word } from "./words.js";
 
 /** @type {Api.CampaignDocument[]} */
@@ -30,8 +30,6 @@ let etag = "";
 let plan = null; // its plan {id, document}; null for an imported campaign
 /** @type {Units | null} */
 let units = null; // of its robot; without a campaign, of the robot of the drives
-/** @type {Api.Ahead["range"] | null} */
-let seen = null; // ranges of the axes that the page shows for a start; null: none
 let sought = false; // whether that robot was requested
 let shownRevision = "";
 
@@ -70,9 +68,8 @@ async function showCampaign() {
   showDataCheck(campaign.data_check);
   tell("campaign-state", word("campaign-state", campaign.state));
   byId("campaign-state").className = `badge ${campaign.state}${byFault(campaign.structured_cause) ? " broken" : ""}`;
-  byId("repeat-choice").hidden = campaign.state !== "paused";
   nowCommands();
-  await showOrdered();
+  await ordered();
   await showEstimate(id);
 }
 
@@ -84,6 +81,11 @@ function showProgress() {
 }
 
 const nowCommands = () => showCommands(campaign, machine, owner(campaigns));
+
+async function ordered() {
+  await showOrdered(campaign, plan, units, machine, owner(campaigns));
+  nowCommands();
+}
 
 /** @param {Api.DataCheck | null} check */
 function showDataCheck(check) {
@@ -97,29 +99,6 @@ async function planOf({ plan_id }) {
   if (plan?.id === plan_id) return plan;
   const { document } = await get(`/plans/${plan_id}`);
   return { id: plan_id, document };
-}
-
-// the motion that Start or Resume will cause
-async function showOrdered() {
-  const { state, progress, id } = campaign;
-  const command = { planned: "ordered.start", paused: "ordered.resume" }[state];
-  const again = state === "paused" && byId("repeat").checked;
-  const waits = plan !== null && command !== undefined;
-  const sweeps = waits ? await get(`/campaigns/${id}/sweeps`) : [];
-  const due = again ? ["planned", "failed", "interrupted"] : ["planned"];
-  const left = plan?.document.sweeps.filter((_, k) => due.includes(sweeps[k]?.state)) ?? [];
-  const seconds = progress.remaining + (again ? progress.repeat : 0);
-  await showApproval(plan, left, seconds);
-  nowCommands();
-  byId("ordered").hidden = !left.length;
-  const ahead = left.length && !owner(campaigns) ? await aheadOf(`/campaigns/${id}/ahead?repeat=${again}`) : null;
-  tell("takes", left.length ? text("campaign.takes", { time: duration(seconds) }) : "");
-  const shown = `${plan?.id}/${command}/${left.length}/${language()}/${progress.pace}/${machine?.drives.connected}/${JSON.stringify([ahead?.range, ahead?.trouble])}`;
-  seen = ahead?.range ?? null;
-  if (!left.length || byId("motion").dataset.shown === shown) return;
-  tell("ordered-title", text(command));
-  showMotion(byId("motion"), { ...plan.document, sweeps: left, duration: seconds, pace: progress.pace }, units, machine?.drives, ahead);
-  byId("motion").dataset.shown = shown;
 }
 
 /** @param {() => Promise<unknown>} run */
@@ -197,15 +176,10 @@ const refresh = refresher(async () => {
 watchAxes(command);
 watchApproval(command);
 byId("campaigns").addEventListener("change", () => showCampaign().catch(complain));
-byId("repeat").addEventListener("change", () => campaign && showOrdered().catch(complain));
+byId("repeat").addEventListener("change", () => campaign && ordered().catch(complain));
 watchCommands(
-  (name) => command(() => call(
-    "POST",
-    `/campaigns/${campaign.id}/${name}`,
-    { start: { seen }, resume: { repeat: byId("repeat").checked, seen } }[name],
-    { "If-Match": etag },
-  )),
-  () => text("abort.question", { id: campaign.id, left: campaign.progress.total - campaign.progress.done }),
+  (name) => command(() => order(campaign, etag, name)),
+  () => questionOf(campaign),
 );
 
 const stream = events();

@@ -3,7 +3,7 @@
 import { call } from "./api.js";
 import { byId, element, EMPTY, fixed, minus, row } from "./elements.js";
 import { mayNot } from "./login.js";
-import { foreign, joined, parts, text, told, word } from "./words.js";
+import { joined, outside, parts, text, told, word } from "./words.js";
 
 /** @type {string[]} */
 let faulty = []; // joints
@@ -56,7 +56,7 @@ function faultCells(axis) {
 /** @param {Api.FaultView} fault */
 function inWords({ code, text: fault, emergency_stop }) {
   const hexadecimal = `${code.toString(16).toUpperCase().padStart(4, "0")}h`;
-  const cause = foreign(fault.includes(hexadecimal) || !code ? fault : `${hexadecimal} ${fault}`);
+  const cause = outside("drive", fault.includes(hexadecimal) || !code ? fault : `${hexadecimal} ${fault}`);
   return emergency_stop ? parts("axes.emergency", { cause }) : [cause];
 }
 

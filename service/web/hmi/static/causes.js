@@ -1,7 +1,7 @@
 // Why a motion, a campaign or the machine stopped, and the next step: by its code, in the language and units of the page.
 
 import { element } from "./elements.js";
-import { figures, foreign, parts, text } from "./words.js";
+import { figures, foreign, outside, parts, text } from "./words.js";
 
 // the reason that this page sends for a press of STOP; the audit stores it in this form, in every language of the page
 export const PAGE = "operator page";
@@ -20,7 +20,7 @@ export const stopParts = ({ by, why, cause }) => parts("stop.by", { by: whose(by
 export const whose = (by) => (by === WATCH ? text("stop.watch") : by === PAGE || by.endsWith(`(${PAGE})`) ? by.replace(PAGE, text("stop.page")) : by);
 
 /** @param {string} why */
-const reason = (why) => (why === PRESSED ? text("stop.button") : foreign(why));
+const reason = (why) => (why === PRESSED ? text("stop.button") : outside("person", why));
 
 // whether the headline tells it (no machine) or a banner (a stop)
 /** @param {Api.Cause} cause @param {Machine} machine */

@@ -10,8 +10,7 @@ import { watchMachine } from "./machine.js";
 import { showMoving } from "./moving.js";
 import { refresher } from "./refresh.js";
 import { events } from "./stream.js";
-import { verdictParts } from "./verdicts.js";
-import { foreign, formula, joined, knows, language, parts, text, word } from "./words.js";
+import { foreign, formula, joined, language, parts, text, word } from "./words.js";
 
 const FINISHED = ["measured", "completed"];
 const OPEN = ["waiting", "running"];
@@ -136,7 +135,7 @@ async function showAxis(campaign, after) {
     drawn = "";
     return;
   }
-  tell("verdict", verdictParts(joint, axis));
+  tell("verdict", foreign(axis.summary));
   byId("verdict").className = `verdict ${axis.standing ?? "open"}`;
   const unfinished = (axis.unfinished ?? []).map((one) => ({ severity: /** @type {const} */ ("warning"), ...one }));
   byId("data").replaceChildren(...findingParts([...(axis.data ?? []), ...unfinished]));
@@ -178,8 +177,7 @@ const significant = ({ value, std }) => std === null || std <= Math.abs(value) /
 /** @param {Api.Effect} effect */
 function effectParts(effect) {
   const heading = element("h3", effectName(effect.effect));
-  const told = `effect-told.${effect.effect}`;
-  const sentence = element("p", [knows(told) ? text(told) : foreign(effect.sentence), " "]);
+  const sentence = element("p", [foreign(effect.sentence), " "]);
   sentence.append(element("code", effect.physics));
   const table = element("table");
   const [shown, open] = [true, false].map((kind) => Object.entries(effect.parameters).filter(([, value]) => significant(value) === kind));

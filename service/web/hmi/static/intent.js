@@ -90,14 +90,14 @@ const alone = (one) => one.here && one.unattended && OPEN.includes(one.state);
 
 /** @param {Api.CampaignView} campaign @param {Api.DiagnosisEntry[]} diagnoses @param {Units} units */
 function ofCampaign(campaign, diagnoses, units) {
-  const { done, total, remaining } = campaign.progress;
+  const { done, total, remaining, pace } = campaign.progress;
   const ahead = stepsFrom(campaign.motion, statement);
   const steps = ahead.length ? `: ${inWords(ahead, units)}` : "";
   /** @type {(Part | Part[])[]} */
   const sentences = [parts(campaign.state === "pausing" ? "intent.pausing" : "intent.runs", {
     campaign: campaignLink(campaign.id), number: Math.min(done + 1, total), total, steps,
   })];
-  if (remaining) sentences.push(text("intent.left", { time: duration(remaining) }));
+  if (remaining) sentences.push(text(pace === 1 ? "intent.left-planned" : "intent.left", { time: duration(remaining) }));
   if (campaign.attended) sentences.push(text("intent.attended", { seconds: campaign.attended.within_s }));
   const asking = diagnoses.find((one) => one.experiment?.campaign_id === campaign.id);
   if (asking) sentences.push(text(asking.unattended ? "intent.belongs" : "intent.then", { id: asking.id }));

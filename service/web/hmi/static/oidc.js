@@ -2,7 +2,7 @@
 
 import { call, forget, get } from "./api.js";
 import { byId, tell } from "./elements.js";
-import { foreign, Told, told } from "./words.js";
+import { outside, Told, told } from "./words.js";
 
 let handedIn = null;
 
@@ -14,7 +14,7 @@ async function handIn() {
   const [state, code, error] = ["state", "code", "error"].map((name) => brought.get(name));
   if (!state || !(code || error)) return null;
   history.replaceState(null, "", location.pathname); // a code is valid once and must not stay in the browser history
-  if (!code) return /^[a-z_]{1,40}$/.test(error) ? new Told("login.oidc-said", { error: foreign(error) }) : new Told("login.oidc-refused");
+  if (!code) return /^[a-z_]{1,40}$/.test(error) ? new Told("login.oidc-said", { error: outside("system", error) }) : new Told("login.oidc-refused");
   forget(); // a key would have priority over the session
   try {
     await call("POST", "/login/oidc/code", { code, state });

@@ -9,16 +9,12 @@ import { showMoving } from "./moving.js";
 import { showGrid, showPicture } from "./picture.js";
 import { refresher } from "./refresh.js";
 import { events } from "./stream.js";
-import { aheadOf, askNames, machineHere, typedNames } from "./subject.js";
+import { aheadOf, showSubjects, typedNames } from "./subject.js";
 import { formula, language, text, Told } from "./words.js";
 
 const USUAL = { poses: "24", confidence: text("plan.usual-confidence"), duration: "60", diagnosis: "3" };
 const MINUTE = 60; // s
 
-/** @type {Api.RobotEntry[]} */
-let robots = [];
-/** @type {Here | null} */
-let machine = null; // of this service, with its robot and cell
 /** @type {Api.CampaignDocument | undefined} */
 let paused; // the paused campaign
 /** @type {(Api.PlanView & {document: Api.PlanDocument}) | null} */
@@ -32,26 +28,11 @@ let grid = null;
 // -- the request
 
 async function showRobots() {
-  const [campaigns, diagnoses, known, cells, here] = await Promise.all([all("/campaigns"), all("/diagnoses"), all("/robots"), get("/cells"), machineHere()]);
+  const [campaigns, diagnoses] = await Promise.all([all("/campaigns"), all("/diagnoses")]);
   paused = held(campaigns);
   await showMoving(campaigns, diagnoses);
-  choices(byId("cell"), cells.names.map((name) => [name, name]));
-  const changed = known.length !== robots.length;
-  robots = known;
-  choices(byId("robot"), robots.map((one) => [one.id, `${one.name} (${one.id})`]).reverse());
-  if (!machine) {
-    byId("robot").value = here.robot_id ?? ""; // without a robot or cell of the machine a person chooses one
-    byId("cell").value = here.cell ?? "";
-  }
-  machine = here;
-  showConfirm();
-  if (changed) await showJoints();
+  if (await showSubjects()) await showJoints();
   if (plan) await showPlan();
-}
-
-function showConfirm() {
-  const robot = robots.find((one) => String(one.id) === byId("robot").value);
-  if (machine) askNames(machine, robot, byId("cell").value);
 }
 
 async function showJoints() {
@@ -160,11 +141,7 @@ const busy = (/** @type {string} */ button, /** @type {() => Promise<void>} */ r
 byId("request").querySelector("button").id = "make";
 byId("request").addEventListener("submit", busy("make", makePlan));
 byId("take").addEventListener("click", busy("take", take));
-byId("robot").addEventListener("change", () => {
-  showConfirm();
-  showJoints().catch(complain);
-});
-byId("cell").addEventListener("change", showConfirm);
+byId("robot").addEventListener("change", () => showJoints().catch(complain));
 byId("budget").addEventListener("change", () => (byId("amount").value = USUAL[byId("budget").value]));
 byId("sweep").addEventListener("change", () => {
   showLegs();

@@ -4,7 +4,7 @@ import { all, get } from "./api.js";
 import { byId, element, row } from "./elements.js";
 import { mayNot } from "./login.js";
 import { causeWithDetails, PRESSED, whose } from "./causes.js";
-import { foreign, knows, moment, parts, text, word } from "./words.js";
+import { knows, moment, outside, parts, text, word } from "./words.js";
 
 const API = "/api/v1";
 
@@ -49,6 +49,6 @@ function whatOf({ method, path, route, event }) {
 /** @param {Record<string, string>} entry @returns {Content} */
 function outcomeOf({ status, why, code, joint }) {
   if (code) return causeWithDetails({ code: /** @type {Api.CauseCode} */ (code), joint, detail: why, by: "", unit: "", value: null, limit: null });
-  if (status === undefined) return why === PRESSED ? text("stop.button") : foreign(why ?? "");
+  if (status === undefined) return why === PRESSED ? text("stop.button") : outside("person", why ?? "");
   return Number(status) < 400 ? text("results.done") : text("results.refused", { status });
 }

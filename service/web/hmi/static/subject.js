@@ -1,11 +1,15 @@
 // Robot, cell and machine of a plan; names of a robot or cell that is not the machine's are typed by a person.
 
-import { get, Refused } from "./api.js";
-import { byId, tell } from "./elements.js";
+import { all, get, Refused } from "./api.js";
+import { byId, choices, tell } from "./elements.js";
 import { foreign, parts, text } from "./words.js";
 
 /** @type {{robot: string | undefined, cell: string | null} | null} */
 let asked = null; // names that were chosen
+/** @type {Api.RobotEntry[]} */
+let robots = [];
+/** @type {Here | null} */
+let present = null; // machine of this service, with its robot and cell; null: not requested yet
 
 // without a machine, its names are null
 /** @returns {Promise<Here>} */
@@ -38,6 +42,25 @@ export function askNames(machine, robot, cell) {
   }
   asked = { robot: robot?.name, cell };
 }
+
+// robots and cells to choose from, those of the machine first; whether the robots are others than before
+export async function showSubjects() {
+  const [known, cells, here] = await Promise.all([all("/robots"), get("/cells"), machineHere()]);
+  choices(byId("cell"), cells.names.map((name) => [name, name]));
+  const changed = known.length !== robots.length;
+  robots = known;
+  choices(byId("robot"), robots.map((one) => [one.id, `${one.name} (${one.id})`]).reverse());
+  if (!present) {
+    byId("robot").value = here.robot_id ?? ""; // without a robot or cell of the machine a person chooses one
+    byId("cell").value = here.cell ?? "";
+    for (const id of ["robot", "cell"]) byId(id).addEventListener("change", askChosen);
+  }
+  present = here;
+  askChosen();
+  return changed;
+}
+
+const askChosen = () => askNames(present, robots.find((one) => String(one.id) === byId("robot").value), byId("cell").value);
 
 // of the request: the service compares the names
 /** @returns {"" | `?${string}`} */

@@ -3,7 +3,7 @@
 import { axisOf, byFault } from "./causes.js";
 import { byId, element, tell } from "./elements.js";
 import { jointsThat } from "./statement.js";
-import { text } from "./words.js";
+import { foreign, text } from "./words.js";
 
 /** @typedef {{code: string, joint?: string, detail?: string}} Known */
 
@@ -19,7 +19,7 @@ export function showWayOut({ drives, stop }, paused) {
   byId("way-out").hidden = !steps.length;
   const details = causes.findLast((one) => one.detail)?.detail; // of the campaign, if it has one
   byId("way-out-details").hidden = !details;
-  tell("way-out-told", details ?? "");
+  tell("way-out-told", details ? foreign(details) : "");
 }
 
 /** @param {Api.AxisView[]} axes */

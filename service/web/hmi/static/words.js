@@ -75,41 +75,85 @@ function numbered(family, code) {
 
 // the name of a base parameter, with the decimal sign of the user's country: "mz(link_2) + 1,15 m(link_3)"
 /** @param {string} name */
-export const formula = (name) => name.replace(/\d+\.\d+/g, (told) => decimal(Number(told)));
+export const formula = (name) => name.replace(/(?<![\d.])\d+\.\d+(?![\d.])/g, (told) => decimal(Number(told)));
 
 export const knows = (key) => Object.hasOwn(TEXTS[now], key);
 
-// what the service says in words, with its values: "said" and the words of effects and blocks
-const SAID = Object.entries(TEXTS[MAIN]).filter(([key]) => /^(said|effect|block)\./.test(key)).map(([key, told]) => {
+// what the service says in words, with its values: a code and its template in each language
+const SAID = Object.entries(TEXTS[MAIN]).filter(([key]) => /^(said|input|effect|effect-told|block|parameter)\./.test(key)).map(([key, told]) => {
   const pieces = told.split(/\{(\w+)\}/);
   const pattern = pieces.map((piece, k) => (k % 2 ? "(.*?)" : piece.replace(/[.*+?^${}()|[\]\\]/g, "\\$&"))).join("");
   return { key, pattern: new RegExp(`^${pattern}$`, "s"), names: pieces.filter((_, k) => k % 2), fixed: pieces.filter((_, k) => k % 2 === 0).join("").length };
 }).sort((one, other) => other.fixed - one.fixed); // the most special first
+const OUTSIDE = ["system", "drive", "person", "file"]; // values that are quoted: their words are of another source
+const JOINTS = [/(?<=[.!?]) /g, /; /g, /: /g, /, /g, / (?=and )/g, / (?=or )/g]; // of sentences, reasons, places and lists
+/** @type {Map<string, Part[] | null>} */
+const meanings = new Map();
 
 // a sentence of the service: in the language of the page if the catalogue has it, otherwise as it is
 /** @param {string} sentence */
 export function foreign(sentence) {
   const made = document.createElement("span");
-  const found = isMain() ? undefined : SAID.find(({ pattern }) => pattern.test(sentence));
-  if (found) {
-    const [, ...values] = sentence.match(found.pattern);
-    made.append(...parts(found.key, Object.fromEntries(found.names.map((name, k) => [name, valueOf(values[k])]))));
-  } else {
+  const found = isMain() ? null : meant(sentence);
+  if (found) made.append(...found.map((one) => (one instanceof Node ? one.cloneNode(true) : one)));
+  else {
     made.lang = MAIN;
     made.textContent = sentence;
   }
   return made;
 }
 
-// in a sentence: a sentence, a word, a list of them, or names and numbers
-/** @param {string} told @returns {Part[]} */
-function valueOf(told) {
-  const whole = foreign(told);
-  if (!whole.lang) return [whole];
-  const items = told.split(/, | and /).map(foreign);
-  if (items.every((one) => !one.lang)) return joined(items, ", ");
-  return /[a-z]{2,}.? [a-z]{2,}/i.test(told.replace(/\w*_\w*/g, "")) ? [whole] : [formula(told)];
+// the same as a string, for a figure
+/** @param {string} told */
+export const spoken = (told) => foreign(told).textContent;
+
+// words of a person, of a drive or of the operating system: unchanged, in no language that is known
+/** @param {string} source @param {string} told */
+export const outside = (source, told) => (isMain() || meant(told) ? foreign(told) : quoted(source, told));
+
+/** @param {string} source @param {string} told */
+function quoted(source, told) {
+  const made = document.createElement("q");
+  made.lang = "";
+  made.dataset.source = source;
+  made.textContent = told;
+  return made;
 }
+
+// null: the catalogue does not have all of it
+/** @param {string} told @returns {Part[] | null} */
+function meant(told) {
+  const key = `${now} ${told}`;
+  if (meanings.size > 5000) meanings.clear(); // values change
+  if (!meanings.has(key)) meanings.set(key, read(told));
+  return meanings.get(key);
+}
+
+/** @param {string} told @returns {Part[] | null} */
+function read(told) {
+  if (told.split("(").length !== told.split(")").length) return null; // cut within a value
+  const [, of] = told.match(/^[A-Z][a-z]+(?:[A-Z][a-z]+)+: (.*)$/s) ?? []; // the class of an error: its code says it
+  if (of) return meant(of);
+  for (const { key, pattern, names } of SAID) {
+    const found = told.match(pattern);
+    if (!found) continue;
+    const shown = found.slice(1).map((value, k) => (OUTSIDE.includes(names[k]) ? meantOrQuoted(names[k], value) : meant(value)));
+    if (shown.every((one) => one !== null)) return parts(key, Object.fromEntries(names.map((name, k) => [name, shown[k]])));
+  }
+  for (const joint of JOINTS) {
+    for (const { index, 0: between } of told.matchAll(joint)) {
+      const [before, after] = [meant(told.slice(0, index)), meant(told.slice(index + between.length))];
+      if (before && after) return [...before, between, ...after];
+    }
+  }
+  const small = told.charAt(0).toLowerCase() + told.slice(1);
+  if (small !== told && /^[A-Z][a-z]/.test(told) && SAID.some(({ pattern }) => pattern.test(small))) return meant(small);
+  if (told.endsWith(".")) return meant(told.slice(0, -1))?.concat(".") ?? null;
+  return /[a-z]{2,}\S? [a-z]{2,}|[:;] .*[a-z]{2}/i.test(told.replace(/\w*_\w*|'[^']*'|\x60[^\x60]*\x60/g, "")) ? null : [formula(told)];
+}
+
+/** @param {string} source @param {string} told @returns {Part[]} */
+const meantOrQuoted = (source, told) => meant(told) ?? [quoted(source, told)];
 
 /** @type {(list: (Part | Part[])[], between: string) => Part[]} */
 export const joined = (list, between) => list.flatMap((one, k) => (k ? [between, one] : [one]).flat());

@@ -122,6 +122,7 @@ ASKED = {
     "its convergence": Asked("GET", "/campaigns/99999/estimates/convergence", 404),
     "a diagnosis that is not": Asked("GET", "/diagnoses/99999", 404),
     "a model that is not": Asked("GET", "/models/99999", 404),
+    "a payload that is not": Asked("GET", "/payloads/99999", 404),
     "a job that is not": Asked("GET", "/jobs/99999", 404),
     "its end": Asked("POST", "/jobs/99999/cancel", 404),
     "a job of what is not": Asked("POST", "/jobs", 404, "", {}, {"json": {"campaigns": [99999]}}),

@@ -141,6 +141,31 @@ def test_the_command_prints_and_writes_the_fleet(url: str, tmp_path: Path) -> No
         client.fleet("a b&c")
 
 
+# -- payloads
+
+
+def test_a_payload_is_ordered_once_and_read(http: httpx.Client, campaigns: list[int]) -> None:
+    """Sweeps of one vertical axis do not excite the mass: that is part of the answer."""
+    pair = {"before": campaigns[0], "after": campaigns[1]}
+    asked = [http.post("/payloads", json=pair, headers={"Idempotency-Key": "a payload"}) for _ in range(2)]
+    assert [one.status_code for one in asked] == [202, 202]
+    assert asked[0].json() == asked[1].json()
+    assert asked[1].headers["idempotency-replayed"] == "true"
+    number = asked[0].json()["id"]
+    assert asked[0].headers["location"].endswith(f"/payloads/{number}")
+    with ServiceClient(str(http.base_url).partition("/api")[0]) as client:
+        found = client.payload_over(**pair)
+    assert (found["state"], found["cause"], found["document"]["mass"]["excited"]) == ("done", "", False)
+    assert found["no_sheet"].startswith(f"payload {found['id']}: lacks mass, ")
+    listed = http.get("/payloads").json()["items"]
+    assert [one["id"] for one in listed] == [number, found["id"]]
+    assert http.get(f"/payloads/{found['id']}").json() == found
+    sheet = http.get(f"/payloads/{found['id']}/sheet.md")
+    assert (sheet.status_code, sheet.json()["detail"]) == (422, found["no_sheet"])
+    refused = http.post("/payloads", json=pair | {"after": campaigns[0]})
+    assert (refused.status_code, refused.json()["errors"][0]["pointer"]) == (422, "after")
+
+
 # -- stored campaigns identified again
 
 

@@ -104,15 +104,11 @@ def test_an_axis_without_sweeps_is_bad_input(calibration: Path) -> None:
     assert done.stderr == f"sweepid: {calibration}: has no sweep with sines of joint joint_2\n"
 
 
-def test_what_cannot_be_told_apart_is_said() -> None:
+def test_what_cannot_be_told_apart_or_does_not_resonate_is_said() -> None:
     lag = Lag(5e-4, 1e-5, 0.0, 2e-4, 5e-4, 1e-5, apart=False)
     text = profile_lines("joint_1", ChannelLags(lag, lag, TwoMassTrain(58.0, 140.0, 60.0, 1e-6, 1e-3), 21.3))
     assert "effort_delay: 0.0005000 # s, +- 1e-05, delay and smoothing together: they cannot be separated" in text
     assert yaml.safe_load(text)["channels"]["effort_smoothing"] == 0.0
-
-
-def test_a_stiff_train_has_no_free_resonance() -> None:
-    lag = Lag(5e-4, 1e-5, 0.0, 2e-4, 5e-4, 1e-5, apart=False)
     lags = ChannelLags(lag, lag, TwoMassTrain(58.0, 140.0, 60.0, 0.0, 1e-3), math.inf)
     assert profile_lines("joint_1", lags).startswith("# joint_1: no free resonance found\nchannels:\n")
     assert as_document(lags).free_resonance is None

@@ -31,7 +31,6 @@ FAMILIES = {
     "statement-of": {"moves", "energised", "unknown"},
     "diagnosis-state": {state.value for state in DiagnosisState},
     "verdict": set(get_args(Verdict)),
-    "verdict-told": {*get_args(Verdict), "wrong-data"},
     "severity": set(get_args(Severity)),
     "role": {role.word for role in Role},
     "block": {"sweep", "forward", "backward", *BLOCKS, FULL_DESIGN, MORE_POSES, TEST_MASS, WARM_UP},
@@ -42,9 +41,18 @@ FAMILIES = {
     "pose-state": {"chosen", "free", "no_room", "collides"},
     "cause": set(CauseCode),
     "step": set(CauseCode),
+    "payload-step": {"plan", "bare", "mount", "loaded", "result"},
+    "payload-next": {"plan", "bare", "mount", "waiting", "compute", "computing", "done", "failed"},
+    "payload-run": {state.value for state in CampaignState} - {"completed", "aborted"},
     "figure": {"map", "gap_by_pose", "example", "evidence", "parameters"},
 }
-OPEN_FAMILIES = ("done", "parameter", "problem", "said")  # what has no word there is shown as the service has it
+OPEN_FAMILIES = (
+    "done",
+    "input",
+    "parameter",
+    "problem",
+    "said",
+)  # what has no word there is shown as the service has it
 # of a script that are no words: what the service stores of a stop, classes, units, names and routes
 NO_WORDS = {
     "api.js": {"Bearer"},
@@ -54,6 +62,7 @@ NO_WORDS = {
     "diagnosis.js": {"badge", "verdict"},
     "elements.js": {"min"},
     "findings.js": {"finding"},
+    "payload.js": {"badge", "kg m²", "verdict"},
     "results.js": {"badge"},
     "machine.js": {"state", "state bad"},
     "login.js": {"not authenticated"},

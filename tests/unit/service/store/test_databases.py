@@ -223,19 +223,31 @@ def test_writers_at_once_make_one_chain_and_the_outbox_has_no_gap_for_who_follow
         assert verify(AuditStore(database).links())[0] == WRITERS * ENTRIES
 
 
-@pytest.mark.parametrize(
-    "statement",
-    [
-        *("UPDATE audit SET entry = '{}'", "DELETE FROM audit", "TRUNCATE audit"),
-        *(
-            f"INSERT INTO audit VALUES ({number}, '{{}}', 'abc') "
-            "ON CONFLICT (number) DO UPDATE SET entry = EXCLUDED.entry, sha256 = EXCLUDED.sha256"
-            for number in (1, 2, 4)
-        ),
-    ],
+UPSERTS = tuple(
+    f"INSERT INTO audit VALUES ({number}, '{{}}', 'abc') "
+    "ON CONFLICT (number) DO UPDATE SET entry = EXCLUDED.entry, sha256 = EXCLUDED.sha256"
+    for number in (1, 2, 4)
 )
-def test_entries_are_only_added(postgresql_url: str, statement: str) -> None:
-    with open_database(postgresql_url) as database:
+REWRITES = {
+    "postgresql": ("DELETE FROM audit", "TRUNCATE audit"),
+    "sqlite": (
+        "DELETE FROM audit WHERE number = 2",
+        "INSERT OR REPLACE INTO audit VALUES (1, '{}', 'abc')",
+        "REPLACE INTO audit VALUES (2, '{}', 'abc')",
+        "UPDATE OR REPLACE audit SET number = 1 WHERE number = 2",
+        "INSERT INTO audit VALUES (4, '{}', 'abc')",
+        "INSERT INTO audit VALUES (0, '{}', 'abc')",
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    ("url", "statement"),
+    [(kind, each) for kind in REWRITES for each in ("UPDATE audit SET entry = '{}'", *UPSERTS, *REWRITES[kind])],
+    indirect=["url"],
+)
+def test_entries_are_only_added(url: str, statement: str) -> None:
+    with open_database(url) as database:
         AuditStore(database).append([{"event": "request", "actor": "ada"}] * 2)
         with pytest.raises(IntegrityError, match="only ever added to"), database.write() as session:
             session.execute(text(statement))
