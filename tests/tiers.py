@@ -71,6 +71,8 @@ SHORT = (  # stays in the first tier although a line of LONG names it: file[::fu
     "tests/numeric/test_foreign_machines.py::test_what_a_foreign_machine_hides_is_found[08",
     "tests/numeric/test_makers_robots.py::test_from_a_makers_urdf_to_its_inertia[panda",
     "tests/numeric/test_planned_confidence.py::test_a_campaign_to_a_confidence_keeps_what_its_plan_promises[0.3-springs0",
+    "tests/numeric/second_plant/test_play.py::test_backlash_is_named_with_its_width[medium-0.0",
+    "tests/numeric/second_plant/test_play.py::test_no_other_machine_has_play[presliding_hysteresis-medium",
 )
 
 LONG: dict[str, float] = {  # file[::function][[first parameters]: processor time in s, on an idle computer
@@ -162,6 +164,8 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/numeric/test_data_check.py::test_a_fault_of_the_second_plant_is_told": 9,
     "tests/numeric/second_plant/test_cases.py::test_a_large_effect_is_seen_and_no_monster": 20,
     **{f"tests/numeric/second_plant/test_loop.py::test_a_hundred_diagnoses_end[{part}": 65 for part in range(12)},
+    "tests/numeric/second_plant/test_play.py::test_backlash_is_named_with_its_width": 15,
+    "tests/numeric/second_plant/test_play.py::test_no_other_machine_has_play": 20,
     "tests/numeric/second_plant/test_scoring.py::test_a_fair_sample_goes_through": 26,
     "tests/numeric/test_channel_timing.py::test_lags_are_found_within_their_uncertainty": 8,
     "tests/numeric/test_drift_in_stored_estimates.py::test_the_drift_is_found_and_the_other_seven_are_quiet": 13,

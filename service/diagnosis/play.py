@@ -6,8 +6,8 @@ gear touches the flank of its sign. Between two contacts only its friction slows
 
     q_l = q - e - s b / 2,    effort = Jm a + J q_l'' + friction + gravity,
 
-linear in J and J b. Below `BAND` impacts of milliseconds are steps of momentum. Rivals: a twist in proportion to Ts and
-to its cube has no e; presliding is a loop of the motor's angle (Nordin and Gutman, Automatica 38 (2002)).
+linear in J and J b. Below `IMPACTS` impacts of milliseconds are steps of momentum. Rivals: a twist in proportion to Ts
+and to its cube has no e; presliding is a loop of the motor's angle (Nordin and Gutman, Automatica 38 (2002)).
 """
 
 from collections.abc import Sequence
@@ -25,15 +25,15 @@ from service.model import Array, Indices, Robot, Sweep
 from service.model.results.diagnosis import Gap
 
 PLAY = "backlash"
-BAND = 4.0  # Hz, of the Gaussian
-WIDTHS = (4e-5, 8e-5, 1.6e-4, 3e-4, 5e-4, 8e-4, 1.3e-3, 2e-3)  # rad (m), where a search begins
-WAYS = (2e-5, 1e-4, 5e-4, 2e-3)  # rad (m), of presliding as a rival
+IMPACTS = 4.0  # Hz, of the Gaussian
+STARTS = (4e-5, 8e-5, 1.6e-4, 3e-4, 5e-4, 8e-4, 1.3e-3, 2e-3)  # rad (m), where a search begins
+BRISTLES = (2e-5, 1e-4, 5e-4, 2e-3)  # rad (m), of presliding as a rival
 
 
 @dataclass(frozen=True)
 class Play:
-    """Play and its std, rad (m). RMS on held-out repeats below `BAND`, N m (N): of the rigid model (`before`), of the
-    best smooth law, with play (`after`), and of what differs between repeats after it (`floor`). `ratio`: part of the
+    """Play and its std, rad (m). RMS on held-out repeats below `IMPACTS`, N m (N): of the rigid model (`before`), of
+    the best smooth law, with play (`after`), and of what differs between repeats after it (`floor`). `ratio`: part of the
     load's inertia that is missing between the flanks; 1 if the gear is open there.
     """
 
@@ -61,7 +61,7 @@ class Play:
 
     @property
     def gap(self) -> Gap:
-        """On held-out repeats, below `BAND`."""
+        """On held-out repeats, below `IMPACTS`."""
         return Gap(
             before_rms=self.before,
             after_rms=self.after,
@@ -76,15 +76,17 @@ class Play:
 
     def sentence(self, joint: str, unit: str) -> str:
         """What was measured, in words."""
+        length = "m" if unit == "N" else "rad"
         return (
-            f"{joint}: between two flanks {self.width:.3g} ± {self.std:.2g} rad apart, "
-            f"{100 * self.ratio:.0f} ± {100 * self.ratio_std:.0f} % of the load's inertia are missing; the best smooth "
-            f"law leaves {self.smooth:.3g} {unit}. Other effects cannot be judged in sweeps in which the flank changes."
+            f"{joint}: play of {self.width:.3g} ± {self.std:.2g} {length}; between the flanks "
+            f"{100 * self.ratio:.0f} ± {100 * self.ratio_std:.0f} % of the load's inertia are missing. "
+            f"The best smooth law leaves {self.smooth:.3g} {unit}, play {self.after:.3g} {unit}. "
+            "Other effects cannot be judged in sweeps in which the flank changes."
         )
 
 
 @dataclass(frozen=True)
-class _Rows:
+class _FlankRows:
     """Filtered rows (n, ...) of sweeps: `motor` has the columns of motor, friction and gravity; `load`, `flank` and
     `opened` those that J, J b / 2 and J multiply in each pose (e is part of `load`); `smooth` those of the rivals.
     """
@@ -120,7 +122,7 @@ class _Assumed:
 
 
 @dataclass(frozen=True, eq=False)
-class _Axis:
+class _Reversals:
     robot: Robot
     joint: str
     sweeps: tuple[Sweep, ...]
@@ -146,7 +148,7 @@ class _Axis:
     @cached_property
     def presliding(self) -> list[Array]:
         """States (ways, t) of friction in each sweep."""
-        return [bristles(sweep.recording.position[None], WAYS)[:, 0] for sweep in self.sweeps]
+        return [bristles(sweep.recording.position[None], BRISTLES)[:, 0] for sweep in self.sweeps]
 
 
 def measured_play(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Play | None:
@@ -157,11 +159,11 @@ def measured_play(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Play | N
     inertia = robot.axis(joint).reflected_motor_inertia
     if not inertia or len({sweep.spec.repeat for sweep in own}) < 2:
         return None
-    axis = _Axis(robot, joint, own, inertia)
+    axis = _Reversals(robot, joint, own, inertia)
     tried = [_Assumed(inertia, *one) for one in product((0.3, 0.7), (0.0, axis.dry), (2.0, 4.0, 7.0))]
     if axis.dry > 0.002 * robot.axis(joint).rated_effort:  # which may be on the load and stop it between the flanks
         slowing = axis.dry / float(axis.nominal.mean())
-        tried += [_Assumed(inertia, 0.5, 0.0, 4.0, *one) for one in product(WIDTHS, (0.5 * slowing, slowing))]
+        tried += [_Assumed(inertia, 0.5, 0.0, 4.0, *one) for one in product(STARTS, (0.5 * slowing, slowing))]
     found: dict[float, _Assumed] = {}  # by what is left on held-out repeats
     for _ in range(4):
         found |= {one.left: one.next for assumed in tried if (one := _fitted(axis, assumed)) is not None}
@@ -181,10 +183,10 @@ def measured_play(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Play | N
 
 
 @dataclass(frozen=True)
-class _Fitted:
+class _PlayFit:
     """A fit with play: its rows, columns, coefficients, inertia of the load in each pose, and what to assume next."""
 
-    rows: _Rows
+    rows: _FlankRows
     law: Array
     values: Array
     inertia: Array
@@ -197,12 +199,12 @@ class _Fitted:
         return np.column_stack([self.rows.motor, self.rows.load + self.rows.opened])
 
 
-def _fitted(axis: _Axis, assumed: _Assumed) -> _Fitted | None:
+def _fitted(axis: _Reversals, assumed: _Assumed) -> _PlayFit | None:
     """None if too few sweeps touch both flanks."""
     parts = [part for number in range(len(axis.sweeps)) if (part := _rows(axis, assumed, number)) is not None]
     if len({int(part.repeat[0]) for part in parts}) < 2:
         return None
-    rows = _Rows(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(_Rows)))
+    rows = _FlankRows(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(_FlankRows)))
     inertia, at = axis.nominal, rows.motor.shape[1] + rows.load.shape[1]
     for _ in range(2):
         values = _fit(axis, rows.law(inertia), rows.effort)
@@ -218,12 +220,12 @@ def _fitted(axis: _Axis, assumed: _Assumed) -> _Fitted | None:
         width=max(2 * float(values[at]), 0.0),
         slowing=float(np.clip(on_load, 0.0, most)) / float(inertia.mean()),
     )
-    fitted = _Fitted(rows, law, values, inertia, 1.0, following)
+    fitted = _PlayFit(rows, law, values, inertia, 1.0, following)
     before, after = _rms(_left_out(axis, fitted.rigid, rows)), _rms(_left_out(axis, law, rows))
     return replace(fitted, left=round(after / before, 6))
 
 
-def _play(axis: _Axis, assumed: _Assumed) -> Play | None:
+def _play(axis: _Reversals, assumed: _Assumed) -> Play | None:
     """The play as held-out repeats confirm it."""
     fitted = _fitted(axis, assumed)
     if fitted is None:
@@ -254,7 +256,7 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _fit(axis: _Axis, columns: Array, effort: Array) -> Array:
+def _fit(axis: _Reversals, columns: Array, effort: Array) -> Array:
     """Coefficients by least squares; the first is the motor's inertia, with its prior."""
     size = np.linalg.norm(columns, axis=0)
     size[size == 0] = 1.0
@@ -265,7 +267,7 @@ def _fit(axis: _Axis, columns: Array, effort: Array) -> Array:
     return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-9)[0], dtype=np.float64) / size
 
 
-def _left_out(axis: _Axis, columns: Array, rows: _Rows) -> Array:
+def _left_out(axis: _Reversals, columns: Array, rows: _FlankRows) -> Array:
     """Residual (n,) of each repeat by a fit to the others."""
     left = np.empty_like(rows.effort)
     for repeat in np.unique(rows.repeat):
@@ -274,7 +276,7 @@ def _left_out(axis: _Axis, columns: Array, rows: _Rows) -> Array:
     return left
 
 
-def _with_std(axis: _Axis, columns: Array, rows: _Rows) -> tuple[Array, Array]:
+def _with_std(axis: _Reversals, columns: Array, rows: _FlankRows) -> tuple[Array, Array]:
     """Coefficients, and their std by the jackknife over sweeps."""
     numbers = np.unique(rows.sweep)
     kept = [rows.sweep != number for number in numbers]
@@ -283,14 +285,14 @@ def _with_std(axis: _Axis, columns: Array, rows: _Rows) -> tuple[Array, Array]:
     return values, np.sqrt(len(numbers) - 1) * others.std(axis=0)
 
 
-def _between_repeats(left: Array, rows: _Rows) -> float:
+def _between_repeats(left: Array, rows: _FlankRows) -> float:
     """RMS of a residual (n,) minus its mean over repeats."""
     _, which, count = np.unique(rows.moment, return_inverse=True, return_counts=True)
     away = left - (np.bincount(which, left) / count)[which]
     return float(np.sqrt(np.sum(away**2) / max(int(np.sum(count - 1)), 1)))
 
 
-def _contacts(axis: _Axis, assumed: _Assumed, number: int) -> tuple[Array, Array, NDArray[np.intp]]:
+def _contacts(axis: _Reversals, assumed: _Assumed, number: int) -> tuple[Array, Array, NDArray[np.intp]]:
     """Acceleration of the motor (t,) and torque through the gear (t,) of a sweep, and the samples at a flank."""
     record, rate = axis.sweeps[number].recording, axis.sweeps[number].spec.sample_rate
     viscous, brief = axis.robot.axis(axis.joint).viscous_friction or 0.0, max(1e-3 * rate, 0.7)
@@ -305,7 +307,7 @@ def _contacts(axis: _Axis, assumed: _Assumed, number: int) -> tuple[Array, Array
     return acceleration, through, np.flatnonzero(np.abs(through) > assumed.least * np.linalg.norm(unsure))
 
 
-def _by_encoder(axis: _Axis, assumed: _Assumed) -> tuple[float, float] | None:
+def _by_encoder(axis: _Reversals, assumed: _Assumed) -> tuple[float, float] | None:
     """Play and its std from the load's encoder where the gear touches: a step between the flanks, beside elasticity."""
     rows: list[Array] = []
     for number, sweep in enumerate(axis.sweeps):
@@ -324,7 +326,7 @@ def _by_encoder(axis: _Axis, assumed: _Assumed) -> tuple[float, float] | None:
     return float(widths[0]), float(np.hypot(np.sqrt(len(rows) - 1) * np.std(widths[1:]), 0.02 * widths[0]))
 
 
-def _rows(axis: _Axis, assumed: _Assumed, number: int) -> _Rows | None:
+def _rows(axis: _Reversals, assumed: _Assumed, number: int) -> _FlankRows | None:
     """The rows of one sweep; None if it does not touch both flanks, or too briefly."""
     sweep, sheet = axis.sweeps[number], axis.robot.axis(axis.joint)
     record, rate = sweep.recording, sweep.spec.sample_rate
@@ -333,7 +335,7 @@ def _rows(axis: _Axis, assumed: _Assumed, number: int) -> _Rows | None:
     sides, direction = np.sign(through[contacts]), np.sign(record.velocity)
     if len(contacts) < 10 or np.ptp(sides) < 2:
         return None
-    width = rate / (2 * np.pi * BAND)
+    width = rate / (2 * np.pi * IMPACTS)
     edge = int(4 * width)
     first, last = max(edge, contacts[0] + edge // 2), min(len(times) - edge, contacts[-1] - edge // 2)
     at = times[:: max(1, int(width))]
@@ -358,7 +360,7 @@ def _rows(axis: _Axis, assumed: _Assumed, number: int) -> _Rows | None:
     twist = [-(nominal * low(x, 2) + on_load * low(x, 1)) / sheet.rated_effort for x in (through, through**3)]
     presliding = [low(state) for state in axis.presliding[number]]
     friction = [inertial, low(record.velocity), low(direction), low(moving)]
-    return _Rows(
+    return _FlankRows(
         effort=low(record.effort) + on_load * low(beyond, 1),
         motor=np.column_stack([*friction, *(one * weight for one in here)]),
         load=(inertial - opened)[:, None] * here,
