@@ -33,8 +33,8 @@ BRISTLES = (2e-5, 1e-4, 5e-4, 2e-3)  # rad (m), of presliding as a rival
 @dataclass(frozen=True)
 class Play:
     """Play and its std, rad (m). RMS on held-out repeats below `IMPACTS`, N m (N): of the rigid model (`before`), of
-    the best smooth law, with play (`after`), and of what differs between repeats after it (`floor`). `ratio`: part of the
-    load's inertia that is missing between the flanks; 1 if the gear is open there.
+    the best smooth law, with play (`after`), and of what differs between repeats after it (`floor`). `ratio`: part of
+    the load's inertia that is missing between the flanks; 1 if the gear is open there.
     """
 
     width: float
