@@ -137,28 +137,6 @@ class _Head:
     intervals: dict[int, float]  # s, by column of values
 
 
-class _Data(io.RawIOBase):
-    """The lines of the data in UTF-8 for Arrow, read as they are wanted; blanks that separate become tabs."""
-
-    def __init__(self, text: io.TextIOWrapper, blanks: bool) -> None:
-        self._text, self._blanks = text, blanks
-        self._left = memoryview(b"")
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any, /) -> int:
-        if not self._left:
-            body = "".join(self._text.readlines(2**18))  # characters at once
-            if self._blanks:
-                body = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", body))
-            self._left = memoryview(body.encode())
-        part = self._left[: len(buffer)]
-        buffer[: len(part)] = part
-        self._left = self._left[len(part) :]
-        return len(part)
-
-
 class TextTable:
     """One table, whose data stay in the file until a sweep is read. BadInput if the file has none, or is too large."""
 
@@ -255,31 +233,39 @@ class TextTable:
         return rows[:, :end]
 
     def _parsed(self, wanted: tuple[int, ...], text: set[int]) -> Iterator[Any]:
-        """The wanted columns by batches of rows; those of `text` as text."""
+        """The wanted columns by batches of rows; those of `text` as text; blanks that separate become tabs.
+
+        Each piece is parsed whole: a thread of Arrow's streaming reader reads ahead, and crashes if that ends early.
+        """
+        blanks = self._delimiter == " "
+        read = _csv.ReadOptions(column_names=[str(k) for k in range(self._width)], use_threads=False)
+        convert = _csv.ConvertOptions(
+            decimal_point=self._point,
+            include_columns=[str(k) for k in wanted],
+            column_types={str(k): _arrow.string() if k in text else _arrow.float64() for k in wanted},
+            null_values=sorted({*_MISSING, *(form(one) for one in _MISSING for form in _SPELT), "NaN", "None"}),
+            strings_can_be_null=True,
+        )
         with _text(self._path, self._encoding) as file:
             for _ in range(self._first):
                 file.readline()
-            data = io.BufferedReader(_Data(file, self._delimiter == " "))
-            with _csv.open_csv(
-                data,
-                read_options=_csv.ReadOptions(column_names=[str(k) for k in range(self._width)], use_threads=False),
-                parse_options=_csv.ParseOptions(
-                    delimiter="\t" if self._delimiter == " " else self._delimiter, invalid_row_handler=self._odd_row
-                ),
-                convert_options=_csv.ConvertOptions(
-                    decimal_point=self._point,
-                    include_columns=[str(k) for k in wanted],
-                    column_types={str(k): _arrow.string() if k in text else _arrow.float64() for k in wanted},
-                    null_values=sorted({*_MISSING, *(form(one) for one in _MISSING for form in _SPELT), "NaN", "None"}),
-                    strings_can_be_null=True,
-                ),
-            ) as batches:
-                yield from batches
+            before = self._first
+            while lines := file.readlines(2**18):  # characters at once
+                body = "".join(lines)
+                if blanks:
+                    body = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", body))
+                parse = _csv.ParseOptions(
+                    delimiter="\t" if blanks else self._delimiter, invalid_row_handler=partial(self._odd_row, before)
+                )
+                before += len(lines)
+                if body.strip("\n"):
+                    data = _arrow.BufferReader(body.encode())
+                    yield from _csv.read_csv(data, read, parse, convert).to_batches()
 
-    def _odd_row(self, row: Any) -> str:
+    def _odd_row(self, before: int, row: Any) -> str:
         """A line with another number of cells, as ``EOF``, is passed over if it holds no number."""
         if any(_is_number(cell, self._point) for cell in _cells(row.text, self._delimiter)):
-            self._odd.append((self._first + (row.number or 0), row.actual_columns, row.text))
+            self._odd.append((before + (row.number or 0), row.actual_columns, row.text))
         return "skip"
 
     def _tell_text(self, wanted: tuple[int, ...], stamps: set[int]) -> None:

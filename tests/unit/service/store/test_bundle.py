@@ -63,7 +63,8 @@ FULL_URDF = f"""<robot name="two">
 AXES = (
     Axis(joint="j1", gear_ratio=-171.0, motor_inertia=0.0021, rated_effort=2500.0, viscous_friction=2.0,
          cogging_orders=(24.0,), transmission_orders=(1.0,)),
-    Axis(joint="j2", gear_ratio=600.0, motor_inertia=0.001, rated_effort=900.0, viscous_friction=150.0),
+    Axis(joint="j2", gear_ratio=600.0, motor_inertia=0.001, rated_effort=900.0, viscous_friction=150.0,
+         speed_gain=900.0),
 )  # fmt: skip
 
 ROBOT = RobotDescription(name="two", urdf="robot.urdf", axes=AXES, prior=Prior())
