@@ -159,6 +159,7 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     # further states of the page
     "tests/browser/test_login.py::test_events_and_reports_come_with_the_key": 9,
     "tests/browser/test_page_truth.py::test_resume_shows_what_it_moves_and_what_cannot_work_says_why": 9,
+    "tests/browser/test_payload_page.py::test_from_the_plan_to_the_sheet": 60,
     "tests/browser/test_report_print.py::test_it_is_accessible_and_on_paper_no_figure_is_cut_and_none_is_empty": 5,
     # further effects, faults, robots and seeds; statistics over many campaigns
     "tests/numeric/test_data_check.py::test_a_fault_of_the_second_plant_is_told": 9,

@@ -135,6 +135,8 @@ def plan(page: Page) -> None:
          "and 4 more).",
          "joint_1: Drehmoment hat 3 Werte weit neben den Nachbarn, um bis zu 12,5 "
          "(Messfahrten 0001, 0002 und 4 weitere)."),
+        ("joint_1: the gap is largest at position within the sweep -0.0231 to 2.19e-07 rad (48.6 against 32.4).",
+         "Position in der Messfahrt -0,0231 bis 2,19e-07 rad (48,6 gegen 32,4)"),
         ("joint_2: time jumps by up to 3 samples (sweep 0004).",
          "joint_2: Die Zeit springt um bis zu 3 Abtastwerte (Messfahrt 0004)."),
         ("joint_1 (node 1): position 0.51234 rad is outside -0.5 to 0.5 rad",

@@ -89,7 +89,7 @@ def measured(
     page.reload()  # the page goes on where the person was
     page.get_by_role("button", name="The payload is mounted").click()
     expect(now).to_contain_text("Measure with the payload")
-    expect(page.locator("#start")).to_be_enabled()
+    expect(page.locator("#motion li").first).to_be_visible()
     page.locator("#start").click()
     expect(page.locator("#next")).to_contain_text("The machine moves, with the payload")
     expect(page.locator("#compute")).to_be_visible(timeout=180_000)

@@ -79,10 +79,14 @@ export const formula = (name) => name.replace(/(?<![\d.])\d+\.\d+(?![\d.])/g, (t
 
 export const knows = (key) => Object.hasOwn(TEXTS[now], key);
 
+/** @param {string} told */
+const escaped = (told) => told.replace(/[.*+?^${}()|[\]\\]/g, "\\$&");
+const DIMENSIONS = Object.entries(TEXTS[MAIN]).filter(([key]) => key.startsWith("said.d-")).map(([, told]) => escaped(told)).join("|");
+
 // what the service says in words, with its values: a code and its template in each language
 const SAID = Object.entries(TEXTS[MAIN]).filter(([key]) => /^(said|input|effect|effect-told|block|parameter)\./.test(key)).map(([key, told]) => {
   const pieces = told.split(/\{(\w+)\}/);
-  const pattern = pieces.map((piece, k) => (k % 2 ? "(.*?)" : piece.replace(/[.*+?^${}()|[\]\\]/g, "\\$&"))).join("");
+  const pattern = pieces.map((piece, k) => (k % 2 === 0 ? escaped(piece) : piece === "dimension" ? `(${DIMENSIONS}|.*?)` : "(.*?)")).join("");
   return { key, pattern: new RegExp(`^${pattern}$`, "s"), names: pieces.filter((_, k) => k % 2), fixed: pieces.filter((_, k) => k % 2 === 0).join("").length };
 }).sort((one, other) => other.fixed - one.fixed); // the most special first
 const OUTSIDE = ["system", "drive", "person", "file"]; // values that are quoted: their words are of another source
