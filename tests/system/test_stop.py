@@ -209,7 +209,7 @@ def test_a_flood_at_the_open_port_is_bounded_and_delays_no_other_stop(
             assert set(senders.map(lambda path: stopped(port, path, "nobody", 0), presses)) <= {200, 202, 503}
 
     memory: list[list[int]] = []
-    for _ in range(2):
+    for _ in range(4):
         flood(3)
         memory.append([each.memory_info().rss for each in processes])
     with ThreadPoolExecutor(1) as apart:
