@@ -91,6 +91,7 @@ def measured(
     expect(now).to_contain_text("Measure with the payload")
     expect(page.locator("#motion li").first).to_be_visible()
     page.locator("#start").click()
+    expect(page.locator("#error")).to_be_empty()  # a start that was refused says why
     expect(page.locator("#next")).to_contain_text("The machine moves, with the payload")
     expect(page.locator("#compute")).to_be_visible(timeout=180_000)
     assert machine.stands()
