@@ -34,36 +34,38 @@ def add_user(
 ) -> None:
     """Add a person, with a password: asked for at the terminal, or the first line of stdin."""
     name, what = name_of(name), role_of(role)
-    with _users(config, data_dir, make=True) as (users, entry):
+    with _people(config, data_dir, make=True) as (users, _, entry):
         typer.echo(users.add(name, what, password_for(name), entry).name)
 
 
 def change_password(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
     """Set another password, and end the person's sessions."""
-    with _users(config, data_dir) as (users, entry):
+    with _people(config, data_dir) as (users, _, entry):
         typer.echo(users.change_password(name, password_for(name), entry).name)
 
 
 def disable_user(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
     """From now on nobody logs in by this name, and its sessions are over."""
-    with _users(config, data_dir) as (users, entry):
+    with _people(config, data_dir) as (users, _, entry):
         typer.echo(users.set_enabled(name, entry, enabled=False).name)
 
 
 def enable_user(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
     """Let one who was disabled log in again, with the same password and role."""
-    with _users(config, data_dir) as (users, entry):
+    with _people(config, data_dir) as (users, _, entry):
         typer.echo(users.set_enabled(name, entry).name)
 
 
 @contextmanager
-def _users(config: Path | None, data_dir: Path | None, make: bool = False) -> Generator[tuple[UserStore, Entry]]:
-    """The users, and the entry of the audit for the person at the terminal."""
+def _people(
+    config: Path | None, data_dir: Path | None, make: bool = False
+) -> Generator[tuple[UserStore, KeyStore, Entry]]:
+    """Users and keys, and the entry of the audit for the person at the terminal."""
     from service.cli.database import opened
-    from service.store.people.users import UserStore
+    from service.store.people.users import KeyStore, UserStore
 
     with opened(config, data_dir, make) as database:
-        yield UserStore(database), shell_entry()
+        yield UserStore(database), KeyStore(database), shell_entry()
 
 
 def sessions(config: Config = None, data_dir: DataDir = None) -> None:
@@ -100,36 +102,24 @@ def add_key(
 ) -> None:
     """Make a key and print it, once: only its hash is stored. To be sent as `Authorization: Bearer KEY`."""
     name, what, scopes = name_of(name), role_of(role), scopes_of(scope or [])
-    with _keys(config, data_dir, make=True) as (keys, entry):
+    with _people(config, data_dir, make=True) as (_, keys, entry):
         _, key = keys.add(name, what, timedelta(days=days), entry, scopes)
     sys.stdout.write(f"{key}\n")
 
 
 def revoke_key(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
     """From now on the key opens nothing; a service that runs knows at once."""
-    with _keys(config, data_dir) as (keys, entry):
+    with _people(config, data_dir) as (_, keys, entry):
         typer.echo(keys.revoke(name, entry).name)
-
-
-@contextmanager
-def _keys(config: Path | None, data_dir: Path | None, make: bool = False) -> Generator[tuple[KeyStore, Entry]]:
-    """The keys, and the entry of the audit for the person at the terminal."""
-    from service.cli.database import opened
-    from service.store.people.users import KeyStore
-
-    with opened(config, data_dir, make) as database:
-        yield KeyStore(database), shell_entry()
 
 
 def list_people(config: Config = None, data_dir: DataDir = None) -> None:
     """One JSON line a user and a key; `trouble` says why it opens nothing."""
-    from service.cli.database import opened, print_credential
-    from service.store.people.users import KeyStore, UserStore
+    from service.cli.database import print_credential
 
-    with opened(config, data_dir) as database:
-        for user in UserStore(database).all():
+    with _people(config, data_dir) as (users, keys, _):
+        for user in users.all():
             print_credential("user", user, user.role, user.trouble)
-        keys = KeyStore(database)
         for key in keys.all():
             print_credential("key", key, key.role, key.trouble(keys.now()))
 

@@ -21,6 +21,7 @@ _PAGES = {
     "/diagnosis": "diagnosis.html",
     "/fleet": "fleet.html",
 }
+_SHARED = ("commands", "ordered", "confirm")  # parts of several pages, beside the head of all
 _PDF = ' data-pdf="report.pdf"'
 _STATIC = Path(__file__).parent / "static"
 
@@ -96,11 +97,13 @@ def _file(path: str, headers: Mapping[str, str]) -> _Endpoint:
 
 
 def _page(url: str, name: str, head: str, headers: Mapping[str, str], pdf: Callable[[], bool]) -> _Endpoint:
-    """A page with the head that all of them have, in which its own link is the current one."""
+    """A page with the parts that it shares with others; in the head of all, its own link is the current one."""
     own = f'<a href="{url.removeprefix("/") or "./"}"'
     # who looks at any page can stop the machine
     head = head.replace(own, f'{own} aria-current="page"')
     content = (_STATIC / name).read_text("utf-8").replace("  <!-- head -->\n", head)
+    for part in _SHARED:
+        content = content.replace(f"<!-- {part} -->\n", (_STATIC / f"{part}.html").read_text("utf-8"))
 
     async def page() -> HTMLResponse:
         if _PDF in content and not await run_in_threadpool(pdf):
