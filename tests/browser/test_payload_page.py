@@ -12,7 +12,7 @@ from tests.browser.accessible import both_schemes
 from tests.browser.browsing import browsing
 from tests.browser.conftest import connected
 from tests.browser.looking import cut, faint, settled, small, too_wide
-from tests.browser.scripted import Json, scripted
+from tests.browser.scripted import EMPTY, Json, scripted
 from tests.browser.test_german import SEEN, english, everything
 from tests.programs import needs
 from tests.stored.documents import payload
@@ -132,3 +132,24 @@ def test_a_result_is_told_in_german(root: Path, sentence: str, more: Json, told:
             expect(page.locator("main")).to_contain_text(one)
         assert page.locator("main [lang=en]").count() == 0
         assert english(page.evaluate(SEEN)) == set()
+
+
+def test_start_while_the_page_reads_the_campaign_again(root: Path) -> None:
+    given = everything(root)
+    planned = given["campaigns/1"] | {"state": "planned", "data_check": None}
+    document = given["plans/1"]["document"]
+    document |= {"request": document["request"] | {"trajectories": 1}}
+    sweeps = [given["campaigns/1/sweeps"]["items"][0] | {"state": "planned"}] * len(document["sweeps"])
+    given |= {"campaigns": {"items": [planned], "next": None}, "campaigns/1": planned, "payloads": EMPTY}
+    given |= {
+        "plans/1": given["plans/1"] | {"document": document},
+        "campaigns/1/sweeps": {"items": sweeps, "next": None},
+    }
+    with scripted(answers=given) as service, browsing(f"{service.url}/payload#plan-1") as page:
+        expect(page.locator("#start")).to_be_enabled()
+        asked = service.requests["campaigns/1"]
+        service.frozen.add("campaigns/1")
+        service.tell("campaign")
+        until(lambda: service.requests["campaigns/1"] > asked, "the page reads it again")
+        page.locator("#start").click()
+        until(lambda: service.requests["campaigns/1/start"] == 1, "the start arrives")

@@ -63,11 +63,10 @@ async function find() {
   const known = asked ?? payloads.findLast((one) => one.before === pair[0]?.id && one.after === pair[1]?.id);
   payload = known ? await get(`/payloads/${known.id}`) : null;
   const due = pair.find((one) => one && one.state !== "completed");
-  campaign = null;
   if (due) {
     const answer = await call("GET", `/campaigns/${due.id}`);
     [campaign, etag, units] = [answer.content, answer.etag, await unitsOf(due.robot_id)];
-  }
+  } else campaign = null;
   byId("list").hidden = !payloads.length;
   byId("payloads").replaceChildren(...payloads.toReversed().map(listed));
 }
