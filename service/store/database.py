@@ -307,13 +307,13 @@ class Database:
             session.commit()
 
     @contextmanager
-    def write(self, quiet: bool = False, patience: float = BUSY_TIMEOUT) -> Generator[Session]:
+    def write(self, quiet: bool = False, patience: float | None = None) -> Generator[Session]:
         """A transaction: all or nothing, on disk at the end of the block. Then listeners are called, unless `quiet`.
 
-        There is no other writer meanwhile. Raises OperationalError after waiting `patience` s for another writer or
-        the server.
+        There is no other writer meanwhile. Raises OperationalError after waiting `patience` s (`BUSY_TIMEOUT`) for
+        another writer or the server.
         """
-        engine = self._writing
+        engine, patience = self._writing, BUSY_TIMEOUT if patience is None else patience
         if patience != BUSY_TIMEOUT:
             engine = engine.execution_options(**{PATIENCE_OPTION: patience})
         with self._begun(engine, patience) as session:
