@@ -11,7 +11,7 @@ from tests.virtual_time.explore import Explorer, at_once
 from tests.virtual_time.factory import Factory
 from tests.virtual_time.sequences import Action
 
-SEEDS = 70
+SEEDS = 50
 ONCE, FEW = (1, 1), (3, 5)  # steps
 PROMISES: dict[str, tuple[tuple[Action, ...], tuple[int, int]]] = {
     "a stop ends what was wanted before it": ((s.change_of_mind,), ONCE),
