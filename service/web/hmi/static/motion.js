@@ -169,22 +169,30 @@ function grouped(sweeps) {
   return groups;
 }
 
+// axes that move at once share a line
 /** @param {Sweep} sweep */
-const kindOf = ({ spec }) => [spec.axis, spec.block, ...spec.pose].join();
+const kindOf = ({ spec }) => [spec.excitation === "trajectory" ? "" : spec.axis, spec.block, ...spec.pose].join();
 
 /** @param {Sweep[]} sweeps @param {Units} units @param {number} pace measured over planned time */
 function line(sweeps, { joints, length }, pace) {
-  const [first] = sweeps;
-  const { spec } = first;
-  const goes = Math.abs(travel(first)) > swing(first) ? length(spec.axis, travel(first), true) : swing(first) ? `\u00b1${length(spec.axis, swing(first))}` : text("motion.stands");
+  const [{ spec: { pose, block } }] = sweeps;
+  const axes = [...new Map(sweeps.map((sweep) => [sweep.spec.axis, sweep])).values()];
+  const each = (/** @type {(sweep: Sweep, axis: string) => string} */ told) => axes.map((sweep) => told(sweep, sweep.spec.axis)).join(", ");
   return row([
-    [spec.pose.map((position, k) => length(joints[k], position)).join(", "), "words"],
-    [spec.axis],
-    [word("block", spec.block || "sweep")],
-    [sweeps.length, "number"],
-    [length(spec.axis, spec.pose[joints.indexOf(spec.axis)]), "number"],
-    [goes, "number"],
-    [`${length(spec.axis, topSpeed(first))}/s`, "number"],
+    [pose.map((position, k) => length(joints[k], position)).join(", "), "words"],
+    [each((_, axis) => axis), "words"],
+    [axes.length > 1 ? text("motion.simultaneously") : word("block", block || "sweep")],
+    [sweeps.length / axes.length, "number"],
+    [each((_, axis) => length(axis, pose[joints.indexOf(axis)])), "number"],
+    [each((sweep, axis) => goes(sweep, (value, signed) => length(axis, value, signed))), "number"],
+    [each((sweep, axis) => `${length(axis, topSpeed(sweep))}/s`), "number"],
     [duration(pace * sweeps.reduce((sum, sweep) => sum + sweep.duration, 0)), "number"],
   ]);
+}
+
+/** @param {Sweep} sweep @param {(value: number, signed?: boolean) => string} length */
+function goes(sweep, length) {
+  const [far, about] = [travel(sweep), swing(sweep)];
+  if (Math.abs(far) > about) return length(far, true);
+  return about ? `\u00b1${length(about)}` : text("motion.stands");
 }

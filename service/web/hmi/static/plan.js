@@ -1,7 +1,7 @@
 // The planning page: the requested measurement, its motion, and a campaign of it. Nothing moves here.
 
 import { all, call, get } from "./api.js";
-import { byId, choices, complain, confidence, element, link, tell } from "./elements.js";
+import { byId, choices, complain, confidence, duration, element, link, tell } from "./elements.js";
 import { held } from "./intent.js";
 import { watchMachine } from "./machine.js";
 import { showMotion, unitsOf } from "./motion.js";
@@ -10,7 +10,7 @@ import { showGrid, showPicture } from "./picture.js";
 import { refresher } from "./refresh.js";
 import { events } from "./stream.js";
 import { aheadOf, showSubjects, typedNames } from "./subject.js";
-import { formula, language, text, Told } from "./words.js";
+import { foreign, formula, joined, language, text, Told } from "./words.js";
 
 const USUAL = { poses: "24", confidence: text("plan.usual-confidence"), duration: "60", diagnosis: "3" };
 const MINUTE = 60; // s
@@ -68,7 +68,7 @@ async function makePlan() {
   const amount = given("amount") * (budget === "duration" ? MINUTE : 1);
   const request = { robot_id: Number(byId("robot").value), cell: byId("cell").value, axes: chosen("axes-measured"), varied: chosen("axes-varied"), step: given("step") };
   if (!request.axes.length || !request.varied.length) throw new Told("plan.no-axes");
-  const wanted = budget === "diagnosis" ? { ...request, kind: "diagnosis", poses: amount } : { ...request, [budget]: amount };
+  const wanted = budget === "diagnosis" ? { ...request, kind: "diagnosis", poses: amount } : { ...request, [budget]: amount, simultaneous: byId("at-once").checked };
   const made = await call("POST", `/plans${typedNames()}`, wanted);
   diagnosing = budget === "diagnosis";
   plan = /** @type {typeof plan} */ (made.content);
@@ -89,6 +89,7 @@ async function showPlan() {
   tell("planned-title", text("plan.number", { id }));
   const expected = diagnosing ? null : content.confidence.at(-1);
   tell("promise", diagnosing ? text("plan.diagnosis") : expected === null ? openPromise(content) : text("plan.promise", { confidence: confidence(expected) }));
+  tell("groups", diagnosing ? "" : groupsOf(content));
   const shown = `${id}/${language()}`;
   if (byId("motion").dataset.shown === shown) return;
   showMotion(byId("motion"), { ...content, duration: plan.expected_time }, units, await get("/drives"), await aheadOf(`/plans/${id}/ahead`));
@@ -102,6 +103,16 @@ async function showPlan() {
 function openPromise({ undetermined = [], enough_poses: poses = null }) {
   if (undetermined.length === 0) return text("plan.open");
   return `${text("plan.undetermined", { parameters: undetermined.map(formula).join(", ") })} ${poses === null ? text("plan.more") : text("plan.enough", { poses })}`;
+}
+
+// which axes move at once, and what one axis at a time would take
+/** @param {Api.PlanDocument} document @returns {Content} */
+function groupsOf({ request, groups = [], compared = [], alone = "" }) {
+  if (!request.simultaneous) return "";
+  const single = compared.find((one) => !one.groups.length);
+  const time = single?.duration ? text("plan.single", { time: duration(single.duration) }) : "";
+  const sets = groups.filter((one) => one.length > 1).map((one) => one.join(" + "));
+  return joined([sets.length ? text("plan.groups", { sets: sets.join("; ") }) : text("plan.no-groups"), sets.length ? time : "", foreign(alone)].filter(Boolean), " ");
 }
 
 const sweepOf = () => plan.document.sweeps[Number(byId("sweep").value) - 1];
@@ -142,7 +153,11 @@ byId("request").querySelector("button").id = "make";
 byId("request").addEventListener("submit", busy("make", makePlan));
 byId("take").addEventListener("click", busy("take", take));
 byId("robot").addEventListener("change", () => showJoints().catch(complain));
-byId("budget").addEventListener("change", () => (byId("amount").value = USUAL[byId("budget").value]));
+byId("budget").addEventListener("change", () => {
+  const budget = byId("budget").value;
+  byId("amount").value = USUAL[budget];
+  byId("at-once-choice").hidden = budget === "diagnosis";
+});
 byId("sweep").addEventListener("change", () => {
   showLegs();
   showArm().catch(complain);
