@@ -23,7 +23,7 @@ from service.planning.documents import (
 )
 from service.planning.path import SweepPath
 from service.planning.poses import SweepDesign, grid, has_room, room
-from service.planning.safety.envelope import Envelope, noise_way
+from service.planning.safety.envelope_check import Envelope, noise_way
 from service.planning.safety.travel import order_poses
 
 

@@ -32,7 +32,7 @@ from service.planning.documents import (
 from service.planning.machine_setup import DriveAxis, on_machine
 from service.planning.path import SweepPath
 from service.planning.poses import grid, room
-from service.planning.safety.envelope import Envelope
+from service.planning.safety.envelope_check import Envelope
 from service.planning.safety.travel import order_poses
 
 

@@ -49,7 +49,7 @@ from service.planning.poses import (
     least_duration,
     observe,
 )
-from service.planning.safety.envelope import Envelope
+from service.planning.safety.envelope_check import Envelope
 from service.planning.safety.travel import order_poses
 
 

@@ -23,7 +23,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.store.access import LOCAL, Caller, Role, bearer, key_sha256, masked
 from service.store.people.audit import Entry, Fact, NotAudited
-from service.store.rows import NoMachine
+from service.store.table_rows import NoMachine
 from service.web.api.gate import from_own_page
 from service.web.api.problem import AGAIN, RequestRefused, problem_response
 from service.web.api.route_roles import API, LOGINS, SIGN_OF_LIFE, SOCKET, STOP, Permissions, RouteKey
