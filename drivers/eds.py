@@ -233,11 +233,7 @@ def _object(
 
 
 def _variable(
-    index: int,
-    sub: int | None,
-    section: Section,
-    kind: int,
-    objects: Mapping[int, Mapping[int | str, Section]],
+    index: int, sub: int | None, section: Section, kind: int, objects: Mapping[int, Mapping[int | str, Section]]
 ) -> list[str]:
     names = ("LowLimit", "HighLimit", "DefaultValue", "ParameterValue")
     accesses = ("ro", "wo", "rw", "rwr", "rww", "const")

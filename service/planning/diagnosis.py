@@ -155,12 +155,7 @@ def _refusal(robot: Robot, request: DiagnosisRequest, envelope: Envelope, joint:
 
 def _designed(robot: Robot, request: DiagnosisRequest, joint: str, poses: Array) -> tuple[DesignedSweep, ...]:
     return full_design(
-        robot,
-        joint,
-        poses,
-        repeats=request.repeats,
-        sample_rate=request.sample_rate,
-        blocks=request.blocks,
+        robot, joint, poses, repeats=request.repeats, sample_rate=request.sample_rate, blocks=request.blocks
     )
 
 

@@ -326,9 +326,7 @@ def get_recording(campaign_id: Id, number: SweepNumber, store: StoreOf) -> Recor
 
 
 @sweep_routes.get(
-    "/{number}/recording/file",
-    response_class=FileResponse,
-    responses=media("application/vnd.apache.parquet"),
+    "/{number}/recording/file", response_class=FileResponse, responses=media("application/vnd.apache.parquet")
 )
 @allow(Role.VIEWER)
 def get_recording_file(campaign_id: Id, number: SweepNumber, store: StoreOf, files: FilesOf) -> FileResponse:
