@@ -1,4 +1,4 @@
-"""Reads YAML files that anybody may have written, and those that describe a machine: profiles and maps."""
+"""Reads files that anybody may have written, YAML above all, and those that describe a machine: profiles and maps."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -66,18 +66,33 @@ def _refusal(problem: str, event: yaml.Event) -> yaml.YAMLError:
 LARGEST = 2**20  # bytes
 
 
+def read_bounded(path: Path, largest: int = LARGEST) -> bytes:
+    """The content of a file. Raises OSError, and ValueError if it has more than `largest` bytes."""
+    with path.open("rb") as file:
+        content = file.read(largest + 1)
+    if len(content) > largest:
+        raise ValueError(f"is larger than {largest} bytes")
+    return content
+
+
+def parse_yaml(text: str | bytes, largest: int = LARGEST) -> object:
+    """The content of a YAML text, in UTF-8. Raises ValueError with the reason if it is invalid."""
+    if len(text) > largest:
+        raise ValueError(f"YAML of {len(text)} characters, limit {largest}")
+    try:
+        return yaml.load(text if isinstance(text, str) else text.decode("utf-8"), Loader=BoundedLoader)
+    except (yaml.YAMLError, *NO_VALUE) as error:
+        raise ValueError(f"not YAML: {' '.join(str(error).split())}") from None
+
+
 def read_mapping(path: Path, key: str) -> Mapping[str, object]:
     """The content of the file, which must have the key `key`. BadProfile has the reason but not the file name."""
     try:
-        with path.open("rb") as file:
-            text = file.read(LARGEST + 1)
-        if len(text) > LARGEST:
-            raise BadProfile(f"is larger than {LARGEST} bytes")
-        content: object = yaml.load(text.decode("utf-8"), Loader=BoundedLoader)
+        content = parse_yaml(read_bounded(path))
     except OSError as error:
         raise BadProfile(str(error.strerror)) from None
-    except (yaml.YAMLError, *NO_VALUE) as error:
-        raise BadProfile(f"not YAML: {' '.join(str(error).split())}") from None
+    except ValueError as error:
+        raise BadProfile(str(error)) from None
     if not isinstance(content, Mapping):
         raise BadProfile(f"must be a mapping with the key '{key}'")
     return cast("Mapping[str, object]", content)

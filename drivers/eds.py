@@ -23,6 +23,8 @@ import canopen
 from canopen.objectdictionary import ODVariable, datatypes
 from canopen.objectdictionary.eds import ARR, DOMAIN, RECORD, VAR
 
+from drivers.bounded_yaml import read_bounded
+
 LARGEST = 2**22  # bytes; typical files of manufacturers have 0.1 MB
 
 
@@ -52,22 +54,14 @@ def object_dictionary(path: Path, node: int) -> Any:
     Raises OSError, or ValueError with section, line, value and what to write instead.
     """
     marks = (b"$nodeid", b"devicecom")  # content that depends on the node: ids, or section DeviceComissioning
-    content = _read(path)
+    content = read_bounded(path, LARGEST)
     own = any(word in content.replace(b"\0", b"").lower() for word in marks)
     return pickle.loads(_parsed(content, path.name, node if own else 1))
 
 
 def read_sections(path: Path) -> Mapping[str, Section]:
     """The sections of the file by name in lower case. Errors as `object_dictionary`."""
-    return _sections(_read(path))
-
-
-def _read(path: Path) -> bytes:
-    with path.open("rb") as file:
-        content = file.read(LARGEST + 1)
-    if len(content) > LARGEST:
-        raise ValueError(f"is larger than {LARGEST} bytes")
-    return content
+    return _sections(read_bounded(path, LARGEST))
 
 
 @lru_cache(maxsize=32)
@@ -239,11 +233,7 @@ def _object(
 
 
 def _variable(
-    index: int,
-    sub: int | None,
-    section: Section,
-    kind: int,
-    objects: Mapping[int, Mapping[int | str, Section]],
+    index: int, sub: int | None, section: Section, kind: int, objects: Mapping[int, Mapping[int | str, Section]]
 ) -> list[str]:
     names = ("LowLimit", "HighLimit", "DefaultValue", "ParameterValue")
     accesses = ("ro", "wo", "rw", "rwr", "rww", "const")

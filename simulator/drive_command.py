@@ -43,22 +43,7 @@ def drive(
     start_pose: Annotated[str, typer.Option(help="Joint positions, rad, comma separated.")] = "",
 ) -> None:
     """Run a virtual machine: one CiA 402 drive per axis on CAN or Modbus. Ends on SIGTERM or Ctrl-C."""
-    from simulator.virtual_drive import FieldbusKind, run_drive
+    options = locals()
+    from simulator.virtual_drive import run_drive
 
-    run_drive(
-        scenario,
-        eds,
-        foreign,
-        FieldbusKind(fieldbus),
-        bus=bus,
-        channel=channel,
-        registers=registers,
-        device=device,
-        host=host,
-        port=port,
-        control_port=control_port,
-        speed_factor=speed_factor,
-        seed=seed,
-        hide=hide,
-        start_pose=start_pose,
-    )
+    run_drive(**options)

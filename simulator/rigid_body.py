@@ -10,7 +10,6 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -18,8 +17,6 @@ from numpy.typing import ArrayLike
 
 from simulator.scenario import AddedBody, DriveTrain, LinkDeviation, Scenario, ScenarioError, load_scenario
 from simulator.waveform import Array
-
-_mujoco = cast(Any, mujoco)  # a binary module without type stubs
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,17 +37,17 @@ class RigidBody:
     def __init__(self, scenario: Scenario) -> None:
         text = real_urdf(scenario)
         try:
-            self._model = _mujoco.MjModel.from_xml_string(text)
+            self._model = mujoco.MjModel.from_xml_string(text)
         except ValueError as error:
             raise ScenarioError(f"scenario {scenario.name}: MuJoCo refuses the robot: {error}") from None
         self._model.opt.gravity[:] = scenario.robot.gravity
-        self._data = _mujoco.MjData(self._model)
+        self._data = mujoco.MjData(self._model)
         self._matrix = np.zeros((self._model.nv, self._model.nv))
         names = tuple(self._model.joint(k).name for k in range(self._model.njnt))
         if names != scenario.joints:
             raise ScenarioError(f"scenario {scenario.name}: URDF joints {names} differ from axes {scenario.joints}")
-        self._slides = self._model.jnt_type == _mujoco.mjtJoint.mjJNT_SLIDE
-        unknown = ~self._slides & (self._model.jnt_type != _mujoco.mjtJoint.mjJNT_HINGE)
+        self._slides = self._model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
+        unknown = ~self._slides & (self._model.jnt_type != mujoco.mjtJoint.mjJNT_HINGE)
         if unknown.any():
             raise ScenarioError(
                 f"scenario {scenario.name}: joint {names[int(unknown.argmax())]} is neither revolute nor prismatic; "
@@ -75,12 +72,12 @@ class RigidBody:
         """Inertia (n, n) kg m^2, until the next call, and bias effort (n,) N m: Coriolis, centrifugal, gravity."""
         model, data, bias = self._model, self._data, np.empty(self._model.nv)
         data.qpos[:], data.qvel[:] = pose, velocity
-        _mujoco.mj_kinematics(model, data)
-        _mujoco.mj_comPos(model, data)
-        _mujoco.mj_crb(model, data)
-        _mujoco.mj_fullM(model, data, self._matrix)
-        _mujoco.mj_comVel(model, data)
-        _mujoco.mj_rne(model, data, 0, bias)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_crb(model, data)
+        mujoco.mj_fullM(model, data, self._matrix)
+        mujoco.mj_comVel(model, data)
+        mujoco.mj_rne(model, data, 0, bias)
         return self._matrix, bias
 
 

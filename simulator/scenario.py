@@ -8,29 +8,14 @@ drive trains with springs and friction, ripple, and measurement errors. SI on th
 from pathlib import Path
 from typing import Annotated, cast
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from drivers.bounded_yaml import NO_VALUE, BoundedLoader
+from drivers.bounded_yaml import parse_yaml, read_bounded
 
 
-def read_text(path: Path, largest: int = 2**26) -> str:
+def read_text(path: Path) -> str:
     """The UTF-8 text of a file. Raises OSError, and ValueError if it is not UTF-8 or too large."""
-    with path.open("rb") as file:
-        content = file.read(largest + 1)
-    if len(content) > largest:
-        raise ValueError(f"is larger than {largest} bytes")
-    return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
-
-
-def parse_yaml(text: str, largest: int = 2**20) -> object:
-    """The content of a YAML text. Raises ValueError with the reason if it is invalid."""
-    if len(text) > largest:
-        raise ValueError(f"YAML of {len(text)} characters, limit {largest}")
-    try:
-        return yaml.load(text, Loader=BoundedLoader)
-    except (yaml.YAMLError, *NO_VALUE) as error:
-        raise ValueError(f"not YAML: {' '.join(str(error).split())}") from None
+    return read_bounded(path, 2**26).decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
 
 
 CYCLE = 0.001

@@ -145,11 +145,11 @@ def _modbus_line(
 
 
 def run_drive(
+    *,
     scenario: Path,
     eds: Path,
     foreign: Sequence[str] | None,
-    fieldbus: FieldbusKind,
-    *,
+    fieldbus: str,
     bus: str,
     channel: str,
     registers: Path,
@@ -168,6 +168,7 @@ def run_drive(
         logger_factory=structlog.PrintLoggerFactory(sys.stderr),
     )
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # invalid frames of others are not logged
+    kind = FieldbusKind(fieldbus)
     try:
         really, hidden = load_scenario(scenario), None
         if hide is not None:
@@ -176,10 +177,10 @@ def run_drive(
         virtual = VirtualDrive(
             machine,
             _foreign(machine.joints, foreign) if foreign else _readable("--eds", eds, ".eds"),
-            fieldbus=fieldbus,
+            fieldbus=kind,
             bus=bus,
             channel=channel,
-            registers=None if fieldbus is FieldbusKind.CANOPEN else load_register_map(registers),
+            registers=None if kind is FieldbusKind.CANOPEN else load_register_map(registers),
             device=device,
             host=host,
             port=port,
@@ -197,7 +198,7 @@ def run_drive(
     signal.signal(signal.SIGINT, stop)
     ready: dict[str, object] = {
         "ready": True,
-        "fieldbus": fieldbus.value,
+        "fieldbus": fieldbus,
         "port": virtual.port,
         "control_port": virtual.control_port,
     }

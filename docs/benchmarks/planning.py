@@ -16,7 +16,7 @@ from service.model.configuration import Cell, read_cell, read_robot
 from service.planning.documents import PlanRequest
 from service.planning.plan import build_plan
 from service.planning.poses import has_room, observe
-from service.planning.safety.envelope import Envelope
+from service.planning.safety.envelope_check import Envelope
 from tests.naive_selection import naive_condition
 from tests.numeric.campaign import CONFIG
 

@@ -30,7 +30,7 @@ from drivers.canopen.streamed_axis import StreamedAxis, StreamRequest
 from drivers.cia402.checks import DriveEnvelope
 from drivers.cia402.profile import IdentityProfile
 from drivers.ports import SweepCommand, SweepMode
-from service.machine.execution.recording import Recorder
+from service.machine.execution.sweep_samples import Recorder
 
 NODES = (1, 2, 3, 4, 5, 6)
 ENABLED = 0x0027

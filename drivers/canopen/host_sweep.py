@@ -21,14 +21,7 @@ import numpy as np
 from drivers.canopen import frames
 from drivers.canopen.bus import CanopenBus, Cycle, KernelRefused, KernelStream, set_point_source
 from drivers.canopen.profile import BusProfile
-from drivers.canopen.streamed_axis import (
-    Ending,
-    StopStage,
-    StreamedAxis,
-    StreamRequest,
-    Trouble,
-    unplanned,
-)
+from drivers.canopen.streamed_axis import Ending, StopStage, StreamedAxis, StreamRequest, Trouble, unplanned
 from drivers.cia402.states import PowerState
 from drivers.errors import CommunicationLost, Measured
 from drivers.ports import SampleBlock, SetPointTiming

@@ -174,9 +174,7 @@ def _there(node: CheckedNode, name: str, entry: Entry, needed: bool) -> CheckRow
         return node.row("refused-object", False, f"{entry}: the drive does not report its value: {found}")
     if listed is not None and listed.type != entry.type_name:
         return node.row(
-            "type-in-eds",
-            False,
-            f"{entry}: {listed.type or 'no number'} in the EDS, {entry.type_name} in the map",
+            "type-in-eds", False, f"{entry}: {listed.type or 'no number'} in the EDS, {entry.type_name} in the map"
         )
     if entry in node.sdo.long:
         return node.note(f"object {name}", f"{entry}: present, sent in 4 bytes, of which {entry.type_name} is used")

@@ -4,15 +4,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from drivers.canopen.profile import (
-    NEEDED,
-    PDO_TYPES,
-    STANDARD,
-    DeviceMap,
-    Entry,
-    SetPointWay,
-    load_device_map,
-)
+from drivers.canopen.profile import NEEDED, PDO_TYPES, STANDARD, DeviceMap, Entry, SetPointWay, load_device_map
 from drivers.cia402.profile import FILL_IN
 from drivers.commission.drive import DriveDictionary
 

@@ -12,14 +12,7 @@ from drivers.canopen.bus import CanopenBus
 from drivers.canopen.fieldbus import check_alone
 from drivers.canopen.profile import CanopenAxis, CanopenProfile, parse_profile
 from drivers.commission import checks, units
-from drivers.commission.drive import (
-    CheckedNode,
-    CheckRow,
-    CheckSheet,
-    CheckVerdict,
-    ReadOnlySdo,
-    read_dictionary,
-)
+from drivers.commission.drive import CheckedNode, CheckRow, CheckSheet, CheckVerdict, ReadOnlySdo, read_dictionary
 from drivers.errors import BadProfile, CommunicationLost, ConnectionFailed
 from drivers.registry import load_profile
 

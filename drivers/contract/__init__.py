@@ -11,10 +11,6 @@ import pytest
 pytest.register_assert_rewrite(*(f"drivers.contract.{name}" for name in ("bench", "faults", "motion")))
 
 from drivers.contract.bench import Bench, MachineUnderTest, lacking, needs  # noqa: E402
-from drivers.contract.motion import (  # noqa: E402
-    DrivePortSuite,
-    FaultSuite,
-    NoiseSuite,
-)
+from drivers.contract.motion import DrivePortSuite, FaultSuite, NoiseSuite  # noqa: E402
 
 __all__ = ["Bench", "DrivePortSuite", "FaultSuite", "MachineUnderTest", "NoiseSuite", "lacking", "needs"]

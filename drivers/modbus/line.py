@@ -83,22 +83,29 @@ def make_client(profile: TcpProfile | RtuProfile, left: Callable[[], float]) -> 
     )
 
 
-class _AnswerWait:
-    """Waits for bytes as long as an answer is awaited. pymodbus waits by the wall clock, and nothing shortens it."""
+class _PatientClient:
+    """pymodbus' client, which waits for bytes as long as an answer is awaited, `left`, s; alone it waits by the wall
+    clock, and nothing shortens it. `garbled`: see `Client`.
+    """
 
-    def __init__(self, left: Callable[[], float]) -> None:
+    garbled = False
+    _pair: tuple[socket.socket, socket.socket] | None = None
+
+    def __init__(self, left: Callable[[], float], place: str, **others: Any) -> None:
         self._left = left
-        self._pair: tuple[socket.socket, socket.socket] | None = None
+        cast(Any, super()).__init__(place, **others)
 
-    def open(self) -> None:
+    def connect(self) -> bool:
         if self._pair is None:
             self._pair = socket.socketpair()
             self._pair[1].setblocking(False)
+        return bool(cast(Any, super()).connect())
 
     def close(self) -> None:
         pair, self._pair = self._pair, None
         for end in pair or ():
             end.close()
+        cast(Any, super()).close()
 
     def wake(self) -> None:
         """See `Client.wake`."""
@@ -107,30 +114,26 @@ class _AnswerWait:
             with suppress(OSError):  # full: it wakes anyway; closed this moment: nobody waits
                 pair[1].send(b"\0")
 
-    def wait(self, port: Any) -> bool:
+    def _bytes_come(self, port: Any) -> bool:
         """Whether there are bytes in time."""
         while self._pair is not None and (left := self._left()) > 0:
             ready = select.select([port, self._pair[0]], [], [], left)[0]
             if self._pair[0] in ready:
                 self._pair[0].recv(4096)
             if port in ready:
+                self.garbled = True
                 return True
         return False
 
 
-class TcpClient(ModbusTcpClient):
-    """pymodbus' client with the waiting of this module. `garbled`: bytes of an answer have come.
-
-    A device that is addressed directly may answer with unit 0 or 255, whatever was asked (`DIRECT`); pymodbus would
+class TcpClient(_PatientClient, ModbusTcpClient):
+    """A device that is addressed directly may answer with unit 0 or 255, whatever was asked (`DIRECT`); pymodbus would
     not take this for an answer. The transaction identifies it.
     """
 
     def __init__(self, left: Callable[[], float], host: str, **others: Any) -> None:
-        super().__init__(host, trace_packet=self._as_asked, **others)
-        self.garbled = False
+        super().__init__(left, host, trace_packet=self._as_asked, **others)
         self._unit = 0
-        self._waiting = _AnswerWait(left)
-        self.wake = self._waiting.wake
 
     def _as_asked(self, sending: bool, data: bytes) -> bytes:
         """Frames of the line, in which answers of unit 0 and 255 have the unit that was asked."""
@@ -144,21 +147,12 @@ class TcpClient(ModbusTcpClient):
             at += 6 + int.from_bytes(frames[at - 2 : at], "big")
         return bytes(frames)
 
-    def connect(self) -> bool:
-        self._waiting.open()
-        return bool(super().connect())
-
-    def close(self) -> None:
-        self._waiting.close()
-        super().close()
-
     def recv(self, size: int | None) -> bytes:
         """The received bytes; empty if none came in time. Raises ConnectionException."""
         if self.socket is None:
             raise ConnectionException(str(self))
-        if not self._waiting.wait(self.socket):
+        if not self._bytes_come(self.socket):
             return b""
-        self.garbled = True
         data = self.socket.recv(size or 4096)
         if not data:
             self.close()
@@ -166,22 +160,8 @@ class TcpClient(ModbusTcpClient):
         return data
 
 
-class SerialClient(ModbusSerialClient):
-    """As `TcpClient`."""
-
-    def __init__(self, left: Callable[[], float], port: str, **others: Any) -> None:
-        super().__init__(port, **others)
-        self.garbled = False
-        self._waiting = _AnswerWait(left)
-        self.wake = self._waiting.wake
-
-    def connect(self) -> bool:
-        self._waiting.open()
-        return super().connect()
-
-    def close(self) -> None:
-        self._waiting.close()
-        super().close()
+class SerialClient(_PatientClient, ModbusSerialClient):
+    """A serial line."""
 
     def recv(self, size: int | None) -> bytes:
         """As `TcpClient.recv`."""
@@ -189,10 +169,7 @@ class SerialClient(ModbusSerialClient):
         if port is None:
             raise ConnectionException(str(self))
         try:
-            if not self._waiting.wait(port):
-                return b""
-            self.garbled = True
-            return bytes(port.read(size or max(1, port.in_waiting)))
+            return bytes(port.read(size or max(1, port.in_waiting))) if self._bytes_come(port) else b""
         except OSError as error:
             with suppress(OSError):
                 self.close()

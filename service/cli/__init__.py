@@ -122,12 +122,7 @@ def build() -> Commands:
     overview.callback()(_overview)
     options = typer.main.get_group(overview)
     return Commands(
-        places=places,
-        groups=groups,
-        former=former,
-        help=options.help,
-        params=options.params,
-        callback=options.callback,
+        places=places, groups=groups, former=former, help=options.help, params=options.params, callback=options.callback
     )
 
 

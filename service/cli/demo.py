@@ -130,10 +130,6 @@ class DemoOutcome:
     bundle: Path
 
 
-class Interrupted(SweepidError):
-    """A person pressed Ctrl-C: the machine was stopped, all processes were ended."""
-
-
 def show_demo(out: Path, seed: int | None, poses: int) -> None:
     """Run the demo with its progress on stderr, and print what was found. `seed` None: a random one."""
     seed = secrets.randbelow(1_000_000) if seed is None else seed
@@ -150,7 +146,7 @@ def show_demo(out: Path, seed: int | None, poses: int) -> None:
         with Progress(*columns, console=words) as bars:
             outcome = run_demo(out, seed, poses, _screen(bars, bars.add_task("", total=None, detail="")))
     except KeyboardInterrupt:
-        raise Interrupted("interrupted; the machine was stopped and all processes have ended") from None
+        raise SweepidError("interrupted; the machine was stopped and all processes have ended") from None
     console = Console()
     _print_estimate(outcome, console)
     _print_diagnosis(outcome.found, console)

@@ -110,12 +110,8 @@ def _serve(settings: Settings, stop_process: StopProcess | None, logs: HeldBack)
             if started.error is None:
                 logs.drop()
             reason = _reason(started.error) or f"cannot listen at {settings.host}:{settings.port}"
-            raise NotStarted(f"the service did not start: {reason}") from None
+            raise SweepidError(f"the service did not start: {reason}") from None
         raise
-
-
-class NotStarted(SweepidError):
-    """The service has no place for its data or cannot listen at its address; the log has the details."""
 
 
 def _reason(error: Exception | None) -> str:

@@ -18,10 +18,6 @@ from service.model.configuration import read_yaml
 from service.web.client import HOST_WATCH, Json, ServiceClient, ServiceProblem
 
 
-class ProcessFailed(SweepidError):
-    """A process of the demo did not start; its log contains the reason."""
-
-
 class ReadyLine(BaseModel):
     """The line of a process that is ready: `url` of the service, `hidden_in`: joint with a hidden effect."""
 
@@ -109,7 +105,7 @@ def _ready(process: "subprocess.Popen[str]", name: str, log: Path, within: float
     try:
         return ReadyLine.model_validate_json(line)
     except ValueError:
-        raise ProcessFailed(f"sweepid {name} did not start within {within:.0f} s; see {log}") from None
+        raise SweepidError(f"sweepid {name} did not start within {within:.0f} s; see {log}") from None
 
 
 def _end(process: "subprocess.Popen[str]") -> None:

@@ -14,7 +14,7 @@ from service.diagnosis import model_document
 from service.diagnosis.verdict import Verdict
 from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.jobs.diagnosing import Diagnosing
-from service.machine.execution.permission import Intention
+from service.machine.execution.energising import Intention
 from service.machine.execution.runner import Runner
 from service.model.configuration import read_cell
 from service.model.results.diagnosis import AxisDiagnosis, Experiment

@@ -15,141 +15,15 @@ Inertial parameters are not needed and are removed from the model, so a URDF wit
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from typing import Protocol, cast
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from service import BadInput
 from service.model.arrays import Array, Mask
 from service.model.configuration import Cell
 from service.model.robot import Robot
 from service.model.urdf import collision_meshes, joint_end, read_hull
-
-Integers = NDArray[np.int32]
-
-
-class MjJoint(Protocol):
-    """Views (1,) into the model."""
-
-    qposadr: Integers
-    bodyid: Integers
-
-
-class MjNamed(Protocol):
-    """A shape of a model, or a body of a model or of its specification."""
-
-    name: str
-
-
-class MjModel(Protocol):
-    """A compiled model: sizes, and arrays by geom and by body."""
-
-    nq: int
-    nbody: int
-    ngeom: int
-    geom_margin: Array
-    geom_pos: Array
-    geom_rbound: Array
-    geom_bodyid: Integers
-    geom_type: Integers
-    geom_size: Array
-    geom_dataid: Integers
-    mesh_vertadr: Integers
-    mesh_vertnum: Integers
-    mesh_vert: NDArray[np.float32]
-    body_pos: Array
-    body_weldid: Integers
-    body_parentid: Integers
-
-    def joint(self, name: str) -> MjJoint: ...
-
-    def body(self, index: int) -> MjNamed: ...
-
-    def geom(self, index: int) -> MjNamed: ...
-
-
-class Contacts(Protocol):
-    """By contact: distance (n,), and the two geoms (n, 2)."""
-
-    dist: Array
-    geom: Integers
-
-
-class MjState(Protocol):
-    """The state of a model; `geom_xpos` (n, 3) and `geom_xmat` (n, 9) once the kinematics were computed."""
-
-    qpos: Array
-    geom_xpos: Array
-    geom_xmat: Array
-    ncon: int
-    contact: Contacts
-
-
-class MjMesh(Protocol):
-    """A mesh of a specification: vertices (3 n,), used instead of its file."""
-
-    name: str
-    file: str
-    uservert: Array
-
-
-class World(Protocol):
-    """The world of the simulation."""
-
-    def add_geom(
-        self, *, name: str, type: int, size: Sequence[float], pos: Sequence[float], quat: Sequence[float] = ...
-    ) -> None: ...
-
-
-class MjSpec(Protocol):
-    """A model before it is compiled."""
-
-    meshes: Sequence[MjMesh]
-    bodies: Sequence[MjNamed]
-    worldbody: World
-
-    def add_exclude(self, *, bodyname1: str, bodyname2: str) -> None: ...
-
-    def compile(self) -> MjModel:
-        """ValueError if the specification is invalid."""
-        ...
-
-
-class Specs(Protocol):
-    """The class of specifications."""
-
-    def from_string(self, text: str) -> MjSpec:
-        """From MJCF or URDF; ValueError if it cannot be read."""
-        ...
-
-
-class Shapes(Protocol):
-    """Kinds of geoms."""
-
-    mjGEOM_PLANE: int
-    mjGEOM_CAPSULE: int
-    mjGEOM_ELLIPSOID: int
-    mjGEOM_CYLINDER: int
-    mjGEOM_BOX: int
-    mjGEOM_MESH: int
-
-
-class Engine(Protocol):
-    """The module."""
-
-    MjSpec: Specs
-    mjtGeom: Shapes
-
-    def MjData(self, model: MjModel) -> MjState: ...
-
-    def mj_kinematics(self, m: MjModel, d: MjState) -> None: ...
-
-    def mj_collision(self, m: MjModel, d: MjState) -> None: ...
-
-
-engine = cast("Engine", mujoco)
 
 
 class CollisionChecker:
@@ -159,7 +33,7 @@ class CollisionChecker:
         """BadInput if a shape cannot be read, a mesh has no hull, or the cell names an unknown link."""
         self._clearance = cell.clearance
         self._model = compiled(robot, cell)
-        self._data = engine.MjData(self._model)
+        self._data = mujoco.MjData(self._model)
         self._address = [int(self._model.joint(name).qposadr[0]) for name in robot.joints]
         self._step = np.array([cell.clearance / reach for reach in _reaches(robot, self._model)])
 
@@ -176,8 +50,8 @@ class CollisionChecker:
         free = np.ones(len(qpos), dtype=bool)
         for i, q in enumerate(qpos):
             data.qpos[:] = q
-            engine.mj_kinematics(model, data)
-            engine.mj_collision(model, data)
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_collision(model, data)
             # MuJoCo reports pairs closer than the sum of both margins; the clearance is the nearer limit
             if data.ncon and data.contact.dist.min() < clearance:
                 free[i] = False
@@ -189,8 +63,8 @@ class CollisionChecker:
         bodies: set[tuple[int, int]] = set()
         for q in np.atleast_2d(poses):
             data.qpos[self._address] = q
-            engine.mj_kinematics(model, data)
-            engine.mj_collision(model, data)
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_collision(model, data)
             if data.ncon:
                 near = data.contact.geom[data.contact.dist < self._clearance]
                 bodies.update(map(tuple, model.geom_bodyid[near].tolist()))
@@ -242,12 +116,12 @@ def reachable(robot: Robot, stood: Array, poses: Array) -> Array:
     return poses[checker.collision_free(poses)]
 
 
-def compiled(robot: Robot, cell: Cell) -> MjModel:
+def compiled(robot: Robot, cell: Cell) -> mujoco.MjModel:
     """MuJoCo's model of the collision shapes of robot and cell; BadInput if a shape cannot be read."""
     place = f"robot {robot.name} urdf"
     text, hulls = _shapes_only(robot.urdf_text, place)
     try:
-        spec = engine.MjSpec.from_string(text)
+        spec = mujoco.MjSpec.from_string(text)
     except ValueError as error:
         raise BadInput(place, f"collision shapes cannot be read: {_line(error)}") from None
     for mesh in spec.meshes:
@@ -255,12 +129,12 @@ def compiled(robot: Robot, cell: Cell) -> MjModel:
     links = {str(body.name) for body in spec.bodies}
     if cell.floor is not None:
         spec.worldbody.add_geom(
-            name="cell floor", type=engine.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, cell.floor]
+            name="cell floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, cell.floor]
         )
     for box in cell.boxes:
         spec.worldbody.add_geom(
             name=f"cell {box.name}",
-            type=engine.mjtGeom.mjGEOM_BOX,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
             size=[edge / 2 for edge in box.size],
             pos=list(box.center),
             quat=[np.cos(box.yaw / 2), 0, 0, np.sin(box.yaw / 2)],
@@ -322,7 +196,7 @@ def _standing_links(urdf: str) -> list[str]:
     return standing
 
 
-def _reaches(robot: Robot, model: MjModel) -> list[float]:
+def _reaches(robot: Robot, model: mujoco.MjModel) -> list[float]:
     """For each joint an upper bound of the distance from its axis to any point of the links after it, m.
 
     Sum of all joint offsets plus the farthest shape of each link. A prismatic joint moves
@@ -347,12 +221,12 @@ def _reaches(robot: Robot, model: MjModel) -> list[float]:
     return reaches
 
 
-def _welded(model: MjModel, body: int) -> list[int]:
+def _welded(model: mujoco.MjModel, body: int) -> list[int]:
     """A moving body and the bodies fixed to it."""
     return [b for b in range(model.nbody) if model.body_weldid[b] == body]
 
 
-def _geom_reach(model: MjModel, geom: int, own: list[int]) -> float:
+def _geom_reach(model: mujoco.MjModel, geom: int, own: list[int]) -> float:
     """Upper bound of the distance of a geom's points from the frame of the moving body it is fixed to, m."""
     reach = float(np.linalg.norm(model.geom_pos[geom]) + model.geom_rbound[geom])
     body = int(model.geom_bodyid[geom])

@@ -7,11 +7,12 @@ points. Spheres, cylinders and capsules are approximated by points; the error is
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from service.model.arrays import Array
-from service.model.collision import MjModel, compiled, engine
+from service.model.collision import compiled
 from service.model.configuration import Cell
 from service.model.robot import Robot
 
@@ -31,11 +32,11 @@ class Outlines:
     def __init__(self, robot: Robot, cell: Cell) -> None:
         """BadInput if a shape cannot be read, a mesh has no hull, or the cell names an unknown link."""
         self._model = compiled(robot, cell)
-        self._data = engine.MjData(self._model)
+        self._data = mujoco.MjData(self._model)
         self._address = [int(self._model.joint(name).qposadr[0]) for name in robot.joints]
         kinds = self._model.geom_type.tolist()
         self._points = {
-            geom: _points(self._model, geom) for geom, kind in enumerate(kinds) if kind != engine.mjtGeom.mjGEOM_PLANE
+            geom: _points(self._model, geom) for geom, kind in enumerate(kinds) if kind != mujoco.mjtGeom.mjGEOM_PLANE
         }
 
     def of_robot(self, pose: Sequence[float] | Array) -> tuple[Outline, ...]:
@@ -48,7 +49,7 @@ class Outlines:
 
     def _outlines(self, pose: Sequence[float] | Array, *, standing: bool) -> Iterator[Outline]:
         self._data.qpos[self._address] = pose
-        engine.mj_kinematics(self._model, self._data)
+        mujoco.mj_kinematics(self._model, self._data)
         for geom, points in self._points.items():
             name, body = self._model.geom(geom).name, int(self._model.geom_bodyid[geom])
             if standing != (body == 0 and name.startswith("cell ")):
@@ -70,9 +71,9 @@ def silhouette(points: Array) -> tuple[tuple[float, float], ...]:
     return tuple((round(float(x), digits), round(float(y), digits)) for x, y in corners)
 
 
-def _points(model: MjModel, geom: int) -> Array:
+def _points(model: mujoco.MjModel, geom: int) -> Array:
     """Points of a shape in its own frame, (m, 3), m."""
-    kind, size, kinds = int(model.geom_type[geom]), model.geom_size[geom], engine.mjtGeom
+    kind, size, kinds = int(model.geom_type[geom]), model.geom_size[geom], mujoco.mjtGeom
     if kind == kinds.mjGEOM_MESH:
         mesh = int(model.geom_dataid[geom])
         first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])

@@ -13,17 +13,10 @@ from service.identification.design.excitation import Excitation, NoiseExcitation
 from service.identification.model import inertia_rows
 from service.model import Array, Robot, SweepPurpose, SweepSpec
 from service.model.configuration import Cell
-from service.planning.documents import (
-    AnalysisPlan,
-    AnalysisRequest,
-    DroppedPose,
-    PlannedNoise,
-    PlannedSweep,
-    grid_of,
-)
+from service.planning.documents import AnalysisPlan, AnalysisRequest, DroppedPose, PlannedNoise, PlannedSweep, grid_of
 from service.planning.path import SweepPath
 from service.planning.poses import SweepDesign, grid, has_room, room
-from service.planning.safety.envelope import Envelope, noise_way
+from service.planning.safety.envelope_check import Envelope, noise_way
 from service.planning.safety.travel import order_poses
 
 

@@ -20,7 +20,7 @@ from service.planning.documents import (
     at_once,
 )
 from service.planning.machine_setup import DriveAxis, MachineSetup, differences, on_machine, sha256_of
-from service.planning.safety.envelope import Command, Envelope
+from service.planning.safety.envelope_check import Command, Envelope
 from service.planning.safety.travel import Leg
 from service.process.settings import Settings
 from service.store.documents import CampaignDocument, NewSweep, PlanRecord, RobotDocument, SweepDocument, SweepState

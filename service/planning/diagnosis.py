@@ -32,7 +32,7 @@ from service.planning.documents import (
 from service.planning.machine_setup import DriveAxis, on_machine
 from service.planning.path import SweepPath
 from service.planning.poses import grid, room
-from service.planning.safety.envelope import Envelope
+from service.planning.safety.envelope_check import Envelope
 from service.planning.safety.travel import order_poses
 
 
@@ -155,12 +155,7 @@ def _refusal(robot: Robot, request: DiagnosisRequest, envelope: Envelope, joint:
 
 def _designed(robot: Robot, request: DiagnosisRequest, joint: str, poses: Array) -> tuple[DesignedSweep, ...]:
     return full_design(
-        robot,
-        joint,
-        poses,
-        repeats=request.repeats,
-        sample_rate=request.sample_rate,
-        blocks=request.blocks,
+        robot, joint, poses, repeats=request.repeats, sample_rate=request.sample_rate, blocks=request.blocks
     )
 
 

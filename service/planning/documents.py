@@ -14,7 +14,7 @@ from service.identification.estimates.torque_gain import KnownMass
 from service.model import Robot, SweepSpec
 from service.model.results.part import Shown, Table, columns_of_sweeps
 from service.planning.campaigns.stored_plan import MadeFor
-from service.planning.safety.envelope import MethodLimits
+from service.planning.safety.envelope_check import MethodLimits
 from service.store.documents import LARGEST_ID, BoltedMass
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from service.identification.design.diagnosis_sweeps import DesignedSweep
 from service.identification.design.excitation import Excitation
 from service.model import Array, Robot, SweepSpec
 from service.planning.documents import PlannedLeg, PlannedNoise, PlannedSweep
-from service.planning.safety.envelope import Envelope
+from service.planning.safety.envelope_check import Envelope
 
 LEG_OVERHEAD = 1.0  # s to switch an axis on, settle and switch it off
 Planned = TypeVar("Planned", bound=PlannedSweep | PlannedNoise)

@@ -39,17 +39,8 @@ from service.planning.documents import (
     at_once,
 )
 from service.planning.path import LEG_OVERHEAD, SweepPath
-from service.planning.poses import (
-    ChosenPose,
-    Groups,
-    PoseChooser,
-    SweepDesign,
-    grid,
-    has_room,
-    least_duration,
-    observe,
-)
-from service.planning.safety.envelope import Envelope
+from service.planning.poses import ChosenPose, Groups, PoseChooser, SweepDesign, grid, has_room, least_duration, observe
+from service.planning.safety.envelope_check import Envelope
 from service.planning.safety.travel import order_poses
 
 

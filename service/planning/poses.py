@@ -45,7 +45,7 @@ from service.model.collision import reachable
 from service.model.configuration import Cell
 from service.planning.documents import LARGEST_CHOICE, USUAL_CHOICE, DroppedPose, PlanRequest
 from service.planning.path import LEG_OVERHEAD
-from service.planning.safety.envelope import Envelope
+from service.planning.safety.envelope_check import Envelope
 from service.planning.safety.travel import order_poses
 
 Groups = tuple[tuple[str, ...], ...]  # of joints that move at once, in the order of the request's axes

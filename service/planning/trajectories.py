@@ -16,7 +16,7 @@ from service.model import Array, Robot, SweepSpec, together
 from service.model.configuration import Cell
 from service.planning.documents import PlannedSweep, TrajectoryPlan, TrajectoryRequest
 from service.planning.path import SweepPath
-from service.planning.safety.envelope import Envelope
+from service.planning.safety.envelope_check import Envelope
 
 
 def build_trajectory_plan(robot: Robot, request: TrajectoryRequest, cell: Cell) -> TrajectoryPlan:

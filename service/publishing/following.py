@@ -64,11 +64,7 @@ class Following:
             if ours:
                 self._publisher.notice(
                     Notice(
-                        number=event.id,
-                        kind=event.kind.value,
-                        campaign=event.campaign_id,
-                        at=event.at,
-                        data=event.data,
+                        number=event.id, kind=event.kind.value, campaign=event.campaign_id, at=event.at, data=event.data
                     )
                 )
                 self._tell()

@@ -25,7 +25,8 @@ from asyncua.ua.uatypes import VariantType
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 
-from service.model import Array
+from service.model import INERTIAL_NAMES, Array
+from service.model.urdf import inertia_at_centre
 from service.planning.campaigns.stored_results import AxisEstimateQuality
 from service.process.settings import OpcUa
 from service.publishing.state import CampaignProgress, FromPublisher, LatestEstimate, MachineState, PublishedState
@@ -302,14 +303,12 @@ class PrincipalLoad:
 
 def load_of(parameters: Mapping[str, float]) -> PrincipalLoad | None:
     """The load of the ten parameters of a link at the origin of its frame; None without mass."""
-    of, mass = parameters, parameters["m"]
+    mass = parameters["m"]
     if not mass > 0:
         return None
-    centre = np.array([of["mx"], of["my"], of["mz"]]) / mass
-    about_origin = np.array(
-        [[of["Ixx"], of["Ixy"], of["Ixz"]], [of["Ixy"], of["Iyy"], of["Iyz"]], [of["Ixz"], of["Iyz"], of["Izz"]]]
-    )
-    moments, axes = np.linalg.eigh(about_origin - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre)))
+    ten = np.array([parameters[name] for name in INERTIAL_NAMES])
+    centre = ten[1:4] / mass
+    moments, axes = np.linalg.eigh(inertia_at_centre(ten))
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1
     x, y, z = centre.tolist()
@@ -436,28 +435,12 @@ def _port(server: Node) -> int:
 _ALLOWED = frozenset(
     ua.NodeId(getattr(ua.ObjectIds, f"{name}Request_Encoding_DefaultBinary"))
     for name in (
-        "CreateSession",
-        "ActivateSession",
-        "CloseSession",
-        "CloseSecureChannel",
-        "FindServers",
-        "GetEndpoints",
-        "Read",
-        "Browse",
-        "BrowseNext",
-        "TranslateBrowsePathsToNodeIds",
-        "CreateSubscription",
-        "ModifySubscription",
-        "DeleteSubscriptions",
-        "SetPublishingMode",
-        "CreateMonitoredItems",
-        "ModifyMonitoredItems",
-        "DeleteMonitoredItems",
-        "SetMonitoringMode",
-        "Publish",
-        "Republish",
+        "CreateSession", "ActivateSession", "CloseSession", "CloseSecureChannel", "FindServers", "GetEndpoints", "Read",
+        "Browse", "BrowseNext", "TranslateBrowsePathsToNodeIds", "CreateSubscription", "ModifySubscription",
+        "DeleteSubscriptions", "SetPublishingMode", "CreateMonitoredItems", "ModifyMonitoredItems",
+        "DeleteMonitoredItems", "SetMonitoringMode", "Publish", "Republish",
     )
-)
+)  # fmt: skip
 
 
 class Requests(SimpleRoleRuleset):

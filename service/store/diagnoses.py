@@ -11,7 +11,7 @@ from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
 from service import Conflict
-from service.store import rows, tables as t
+from service.store import table_rows as rows, tables as t
 from service.store.documents import (
     BoltedMass,
     CampaignDocument,

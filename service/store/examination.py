@@ -13,7 +13,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from service import BadInput
 from service.process.settings import AUDIT_HEADS, StoreAddress
-from service.store.backup import Contents, check_owner, contents, contents_of, integrity, look, machine_of, sqlite_file
+from service.store.back_up import Contents, check_owner, contents, contents_of, integrity, look, machine_of, sqlite_file
 from service.store.database import NotReached, kind_of, parsed_url, refusal
 from service.store.files.data_folder import OWNER_FILE
 from service.store.files.recordings import RecordingFiles, file_sha256

@@ -17,7 +17,7 @@ from sqlalchemy.orm import Session
 
 from drivers.errors import Cause
 from service import Conflict, NotFound
-from service.store import rows, tables as t
+from service.store import table_rows as rows, tables as t
 from service.store.database import Database
 from service.store.documents import EventKind, StopDocument, StoredAnswer, StoredDocument
 

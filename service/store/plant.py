@@ -16,7 +16,7 @@ from service import BadInput, Conflict, NotFound
 from service.model.results.estimate import Estimate
 from service.model.results.part import JsonOf
 from service.model.results.payload import Payload
-from service.store import rows, tables as t
+from service.store import table_rows as rows, tables as t
 from service.store.database import Database
 from service.store.documents import BatchState, CampaignState, EstimateDocument, EventKind, StoredDocument, SweepState
 from service.store.store import OVER, Store

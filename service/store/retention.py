@@ -19,7 +19,7 @@ from sqlalchemy import ColumnElement, Select, delete, func, select
 from sqlalchemy.orm import Session
 
 from service import Conflict, NotFound
-from service.store import rows, tables as t
+from service.store import table_rows as rows, tables as t
 from service.store.database import Database
 from service.store.documents import BatchState, CampaignState, DiagnosisState, RecordingDocument, StoredDocument
 from service.store.objects import ObjectStore

@@ -14,7 +14,7 @@ from sqlalchemy import func, select
 from drivers.errors import Cause
 from service import Conflict, NotFound
 from service.model import Robot, SweepSpec
-from service.store import rows, tables as t
+from service.store import table_rows as rows, tables as t
 from service.store.documents import (
     CampaignDocument,
     CampaignState,

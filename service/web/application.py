@@ -21,12 +21,12 @@ from service.jobs.experiments import ExperimentPlanner, Experiments
 from service.jobs.jobs import Batches, Checking, Jobs
 from service.jobs.recording_uploads import RecordingUploads, Transfers
 from service.jobs.worker import Worker, open_worker
+from service.machine.execution.energising import Approvals
 from service.machine.execution.machine import Machine, listening, watching
-from service.machine.execution.permission import Approvals
-from service.machine.execution.recording import recover
 from service.machine.execution.runner import Runner
 from service.machine.execution.statement import Condition
 from service.machine.execution.sweep_executor import SweepExecutor
+from service.machine.execution.sweep_samples import recover
 from service.machine.stop_process.handle import StopProcess
 from service.model.configuration import read_robot
 from service.planning.campaigns.live import EventFeed, LiveHub
@@ -61,8 +61,8 @@ from service.store.people.users import (
 )
 from service.store.plant import BatchStore, FleetStore, PlantStore
 from service.store.retention import MoveStore
-from service.store.rows import NoMachine
 from service.store.store import CheckStore, Store
+from service.store.table_rows import NoMachine
 
 
 @dataclass(frozen=True)

@@ -392,11 +392,7 @@ class ModbusServer:
                 nothing, address=(line.host, line.port), ignore_missing_devices=True, trace_pdu=self._intercept
             )
         return ModbusSerialServer(
-            nothing,
-            port=line.device,
-            baudrate=line.baudrate,
-            ignore_missing_devices=True,
-            trace_pdu=self._intercept,
+            nothing, port=line.device, baudrate=line.baudrate, ignore_missing_devices=True, trace_pdu=self._intercept
         )
 
     def _intercept(self, sending: bool, pdu: ModbusPDU) -> ModbusPDU:

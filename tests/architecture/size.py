@@ -14,7 +14,7 @@ APART = (
     "publishing",
     "machine/paths",
     "identification/fleet",
-    "store/backup.py",
+    "store/back_up.py",
     "store/examination.py",
     "store/objects.py",
     "store/plant.py",

@@ -136,7 +136,7 @@ def test_an_intention_is_made_only_where_a_request_arrives(root: Path) -> None:
         "async def start(self, intention: Intention | None) -> None: ...",
         "async def start(self, intention: Intention = NOBODYS) -> None: ...",
         "async def start(self, *, intention: 'Intention' = NOBODYS) -> None: ...",
-        "from service.machine.execution.permission import Intention as Wanted",
+        "from service.machine.execution.energising import Intention as Wanted",
         "class Always(Intention): ...",
     ],
 )
@@ -150,7 +150,7 @@ from fastapi import APIRouter
 
 from service.web.api.dependencies import ApplicationOf, IntentionOf
 from service.jobs.experiments import Experiments
-from service.machine.execution.permission import Epochs
+from service.machine.execution.energising import Epochs
 from service.machine.execution.machine import Machine
 from service.machine.execution.motion import Bounds
 from service.machine.execution.runner import Runner

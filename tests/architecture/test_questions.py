@@ -14,7 +14,7 @@ import pytest
 from tests.architecture.size import PRODUCT, ROOT, files
 
 PAGE = "docs/explanation/architecture.md"
-HELD = 13  # of 20
+HELD = 19  # of 20
 
 
 def stem(word: str) -> str:

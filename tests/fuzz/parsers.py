@@ -29,7 +29,7 @@ from service.formats.maker_urdf.check import check_urdf, side_file_text
 from service.formats.maker_urdf.packages import Packages
 from service.formats.sinumerik.document import Given
 from service.formats.traces.trace_import import import_trace, mapping_of, read_traces
-from service.machine.execution.recording import read_stream
+from service.machine.execution.sweep_samples import read_stream
 from service.machine.paths.sweep_paths import read_control
 from service.model import Robot, read_chain
 from service.model.collision import CollisionChecker
@@ -37,7 +37,7 @@ from service.model.configuration import read_cell, read_robot, read_text
 from service.model.results.estimate import Estimate
 from service.model.results.payload import Payload
 from service.process.settings import load_settings
-from service.store.backup import read_manifest
+from service.store.back_up import read_manifest
 from service.store.files.bundle import read_from, write_bundle
 from service.store.files.columns import UnreadableStream, read_columns
 from simulator.drive.dictionary import ObjectDictionary

@@ -23,7 +23,7 @@ from service.identification.design.excitation import Excitation, way
 from service.model import Sine, Sweep
 from service.model.configuration import read_cell, read_robot
 from service.planning.plan import PlanRequest, build_plan
-from service.store.backup import Manifest, StoredFile
+from service.store.back_up import Manifest, StoredFile
 from service.store.files.bundle import write_bundle
 from tests.control_file import Loop, tuning_xml
 from tests.rigid_sweep import rigid_sweep

@@ -11,7 +11,7 @@ import pytest
 import sweepid
 from drivers.ports import AxisState
 from service.identification.model import axis_rows, dynamic_base
-from service.machine.execution.permission import Intention
+from service.machine.execution.energising import Intention
 from service.model.configuration import read_cell, read_robot
 from service.planning.documents import PlanRequest, TrajectoryRequest
 from service.planning.plan import build_plan

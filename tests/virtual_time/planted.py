@@ -23,9 +23,9 @@ from drivers.cia402.axis import Cia402Axis
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
 from service.machine.execution import stops
+from service.machine.execution.energising import Approvals, Epochs, Intention
 from service.machine.execution.machine import Machine
 from service.machine.execution.motion import MotionAccess
-from service.machine.execution.permission import Approvals, Epochs, Intention
 from service.machine.execution.runner import Runner
 from service.machine.execution.statement import Reports
 from service.machine.execution.stops import LatchedStops, StopSequences

@@ -15,7 +15,7 @@ from runbook import Exit, Runbook, parser_of, run
 
 from service import BadInput
 from service.process.settings import load_settings
-from service.store.backup import DATABASE, make_backup, restore, sqlite_file
+from service.store.back_up import DATABASE, make_backup, restore, sqlite_file
 from service.store.examination import examine
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from runbook import Exit, Runbook, parser_of, run
 
 from service import BadInput
-from service.store.backup import DATABASE, check_backup, look, restore
+from service.store.back_up import DATABASE, check_backup, look, restore
 from service.store.examination import examine
 from service.web.client import ServiceUnreachable
 

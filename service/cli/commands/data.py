@@ -32,7 +32,7 @@ def backup(
 ) -> None:
     """Copy database and recordings, each with its SHA-256, into a folder; the service may run and measure."""
     from service.cli.database import settings_of
-    from service.store.backup import make_backup, sqlite_file
+    from service.store.back_up import make_backup, sqlite_file
 
     settings = settings_of(config, data_dir)
     if hasattr(os, "nice"):
@@ -52,7 +52,7 @@ def restore(
     data_dir: Annotated[Path, typer.Option(help="Folder to make; must be empty or not exist.", show_default=False)],
 ) -> None:
     """Check all of a backup, then make a data folder of it, on which the service can be started. Prints the folder."""
-    from service.store.backup import restore as restore_backup
+    from service.store.back_up import restore as restore_backup
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: nothing is left
     with waiting("the check and the copy"):

@@ -70,8 +70,7 @@ def export_sheet(
     ] = None,
     robot: SideFile = None,
     payload: Annotated[
-        Path | None,
-        typer.Option(help="Load for the control: JSON file of `sweepid estimate payload`.", metavar="FILE"),
+        Path | None, typer.Option(help="Load for the control: JSON file of `sweepid estimate payload`.", metavar="FILE")
     ] = None,
     kuka_upright: Annotated[
         float | None,

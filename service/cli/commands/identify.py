@@ -114,10 +114,7 @@ def write_scenario(path: Path, robot: Robot, model: DiagnosedModel) -> None:
         write_file(path.parent / name, text)
 
 
-def check(
-    bundle: BundleArg,
-    json_to: JsonTo = None,
-) -> None:
+def check(bundle: BundleArg, json_to: JsonTo = None) -> None:
     """Tell what is wrong with recordings and robot file, before any physics."""
 
     with waiting("checking the data"):

@@ -31,8 +31,7 @@ if TYPE_CHECKING:
 
 
 def import_bundle(
-    bundle: Annotated[Path, typer.Argument(help="Folder of a bundle, or a zip of it.")],
-    url: Url = DEFAULT_URL,
+    bundle: Annotated[Path, typer.Argument(help="Folder of a bundle, or a zip of it.")], url: Url = DEFAULT_URL
 ) -> None:
     """Bring measured sweeps into the service, which identifies them. Prints the number of the campaign.
 
@@ -119,8 +118,7 @@ def import_trace(
     _refuse(response, f"applies only to a measurement of a Sinumerik (.xml); {mapping} is none")
     if mapping.suffix.lower() in (".yaml", ".yml"):
         _refuse(
-            trace | {"--gear-ratio": gear_ratio},
-            f"applies only to a trace; {mapping} is a mapping and says it itself",
+            trace | {"--gear-ratio": gear_ratio}, f"applies only to a trace; {mapping} is a mapping and says it itself"
         )
     elif source is not None:
         raise BadInput("--source", f"{mapping} is the trace itself, not a mapping")

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 def check(
     urdf: Annotated[Path, typer.Argument(help="URDF or xacro file of the manufacturer.", show_default=False)],
     packages: Annotated[
-        list[Path] | None,
-        typer.Option(help="Folder of ROS packages, or one package; repeatable."),
+        list[Path] | None, typer.Option(help="Folder of ROS packages, or one package; repeatable.")
     ] = None,
     package: Annotated[list[str] | None, typer.Option(help="NAME=FOLDER of one package; repeatable.")] = None,
     xacro_arg: Annotated[

@@ -19,7 +19,8 @@ from scipy.spatial import ConvexHull, QhullError
 from service import BadInput
 from service.formats.maker_urdf.chain import UrdfFinding
 from service.formats.maker_urdf.packages import Packages, mesh_points
-from service.model import Array, Chain, Most, joint_end, link_frames, read_chain
+from service.identification.model import gravity_rows
+from service.model import Array, Chain, Most, joint_end, read_chain
 from service.model.urdf import collision_meshes, inertia_at_centre, read_hull, read_inertial, read_origin, write_hull
 
 POSES = 200  # random ones, to find shapes that overlap by construction, and loads
@@ -260,17 +261,9 @@ def random_poses(chain: Chain, room: Array | float = 0.0) -> Array:
 
 def gravity_efforts(chain: Chain, poses: Array) -> Array:
     """Efforts (p, n) against gravity along -z of the base, in poses (p, n), N m (N)."""
-    joints = chain.joints
-    rotations, origins = link_frames(chain, poses)
-    mass = np.cumsum(chain.inertial[::-1, 0])[::-1]
-    moments = np.einsum("pkij,kj->pki", rotations, chain.inertial[:, 1:4]) + chain.inertial[:, :1] * origins
-    moments = np.cumsum(moments[:, ::-1], axis=1)[:, ::-1] - mass[:, None] * origins  # of all that the joint carries
-    axes = np.einsum("pkij,kj->pki", rotations, np.array([joint.axis for joint in joints]))
-    turning = 9.81 * (axes[..., 0] * moments[..., 1] - axes[..., 1] * moments[..., 0])
-    sliding = 9.81 * mass * axes[..., 2]
-    slides = np.array([joint.kind == "prismatic" for joint in joints])
-    turning[:, slides] = sliding[:, slides]
-    return turning
+    down = np.array([0.0, 0.0, -9.81])
+    rows = [gravity_rows(chain, down, k, poses)[:, 0] for k in range(len(chain.joints))]
+    return np.stack(rows, 1) @ chain.inertial.ravel()
 
 
 def _bodies(link: ET.Element, place: str) -> Bodies:

@@ -15,18 +15,8 @@ from pydantic import BaseModel, ConfigDict
 from service import BadInput
 from service.formats.maker_urdf.check import cell_text
 from service.formats.maker_urdf.inertials import gravity_efforts, random_poses
-from service.model import (
-    Array,
-    Chain,
-    Joint,
-    Robot,
-    RobotDescription,
-    inertia_matrix,
-    link_frames,
-    read_chain,
-    robot_from_outside,
-    transform_inertial,
-)
+from service.identification.model import inertia_rows
+from service.model import Chain, Joint, Robot, RobotDescription, read_chain, robot_from_outside
 
 
 @dataclass(frozen=True)
@@ -114,27 +104,12 @@ def virtual_machine(drafted: DraftedRobot, urdf_text: str, folder: str, eds: str
 
 def _loads(chain: Chain) -> list[_Load]:
     poses = random_poses(chain)
-    rotations, origins = link_frames(chain, poses)
-    gravity = np.abs(gravity_efforts(chain, poses)).max(axis=0)
     found: list[_Load] = []
-    for k, joint in enumerate(chain.joints):
-        if joint.kind == "prismatic":
-            values = np.full(len(poses), float(chain.inertial[k:, 0].sum()))
-        else:
-            values = np.array(
-                [_about(chain, k, turns, places) for turns, places in zip(rotations, origins, strict=True)]
-            )
-        values = np.maximum(values, 1e-6)
+    for k, gravity in enumerate(np.abs(gravity_efforts(chain, poses)).max(axis=0)):
+        values = np.maximum(inertia_rows(chain, k, poses) @ chain.inertial.ravel(), 1e-6)
         mean = float(np.exp(np.log(values).mean()))
-        found.append(_Load(float(values.min()), mean, float(values.max()), float(gravity[k])))
+        found.append(_Load(float(values.min()), mean, float(values.max()), float(gravity)))
     return found
-
-
-def _about(chain: Chain, k: int, rotations: Array, origins: Array) -> float:
-    """Inertia of all that joint k carries about its axis, in one pose, kg m^2."""
-    axis = rotations[k] @ chain.joints[k].axis
-    carried = zip(chain.inertial[k:], rotations[k:], origins[k:] - origins[k], strict=True)
-    return float(axis @ inertia_matrix(sum((transform_inertial(*each) for each in carried), np.zeros(10))) @ axis)
 
 
 def _completed(axis: _DraftedAxis, joint: Joint, load: _Load) -> _DraftedAxis:

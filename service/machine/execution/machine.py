@@ -28,8 +28,8 @@ from drivers.ports import (
     SetPointTiming,
 )
 from service import Conflict
+from service.machine.execution.energising import Epochs, Intention
 from service.machine.execution.motion import Bounds, MotionAccess
-from service.machine.execution.permission import Epochs, Intention
 from service.machine.execution.statement import Condition, Reports, Statement
 from service.machine.execution.stops import Hold, LatchedStops, StopSequences, renew
 from service.machine.stop_process.handle import StopProcess

@@ -13,9 +13,10 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import Cause, CauseCode, DriveError
 from service import Conflict, NotFound, SweepidError
+from service.machine.execution.check_move import CheckMove
+from service.machine.execution.energising import Approvals, Intention, SignOfLife
 from service.machine.execution.machine import Machine
-from service.machine.execution.permission import Approvals, Intention, SignOfLife
-from service.machine.execution.sweep_executor import CampaignCourse, CheckMove, CurrentActivity, SweepExecutor, cause_of
+from service.machine.execution.sweep_executor import CampaignCourse, CurrentActivity, SweepExecutor, cause_of
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.planning.campaigns.stored_results import confidence_reached
 from service.planning.compiled_plan import CompiledPlan, Range, check_seen, positions_of

@@ -31,7 +31,7 @@ from service.identification.design.excitation import Excitation, peak_jerk, velo
 from service.model import Array, Robot
 from service.model.configuration import Cell, read_yaml
 from service.planning.documents import PlanDocument, PlannedSweep
-from service.planning.safety.envelope import Envelope
+from service.planning.safety.envelope_check import Envelope
 from service.store.files.bundle import check_specs
 from service.store.files.recordings import new_folder
 

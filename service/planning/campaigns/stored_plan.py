@@ -112,9 +112,7 @@ def planned_times(plan: "PlanRecord") -> tuple[PlannedTime, ...]:
     """The times, in the order of the sweeps."""
     return tuple(
         PlannedTime(
-            sweep.duration,
-            sweep.spec.started_at,
-            frozenset({sweep.spec.axis, *(leg.joint for leg in sweep.legs)}),
+            sweep.duration, sweep.spec.started_at, frozenset({sweep.spec.axis, *(leg.joint for leg in sweep.legs)})
         )
         for sweep in _StoredTimes.model_validate(plan.document).sweeps
     )

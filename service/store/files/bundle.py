@@ -149,8 +149,7 @@ def check_clock(sweep: Sweep, place: str) -> None:
     if gaps.size:
         lost = int(gaps[0])
         raise BadInput(
-            place,
-            f"gap in time: {time[lost + 1]:.6g} s follows {time[lost]:.6g} s, sample_rate is {rate:.6g} Hz",
+            place, f"gap in time: {time[lost + 1]:.6g} s follows {time[lost]:.6g} s, sample_rate is {rate:.6g} Hz"
         )
     if not (np.abs(late) <= 0.5).all():
         measured = (time.size - 1) / (time[-1] - time[0])

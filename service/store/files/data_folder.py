@@ -20,8 +20,8 @@ from service.store.database import Database
 from service.store.documents import CampaignDocument, NewSweep
 from service.store.files.bundle import Bundle, SavedBundle
 from service.store.files.recordings import RecordingFiles, place_new
-from service.store.rows import NoMachine, of_own
 from service.store.store import COMPLETE, Store
+from service.store.table_rows import NoMachine, of_own
 
 OWNER_FILE = "database.json"
 

@@ -28,7 +28,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from service import BadInput, SweepidError
-from service.store import rows, tables as t
+from service.store import table_rows as rows, tables as t
 from service.store.access import Callers, masked
 from service.store.tables import now
 

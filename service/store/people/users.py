@@ -22,7 +22,7 @@ from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session
 
 from service import BadInput, Conflict, NotFound
-from service.store import rows, tables as t
+from service.store import table_rows as rows, tables as t
 from service.store.access import Role, key_sha256, new_key, unique_name
 from service.store.database import Database
 from service.store.people.audit import AuditHeads, AuditStore, Entry, Fact, append

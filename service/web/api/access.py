@@ -23,8 +23,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.store.access import LOCAL, Caller, Role, bearer, key_sha256, masked
 from service.store.people.audit import Entry, Fact, NotAudited
-from service.store.rows import NoMachine
-from service.web.api.gate import from_own_page
+from service.store.table_rows import NoMachine
+from service.web.api.gate import from_own_page, refuse
 from service.web.api.problem import AGAIN, RequestRefused, problem_response
 from service.web.api.route_roles import API, LOGINS, SIGN_OF_LIFE, SOCKET, STOP, Permissions, RouteKey
 from service.web.application import Application
@@ -256,7 +256,7 @@ class Access:
             if trail.changes and trail.route not in (STOP, *LOGINS):  # a login has one entry, with its outcome
                 trail.request = await _begin(scope, trail)
         except RequestRefused as refused:
-            await _answer(refused, scope, receive, send)
+            await refuse(refused, scope, receive, send)
             return
         await self._app(scope, receive, send)
 
@@ -309,13 +309,6 @@ async def _begin(scope: Scope, trail: AuditTrail) -> int:
         trail.unwritten = True
         detail = f"not executed: {error}"
         raise RequestRefused(HTTPStatus.SERVICE_UNAVAILABLE, "not-audited", detail, AGAIN) from None
-
-
-async def _answer(refused: RequestRefused, scope: Scope, receive: Receive, send: Send) -> None:
-    if scope["type"] == "websocket":
-        await send({"type": "websocket.close", "code": 1008, "reason": refused.detail[:120]})
-        return
-    await refused.response(Request(scope))(scope, receive, send)
 
 
 class ReadOnlyService:

@@ -76,11 +76,7 @@ async def import_bundle(request: Request, response: Response, application: Appli
     return await run_in_threadpool(view, application, campaign)
 
 
-@router.get(
-    "/campaigns/{campaign_id}/bundle",
-    response_class=FileResponse,
-    responses=media("application/zip"),
-)
+@router.get("/campaigns/{campaign_id}/bundle", response_class=FileResponse, responses=media("application/zip"))
 @allow(Role.VIEWER)
 async def export_bundle(campaign_id: Id, application: ApplicationOf) -> FileResponse:
     """A bundle with the completely recorded sweeps of a campaign."""

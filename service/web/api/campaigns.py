@@ -15,8 +15,9 @@ from fastapi.responses import FileResponse
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
-from service.machine.execution.permission import SignOfLife
-from service.machine.execution.sweep_executor import DURATION, CheckMove, CurrentActivity
+from service.machine.execution.check_move import DURATION, CheckMove
+from service.machine.execution.energising import SignOfLife
+from service.machine.execution.sweep_executor import CurrentActivity
 from service.model.results.diagnosis import DataCheck
 from service.planning.campaigns.stored_plan import PlannedTime, PlanSubject
 from service.planning.compiled_plan import Range
@@ -325,9 +326,7 @@ def get_recording(campaign_id: Id, number: SweepNumber, store: StoreOf) -> Recor
 
 
 @sweep_routes.get(
-    "/{number}/recording/file",
-    response_class=FileResponse,
-    responses=media("application/vnd.apache.parquet"),
+    "/{number}/recording/file", response_class=FileResponse, responses=media("application/vnd.apache.parquet")
 )
 @allow(Role.VIEWER)
 def get_recording_file(campaign_id: Id, number: SweepNumber, store: StoreOf, files: FilesOf) -> FileResponse:

@@ -26,8 +26,8 @@ from service.jobs.diagnosing import Diagnosing
 from service.jobs.experiments import Experiments
 from service.jobs.jobs import Batches
 from service.jobs.worker import Worker
+from service.machine.execution.energising import Approvals, Intention
 from service.machine.execution.machine import Machine
-from service.machine.execution.permission import Approvals, Intention
 from service.machine.execution.runner import Runner
 from service.planning.campaigns.stored_results import FleetHistory
 from service.process.settings import Settings

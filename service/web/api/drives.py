@@ -14,7 +14,7 @@ from service.machine.execution.machine import Machine
 from service.machine.execution.statement import NO_MACHINE, Condition, Statement
 from service.store.access import Role
 from service.store.plant import MachineDocument
-from service.store.rows import NoMachine
+from service.store.table_rows import NoMachine
 from service.web.api.dependencies import ApplicationOf, IdempotentRoute, MachineOf
 from service.web.api.problem import Problem
 from service.web.api.route_roles import allow

@@ -17,7 +17,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from structlog.contextvars import bound_contextvars
 
 from service.process.telemetry import TRACING
-from service.web.api.problem import problem_response
+from service.web.api.problem import RequestRefused
 
 ROBOT_LIMIT = 4 * 2**20  # with a URDF in it
 BUNDLE_LIMIT = 512 * 2**20
@@ -51,13 +51,14 @@ class Gate:
         headers = Headers(scope=scope)
         refusal = self._stranger(headers)
         if refusal:
-            await self._refuse(scope, receive, send, HTTPStatus.FORBIDDEN, "foreign-request", refusal)
+            await refuse(RequestRefused(HTTPStatus.FORBIDDEN, "foreign-request", refusal), scope, receive, send)
             return
         limit = self._limits.get(scope["path"], Gate.body_limit)
         length = headers.get("content-length", "0")
         if length.isdigit() and int(length) > limit:
             detail = f"body of {length} bytes, limit {limit} bytes"
-            await self._refuse(scope, receive, send, HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "body-too-large", detail)
+            refused = RequestRefused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "body-too-large", detail)
+            await refuse(refused, scope, receive, send)
             return
         await self._app(scope, _limited(receive, limit), send)
 
@@ -73,13 +74,13 @@ class Gate:
             return f"request from a page of {origin}; only pages of {host} are accepted"
         return ""
 
-    async def _refuse(
-        self, scope: Scope, receive: Receive, send: Send, status: HTTPStatus, name: str, detail: str
-    ) -> None:
-        if scope["type"] == "websocket":
-            await send({"type": "websocket.close", "code": 1008, "reason": detail[:120]})
-            return
-        await problem_response(Request(scope), status, name, detail)(scope, receive, send)
+
+async def refuse(refused: RequestRefused, scope: Scope, receive: Receive, send: Send) -> None:
+    """Answer a request, or close a WebSocket before it is accepted."""
+    if scope["type"] == "websocket":
+        await send({"type": "websocket.close", "code": 1008, "reason": refused.detail[:120]})
+        return
+    await refused.response(Request(scope))(scope, receive, send)
 
 
 def from_own_page(headers: Headers) -> bool:

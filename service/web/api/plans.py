@@ -46,7 +46,7 @@ from service.planning.documents import AnalysisRequest, DiagnosisRequest, Planne
 from service.planning.machine_setup import narrowed, on_machine
 from service.planning.plan import PlanDocument, PlanRequest, build_plan
 from service.planning.poses import grid, has_room
-from service.planning.safety.envelope import Envelope
+from service.planning.safety.envelope_check import Envelope
 from service.planning.trajectories import build_trajectory_plan
 from service.store.access import PersonName, Role
 from service.store.documents import PlanRecord, RobotDocument

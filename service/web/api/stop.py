@@ -14,7 +14,7 @@ from service.machine.execution.statement import NO_MACHINE
 from service.machine.stop_process.listener import LONGEST_WAIT, not_confirmed, waiting_time
 from service.store.access import PersonName, Role, masked
 from service.store.documents import LARGEST_ID, StopDocument
-from service.store.rows import NoMachine
+from service.store.table_rows import NoMachine
 from service.web.api.access import audit_trail_of
 from service.web.api.dependencies import ApplicationOf
 from service.web.api.drives import StatementView

@@ -18,7 +18,7 @@ from service.jobs.work import Job, JobFailed, RecordedSweep, Worker, WorkerLost,
 from service.jobs.worker import open_worker
 from service.model import Robot
 from service.model.configuration import Cell, read_robot
-from service.planning.safety.envelope import Envelope
+from service.planning.safety.envelope_check import Envelope
 from service.process.settings import Certificates, Cluster
 from service.store.files.recordings import SpectrumFile
 from tests.programs import needs

@@ -6,7 +6,8 @@ from datetime import UTC, datetime
 import pytest
 from pydantic import JsonValue
 
-from service.machine.execution.sweep_executor import CheckMove, CurrentActivity, travels
+from service.machine.execution.check_move import CheckMove
+from service.machine.execution.sweep_executor import CurrentActivity, travels
 from service.planning.campaigns.stored_plan import PlannedTime, planned_times
 from service.store.documents import CampaignState, PlanRecord, SweepState, SweepStatus
 from service.web.api.campaigns import CHECK_MOVE, expected_time, progress, steps

@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import service.cli.database
-import service.store.backup  # noqa: F401  once, not once a run
+import service.store.back_up  # noqa: F401  once, not once a run
 from service.cli import main
 
 _NAMED = {"open", "os.mkdir", "os.rename", "os.rmdir", "sqlite3.connect", "shutil.rmtree"}

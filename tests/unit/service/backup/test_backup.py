@@ -12,7 +12,7 @@ import pytest
 
 from service import BadInput
 from service.process.settings import load_settings
-from service.store.backup import FILE, make_backup, read_manifest, restore, sqlite_file
+from service.store.back_up import FILE, make_backup, read_manifest, restore, sqlite_file
 from service.store.database import open_database
 from service.store.examination import examine
 from service.store.files.data_folder import OWNER_FILE, claim_folder

@@ -18,15 +18,15 @@ from drivers.ports import SineCommand, SweepCommand, SweepMode
 from service.jobs.dask_workers import DaskWorkers
 from service.jobs.jobs import Jobs
 from service.jobs.work import Worker
+from service.machine.execution.energising import Approvals, Intention
 from service.machine.execution.machine import Machine
-from service.machine.execution.permission import Approvals, Intention
 from service.machine.execution.runner import Runner
 from service.machine.execution.sweep_executor import SweepExecutor
 from service.model import Robot, Sine, SweepSpec
 from service.model.configuration import Cell, read_robot
 from service.planning.campaigns.live import LiveHub
 from service.planning.compiled_plan import CompiledPlan
-from service.planning.safety.envelope import Envelope
+from service.planning.safety.envelope_check import Envelope
 from service.process.settings import Cluster
 from service.store.database import Database, open_database
 from service.store.diagnoses import ModelStore

@@ -11,7 +11,7 @@ from sqlalchemy import text
 
 from drivers.registry import load_profile
 from service import BadInput, Conflict, NotFound, NotNow
-from service.machine.execution.permission import Approvals
+from service.machine.execution.energising import Approvals
 from service.machine.execution.runner import Runner
 from service.machine.execution.sweep_executor import SweepExecutor
 from service.model.configuration import Box, Cell

@@ -13,7 +13,7 @@ from service.model import Robot, build_robot
 from service.model.configuration import Cell, read_cell, read_robot
 from service.planning.documents import PlanDocument, PlanRequest
 from service.planning.plan import build_plan
-from service.planning.safety.envelope import Envelope
+from service.planning.safety.envelope_check import Envelope
 from tests.unit.service.campaigns.small_arm import small_arm
 
 pytestmark = pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 from drivers.errors import CommunicationLost, DriveFault
 from drivers.ports import AxisState, AxisStatus
 from service import Conflict
-from service.machine.execution.sweep_executor import CheckMove, CheckMoveFailed
+from service.machine.execution.check_move import CheckMove, CheckMoveFailed
 from service.store.documents import CampaignDocument, CampaignState, EventKind
 from tests.unit.service.campaigns.conftest import Barrier, Bench, until, until_cancelled
 from tests.unit.service.campaigns.test_machine import between_motions  # noqa: F401

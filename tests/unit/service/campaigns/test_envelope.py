@@ -12,7 +12,7 @@ from service import EnvelopeViolation
 from service.identification.estimates.torque_gain import KnownMass
 from service.model import Robot
 from service.model.configuration import Box, Cell
-from service.planning.safety.envelope import Envelope, peak_acceleration, peak_velocity, travel_bounds
+from service.planning.safety.envelope_check import Envelope, peak_acceleration, peak_velocity, travel_bounds
 from tests.unit.service.campaigns.small_arm import small_arm
 
 POSE = (-0.5, 0.3)

@@ -8,8 +8,8 @@ import pytest
 
 from drivers.errors import Cause, CauseCode
 from service import Superseded
+from service.machine.execution.energising import Approvals, Epochs, Intention
 from service.machine.execution.machine import watching
-from service.machine.execution.permission import Approvals, Epochs, Intention
 from service.store.documents import CampaignState
 from service.store.lease_and_latch import ApprovalStore
 from tests.unit.service.campaigns.conftest import TIMEOUT, Barrier, Bench, keeping, until

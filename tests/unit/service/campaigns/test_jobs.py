@@ -21,7 +21,7 @@ from service.identification.spectra.frequency_response import spectrum
 from service.jobs.jobs import MOST_REVISIONS, Jobs, open_groups, sweeps_a_revision
 from service.jobs.work import Job, JobFailed, Work, Worker
 from service.jobs.worker import open_worker
-from service.machine.execution.recording import recover
+from service.machine.execution.sweep_samples import recover
 from service.model import Robot
 from service.model.results.effect import KnownModel, StoredModel
 from service.model.results.estimate import Estimate

@@ -19,7 +19,7 @@ from service import Conflict, EnvelopeViolation, NotFound, NotNow
 from service.machine.execution import sweep_executor
 from service.machine.execution.machine import watching
 from service.machine.execution.stops import LatchedStops, StopSequences
-from service.planning.safety.envelope import Envelope
+from service.planning.safety.envelope_check import Envelope
 from service.store.documents import CampaignState, SweepState
 from service.store.lease_and_latch import LeaseLost, MachineLease, StopLatch
 from service.store.people.audit import AuditStore, AuditWriter

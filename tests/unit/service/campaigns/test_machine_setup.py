@@ -26,7 +26,7 @@ from service.planning.machine_setup import (
     on_machine,
 )
 from service.planning.plan import build_plan
-from service.planning.safety.envelope import EnvelopeViolation
+from service.planning.safety.envelope_check import EnvelopeViolation
 from service.process.settings import Settings
 from service.store.database import open_database
 from service.store.documents import CampaignDocument, CampaignState, RobotDocument

@@ -43,7 +43,7 @@ from service.planning.documents import (
 )
 from service.planning.plan import build_plan
 from service.planning.poses import grid, least_duration, workspace_grid
-from service.planning.safety.envelope import Envelope, noise_effort, noise_velocity, noise_way
+from service.planning.safety.envelope_check import Envelope, noise_effort, noise_velocity, noise_way
 from service.planning.safety.travel import order_poses
 from service.store.documents import BoltedMass, PlanRecord
 from tests.unit.service.campaigns.small_arm import small_arm

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from service.machine.execution.recording import ImplausibleChannels, check_channels
+from service.machine.execution.sweep_samples import ImplausibleChannels, check_channels
 from service.model import Recording, Sine, SweepSpec
 
 RATE = 250.0

@@ -19,8 +19,8 @@ import pytest
 from drivers.errors import Cause, CauseCode
 from drivers.ports import ChannelTiming, SampleBlock, SineCommand, SweepCommand, SweepMode
 from service.machine.execution import sweep_executor
-from service.machine.execution.recording import Recorder, SamplesMissing, finish, read_stream, recover, salvage
 from service.machine.execution.sweep_executor import BegunSweep, Incoming
+from service.machine.execution.sweep_samples import Recorder, SamplesMissing, finish, read_stream, recover, salvage
 from service.model import SweepSpec
 from service.planning.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.store.documents import CampaignState, RecordingState, SweepState

@@ -17,7 +17,7 @@ from service.model.configuration import Box, Cell
 from service.planning.campaigns.state_machine import SweepEvent, sweep_move
 from service.planning.compiled_plan import CompiledPlan
 from service.planning.documents import TrajectoryPlan, TrajectoryRequest, at_once
-from service.planning.safety.envelope import Envelope, commanded_motion, path_of
+from service.planning.safety.envelope_check import Envelope, commanded_motion, path_of
 from service.planning.trajectories import build_trajectory_plan
 from service.store.documents import CampaignState, NewSweep, RecordingState, SweepState
 from tests.unit.service.campaigns.conftest import SPECTRUM, TIMEOUT, Bench, Taken, nobody_needed, refusing

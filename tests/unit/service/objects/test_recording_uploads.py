@@ -16,7 +16,7 @@ from service import BadInput, NotNow
 from service.jobs.recording_uploads import RecordingUploads, Transfers
 from service.process.settings import Settings, StoreAddress
 from service.process.tasks import Background
-from service.store.backup import make_backup, restore
+from service.store.back_up import make_backup, restore
 from service.store.database import open_database
 from service.store.documents import RecordingDocument
 from service.store.examination import examine

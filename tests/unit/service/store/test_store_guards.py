@@ -29,8 +29,8 @@ from service.store.lease_and_latch import (
     MachineTaken,
     StopLatch,
 )
-from service.store.rows import NoMachine, OtherMachine
 from service.store.store import Store
+from service.store.table_rows import NoMachine, OtherMachine
 from tests.unit.service.store.conftest import Specs, must_not_wait
 
 pytestmark = pytest.mark.slow
