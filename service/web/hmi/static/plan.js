@@ -12,7 +12,7 @@ import { events } from "./stream.js";
 import { aheadOf, showSubjects, typedNames } from "./subject.js";
 import { formula, language, text, Told } from "./words.js";
 
-const USUAL = { poses: "24", confidence: text("plan.usual-confidence"), duration: "60", diagnosis: "3" };
+const USUAL = { poses: ["24", "5"], confidence: [text("plan.usual-confidence"), "5"], duration: ["60", "5"], diagnosis: ["4", "10"] }; // amount and step
 const MINUTE = 60; // s
 
 /** @type {Api.CampaignDocument | undefined} */
@@ -142,7 +142,7 @@ byId("request").querySelector("button").id = "make";
 byId("request").addEventListener("submit", busy("make", makePlan));
 byId("take").addEventListener("click", busy("take", take));
 byId("robot").addEventListener("change", () => showJoints().catch(complain));
-byId("budget").addEventListener("change", () => (byId("amount").value = USUAL[byId("budget").value]));
+byId("budget").addEventListener("change", () => ([byId("amount").value, byId("step").value] = USUAL[byId("budget").value]));
 byId("sweep").addEventListener("change", () => {
   showLegs();
   showArm().catch(complain);
