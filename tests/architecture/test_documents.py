@@ -91,6 +91,18 @@ def test_every_make_target_shown_exists() -> None:
     assert shown - targets == set()
 
 
+def test_make_demo_tells_what_it_installs() -> None:
+    """What takes minutes shows its progress: it is told before it begins, and uv is not quiet."""
+    told = subprocess.run(
+        ["make", "--dry-run", "--always-make", "demo"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
+    first, _, after = told.partition("-m venv")
+    assert "echo 'Installing into .venv, once; this takes a minute or two.'" in first
+    (install,) = [line for line in after.splitlines() if "uv pip install" in line]
+    assert "--quiet" not in install
+    assert told.splitlines()[-1].split() == [".venv/bin/sweepid", "demo", "--out", "demo-out"]
+
+
 def test_links_between_documents_lead_somewhere() -> None:
     broken = [
         f"{path.relative_to(ROOT)}: {target}"
