@@ -22,7 +22,7 @@ from service.formats.export.sheets.text import as_markdown
 from service.identification.design.diagnosis_sweeps import paper_design
 from service.model.configuration import read_cell, read_robot
 from service.model.results.estimate import CONFIDENCE, Estimate
-from service.model.results.part import two_digits
+from service.model.results.part import two_digits, with_std
 from service.planning.documents import PlanRequest
 from service.planning.poses import workspace_grid
 from service.report.content import axes_of, content_of
@@ -216,6 +216,21 @@ def test_a_confidence_has_two_figures_on_the_page_as_everywhere(percent: float) 
     with scripted() as service, browsing(service.url) as page:
         told = page.evaluate("async (percent) => (await import('./elements.js')).confidence(percent)", percent)
         assert told == f"{two_digits(percent)} %"
+
+
+VALUES = (0.0, 9.996, -9.994, 0.0996, 268.5314, -12347.8, 99999.4, 0.00012345, 61.27, -1.5411, 1000.0, 12.0)
+STDS = (None, 0.0, 9.5, 0.5, 0.0996, 123.0, 99.6, 1.0, 1e-3, 1000.0, 2.3e-5, 13.0)
+
+
+def test_values_end_where_their_std_ends_on_the_page_as_everywhere() -> None:
+    pairs = [(value, std) for value in VALUES for std in STDS]
+    with scripted() as service, browsing(service.url) as page:
+        told: list[list[str]] = page.evaluate(
+            "async (pairs) => { const { measured } = await import('./elements.js');"
+            " return pairs.map(([value, std]) => measured(std, value, std || null)); }",
+            pairs,
+        )
+    assert [[one.replace("−", "-") for one in pair] for pair in told] == [[*with_std(*pair)] for pair in pairs]
 
 
 DURATION = re.compile(r"\b(?:\d+ min )?\d+ s\b")

@@ -53,10 +53,10 @@ export function fixed(value, digits) {
   return decimal(shown, { minimumFractionDigits: digits, maximumFractionDigits: digits });
 }
 
-// all values end at the second figure of their standard deviation; without one, four figures
+// as `with_std` of reports and sheets: all values end at the second figure of their standard deviation; without one, five
 /** @param {number | null} std @param {(number | null)[]} values */
 export function measured(std, ...values) {
-  if (!(std > 0)) return values.map((value) => minus(number(value)));
+  if (!(std > 0)) return values.map((value) => (typeof value === "number" ? minus(figures(value, 5)) : EMPTY));
   const last = Math.min(1 - Math.floor(Math.log10(Number(std.toPrecision(2)))), 12);
   const step = 10 ** -Math.min(0, last); // above 1 for a deviation of 100 or more
   /** @param {number} one */
