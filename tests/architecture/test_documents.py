@@ -9,13 +9,21 @@ import re
 import subprocess
 import sys
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
 from service.cli import build
+from service.cli.commands.campaigns import _tell_plan  # pyright: ignore[reportPrivateUsage]
+from service.cli.virtual_cell import CELL, ROBOT
 from service.formats.traces.trace_import import Mapping
-from service.model.configuration import read_robot, read_yaml
+from service.model.configuration import read_cell, read_robot, read_yaml
+from service.planning.campaigns.stored_plan import planned_times
+from service.planning.documents import PlanRequest
+from service.planning.plan import build_plan
+from service.store.documents import PlanRecord
+from service.web.api.campaigns import expected_time
 
 pytestmark = pytest.mark.slow
 
@@ -101,6 +109,19 @@ def test_make_demo_tells_what_it_installs() -> None:
     (install,) = [line for line in after.splitlines() if "uv pip install" in line]
     assert "--quiet" not in install
     assert told.splitlines()[-1].split() == [".venv/bin/sweepid", "demo", "--out", "demo-out"]
+
+
+@pytest.mark.parametrize("budget", [{"confidence": 0.5}, {"poses": 8}])
+def test_the_guide_tells_of_a_plan_what_the_command_prints(
+    budget: dict[str, float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    axes = ("joint_1", "joint_2", "joint_3")
+    wanted = PlanRequest.model_validate({"robot_id": 1, "axes": axes, "varied": axes[1:], **budget})
+    made = build_plan(read_robot(ROOT / ROBOT), wanted, read_cell(ROOT / CELL)).model_dump(mode="json")
+    stored = PlanRecord(id=1, robot_id=1, document=made, created_at=datetime.now(UTC))
+    _tell_plan(made, expected_time(planned_times(stored)))
+    told = capsys.readouterr().err
+    assert f"```text\n{told}```" in (ROOT / "docs/how-to/plan-a-campaign.md").read_text("utf-8"), told
 
 
 def test_links_between_documents_lead_somewhere() -> None:
