@@ -218,12 +218,27 @@ def test_a_confidence_has_two_figures_on_the_page_as_everywhere(percent: float) 
         assert told == f"{two_digits(percent)} %"
 
 
-VALUES = (0.0, 9.996, -9.994, 0.0996, 268.5314, -12347.8, 99999.4, 0.00012345, 61.27, -1.5411, 1000.0, 12.0)
-STDS = (None, 0.0, 9.5, 0.5, 0.0996, 123.0, 99.6, 1.0, 1e-3, 1000.0, 2.3e-5, 13.0)
+VALUES = (
+    0.0,
+    5.9234e-7,
+    -2.5e-5,
+    9.996,
+    -9.994,
+    0.0996,
+    268.5314,
+    -12347.8,
+    99999.4,
+    0.00012345,
+    61.27,
+    -1.5411,
+    1000.0,
+    12.0,
+)
+STDS = (None, 0.0, 9.5, 0.5, 0.0996, 123.0, 99.6, 1.0, 1e-3, 1000.0, 2.3e-5, 13.0, 1.4e-8, 9.96e-10)
 
 
 def test_values_end_where_their_std_ends_on_the_page_as_everywhere() -> None:
-    pairs = [(value, std) for value in VALUES for std in STDS]
+    pairs = [(value, std) for value in VALUES for std in STDS if std or not 0 < abs(value) < 1e-4]
     with scripted() as service, browsing(service.url) as page:
         told: list[list[str]] = page.evaluate(
             "async (pairs) => { const { measured } = await import('./elements.js');"
