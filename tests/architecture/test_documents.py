@@ -81,15 +81,22 @@ def test_a_marked_snippet_runs(block: Block, desk: Path) -> None:
 def commands() -> list[str]:
     """Every command line that a document shows."""
     shell = [block for block in blocks() if block.kind in ("console", "sh", "bash", "powershell")]
-    return [line.removeprefix("$ ").strip() for block in shell for line in block.text.splitlines() if line.strip()]
+    lines = (line for block in shell for line in block.text.replace("\\\n", " ").splitlines())
+    return [line.removeprefix("$ ").strip() for line in lines if line.strip()]
 
 
-def test_every_command_shown_exists() -> None:
-    names = {name for name, _ in build().every()}
+def test_every_command_and_option_shown_exists() -> None:
+    options = {name: {word for one in command.params for word in one.opts} for name, command in build().every()}
+    names = set(options)
     command = re.compile(r"(?:\S*/|\w+=\$\()?sweepid ([a-z][a-z-]*)(?: ([a-z][a-z-]*)(?![\w./-]))?")
     shown = [(match[1], match[2]) for line in commands() if (match := command.match(line))]
     assert shown
     assert {words for words in shown if words[0] not in names and " ".join(map(str, words)) not in names} == set()
+    for line in commands():
+        for name, rest in re.findall(r"\bsweepid ([a-z][a-z-]*(?: [a-z][a-z-]*)?)([^|;&#]*)", line):
+            known = options.get(name) or options.get(name.partition(" ")[0])
+            if known is not None:
+                assert set(re.findall(r"(?<=\s)--[a-z][a-z-]*", rest)) <= known | {"--help"}, line
 
 
 def test_every_make_target_shown_exists() -> None:
