@@ -224,11 +224,12 @@ def run_demo(out: Path, seed: int, poses: int, screen: Screen) -> DemoOutcome:
     worth = benefit(measured.robot, measured.sweeps, str(out / "bundle"))  # before the truth is read
     tracking = drive_path(measured, SCENARIO, out / "path.json")
     worth = worth.model_copy(update={"tracking": tracking})
-    content = _content(measured, revisions, workspace, seed)
-    axes = axes_of(content)
+    content = _content(measured, revisions, seed)
+    in_cell = replace(content, workspace=workspace)
+    axes = axes_of(in_cell)
     measures = Counter(spec.axis for spec in content.specs)
     drives = tuple(Drive(joint, **identities[joint], sweeps=measures[joint]) for joint in identities if measures[joint])
-    truth = compare(content, axes, SCENARIO, out / "poses.json")
+    truth = compare(in_cell, axes, SCENARIO, out / "poses.json")
     content = replace(content, truth=truth, truth_columns=tuple(axis.joint for axis in axes))
     report = out / "report.html"
     page = campaign_page(
@@ -261,7 +262,7 @@ def _clear(out: Path) -> None:
         shutil.rmtree(out / "bundle")
 
 
-def _content(bundle: Bundle, revisions: list[Json], workspace: np.ndarray, seed: int) -> Content:
+def _content(bundle: Bundle, revisions: list[Json], seed: int) -> Content:
     sweeps = {sweep.spec.id: sweep for sweep in bundle.sweeps}
     estimates = [Estimate.read(entry["document"], f"estimate {entry['revision']}") for entry in revisions]
     return content_of(
@@ -271,7 +272,6 @@ def _content(bundle: Bundle, revisions: list[Json], workspace: np.ndarray, seed:
         lambda spec: sweeps[spec.id],
         f"Demo on a virtual machine (scenario {SCENARIO.stem}, seed {seed}), measured over CANopen through "
         "the service: elastic drive trains, friction on motor and load side, cogging and noise.",
-        workspace=workspace,
         revisions=[(entry["revision"], one.base_parameters) for entry, one in zip(revisions, estimates, strict=True)],
     )
 

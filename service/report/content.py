@@ -39,7 +39,7 @@ class TruthRow:
 
 @dataclass(frozen=True)
 class Content:
-    """The complete content of a report. `workspace` (m, n): the collision-free poses over which models are drawn."""
+    """The complete content of a report. `workspace` (m, n): the poses over which models are drawn."""
 
     title: str
     subtitle: str
@@ -169,14 +169,12 @@ def content_of(
     read: Callable[[SweepSpec], Sweep],
     subtitle: str,
     *,
-    workspace: Array | None = None,
     revisions: Iterable[tuple[int, Sequence[BaseParameter]]] = (),
 ) -> Content:
     """The content of a report of an estimate that has the inertia of an axis.
 
     `specs`: at least of the sweeps that the estimate used. `read` returns the samples of one of them, for the example.
-    `workspace` (m, n): collision-free poses, if known; else a grid over the range of the sweeps. `revisions`: number of
-    sweeps and base parameters of the earlier estimates.
+    `revisions`: number of sweeps and base parameters of the earlier estimates.
     """
     used = used_sweeps(estimate, specs)
     names = [entry.name for entry in estimate.base_parameters]
@@ -186,7 +184,7 @@ def content_of(
         robot=robot,
         estimate=estimate,
         specs=used,
-        workspace=covered(robot, used) if workspace is None else workspace,
+        workspace=covered(robot, used),
         revisions=tuple(revision(parameters, names, number) for number, parameters in revisions),
         example=read(example_of(used)),
     )
@@ -206,7 +204,8 @@ def example_of(used: Sequence[SweepSpec]) -> SweepSpec:
 def covered(robot: Robot, used: Sequence[SweepSpec]) -> Array:
     """Poses (m, n) without self-collision, on a grid over the range of the joints that varied.
 
-    Nothing is drawn outside the measured range. If no joint varied: the poses of the sweeps.
+    A bundle does not know the cell, so no report uses it: all of one robot show the same poses. Nothing is drawn
+    outside the measured range. If no joint varied: the poses of the sweeps.
     """
     stood = np.unique([spec.pose for spec in used], axis=0)
     varied = np.flatnonzero(np.ptp(stood, axis=0) > SAME_POSITION)

@@ -69,7 +69,7 @@ def deviation_map(robot: Robot, axis: ReportedAxis) -> DrawnFigure:
 
 
 def _map(robot: Robot, axis: ReportedAxis, values: Array, look: Part, name: str, marker: Part) -> DrawnFigure:
-    """Values of the free poses of the workspace as a field with contour lines, and the measured poses."""
+    """Values of the poses of the workspace as a field with contour lines, and the measured poses."""
     first, second = axis.varied[:2]
     places: Part = {kind: positions(robot, k, axis.poses[:, k]) for kind, k in (("x", first), ("y", second))}
     x, y, z = _mesh(axis.workspace, first, second, values)

@@ -231,7 +231,7 @@ def evidence(axis: AxisDiagnosis) -> DrawnFigure | None:
 def parameters(axis: AxisDiagnosis) -> DrawnFigure | None:
     """Each parameter of the named effects with two standard deviations, in percent of its value."""
     rows = [
-        (f"{effect_words(effect.effect)}: {name.replace('_', ' ')}", value)
+        (f"{effect_words(effect.effect)}: {plain(name)}", value)
         for effect in axis.effects
         for name, value in effect.parameters.items()
         if value.value and value.significant

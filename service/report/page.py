@@ -21,6 +21,8 @@ from service.report.content import Content, ReportedAxis, axes_of
 from service.report.drawing import slides
 from service.report.html import ReportPage
 
+_WHITE = "White: the robot would touch itself; the cell is not considered."
+
 
 def main_values(page: ReportPage, estimate: Estimate, content: Content | None) -> None:
     """J of each axis with its interval, and where it differs from CAD: a picture, if the sweeps are known."""
@@ -37,7 +39,7 @@ def main_values(page: ReportPage, estimate: Estimate, content: Content | None) -
         return
     page.add(f"<h3>{escape(first.joint)} against CAD</h3>")
     if len(first.varied) > 1:
-        page.add("<p>Over the free poses: identified − CAD, in % of the identified. White: not free.</p>")
+        page.add(f"<p>Over the measured range: identified − CAD, in % of the identified. {_WHITE}</p>")
         page.figure(figures.deviation_map(content.robot, first))
     else:
         page.figure(figures.curve(content.robot, first))
@@ -118,15 +120,15 @@ def _inertias(page: ReportPage, content: Content, axes: Sequence[ReportedAxis]) 
             page.figure(figures.curve(content.robot, axis))
             continue
         page.add(
-            "<p>The model identified from all sweeps, over the free poses. Points: measured inertias, in the same "
-            "colours. White: not free.</p>"
+            "<p>The model identified from all sweeps, over the measured range. Points: measured inertias, in the same "
+            f"colours. {_WHITE}</p>"
         )
         page.figure(figures.inertia_map(content.robot, axis))
         if axis.joint == shown:  # its difference from CAD is on the first page
             continue
         page.add(
-            "<p>Where the robot differs from its CAD model: identified − reference, in % of the identified. White: not "
-            "free.</p>"
+            "<p>Where the robot differs from its CAD model: identified − reference, in % of the identified. "
+            f"{_WHITE}</p>"
         )
         page.figure(figures.deviation_map(content.robot, axis))
 

@@ -46,15 +46,16 @@ def test_docker_compose_accepts_its_file(root: Path, profile: list[str]) -> None
 
 
 def test_without_a_profile_there_is_the_cell_alone_and_plant_starts_all_of_its_own(
-    services: dict[str, dict[str, Any]],
+    root: Path, services: dict[str, dict[str, Any]]
 ) -> None:
-    assert {name for name, service in services.items() if "profiles" not in service} == {"machine", "service"}
+    assert (root / ".env").read_text() == "COMPOSE_PROFILES=cell\n"  # `--profile` takes its place
+    assert {name for name, service in services.items() if service["profiles"] == ["cell"]} == {"machine", "service"}
     reached, left = set[str](), ["plant"]
     while left:
         name = left.pop()
         reached.add(name)
         left += [other for other in services[name].get("depends_on", {}) if other not in reached]
-    assert reached == {name for name, service in services.items() if "profiles" in service}
+    assert reached == {name for name, service in services.items() if service["profiles"] == ["plant"]}
 
 
 def test_images_are_pinned_and_can_be_replaced(services: dict[str, dict[str, Any]]) -> None:
@@ -111,7 +112,7 @@ def test_secrets_are_for_one_container_each(secrets: Path, services: dict[str, d
             for volume in service.get("volumes", [])
             if isinstance(volume, dict) and volume["target"] == "/run/secrets"
         ]
-        assert mounted == ([] if "profiles" not in service or not mounted else ["cell-1" if name == "bucket" else name])
+        assert mounted == ([] if not mounted else ["cell-1" if name == "bucket" else name])
         assert all((secrets / folder).is_dir() for folder in mounted)
         texts = [str(value) for value in service.get("environment", {}).values()]
         named = [Path(text).name for text in texts if text.startswith("/run/secrets/")]

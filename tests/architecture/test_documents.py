@@ -9,13 +9,21 @@ import re
 import subprocess
 import sys
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
 from service.cli import build
+from service.cli.commands.campaigns import _tell_plan  # pyright: ignore[reportPrivateUsage]
+from service.cli.virtual_cell import CELL, ROBOT
 from service.formats.traces.trace_import import Mapping
-from service.model.configuration import read_robot, read_yaml
+from service.model.configuration import read_cell, read_robot, read_yaml
+from service.planning.campaigns.stored_plan import planned_times
+from service.planning.documents import PlanRequest
+from service.planning.plan import build_plan
+from service.store.documents import PlanRecord
+from service.web.api.campaigns import expected_time
 
 pytestmark = pytest.mark.slow
 
@@ -73,15 +81,22 @@ def test_a_marked_snippet_runs(block: Block, desk: Path) -> None:
 def commands() -> list[str]:
     """Every command line that a document shows."""
     shell = [block for block in blocks() if block.kind in ("console", "sh", "bash", "powershell")]
-    return [line.removeprefix("$ ").strip() for block in shell for line in block.text.splitlines() if line.strip()]
+    lines = (line for block in shell for line in block.text.replace("\\\n", " ").splitlines())
+    return [line.removeprefix("$ ").strip() for line in lines if line.strip()]
 
 
-def test_every_command_shown_exists() -> None:
-    names = {name for name, _ in build().every()}
+def test_every_command_and_option_shown_exists() -> None:
+    options = {name: {word for one in command.params for word in one.opts} for name, command in build().every()}
+    names = set(options)
     command = re.compile(r"(?:\S*/|\w+=\$\()?sweepid ([a-z][a-z-]*)(?: ([a-z][a-z-]*)(?![\w./-]))?")
     shown = [(match[1], match[2]) for line in commands() if (match := command.match(line))]
     assert shown
     assert {words for words in shown if words[0] not in names and " ".join(map(str, words)) not in names} == set()
+    for line in commands():
+        for name, rest in re.findall(r"\bsweepid ([a-z][a-z-]*(?: [a-z][a-z-]*)?)([^|;&#]*)", line):
+            known = options.get(name) or options.get(name.partition(" ")[0])
+            if known is not None:
+                assert set(re.findall(r"(?<=\s)--[a-z][a-z-]*", rest)) <= known | {"--help"}, line
 
 
 def test_every_make_target_shown_exists() -> None:
@@ -89,6 +104,31 @@ def test_every_make_target_shown_exists() -> None:
     shown = {match[1] for line in commands() if (match := re.match(r"make ([a-z-]+)", line))}
     assert shown >= {"demo", "test"}
     assert shown - targets == set()
+
+
+def test_make_demo_tells_what_it_installs() -> None:
+    """What takes minutes shows its progress: it is told before it begins, and uv is not quiet."""
+    told = subprocess.run(
+        ["make", "--dry-run", "--always-make", "demo"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
+    first, _, after = told.partition("-m venv")
+    assert "echo 'Installing into .venv, once; this takes a minute or two.'" in first
+    (install,) = [line for line in after.splitlines() if "uv pip install" in line]
+    assert "--quiet" not in install
+    assert told.splitlines()[-1].split() == [".venv/bin/sweepid", "demo", "--out", "demo-out"]
+
+
+@pytest.mark.parametrize("budget", [{"confidence": 0.5}, {"poses": 8}])
+def test_the_guide_tells_of_a_plan_what_the_command_prints(
+    budget: dict[str, float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    axes = ("joint_1", "joint_2", "joint_3")
+    wanted = PlanRequest.model_validate({"robot_id": 1, "axes": axes, "varied": axes[1:], **budget})
+    made = build_plan(read_robot(ROOT / ROBOT), wanted, read_cell(ROOT / CELL)).model_dump(mode="json")
+    stored = PlanRecord(id=1, robot_id=1, document=made, created_at=datetime.now(UTC))
+    _tell_plan(made, expected_time(planned_times(stored)))
+    told = capsys.readouterr().err
+    assert f"```text\n{told}```" in (ROOT / "docs/how-to/plan-a-campaign.md").read_text("utf-8"), told
 
 
 def test_links_between_documents_lead_somewhere() -> None:

@@ -144,7 +144,7 @@ def test_nothing_moves_before_the_experiment_is_approved_and_the_stop_is_at_hand
         page.get_by_role("link", name="Campaign 3", exact=True).click()
         expect(page.locator("#campaign-state")).to_have_text("paused")
         page.get_by_label("Your name").fill("Ada")
-        page.get_by_role("button", name="I looked at the machine: release").click()
+        page.get_by_role("button", name="Machine checked: release", exact=True).click()
         expect(page.locator("#held")).to_be_hidden()
         page.get_by_role("button", name="Abort").click()
         page.get_by_role("button", name="End campaign").click()

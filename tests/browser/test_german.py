@@ -22,13 +22,15 @@ from tests.stored.documents import axis_document, diagnosis_document, payload, s
 
 pytestmark = needs("chromium")
 
-SEEN = """() => {
+SEEN = r"""() => {
   const told = [], walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
   const names = ["title", "placeholder", "aria-label"];
   const left = "code, #language";
   const german = (one) => one.checkVisibility() && !one.closest("q[lang='']") && !one.closest(left);
   while (walk.nextNode()) {
-    if (german(walk.currentNode.parentElement)) told.push(walk.currentNode.textContent.trim());
+    const grouped = walk.currentNode.parentElement.closest("#figure-evidence"); // whole numbers: 2.797.064
+    const text = walk.currentNode.textContent.trim();
+    if (german(walk.currentNode.parentElement)) told.push(grouped ? text.replace(/\.(?=\d{3}(\D|$))/g, "") : text);
   }
   for (const one of document.querySelectorAll(names.map((name) => `[${name}]`).join())) {
     if (german(one)) told.push(...names.map((name) => one.getAttribute(name) ?? ""));
@@ -36,7 +38,7 @@ SEEN = """() => {
   return told.filter((text) => text);
 }"""
 WORD = re.compile(r"[A-Za-zÄÖÜäöüß]{2,}")
-POINT = re.compile(r"(?<![\d.])\d+\.\d+(?![\d.])")
+POINT = re.compile(r"(?<![\d.])\d+\.\d+(?![\d.])|\d,\d{3},\d{3}")  # and thousands as in English
 DATE = re.compile(r"\d{2}\.\d{2}\.\d{4}")
 
 
@@ -60,7 +62,8 @@ def english(told: list[str]) -> set[str]:
 
 
 def test_the_looking_finds_an_english_word_and_number() -> None:
-    assert english(["Axis joint_1 with 2.5 kg", "02.03.2026", "2,5 kg", "Achse"]) == {"Axis", "with", "2.5"}
+    told = ["Axis joint_1 with 2.5 kg", "02.03.2026", "2,5 kg", "Achse", "2,797,064", "2.797.064"]
+    assert english(told) == {"Axis", "with", "2.5", "2,797,064"}
 
 
 def of_diagnosis(axis: Json) -> dict[str, Json]:

@@ -62,7 +62,7 @@ def test_from_the_plan_to_the_end_without_a_pointer(service: Service, machine: V
     name = page.get_by_label("Your name")
     go_to(page, name)
     page.keyboard.type("Ada")
-    press(page, "I looked at the machine: release")
+    press(page, "Machine checked: release")
     expect(page.locator("#held")).to_be_hidden()
 
     press(page, "Abort")

@@ -156,7 +156,7 @@ def test_a_person_logs_in_with_a_password_and_out(service: Service, page: Page) 
     page.get_by_role("button", name="STOP").click()
     expect(page.locator("#held-by")).to_contain_text(f"Stopped by {name} (operator page): stop button")
     with page.expect_response("**/stop/reset") as released:
-        page.get_by_role("button", name="I looked at the machine: release").click()
+        page.get_by_role("button", name="Machine checked: release", exact=True).click()
     assert released.value.status == 200
     page.get_by_role("button", name="Log out").click()
     expect(page.locator("#login")).to_be_visible()

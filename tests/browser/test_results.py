@@ -49,6 +49,7 @@ def test_what_accepted_effects_did_to_the_estimate_is_told() -> None:
         for name, used, how in (("coulomb_friction", True, "subtracted"), ("backlash", False, "unknown in this pose"))
     ]
     document["axes"]["joint_1"]["effects_moved_in_std"] = 2.345
+    document["condition_number"] = None
     with scripted(answers=of_one(document)) as service, browsing(f"{service.url}/results#campaign-1") as page:
         expect(page.locator("#taken p")).to_have_text(
             [
@@ -57,6 +58,7 @@ def test_what_accepted_effects_did_to_the_estimate_is_told() -> None:
                 "The accepted effects moved J of joint_1 by up to 2.3 standard deviations.",
             ]
         )
+        expect(page.locator("#told")).to_have_text("revision 1, after sweep 2")
         page.goto(f"{service.url}/#campaign-1")
         expect(page.locator("#estimate-text")).to_contain_text("moved J of joint_1 by up to 2.3 standard deviations.")
 

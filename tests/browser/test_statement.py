@@ -286,12 +286,16 @@ def test_the_results_show_the_revisions_of_the_model() -> None:
 def test_the_audit_says_why_it_stopped_in_the_words_of_the_page() -> None:
     stopped = {"event": "stop", "at": "2026-03-02T12:00:00Z", "by": "campaign 1", "why": RAW}
     stopped |= {"code": "target_not_reached", "joint": "joint_2"}
-    audit: Json = {"items": [{"entry": stopped}], "next": None}
+    audit: Json = {"items": [{"entry": stopped}] * 200, "next": None}
     with scripted(answers={"audit": audit}) as service, window("de-DE") as context:
-        outcome = opened(context, service, "results").locator("#audit tbody td:last-child")
+        page = opened(context, service, "results")
+        outcome = page.locator("#audit tbody td:last-child").first
         expect(outcome).to_contain_text("joint_2: nicht rechtzeitig am Ziel zum Stillstand gekommen")
         outcome.locator("summary").click()
         expect(outcome).to_contain_text(RAW)
+        box = page.locator(".scroll", has=page.locator("#audit")).bounding_box()
+        assert box is not None
+        assert box["height"] < 400  # it scrolls by itself
 
 
 def test_the_joints_are_those_of_the_service() -> None:

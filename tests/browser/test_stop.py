@@ -153,7 +153,7 @@ def test_a_name_that_was_typed_once_releases_with_one_press() -> None:
             service.answers["stop"] = free | {"latched": True, "stops": [HELD]}
             expect(page.locator("#held")).to_be_visible()
             offered = page.locator("#release-as button")
-            expect(offered).to_have_text([f"Machine looked at: release as {one}" for one in known])
+            expect(offered).to_have_text([f"Machine checked: release as {one}" for one in known])
             with page.expect_request("**/stop/reset") as sent:
                 if name in known:
                     assert small(page) == []

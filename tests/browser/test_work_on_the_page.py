@@ -2,11 +2,13 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
 
-from service.web.client import ServiceClient
+from service.planning.documents import DiagnosisRequest, PlanRequest
+from service.web.client import Json, ServiceClient
 from tests.browser.accessible import both_schemes
 from tests.browser.browsing import browsing
 from tests.browser.looking import cut, faint, settled, small, too_wide, unlike_ink
@@ -88,6 +90,22 @@ def test_a_diagnosis_is_planned_on_the_page(service: Service) -> None:
         page.locator("#take").click()
         expect(page.locator("#taken a")).to_be_visible()
         assert client.plan(client.campaigns()[-1]["plan_id"])["document"]["request"]["kind"] == "diagnosis"
+
+
+def test_the_plan_page_begins_with_the_defaults_of_the_command(root: Path) -> None:
+    some: Json = {"robot_id": 2, "axes": ("joint_1",), "varied": ("joint_2",)}
+    with scripted(answers=everything(root)) as service, browsing(f"{service.url}/plan") as page:
+        expect(page.locator("#axes-measured input").first).to_be_attached()
+        for budget, request in (
+            ("poses", PlanRequest.model_validate(some)),
+            ("diagnosis", DiagnosisRequest.model_validate(some | {"kind": "diagnosis"})),
+        ):
+            page.locator("#budget").select_option(budget)
+            with page.expect_request(lambda one: one.method == "POST" and one.url.endswith("/plans")) as sent:
+                page.locator("#make").click()
+            wanted: Any = sent.value.post_data_json
+            assert (wanted["poses"], wanted["step"]) == (request.poses, request.step), budget
+            expect(page.locator("#make")).to_be_enabled()
 
 
 def test_an_amount_that_is_no_number_is_told(root: Path) -> None:

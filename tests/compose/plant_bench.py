@@ -97,7 +97,7 @@ class Plant(Containers):
 
     def up(self, workers: int) -> None:
         """The command of docs/how-to/run-a-plant.md; returns when both cells could measure."""
-        self.compose("up", "--detach", "--no-build", "--scale", f"worker={workers}", "plant", patience=START)
+        self.compose("up", "--detach", "--no-build", "--scale", f"worker={workers}", patience=START)
         for url in self.url.values():
             with ServiceClient(url) as client:
                 until(lambda client=client: ready(client), f"{url} is ready")

@@ -73,6 +73,12 @@ def test_demo_from_end_to_end(root: Path, tmp_path: Path) -> None:
     assert all(known or one["reason"] for known, one in zip(told, estimate["base_parameters"], strict=True))
     report = (tmp_path / "report.html").read_text()
     assert report.count("<figure>") >= 8
+    first = report.partition(">Drives</h3>")[0]
+    assert re.search(r"Not confirmed\.|Contradicted\.", first)  # a verdict: nothing was diagnosed
+    assert first.count("; confidence ") == 3
+    assert re.search(r"SHA-256 [0-9a-f]{64} .*\d{4}-\d\d-\d\d \d\d:\d\d UTC, sweepid \d", first, re.DOTALL)
+    assert "Where model and measurement disagree: another machine" in report
+    assert "Not the machine of the estimate above, but a second virtual one (max100-as-modelled)" in report
 
     (diagnosed,) = json.loads((tmp_path / "diagnosis.json").read_text())["axes"].values()
     assert [effect["effect"] for effect in diagnosed["effects"]] == ["coulomb_friction"]

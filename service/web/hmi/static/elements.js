@@ -53,11 +53,21 @@ export function fixed(value, digits) {
   return decimal(shown, { minimumFractionDigits: digits, maximumFractionDigits: digits });
 }
 
-// all values end at the second figure of their standard deviation; without one, four figures
+/** @param {number} value */
+const powerOf = (value) => Number(value.toExponential().split("e")[1]);
+
+/** @param {number} value @param {number} digits */
+function exponential(value, digits) {
+  const [mantissa, power] = value.toExponential(digits).split("e");
+  return `${fixed(Number(mantissa), digits)}e${power.replace(/\d+/, (one) => one.padStart(2, "0"))}`;
+}
+
+// as `with_std` of reports and sheets: all values end at the second figure of their standard deviation; without one, five
 /** @param {number | null} std @param {(number | null)[]} values */
 export function measured(std, ...values) {
-  if (!(std > 0)) return values.map((value) => minus(number(value)));
-  const last = Math.min(1 - Math.floor(Math.log10(Number(std.toPrecision(2)))), 12);
+  if (!(std > 0)) return values.map((value) => (typeof value === "number" ? minus(figures(value, 5)) : EMPTY));
+  const last = 1 - powerOf(Number(std.toPrecision(2)));
+  if (last > 7) return values.map((one) => (typeof one === "number" ? minus(exponential(one, Math.max(one === std ? 1 : 0, last + powerOf(one)))) : EMPTY));
   const step = 10 ** -Math.min(0, last); // above 1 for a deviation of 100 or more
   /** @param {number} one */
   const rounded = (one) => (step > 1 ? Math.round(one / step) * step : one);

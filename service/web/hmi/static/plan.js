@@ -12,7 +12,7 @@ import { events } from "./stream.js";
 import { aheadOf, showSubjects, typedNames } from "./subject.js";
 import { foreign, formula, joined, language, text, Told } from "./words.js";
 
-const USUAL = { poses: "24", confidence: text("plan.usual-confidence"), duration: "60", diagnosis: "3" };
+const USUAL = { poses: ["24", "5"], confidence: [text("plan.usual-confidence"), "5"], duration: ["60", "5"], diagnosis: ["4", "10"] }; // amount and step
 const MINUTE = 60; // s
 
 /** @type {Api.CampaignDocument | undefined} */
@@ -155,7 +155,7 @@ byId("take").addEventListener("click", busy("take", take));
 byId("robot").addEventListener("change", () => showJoints().catch(complain));
 byId("budget").addEventListener("change", () => {
   const budget = byId("budget").value;
-  byId("amount").value = USUAL[budget];
+  [byId("amount").value, byId("step").value] = USUAL[budget];
   byId("at-once-choice").hidden = budget === "diagnosis";
 });
 byId("sweep").addEventListener("change", () => {

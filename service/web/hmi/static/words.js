@@ -73,9 +73,9 @@ function numbered(family, code) {
   return known && `${known} ${decimal(Number(number))}`;
 }
 
-// the name of a base parameter, with the decimal sign of the user's country: "mz(link_2) + 1,15 m(link_3)"
+// numbers as the user's country writes them: "mz(link_2) + 1,15 m(link_3)", "2.797.064"
 /** @param {string} name */
-export const formula = (name) => name.replace(/(?<![\d.])\d+\.\d+(?![\d.])/g, (told) => decimal(Number(told)));
+export const formula = (name) => name.replace(/(?<![\d.])(\d+\.\d+(?![\d.])|(?<!,)\d{1,3}(,\d{3})+(?![\d.]|,\d))/g, (told) => decimal(Number(told.replaceAll(",", "")), { useGrouping: told.includes(",") }));
 
 export const knows = (key) => Object.hasOwn(TEXTS[now], key);
 

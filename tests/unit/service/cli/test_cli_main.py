@@ -3,6 +3,7 @@
 import json
 import os
 import pty
+import re
 import subprocess
 import sys
 from importlib.metadata import version
@@ -86,6 +87,7 @@ def test_the_version_and_the_overview_of_own_and_installed_commands_are_told() -
     assert done.returncode == 0
     for name in ("demo", "serve", "plan", "measure", "import", "export", "identify", "estimate", "drive"):
         assert f"  {name} " in done.stdout
+    assert len(re.findall(r"^  [a-z]+  ", done.stdout, re.MULTILINE)) <= 19  # by task; the others are words below these
     for name in ("export", "drive"):  # commands that are the first word of others
         assert "Commands:" in carried_out(name, "--help")
 

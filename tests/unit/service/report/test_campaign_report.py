@@ -15,7 +15,7 @@ from service.report.campaign import CONFIRMED, CONTRADICTED, OPEN, EstimateVerdi
 from service.report.content import CampaignReport, Content, Drive, content_of
 from tests.stored import documents
 from tests.stored.documents import axis_document, stored
-from tests.unit.service.report.test_report import content, sweep
+from tests.unit.service.report.test_report import content, estimate_page, sweep
 
 SUSPECT = {"axis": "joint_1", "sweep": "0001", "why": "it is far off", "weight": 0.1}
 SOUND = DataCheck(findings=(), axes={})
@@ -142,7 +142,7 @@ def test_parameters_that_are_not_for_use(value: float, std: float | None, why: s
     assert not_for_use(BaseParameter(name="m", value=value, std=std)) == why
 
 
-def test_without_a_known_workspace_nothing_is_drawn_beyond_what_was_measured(max100: Robot) -> None:
+def test_nothing_is_drawn_beyond_what_was_measured_or_where_the_robot_would_touch_itself(max100: Robot) -> None:
     base, asked = content(max100), list[str]()
     foreign = base.specs[0].model_copy(update={"id": "9999"})
     specs = (*base.specs, foreign)
@@ -152,6 +152,11 @@ def test_without_a_known_workspace_nothing_is_drawn_beyond_what_was_measured(max
     assert made.title == "Inertias of the robot max100-class"
     assert len(made.workspace) == 25 * 25
     assert np.ptp(made.workspace, axis=0) == pytest.approx([0, 1.0, 1.0, 0, 0, 0])
+    folded = base.specs[0].model_copy(update={"pose": (0.0, 1.2, 1.2, 0.0, 0.0, 0.0)})
+    made = content_of(max100, base.estimate, (folded, *base.specs[1:]), lambda _: sweep(), "of a test")
+    assert 0 < len(made.workspace) < 25 * 25
+    page = estimate_page(made).html()
+    assert page.count("White: the robot would touch itself; the cell is not considered.") == 2
 
 
 def report(**changes: Any) -> CampaignReport:

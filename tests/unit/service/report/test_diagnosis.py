@@ -111,6 +111,7 @@ def test_evidence_on_a_scale_of_powers() -> None:
     assert bars["y"] == ["Coulomb friction", "Stribeck friction", "Payload"]
     assert bars["x"] == pytest.approx([0.0, -0.6021, 4.0])
     assert bars["marker"]["color"][1] != bars["marker"]["color"][2]
+    assert bars["text"] == ["chosen", "-3, not ruled out", "9,999"]  # the colour is no measure of how far behind
 
 
 def test_poses_are_named_by_the_joints_that_vary_and_parameters_are_percent_of_their_value() -> None:
@@ -174,7 +175,12 @@ PAGES: dict[str, tuple[dict[str, Any], tuple[str, ...], tuple[str, ...]]] = {
             "inertia at +0.50",
             "Friction temperature drift</td><td>revisit forward slow, revisit backward slow</td>",
             *("The rigid model", "Izz2 + 0.3 m3", ">60.00<", ">61.25<", ">0.50<"),
-            *("left by the simulator", "<th>CAD</th>"),
+            *(
+                "left by the simulator",
+                "<th>CAD</th>",
+                "Amber: not ruled out. Grey: ruled out, because it is far behind",
+            ),
+            "before 49.5 N m RMS (at most 50 N m) and after 0.707 N m RMS (at most 1 N m). The gap is that of all",
         ),
         ("Check of the data", "Known in part"),
     ),

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pypdf import PdfReader
+from pypdf import PageObject, PdfReader
 
 from service import NoPdf
 from service.model import Robot
@@ -23,7 +23,7 @@ from service.report.plotting import PAPER_WIDTH, WIDTH, drawn, svg
 from tests.programs import needs
 from tests.stored.documents import stored
 from tests.unit.service.identification.test_ideal_frequency import analysis
-from tests.unit.service.report.test_campaign_report import report
+from tests.unit.service.report.test_campaign_report import SOUND, report
 from tests.unit.service.report.test_report import content, estimate_page, figures, sweep
 
 pytestmark = pytest.mark.slow
@@ -42,6 +42,23 @@ def pages(max100: Robot) -> list[str]:
     assert read.metadata is not None
     assert read.metadata.title == "Campaign 1: <robot>"
     return [" ".join(page.extract_text().split()) for page in read.pages]
+
+
+def lowest(page: PageObject) -> float:
+    """Height of the lowest words above the number of the page, points."""
+    found: list[float] = []
+    page.extract_text(
+        visitor_text=lambda text, cm, tm, *_: found.append(cm[5] + cm[3] * tm[5]) if text.strip() else None
+    )
+    return min(place % A4[1] for place in found if place % A4[1] > 40)
+
+
+@needs("pango")
+def test_no_page_is_half_empty(max100: Robot) -> None:
+    drawn = content(max100, example=sweep())
+    read = PdfReader(io.BytesIO(campaign_page(report(check=SOUND), max100.joints, drawn.estimate, drawn).pdf()))
+    assert max(lowest(page) for page in read.pages[:-1]) < 0.4 * A4[1]
+    assert len(read.pages[-1].extract_text()) > 300  # not "Nothing found." alone
 
 
 @needs("pango")
