@@ -3,7 +3,6 @@
 Most rooms import from here.
 """
 
-# pyright: reportUnusedImport=false
 from service.model.arrays import Array, Complex, Indices, Mask
 from service.model.physical_bounds import Most, Position, Velocity
 from service.model.recording import (
@@ -30,3 +29,39 @@ from service.model.robot import (
     rotation_about,
 )
 from service.model.urdf import Chain, Joint, inertia_matrix, inertia_vector, joint_end, read_chain, transform_inertial
+
+__all__ = [
+    "INERTIAL_NAMES",
+    "OPTIONAL_COLUMNS",
+    "REQUIRED_COLUMNS",
+    "Array",
+    "Axis",
+    "Chain",
+    "Complex",
+    "Indices",
+    "Joint",
+    "Knowledge",
+    "Mask",
+    "Most",
+    "Name",
+    "Position",
+    "Prior",
+    "Recording",
+    "Robot",
+    "RobotDescription",
+    "Sine",
+    "Sweep",
+    "SweepPurpose",
+    "SweepSpec",
+    "Velocity",
+    "build_robot",
+    "inertia_matrix",
+    "inertia_vector",
+    "joint_end",
+    "link_frames",
+    "read_chain",
+    "robot_from_outside",
+    "rotation_about",
+    "together",
+    "transform_inertial",
+]

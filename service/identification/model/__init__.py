@@ -1,6 +1,5 @@
 """Regressor, base parameters, inverse dynamics and least squares; pure."""
 
-# pyright: reportUnusedImport=false
 from service.identification.model.base_parameters import (
     BaseParameters,
     Independence,
@@ -49,3 +48,46 @@ from service.identification.model.regressor import (
     lock,
     parameter_names,
 )
+
+__all__ = [
+    "SAME_POSITION",
+    "BaseParameters",
+    "Independence",
+    "Information",
+    "JointMotion",
+    "LeftOut",
+    "Rank",
+    "Scale",
+    "SearchResult",
+    "Solution",
+    "axis_rows",
+    "combination_of",
+    "condition_number",
+    "converged",
+    "coupling_rows",
+    "drive_rows",
+    "dynamic_base",
+    "dynamics_names",
+    "dynamics_rows",
+    "finite",
+    "fold",
+    "gravity_rows",
+    "gravity_terms",
+    "inertia_rows",
+    "inertial_parameters",
+    "jackknife_factor",
+    "joint_ranges",
+    "link_rows",
+    "link_sizes",
+    "lock",
+    "nominal_parameters",
+    "parameter_names",
+    "parameter_spread",
+    "prior_information",
+    "reduce_columns",
+    "scaled_inverse",
+    "scaled_solution",
+    "span",
+    "spread_evenly",
+    "unsettled",
+]
