@@ -14,17 +14,21 @@ Order = tuple[str, dict[str, object]]
 
 @dataclass(frozen=True)
 class Adapter:
-    """How the machine is reached, and who makes the sweep."""
+    """How the machine is reached, and who makes the sweep; `axes`: that turn, those of one sweep at once."""
 
     name: str
     fieldbus: str
     modes: str
+    axes: tuple[str, ...] = (AXIS,)
 
 
 OWN_SWEEP = Adapter("CANopen, drive's own sweep", "canopen", "drive_side")
 STREAMED = Adapter("CANopen, streamed sweep", "canopen", "host_streamed")
+TOGETHER = Adapter("CANopen, simultaneous sweep", "canopen", "host_streamed", ("joint_2", AXIS))
 MODBUS = Adapter("Modbus TCP", "modbus-tcp", "drive_side")
-ADAPTERS = (OWN_SWEEP, STREAMED, MODBUS)
+ADAPTERS = (OWN_SWEEP, STREAMED, TOGETHER, MODBUS)
+BY_HOST = (STREAMED, TOGETHER)
+CANOPEN = (OWN_SWEEP, *BY_HOST)
 
 
 @dataclass(frozen=True)
@@ -47,14 +51,14 @@ _SWAP = _axis("swap", **{"with": "joint_2"})
 FAULTS = {
     "drive fault": Fault(_axis("fault", code=0x7305)),
     "fault of an axis that stands": Fault(_axis("fault", OTHER, code=0x4310)),
-    "EMCY without a fault state": Fault(_axis("emcy", code=0x4210), adapters=(OWN_SWEEP, STREAMED)),
-    "lost PDO": Fault(_axis("drop_tpdos", count=1), (_axis("drop_tpdos", count=0),), (STREAMED,)),
-    "duplicated PDOs": Fault(_axis("duplicate_tpdos", count=20), (_axis("duplicate_tpdos", count=0),), (STREAMED,)),
-    "late PDOs": Fault(_axis("delay_tpdos", count=3, cycles=2), adapters=(STREAMED,)),
-    "bus-off": Fault(("bus_off", {}), (("bus_on", {}),), (OWN_SWEEP, STREAMED)),
+    "EMCY without a fault state": Fault(_axis("emcy", code=0x4210), adapters=CANOPEN),
+    "lost PDO": Fault(_axis("drop_tpdos", count=1), (_axis("drop_tpdos", count=0),), BY_HOST),
+    "duplicated PDOs": Fault(_axis("duplicate_tpdos", count=20), (_axis("duplicate_tpdos", count=0),), BY_HOST),
+    "late PDOs": Fault(_axis("delay_tpdos", count=3, cycles=2), adapters=BY_HOST),
+    "bus-off": Fault(("bus_off", {}), (("bus_on", {}),), CANOPEN),
     "silent node": _switched("silence"),
     "silent node that stands": _switched("silence", OTHER),
-    "frozen sample counter": _switched("freeze_counter", adapters=(STREAMED,)),
+    "frozen sample counter": _switched("freeze_counter", adapters=BY_HOST),
     "limit switch": _switched("limit"),
     "emergency stop": Fault(("emergency_stop", {"on": True}), (("emergency_stop", {"on": False}),)),
     "small encoder glitch": Fault(_axis("glitch", revolutions=0.02)),

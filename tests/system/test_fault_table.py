@@ -1,6 +1,7 @@
 """Every fault to order at every adapter, through the service: what happens, what a person is told, how it goes on.
 
-One campaign of one sweep a fault; the fault comes in the middle of the sweep or before connecting. Whatever the fault,
+One campaign of one sweep a fault, of two axes where they move at once; the fault comes in the middle of the sweep or
+before connecting. Whatever the fault,
 no axis keeps its energy, none gets it back before a person acts, samples so far are kept and marked, the cause is in
 the API and in the log, and after the person has acted the sweep is measured. What was seen is the cell of
 `docs/reference/faults.md`; a difference fails.
@@ -15,7 +16,7 @@ import httpx
 import pytest
 
 from service.web.client import Json, ServiceClient, ServiceProblem
-from tests.faults import ADAPTERS, AXIS, FAULTS, MODBUS, OWN_SWEEP, STREAMED, Adapter, Fault, Order
+from tests.faults import ADAPTERS, AXIS, FAULTS, MODBUS, OWN_SWEEP, STREAMED, TOGETHER, Adapter, Fault, Order
 from tests.system.rest_bench import (
     Fieldbus,
     Service,
@@ -28,7 +29,7 @@ from tests.system.rest_bench import (
 )
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "reference" / "faults.md"
-SPEED = {OWN_SWEEP.name: 1.5, STREAMED.name: 20.0, MODBUS.name: 1.5}
+SPEED = {OWN_SWEEP.name: 1.5, STREAMED.name: 20.0, TOGETHER.name: 20.0, MODBUS.name: 1.5}
 """Times real time: an own sweep takes 3.7 s, an order falls into it on a busy computer too; a streamed one is in it."""
 OR = "<br>or "  # between the outcomes of a race, in a cell that a person has completed
 
@@ -83,8 +84,8 @@ class Bench:
             assert self.machine.stands()
             time.sleep(0.02)
 
-    def recording(self, campaign: int) -> str:
-        recording = f"{self.service.url}/api/v1/campaigns/{campaign}/sweeps/1/recording"
+    def recording(self, campaign: int, sweep: int) -> str:
+        recording = f"{self.service.url}/api/v1/campaigns/{campaign}/sweeps/{sweep}/recording"
         answer = httpx.get(recording, timeout=60, trust_env=False)
         return "no samples" if answer.status_code == 404 else str(answer.raise_for_status().json()["state"])
 
@@ -115,7 +116,9 @@ def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         serving(folder, machine.profile) as service,
         ServiceClient(service.url) as client,
     ):
-        plan = add_plan(client, axes=[AXIS], varied=["joint_2"], step=60.0, poses=1, modes=adapter.modes)
+        together = len(adapter.axes) > 1
+        wanted: Json = {"axes": adapter.axes, "varied": ["joint_2"], "step": 60.0, "poses": 1, "modes": adapter.modes}
+        plan = add_plan(client, **wanted, simultaneous=together)
         yield Bench(adapter, machine, service, client, plan)
 
 
@@ -155,17 +158,18 @@ def in_a_sweep(bench: Bench, fault: Fault) -> str:
     bench.order(fault.make)
     document = bench.held(campaign)
     bench.keeps_standing()
-    (sweep,) = bench.client.sweeps(campaign)
+    sweeps = bench.client.sweeps(campaign)
+    assert {sweep["spec"]["axis"] for sweep in sweeps} == set(bench.adapter.axes)
     if document["state"] == "completed":
-        assert sweep["state"] == "identified"
-        return "sweep goes on, complete recording"
+        assert {sweep["state"] for sweep in sweeps} == {"identified"}
+        return "goes on; complete"
     assert document["state"] == "paused"
-    cause = sweep["cause"]
-    assert cause
+    (cause,) = {sweep["cause"] for sweep in sweeps if sweep["cause"]}
     assert cause.startswith(document["cause"])  # the sweep also tells whether the stop was confirmed
     assert cause in bench.service.log()
-    assert sweep["structured_cause"]["code"] == document["structured_cause"]["code"]
-    kept = bench.recording(campaign)
+    (code,) = {sweep["structured_cause"]["code"] for sweep in sweeps if sweep["cause"]}
+    assert code == document["structured_cause"]["code"]
+    (kept,) = {bench.recording(campaign, number) for number, _ in enumerate(sweeps, 1)}
     for order in fault.undo:
         bench.order(order)
     bench.keeps_standing()
@@ -175,7 +179,7 @@ def in_a_sweep(bench: Bench, fault: Fault) -> str:
     bench.client.resume(campaign, repeat=True)
     again = bench.held(campaign)
     assert (again["state"], again["cause"]) == ("completed", "")
-    return f"stopped: {sweep['structured_cause']['code']}; {kept} recording; {', '.join([*acts, 'resume'])}"
+    return f"{code}; {kept}; {', '.join([*acts, 'resume'])}"
 
 
 def refused_without_acknowledgement(bench: Bench, campaign: int) -> None:
@@ -210,7 +214,7 @@ def before_connecting(bench: Bench, fault: Fault) -> str:
     bench.client.start(campaign)
     document = bench.held(campaign)
     assert (document["state"], document["cause"]) == ("completed", "")
-    return f"never started: not connected; {', '.join([*acts, 'start'])}"
+    return f"not connected; {', '.join([*acts, 'start'])}"
 
 
 def test_the_table_has_a_row_for_every_fault_and_a_cell_for_every_adapter() -> None:
