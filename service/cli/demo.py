@@ -38,6 +38,7 @@ from service.report.benefit.section import benefit_section, sentence
 from service.report.campaign import campaign_page
 from service.report.content import Content, Drive, ReportedAxis, TruthRow, axes_of, content_of
 from service.report.diagnosis import diagnosis_section
+from service.report.gap_figures import plain
 from service.store.files.bundle import Bundle, read_bundle
 from service.web.client import Json, ServiceClient
 
@@ -98,7 +99,9 @@ class Found:
     @property
     def description(self) -> str:
         """The hidden effect, in words."""
-        sizes = ", ".join(f"{plain(name)} {value:.4g}" for name, value in self.hidden["parameters"].items())
+        units = {name: value.unit for effect in self.axis.effects for name, value in effect.parameters.items()}
+        parameters = self.hidden["parameters"].items()
+        sizes = ", ".join(f"{plain(name)} {value:.4g} {units.get(name, '')}".rstrip() for name, value in parameters)
         return plain(self.hidden["effect"]) + (f" ({sizes})" if sizes else "")
 
     @property
@@ -328,11 +331,6 @@ PERSON = "operator of the demo"
 def _deviation(one: RigidParameter) -> float:
     """Difference from CAD, in standard deviations of the identified value."""
     return abs(one.value - one.nominal) / one.std if one.nominal is not None and one.std else 0.0
-
-
-def plain(name: str) -> str:
-    """A name of the diagnosis in words."""
-    return name.replace("_", " ")
 
 
 def _diagnosed(machine: VirtualCell, joint: str, cell: Cell, screen: Screen) -> tuple[Json, tuple[str, ...]]:

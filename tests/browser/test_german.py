@@ -170,7 +170,7 @@ def test_a_sentence_of_the_service_is_told_in_german(said: str, told: str | None
 PLACES = (
     *("drivers/canopen", "drivers/cia402", "drivers/modbus", "service/data_check", "service/diagnosis", "service/jobs"),
     *("service/machine/execution", "service/machine/stop_process", "service/planning", "service/web"),
-    *(f"service/store/{name}.py" for name in ("lease_and_latch", "rows", "diagnoses", "documents")),
+    *(f"service/store/{name}.py" for name in ("lease_and_latch", "table_rows", "diagnoses", "documents")),
 )
 # met at the start of the service or in a command, not on a page
 ELSEWHERE = (

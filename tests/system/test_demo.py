@@ -85,7 +85,7 @@ def test_demo_from_end_to_end(root: Path, tmp_path: Path) -> None:
     assert diagnosed["gap"]["after_rms"] < 1.1 * diagnosed["gap"]["noise_floor_rms"] < diagnosed["gap"]["before_rms"]
     assert diagnosed["summary"] in report
     assert "the diagnosis asks" in errors
-    assert "Hidden: coulomb friction" in words
+    assert "Hidden: Coulomb friction (Coulomb 48.79 N m)" in words
     assert "Right; accepted as revision 1 of the model" in words
 
     def error(label: str) -> list[float]:

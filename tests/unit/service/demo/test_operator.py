@@ -91,7 +91,7 @@ def found(verdict: str, named: list[str], candidates: list[str], model: int | No
         (found("named", ["effort_offset"], [], 1), "Wrong: effort offset was named."),
         (
             found("named", ["coulomb_friction", "hose_spring"], [], 1),
-            "Wrong: coulomb friction, hose spring was named.",
+            "Wrong: Coulomb friction, hose spring was named.",
         ),
         (
             found("ambiguous", ["effort_offset"], ["coulomb_friction", "effort_offset"], None),
@@ -102,7 +102,8 @@ def found(verdict: str, named: list[str], candidates: list[str], model: int | No
 )
 def test_the_judgement(diagnosed: Found, judgement: str) -> None:
     assert diagnosed.judgement == judgement
-    assert diagnosed.description == "coulomb friction (coulomb 48.79)"
+    unit = " N m" if diagnosed.axis.effects else ""
+    assert diagnosed.description == f"Coulomb friction (Coulomb 48.79{unit})"
 
 
 def fitted(hidden: str, value: float, std: float) -> Found:
