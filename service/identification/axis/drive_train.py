@@ -184,8 +184,8 @@ def stacks(
 
 
 def direct_terms(spectrum: Spectrum) -> Complex:
-    """Regressors of torques on the motor, (r, b)."""
-    return np.concatenate([spectrum.named("ripple"), spectrum.named("coulomb")])
+    """Regressors of torques on the motor, (r, b): ripple, dry friction that reverses or holds the axis."""
+    return np.concatenate([spectrum.named(name) for name in ("ripple", "coulomb", "rest")])
 
 
 def _stack(

@@ -74,7 +74,7 @@ from service.identification.motion.equations import Sampling, cogging
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.record_faults import faults
 from service.identification.motion.trajectory_record import TrajectoryRecord, calibrated, with_loads
-from service.identification.spectra.frequency_response import steps_and_slopes, stretches
+from service.identification.spectra.frequency_response import held, steps_and_slopes, stretches
 from service.model import Array, Complex, Robot
 from service.model.results import combination as results
 
@@ -222,7 +222,8 @@ def combine(
         )
         values = _sum(_motion_information(linear, noise, size), size).plus(known).solve(begin).values
         by_train = values[len(start) :]
-        before, noise = noise, {joint: max(scatter[joint] or 0.0, _misfit(linear, joint, values)) for joint in noise}
+        misfit = {joint: max(scatter[joint] or 0.0, _misfit(linear, joint, values)) for joint in noise}
+        before, noise = noise, {joint: value or noise[joint] for joint, value in misfit.items()}
         finite(np.array(list(noise.values())), ", ".join(noise), "the noise of its trajectories")
     at_once = _marginal(_motion_information(linear, noise, size), len(start))
     alone, moved = _sum(sweeps, len(start)), _sum(at_once, len(start))
@@ -260,7 +261,7 @@ def combine(
         free_axes={} if free is None else held_out(motions, free.fit, free.others.plus(of_runs), free.start),
         friction={} if free is None else free.friction(robot, base, of_runs, of),
         chosen=free,
-        faults=() if free is None else faults(robot, motions),
+        faults=(*_standing(equations), *(() if free is None else faults(robot, motions))),
     )
 
 
@@ -368,6 +369,7 @@ class _Equations:
     rows: Array  # (m, r)
     values: Array  # (m,)
     freedom: int  # m minus the number of eliminated parameters
+    stands: float  # s, while friction holds an axis that should turn: then all is eliminated
 
 
 def _equations(
@@ -394,13 +396,16 @@ def _equations(
         beside = _harmonics(np.hstack([ripple, reversals]), count)
         if sloped:
             beside = np.hstack([beside, _jump(count)])
-        spanned = span(_real(beside))
+        stands = sum(one.stop - one.start for one in held(motor.position[:, index], 2000.0, track.slope)) / 2000.0
+        # what friction held would twist the spring
+        spanned = np.eye(len(values)) if stands else span(_real(beside))
         equations.append(
             _Equations(
                 joint=track.joint,
                 rows=rows - spanned @ (spanned.T @ rows),
                 values=values - spanned @ (spanned.T @ values),
                 freedom=len(values) - spanned.shape[1],
+                stands=stands,
             )
         )
     return equations
@@ -415,6 +420,18 @@ def _unexplained(
     for track, own in zip(tracks, equations, strict=True):
         left, count = own.values - own.rows @ values[: own.rows.shape[1]], len(track.effort)
         found[track.spec.id] = np.append(np.sqrt(2) * left[0], left[1:count] + 1j * left[count:])
+    return found
+
+
+def _standing(equations: Sequence[_Equations]) -> list[str]:
+    found: list[str] = []
+    for joint in dict.fromkeys(each.joint for each in equations if each.stands):
+        own = [each.stands for each in equations if each.joint == joint]
+        found.append(
+            f"friction holds {joint} for up to {max(own):.2g} s in {np.count_nonzero(own)} of {len(own)} simultaneous "
+            "sweeps, limit 0.1 s: its torque in these is not used. Check gain and reset time of its speed control, or "
+            "measure it alone"
+        )
     return found
 
 

@@ -22,8 +22,10 @@ sample have the same phase factor, so it is the DFT without the last sample and 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from math import ceil
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 
 from service import BadInput
 from service.model import Array, Axis, Complex, Indices, Mask, Recording, Robot, Sweep, SweepSpec, link_frames
@@ -61,10 +63,10 @@ class Spectrum:
 
     `regressors` (r, b): DFTs of the signals named by `names`: "gravity_torque" cos d and "gravity_stiffness" sin d
     of the travel d since the start pose (revolute), "ripple" cos and sin of each cogging and transmission order of
-    the motor angle, "coulomb" sign of the velocity if it reverses. A free record also has "acceleration", "offset",
-    "drag", the velocity times its magnitude, and "rest", a step and a slope over every rest; it has no gravity about
-    a vertical axis. `load_velocity` (b,) is that of the direct encoder, None without
-    one.
+    the motor angle, "coulomb" sign of the velocity if it reverses, "rest" any torque while friction holds the axis
+    (free record: a step and a slope). A free record also has "acceleration", "offset" and "drag", the velocity times
+    its magnitude; it has no gravity about a vertical axis. `load_velocity` (b,) is that of the direct encoder, None
+    without one.
     """
 
     spec: SweepSpec
@@ -135,6 +137,10 @@ def _periodic(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> S
     bins, line = _bins(spec, count)
     part = slice(first, first + count)
     names, signals = _signals(robot, index, spec, record, part)
+    rests = held(record.position[part], spec.sample_rate, spec.offset_velocity)
+    if rests:
+        torques = steps_and_slopes(rests, count, float(bins[-1] / count))
+        names, signals = (*names, *["rest"] * len(torques)), np.vstack([signals, torques])
     return Spectrum(
         spec=spec,
         samples=count,
@@ -274,13 +280,24 @@ def stretches(samples: Mask) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
-def steps_and_slopes(intervals: Sequence[slice], count: int) -> Array:
-    """(2 k, `count`): two rows for each of k intervals, 1 and from -1 to 1; 0 outside of it."""
-    rows = np.zeros((2 * len(intervals), count))
-    for number, one in enumerate(intervals):
-        rows[2 * number, one] = 1.0
-        rows[2 * number + 1, one] = np.linspace(-1.0, 1.0, one.stop - one.start)
-    return rows
+def held(position: Array, rate: float, offset: float) -> list[slice]:
+    """Samples over which friction holds an axis that should turn at `offset`: a twentieth of its way in 0.1 s."""
+    short, slow = max(round(Band.rest * rate), 1), 0.05
+    rests = np.abs(position[short:] - position[:-short]) < slow * abs(offset) * short / rate
+    return stretches(np.convolve(rests, np.ones(short + 1)) > 0.5)
+
+
+def steps_and_slopes(intervals: Sequence[slice], count: int, highest: float = 0.0) -> Array:
+    """(k, `count`): two rows for each interval, 1 and from -1 to 1; 0 outside of it. As many more Legendre polynomials
+    as a torque of up to `highest` cycles a sample may need there.
+    """
+    rows = [np.zeros((0, count))]
+    for one in intervals:
+        length = one.stop - one.start
+        own = np.zeros((2 + ceil(2 * highest * length), count))
+        own[:, one] = legvander(np.linspace(-1.0, 1.0, length), len(own) - 1).T
+        rows.append(own)
+    return np.vstack(rows)
 
 
 def _signals(

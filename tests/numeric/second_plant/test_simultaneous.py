@@ -20,9 +20,11 @@ from service.identification.design.excitation import (
     velocity_setpoint,
     zippered_lines,
 )
-from service.identification.estimates.combination import AxisInertias, JointEstimate, combine
+from service.identification.estimates.combination import AxisInertias, JointEstimate, combination_document, combine
+from service.identification.estimates.estimate import identify
 from service.identification.model import axis_rows, nominal_parameters, prior_information
 from service.identification.motion.trajectory_record import TrajectoryRecord, axis_track, trajectory
+from service.identification.spectra.frequency_response import spectrum
 from service.model import Recording, Sweep, SweepSpec, build_robot
 from service.model.configuration import Cell
 from service.planning.documents import at_once
@@ -188,6 +190,35 @@ def test_no_axis_of_a_planned_sweep_stands() -> None:
             time = sweep.recording.time  # s; the heaviest dry friction yields 2 s after the start
             inside = (time > 2.5) & (time < (sweep.spec.measure_from or 0.0) + (sweep.spec.period or 0.0))
             assert (sweep.recording.velocity[inside] / sweep.spec.offset_velocity).min() > 0.1
+
+
+def _stands() -> tuple[Arm, Array]:
+    """An arm whose dry friction holds joint_6 for 1.2 s, beyond the start of each window, and poses."""
+    plant = arm(502, 6)
+    limits = np.array([(joint.lower, joint.upper) for joint in plant.built.joints])
+    return plant, np.random.default_rng(4).uniform(limits[:, 0] + 0.4, limits[:, 1] - 0.4, (6, 6))
+
+
+def test_friction_that_holds_an_axis_at_the_start_of_a_window_is_no_inertia() -> None:
+    plant, _ = _stands()
+    asked = request(plant.robot, 6, duration=400.0).model_copy(update={"axes": ("joint_6",)})
+    plan, random = build_plan(plant.robot, asked, Cell(name="free")), np.random.default_rng(1)
+    sweeps = [records(plant, [sweep], random)[0] for sweep in plan.sweeps]
+    axis = identify(plant.robot, [spectrum(plant.robot, sweep) for sweep in sweeps]).axes[0]
+    true = np.array([plant.matrix(np.array(sweep.spec.pose))[5, 5] for sweep in sweeps])
+    assert np.abs(axis.values / true - 1).max() < 0.25
+    assert np.all(np.abs(axis.values - true) < 3 * np.sqrt(np.diag(axis.covariance)))
+    assert all("friction holds" in (sweep.warning or "") for sweep in axis.sweeps)
+
+
+def test_an_axis_that_friction_holds_beside_others_is_told_and_not_identified() -> None:
+    plant, poses = _stands()
+    found = combine(plant.robot, (), [measured(plant, (4, 5), pose, 500 + k) for k, pose in enumerate(poses)])
+    values, std = (np.diagonal(each, axis1=1, axis2=2) for each in found.inertia_matrix(poses))
+    true = np.array([np.diag(plant.matrix(pose)) for pose in poses])
+    assert np.all(np.abs(values - true)[:, 4:] < 3 * std[:, 4:])
+    (told,) = combination_document(found).warnings
+    assert told.startswith("friction holds joint_6 for up to 0.2")
 
 
 if __name__ == "__main__":
