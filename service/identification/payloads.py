@@ -334,7 +334,7 @@ def _as_free(sweep: Sweep) -> Sweep:
     """A trajectory with periods as a free motion."""
     if sweep.spec.excitation != "trajectory":
         return sweep
-    return replace(sweep, spec=sweep.spec.model_copy(update={"sines": (), "period": None, "periods": None}))
+    return replace(sweep, spec=sweep.spec.model_copy(update={"sines": ()}))
 
 
 def planned_mass_std(robot: Robot, position: Array, rate: float) -> float:

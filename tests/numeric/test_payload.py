@@ -124,7 +124,7 @@ def test_records_that_begin_elsewhere_in_the_program_are_shifted() -> None:
 def test_planned_trajectories_are_motions_and_their_plan_states_the_least_std() -> None:
     truth = draw(232, 4)
     free = before_and_after(truth, 232)
-    lines = {"sines": (Sine(frequency=0.1, amplitude=0.1, phase=0.0),), "period": 10.0, "periods": 2}
+    lines = {"sines": (Sine(frequency=0.1, amplitude=0.1, phase=0.0),), "period": 40.0, "periods": 1}
     before, after = ([replace(s, spec=s.spec.model_copy(update=lines)) for s in part] for part in free)
     np.testing.assert_array_equal(payload(truth.robot, before, after).body, payload(truth.robot, *free).body)
     path = np.stack([s.recording.position for s in free[0]], -1)

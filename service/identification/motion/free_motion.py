@@ -80,6 +80,7 @@ class FreeMotion:
     position: Array
     load_position: Mapping[str, Array]
     load_velocity: Mapping[str, Array]
+    period: float | None = None  # s, after which the motion repeats
     highest: float = MotionBand.band  # Hz, of the equations, if the sample rate allows it
 
     @property
@@ -187,6 +188,7 @@ def _record(robot: Robot, sweeps: Sequence[Sweep]) -> FreeMotion:
         joints=tuple(sweep.spec.axis for sweep in sweeps),
         pose=first.spec.pose,
         block=first.spec.block,
+        period=first.spec.period,
         rate=first.spec.sample_rate,
         effort=np.stack([sweep.recording.effort[start:] for sweep in sweeps], -1),
         position=np.stack([sweep.recording.position[start:] for sweep in sweeps], -1),
