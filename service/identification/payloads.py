@@ -218,7 +218,7 @@ def _match(before: Sequence[FreeMotion], loaded: FreeMotion) -> tuple[FreeMotion
         if (one.joints, one.rate, one.block) == (loaded.joints, loaded.rate, loaded.block):
             pair = _aligned(one, loaded)
             # relative: a loaded axis has a larger following error
-            if pair[0].same_motion(pair[1], 0.2):
+            if pair[0].same_motion(pair[1], 0.2, 0.02):
                 return pair
     return None
 

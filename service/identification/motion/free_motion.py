@@ -98,9 +98,11 @@ class FreeMotion:
         """Cut-off of the equations, Hz."""
         return min(self.highest, 0.17 * self.rate)  # of the sample rate
 
-    def same_motion(self, other: "FreeMotion", same_path: float = MotionBand.same_path) -> bool:
-        """Whether it is a repeat: same axes, block, length and path. `same_path`: allowed RMS difference of paths,
-        relative.
+    def same_motion(
+        self, other: "FreeMotion", same_path: float = MotionBand.same_path, same_place: float = MotionBand.same_place
+    ) -> bool:
+        """Whether it is a repeat: same axes, block, length and path. `same_path`, `same_place`: allowed RMS difference
+        of paths, relative and in rad (m).
         """
         if (self.joints, self.block, self.rate, len(self.effort)) != (
             other.joints,
@@ -110,7 +112,7 @@ class FreeMotion:
         ):
             return False
         apart = np.sqrt(np.mean((self.position - other.position) ** 2, axis=0))
-        return bool(np.all(apart <= same_path * np.std(self.position, axis=0) + MotionBand.same_place))
+        return bool(np.all(apart <= same_path * np.std(self.position, axis=0) + same_place))
 
 
 def at_once(specs: Sequence[SweepSpec]) -> tuple[tuple[SweepSpec, ...], ...]:
