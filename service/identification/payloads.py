@@ -20,11 +20,13 @@ axes deflect under the body and rotate the links after them: 0.003 of the change
 
 Information on a payload from the same motions of all axes before and after mounting it on the last link.
 
-    effort_after - effort_before = (rows of the last link) phi + change of friction
+    effort_after - effort_before = (rows of the last link) phi + sum_j c_j (S_j,after - S_j,before) + change of friction
 
 at every instant, for every axis: the robot itself cancels, and with it the error of its model. Small differences of
 the paths are corrected by the model from the motions before; viscous friction, dry friction and offset of each axis may
-have changed between the runs. Filter, whitening and covariance are those of `motion.fit`.
+have changed between the runs. Without direct encoders the gears of unknown compliance c_j give way more under the body,
+and the robot's own weight acts on other lever arms; S_j is the effort by a unit of it, and a fifth of its share
+is uncertain. The band ends below the gears' resonance. Filter, whitening and covariance are those of `motion.fit`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -47,7 +49,7 @@ from service.identification.model import (
     prior_information,
 )
 from service.identification.model.physical_consistency import SearchEnded, is_physical, nearest_physical
-from service.identification.motion.equations import AxisEquations, all_equations, equations, whole_parameters
+from service.identification.motion.equations import AxisEquations, all_equations, whole_parameters
 from service.identification.motion.fit import fit_equations
 from service.identification.motion.free_motion import FreeMotion, MotionBand, calibrated, free_motions
 from service.identification.spectra.frequency_response import Spectrum, spectrum, window
@@ -170,24 +172,44 @@ def _gravity_row(robot: Robot, number: int, sweep: Sweep) -> Array:
 def motion_evidence(
     robot: Robot, before: Sequence[FreeMotion], after: Sequence[FreeMotion], gains: Mapping[str, float]
 ) -> list[BodyEvidence]:
-    """For every motion that was run both before and after. Raises BadInput if there are motions, but none in both."""
+    """Of all motions that were run both before and after; if there are several, also of each alone. Raises BadInput if
+    there are motions, but none in both.
+    """
     both = [match for loaded in after if (match := _match(before, loaded)) is not None]
     if not both:
         if before and after:
             raise BadInput("payload", "no motion was run both before and after: the same program, block and axes")
         return []
-    pairs = [(calibrated(one, gains), calibrated(other, gains)) for one, other in both]
-    empty, loaded = [one for one, _ in pairs], [other for _, other in pairs]
-    base = dynamic_base(robot)
+    slow = [[replace(calibrated(one, gains), highest=MotionBand.payload) for one in pair] for pair in both]
+    empty, loaded = [one for one, _ in slow], [other for _, other in slow]
+    base, count = dynamic_base(robot), len(robot.axes)
     start, prior = base.combination @ nominal_parameters(robot), prior_information(robot, base)
     fit = fit_equations(robot, empty, all_equations(robot, base, empty), prior, start)
     known = whole_parameters(robot, base, fit.evidence.honest.plus(prior).solve(start).values)
-    parts = [
-        each for k, pair in enumerate(zip(empty, loaded, strict=True)) for each in _differences(robot, known, *pair, k)
-    ]
-    found = fit_equations(robot, loaded, parts, Information.empty(BODY), np.zeros(BODY))
-    source = ", ".join(f"{one.ids[0]} and {other.ids[0]}" for one, other in both)
-    return [BodyEvidence("all axes", found.evidence.honest, found.evidence.gain_vector, source)]
+    # rad (m) of a gear under its rated effort, one sigma
+    twist, unknown = 0.02, np.zeros(BODY + count)
+    springs = Information(np.diag([*BODY * [0.0], *((axis.rated_effort / twist) ** 2 for axis in robot.axes)]), unknown)
+    bare = _whole_equations(robot, empty, known)
+    everything, parts, heavier = range(len(both)), list[AxisEquations](), known.copy()
+
+    def evidence(of: Sequence[int]) -> BodyEvidence:
+        fit = fit_equations(robot, loaded, [each for each in parts if each.record in of], springs, unknown).evidence
+        found, through = fit.honest.first(BODY, springs)
+        by_gain = fit.gain_vector[:BODY] - through.T @ fit.gain_vector[BODY:]
+        compliance = fit.honest.plus(springs).solve(unknown).values[BODY:]
+        # one sigma: a fifth of what each gear gives way is hysteresis or grows otherwise than with the torque
+        bent = 0.2 * np.linalg.lstsq(fit.honest.matrix[:BODY, :BODY], fit.honest.matrix[:BODY, BODY:] * compliance)[0]
+        wide = np.hstack([np.eye(BODY), bent])
+        with_bent = Information(wide.T @ found.matrix @ wide, wide.T @ found.vector, found.count)
+        information, through = with_bent.first(BODY, Information(np.eye(BODY + count), unknown))
+        source = ", ".join(f"{both[k][0].ids[0]} and {both[k][1].ids[0]}" for k in of)
+        return BodyEvidence("all axes", information, by_gain - through.T @ bent.T @ by_gain, source)
+
+    for _ in range(3):  # the gears give way according to the body
+        parts = _differences(robot, known, bare, _whole_equations(robot, loaded, heavier))
+        body = evidence(everything).information.solve(np.zeros(BODY)).values
+        heavier[last_link(robot)] = known[last_link(robot)] + body
+    return [evidence(everything), *(evidence([k]) for k in everything if len(both) > 1)]
 
 
 def _match(before: Sequence[FreeMotion], loaded: FreeMotion) -> tuple[FreeMotion, FreeMotion] | None:
@@ -196,7 +218,7 @@ def _match(before: Sequence[FreeMotion], loaded: FreeMotion) -> tuple[FreeMotion
         if (one.joints, one.rate, one.block) == (loaded.joints, loaded.rate, loaded.block):
             pair = _aligned(one, loaded)
             # relative: a loaded axis has a larger following error
-            if pair[0].same_motion(pair[1], 0.05):
+            if pair[0].same_motion(pair[1], 0.2, 0.02):
                 return pair
     return None
 
@@ -230,22 +252,31 @@ def _part(record: FreeMotion, part: slice) -> FreeMotion:
     )
 
 
-def _differences(robot: Robot, known: Array, empty: FreeMotion, loaded: FreeMotion, number: int) -> list[AxisEquations]:
-    """Equations in the body's ten parameters from one pair of records; friction of the axis may have changed."""
-    count = len(robot.axes)
+def _whole_equations(robot: Robot, records: Sequence[FreeMotion], parameters: Array) -> list[AxisEquations]:
+    """In all parameters (14 n,), with springs under a robot of these."""
     names = dynamics_names(robot.chain)
     everything = BaseParameters(names, tuple(range(len(names))), np.eye(len(names)))
-    by_joint = {each.joint: each for each in equations(robot, everything, empty, number)}
+    return all_equations(robot, everything, records, carried=parameters[: BODY * len(robot.axes)])
+
+
+def _differences(
+    robot: Robot, known: Array, bare: Sequence[AxisEquations], loaded: Sequence[AxisEquations]
+) -> list[AxisEquations]:
+    """Equations in the body's ten parameters and n compliances; friction of the axes may have changed."""
+    count = len(robot.axes)
+    without = {(each.joint, each.record): each for each in bare}
     found: list[AxisEquations] = []
-    for each in equations(robot, everything, loaded, number):
-        other = by_joint.get(each.joint)
+    for each in loaded:
+        other = without.get((each.joint, each.record))
         if other is None:
             continue
         friction = [part * count + robot.index(each.joint) for part in (11, 12, 13)]
+        springs = each.springs - other.springs
         found.append(
             replace(
                 each,
-                rows=each.rows[:, last_link(robot)],
+                rows=np.hstack([each.rows[:, last_link(robot)], springs]),
+                springs=springs,
                 values=each.values - other.values - (each.rows - other.rows) @ known,
                 ripple=np.hstack([each.rows[:, friction], each.ripple, other.ripple]),
                 sound=each.sound & other.sound,
@@ -290,18 +321,12 @@ def payload(
     known = gains or {}
     values = {joint: one.gain for joint, one in known.items()}
     empty, loaded = (free_motions(robot, [_as_free(sweep) for sweep in part]) for part in (before, after))
-    evidence = [
-        *sweep_evidence(robot, before, after, values),
-        *motion_evidence(robot, empty, loaded, values),
-    ]
+    motions = motion_evidence(robot, empty, loaded, values)
+    evidence = [*sweep_evidence(robot, before, after, values), *motions[:1]]
     if not evidence:
         raise BadInput("payload", "no sweep in the same pose and no motion of several axes is in both bundles")
     spread = [one.std / one.gain for one in (known.get(joint) or uncalibrated(robot) for joint in robot.joints)]
-    found = _solve(robot, evidence, np.array(spread))
-    matched = [one for one in loaded if _match(empty, one) is not None]
-    if len(matched) < 2:
-        return found
-    alone = [_solve(robot, motion_evidence(robot, empty, [one], values), np.array(spread)) for one in matched]
+    found, *alone = (_solve(robot, part, np.array(spread)) for part in (evidence, *([one] for one in motions[1:])))
     return replace(found, repeats=tuple(float(one.body[0]) for one in alone if one.excited[0]))
 
 
@@ -309,7 +334,7 @@ def _as_free(sweep: Sweep) -> Sweep:
     """A trajectory with periods as a free motion."""
     if sweep.spec.excitation != "trajectory":
         return sweep
-    return replace(sweep, spec=sweep.spec.model_copy(update={"sines": (), "period": None, "periods": None}))
+    return replace(sweep, spec=sweep.spec.model_copy(update={"sines": ()}))
 
 
 def planned_mass_std(robot: Robot, position: Array, rate: float) -> float:
@@ -325,7 +350,7 @@ def planned_mass_std(robot: Robot, position: Array, rate: float) -> float:
         drive = np.stack([velocity[:, k], np.sign(velocity[:, k]), np.ones(len(velocity))], -1)
         own = rows[:, k] - drive @ np.linalg.lstsq(drive, rows[:, k], rcond=None)[0]
         # both runs have noise; so many samples are one independent value
-        variance = 2 * (0.005 * axis.rated_effort) ** 2 * max(rate / (2 * MotionBand.band), 1.0)
+        variance = 2 * (0.005 * axis.rated_effort) ** 2 * max(rate / (2 * MotionBand.payload), 1.0)
         information = information.plus(Information(own.T @ own / variance, np.zeros(BODY), len(own)))
     return float(information.solve(np.zeros(BODY)).std[0])
 

@@ -63,6 +63,16 @@ class Information:
         """Combination of two independent sets of measurements."""
         return Information(self.matrix + other.matrix, self.vector + other.vector, self.count + other.count)
 
+    def first(self, size: int, others: "Information") -> tuple["Information", Array]:
+        """On the first `size` parameters, whatever the k last ones are, on which there are `others`; and T (k, size):
+        its vector is the first part - T^T last part.
+        """
+        left = self.matrix[:size, size:]
+        inner = self.matrix[size:, size:] + others.matrix[size:, size:]
+        through = np.asarray(np.linalg.solve(inner, left.T), dtype=float)
+        vector = self.vector[:size] - through.T @ self.vector[size:]
+        return Information(self.matrix[:size, :size] - left @ through, vector, self.count), through
+
     def solve(self, start: Array, spread: Array | None = None) -> "Solution":
         """Parameters (n,) closest to `start` where the data do not determine them, with covariance and the determined
         ones.

@@ -165,19 +165,12 @@ class Chosen:
     def evidence(self, size: int) -> tuple[Information, Array]:
         """Of the fit beside `others` for the base parameters (size,) alone, whatever the laws are; and its gains."""
         whole, gains = self.fit.beside(self.others)
-        found, through = self._marginal(whole, size)
+        found, through = whole.first(size, self.others)
         return found, gains[:size] - through.T @ gains[size:]
 
     def honest(self, size: int) -> Information:
         """The same from the motions alone."""
-        return self._marginal(self.fit.evidence.honest, size)[0]
-
-    def _marginal(self, whole: Information, size: int) -> tuple[Information, Array]:
-        left = whole.matrix[:size, size:]
-        inner = whole.matrix[size:, size:] + self.others.matrix[size:, size:]
-        through = np.asarray(np.linalg.solve(inner, left.T), dtype=float)
-        vector = whole.vector[:size] - through.T @ whole.vector[size:]
-        return Information(whole.matrix[:size, :size] - left @ through, vector, whole.count), through
+        return self.fit.evidence.honest.first(size, self.others)[0]
 
 
 def scales(records: Sequence[FreeMotion]) -> dict[str, Scale]:

@@ -67,17 +67,26 @@ def load_and_motor(robot: Robot, record: FreeMotion) -> tuple[JointMotion, Joint
 
 
 def all_equations(
-    robot: Robot, base: BaseParameters, records: Sequence[FreeMotion], fastest: Mapping[str, float] | None = None
+    robot: Robot,
+    base: BaseParameters,
+    records: Sequence[FreeMotion],
+    fastest: Mapping[str, float] | None = None,
+    carried: Array | None = None,
 ) -> list[AxisEquations]:
-    """Of every axis that moves in one of the records; `fastest`: as for `equations`."""
-    return [each for number, record in enumerate(records) for each in equations(robot, base, record, number, fastest)]
+    """Of every axis that moves in one of the records; `fastest` and `carried`: as for `equations`."""
+    return [each for k, record in enumerate(records) for each in equations(robot, base, record, k, fastest, carried)]
 
 
 def equations(
-    robot: Robot, base: BaseParameters, record: FreeMotion, number: int, fastest: Mapping[str, float] | None = None
+    robot: Robot,
+    base: BaseParameters,
+    record: FreeMotion,
+    number: int,
+    fastest: Mapping[str, float] | None = None,
+    carried: Array | None = None,
 ) -> list[AxisEquations]:
     """Equations of every axis that moves in record `number`. `fastest`: highest speed of an axis in all records, rad/s
-    (m/s); None: in this one.
+    (m/s); None: in this one. `carried` (10 n,): parameters of the links on the springs; None: of CAD.
     """
     load, motor = load_and_motor(robot, record)
     rate, band = record.rate, record.band
@@ -92,7 +101,8 @@ def equations(
         ::fine
     ]
     effort = low_pass(record.effort, rate, band)[kept]
-    springs = _springs(robot, record, _part(load, slice(None, None, coarse)), rate / coarse)[::fine]
+    on_springs = robot.chain.inertial.ravel() if carried is None else carried
+    springs = _springs(robot, record, _part(load, slice(None, None, coarse)), rate / coarse, on_springs)[::fine]
     found: list[AxisEquations] = []
     for k, joint in enumerate(record.joints):
         index = robot.index(joint)
@@ -161,19 +171,19 @@ def _lacks(motor: JointMotion, index: int, reference: float) -> Array:
     return np.hstack([low, np.stack([speed * np.abs(speed), np.abs(speed)], -1), *turns])
 
 
-def _springs(robot: Robot, record: FreeMotion, load: JointMotion, rate: float) -> Array:
+def _springs(robot: Robot, record: FreeMotion, load: JointMotion, rate: float, links: Array) -> Array:
     """(m, n, n): efforts of all axes by a unit compliance of each gear whose load is not measured, to first order, with
-    the links of CAD: the load is behind its motor by compliance times torque.
+    `links` (10 n,): the load is behind its motor by compliance times torque.
     """
-    links = robot.chain.inertial.ravel()
     torque = links_along(robot, load) @ links
     behind = [low_pass(torque, rate, record.band, order) for order in range(3)]
     found = np.zeros((*torque.shape, len(robot.axes)))
     for joint in set(record.joints) - set(record.load_position) - set(record.load_velocity):
         index = robot.index(joint)
-        unit = np.eye(len(robot.axes))[index] * 1e-3 / max(float(np.abs(behind[0][:, index]).max()), 1e-9)  # rad (m)
+        small = 1e-3 / max(float(np.abs(behind[0][:, index]).max()), 1e-9)  # that gives way by 1e-3 rad (m)
+        unit = np.eye(len(robot.axes))[index] * small
         moved = (x - y * unit for x, y in zip((load.position, load.velocity, load.acceleration), behind, strict=True))
-        found[..., index] = (links_along(robot, JointMotion(*moved)) @ links - torque) * 1e3
+        found[..., index] = (links_along(robot, JointMotion(*moved)) @ links - torque) / small
     return found
 
 

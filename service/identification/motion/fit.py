@@ -315,12 +315,14 @@ def _sum(white: Sequence[WhiteEquations], size: int, fold: int | None = None) ->
 
 
 def _blocks(records: Sequence[FreeMotion], parts: Sequence[AxisEquations]) -> list[Indices]:
-    """Block number of every equation; repeats of a motion share theirs."""
+    """Block number of every equation; repeats of a motion share theirs, and so do its periods."""
     first = [next(k for k, other in enumerate(records) if other.same_motion(record)) for record in records]
+    periods = [record.period or np.inf for record in records]
     numbers: dict[tuple[int, int], int] = {}
     return [
-        np.array([numbers.setdefault((first[each.record], int(t / 2.0)), len(numbers)) for t in each.time])
+        np.array([numbers.setdefault((first[k], int(t % periods[k] / 2.0)), len(numbers)) for t in each.time])
         for each in parts
+        for k in [each.record]
     ]
 
 

@@ -34,6 +34,7 @@ class MotionBand:
     band: float = 10.0  # Hz, of the equations: below the springs of industrial robots
     # Hz, of simultaneous sweeps, 1 Hz above their lines: the higher, the more the noise of an effort moves its load
     simultaneous: float = 6.0
+    payload: float = 5.0  # Hz, of a payload's equations: its gears resonate lower
     motion: float = 3.0  # times the band: cut-off of the smoothed motion, high enough to keep the whole band
     same_path: float = 0.01  # maximum difference of the paths of repeats: relative, and rad (m)
     same_place: float = 1e-3
@@ -79,6 +80,8 @@ class FreeMotion:
     position: Array
     load_position: Mapping[str, Array]
     load_velocity: Mapping[str, Array]
+    period: float | None = None  # s, after which the motion repeats
+    highest: float = MotionBand.band  # Hz, of the equations, if the sample rate allows it
 
     @property
     def duration(self) -> float:
@@ -88,16 +91,18 @@ class FreeMotion:
     @property
     def motion_cut(self) -> float:
         """Cut-off of the motion, Hz."""
-        return min(MotionBand.motion * MotionBand.band, 0.35 * self.rate)  # of the sample rate
+        return min(MotionBand.motion * self.highest, 0.35 * self.rate)  # of the sample rate
 
     @property
     def band(self) -> float:
         """Cut-off of the equations, Hz."""
-        return min(MotionBand.band, 0.17 * self.rate)  # of the sample rate
+        return min(self.highest, 0.17 * self.rate)  # of the sample rate
 
-    def same_motion(self, other: "FreeMotion", same_path: float = MotionBand.same_path) -> bool:
-        """Whether it is a repeat: same axes, block, length and path. `same_path`: allowed RMS difference of paths,
-        relative.
+    def same_motion(
+        self, other: "FreeMotion", same_path: float = MotionBand.same_path, same_place: float = MotionBand.same_place
+    ) -> bool:
+        """Whether it is a repeat: same axes, block, length and path. `same_path`, `same_place`: allowed RMS difference
+        of paths, relative and in rad (m).
         """
         if (self.joints, self.block, self.rate, len(self.effort)) != (
             other.joints,
@@ -107,7 +112,7 @@ class FreeMotion:
         ):
             return False
         apart = np.sqrt(np.mean((self.position - other.position) ** 2, axis=0))
-        return bool(np.all(apart <= same_path * np.std(self.position, axis=0) + MotionBand.same_place))
+        return bool(np.all(apart <= same_path * np.std(self.position, axis=0) + same_place))
 
 
 def at_once(specs: Sequence[SweepSpec]) -> tuple[tuple[SweepSpec, ...], ...]:
@@ -185,6 +190,7 @@ def _record(robot: Robot, sweeps: Sequence[Sweep]) -> FreeMotion:
         joints=tuple(sweep.spec.axis for sweep in sweeps),
         pose=first.spec.pose,
         block=first.spec.block,
+        period=first.spec.period,
         rate=first.spec.sample_rate,
         effort=np.stack([sweep.recording.effort[start:] for sweep in sweeps], -1),
         position=np.stack([sweep.recording.position[start:] for sweep in sweeps], -1),
