@@ -36,7 +36,6 @@ ROUNDS = 6  # of alternating fits of inertias and shapes
 OF_SPEED = frozenset({"coulomb_friction", "asymmetric_friction", "stribeck_friction", "nonlinear_viscous_friction"})
 RIVAL = 10.0  # difference in Schwarz's criterion
 REFINED = 3  # number of best candidates of the scan whose shapes are refined
-STARTS = 4  # other first effects that are tried if the best one leads to no explanation
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,8 @@ def select(given: Equations, known: Sequence[str], candidates: Sequence[str]) ->
         return found
     plain = [name for name in candidates if CATALOGUE[name].parts is None]
     others = [one for one in table if one.terms[-1].effect not in found.chosen.names and _is_start(one, rigid, table)]
-    again = [_grown(start, [other], plain) for other in others[:STARTS]]
+    # 4 other first effects that are tried if the best one leads to no explanation
+    again = [_grown(start, [other], plain) for other in others[:4]]
     again = [one for one in again if _at_floor(one) and allowed_by_physics(one.given, one.chosen)]
     least = min((one.chosen.cost for one in again), default=0.0) + TOLERANCE * rigid.cost
     near = [one for one in again if one.chosen.cost <= least]
