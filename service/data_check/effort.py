@@ -11,7 +11,9 @@ Errors of CAD and of friction are some tens of per cent. A wrong unit or axis gi
 
 A delay D rotates the impedance of each line by an angle proportional to frequency, Z = (i w J + mu) exp(-i w D). Delays
 up to about 2 ms come from physics and filters, which the diagnosis separates. Here D is only reported if it is
-large, explains the lines, and a spring does not:  Z = i w J / (1 - (w/w0)^2 + i w c) + mu.
+large, explains the lines, and neither a spring does,  Z = i w J / (1 - (w/w0)^2 + i w c) + mu,  nor a nonlinear gear: a
+delay is linear and adds nothing at harmonics of the period that were not excited (Pintelon and Schoukens, System
+Identification, 2012, 4.3), whereas play, which turns the lines like a delay, does.
 """
 
 from collections.abc import Iterator, Sequence
@@ -34,7 +36,8 @@ from service.model import Array
 class Response:
     """Result of one record: apparent inertia, resistance (apparent viscous friction), errors; SI units, joint side.
 
-    `frequency`, `impedance`, `error` (l,) at its lines, empty without lines.
+    `frequency`, `impedance`, `error` (l,) at its lines, empty without lines; `distortion` as `error`: of the harmonics
+    of the period between the lines, 0 if they are noise.
     """
 
     record: Record
@@ -45,6 +48,7 @@ class Response:
     frequency: Array
     impedance: Complex
     error: Array
+    distortion: Array
 
 
 def responses(axis: AxisRecords, followed: dict[str, Commanded]) -> tuple[Response, ...]:
@@ -74,8 +78,14 @@ def _at_lines(axis: AxisRecords, record: Record, followed: Commanded | None) -> 
     # Hz above the last line: upper end of the noise band
     bins = np.arange(1, min(int(lines[-1]) + round(3.0 / step), count // 2))
     between = bins[~np.isin(bins, lines)]
-    noise = float(np.sqrt(np.mean(np.abs(transform[between]) ** 2))) if between.size else 0.0
+    power = np.abs(transform[between]) ** 2
+    noise = float(np.sqrt(np.mean(power))) if between.size else 0.0
     impedance, error = transform[lines] / velocity, noise / np.abs(velocity)
+    repeated = between % (spec.periods or 1) == 0
+    distortion = 0.0
+    # 4.0 times the power of noise: more is no chance, even in four lines
+    if repeated.any() and not repeated.all() and np.mean(power[repeated]) > 4.0 * np.mean(power[~repeated]):
+        distortion = float(np.sqrt(np.mean(power[repeated])))
     omega = 2 * np.pi * frequency
     return Response(
         record,
@@ -86,6 +96,7 @@ def _at_lines(axis: AxisRecords, record: Record, followed: Commanded | None) -> 
         frequency,
         impedance,
         error,
+        distortion / np.abs(velocity),
     )
 
 
@@ -110,7 +121,7 @@ def _free(axis: AxisRecords, record: Record) -> Response | None:
         return None
     empty = np.zeros(0)
     resistance, error = fit.terms["viscous_friction"]
-    return Response(record, fit.inertia, fit.inertia_std, resistance, error, empty, empty.astype(complex), empty)
+    return Response(record, fit.inertia, fit.inertia_std, resistance, error, empty, empty.astype(complex), empty, empty)
 
 
 FITS = float(chdtri(3, 0.01))  # of three numbers
@@ -412,6 +423,10 @@ def effort_delay(axis: AxisRecords, found: Sequence[Response]) -> list[DataFindi
     sprung = [_springs(one.frequency) for one in some]
     springs = np.sum([_misfit(one, turn, np.ones_like(turn)) for one, turn in zip(some, sprung, strict=True)], axis=0)
     if springs.min() < 2 * delays[best]:
+        return []
+    turned = [one.impedance * (1 - turn[best]) for one, turn in zip(some, late, strict=True)]
+    # 0.15 of what the delay changes at the lines: play distorts by 0.2 and more, friction beside a delay mostly by less
+    if sum(np.sum(one.distortion**2) for one in some) > 0.15**2 * sum(np.sum(np.abs(one) ** 2) for one in turned):
         return []
     ids = tuple(one.record.id for one in some)
     word = "late against" if value > 0 else "ahead of"

@@ -11,7 +11,7 @@ from service.diagnosis.fit.cross_products import solve
 from service.diagnosis.fit.equations import COLOURED, Equations, Term
 from service.diagnosis.fit.gap import noise_floor
 from service.diagnosis.fit.search import CurrentModel, Explanation
-from service.diagnosis.fit.select import CERTAIN, RIVAL, TOLERANCE, Selection, allowed_by_physics
+from service.diagnosis.fit.select import CERTAIN, LARGE, RIVAL, TOLERANCE, Selection, allowed_by_physics
 from service.diagnosis.sensitivity import grid, left, shows_beside, visible_part
 from service.identification.design.diagnosis_sweeps import is_partial
 from service.model import Array
@@ -63,7 +63,7 @@ def at_floor(selection: Selection, left: Array) -> bool:
     effects may have left it.
     """
     given = selection.given
-    if excess(given, selection.chosen) <= CERTAIN:
+    if excess(given, selection.chosen) <= CERTAIN or _large_laws(selection):
         return True
     if of_one_record(given):
         return selection.unexplained <= max((CATALOGUE[name].rest for name in selection.chosen.names), default=0.0)
@@ -71,6 +71,18 @@ def at_floor(selection: Selection, left: Array) -> bool:
     floor = given.period_noise if floor is None else floor
     allowed = AT_FLOOR * floor if floor is not None else COLOURED * given.sensor_noise
     return float(np.sqrt(np.mean(left[given.tracks.usable] ** 2))) <= allowed
+
+
+def _large_laws(selection: Selection) -> bool:
+    """Whether two effects, each a large part of the excess, leave no more than their simplified laws may. Three can
+    imitate others.
+    """
+    added = selection.chosen.terms[len(selection.rigid.terms) :]
+    return (
+        len(added) == 2
+        and selection.unexplained <= TOLERANCE
+        and all(share(selection, term)[0] > LARGE * selection.rigid.cost for term in added)
+    )
 
 
 def _doubtful(selection: Selection, added: Sequence[str]) -> bool:

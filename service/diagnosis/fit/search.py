@@ -235,7 +235,7 @@ def _from(given: Equations, start: Explanation, steps: int, below: float = np.in
             ended = Ended.SETTLED
             break
         # 3.0 of the gains of the steps still left over that of the last one, at most
-        if count > steps / 2 and best.cost - 3.0 * gain * (steps - count) > below:
+        if count > steps / 4 and best.cost - 3.0 * gain * (steps - count) > below:
             break
     return given, best.searched(number, ended)
 

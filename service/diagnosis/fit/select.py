@@ -66,22 +66,51 @@ def select(given: Equations, known: Sequence[str], candidates: Sequence[str]) ->
     if fixed:
         given = remodelled(given, fixed)
     rigid = CurrentModel(given, fixed).alone()
+    start, table = Selection(given, rigid, rigid, ()), _table(given, fixed, [c for c in candidates if c not in known])
+    found = _grown(start, table, candidates)
+    if _at_floor(found) or found.chosen is rigid or bends(found.chosen.terms):
+        return found
+    plain = [name for name in candidates if CATALOGUE[name].parts is None]
+    others = [one for one in table if one.terms[-1].effect not in found.chosen.names and _is_start(one, rigid, table)]
+    # 4 other first effects that are tried if the best one leads to no explanation
+    again = [_grown(start, [other], plain) for other in others[:4]]
+    again = [one for one in again if _at_floor(one) and allowed_by_physics(one.given, one.chosen)]
+    least = min((one.chosen.cost for one in again), default=0.0) + TOLERANCE * rigid.cost
+    near = [one for one in again if one.chosen.cost <= least]
+    return min(near, key=lambda one: (one.chosen.parameters, one.chosen.criterion), default=found)
+
+
+def _is_start(one: Explanation, rigid: Explanation, table: Sequence[Explanation]) -> bool:
+    """Whether an effect may be the first of several: without the others, another one may explain more."""
+    effect, most = CATALOGUE[one.terms[-1].effect], max(rigid.cost - other.cost for other in table)
+    return not effect.by_load and effect.parts is None and rigid.cost - one.cost > LARGE * most
+
+
+def _at_floor(selection: Selection) -> bool:
+    given, chosen = selection.given, selection.chosen
+    return not _leaves(given, chosen) or over_floor(given, chosen.terms) < NEAR_FLOOR
+
+
+def _grown(start: Selection, table: list[Explanation], candidates: Sequence[str]) -> Selection:
+    """The rigid model with one effect of the table, then with others as long as they are accepted."""
+    given, rigid, fixed = start.given, start.rigid, len(start.rigid.terms)
     chance = CHANCE / (8 * max(1, len(candidates)))
     chosen, tried, ended = rigid, list[Explanation](), Ended.SETTLED
     # 4 largest number of effects
     for _ in range(4):
-        if chosen is not rigid and over_floor(given, chosen.terms) < NEAR_FLOOR:
-            break  # the small residual is probably due to simplified effects
-        table = _table(given, chosen.terms, [c for c in candidates if c not in chosen.names])
+        if chosen is not rigid:
+            if over_floor(given, chosen.terms) < NEAR_FLOOR:
+                break  # the small residual is probably due to simplified effects
+            table = _table(given, chosen.terms, [c for c in candidates if c not in chosen.names])
         step = _step(given, chosen, table, rigid.cost, chance, first=chosen is rigid)
         if step is None:
             tried = tried or table
             break
-        given, chosen, ended = _consistent(*step, len(fixed), again=_of_model(step[1]))
-        chosen = _without_needless(given, chosen, rigid.cost, chance, len(fixed))
-        tried = _exchanges(given, chosen, candidates, len(fixed))
-        if (better := _exchange(given, chosen, tried, rigid.cost, len(fixed))) is not chosen:
-            chosen, tried = better, _exchanges(given, better, candidates, len(fixed))
+        given, chosen, ended = _consistent(*step, fixed, again=_of_model(step[1]))
+        chosen = _without_needless(given, chosen, rigid.cost, chance, fixed)
+        tried = _exchanges(given, chosen, candidates, fixed)
+        if (better := _exchange(given, chosen, tried, rigid.cost, fixed)) is not chosen:
+            chosen, tried = better, _exchanges(given, better, candidates, fixed)
     return Selection(given, chosen, rigid, tuple(tried), ended)
 
 
@@ -119,7 +148,7 @@ def settled(selection: Selection, known: Sequence[str], rounds: int = ROUNDS) ->
     fixed = sum(term.effect in known for term in selection.chosen.terms)
     if len(selection.chosen.terms) == fixed:
         return selection
-    given, chosen, ended = _consistent(selection.given, selection.chosen, fixed, rounds)
+    given, chosen, ended = _consistent(selection.given, selection.chosen, fixed, rounds, again=True)
     return replace(selection, given=given, chosen=chosen, ended=ended)
 
 

@@ -56,12 +56,15 @@ def test_an_encoder_of_the_load_measures_the_play_itself() -> None:
     assert play.std < 0.03 * play.width
 
 
-def test_one_direction_does_not_show_it_and_asks_for_the_reversal() -> None:
-    one = Case(SEED, 4, Kind.SINGLE, ("backlash",), "medium")
+@pytest.mark.parametrize(("seed", "size"), [(SEED, "medium"), (8603, "medium"), (8611, "medium"), (8603, "large")])
+def test_one_direction_does_not_show_it_and_asks_for_the_reversal(seed: int, size: str) -> None:
+    """Play turns the lines like a delay of 17 to 28 ms, but it distorts: no fault of the record."""
+    one = Case(seed, 4 if seed == SEED else 1 + (size == "large"), Kind.SINGLE, ("backlash",), size)
     robot, joint, sweeps, _ = make(one, small=True)
     forward = [sweep for sweep in sweeps if sweep.spec.block == "forward_slow"]
     place = ExperimentPlace(ExperimentRequest(robot_id=1), Cell(name="free"), ())
     found = diagnose_axis(robot, joint, forward, runnable=partial(place.runnable, robot))
+    assert found.data == ()
     assert found.verdict.value in ("unknown", "ambiguous", "untestable")
     assert found.next_experiment is not None
     about_standstill = [s.spec for s in found.next_experiment.sweeps if not s.spec.offset_velocity]

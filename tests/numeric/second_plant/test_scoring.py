@@ -166,3 +166,11 @@ def test_a_fair_sample_goes_through(one: Case, tmp_path: Path) -> None:
     assert found.outcome not in (Outcome.ERROR, Outcome.WRONG), found.said
     assert "hidden" not in found.said
     assert figures([found])["seconds_longest"] == found.said["seconds"] > 0
+
+
+@pytest.mark.parametrize("number", [50001, 50008, 50042])
+def test_a_pair_is_named(number: int, tmp_path: Path) -> None:
+    """Friction of another law imitates both but for 3 % and 0.5 %; two ripples leave 0.015 %, more than noise."""
+    (one,) = (one for one in cases(8511, pairs=43) if one.number == number)
+    run(one, tmp_path)
+    assert scores([one], tmp_path)[0].outcome is Outcome.RIGHT
