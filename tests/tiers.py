@@ -173,6 +173,7 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/numeric/test_foreign_inertia.py::test_named_effects_mend_the_inertia": 9,
     "tests/numeric/test_foreign_machines.py::test_what_a_foreign_machine_hides_is_found": 25,
     "tests/numeric/test_free_motion.py::test_standard_deviations_keep_what_they_promise": 6,
+    "tests/numeric/test_payload.py::test_free_motions_tell_the_payload[0.0": 16,
     "tests/numeric/test_free_motion.py::test_the_spread_grows_with_what_the_model_lacks[0.0]": 18,
     "tests/numeric/test_logs.py::test_a_nominal_model_that_is_quite_wrong_is_no_harm": 24,
     "tests/numeric/test_payload.py::test_a_payload_of_another_plant": 46,
