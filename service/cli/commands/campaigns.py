@@ -100,20 +100,35 @@ def plan(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Plan a campaign. Nothing moves. Prints the number of the plan, and on stderr what the plan promises."""
-    given = locals()
-    for name in ("step", "sample_rate", "duration", "confidence", "warm_up"):
-        if given[name] is not None and not math.isfinite(given[name]):
-            raise BadInput(f"--{name.replace('_', '-')}", f"{given[name]} is not a finite number")
+
+    numbers = {"--step": step, "--sample-rate": sample_rate, "--duration": duration, "--confidence": confidence}
+    numbers["--warm-up"] = warm_up
+    for name, number in numbers.items():
+        if number is not None and not math.isfinite(number):
+            raise BadInput(name, f"{number} is not a finite number")
     if initial_analysis and diagnosis:
         raise BadInput("--diagnosis", "cannot be combined with --initial-analysis: give one of them")
-    as_given = "poses duration confidence criterion realisations step cell modes sample_rate warm_up repeats analysis"
-    request = _stated(given, as_given) | {"axes": _names(axes), "varied": _names(varied)}
-    request |= {"simultaneous": True} if simultaneous else {}
-    request |= {} if lines is None else {"lines": _frequencies(lines)}
-    request |= {} if blocks is None else {"blocks": _names(blocks)}
-    request |= {"prior_from": prior_from} if prior_from else {}
-    if initial_analysis or diagnosis:
-        request["kind"] = "analysis" if initial_analysis else "diagnosis"
+    options: Json = {
+        "poses": poses,
+        "duration": duration,
+        "confidence": confidence,
+        "criterion": criterion,
+        "realisations": realisations,
+        "simultaneous": simultaneous or None,
+        "step": step,
+        "cell": cell,
+        "modes": modes,
+        "lines": None if lines is None else _frequencies(lines),
+        "sample_rate": sample_rate,
+        "warm_up": warm_up,
+        "kind": "analysis" if initial_analysis else "diagnosis" if diagnosis else None,
+        "blocks": None if blocks is None else _names(blocks),
+        "repeats": repeats,
+        "analysis": analysis,
+        "prior_from": prior_from or None,
+    }
+    request: Json = {name: value for name, value in options.items() if value is not None}
+    request |= {"axes": _names(axes), "varied": _names(varied)}
     doing = "planning: poses, sweeps and collision-free paths are computed"
     planned = _planned(url, robot, request, doing, elsewhere, confirm_robot, confirm_cell)
     _tell_plan(planned["document"], planned["expected_time"])
@@ -142,7 +157,17 @@ def plan_trajectories(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Plan exciting trajectories. Nothing moves. Prints the number of the plan."""
-    request = _stated(locals(), "trajectories period harmonics velocity acceleration seed sweeps cell")
+    options: Json = {
+        "trajectories": trajectories,
+        "period": period,
+        "harmonics": harmonics,
+        "velocity": velocity,
+        "acceleration": acceleration,
+        "seed": seed,
+        "sweeps": sweeps,
+        "cell": cell,
+    }
+    request: Json = {name: value for name, value in options.items() if value is not None}
     request |= {"kind": "trajectory", "axes": _names(axes)}
     doing = "planning: trajectories and collision-free paths are computed"
     planned = _planned(url, robot, request, doing, False, confirm_robot, confirm_cell)
@@ -156,11 +181,6 @@ def plan_trajectories(
         "0.5 % of rated); for less, move faster or further, or repeat\n"
     )
     sys.stdout.write(f"{planned['id']}\n")
-
-
-def _stated(given: Json, names: str) -> Json:
-    """Those of the named options that are given, as fields of a request."""
-    return {name: given[name] for name in names.split() if given[name] is not None}
 
 
 def _planned(
