@@ -17,6 +17,7 @@ PACKAGES = {  # by program; what stands in more than one package is one program 
     "bash": ("bash",),
     "cc": ("gcc", "libc6-dev"),  # tests/vcan/xstate.c
     "chromium": ("chromium",),
+    "curl": ("curl",),
     "docker-compose": ("docker-compose",),  # it checks docker-compose.yml
     "initdb": ("postgresql",),
     "ip": ("iproute2",),

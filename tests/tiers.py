@@ -150,6 +150,8 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/system/test_runbooks.py::test_a_backup_is_made_and_rehearsed": 8,
     "tests/system/test_runbooks.py::test_a_payload_is_known_with_its_sheet": 30,
     "tests/system/test_runbooks.py::test_a_fault_ends_the_night_and_nothing_is_resumed": 8,
+    "tests/system/test_tutorials.py::test_the_first_campaign": 50,
+    "tests/system/test_tutorials.py::test_a_hidden_effect_is_found": 30,
     "tests/system/test_two_cells.py": 22,
     f"{_STOP}::test_measure_told_to_end_stops_the_machine[SIGHUP": 4,
     f"{_STOP}::test_measure_told_to_end_stops_the_machine[SIGTERM": 4,

@@ -108,9 +108,8 @@ def test_every_make_target_shown_exists() -> None:
 
 def test_make_demo_tells_what_it_installs() -> None:
     """What takes minutes shows its progress: it is told before it begins, and uv is not quiet."""
-    told = subprocess.run(
-        ["make", "--dry-run", "--always-make", "demo"], cwd=ROOT, capture_output=True, text=True, check=True
-    ).stdout
+    words = ["make", "--dry-run", "--always-make", "--no-print-directory", "demo"]
+    told = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     first, _, after = told.partition("-m venv")
     assert "echo 'Installing into .venv, once; this takes a minute or two.'" in first
     (install,) = [line for line in after.splitlines() if "uv pip install" in line]

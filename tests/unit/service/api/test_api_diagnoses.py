@@ -168,7 +168,7 @@ def test_it_is_shown_as_figures_and_as_a_page(client: ServiceClient, http: httpx
     assert all({"data", "layout"} <= set(figure) for figure in figures.values())
     page = client.diagnosis_report(named["id"]).decode()
     assert page.startswith("<!doctype html>")
-    assert "coulomb" in page
+    assert "Coulomb friction" in page
 
 
 def test_a_list_tells_verdicts_without_documents(
