@@ -75,7 +75,7 @@ def test_demo_from_end_to_end(root: Path, tmp_path: Path) -> None:
     assert report.count("<figure>") >= 8
     first = report.partition(">Drives</h3>")[0]
     assert re.search(r"Not confirmed\.|Contradicted\.", first)  # a verdict: nothing was diagnosed
-    assert first.count("; confidence ") == 3
+    assert len(re.findall("; (no confidence stated|confidence [0-9.]+ %)", first)) == 3  # few poses may leave J open
     assert re.search(r"SHA-256 [0-9a-f]{64} .*\d{4}-\d\d-\d\d \d\d:\d\d UTC, sweepid \d", first, re.DOTALL)
     assert "Where model and measurement disagree: another machine" in report
     assert "Not the machine of the estimate above, but a second virtual one (max100-as-modelled)" in report

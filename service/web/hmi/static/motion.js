@@ -62,6 +62,7 @@ export function showMotion(place, plan, units, drives = null, ahead = null) {
   const list = element("ul");
   list.append(...ways(plan, units, ahead?.range).concat(text("motion.check-moves"), bus(plan, drives)).map((way) => element("li", way)));
   const scroll = element("div", undefined, "scroll");
+  scroll.tabIndex = 0; // a person without a mouse scrolls it
   scroll.append(table(plan, units));
   const before = ahead ? [element("p", subjectParts(ahead.subject), "subject"), element("p", approach(ahead, units), "approach")] : [];
   place.replaceChildren(...before, element("p", size(plan)), list, scroll);
@@ -177,15 +178,16 @@ const kindOf = ({ spec }) => [spec.excitation === "trajectory" ? "" : spec.axis,
 function line(sweeps, { joints, length }, pace) {
   const [{ spec: { pose, block } }] = sweeps;
   const axes = [...new Map(sweeps.map((sweep) => [sweep.spec.axis, sweep])).values()];
+  const kind = axes.length > 1 ? "words" : "number";
   const each = (/** @type {(sweep: Sweep, axis: string) => string} */ told) => axes.map((sweep) => told(sweep, sweep.spec.axis)).join(", ");
   return row([
     [pose.map((position, k) => length(joints[k], position)).join(", "), "words"],
     [each((_, axis) => axis), "words"],
     [axes.length > 1 ? text("motion.simultaneously") : word("block", block || "sweep")],
     [sweeps.length / axes.length, "number"],
-    [each((_, axis) => length(axis, pose[joints.indexOf(axis)])), "number"],
-    [each((sweep, axis) => goes(sweep, (value, signed) => length(axis, value, signed))), "number"],
-    [each((sweep, axis) => `${length(axis, topSpeed(sweep))}/s`), "number"],
+    [each((_, axis) => length(axis, pose[joints.indexOf(axis)])), kind],
+    [each((sweep, axis) => goes(sweep, (value, signed) => length(axis, value, signed))), kind],
+    [each((sweep, axis) => `${length(axis, topSpeed(sweep))}/s`), kind],
     [duration(pace * sweeps.reduce((sum, sweep) => sum + sweep.duration, 0)), "number"],
   ]);
 }
