@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from service.cli import build
-from service.cli.commands.campaigns import _tell_plan  # pyright: ignore[reportPrivateUsage]
+from service.cli.commands.campaigns import tell_plan
 from service.cli.virtual_cell import CELL, ROBOT
 from service.formats.traces.trace_import import Mapping
 from service.model.configuration import read_cell, read_robot, read_yaml
@@ -125,7 +125,7 @@ def test_the_guide_tells_of_a_plan_what_the_command_prints(
     wanted = PlanRequest.model_validate({"robot_id": 1, "axes": axes, "varied": axes[1:], **budget})
     made = build_plan(read_robot(ROOT / ROBOT), wanted, read_cell(ROOT / CELL)).model_dump(mode="json")
     stored = PlanRecord(id=1, robot_id=1, document=made, created_at=datetime.now(UTC))
-    _tell_plan(made, expected_time(planned_times(stored)))
+    tell_plan(made, expected_time(planned_times(stored)))
     told = capsys.readouterr().err
     assert f"```text\n{told}```" in (ROOT / "docs/how-to/plan-a-campaign.md").read_text("utf-8"), told
 

@@ -13,7 +13,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 import sweepid
-from service.cli.commands.campaigns import _tell_plan  # pyright: ignore[reportPrivateUsage]
+from service.cli.commands.campaigns import tell_plan
 from service.cli.demo import ERRORS, SCENARIO, compare
 from service.cli.report_pages import bundle_page
 from service.cli.virtual_cell import CELL, ROBOT
@@ -126,7 +126,7 @@ def of_plan(page: Page) -> Told:
 
 
 def of_plan_command(plan: Json, capsys: pytest.CaptureFixture[str]) -> Told:
-    _tell_plan(plan["document"], plan["expected_time"])
+    tell_plan(plan["document"], plan["expected_time"])
     told = re.search(r"confidence of J: expected (\S+) % in the workspace", capsys.readouterr().err)
     assert told is not None
     yield from _axis("plan", confidence=told[1])

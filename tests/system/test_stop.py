@@ -213,19 +213,18 @@ def test_a_flood_at_the_open_port_is_bounded_and_delays_no_other_stop(
         flood(3)
         memory.append([each.memory_info().rss for each in processes])
     with ThreadPoolExecutor(1) as apart:
-        flooding, took = apart.submit(flood, 3), list[float]()
-        while not flooding.done():  # a computer that does other work may be late once, a flood always
-            begun = time.monotonic()
-            status = stopped(urlsplit(service.url).port, "/api/v1/stop?", "Ada", 1)
-            took.append(time.monotonic() - begun)
-            assert status in (200, 503)  # a busy computer may confirm it later, and says so in time
+        flooding = apart.submit(flood, 3)
+        begun = time.monotonic()
+        status = stopped(urlsplit(service.url).port, "/api/v1/stop?", "Ada", 1)
+        took = time.monotonic() - begun
         flooding.result()
-    assert min(took[:-1] or took) <= ANSWERED  # the flood may have ended during the last one
+    assert status in (200, 503)  # a busy computer may confirm it later, and says so in time
+    assert took <= ANSWERED
     memory.append([each.memory_info().rss for each in processes])
     grown = np.diff(memory, axis=0).min(axis=0)  # what stops leave grows with each flood, what a new service needs once
     assert grown.max() < 3 * FLOOD * KEPT / 2
     assert machine.stands()
-    assert {stop["by"] for stop in client.stops()} == {"nobody", "Ada"}
+    assert [stop["by"] for stop in client.stops()] == ["nobody", "Ada"]
     stopped(urlsplit(url).port, "/stop?", "Eve", 0)  # the last: what is still on its way would stop the next test
     until(lambda: "Eve" in [stop["by"] for stop in client.stops()], "the flood has passed")
 

@@ -59,7 +59,7 @@ sys.exit(pytest.main(sys.argv[1:]))
     ("test", "factor", "seeds"),
     [
         ("test_nothing_moves_unasked.py::test_from_a_machine_under_way", 0.08, 4),
-        ("test_stop_anywhere.py::test_a_stop_at_any_moment_leaves_no_energy[modbus]", 0.45, 100),
+        ("test_stop_anywhere.py::test_a_stop_at_any_moment_leaves_no_energy[modbus]", 0.34, 100),
         ("test_nothing_moves_unasked.py::test_from_a_machine_under_way", 2.0, 100),
     ],
     ids=["sequences-4", "modbus", "sequences-100"],

@@ -131,7 +131,7 @@ def plan(
     request |= {"axes": _names(axes), "varied": _names(varied)}
     doing = "planning: poses, sweeps and collision-free paths are computed"
     planned = _planned(url, robot, request, doing, elsewhere, confirm_robot, confirm_cell)
-    _tell_plan(planned["document"], planned["expected_time"])
+    tell_plan(planned["document"], planned["expected_time"])
     if out is not None:
         write_file(out, json.dumps(planned, indent=2))
     sys.stdout.write(f"{planned['id']}\n")
@@ -203,7 +203,7 @@ def _planned(
     return planned
 
 
-def _tell_plan(document: Json, seconds: float) -> None:
+def tell_plan(document: Json, seconds: float) -> None:
     """What a person wants to know of a plan before it is run."""
     for dropped in document["dropped"]:
         sys.stderr.write(f"pose {dropped['pose']} left out: {dropped['reason']}\n")

@@ -340,13 +340,13 @@ def from_joint_fit(
     spread = np.ones(len(spectrum.frequency)) if distortion is None else distortion.spread(spectrum)
     response = _lines(spectrum, float(fit.noise[row]) * spread)
     stds = np.array([std for _, _, std in response])
-    stands = "friction holds the axis for a part of the window: check gain and reset time of its speed control"
+    holds = "friction holds the axis for a part of the window: check gain and reset time of its speed control"
     return FittedSweep(
         sweep=spectrum.spec.id,
         value=value,
         std=std,
         std_total=total_std(value, std, gain),
-        warning=unsettled(float(fit.noise_change[row])) or (stands if len(spectrum.named("rest")) else None),
+        warning=unsettled(float(fit.noise_change[row])) or (holds if len(spectrum.named("rest")) else None),
         bound=float(fit.bound[row]),
         reference=reference,
         paper_value=_paper_value(response, fit, row),

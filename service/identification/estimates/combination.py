@@ -74,7 +74,7 @@ from service.identification.motion.equations import Sampling, cogging
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.record_faults import faults
 from service.identification.motion.trajectory_record import TrajectoryRecord, calibrated, with_loads
-from service.identification.spectra.frequency_response import held, steps_and_slopes, stretches
+from service.identification.spectra.frequency_response import held, stretches, torques_within
 from service.model import Array, Complex, Robot
 from service.model.results import combination as results
 
@@ -261,7 +261,7 @@ def combine(
         free_axes={} if free is None else held_out(motions, free.fit, free.others.plus(of_runs), free.start),
         friction={} if free is None else free.friction(robot, base, of_runs, of),
         chosen=free,
-        faults=(*_standing(equations), *(() if free is None else faults(robot, motions))),
+        faults=(*_held(equations), *(() if free is None else faults(robot, motions))),
     )
 
 
@@ -369,7 +369,7 @@ class _Equations:
     rows: Array  # (m, r)
     values: Array  # (m,)
     freedom: int  # m minus the number of eliminated parameters
-    stands: float  # s, while friction holds an axis that should turn: then all is eliminated
+    held: float  # s, while friction holds an axis that should turn: then all is eliminated
 
 
 def _equations(
@@ -396,16 +396,16 @@ def _equations(
         beside = _harmonics(np.hstack([ripple, reversals]), count)
         if sloped:
             beside = np.hstack([beside, _jump(count)])
-        stands = sum(one.stop - one.start for one in held(motor.position[:, index], 2000.0, track.slope)) / 2000.0
+        stuck = sum(one.stop - one.start for one in held(motor.position[:, index], 2000.0, track.slope)) / 2000.0
         # what friction held would twist the spring
-        spanned = np.eye(len(values)) if stands else span(_real(beside))
+        spanned = np.eye(len(values)) if stuck else span(_real(beside))
         equations.append(
             _Equations(
                 joint=track.joint,
                 rows=rows - spanned @ (spanned.T @ rows),
                 values=values - spanned @ (spanned.T @ values),
                 freedom=len(values) - spanned.shape[1],
-                stands=stands,
+                held=stuck,
             )
         )
     return equations
@@ -423,10 +423,10 @@ def _unexplained(
     return found
 
 
-def _standing(equations: Sequence[_Equations]) -> list[str]:
+def _held(equations: Sequence[_Equations]) -> list[str]:
     found: list[str] = []
-    for joint in dict.fromkeys(each.joint for each in equations if each.stands):
-        own = [each.stands for each in equations if each.joint == joint]
+    for joint in dict.fromkeys(each.joint for each in equations if each.held):
+        own = [each.held for each in equations if each.joint == joint]
         found.append(
             f"friction holds {joint} for up to {max(own):.2g} s in {np.count_nonzero(own)} of {len(own)} simultaneous "
             "sweeps, limit 0.1 s: its torque in these is not used. Check gain and reset time of its speed control, or "
@@ -458,7 +458,7 @@ def _real(harmonics: Complex) -> Array:
 def _reversals(*velocities: Array) -> Array:
     """(n, 2 reversals): a step and a slope over every interval in which motor or load is near standstill."""
     still = np.any([np.abs(velocity) < Sampling.still * np.abs(velocity).max() for velocity in velocities], axis=0)
-    return steps_and_slopes(stretches(still), len(still)).T
+    return torques_within(stretches(still), len(still)).T
 
 
 def _motion_information(equations: Sequence[_Equations], noise: dict[str, float], size: int) -> dict[str, Information]:

@@ -139,7 +139,7 @@ def _periodic(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> S
     names, signals = _signals(robot, index, spec, record, part)
     rests = held(record.position[part], spec.sample_rate, spec.offset_velocity)
     if rests:
-        torques = steps_and_slopes(rests, count, float(bins[-1] / count))
+        torques = torques_within(rests, count, float(bins[-1] / count))
         names, signals = (*names, *["rest"] * len(torques)), np.vstack([signals, torques])
     return Spectrum(
         spec=spec,
@@ -271,7 +271,7 @@ def _vertical(robot: Robot, index: int, spec: SweepSpec) -> bool:
 def _rests(velocity: Array, rate: float) -> Array:
     """(2 k, n): a step and a slope over every stretch in which the axis rests: friction then balances any torque."""
     still = np.abs(velocity) < Band.at_rest * np.abs(velocity).max()
-    return steps_and_slopes([one for one in stretches(still) if one.stop - one.start > Band.rest * rate], len(velocity))
+    return torques_within([one for one in stretches(still) if one.stop - one.start > Band.rest * rate], len(velocity))
 
 
 def stretches(samples: Mask) -> list[slice]:
@@ -287,7 +287,7 @@ def held(position: Array, rate: float, offset: float) -> list[slice]:
     return stretches(np.convolve(rests, np.ones(short + 1)) > 0.5)
 
 
-def steps_and_slopes(intervals: Sequence[slice], count: int, highest: float = 0.0) -> Array:
+def torques_within(intervals: Sequence[slice], count: int, highest: float = 0.0) -> Array:
     """(k, `count`): two rows for each interval, 1 and from -1 to 1; 0 outside of it. As many more Legendre polynomials
     as a torque of up to `highest` cycles a sample may need there.
     """
