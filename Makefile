@@ -44,7 +44,8 @@ test-computing: $(READY)
 	$(TIER) tests/virtual_time tests/numeric tests/architecture tests/benchmarks tests/fuzz tests/unit
 
 test-machines: $(READY)
-	$(TIER) tests/browser tests/contract tests/system
+	$(TIER) -m "not alone" tests/browser tests/contract tests/system
+	$(BIN)/python -m pytest -m alone tests/system
 
 test-long: $(READY)  ## the second tier, all ten parts; with PART=k, from 1 to 10, one of them
 	$(PYTEST) $(if $(PART),--part $(PART),--tier 2)
