@@ -149,12 +149,12 @@ def compiled(robot: Robot, cell: Cell) -> mujoco.MjModel:
                     f"robot {robot.name} has no link {link}: choose the cell of this robot, or delete the pair",
                 )
         spec.add_exclude(bodyname1=pair[0], bodyname2=pair[1])
+    for geom in spec.geoms:
+        geom.margin = cell.clearance  # set later, it would not reach the bodies' margin, by which MuJoCo excludes pairs
     try:
-        model = spec.compile()
+        return spec.compile()
     except ValueError as error:
         raise BadInput(place, f"collision shapes cannot be read: {_line(error)}") from None
-    model.geom_margin[:] = cell.clearance
-    return model
 
 
 def _shapes_only(urdf: str, place: str) -> tuple[str, dict[str, Array]]:

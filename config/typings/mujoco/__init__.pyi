@@ -63,6 +63,9 @@ class _Mesh(_Named):
     file: str
     uservert: _Array  # (3 n,), used instead of its file
 
+class _Geom(_Named):
+    margin: float
+
 class _World:
     def add_geom(
         self, *, name: str, type: int, size: Sequence[float], pos: Sequence[float], quat: Sequence[float] = ...
@@ -71,6 +74,7 @@ class _World:
 class MjSpec:
     meshes: Sequence[_Mesh]
     bodies: Sequence[_Named]
+    geoms: Sequence[_Geom]
     worldbody: _World
     @classmethod
     def from_string(cls, xml: str) -> Self: ...
@@ -91,6 +95,9 @@ class mjtJoint:
 
 def mj_kinematics(m: MjModel, d: MjData) -> None: ...
 def mj_collision(m: MjModel, d: MjData) -> None: ...
+def mj_geomDistance(
+    m: MjModel, d: MjData, geom1: int, geom2: int, distmax: float, fromto: _Array | None
+) -> float: ...
 def mj_comPos(m: MjModel, d: MjData) -> None: ...
 def mj_comVel(m: MjModel, d: MjData) -> None: ...
 def mj_crb(m: MjModel, d: MjData) -> None: ...

@@ -5,13 +5,14 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 from service import BadInput
 from service.model import build_robot
-from service.model.collision import CollisionChecker, reachable
-from service.model.configuration import Box, Cell, read_robot
+from service.model.collision import CollisionChecker, compiled, reachable
+from service.model.configuration import Box, Cell, read_cell, read_robot
 from tests.unit.service.campaigns.small_arm import small_arm
 
 CLEARANCE = 0.05
@@ -40,6 +41,22 @@ LIMIT = float(np.arcsin((1.0 - 0.15 - CLEARANCE) / 2.0))
 )
 def test_what_is_free(cell: dict[str, object], poses: list[list[float]], free: list[bool]) -> None:
     assert checker(**cell).collision_free(np.array(poses)).tolist() == free
+
+
+def test_no_free_pose_is_nearer_to_an_obstacle_than_the_clearance(root: Path) -> None:
+    robot, cell = read_robot(root / "config/robots/max100-class.yaml"), read_cell(root / "config/cells/workshop.yaml")
+    model = compiled(robot, cell)
+    data = mujoco.MjData(model)
+    standing, links = np.flatnonzero(model.geom_bodyid == 0), np.flatnonzero(model.geom_bodyid > 2)  # after base, link_1
+    limits = np.array([(joint.lower, joint.upper) for joint in robot.chain.joints])
+    poses = np.random.default_rng(1).uniform(limits[:, 0], limits[:, 1], (1500, 6))
+    free = CollisionChecker(robot, cell).collision_free(poses)
+    assert 500 < free.sum() < 1500
+    for pose in poses[free]:
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(model, data)
+        pairs = [(int(one), int(other)) for one in standing for other in links]
+        assert min(mujoco.mj_geomDistance(model, data, *pair, 1.0, None) for pair in pairs) > 0.999 * cell.clearance
 
 
 def test_leg_sees_an_obstacle_between_free_ends() -> None:
