@@ -42,7 +42,6 @@ from service.identification.model import (
     JointMotion,
     Solution,
     axis_rows,
-    drive_rows,
     dynamic_base,
     dynamics_rows,
     finite,
@@ -70,7 +69,7 @@ from service.identification.motion.choice import (
     scales,
     wider,
 )
-from service.identification.motion.equations import Sampling, cogging
+from service.identification.motion.equations import Sampling, cogging, drive_along, whole_parameters
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.record_faults import faults
 from service.identification.motion.trajectory_record import TrajectoryRecord, calibrated, with_loads
@@ -216,7 +215,8 @@ def combine(
     begin[: len(start)] = start
     known, linear = Information(further, np.zeros(size)).plus(extended(others, size)), equations
     for _ in range(3):  # rounds of weighting, and of the drive trains
-        unexplained = {} if linear is equations else _unexplained(records, linear, values)  # of stiff trains at first
+        # of stiff trains at first
+        unexplained = {} if linear is equations else _unexplained(robot, base, records, linear, values)
         linear = _with_trains(
             robot, base, records, trains, priors, equations, values[: len(start)], by_train, unexplained
         )
@@ -381,11 +381,12 @@ def _equations(
     links = link_rows(robot.chain, robot.gravity, record.motion(robot, slow, load=True))
     # a base parameter may contain the rotor and its link: both with the load's acceleration
     drive = JointMotion(motor.position, motor.velocity, load.acceleration)
-    count, sloped = len(record.frequency), record.sloped
+    count, sloped, joints = len(record.frequency), record.sloped, len(robot.axes)
     equations: list[_Equations] = []
     for track in record.tracks:
         index = robot.index(track.joint)
-        drives = _harmonics(drive_rows(drive)[:, index], count)
+        drives = np.zeros((count, 4 * joints), dtype=complex)
+        drives[:, index::joints] = _harmonics(drive_along(drive, index)[:, index::joints], count)
         rows = _real(np.hstack([_harmonics(links[:, index], count), drives])[:, list(base.columns)])
         train = trains.get(track.joint)
         rotor = train.motor_inertia if train else robot.axis(track.joint).reflected_motor_inertia or 0.0
@@ -412,14 +413,22 @@ def _equations(
 
 
 def _unexplained(
-    records: Sequence[TrajectoryRecord], equations: Sequence[_Equations], values: Array
+    robot: Robot,
+    base: BaseParameters,
+    records: Sequence[TrajectoryRecord],
+    equations: Sequence[_Equations],
+    values: Array,
 ) -> dict[str, Complex]:
-    """Residuals, by sweep, as harmonics (h + 1,), with the first parameters of `values`."""
+    """What moves no load, by sweep, as harmonics (h + 1,), with the first parameters of `values`: the residuals, and
+    the motor's dry friction and offset.
+    """
     tracks = [track for record in records for track in record.tracks]
+    dry, offset = whole_parameters(robot, base, values[: len(base.columns)]).reshape(14, -1)[12:]
     found: dict[str, Complex] = {}
     for track, own in zip(tracks, equations, strict=True):
         left, count = own.values - own.rows @ values[: own.rows.shape[1]], len(track.effort)
-        found[track.spec.id] = np.append(np.sqrt(2) * left[0], left[1:count] + 1j * left[count:])
+        still = dry[robot.index(track.joint)] * np.sign(track.slope) + offset[robot.index(track.joint)]
+        found[track.spec.id] = np.append(np.sqrt(2) * left[0] + still, left[1:count] + 1j * left[count:])
     return found
 
 

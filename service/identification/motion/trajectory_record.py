@@ -208,7 +208,8 @@ def with_loads(
         train = trains.get(track.joint)
         if track.load_position is None and train is not None:
             motor = track.position[: len(omega)]
-            drive = (train.motor_inertia * omega + train.motor_friction) * omega * motor
+            velocity = omega * motor + track.slope * (omega == 0)
+            drive = (train.motor_inertia * omega + train.motor_friction) * velocity
             torque = track.effort - (noise or {}).get(track.spec.id, 0.0) - drive
             twist = train.compliance * torque / (1 + train.damping_time * omega)
             track = replace(track, load_position=motor - twist)
