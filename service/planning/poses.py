@@ -215,6 +215,7 @@ class SweepDesign:
         self._load = {joint: inertia_rows(chain, k, candidates) @ parameters for joint, k in index.items()}
         self._matrix = self._inertia_matrix()
         self._factors: dict[tuple[str, ...], Array] = {}
+        self._designed: dict[tuple[str, int, tuple[float, ...], int | None], Excitation] = {}  # of all groupings
         self._gravity = {
             joint: gravity_terms(chain, parameters, robot.gravity, k, candidates) for joint, k in index.items()
         }
@@ -290,6 +291,12 @@ class SweepDesign:
 
     def _excitation(self, joint: str, candidate: int, zippered: Sequence[float], window: int | None) -> Excitation:
         """The sweep of one axis, forward if there is room, else backward."""
+        known = joint, candidate, tuple(zippered), window
+        if known not in self._designed:
+            self._designed[known] = self._design(joint, candidate, zippered, window)
+        return self._designed[known]
+
+    def _design(self, joint: str, candidate: int, zippered: Sequence[float], window: int | None) -> Excitation:
         envelope, index, pose = self._envelope, self._robot.index(joint), self._candidates[candidate]
         direction = 1 if room(envelope, pose[None], index, 1)[0] else -1
         load = float(self._load[joint][candidate])

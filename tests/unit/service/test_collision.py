@@ -3,6 +3,7 @@
 import os
 import re
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import mujoco
@@ -47,7 +48,10 @@ def test_no_free_pose_is_nearer_to_an_obstacle_than_the_clearance(root: Path) ->
     robot, cell = read_robot(root / "config/robots/max100-class.yaml"), read_cell(root / "config/cells/workshop.yaml")
     model = compiled(robot, cell)
     data = mujoco.MjData(model)
-    standing, links = np.flatnonzero(model.geom_bodyid == 0), np.flatnonzero(model.geom_bodyid > 2)  # after base, link_1
+    standing, links = (
+        np.flatnonzero(model.geom_bodyid == 0),
+        np.flatnonzero(model.geom_bodyid > 2),
+    )  # after base, link_1
     limits = np.array([(joint.lower, joint.upper) for joint in robot.chain.joints])
     poses = np.random.default_rng(1).uniform(limits[:, 0], limits[:, 1], (1500, 6))
     free = CollisionChecker(robot, cell).collision_free(poses)
@@ -108,6 +112,17 @@ def test_a_path_of_all_axes_at_once_is_sampled_finely() -> None:
     assert not looked.path_free(ends)
     assert checker().path_free(ends)
     assert checker().path_free(ends[:1])
+
+
+def test_a_path_with_deviations_is_free_where_it_is_with_each_of_them() -> None:
+    check = checker(floor=0.0)
+    away = np.vstack([np.zeros(2), np.array(list(product((-1.0, 1.0), repeat=2))) * 0.4 * check.step])
+    found = list[bool]()
+    for start in np.linspace(LIMIT - 0.06, LIMIT, 25):
+        path = np.array([[start - 0.3, 0.1], [start, 0.0]])
+        found.append(check.path_free(path, away))
+        assert found[-1] == all(check.path_free(path + one) for one in away)
+    assert 0 < sum(found) < len(found)
 
 
 def test_a_mesh_is_refused_and_not_opened(tmp_path: Path) -> None:
