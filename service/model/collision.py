@@ -90,7 +90,8 @@ class CollisionChecker:
         """
         way: Array = np.append(0.0, (np.abs(np.diff(path, axis=0)) / self._step).sum(axis=1).cumsum())
         places = np.linspace(0.0, way[-1], math.ceil(way[-1]) + 1, dtype=np.float64)
-        poses = np.stack([np.interp(places, way, own) for own in path.T], axis=1)
+        along: list[Array] = [np.interp(places, way, own) for own in path.T]
+        poses = np.stack(along, axis=1)
         corners = np.zeros((1, path.shape[1])) if away is None else away
         clearances = 1 + float((np.abs(corners) / self._step).sum(axis=1).max())
         near = poses[~self.collision_free(poses, clearances)] if 1 < clearances <= 2 else poses
