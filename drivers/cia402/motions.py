@@ -4,7 +4,6 @@ run. A host-streamed sweep is the fieldbus' own (`drivers.cia402.connection.Runn
 
 import asyncio
 import logging
-import math
 import threading
 import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
@@ -34,6 +33,7 @@ from drivers.ports import NoiseCommand, SampleBlock, SweepCommand
 logger = logging.getLogger(__name__)
 
 POLL = 0.01  # s
+REST = 5  # polls: where a controller overshoots, the speed passes through zero before the axis stands
 
 
 async def bring_down(thread: DriveThread, axis: Cia402Axis) -> None:
@@ -136,7 +136,7 @@ async def move(
     await thread.run(axis.device.settle_limits, envelope.velocity_limit, envelope.effort_limit, envelope.window)
     least = 0.1 * min(velocity * margin, profile.acceleration * margin**2 / 2)
     await thread.run(_start, axis, position, velocity, stop)
-    arrived = math.inf  # since when, s on `clock`
+    rested = 0  # readings in a row
     nearest, waited, before = abs(position - start.position), 0.0, clock()
     while True:
         reading = await thread.run(axis.read)
@@ -157,8 +157,8 @@ async def move(
         if distance < nearest - min(least, nearest / 2):  # near the target, half of what is left: who creeps is stuck
             nearest, waited = distance, 0.0
         reached = bool(reading.statusword & Statusword.TARGET_REACHED)
-        arrived = min(arrived, now) if reached and axis.stands(reading) and distance <= tolerance else math.inf
-        if now - arrived >= 0.05:  # s: where a controller overshoots, the speed passes through zero before it stands
+        rested = rested + 1 if reached and axis.stands(reading) and distance <= tolerance else 0
+        if rested > REST:
             return
         patience = margin if distance > tolerance else 4 * margin  # what is left is the rest at the target
         if waited > patience:
