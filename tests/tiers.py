@@ -235,9 +235,8 @@ def named_by(entry: str, test: Name) -> bool:
 def entry_of(nodeid: str) -> str | None:
     """Which line of `LONG` a test falls under: the first that names it, unless `SHORT` does."""
     test = name_of(nodeid)
-    if any(named_by(entry, test) for entry in SHORT):
-        return None
-    return next((entry for entry in _of_file().get(test.file, ()) if named_by(entry, test)), None)
+    named = [entry for entry in _of_file().get(test.file, ()) if named_by(entry, test)]
+    return None if any(entry in SHORT for entry in named) else next(iter(named), None)
 
 
 def part_of(nodeid: str) -> int | None:
@@ -249,7 +248,7 @@ def part_of(nodeid: str) -> int | None:
 @cache
 def _of_file() -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
-    for entry in LONG:
+    for entry in (*LONG, *SHORT):
         found.setdefault(name_of(entry).file, []).append(entry)
     return found
 
