@@ -21,13 +21,14 @@ TIER = $(PYTEST) --durations 20 --tier 1 $(if $(PART),--part $(PART))
 GUEST := VCAN_OPTIONAL=1 VCAN_TIMEOUT=1800 tests/vcan/run $(BIN)/python -m pytest --vcan --color=no tests/vcan tests/contract
 NODES := $(BIN)/python -m tests.node_canopen.install  # the guest has no network
 TESTS := test-computing test-machines test-vcan
+CHECKS := check-tests-types check-types check-style check-arrows check-habits
 
 MUTANTS ?=  # more words for the mutants, as: make mutants MUTANTS="--each 5 --room service/planning/safety"
 
 SEED ?=  # of an order that test-random printed, to have it again
 
 .PHONY: demo venv docs test $(TESTS) test-long test-fast test-random test-drives test-compose fuzz soak bench mutants explore check format lock sbom audit openapi clean
-.PHONY: check-style check-types check-tests-types check-arrows check-habits
+.PHONY: check-and-vcan $(CHECKS)
 
 demo: $(PRODUCT)  ## measure, identify and report a virtual robot
 	$(BIN)/sweepid demo --out demo-out
@@ -37,7 +38,10 @@ venv: $(READY)  ## .venv with all that is needed; every other target does it as 
 docs: $(READY)  ## the documents as a site, docs/_build/index.html; warnings are errors
 	$(BIN)/sphinx-build -q -n -W --keep-going docs docs/_build
 
-test: check $(TESTS)  ## all checks, then the tests of the first tier; with PART=k a part of the second as well
+test: test-computing check-and-vcan test-machines  ## the first tier and all checks; with PART=k a part of the second as well
+
+check-and-vcan: $(READY)  # the guest takes one core, the checks the other; after tests, since a guest compiles slowly
+	@$(MAKE) --no-print-directory --output-sync=target --jobs=2 test-vcan $(CHECKS)
 
 # What computes, the longest first, then what moves a machine in real time: such a test starves beside one that computes.
 test-computing: $(READY)
@@ -85,7 +89,7 @@ mutants: $(READY)  ## plant small errors: which do the unit tests of each room n
 	$(BIN)/python -m tests.mutants $(MUTANTS)
 
 check: $(READY)  ## format, lint, types, import arrows, habits (repo-review; exceptions in pyproject.toml), two at once
-	@$(MAKE) --no-print-directory --output-sync=target --jobs=2 check-tests-types check-types check-style check-arrows check-habits
+	@$(MAKE) --no-print-directory --output-sync=target --jobs=2 $(CHECKS)
 
 check-style:
 	$(BIN)/ruff format --check .
