@@ -139,6 +139,14 @@ def test_the_files_predict_as_the_estimate_does(seed: int) -> None:
         assert any(f"friction of {joint} is no straight line" in warning for warning in one.model.warnings)
 
 
+@pytest.mark.parametrize("seed", [906, 911])
+def test_of_robots_that_are_hard_to_export(seed: int) -> None:
+    """Base parameters that no physical robot has, on elastic gears; an offset in the weight of a vertical slide."""
+    one = exported(seed)
+    print(f"{seed}: {np.round(one.curve / one.own, 3)} of the estimate's, {one.model.deviation_in_std:.2g} std from it")
+    assert (one.curve <= TOLERANCE * one.own).all()
+
+
 def test_gravity_is_as_wrong_as_the_files_state_and_not_worse_than_cads() -> None:
     """Over poses of the workspace: within the stated error on nine of ten axes, and above CAD's by it on none."""
     within: list[bool] = []

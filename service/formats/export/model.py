@@ -185,16 +185,16 @@ def _of_sweeps(found: Estimate, joint: str, place: str) -> tuple[float | None, f
 def _of_motion(found: Estimate, joint: str) -> tuple[float, float, float] | None:
     """Viscous and dry friction and offset that trajectories or free motions determine together; None without them.
 
-    Friction with another law becomes the straight line nearest to it over the speeds of the motion.
+    Friction with another law becomes the straight line nearest to it over the speeds of the motion. An offset that a
+    weight cannot be told from, as on a vertical slide, is in the weight.
     """
     if found.combination is None:
         return None
     named = {one.name: one for one in found.combination.base_parameters}
     own = [named.get(f"{name}({joint})") for name in ("Fv", "Fc", "offset")]
-    values = [one.value for one in own if one is not None]
-    if len(values) < len(own) or all(one is None or one.std is None for one in own):
+    if None in own[:2] or all(one is None or one.std is None for one in own):
         return None
-    viscous, dry, offset = values
+    viscous, dry, offset = (0.0 if one is None else one.value for one in own)
     if curve := _curves(found.combination).get(joint):
         weights = 1 / np.array([one.std for one in curve])
         rows = np.array([(one.velocity, np.sign(one.velocity)) for one in curve]) * weights[:, None]

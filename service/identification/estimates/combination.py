@@ -52,11 +52,12 @@ from service.identification.model import (
     nominal_parameters,
     parameter_spread,
     prior_information,
+    scaled_inverse,
     span,
     spread_evenly,
     unsettled,
 )
-from service.identification.model.physical_consistency import NearestPhysical, nearest_physical
+from service.identification.model.physical_consistency import NearestPhysical, SearchEnded, nearest_physical
 from service.identification.motion import free_motion
 from service.identification.motion.choice import (
     SIMPLE,
@@ -105,12 +106,14 @@ class JointEstimate:
 
     `noise`: standard deviation of real and imaginary part of an effort harmonic by joint, including model error, N m
     (N); `scatter`: the same from the scatter between periods alone, None if only single periods were measured.
+    `squares` (r, r): of least squares, how the squared residuals of all efforts grow with a change of the parameters.
     """
 
     robot: Robot
     base: BaseParameters
     parameters: tuple[results.CombinedParameter, ...]
     solution: Solution
+    squares: Array
     noise: dict[str, float]
     noise_change: dict[str, float]  # of `noise` in the last of the 3, relative
     scatter: dict[str, float | None]
@@ -245,6 +248,7 @@ def combine(
     )
     of_runs = _sum(at_once, len(start))
     of_runs = of_runs if free is None else extended(of_runs, len(free.start))
+    squares = alone.plus(moved).plus(prior) if free is None else free.fit.information.plus(free.others).plus(of_runs)
     return JointEstimate(
         robot=robot,
         base=base,
@@ -253,6 +257,7 @@ def combine(
             for k, (name, value) in enumerate(zip(base.names, solution.values, strict=True))
         ),
         solution=solution,
+        squares=squares.matrix[: len(start), : len(start)],
         noise=noise,
         noise_change={joint: abs(value / before[joint] - 1) for joint, value in noise.items()},
         scatter=scatter,
@@ -552,6 +557,9 @@ def _judged(
 def combined_parameters(found: JointEstimate) -> NearestPhysical:
     """Parameters of the whole robot. A motor without data sheet is nominally what its axis has more than the links of
     CAD, a tenth of it at least. CAD is in the base parameters already: it counts a hundredth of its information again.
+
+    Where no physical robot has the base parameters, it is the one whose efforts differ least along the measured motion,
+    with friction as identified: the covariance is wide where the model's errors are, but its predictions need not be.
     """
     robot, count = found.robot, 11 * len(found.robot.axes)
     own = np.array(found.base.columns) < count
@@ -564,13 +572,18 @@ def combined_parameters(found: JointEstimate) -> NearestPhysical:
         whole = abs(float(found.inertia(axis.joint, middle)[0]))
         links = float((inertia_rows(robot.chain, k, middle) @ robot.chain.inertial.ravel())[0])
         nominal[k] = max(whole - links, 0.1 * whole)
-    return nearest_physical(
+    rows, values, among = found.base.combination[own, :count], found.solution.values[own], np.ix_(own, own)
+    nearest = nearest_physical(
         np.concatenate([robot.chain.inertial.ravel(), nominal]),
         (10 * robot.prior.inertia, 10 * spread),
-        found.base.combination[own, :count],
-        found.solution.values[own],
-        found.solution.covariance[np.ix_(own, own)],
+        rows,
+        values,
+        scaled_inverse(found.squares[among]),
     )
+    if nearest.ended is SearchEnded.EXACT:
+        return nearest
+    away = rows @ nearest.parameters - values
+    return replace(nearest, deviation=float(np.sqrt(away @ scaled_inverse(found.solution.covariance[among]) @ away)))
 
 
 def combination_document(combination: JointEstimate) -> results.Combination:
