@@ -125,6 +125,29 @@ def test_headline_sentence_and_plot_name_the_same_axis_at_any_moment() -> None:
     assert all("Live: sweep" not in one for one in read if one not in told), read
 
 
+def test_the_table_of_axes_is_of_the_same_answer_as_the_headline() -> None:
+    """Counted in answers of the drives, as a busy computer draws late."""
+    moves = statement("moves", joint_1="moves")
+    with scripted() as service, window() as context:
+        page = opened(context, service)
+        expect(page.locator("#machine")).to_have_text("all axes stand without energy")
+        expect(page.locator("#axes tr")).to_have_count(2)
+        page.evaluate("""() => {
+          window.seen = {};
+          const answers = () => performance.getEntriesByType("resource").filter((one) => one.name.endsWith("/drives"));
+          for (const [id, words] of [["machine", "moves"], ["axes", "enabled"]]) {
+            const here = document.getElementById(id);
+            const note = () => { if (here.textContent.includes(words)) seen[id] ??= answers().length; };
+            new MutationObserver(note).observe(here, { childList: true, subtree: true });
+          }
+        }""")
+        service.answers["stop"] |= {"statement": moves}
+        service.answers["drives"] = drives(statement=moves, axes=[axis("joint_1", state="enabled"), axis("joint_2")])
+        expect(page.locator("#axes tr").first).to_contain_text("enabled")
+        seen = page.evaluate("seen")
+    assert seen["axes"] - seen["machine"] <= 1
+
+
 def test_the_head_goes_on_while_a_campaign_is_not_answered() -> None:
     """The database is slow: what the drives report is asked all the same."""
     runs = campaign(state="running")

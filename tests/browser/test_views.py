@@ -178,6 +178,11 @@ def test_what_moves_what_follows_and_stop_are_on_one_screen(locale: str) -> None
             box = page.locator(seen).bounding_box()
             assert box is not None, seen
             assert box["y"] + box["height"] <= 800, (seen, box)
+        boxes = [page.locator(f"#{name}").bounding_box() for name in ("pause", "abort")]
+        pause, abort = (one for one in boxes if one is not None)
+        assert min(pause["height"], abort["height"]) >= 56
+        assert min(pause["width"], abort["width"]) >= 120
+        assert abort["x"] - pause["x"] >= 2 * pause["width"]  # away from what is pressed often
 
 
 @pytest.mark.parametrize(

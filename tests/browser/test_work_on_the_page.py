@@ -94,10 +94,16 @@ def test_a_diagnosis_is_planned_on_the_page(service: Service) -> None:
 
 def test_the_plan_page_begins_with_the_defaults_of_the_command(root: Path) -> None:
     some: Json = {"robot_id": 2, "axes": ("joint_1",), "varied": ("joint_2",)}
-    with scripted(answers=everything(root)) as service, browsing(f"{service.url}/plan") as page:
+    given = everything(root)
+    given["robots"]["items"].append(given["robots"]["items"][0] | {"id": 3, "name": "a newer one"})
+    given["cells"]["names"].insert(0, "another")
+    with scripted(answers=given) as service, browsing(f"{service.url}/plan") as page:
         expect(page.locator("#axes-measured input").first).to_be_attached()
+        shown = [page.locator(f"#{name}").input_value() for name in ("amount", "step")]
+        plan = PlanRequest.model_validate(some)
+        assert [float(one) for one in shown] == [plan.poses, plan.step]  # before anything is chosen
         for budget, request in (
-            ("poses", PlanRequest.model_validate(some)),
+            ("poses", plan),
             ("diagnosis", DiagnosisRequest.model_validate(some | {"kind": "diagnosis"})),
         ):
             page.locator("#budget").select_option(budget)
@@ -105,6 +111,7 @@ def test_the_plan_page_begins_with_the_defaults_of_the_command(root: Path) -> No
                 page.locator("#make").click()
             wanted: Any = sent.value.post_data_json
             assert (wanted["poses"], wanted["step"]) == (request.poses, request.step), budget
+            assert (wanted["robot_id"], wanted["cell"]) == (2, "workshop")  # those of the machine
             expect(page.locator("#make")).to_be_enabled()
 
 
