@@ -49,6 +49,7 @@ from service.identification.model import (
     prior_information,
 )
 from service.identification.model.physical_consistency import SearchEnded, is_physical, nearest_physical
+from service.identification.motion.choice import scales
 from service.identification.motion.equations import AxisEquations, all_equations, whole_parameters
 from service.identification.motion.fit import fit_equations
 from service.identification.motion.free_motion import FreeMotion, MotionBand, calibrated, free_motions
@@ -183,7 +184,8 @@ def motion_evidence(
     slow = [[replace(calibrated(one, gains), highest=MotionBand.payload) for one in pair] for pair in both]
     empty, loaded = [one for one, _ in slow], [other for _, other in slow]
     base, count = dynamic_base(robot), len(robot.axes)
-    start, prior = base.combination @ nominal_parameters(robot), prior_information(robot, base)
+    # a rotor without data sheet may be far heavier than what it turns
+    start, prior = base.combination @ nominal_parameters(robot), prior_information(robot, base, scales(empty))
     fit = fit_equations(robot, empty, all_equations(robot, base, empty), prior, start)
     known = whole_parameters(robot, base, fit.evidence.honest.plus(prior).solve(start).values)
     # rad (m) of a gear under its rated effort, one sigma
