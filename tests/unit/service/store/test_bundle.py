@@ -347,9 +347,7 @@ def of_3_gib_each() -> bytearray:
     ],
     ids=["memory", "files", "bytes"],
 )
-def test_an_archive_that_wants_too_much_is_refused(
-    tmp_path: Path, content: Callable[[], bytearray], told: str
-) -> None:
+def test_an_archive_that_wants_too_much_is_refused(tmp_path: Path, content: Callable[[], bytearray], told: str) -> None:
     (tmp_path / "bundle.zip").write_bytes(content())
     with pytest.raises(BadInput, match=told):
         read_from(tmp_path / "bundle.zip", tmp_path / "out")
