@@ -21,7 +21,7 @@ import numpy as np
 
 from service import BadInput
 from service.identification.design.excitation import Excitation, velocity_setpoint, way
-from service.identification.model import JointMotion, condition_number, dynamics_rows, link_efforts
+from service.identification.model import JointMotion, condition_number, dynamics_rows
 from service.model import Array, Mask, Robot, Sine
 
 BREAKAWAY = 0.1  # of the rated effort: Coulomb friction to add to a predicted effort
@@ -181,13 +181,13 @@ def nominal_effort(robot: Robot, motion: JointMotion, breakaway: float = BREAKAW
 
     `breakaway`: assumed Coulomb friction, share of the rated effort.
     """
-    prior = robot.prior
-    motors = np.array([axis.reflected_motor_inertia or 0.0 for axis in robot.axes])
-    viscous = np.array([(1 + prior.viscous_friction) * (axis.viscous_friction or 0.0) for axis in robot.axes])
-    dry = np.array([breakaway * axis.rated_effort for axis in robot.axes])
+    prior, count = robot.prior, len(robot.axes)
+    motors = [axis.reflected_motor_inertia or 0.0 for axis in robot.axes]
+    viscous = [(1 + prior.viscous_friction) * (axis.viscous_friction or 0.0) for axis in robot.axes]
+    dry = [breakaway * axis.rated_effort for axis in robot.axes]
     links = (1 + 2 * max(prior.inertia, prior.gravity)) * robot.chain.inertial.ravel()
-    drives = motors * motion.acceleration + viscous * motion.velocity + dry * np.sign(motion.velocity)
-    return link_efforts(robot.chain, robot.gravity, motion, links) + drives
+    parameters = np.concatenate([links, motors, viscous, dry, np.zeros(count)])
+    return dynamics_rows(robot.chain, robot.gravity, motion) @ parameters
 
 
 def steady_motion(trajectory: Trajectory, time: Array) -> JointMotion:

@@ -17,7 +17,7 @@ What no data sheet gives may be anything that the measured efforts allow: an unk
 times as heavy as the wrist that it turns, so the model of the links says nothing about it (`Scale`).
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,46 +55,8 @@ def link_rows(chain: Chain, gravity: Array, motion: JointMotion) -> Array:
     """Rows (m, n, 10 n) of the links' inertial parameters; `gravity` (3,) in the base frame, m/s^2."""
     count, samples = len(chain.joints), len(motion.position)
     rotations, origins = link_frames(chain, motion.position)
-    axes = _axes(chain, rotations)
+    axes = np.stack([rotations[:, k] @ joint.axis for k, joint in enumerate(chain.joints)], axis=1)
     rows = np.zeros((samples, count, count, 10))
-    for body, moving in enumerate(_bodies(chain, gravity, motion, rotations, origins)):
-        force, moment = _wrench_rows(*moving)
-        to_body = np.swapaxes(rotations[:, body], -1, -2)
-        for k in range(body + 1):
-            pull = apply_each(to_body, axes[:, k])
-            if chain.joints[k].kind == "prismatic":
-                rows[:, k, body] = np.einsum("mi,mij->mj", pull, force)
-                continue
-            sway = apply_each(to_body, np.cross(axes[:, k], origins[:, body] - origins[:, k]))
-            rows[:, k, body] = np.einsum("mi,mij->mj", sway, force) + np.einsum("mi,mij->mj", pull, moment)
-    return rows.reshape(samples, count, 10 * count)
-
-
-def link_efforts(chain: Chain, gravity: Array, motion: JointMotion, inertial: Array) -> Array:
-    """`link_rows` times the parameters `inertial` (10 n,) of the links, (m, n), without the rows."""
-    rotations, origins = link_frames(chain, motion.position)
-    axes, efforts = _axes(chain, rotations), np.zeros_like(motion.position)
-    force, moment = np.zeros((2, len(efforts), 3))  # of all links after a joint, about the base's origin
-    bodies = list(_bodies(chain, gravity, motion, rotations, origins))
-    for k in reversed(range(len(chain.joints))):
-        wrench = _wrench(*bodies[k], inertial[10 * k : 10 * k + 10])
-        own, turning = (apply_each(rotations[:, k], part) for part in wrench)
-        force, moment = force + own, moment + turning + np.cross(origins[:, k], own)
-        along = force if chain.joints[k].kind == "prismatic" else moment - np.cross(origins[:, k], force)
-        efforts[:, k] = np.sum(axes[:, k] * along, axis=-1)
-    return efforts
-
-
-def _axes(chain: Chain, rotations: Array) -> Array:
-    """(m, n, 3) of the joints in the base frame."""
-    return np.stack([rotations[:, k] @ joint.axis for k, joint in enumerate(chain.joints)], axis=1)
-
-
-def _bodies(
-    chain: Chain, gravity: Array, motion: JointMotion, rotations: Array, origins: Array
-) -> Iterator[tuple[Array, Array, Array]]:
-    """Of each link w, dw and a - g in its own frame, (m, 3), from the base to the tip."""
-    samples, axes = len(motion.position), _axes(chain, rotations)
     spin, spin_rate = np.zeros((2, samples, 3))
     acceleration = np.tile(-gravity, (samples, 1))
     before = np.zeros((samples, 3))
@@ -110,7 +72,15 @@ def _bodies(
             spin = spin + speed * axis
         before = origins[:, body]
         to_body = np.swapaxes(rotations[:, body], -1, -2)
-        yield apply_each(to_body, spin), apply_each(to_body, spin_rate), apply_each(to_body, acceleration)
+        force, moment = _wrench_rows(*(apply_each(to_body, vector) for vector in (spin, spin_rate, acceleration)))
+        for k in range(body + 1):
+            pull = apply_each(to_body, axes[:, k])
+            if chain.joints[k].kind == "prismatic":
+                rows[:, k, body] = np.einsum("mi,mij->mj", pull, force)
+                continue
+            sway = apply_each(to_body, np.cross(axes[:, k], origins[:, body] - origins[:, k]))
+            rows[:, k, body] = np.einsum("mi,mij->mj", sway, force) + np.einsum("mi,mij->mj", pull, moment)
+    return rows.reshape(samples, count, 10 * count)
 
 
 def coupling_rows(chain: Chain, pairs: Sequence[tuple[int, int]], poses: Array) -> Array:
@@ -136,14 +106,6 @@ def _wrench_rows(spin: Array, spin_rate: Array, acceleration: Array) -> tuple[Ar
     moment[:, :, 1:4] = -_cross(acceleration)
     moment[:, :, 4:] = _momentum(spin_rate) + _cross(spin) @ _momentum(spin)
     return force, moment
-
-
-def _wrench(spin: Array, spin_rate: Array, acceleration: Array, inertial: Array) -> tuple[Array, Array]:
-    """`_wrench_rows` times the ten parameters `inertial`, (m, 3) each."""
-    mass, center, (xx, xy, yy, xz, yz, zz) = inertial[0], inertial[1:4], inertial[4:]
-    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    force = mass * acceleration + np.cross(spin_rate, center) + np.cross(spin, np.cross(spin, center))
-    return force, np.cross(center, acceleration) + spin_rate @ tensor + np.cross(spin, spin @ tensor)
 
 
 def _cross(vector: Array) -> Array:

@@ -147,7 +147,7 @@ class Envelope:
                 _within(joint, "position on the trajectory", float(end), command.position_window, self._unit(index))
             peak = float(np.abs(effort[:, index]).max())
             _at_most(joint, "predicted peak effort", peak, command.effort_limit, self._effort_unit(index))
-        if not self.checker.path_free(motion.position, self._corners(commands)):
+        if not all(self.checker.path_free(motion.position + away) for away in self._corners(commands)):
             moving = ", ".join(command.joint for command in commands)
             raise EnvelopeViolation(
                 moving,
