@@ -117,7 +117,7 @@ def test_make_demo_tells_what_it_installs() -> None:
     assert told.splitlines()[-1].split() == [".venv/bin/sweepid", "demo", "--out", "demo-out"]
 
 
-@pytest.mark.parametrize("budget", [{"confidence": 0.5}, {"poses": 8}])
+@pytest.mark.parametrize("budget", [{"confidence": 0.5}, {"poses": 7}])
 def test_the_guide_tells_of_a_plan_what_the_command_prints(
     budget: dict[str, float], capsys: pytest.CaptureFixture[str]
 ) -> None:

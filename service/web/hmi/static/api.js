@@ -3,7 +3,7 @@
 import { foreign, knows, outside, parts, Told } from "./words.js";
 
 const API = "api/v1";
-const TURN = 50; // ms for an answer that arrived while the page drew a plan: it is not late
+const TURN = 250; // ms for an answer that arrived while the page drew a plan: it is not late
 const KEY = "sweepid-key"; // stored for this browser tab only
 
 // The types in the comments of these scripts (`Api.NAME`) are those of the OpenAPI document; a test checks them.
