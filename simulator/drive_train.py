@@ -1,7 +1,8 @@
 """Drive trains, one row each, stepped together: motor and load with a spring between them, or one rigid mass.
 
     Jm vm' = u - (1 + g') Ts - fm(vm) - cogging(qm)     Ts = k e + k3 e^3 + d e',  e = qm + g(qm) - ql, less backlash
-    Jl vl' = Ts - fl(vl) - gravity(ql) - hose(ql, vl)   f(v) = mu v + Fc sign(v); more of it in `effects.friction`
+    Jl vl' = Ts - fl(vl) - gravity(ql) - hose(ql, vl) - counterbalance(ql)
+    f(v) = mu v + Fc sign(v); more of it in `effects.friction`
 
 Leapfrog: positions and effort at the steps n, velocities half-way between, so effort u_n, position q_n and velocity
 (v_{n-1/2} + v_{n+1/2})/2 belong to one instant to second order. Viscous and structural damping are trapezoidal. Coulomb
@@ -16,7 +17,17 @@ from typing import Any, Generic, Protocol, TypeVar, cast
 
 import numpy as np
 
-from simulator.effects import Appendages, Bristles, KnownRipples, Ripples, cogging, friction_law, gear_error, viscous
+from simulator.effects import (
+    Appendages,
+    Bristles,
+    Counterbalances,
+    KnownRipples,
+    Ripples,
+    cogging,
+    friction_law,
+    gear_error,
+    viscous,
+)
 from simulator.rigid_body import MovingAxis
 from simulator.waveform import Array
 
@@ -128,7 +139,7 @@ class Train(Generic[Value]):
         """Velocities of the masses half a step later, and the speed change of the load by the spring's damping (rigid:
         None).
 
-        `motor`: torque available to the motor, N m; `appended`: torque of the load on an attached body.
+        `motor`: torque available to the motor, N m; `appended`: torque of the load on what is attached to it.
         """
         motor_speed, load_speed = velocity[0], velocity[-1]
         gravity, within = self.gravity(position[-1]), self.arithmetic.within
@@ -227,6 +238,9 @@ class DriveTrains:
         self._bristles = Bristles([t.lugre for t in trains], step) if any(t.lugre for t in trains) else None
         appendages = [train.appendage for train in trains]
         self.appendages = Appendages(appendages, step) if any(appendages) else None
+        balances = [train.counterbalance for train in trains]
+        self._balance = Counterbalances(balances) if any(balances) else None
+        self._is_pulled = self._has_hose or self._balance is not None
         self._earlier = np.zeros(rows)  # speed of the load one step before, used by friction
         self.load(axes)
 
@@ -267,16 +281,18 @@ class DriveTrains:
         return motor * impulse, -load * impulse
 
     def gravity(self) -> Array:
-        """Torque of gravity and hose on the load at its present position, (rows,) N m."""
-        return self._train.gravity(self.position[-1])
+        """Torque of gravity, hose and counterbalance on the load at its present position, (rows,) N m."""
+        load = self.position[-1]
+        return self._train.gravity(load) + (0.0 if self._balance is None else self._balance.torque(load))
 
     def holding_torque(self) -> Array:
         """Torque to hold the loads at their positions, (rows,) N m."""
         return self.gravity()
 
-    def hose_torque(self) -> Array:
-        """Torque (rows,) N m of the springs of the hoses."""
-        return self._hose * (self.position[-1] - self._hose_rest)
+    def spring_load(self) -> Array:
+        """Torque (rows,) N m of hoses and counterbalances on the loads."""
+        torque = self._hose * (self.position[-1] - self._hose_rest)
+        return torque if self._balance is None else torque + self._balance.torque(self.position[-1])
 
     def twist(self) -> Array:
         """Twist of the springs, rad (rows,): zero inside the backlash."""
@@ -327,6 +343,8 @@ class DriveTrains:
         motor, geared, appended, extra_friction = self.motor_torque(effort), self._geared(), None, None
         if self.appendages is not None:
             appended = self.appendages.step(position[-1], velocity[-1])
+        if self._balance is not None:
+            appended = self._balance.torque(position[-1]) + (0.0 if appended is None else appended)
         if self.friction is not None:
             forward, backward, more = self.rub()
             extra_friction = ExtraFriction(self._mobility * forward, -self._mobility * backward, more)
@@ -348,7 +366,7 @@ class DriveTrains:
         """The rows with an open brake, each to be stepped alone and then taken back; None if this is not
         possible now.
         """
-        effects = (self.friction, self.gear_error, self._bristles, self.appendages)
+        effects = (self.friction, self.gear_error, self._bristles, self.appendages, self._balance)
         free = np.flatnonzero(self.free).tolist()
         if len(free) > self.few or any(effect is not None for effect in effects):
             return None

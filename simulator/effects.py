@@ -15,7 +15,7 @@ from math import sin
 import numpy as np
 
 from simulator.rigid_body import MovingAxis
-from simulator.scenario import Appendage, Cogging, DriveTrain, Friction, GearError, LuGre
+from simulator.scenario import Appendage, Cogging, Counterbalance, DriveTrain, Friction, GearError, LuGre
 from simulator.waveform import Array
 
 
@@ -110,6 +110,26 @@ def friction_law(trains: Sequence[DriveTrain], warmth: Sequence[float], step: fl
     """None if there is only viscous and Coulomb friction."""
     plain = all(t.motor_friction.plain and t.load_friction.plain and t.warming is None for t in trains)
     return None if plain else FrictionLaw(trains, warmth, step)
+
+
+class Counterbalances:
+    """The torque of all counterbalances of many rows: -dE/dq of springs and gas between two points (virtual work)."""
+
+    def __init__(self, rows: Sequence[Sequence[Counterbalance]]) -> None:
+        self._all = [(row, one) for row, some in enumerate(rows) for one in some]
+
+    def torque(self, load: Array) -> Array:
+        """Torque (..., rows), N m, that the drive must provide at the positions of the loads (..., rows)."""
+        total = np.zeros_like(load)
+        for row, one in self._all:
+            angle = load[..., row] - one.zero
+            across = one.crank * one.arm * np.sin(angle)
+            square = one.apart**2 + one.crank**2 + one.arm**2 - 2 * one.crank * one.arm * np.cos(angle)
+            length = np.sqrt(square)
+            longer = length - one.length
+            pull = one.force * (1.0 if one.column is None else (1 - longer / one.column) ** -one.exponent)
+            total[..., row] += (pull + one.rate * longer) * across / length
+        return total
 
 
 class Bristles:

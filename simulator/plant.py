@@ -182,7 +182,7 @@ class CoupledTrains(DriveTrains):
         velocity[self._driven] = load_velocity * self.free
         inertia, bias = self._body.at(pose, velocity)
         bias = bias[self._driven]
-        return inertia, bias + self.hose_torque() if self._has_hose else bias
+        return inertia, bias + self.spring_load() if self._is_pulled else bias
 
     def holding_torque(self) -> Array:
         """As for single axes, with gravity in the present pose of all joints."""

@@ -135,6 +135,23 @@ class Hose(FileModel):
     damping: NotNegative = 0.0
 
 
+class Counterbalance(FileModel):
+    """A spring or gas cylinder between two points, `crank` and `arm` m from the axis, `apart` m along it, and nearest
+    to each other at `zero` rad. It pulls with ``force (1 - x / column)^-exponent + rate x`` N, x its length past
+    `length`.
+    """
+
+    crank: Positive
+    arm: Positive
+    apart: float = 0.0
+    zero: float
+    force: float
+    length: Positive
+    rate: float = 0.0
+    column: float | None = None  # of gas; negative: compressed as it shortens
+    exponent: Positive = 1.0
+
+
 class Appendage(FileModel):
     """A second body on the load, behind a spring of its own; kg m^2, N m/rad, N m s/rad. Gravity does not see it."""
 
@@ -155,6 +172,7 @@ class DriveTrain(FileModel):
     cogging: tuple[Cogging, ...] = ()
     lugre: LuGre | None = None  # on the motor side, instead of motor_friction.coulomb
     hose: Hose | None = None
+    counterbalance: tuple[Counterbalance, ...] = ()
     appendage: Appendage | None = None
     effort_gain: Positive = 1.0  # recorded effort = gain * true + offset: error of the torque constant,
     effort_offset: float = 0.0  # N m, and of the current's zero

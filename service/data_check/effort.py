@@ -202,7 +202,8 @@ def _of_weight(axis: AxisRecords, joint: int, held: "HoldingEffort", factor: flo
     """Squared difference of holding effort between CAD and measurement, over the errors of both and of friction."""
     poses = _stood(axis, held.poses, joint, swapped=swapped)
     rows = gravity_rows(axis.robot.chain, axis.robot.gravity, joint, poses)[:, 0]
-    weight = factor * (rows @ axis.robot.chain.inertial.ravel())
+    carried = axis.robot.counterbalance_effort(joint, poses[:, joint])
+    weight = factor * (rows @ axis.robot.chain.inertial.ravel() + carried)
     # 0.2 of the larger of both values
     size = 0.2**2 * float(np.mean(np.maximum(held.effort**2, weight**2))) + held.friction**2
     return float(np.mean((held.effort - weight) ** 2)) / size if size else 0.0

@@ -155,7 +155,8 @@ def measured_play(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Play | N
     """The play of `joint` from repeated sweeps about standstill; None if there is none, if they cannot show it, or if
     the motor's inertia is unknown.
     """
-    own = tuple(s for s in sweeps if s.spec.excitation == "multisine" and not s.spec.offset_velocity)
+    reversing = (s for s in sweeps if s.spec.excitation == "multisine" and not s.spec.offset_velocity)
+    own = tuple(map(robot.without_counterbalance, reversing))
     inertia = robot.axis(joint).reflected_motor_inertia
     if not inertia or len({sweep.spec.repeat for sweep in own}) < 2:
         return None

@@ -29,7 +29,7 @@ SweepSpectrum = Spectrum | NoiseSpectrum | AxisTrack
 def sweep_spectrum(robot: Robot, sweep: Sweep) -> SweepSpectrum:
     """The stored spectrum of a sweep; BadInput if the record is shorter than the sweep."""
     if runs_at_once(sweep.spec):
-        return axis_track(sweep)
+        return axis_track(robot.without_counterbalance(sweep))
     return noise_spectrum(robot, sweep) if has_reference(sweep) else spectrum(robot, sweep)
 
 

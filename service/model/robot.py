@@ -9,7 +9,7 @@ The ten inertial parameters of a link are taken at its frame's origin, in the or
 Atkeson, An and Hollerbach (1986): [m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz].
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated
 
@@ -18,8 +18,9 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_vali
 
 from service import BadInput
 from service.model.arrays import Array
+from service.model.counterbalance import Counterbalance
 from service.model.physical_bounds import Most, check_urdf
-from service.model.recording import Name
+from service.model.recording import Name, Sweep
 from service.model.urdf import Chain, read_chain
 
 INERTIAL_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
@@ -45,6 +46,7 @@ class Axis(BaseModel):
     speed_gain: float | None = Field(default=None, ge=0, le=Most.viscous, exclude_if=_unsaid)
     cogging_orders: tuple[float, ...] = ()  # periods per motor revolution
     transmission_orders: tuple[float, ...] = ()
+    counterbalance: Counterbalance | None = Field(default=None, exclude_if=_unsaid)
 
     @field_validator("gear_ratio")
     @classmethod
@@ -155,6 +157,22 @@ class Robot:
     def axis(self, joint: str) -> Axis:
         return self.axes[self.index(joint)]
 
+    def counterbalance_effort(self, index: int, position: Array) -> Array:
+        """What the drive of a joint provides against its counterbalance, N m, at its positions in rad; 0 without one.
+
+        It is the known effort beside the weight of the links.
+        """
+        own = self.axes[index].counterbalance
+        return np.zeros_like(position) if own is None else own.effort(own.lever(self.chain.joints[index]), position)
+
+    def without_counterbalance(self, sweep: Sweep) -> Sweep:
+        """The sweep with the effort that its axis would need without counterbalance; the same object if it has none."""
+        index, record = self.index(sweep.spec.axis), sweep.recording
+        if self.axes[index].counterbalance is None:
+            return sweep
+        effort = record.effort - self.counterbalance_effort(index, record.position)
+        return replace(sweep, recording=replace(record, effort=effort))
+
 
 def build_robot(description: RobotDescription, urdf_text: str, place: str = "robot") -> Robot:
     """A robot whose axes are the chain's moving joints, in order; BadInput if they differ."""
@@ -164,6 +182,9 @@ def build_robot(description: RobotDescription, urdf_text: str, place: str = "rob
         raise BadInput(
             f"{place}.axes", f"joints {list(robot.joints)} differ from the URDF's moving joints {list(moving)}"
         )
+    for number, (axis, joint) in enumerate(zip(robot.axes, robot.chain.joints, strict=True)):
+        if axis.counterbalance is not None:
+            axis.counterbalance.check(joint, f"{place}.axes.{number}.counterbalance")
     return robot
 
 

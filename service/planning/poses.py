@@ -305,7 +305,7 @@ class SweepDesign:
         # the sines may use the effort that friction and gravity leave, with the CAD inertia wrong by its prior
         prior = self._robot.prior
         reach = (pose[index] - envelope.limits.travel, pose[index] + envelope.limits.travel)
-        gravity = (1 + prior.gravity) * envelope.gravity_effort(index, tuple(pose), reach)
+        gravity = envelope.gravity_effort(index, tuple(pose), reach)
         friction = (1 + prior.viscous_friction) * (axis.viscous_friction or 0.0) * velocity
         spare = envelope.effort_limit(index) - gravity - friction - envelope.limits.breakaway * axis.rated_effort
         if not spare > 0:

@@ -77,6 +77,9 @@ def _elastic_columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Arr
         away = tracks.away - two.twist
         weight = model.torque[:, None] * np.cos(away) + model.slope[:, None] * np.sin(away)
         weight = weight + model.slope[:, None] * two.twist  # the gravity stiffness is in the impedance
+        weight = weight + tracks.robot.counterbalance_effort(
+            tracks.robot.index(tracks.joint), tracks.position - two.twist
+        )
     moved = tracks.spectra["velocity"] * two.viscous + spectrum(weight, tracks.rate)
     if shape[3] > 0:
         moved += spectrum(two.linear_twist - two.twist, tracks.rate) * two.impedance

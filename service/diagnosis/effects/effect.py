@@ -39,6 +39,7 @@ class TrainEntry(TypedDict):
     load_friction: NotRequired[FrictionEntry]
     spring: NotRequired[Parts]
     cogging: NotRequired[list[Parts]]
+    counterbalance: NotRequired[list[Parts]]
 
 
 class Bar(TypedDict):
@@ -118,7 +119,8 @@ Readout = Mapping[str, tuple[float, float, str]]
 @dataclass(frozen=True)
 class Model:
     """The rigid model as fitted so far: axis inertia of each sweep (n,), reflected motor inertia, viscous friction,
-    gravity torque along the motion (n, t), and gravity torque at the pose (n,) with its slope (n,).
+    gravity torque along the motion (n, t) with that of the counterbalance, and gravity torque at the pose (n,) with its
+    slope (n,).
     """
 
     inertia: Array
@@ -183,6 +185,8 @@ class CatalogueEffect:
     of_model: bool = False  # whether the columns depend on the fitted inertia and friction
     late: bool = False  # whether its first coefficient, s, is a delay of the whole torque, including other effects
     by_test_mass: bool = False  # only a test mass separates it from similar effects
+    # shape with which its columns are what a weight pulls: where these explain as much, gravity may be the cause
+    as_weight: Shape | None = None
     contains: tuple[str, ...] = ()  # simpler effects that are special cases of this one
     applies: Callable[[Tracks], bool] = lambda tracks: True
 

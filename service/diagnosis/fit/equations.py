@@ -291,10 +291,13 @@ def equations(tracks: Tracks, groups: Sequence[Group], whitening: Whitening | No
 
 
 def nominal_right(tracks: Tracks) -> Array:
-    """Effort minus the torque of CAD and data sheet, (n, t)."""
+    """Effort minus the torque of CAD, counterbalance and data sheet, (n, t)."""
     viscous = tracks.robot.axis(tracks.joint).viscous_friction or 0.0
     return (
-        tracks.effort - tracks.along(nominal_load(tracks.robot, tracks.joint, tracks.poses)) - viscous * tracks.velocity
+        tracks.effort
+        - tracks.balance
+        - tracks.along(nominal_load(tracks.robot, tracks.joint, tracks.poses))
+        - viscous * tracks.velocity
     )
 
 
@@ -321,9 +324,8 @@ def _between_periods(tracks: Tracks, left: Array, alone: Array) -> Array | None:
 def _model(tracks: Tracks, load: Array, motor_inertia: float, viscous: float) -> Model:
     """The rigid model from which columns are computed, for a load (3, m)."""
     inertia, torque, slope = load[:, tracks.pose_index]
-    return Model(
-        inertia, motor_inertia, viscous, tracks.along(np.stack([0 * load[0], load[1], load[2]])), torque, slope
-    )
+    weight = tracks.along(np.stack([0 * load[0], load[1], load[2]]))
+    return Model(inertia, motor_inertia, viscous, weight + tracks.balance, torque, slope)
 
 
 def grouped(tracks: Tracks) -> tuple[Group, ...]:

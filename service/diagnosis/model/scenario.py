@@ -230,6 +230,12 @@ def axis_entry(
             part[key] *= 1 / scale
     if "cogging" in train:
         train["cogging"] = [ripple | {"amplitude": ripple["amplitude"] / scale} for ripple in train["cogging"]]
+    own, known = train.get("counterbalance", []), axis.counterbalance
+    own = [{**one, "force": one["force"] / scale, "rate": one["rate"] / scale} for one in own]
+    if known is not None:  # of true torque
+        own.insert(0, known.entry(known.lever(robot.chain.joints[robot.index(joint)])))
+    if own:
+        train["counterbalance"] = own
     if "gear_error" in train or "spring" in train:
         _sprung(train, inertia / scale, axis.gear_ratio)
     _tidied(train)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from service.identification.model import axis_rows, gravity_rows
+from service.identification.model import axis_rows, counterbalance_terms, gravity_rows
 from service.model import Array, Indices, Knowledge, Robot
 
 SLACK = 1e-5  # of the rated effort, one sigma: elastic links, inexact lengths in CAD
@@ -68,6 +68,7 @@ def rigid(robot: Robot, joint: str, poses: Array, sizes: Array) -> Rigid:
     rows = load_rows(robot, index, poses)
     weight = np.repeat(sizes, len(poses))[:, None] / np.sqrt(len(poses))
     nominal = nominal_load(robot, joint, poses)
+    carried = np.vstack([np.zeros(len(poses)), counterbalance_terms(robot, index, poses).T])
     gravity_alone = np.repeat([0.0, 1.0, 1.0], len(poses))[:, None]
     # 1e-3 rad, inclination of the base, one sigma
     prior = np.column_stack([rows @ parameter_spread(robot, index, poses), 1e-3 * _tilts(robot, index, poses)])
@@ -77,7 +78,7 @@ def rigid(robot: Robot, joint: str, poses: Array, sizes: Array) -> Rigid:
             [rows @ _moments(robot), _tilts(robot, index, poses), rated * _by_own_angle(poses[:, index])]
         ),
         "payload": rows @ _payload(robot),
-        "torque_constant_error": nominal.reshape(-1, 1),
+        "torque_constant_error": (nominal + carried).reshape(-1, 1),
     }
     spans = {name: weight * columns * _unit(weight * columns, rated) for name, columns in moved.items()}
     vectors, values, _ = np.linalg.svd(np.column_stack([weight * prior, *spans.values()]), full_matrices=False)

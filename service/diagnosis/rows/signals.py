@@ -113,8 +113,8 @@ class Tracks:
 
     `inside`: recorded samples. `usable` (n, rows): rows of the equations that count (recorded, axis not sticking).
     `pose_index` (n,): number of the pose of each sweep; `poses` (m, all joints): the poses. `gravity`: torque along the
-    motion from CAD. `direction` (n, t): direction of dry friction (sign of the velocity); it reverses within the
-    distance `sticking`, rad (m), which is as short as the encoder noise permits.
+    motion from CAD, with the counterbalance. `direction` (n, t): direction of dry friction (sign of the velocity); it
+    reverses within the distance `sticking`, rad (m), which is as short as the encoder noise permits.
     """
 
     robot: Robot
@@ -163,6 +163,11 @@ class Tracks:
     def summed(self, load: Array, parts: Array) -> Array:
         """The same with other signals (3, n, t)."""
         return np.einsum("kn,knt->nt", load[:, self.pose_index], parts)
+
+    @cached_property
+    def balance(self) -> Array:
+        """Effort (n, t) against the counterbalance of the robot file along the motion; 0 without one."""
+        return self.robot.counterbalance_effort(self.robot.index(self.joint), self.position)
 
     @cached_property
     def sizes(self) -> Array:
@@ -349,7 +354,7 @@ def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
         temperature=stacked("temperature") if all(s.recording.temperature is not None for s in own) else None,
     )
     terms = gravity_rows(robot.chain, robot.gravity, index, poses) @ robot.chain.inertial.ravel()
-    return replace(found, gravity=found.along(np.vstack([np.zeros(len(poses)), terms.T])))
+    return replace(found, gravity=found.along(np.vstack([np.zeros(len(poses)), terms.T])) + found.balance)
 
 
 def bristle(position: Array, way: float) -> Array:

@@ -8,8 +8,9 @@ element, is in the side file. MuJoCo would compute the mass of links without ``<
 element ``<mujoco>``, ignored by other programs, disables that.
 
 **MJCF** has one body per moving link, armature = motor inertia, damping and frictionloss = identified viscous and dry
-friction, and an actuator with the drive's offset. Collision shapes that are boxes, cylinders or spheres become visual
-geoms without collision, because shapes of neighbours may overlap. Meshes are omitted.
+friction, an actuator with the drive's offset, and counterbalances as tendons. Collision shapes that are boxes,
+cylinders or spheres become visual geoms without collision, because shapes of neighbours may overlap. Meshes are
+omitted.
 """
 
 import xml.etree.ElementTree as ET
@@ -81,6 +82,7 @@ def as_yaml(model: IdentifiedModel) -> str:
             "offset": offset,
             "friction_curve": _curve(model.curves.get(joint.name, ())),
             "gear": _gear(model.springs.get(joint.name)),
+            "counterbalance": own.model_dump(mode="json") if (own := model.counterbalances.get(joint.name)) else None,
             "effects": {
                 effect.effect: {name: value.model_dump() for name, value in effect.parameters.items()}
                 for effect in model.effects
@@ -134,6 +136,7 @@ def as_side_file(model: IdentifiedModel) -> str:
             update={
                 "motor_inertia": float(motor) / axis.gear_ratio**2 if motor > 0 else axis.motor_inertia,
                 "viscous_friction": axis.viscous_friction if friction is None else friction,
+                "counterbalance": model.counterbalances.get(axis.joint),
             }
         )
         for axis, motor, friction in zip(model.robot.axes, model.motor_inertias, model.friction, strict=True)
@@ -227,6 +230,7 @@ def as_mjcf(model: IdentifiedModel, *, elastic: bool = False) -> str:
     frictions = zip(model.friction, model.dry_friction, strict=True)
     parts = zip(model.robot.chain.joints, model.bodies, model.motor_inertias, frictions, strict=True)
     for joint, body, motor, (friction, dry) in parts:
+        before = carrier
         carrier = ET.SubElement(
             carrier, "body", name=body.link, pos=_text(joint.translation), quat=_text(quaternion(joint.rotation))
         )
@@ -240,6 +244,10 @@ def as_mjcf(model: IdentifiedModel, *, elastic: bool = False) -> str:
         if joint.name in model.hoses:
             for name, value in zip(("stiffness", "springref"), model.hoses[joint.name], strict=True):
                 element.set(name, repr(value))
+        if joint.name in model.counterbalances:
+            own = model.counterbalances[joint.name]
+            for link, place, end in ((before, own.anchor, "anchor"), (carrier, own.attachment, "attachment")):
+                ET.SubElement(link, "site", name=f"{joint.name}_{end}", pos=_text(place), size="0.01")
         if np.isfinite([joint.lower, joint.upper]).all():
             element.set("range", _text([joint.lower, joint.upper]))
         if elastic and joint.name in model.springs:
@@ -248,6 +256,16 @@ def as_mjcf(model: IdentifiedModel, *, elastic: bool = False) -> str:
             for name, value in zip(("stiffness", "damping"), model.springs[joint.name], strict=True):
                 gear.set(name, repr(value))
         _add_shapes(carrier, (link for link in links if link.carrier == body.link))
+    if model.counterbalances:
+        tendons = ET.SubElement(root, "tendon")
+    for joint in model.counterbalances:
+        factors, free, _ = model.tendon(joint)
+        stiffness = _text(factors if factors[1:].any() else factors[:1])
+        tendon = ET.SubElement(
+            tendons, "spatial", name=f"{joint}_counterbalance", stiffness=stiffness, springlength=repr(free)
+        )
+        for end in ("anchor", "attachment"):
+            ET.SubElement(tendon, "site", site=f"{joint}_{end}")
     drives = ET.SubElement(root, "actuator")
     for joint, offset in zip(model.robot.joints, model.offset, strict=True):
         ET.SubElement(drives, "general", name=joint, joint=joint, biastype="affine", biasprm=_text([-offset, 0.0, 0.0]))

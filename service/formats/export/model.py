@@ -12,6 +12,7 @@ from service.identification.estimates.standard_parameters import AxisWorth, Nomi
 from service.identification.model import dynamic_base, fold, lock
 from service.identification.model.base_parameters import base_parameters
 from service.model import INERTIAL_NAMES, Array, Robot, inertia_matrix
+from service.model.counterbalance import Counterbalance, positions
 from service.model.results.combination import Combination, FrictionPoint
 from service.model.results.estimate import (
     BaseParameter,
@@ -48,6 +49,7 @@ class IdentifiedModel(Shown):
     curves: dict[str, tuple[FrictionPoint, ...]]  # by joint, friction that has another law than these two
     springs: dict[str, tuple[float, float]]  # by joint, stiffness and damping of the gear, N m/rad and N m s/rad
     hoses: dict[str, tuple[float, float]]  # by joint, stiffness of an accepted hose, N m/rad, and its rest, rad
+    counterbalances: dict[str, Counterbalance]  # by joint, of the robot file, corrected by an accepted effect
     effects: tuple[UsedEffect, ...]  # of the accepted model
     base_parameters: tuple[BaseParameter, ...]
     symbols: dict[str, Symbol]
@@ -69,7 +71,37 @@ class IdentifiedModel(Shown):
                 "the model is the most probable physical robot, given CAD and the sweeps: its base parameters are "
                 f"{self.deviation_in_std:.2g} standard deviations from the identified ones{self._not_held()}"
             )
-        return (*found, *map(self._off_the_line, self.curves))
+        return (*found, *map(self._off_the_line, self.curves), *self._not_balanced())
+
+    def tendon(self, joint: str) -> tuple[Array, float, float]:
+        """Its counterbalance as a tendon of MJCF: factors (3,) of x, x^2, x^3 in its pull, x the length past the second
+        number, m; the third is the largest torque by which that is off over the joint's range, N m.
+        """
+        own, moving = self.counterbalances[joint], self.robot.chain.joints[self.robot.index(joint)]
+        angle, lever = positions(moving), own.lever(moving)
+        length, arm, wanted = lever.length(angle), lever.arm(angle), own.effort(lever, angle)
+        free = own.length - own.force / own.rate if own.column is None and own.rate else -1.0
+        if free >= 0:
+            return np.array([own.rate, 0.0, 0.0]), free, 0.0
+        found: list[tuple[float, float, Array]] = []
+        for start in np.linspace(0, length.max(), 41).tolist():
+            rows = arm[:, None] * np.stack([(length - start) ** power for power in (1, 2, 3)], -1)
+            factors = np.linalg.lstsq(rows, wanted)[0]
+            found.append((float(np.abs(rows @ factors - wanted).max()), start, factors))
+        off, start, factors = min(found, key=lambda one: one[0])
+        return factors, start, off
+
+    def _not_balanced(self) -> list[str]:
+        """What the files lack of counterbalances."""
+        said = [
+            f"counterbalance of {joint}: URDF cannot hold it; {_near(self.tendon(joint)[2])}, model.yaml has all of it"
+            for joint in self.counterbalances
+        ]
+        unknown = {one.axis for one in self.effects if one.effect == "counterbalance"} - {*self.counterbalances}
+        return said + [
+            f"counterbalance of {joint}: the robot file has none, so only `effects` of model.yaml has its torque"
+            for joint in sorted(unknown)
+        ]
 
     def _not_held(self) -> str:
         """The gravity torque in which no physical robot agrees with the estimate, of the axis with most of it."""
@@ -137,6 +169,7 @@ def model_of(robot: Robot, found: Estimate, place: str = "estimate") -> Identifi
         offset=tuple(drive[2] for drive in drives),
         curves={} if found.combination is None else _curves(found.combination),
         springs={joint: spring for joint, axis in found.axes.items() if (spring := _spring(axis)) is not None},
+        counterbalances=_counterbalances(robot, found.effects, place),
         hoses={one.axis: _hose(one, place) for one in found.effects if one.effect == "hose_spring"},
         effects=found.effects,
         base_parameters=found.base_parameters,
@@ -215,6 +248,20 @@ def _spring(axis: EstimatedAxis) -> tuple[float, float] | None:
     if not compliance.value > 2 * (compliance.std or 0.0):
         return None
     return 1 / compliance.value, max(time.value, 0.0) / compliance.value
+
+
+def _counterbalances(robot: Robot, effects: Iterable[UsedEffect], place: str) -> dict[str, Counterbalance]:
+    found = {axis.joint: axis.counterbalance for axis in robot.axes if axis.counterbalance is not None}
+    for one in effects:
+        if one.effect == "counterbalance" and one.axis in found and {"share", "rate"} <= set(one.parameters):
+            here = f"{place} effects {one.axis} counterbalance"
+            share, rate = (_finite(one.parameters[name].value, here) for name in ("share", "rate"))
+            found[one.axis] = found[one.axis].off(share, rate)
+    return found
+
+
+def _near(off: float) -> str:
+    return "MJCF has it as a tendon" + (f", off by up to {off:.3g} N m" if off else "")
 
 
 def _hose(effect: UsedEffect, place: str) -> tuple[float, float]:

@@ -47,12 +47,13 @@ from service.identification.axis.drive_train import (
 )
 from service.identification.axis.ideal_frequency import InitialAnalysis
 from service.identification.axis.joint_fit import JointFit, fit_axis
-from service.identification.axis.known_effects import LOAD, Corrected, GearLoad, KnownAxis, corrected
+from service.identification.axis.known_effects import LOAD, Corrected, KnownAxis, corrected
 from service.identification.axis.nominal_priors import (
     NOISE_GUESS,
     PosePrior,
     SharedPrior,
     TorqueGain,
+    gear_load,
     pose_prior,
     shared_prior,
     with_known_hose,
@@ -294,7 +295,7 @@ def _fit(
     known: KnownAxis,
 ) -> tuple[JointFit, list[Corrected], AxisDistortion | None]:
     """The joint fit of the sweeps with lines, the sweeps without gain and known effects, and their distortion."""
-    loads = [GearLoad(float(prior.mean[0]), float(prior.mean[2]), float(prior.mean[1])) for prior in priors]
+    loads = [gear_load(robot, number, one.spec.pose, prior) for one, prior in zip(with_lines, priors, strict=True)]
     rounds = 3 if known.get(LOAD) else 1  # its friction depends on the load found
     while True:
         parts = [corrected(one, known, gain.gain, load) for one, load in zip(with_lines, loads, strict=True)]

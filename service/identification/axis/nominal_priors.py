@@ -3,13 +3,14 @@
 And values known better from a diagnosis: the spring, a hose, the torque constant (`known_effects`).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from service.identification.axis.known_effects import ELASTICITY, GAIN, HOSE, KnownAxis
+from service.identification.axis.known_effects import ELASTICITY, GAIN, HOSE, GearLoad, KnownAxis
 from service.identification.design.pose_selection import Assumed
-from service.identification.model import link_sizes
+from service.identification.model import counterbalance_terms, link_sizes
 from service.identification.spectra.frequency_response import Spectrum
 from service.model import Array, Chain, Robot
 
@@ -35,6 +36,13 @@ class PosePrior:
 
     mean: Array
     sigma: Array
+
+
+def gear_load(robot: Robot, number: int, pose: Sequence[float], prior: PosePrior) -> GearLoad:
+    """The load of a gear before a fit: the nominal model in the pose of a sweep, and the counterbalance there."""
+    torque, stiffness = counterbalance_terms(robot, number, np.array(pose))[0].tolist()
+    inertia, gravity_stiffness, gravity = prior.mean.tolist()
+    return GearLoad(inertia, gravity + torque, gravity_stiffness + stiffness)
 
 
 @dataclass(frozen=True, slots=True)

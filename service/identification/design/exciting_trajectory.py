@@ -177,17 +177,23 @@ def _effort_fits(robot: Robot, limits: TrajectoryLimits, trajectory: Trajectory,
 
 
 def nominal_effort(robot: Robot, motion: JointMotion, breakaway: float = BREAKAWAY) -> Array:
-    """Effort (m, n) of the nominal model, enlarged by two sigma of its prior; N m (N).
+    """Effort (m, n) of the nominal model, enlarged by two sigma of its prior, and counterbalances; N m (N).
 
     `breakaway`: assumed Coulomb friction, share of the rated effort.
     """
-    prior, count = robot.prior, len(robot.axes)
+    prior = robot.prior
     motors = [axis.reflected_motor_inertia or 0.0 for axis in robot.axes]
     viscous = [(1 + prior.viscous_friction) * (axis.viscous_friction or 0.0) for axis in robot.axes]
     dry = [breakaway * axis.rated_effort for axis in robot.axes]
-    links = (1 + 2 * max(prior.inertia, prior.gravity)) * robot.chain.inertial.ravel()
-    parameters = np.concatenate([links, motors, viscous, dry, np.zeros(count)])
-    return dynamics_rows(robot.chain, robot.gravity, motion) @ parameters
+    inertial = robot.chain.inertial.ravel()
+    rows = dynamics_rows(robot.chain, robot.gravity, motion)
+    links = rows[..., : inertial.size] @ inertial
+    drives = rows[..., inertial.size :] @ np.concatenate([motors, viscous, dry, np.zeros(len(motors))])
+    carried = np.stack([robot.counterbalance_effort(k, at) for k, at in enumerate(motion.position.T)], -1)
+    spread = 2 * max(prior.inertia, prior.gravity)
+    most, least = ((1 + way * spread) * links + drives + carried for way in (1, -1))
+    # lighter links need more where a counterbalance carries them
+    return np.where((carried != 0) & (np.abs(least) > np.abs(most)), least, most)
 
 
 def steady_motion(trajectory: Trajectory, time: Array) -> JointMotion:

@@ -33,11 +33,12 @@ from service.identification.axis.axis_estimate import (
 )
 from service.identification.axis.drive_train import SHARED, TwoMassTrain
 from service.identification.axis.joint_fit import FitLimits, JointFit, fit_again, fit_sweep
-from service.identification.axis.known_effects import LOAD, Corrected, GearLoad, KnownAxis, corrected
+from service.identification.axis.known_effects import LOAD, Corrected, KnownAxis, corrected
 from service.identification.axis.nominal_priors import (
     MeasuredInertias,
     TorqueGain,
     base_spread,
+    gear_load,
     pose_prior,
     with_known_hose,
 )
@@ -280,7 +281,7 @@ class Condensed:
         gravity = gravity_terms(estimate.chain, estimate.nominal, estimate.robot.gravity, own, place)[0]
         prior = pose_prior(estimate.robot, axis.number, reference, gravity)
         effects: KnownAxis = estimate.known.of(spec.axis)
-        load = GearLoad(float(prior.mean[0]), float(prior.mean[2]), float(prior.mean[1]))
+        load = gear_load(estimate.robot, axis.number, spec.pose, prior)
         part = corrected(spectrum, effects, axis.gain.gain, load)
         fit = fit_sweep(
             part.spectrum,

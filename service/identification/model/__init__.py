@@ -40,6 +40,7 @@ from service.identification.model.least_squares import (
 from service.identification.model.regressor import (
     SAME_POSITION,
     axis_rows,
+    counterbalance_terms,
     fold,
     gravity_rows,
     gravity_terms,
@@ -64,6 +65,7 @@ __all__ = [
     "combination_of",
     "condition_number",
     "converged",
+    "counterbalance_terms",
     "coupling_rows",
     "drive_rows",
     "dynamic_base",

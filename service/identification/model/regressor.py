@@ -70,6 +70,14 @@ def gravity_terms(chain: Chain, parameters: Array, gravity: Array, joint: int, p
     return np.stack([-turned @ gravity, -np.cross(axis, turned) @ gravity], -1)
 
 
+def counterbalance_terms(robot: Robot, joint: int, poses: Array) -> Array:
+    """(m, 2): [torque, stiffness] of a counterbalance of axis `joint` at each pose, as `gravity_terms`."""
+    nudge = 1e-4  # rad
+    at = np.atleast_2d(poses)[:, joint]
+    before, here, after = (robot.counterbalance_effort(joint, at + away) for away in (-nudge, 0.0, nudge))
+    return np.stack([here, (after - before) / (2 * nudge)], -1)
+
+
 def gravity_rows(chain: Chain, gravity: Array, joint: int, poses: Array) -> Array:
     """(m, 2, 10 n) with ``rows @ link parameters`` = [torque, stiffness] as `gravity_terms`; a prismatic axis has the
     force -g.z of its load, N, and no stiffness.

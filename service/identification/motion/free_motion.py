@@ -141,7 +141,8 @@ def free_motions(robot: Robot, sweeps: Sequence[Sweep]) -> tuple[FreeMotion, ...
     """All free motions of several axes among the sweeps. Raises BadInput if a set is inconsistent."""
     by_id = {sweep.spec.id: sweep for sweep in sweeps}
     return tuple(
-        _record(robot, [by_id[spec.id] for spec in group]) for group in at_once([sweep.spec for sweep in sweeps])
+        _record(robot, [robot.without_counterbalance(by_id[spec.id]) for spec in group])
+        for group in at_once([sweep.spec for sweep in sweeps])
     )
 
 

@@ -116,8 +116,10 @@ class Spectrum:
 
 
 def spectrum(robot: Robot, sweep: Sweep) -> Spectrum:
-    """The spectrum of one sweep of an axis of `robot`. Raises BadInput if the record is too short or invalid."""
-    spec, record = sweep.spec, sweep.recording
+    """The spectrum of one sweep of an axis of `robot`, without the effort of its counterbalance. Raises BadInput if the
+    record is too short or invalid.
+    """
+    spec, record = sweep.spec, robot.without_counterbalance(sweep).recording
     index = robot.index(spec.axis)
     check_numbers(spec, record)
     return (_periodic if spec.periodic else _free)(robot, index, spec, record)

@@ -118,7 +118,7 @@ def has_reference(sweep: Sweep) -> bool:
 def noise_spectrum(robot: Robot, sweep: Sweep) -> NoiseSpectrum:
     """The spectrum of one noise run of an axis of `robot`; BadInput without injected torque or whole periods, or
     where a sample is not a finite number."""
-    spec, record = sweep.spec, sweep.recording
+    spec, record = sweep.spec, robot.without_counterbalance(sweep).recording
     check_numbers(spec, record)
     place = f"sweep {spec.id}"
     if record.excitation_effort is None:

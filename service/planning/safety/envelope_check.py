@@ -243,7 +243,7 @@ class Envelope:
         total = (1 + 2 * prior.inertia) * self._cad_inertia(index, pose) + (axis.reflected_motor_inertia or 0.0)
         velocity = self._motion(command, pose)[2]
         friction = (1 + prior.viscous_friction) * (axis.viscous_friction or 0.0) * velocity
-        gravity = (1 + prior.gravity) * self.gravity_effort(index, pose, command.position_window)
+        gravity = self.gravity_effort(index, pose, command.position_window)
         noise = noise_effort(command) if isinstance(command, NoiseCommand) else 0.0
         return (
             total * peak_acceleration(command) + friction + gravity + noise + self.limits.breakaway * axis.rated_effort
@@ -264,11 +264,15 @@ class Envelope:
         return float(inertia_rows(chain, index, np.array([pose]))[0] @ self._inertial)
 
     def gravity_effort(self, index: int, pose: Sequence[float], window: tuple[float, float]) -> float:
-        """Largest gravity effort of the CAD model, with the test mass, over a joint's window, N m (0: prismatic)."""
+        """Largest effort against gravity over a joint's window, N m (0: prismatic): of the CAD model within its prior,
+        with the test mass and the counterbalance.
+        """
         poses = np.tile(np.asarray(pose, dtype=float), (5, 1))
         poses[:, index] = np.linspace(window[0], window[1], 5)
         chain = self._robot.chain
-        return float(np.abs(gravity_terms(chain, self._inertial, self._robot.gravity, index, poses)[:, 0]).max())
+        weight = gravity_terms(chain, self._inertial, self._robot.gravity, index, poses)[:, 0]
+        carried = self._robot.counterbalance_effort(index, poses[:, index])
+        return float((np.abs(weight + carried) + self._robot.prior.gravity * np.abs(weight)).max())
 
     def least_inertia(self, index: int, pose: Sequence[float]) -> float:
         """Lower bound of the axis' inertia, from the CAD model and its prior, kg m^2 (kg)."""

@@ -160,7 +160,8 @@ def feed_forward(robot: Robot, sweeps: Sequence[Sweep], place: str = "recordings
     motion = path_between(*_ends(robot, estimate.poses, moved), [joint.velocity for joint in robot.chain.joints])
     rows = dynamics_rows(robot.chain, robot.gravity, motion)
     friction = _friction(robot, estimate, identified, used, spectra)
-    cad, own = (rows @ np.concatenate([parameters, friction]) for parameters in (nominal, identified))
+    carried = np.stack([robot.counterbalance_effort(k, place) for k, place in enumerate(motion.position.T)], -1)
+    cad, own = (rows @ np.concatenate([parameters, friction]) + carried for parameters in (nominal, identified))
     return FeedForward(motion, cad, own)
 
 
@@ -208,7 +209,7 @@ def _friction(
         means: list[float] = []
         signs: list[float] = []
         for sweep, j, (g, k) in zip(own, inertia, gravity, strict=True):
-            window = window_of(sweep, spectra[sweep.spec.id], number)
+            window = window_of(robot.without_counterbalance(sweep), spectra[sweep.spec.id], number)
             means.append(float(left_by(RigidAxis(float(j), float(g), float(k)), axis.fit.train, window).mean()))
             signs.append(float(np.sign(window.velocity).mean()))
         friction[0, number] = axis.fit.train.motor_friction + axis.fit.train.load_friction
@@ -320,7 +321,8 @@ class _JudgedAxis:
         return np.array([sweep.spec.pose for sweep in self.held_out])
 
     def windows(self, sweeps: Sequence[Sweep]) -> list[Window]:
-        return [window_of(sweep, self.spectra[sweep.spec.id], self.number) for sweep in sweeps]
+        bare = map(self.robot.without_counterbalance, sweeps)
+        return [window_of(sweep, self.spectra[sweep.spec.id], self.number) for sweep in bare]
 
 
 def benefit(robot: Robot, sweeps: Sequence[Sweep], place: str = "recordings") -> Benefit:
