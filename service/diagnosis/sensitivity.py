@@ -147,7 +147,7 @@ def untestable(given: Equations, names: Sequence[str], sweeps: Sequence[Sweep]) 
     ahead = _missing(given, sweeps)
     result: dict[str, UntestableEffect] = {}
     for name in names:
-        if CATALOGUE[name].by_load:
+        if CATALOGUE[name].by_load or CATALOGUE[name].as_weight:  # what the rigid model takes of it is weight
             continue
         shown = [_shown(given, ahead, Term(name, shape)) for shape in grid(given, name)]
         if max(here for here, _, _ in shown) < TESTABLE:

@@ -11,7 +11,7 @@ from service.diagnosis.fit.cross_products import solve
 from service.diagnosis.fit.equations import COLOURED, Equations, Term
 from service.diagnosis.fit.gap import noise_floor
 from service.diagnosis.fit.search import CurrentModel, Explanation
-from service.diagnosis.fit.select import CERTAIN, LARGE, RIVAL, TOLERANCE, Selection, allowed_by_physics
+from service.diagnosis.fit.select import CERTAIN, LARGE, RIVAL, TOLERANCE, Selection, allowed_by_physics, as_weight
 from service.diagnosis.sensitivity import grid, left, shows_beside, visible_part
 from service.identification.design.diagnosis_sweeps import is_partial
 from service.model import Array
@@ -128,6 +128,8 @@ def tie_sets(selection: Selection, known: Sequence[str], candidates: Sequence[st
     taken = {*result, *(name for rivals in result.values() for name in rivals)}
     for term in added:
         result[term.effect] |= _indistinguishable(selection, term, [name for name in candidates if name not in taken])
+        if as_weight(selection.given, selection.chosen, term):
+            result[term.effect].add("gravity_error")
     by_mass = {name for name in candidates if CATALOGUE[name].by_test_mass}
     for name, rivals in result.items():
         if by_mass & {name, *rivals}:

@@ -11,7 +11,7 @@ from service.diagnosis.effects.friction import (
     PRESLIDING_HYSTERESIS,
     STRIBECK_FRICTION,
 )
-from service.diagnosis.effects.load import GRAVITY_ERROR, HOSE_SPRING, PAYLOAD
+from service.diagnosis.effects.load import COUNTERBALANCE, GRAVITY_ERROR, HOSE_SPRING, PAYLOAD
 from service.diagnosis.effects.measurement import EFFORT_OFFSET, MEASUREMENT_DELAY, TORQUE_CONSTANT_ERROR
 
 CATALOGUE = Catalogue(
@@ -24,6 +24,7 @@ CATALOGUE = Catalogue(
         FRICTION_TEMPERATURE_DRIFT,
         GRAVITY_ERROR,
         HOSE_SPRING,
+        COUNTERBALANCE,
         JOINT_ELASTICITY,
         MEASUREMENT_DELAY,
         COGGING_TORQUE,

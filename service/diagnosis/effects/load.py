@@ -1,13 +1,24 @@
-"""Effects of the load of the axis: gravity outside the tolerance of CAD, a payload, a hose."""
+"""Effects of the load of the axis: gravity outside the tolerance of CAD, a payload, a hose, a counterbalance."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from service.diagnosis.effects.effect import CatalogueEffect, Model, Patch, Readout, Shape, named, positive
+from service.diagnosis.effects.effect import (
+    CatalogueEffect,
+    Inexpressible,
+    Model,
+    Patch,
+    Readout,
+    Shape,
+    ShapeParameter,
+    named,
+    positive,
+)
 from service.diagnosis.rows.rigid import deviations_left, load_rows
 from service.diagnosis.rows.signals import Tracks
 from service.model import Array
+from service.model.counterbalance import Counterbalance, Lever
 
 
 def _gravity_readout(tracks: Tracks, change: Array, covariance: Array) -> Readout:
@@ -32,7 +43,8 @@ GRAVITY_ERROR = CatalogueEffect(
     name="gravity_error",
     physics="tau = A cos q + B sin q for each group of links: their first moments differ from CAD beyond its prior",
     source="Atkeson, An and Hollerbach, Int. J. Robotics Research 5 (1986): torque linear in first moments",
-    sentence="Gravity pulls otherwise than CAD can be wrong: masses, centres of mass, or the base is out of level.",
+    sentence="Gravity pulls otherwise than CAD can be wrong: masses, centres of mass, or the base is out of level. "
+    "A counterbalance of free length 0 that the robot file lacks pulls the same.",
     visible_in=("forward_slow", "backward_slow"),
     entry="links",
     readout=_gravity_readout,
@@ -95,4 +107,74 @@ HOSE_SPRING = CatalogueEffect(
     columns=_hose_columns,
     possible=lambda parameters, tracks, model: parameters["stiffness"] > 0,
     scenario=_hose_scenario,
+)
+
+
+def _on_paper(tracks: Tracks) -> Counterbalance | None:
+    return tracks.robot.axis(tracks.joint).counterbalance
+
+
+def _lever(tracks: Tracks, own: Counterbalance) -> Lever:
+    return own.lever(tracks.robot.chain.joints[tracks.robot.index(tracks.joint)])
+
+
+WEIGHT: Shape = (0.0,)
+"""Shape with the columns cos q and sin q: what any weight pulls, and a spring whose free length is 0."""
+
+
+def _balance_columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
+    """Of the robot file's: more of its force, and of its rate. Of one that it lacks, with x = q - zero and the length
+    u = sqrt(1 - swing cos x): (sin x / u) (cos x / (1 + u))^k. Any force law F(l) dl/dq is such a sum; swing < 0 is the
+    same with zero half a turn away.
+    """
+    if shape == WEIGHT:
+        return [np.cos(tracks.position), np.sin(tracks.position)]
+    own = _on_paper(tracks)
+    if own is not None:
+        lever = _lever(tracks, own)
+        longer = lever.length(tracks.position) - own.length
+        return [own.effort(lever, tracks.position), longer * lever.arm(tracks.position)]
+    zero, swing = shape
+    cosine = np.cos(tracks.position - zero)
+    length = np.sqrt(1 - swing * cosine)
+    return [np.sin(tracks.position - zero) / length * (cosine / (1 + length)) ** k for k in range(3)]
+
+
+def _balance_coefficients(tracks: Tracks) -> Sequence[tuple[str, str]]:
+    if _on_paper(tracks) is not None:
+        return (("share", ""), ("rate", "N/m"))
+    return (("torque", "N m"), ("torque_growth", "N m"), ("torque_bend", "N m"))
+
+
+def _balance_shape(tracks: Tracks, model: Model) -> tuple[ShapeParameter, ...]:
+    if _on_paper(tracks) is not None:
+        return ()
+    around = tuple(np.linspace(-np.pi / 2, np.pi / 2, 12, endpoint=False).tolist())
+    return ShapeParameter("zero", "rad", around, -np.pi, np.pi), ShapeParameter("swing", "", (0.0,), -0.97, 0.97)
+
+
+def _balance_scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
+    own = _on_paper(tracks)
+    if own is None:
+        raise Inexpressible("only torques of the counterbalance are known, not where its points are")
+    lost = own.off(parameters["share"] - 1, parameters["rate"])
+    return {"train": {"counterbalance": [lost.entry(_lever(tracks, own))]}}
+
+
+COUNTERBALANCE = CatalogueEffect(
+    name="counterbalance",
+    physics="tau = F(l) dl/dq between two points, l^2 = a - b cos(q - q0): F differs from that of the robot file, "
+    "or the file lacks it",
+    source="Gautier, Janot and Vandanjon, IEEE Trans. Control Syst. Technol. 21 (2013): spring compensators",
+    sentence="The counterbalance does not pull as the robot file says: gas is lost, a spring is another, "
+    "or the file lacks it.",
+    visible_in=("forward_slow", "backward_slow"),
+    entry="counterbalance",
+    coefficients=_balance_coefficients,
+    columns=_balance_columns,
+    shape=_balance_shape,
+    possible=lambda parameters, tracks, model: parameters.get("share", 0.0) > -1,
+    as_weight=WEIGHT,
+    scenario=_balance_scenario,
+    applies=lambda tracks: not tracks.prismatic and bool(np.ptp(tracks.gravity) > 0),
 )

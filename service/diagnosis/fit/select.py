@@ -180,8 +180,21 @@ def allowed_by_physics(given: Equations, explanation: Explanation) -> bool:
             found = {name: one.value + 2.0 * one.std for name, one in known.items()}
         if not CATALOGUE[term.effect].possible(found, given.tracks, model):
             return False
+        if term.shape and as_weight(given, explanation, term):
+            return False  # a simpler cause is at hand
         start += width
     return True
+
+
+def as_weight(given: Equations, explanation: Explanation, term: Term) -> bool:
+    """Whether a weight in another place explains as much as one of the terms, which may pull like one."""
+    shape = CATALOGUE[term.effect].as_weight
+    if shape is None:
+        return False
+    weight = tuple(Term(term.effect, shape) if one is term else one for one in explanation.terms)
+    other = CurrentModel(given, weight).alone()
+    more = len(term.shape) + given.width(term) - 2  # parameters than cosine and sine
+    return other.cost < explanation.cost + RIVAL + more * float(np.log(given.pairs.rows))
 
 
 def local(given: Equations, before: Sequence[Term], after: Sequence[Term]) -> bool:

@@ -176,6 +176,7 @@ def _role(effect: KnownEffect, axis: AxisEstimate) -> tuple[bool, str]:
         "cogging_torque": "ripple of known orders is fitted in every sweep",
         "transmission_error": "ripple of known orders is fitted in every sweep",
         "gravity_error": "gravity is fitted in every sweep",
+        "counterbalance": "gravity is fitted in every sweep",
         "payload": "the inertias hold whatever the robot carries",
     }
     other = "is not described for sweeps with lines"

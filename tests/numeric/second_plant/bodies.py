@@ -1,5 +1,6 @@
 """What MuJoCo says of the axis that moves: its inertia and the torque that weight asks of it, over its whole travel."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -68,3 +69,34 @@ class Rigid:
                 moved[joint] = pose[joint] + distance
                 values[row, k] = self.holding(moved)[joint]
         return Curve(poses[:, joint] + away[0], step, values[which.ravel()])
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A spring or cylinder from a point of the body before a joint, m in its frame, to one of the joint's own."""
+
+    joint: int
+    fixed: Array
+    moved: Array
+    pull: Callable[[Array], Array]  # N at a length in m
+
+    def holding(self, mechanism: Mechanism, position: Array) -> Array:
+        """What the axis must hold against it, N m, at its positions (k,): force times MuJoCo's rate of a tendon."""
+        spec = mujoco.MjSpec.from_string(urdf(mechanism))
+        bodies = [spec.worldbody, *(spec.body(f"link_{k + 1}") for k in range(len(mechanism.joints)))]
+        ends = ("fixed", bodies[self.joint], self.fixed), ("moved", bodies[self.joint + 1], self.moved)
+        tendon = spec.add_tendon(name="cylinder")
+        for name, body, place in ends:
+            body.add_site(name=name, pos=place)
+            tendon.wrap_site(name)
+        model = spec.compile()
+        data, step = mujoco.MjData(model), 1e-5
+        lengths = np.empty((len(position), 3))
+        for row, place in enumerate(position):
+            for column, away in enumerate((-step, 0.0, step)):
+                data.qpos[self.joint] = place + away
+                mujoco.mj_kinematics(model, data)
+                mujoco.mj_comPos(model, data)
+                mujoco.mj_tendon(model, data)
+                lengths[row, column] = data.ten_length[0]
+        return self.pull(lengths[:, 1]) * (lengths[:, 2] - lengths[:, 0]) / (2 * step)

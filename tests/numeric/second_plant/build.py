@@ -108,7 +108,7 @@ def build(random: np.random.Generator, wanted: Wanted, name: str) -> Scene:
             joint=one, gear_ratio=float(ratio),
             motor_inertia=float(motor_nominal * (effort / rated) / ratio**2), rated_effort=effort,
             viscous_friction=float(round(viscous * effort / rated, 2)), cogging_orders=cogging,
-            transmission_orders=transmission,
+            transmission_orders=transmission, counterbalance=draft.on_paper if one == joint else None,
         )
         for one, ratio, effort in zip(place.cad.names, ratios, place.rated, strict=True)
     ]  # fmt: skip
@@ -131,7 +131,7 @@ def _hide(draft: Draft, wanted: Wanted) -> dict[str, Hidden]:
     known = OUTSIDE if wanted.outside else CATALOGUE
     first = sorted(names, key=lambda name: name not in FIRST)
     done = {name: known[name](draft) for name in first}
-    return {name: done[name] for name in names}
+    return {name: done[name] for name in names if wanted.size != "none"}
 
 
 def _place(random: np.random.Generator, wanted: Wanted, name: str) -> _Place:

@@ -102,10 +102,12 @@ def cases(
     triples: int = 0,
     outside: int = 0,
     nominal: int = 0,
+    balanced: int = 0,
     sizes: Sequence[str] = SIZES,
 ) -> list[Case]:
     """`singles` of every effect in every size; the others in all. A case's number, and so what it hides, depends on its
-    kind and its place there alone: more of one kind leave the others as they were.
+    kind and its place there alone: more of one kind leave the others as they were. `balanced`: healthy machines with a
+    counterbalance, which their robot file has.
     """
     random = np.random.default_rng((seed, 7))
     one = [
@@ -115,6 +117,7 @@ def cases(
         for n in range(singles)
     ]
     healthy = [Case(seed, 1000 + n, Kind.NONE, (), "none") for n in range(none)]
+    healthy += [Case(seed, 2000 + n, Kind.NONE, ("counterbalance",), "none") for n in range(balanced)]
     some = [Case(seed, 50_000 + n, Kind.PAIR, _together(random, 2), SIZES[n % 2]) for n in range(pairs)]
     random = np.random.default_rng((seed, 8))
     more = [Case(seed, 60_000 + n, Kind.TRIPLE, _together(random, 3), SIZES[n % 2]) for n in range(triples)]

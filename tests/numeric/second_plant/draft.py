@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from service.model.counterbalance import Counterbalance
 from tests.numeric.second_plant.bodies import STANDARD, Curve, Rigid
 from tests.numeric.second_plant.friction import Level, Now
 from tests.numeric.second_plant.machine import Train
@@ -51,6 +52,7 @@ class Draft:
     sensors: Sensors
     carried: tuple[Body | None, ...]  # a value a sweep: what was bolted to the flange
     tilted: tuple[float, float, float] = STANDARD
+    on_paper: Counterbalance | None = None
     train: Train = field(init=False)
     after: list[Callable[[Array, Array], Array]] = field(default_factory=list)  # (effort, position) -> effort told
 
@@ -107,6 +109,13 @@ class Draft:
     def weight(self) -> float:
         """Largest holding torque on any sweep, N m."""
         return float(np.abs(self.drawn_for(self.train.gravity.at(self.plan.poses[:, self.index]))).max())
+
+    def toppling(self) -> float:
+        """The angle of this axis at which its weight topples, rad: of the nearest A cos q + B sin q."""
+        starts = self.plan.poses[:, self.index]
+        rows = np.column_stack([np.cos(starts), np.sin(starts)])
+        cosine, sine = np.linalg.lstsq(rows, self.train.gravity.at(starts))[0]
+        return float(np.arctan2(cosine, -sine))  # where it holds nothing, and less than nothing beyond
 
     def even(self, value: float) -> Array:
         return np.full(self.sweeps, value)

@@ -9,7 +9,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.numeric.second_plant.draft import Draft, Hidden, steady
+from service.model.counterbalance import Counterbalance
+from tests.numeric.second_plant.bodies import Cylinder
+from tests.numeric.second_plant.draft import REACH, Draft, Hidden, steady
 from tests.numeric.second_plant.dry import bristle, effect_of_warmth, sliders
 from tests.numeric.second_plant.friction import Level
 from tests.numeric.second_plant.laws import Hose, Law, Waves, Wobble
@@ -160,6 +162,44 @@ def hose_spring(draft: Draft) -> Hidden:
     return Hidden({"stiffness": stiffness, "rest": rest, "damping": damping, "hardening": hardening / far**2})
 
 
+def counterbalance(draft: Draft) -> Hidden:
+    """Between two points: a coil spring, or a cylinder that compresses gas as it lengthens. The robot file has one that
+    is off, or none; of a healthy machine the right one.
+    """
+    random, joint = draft.random, draft.built.joints[draft.index]
+    crank, arm, apart = random.uniform(0.12, 0.3), random.uniform(0.35, 0.7), random.uniform(0.0, 0.1)
+    toppling = draft.toppling() + random.uniform(-0.15, 0.15)  # pulled towards where the weight topples
+    axis, turn = np.array(joint.axis, dtype=float), random.uniform(0, 2 * np.pi)
+    aside = np.roll(axis, 1)
+    ways = [np.cos(a) * aside + np.sin(a) * np.cross(axis, aside) for a in (turn, turn - toppling)]
+    fixed, moved = np.array(joint.origin) + arm * ways[0] + apart * axis, crank * ways[1]
+    shortest, stroke = np.hypot(arm - crank, apart), np.hypot(arm + crank, apart) - np.hypot(arm - crank, apart)
+    law, middle = str(random.choice(["spring", "gas"])), shortest + stroke / 2
+    if law == "gas":
+        filled, exponent = random.uniform(0.35, 0.6), random.uniform(1.0, 1.3)
+        unit = Cylinder(draft.index, fixed, moved, lambda far: (1 - filled * (far - shortest) / stroke) ** -exponent)
+        paper = {"force": (1 - filled / 2) ** -exponent, "exponent": exponent, "column": stroke * (1 / filled - 0.5)}
+    else:
+        free = shortest * random.uniform(0.3, 0.95)
+        unit = Cylinder(draft.index, fixed, moved, lambda far: far - free)
+        paper = {"force": middle - free, "rate": 1.0}
+    grid = np.linspace(draft.starts.min() - REACH, draft.starts.max() + REACH, 1500)
+    torque = unit.holding(draft.built, grid)
+    strength = random.uniform(0.3, 0.7) * draft.weight() / float(np.abs(np.interp(draft.starts, grid, torque)).max())
+    gravity = draft.train.gravity
+    places = gravity.start[:, None] + gravity.step * np.arange(gravity.values.shape[1])
+    draft.train.gravity = replace(gravity, values=gravity.values + strength * np.interp(places, grid, torque))
+    low, high = {"small": (0.05, 0.1), "medium": (0.1, 0.2), "large": (0.2, 0.4), "none": (0.0, 0.0)}[draft.size_class]
+    share = float(random.choice([-1.0, -1.0, -1.0, 1.0]) * random.uniform(low, high))
+    missing = draft.size_class == "large" and random.random() < 0.5
+    if not missing:
+        sized = {key: strength / (1 + share) * paper[key] for key in paper.keys() & {"force", "rate"}}
+        draft.on_paper = Counterbalance.model_validate(
+            {**paper, **sized, "anchor": fixed.tolist(), "attachment": moved.tolist(), "length": middle}
+        )
+    return Hidden({"law": law, "share": None if missing else share, "crank": crank, "arm": arm, "zero": toppling})
+
+
 def joint_elasticity(draft: Draft) -> Hidden:
     """Two masses; locked rotor of the mean load from 5 Hz (large) to 30 Hz (small)."""
     span = {"small": (20.0, 30.0), "medium": (9.0, 15.0), "large": (5.0, 9.0)}[draft.size_class]
@@ -260,11 +300,12 @@ CATALOGUE: dict[str, Callable[[Draft], Hidden]] = {
         coulomb_friction, asymmetric_friction, stribeck_friction, nonlinear_viscous_friction, load_dependent_friction,
         friction_temperature_drift, gravity_error, hose_spring, joint_elasticity, measurement_delay, cogging_torque,
         transmission_error, presliding_hysteresis, backlash, effort_offset, torque_constant_error, payload,
+        counterbalance,
     )
 }  # fmt: skip
 
-TIGHT = ("gravity_error", "torque_constant_error", "payload")  # a prior of 30 % would take all of it
-PULLED = ("gravity_error", "payload", "load_dependent_friction")  # need weight
+TIGHT = ("gravity_error", "torque_constant_error", "payload", "counterbalance")  # a prior of 30 % would take all of it
+PULLED = ("gravity_error", "payload", "load_dependent_friction", "counterbalance")  # need weight
 FREE = ("backlash",)  # need a torque that reverses
 TURNING = ("effort_offset",)  # a constant beside a slide's weight is part of its mass
 BY_TEST_MASS = ("payload", "torque_constant_error")

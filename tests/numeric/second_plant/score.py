@@ -121,6 +121,7 @@ def _arguments(given: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=1)
     for name, text in {
         "singles": "of every effect in every size", "pairs": "", "triples": "", "none": "healthy machines",
+        "balanced": "healthy machines with a counterbalance",
         "outside": "effects that the catalogue does not cover", "nominal": "wrong nominals and broken data",
     }.items():  # fmt: skip
         parser.add_argument(f"--{name}", type=int, default=0, help=text)
@@ -139,7 +140,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = _arguments(arguments)
     wanted = cases(
         given.seed, singles=given.singles, none=given.none, pairs=given.pairs, triples=given.triples,
-        outside=given.outside, nominal=given.nominal, sizes=("small", "medium", "large")[not given.small :],
+        outside=given.outside, nominal=given.nominal, balanced=given.balanced,
+        sizes=("small", "medium", "large")[not given.small :],
     )  # fmt: skip
     if given.effects:
         wanted = [one for one in wanted if set(given.effects) & set(one.names)]
@@ -166,7 +168,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _command(given: argparse.Namespace) -> str:
     counts = " ".join(
         f"--{name} {getattr(given, name)}"
-        for name in ("seed", "singles", "pairs", "triples", "none", "outside", "nominal")
+        for name in ("seed", "singles", "pairs", "triples", "none", "balanced", "outside", "nominal")
     )
     flags = "".join(f" --{name}" for name in ("small", "paper") if getattr(given, name))
     return f"python -m tests.numeric.second_plant.score {counts}{flags} --write"

@@ -17,8 +17,8 @@ Document = dict[str, Any]
 
 BIG = ("medium", "large")
 
-SEEN_AS = {"tilted_base": frozenset({"gravity_error"})}
-"""What the catalogue has no entry for, and a name that is true of it: no mass explains a base that leans."""
+SEEN_AS = {"tilted_base": frozenset({"gravity_error"}), "counterbalance": frozenset({"counterbalance"})}
+"""What is drawn as outside of the catalogue, and a name that is true of it: no mass explains a base that leans."""
 
 FAULT_WORDS: dict[str, tuple[str, ...]] = {
     "gear_ratio_off": ("gear_ratio", "gear ratio"),
@@ -196,6 +196,8 @@ def same_parameters(hidden: Mapping[str, Document]) -> Iterator[tuple[str, str, 
         elif effect == "cogging_torque":
             for order, size, phase in zip(p["orders"], p["amplitudes"], p["phases"], strict=True):
                 found |= {f"sine_{order:g}": size * np.cos(phase), f"cosine_{order:g}": size * np.sin(phase)}
+        elif effect == "counterbalance":
+            found = {"share": p.get("share")}
         elif effect in ("payload", "torque_constant_error", "backlash"):
             key = {"payload": "mass", "torque_constant_error": "gain_error", "backlash": "play"}[effect]
             found = {key: p[key]}
