@@ -173,7 +173,8 @@ COUNTERBALANCE = CatalogueEffect(
     coefficients=_balance_coefficients,
     columns=_balance_columns,
     shape=_balance_shape,
-    possible=lambda parameters, tracks, model: parameters.get("share", 0.0) > -1,
+    # -1: all of its gas is lost, or it is not there; less would push instead
+    possible=lambda parameters, tracks, model: parameters.get("share", 0.0) > -1.1,
     as_weight=WEIGHT,
     scenario=_balance_scenario,
     applies=lambda tracks: not tracks.prismatic and bool(np.ptp(tracks.gravity) > 0),
