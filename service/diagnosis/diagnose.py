@@ -23,6 +23,7 @@ from service.diagnosis.fit.fitted import Parameter
 from service.diagnosis.fit.gap import gap, noise, noise_floor, residual
 from service.diagnosis.fit.search import CurrentModel
 from service.diagnosis.fit.select import Selection, allowed_by_physics, select, settled, with_groups
+from service.diagnosis.law import Law, proposed_law
 from service.diagnosis.localisation.locate import cells, example, lines, sentences
 from service.diagnosis.localisation.repeatability import unrepeated
 from service.diagnosis.localisation.ripple_search import ripples, with_ripples
@@ -97,6 +98,7 @@ class AxisResult:
     started_from: str  # source of the initial rigid model: "cad", or which estimate
     weighed: bool  # the effort was corrected with a known test mass
     unexplained: float  # part of the repeatable excess
+    law: Law | None  # proposed for an unknown gap, in no model
     next_experiment: NextExperiment | None
     ended: str  # why no experiment is left that may decide what is undecided; "": it is decided, or one is left
     untestable: tuple[str, ...]
@@ -185,14 +187,17 @@ def _diagnosed(
         (base if GAIN in known else named).insert(0, _weighed(gain))
         if verdict in (Verdict.NONE, Verdict.UNTESTABLE) and GAIN not in known:
             verdict = Verdict.NAMED
+    play, law = None, None
+    if trusted and verdict is Verdict.UNKNOWN:
+        play = measured_play(robot, joint, own)
+        law = proposed_law(selection.given, selection.rigid.terms) if play is None else None
     wanted, ended = None, "its data cannot be trusted"
     if trusted:
         rivals = tuple(sorted({*ties, *chain(*ties.values())}))
-        wanted, ended = next_experiment(selection, verdict, rivals, hidden, own, runnable, experiments)
+        wanted, ended = next_experiment(selection, verdict, rivals, hidden, own, runnable, experiments, law)
     if wanted is not None and weighed is not None:
         wanted = replace(wanted, reason=f"{wanted.reason} {HEAVIER if wanted.kind == TEST_MASS else OFF}")
     unit = "N" if motion.prismatic else "N m"
-    play = measured_play(robot, joint, own) if trusted and verdict is Verdict.UNKNOWN else None
     loose = unrepeated(selection.given, shown.after)
     said = (loose.sentence(joint, unit),) if loose is not None and loose.is_physical else ()
     result = AxisResult(
@@ -216,6 +221,7 @@ def _diagnosed(
         started_from=source_of(robot),
         weighed=wrong is not None,
         unexplained=selection.unexplained,
+        law=law,
         next_experiment=wanted,
         ended=ended,
         data=(*data, *found.said),

@@ -16,6 +16,7 @@ from service.model.results.diagnosis import (
     Experiment,
     ExperimentSweep,
     Finding,
+    ProposedLaw,
     Rival,
     standing_of,
 )
@@ -24,6 +25,7 @@ from service.model.results.effect import AxisFit, Effect, PoseGravity, PoseInert
 if TYPE_CHECKING:  # the service composes documents of axes that its worker has diagnosed
     from service.diagnosis.diagnose import AxisResult, NamedEffect
     from service.diagnosis.experiments import NextExperiment
+    from service.diagnosis.law import Law
 
 
 def as_document(robot: Robot, diagnoses: "Sequence[AxisResult]") -> Diagnosis:
@@ -69,12 +71,13 @@ def axis_document(one: "AxisResult") -> AxisDiagnosis:
         summary="",
     )
     told = {"summary": summary(one.joint, found, one.ended), "standing": standing_of(found)}
-    return found.with_nonempty(unfinished=one.unfinished, **told)
+    law = None if one.law is None else _law(one.joint, one.law, unit)
+    return found.with_nonempty(unfinished=one.unfinished, law=law, **told)
 
 
 def _in_units(text: str, effort: str) -> str:
     """Correct the units for a prismatic axis (effort in N, no radians); the effects use revolute units for all axes."""
-    return text if effort != "N" else re.sub(r"\brad(2?)\b", r"m\1", re.sub(r"\bN m\b", "N", text))
+    return text if effort != "N" else re.sub(r"\brad([23]?)\b", r"m\1", re.sub(r"\bN m\b", "N", text))
 
 
 def _effect(effect: "NamedEffect", unit: str) -> Effect:
@@ -89,6 +92,18 @@ def _effect(effect: "NamedEffect", unit: str) -> Effect:
         evidence={"chi_squared_gain": effect.gain, "criterion_gain": effect.criterion_gain},
         scenario_entry=entry.entry,
         scenario=cast(Any, effect.patch),  # JSON
+    )
+
+
+def _law(joint: str, law: "Law", unit: str) -> ProposedLaw:
+    return ProposedLaw(
+        sentence=_in_units(law.sentence(joint, unit), unit),
+        formula=law.formula,
+        parameters={name: _value(parameter, unit) for name, parameter in law.parameters.items()},
+        before_rms=law.before,
+        after_rms=law.after,
+        closed=law.closed,
+        held_out_sweeps=law.sweeps,
     )
 
 

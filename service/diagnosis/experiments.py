@@ -17,6 +17,7 @@ import numpy as np
 from service import BadInput
 from service.diagnosis.fit.equations import Term
 from service.diagnosis.fit.select import RIVAL, TOLERANCE, Selection
+from service.diagnosis.law import Law
 from service.diagnosis.sensitivity import PredictedSweeps, UntestableEffect, predict_sweeps, shown_in
 from service.diagnosis.summary import in_words
 from service.diagnosis.verdict import Verdict
@@ -92,13 +93,15 @@ def next_experiment(
     sweeps: Sequence[Sweep],
     runnable: Runnable = all_runnable,
     experiments: int = 0,
+    law: Law | None = None,
 ) -> tuple[NextExperiment | None, str]:
     """What to measure next; if that is nothing, the reason for which the diagnosis ends undecided ("": it is decided).
 
     `hidden`: what the `sweeps` cannot show. `experiments`: how many were run; after `MOST_EXPERIMENTS` none follows.
+    `law`: proposed for an unknown gap; the experiment tests it.
     """
     campaign = _Campaign(selection, tuple(sweeps), runnable)
-    wanted = _wanted(campaign, verdict, rivals, hidden) if experiments < MOST_EXPERIMENTS else None
+    wanted = _wanted(campaign, verdict, rivals, hidden, law) if experiments < MOST_EXPERIMENTS else None
     if wanted is not None or verdict in (Verdict.NONE, Verdict.NAMED):
         return wanted, ""
     if experiments >= MOST_EXPERIMENTS:
@@ -120,7 +123,11 @@ def _left_open(verdict: Verdict, rivals: Sequence[str], hidden: Mapping[str, Unt
 
 
 def _wanted(
-    campaign: "_Campaign", verdict: Verdict, rivals: Sequence[str], hidden: Mapping[str, UntestableEffect]
+    campaign: "_Campaign",
+    verdict: Verdict,
+    rivals: Sequence[str],
+    hidden: Mapping[str, UntestableEffect],
+    law: Law | None,
 ) -> NextExperiment | None:
     """The first that can be run, of what may decide it."""
     if verdict is Verdict.NAMED:
@@ -137,6 +144,10 @@ def _wanted(
             return wanted
         blocks = campaign.open or REVISITED
         return wanted or campaign.missing(blocks, "Nothing was repeated, so noise is not known; those are.", again=True)
+    if law is not None:
+        tests = "It tests the proposed law."
+        first = campaign.poses(tests) if law.of_position else None
+        return first or campaign.missing(campaign.open, tests) or campaign.poses(tests)
     if verdict is Verdict.UNKNOWN:
         return campaign.missing(campaign.open, "The sweeps that are missing show what these cannot.") or campaign.poses(
             "All kinds of sweeps were run: other poses show where it changes."

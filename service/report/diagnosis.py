@@ -98,6 +98,12 @@ def _axis(page: ReportPage, joint: str, axis: AxisDiagnosis) -> None:
             "<p>In addition, a part of the gap is not explained by any effect of the catalogue.</p>",
         )
         page.table(["effect", "parameter", "value", "± std", "unit"], _parameter_rows(axis.part))
+    if axis.law is not None:
+        page.add(
+            "<h3>Proposed law</h3>",
+            f"<p>{escape(axis.law.sentence)} <code>{escape(axis.law.formula)}</code></p>",
+        )
+        page.table(["parameter", "value", "± std", "unit"], _value_rows(axis.law.parameters))
     if axis.rigid_model:
         _rigid_model(page, axis.rigid_model, axis.started_from)
     sweep, block = axis.example.sweep, axis.example.block
@@ -195,13 +201,13 @@ def _effects(page: ReportPage, axis: AxisDiagnosis, figures: Mapping[str, DrawnF
 
 
 def _parameter_rows(effects: Sequence[Effect]) -> list[list[str]]:
+    return [[drawn.effect_words(one.effect), *row] for one in effects for row in _value_rows(one.parameters)]
+
+
+def _value_rows(parameters: Mapping[str, Value]) -> list[list[str]]:
     """A coefficient of which the sweeps tell nothing has no value."""
     nothing = ["not significant", "–", ""]
-    return [
-        [drawn.effect_words(effect.effect), plain(name), *(_value(value) if value.significant else nothing)]
-        for effect in effects
-        for name, value in effect.parameters.items()
-    ]
+    return [[plain(name), *(_value(value) if value.significant else nothing)] for name, value in parameters.items()]
 
 
 def findings(page: ReportPage, found: Sequence[Finding]) -> None:

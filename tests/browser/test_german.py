@@ -5,11 +5,13 @@ What is of another source is quoted, in no known language: a drive, the operatin
 
 import json
 import re
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page, expect
 
+from service.diagnosis.law import WORDS, Law
 from service.model.results.diagnosis import AxisDiagnosis
 from service.report.diagnosis import figures_of
 from service.web.hmi.pages import texts
@@ -191,6 +193,22 @@ def test_each_sentence_of_the_source_has_its_german(root: Path) -> None:
             said,
         )
     assert left == []
+
+
+def test_each_law_is_told_in_german() -> None:
+    kinds = list(WORDS)
+    laws = [Law((one, other), {}, 2.0, 0.5, 12, -0.3, 1.25) for one, other in pairwise([*kinds, kinds[0]])]
+    said = [*(law.sentence("joint_1", "N m") for law in laws), "It tests the proposed law."]
+    with scripted() as service, browsing(service.url, locale="de-DE") as page:
+        told = page.evaluate(
+            """async (said) => {
+              const { foreign } = await import("./words.js");
+              return said.map((one) => foreign(one)).map((one) => (one.lang ? "" : one.textContent));
+            }""",
+            said,
+        )
+    assert all("Abweichung" in one and "ferner: es" in one for one in told[:-1])
+    assert told[-1] == "Sie prüfen das vorgeschlagene Gesetz."
 
 
 def test_findings_are_told_in_german(root: Path) -> None:

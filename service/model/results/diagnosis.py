@@ -222,13 +222,28 @@ class RigidParameter(Part):
     std: float | None
 
 
+class ProposedLaw(Part):
+    """A law proposed for an unknown gap; it enters no model. The parts and RMS, N m (N), are those of held-out sweeps,
+    which took no part in its selection or fit: gap without and with it, and the part of the gap that it closes.
+    """
+
+    sentence: str
+    formula: str
+    parameters: dict[str, Value]
+    before_rms: float
+    after_rms: float
+    closed: float
+    held_out_sweeps: int
+
+
 class AxisDiagnosis(Document):
     """The result for one axis; `unit` is that of its effort.
 
     `effects`: named (or, if undecided, the simplest explanation so far). `known`: in the model. `part`: those that
-    explain a part; the rest is unknown. `where`: the map of the gap. `data`: findings of the data check. `unfinished`:
-    searches that used up their steps, only if there are any. `biasing`: the `untestable` effects that would change the
-    estimate by more than its standard deviation. `standing`: see `standing_of`. Both are missing in older documents.
+    explain a part; the rest is unknown. `law`: proposed for an unknown gap, only if there is one. `where`: the map of
+    the gap. `data`: findings of the data check. `unfinished`: searches that used up their steps, only if there are any.
+    `biasing`: the `untestable` effects that would change the estimate by more than its standard deviation. `standing`:
+    see `standing_of`. Both are missing in older documents.
     """
 
     verdict: Verdict
@@ -249,6 +264,7 @@ class AxisDiagnosis(Document):
     started_from: str = "cad"
     rigid_model: tuple[RigidParameter, ...] = ()
     unexplained: float | None = None
+    law: ProposedLaw | None = None
     next_experiment: Experiment | None
     untestable: tuple[str, ...]
     biasing: tuple[str, ...] = ()
@@ -340,6 +356,8 @@ def _axis_shown(joint: str, axis: AxisDiagnosis) -> Sequence[Table | str]:
         parts += _effect_lines(effect, "If it is that: " if effect.effect in axis.candidates else "")
     for effect in axis.part:
         parts += _effect_lines(effect, "Part of it, in addition to an unknown effect: ")
+    if axis.law is not None:
+        parts += [*_effect_lines(axis.law, ""), f"    {axis.law.formula}"]
     std = tuple(one.std for one in axis.rigid_model)
     columns = (
         Column("parameter", tuple(one.name for one in axis.rigid_model)),
@@ -353,7 +371,7 @@ def _axis_shown(joint: str, axis: AxisDiagnosis) -> Sequence[Table | str]:
     return parts
 
 
-def _effect_lines(effect: Effect, before: str) -> list[str]:
+def _effect_lines(effect: Effect | ProposedLaw, before: str) -> list[str]:
     """A parameter of which the sweeps tell nothing is not shown."""
     shown = [f"    {name} = {value.words}" for name, value in effect.parameters.items() if value.significant]
     open_ = ", ".join(name for name, value in effect.parameters.items() if not value.significant)

@@ -142,6 +142,7 @@ async function showAxis(campaign, after) {
   byId("effects").replaceChildren(...axis.effects.flatMap(effectParts));
   if (axis.verdict === "ambiguous") byId("effects").prepend(element("p", text("diagnosis.simplest")));
   showPart(axis.part ?? []);
+  if (axis.law) byId("part").append(...formulaParts(text("diagnosis.law"), axis.law.sentence, axis.law.formula, axis.law.parameters));
   showRigidModel(axis);
   byId("untestable").textContent = notLookedAt(axis).join(" ");
   await showExperiment(shown, joint, axis.next_experiment, campaign, after);
@@ -173,14 +174,17 @@ const effectName = (effect) => word("effect", effect);
 /** @param {Api.Value} value */
 const significant = ({ value, std }) => std === null || std <= Math.abs(value) / 2;
 
-// a coefficient of which the sweeps tell nothing is not shown
 /** @param {Api.Effect} effect */
-function effectParts(effect) {
-  const heading = element("h3", effectName(effect.effect));
-  const sentence = element("p", [foreign(effect.sentence), " "]);
-  sentence.append(element("code", effect.physics));
+const effectParts = (effect) => formulaParts(effectName(effect.effect), effect.sentence, effect.physics, effect.parameters);
+
+// a coefficient of which the sweeps tell nothing is not shown
+/** @param {string} title @param {string} told @param {string} physics @param {Record<string, Api.Value>} parameters */
+function formulaParts(title, told, physics, parameters) {
+  const heading = element("h3", title);
+  const sentence = element("p", [foreign(told), " "]);
+  sentence.append(element("code", physics));
   const table = element("table");
-  const [shown, open] = [true, false].map((kind) => Object.entries(effect.parameters).filter(([, value]) => significant(value) === kind));
+  const [shown, open] = [true, false].map((kind) => Object.entries(parameters).filter(([, value]) => significant(value) === kind));
   table.append(...shown.map(([name, value]) => row([
     [word("parameter", name)], [`${measured(value.std, value.value, value.std).join(" \u00b1 ")} ${value.unit.replace("^2", "\u00b2")}`, "number"],
   ])));
