@@ -12,7 +12,7 @@ and to its cube has no e; presliding is a loop of the motor's angle (Nordin and 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import product
 
 import numpy as np
@@ -344,8 +344,11 @@ def _rows(axis: _Reversals, assumed: _Assumed, number: int) -> _FlankRows | None
     if len(at) < 10:
         return None
 
+    # only these samples are filtered; where a kernel exceeds the record by its last sample, that of the record counts
+    near = np.clip(at[:, None] + np.arange(len(_weights(width, 0))) - len(_weights(width, 0)) // 2, 0, times[-1])
+
     def low(signal: Array, order: int = 0) -> Array:
-        return np.asarray(gaussian_filter1d(signal, width, order=order)[at] * rate**order, dtype=np.float64)
+        return np.asarray(signal[near] @ _weights(width, order) * rate**order, dtype=np.float64)
 
     pose = int(np.argmax((axis.poses == np.array(sweep.spec.pose)).all(axis=1)))
     here = np.eye(len(axis.poses))[pose]
@@ -372,6 +375,14 @@ def _rows(axis: _Reversals, assumed: _Assumed, number: int) -> _FlankRows | None
         repeat=np.full(len(at), sweep.spec.repeat),
         moment=at + len(times) * pose,
     )
+
+
+@lru_cache(maxsize=8)
+def _weights(width: float, order: int) -> Array:
+    """Weights of the samples around one, for a derivative of a Gaussian."""
+    reach = int(4 * width + 0.5)
+    impulse = np.eye(1, 2 * reach + 1, reach)[0]
+    return np.asarray(gaussian_filter1d(impulse, width, order=order, mode="constant")[::-1], dtype=np.float64)
 
 
 def _between(contacts: NDArray[np.intp], places: Array, time: Array, slowing: float, damping: float) -> Array:

@@ -68,8 +68,22 @@ def select(given: Equations, known: Sequence[str], candidates: Sequence[str]) ->
     rigid = CurrentModel(given, fixed).alone()
     start, table = Selection(given, rigid, rigid, ()), _table(given, fixed, [c for c in candidates if c not in known])
     found = _grown(start, table, candidates)
-    if _at_floor(found) or found.chosen is rigid or bends(found.chosen.terms):
-        return found
+    if not (_at_floor(found) or found.chosen is rigid or bends(found.chosen.terms)):
+        found = _from_another(found, start, table, candidates)
+    return replace(found, tried=tuple(table)) if found.chosen is rigid else _compared(found, candidates)
+
+
+def _compared(found: Selection, candidates: Sequence[str]) -> Selection:
+    """The same, with each term exchanged if that has not been tried yet."""
+    fixed = len(found.rigid.terms)
+    return replace(found, tried=found.tried or tuple(_exchanges(found.given, found.chosen, candidates, fixed)))
+
+
+def _from_another(
+    found: Selection, start: Selection, table: Sequence[Explanation], candidates: Sequence[str]
+) -> Selection:
+    """The best explanation with another first effect, if one explains everything; else what was found."""
+    rigid = start.rigid
     plain = [name for name in candidates if CATALOGUE[name].parts is None]
     others = [one for one in table if one.terms[-1].effect not in found.chosen.names and _is_start(one, rigid, table)]
     # 4 other first effects that are tried if the best one leads to no explanation
@@ -77,7 +91,7 @@ def select(given: Equations, known: Sequence[str], candidates: Sequence[str]) ->
     again = [one for one in again if _at_floor(one) and allowed_by_physics(one.given, one.chosen)]
     least = min((one.chosen.cost for one in again), default=0.0) + TOLERANCE * rigid.cost
     near = [one for one in again if one.chosen.cost <= least]
-    return min(near, key=lambda one: (one.chosen.parameters, one.chosen.criterion), default=found)
+    return _compared(min(near, key=lambda one: (one.chosen.parameters, one.chosen.criterion)), plain) if near else found
 
 
 def _is_start(one: Explanation, rigid: Explanation, table: Sequence[Explanation]) -> bool:
@@ -104,13 +118,12 @@ def _grown(start: Selection, table: list[Explanation], candidates: Sequence[str]
             table = _table(given, chosen.terms, [c for c in candidates if c not in chosen.names])
         step = _step(given, chosen, table, rigid.cost, chance, first=chosen is rigid)
         if step is None:
-            tried = tried or table
             break
         given, chosen, ended = _consistent(*step, fixed, again=_of_model(step[1]))
         chosen = _without_needless(given, chosen, rigid.cost, chance, fixed)
-        tried = _exchanges(given, chosen, candidates, fixed)
-        if (better := _exchange(given, chosen, tried, rigid.cost, fixed)) is not chosen:
-            chosen, tried = better, _exchanges(given, better, candidates, fixed)
+        tried = _exchanges(given, chosen, candidates, fixed) if len(chosen.terms) - fixed > 1 else []
+        if (better := _exchange(given, chosen, tried, rigid.cost)) is not chosen:
+            chosen, tried = better, []
     return Selection(given, chosen, rigid, tuple(tried), ended)
 
 
@@ -368,11 +381,9 @@ def _exchanges(given: Equations, chosen: Explanation, candidates: Sequence[str],
     return result
 
 
-def _exchange(
-    given: Equations, chosen: Explanation, tried: Sequence[Explanation], excess: float, fixed: int
-) -> Explanation:
+def _exchange(given: Equations, chosen: Explanation, tried: Sequence[Explanation], excess: float) -> Explanation:
     """The best exchange of one of several terms, if it is better by more than the tolerance, or as good and simpler."""
-    if len(chosen.terms) - fixed < 2 or not tried:
+    if not tried:
         return chosen
     tolerance = max(RIVAL, TOLERANCE * excess)
     best = min(tried, key=lambda one: one.criterion)
