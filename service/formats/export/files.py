@@ -256,8 +256,7 @@ def as_mjcf(model: IdentifiedModel, *, elastic: bool = False) -> str:
             for name, value in zip(("stiffness", "damping"), model.springs[joint.name], strict=True):
                 gear.set(name, repr(value))
         _add_shapes(carrier, (link for link in links if link.carrier == body.link))
-    if model.counterbalances:
-        tendons = ET.SubElement(root, "tendon")
+    tendons = ET.SubElement(root, "tendon") if model.counterbalances else root
     for joint in model.counterbalances:
         factors, free, _ = model.tendon(joint)
         stiffness = _text(factors if factors[1:].any() else factors[:1])

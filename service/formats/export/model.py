@@ -84,10 +84,10 @@ class IdentifiedModel(Shown):
         if free >= 0:
             return np.array([own.rate, 0.0, 0.0]), free, 0.0
         found: list[tuple[float, float, Array]] = []
-        for start in np.linspace(0, length.max(), 41).tolist():
-            rows = arm[:, None] * np.stack([(length - start) ** power for power in (1, 2, 3)], -1)
-            factors = np.linalg.lstsq(rows, wanted)[0]
-            found.append((float(np.abs(rows @ factors - wanted).max()), start, factors))
+        for start in np.linspace(0, float(length.max()), 41):
+            rows = arm[:, None] * (length - start)[:, None] ** np.arange(1, 4)
+            factors = np.asarray(np.linalg.lstsq(rows, wanted)[0], dtype=float)
+            found.append((float(np.abs(rows @ factors - wanted).max()), float(start), factors))
         off, start, factors = min(found, key=lambda one: one[0])
         return factors, start, off
 
