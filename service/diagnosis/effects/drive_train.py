@@ -52,10 +52,11 @@ def _elastic_two_masses(tracks: Tracks, model: Model, shape: Shape) -> _TwoMasse
 
     def transmitted() -> Array:
         known = tracks.spectra
-        through_gear = known["effort"] + known["acceleration"] * -motor + known["velocity"] * -on_motor
+        through_gear = known["effort"] + spectrum(-model.beside, tracks.rate)
+        through_gear += known["acceleration"] * -motor + known["velocity"] * -on_motor
         return (through_gear * spring).signal(tracks.velocity.shape[1])
 
-    torque = tracks.remember((damping, motor, on_motor), transmitted)
+    torque = tracks.remember((damping, motor, on_motor, model.key), transmitted)
     linear = twist = compliance * torque
     if hardening > 0:
         rated = tracks.robot.axis(tracks.joint).rated_effort
@@ -65,7 +66,7 @@ def _elastic_two_masses(tracks: Tracks, model: Model, shape: Shape) -> _TwoMasse
             stiffer = torque - rated * softened(torque / rated, hardening)
             return torque + damping * through(stiffer, tracks.rate, s * spring)
 
-        more = tracks.remember((damping, motor, on_motor, hardening), damped)
+        more = tracks.remember((damping, motor, on_motor, model.key, hardening), damped)
         twist = compliance * rated * softened(more / rated, hardening)
     return _TwoMasses(impedance, 1 / (1 + compliance * spring * impedance), load_inertia, viscous, linear, twist)
 
@@ -162,6 +163,7 @@ JOINT_ELASTICITY = CatalogueEffect(
     entry="spring",
     coefficients=named(("ratio", "")),
     columns=_elastic_columns,
+    on_load=True,
     parts=_elastic_parts,
     of_model=True,
     scenario=_elastic_scenario,
@@ -246,6 +248,7 @@ BACKLASH = CatalogueEffect(
     entry="spring.backlash",
     coefficients=named(("ratio", "")),
     columns=_backlash_columns,
+    on_load=True,
     scan=_backlash_scan,
     scenario=_backlash_scenario,
     shape=_backlash_shape,
@@ -299,6 +302,7 @@ TRANSMISSION_ERROR = CatalogueEffect(
     entry="gear_error",
     coefficients=_transmission_coefficients,
     columns=_transmission_columns,
+    on_load=True,
     of_model=True,
     scenario=_transmission_scenario,
     applies=lambda tracks: bool(tracks.robot.axis(tracks.joint).transmission_orders),

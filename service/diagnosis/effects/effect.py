@@ -120,7 +120,7 @@ Readout = Mapping[str, tuple[float, float, str]]
 class Model:
     """The rigid model as fitted so far: axis inertia of each sweep (n,), reflected motor inertia, viscous friction,
     gravity torque along the motion (n, t) with that of the counterbalance, and gravity torque at the pose (n,) with its
-    slope (n,).
+    slope (n,). `beside`: torque of effects (n, t) that is in the effort, but not transmitted by the gear.
     """
 
     inertia: Array
@@ -129,6 +129,12 @@ class Model:
     gravity: Array
     torque: Array
     slope: Array
+    beside: Array
+
+    @cached_property
+    def key(self) -> int:
+        """Of `beside`."""
+        return hash(self.beside.tobytes())
 
     def transmitted(self, acceleration: Array) -> Array:
         """Torque (n, t) transmitted by a rigid gear."""
@@ -182,6 +188,7 @@ class CatalogueEffect:
     by_load: bool = False  # no columns: the effect frees directions of the load
     # signals (3, n, t) that multiply inertia, torque and slope of the load with this effect, to first order
     parts: Callable[[Tracks, Model, Shape], Array] | None = None
+    on_load: bool = False  # whether its torque acts on the load, behind the gear
     of_model: bool = False  # whether the columns depend on the fitted inertia and friction
     late: bool = False  # whether its first coefficient, s, is a delay of the whole torque, including other effects
     by_test_mass: bool = False  # only a test mass separates it from similar effects

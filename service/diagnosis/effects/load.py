@@ -105,6 +105,7 @@ HOSE_SPRING = CatalogueEffect(
     ),
     contains=("effort_offset",),
     columns=_hose_columns,
+    on_load=True,
     possible=lambda parameters, tracks, model: parameters["stiffness"] > 0,
     scenario=_hose_scenario,
 )

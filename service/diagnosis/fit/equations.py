@@ -31,7 +31,7 @@ from service.diagnosis.fit.cross_products import (
     symmetric,
 )
 from service.diagnosis.rows.rigid import Rigid, nominal_load, rigid
-from service.diagnosis.rows.signals import EVERY, Complex, Tracks, bins, through, white_covariance
+from service.diagnosis.rows.signals import EVERY, Complex, Tracks, through, white_covariance
 from service.identification.model import finite
 from service.model import Array, Mask
 
@@ -128,12 +128,14 @@ class Equations:
 
     def _as_measured(self, name: str, columns: Sequence[Array]) -> Sequence[Array]:
         """Columns of an effect with the measurement delay of the model."""
-        if not self.late or CATALOGUE[name].late:
-            return columns
-        rate = self.tracks.rate
-        s = 2j * np.pi * bins(self.tracks.velocity.shape[1], rate)[None]
-        delayed: Complex = np.exp(-s * self.late)
-        return [through(column, rate, delayed) for column in columns]
+        return columns if CATALOGUE[name].late else self.delayed(columns)
+
+    def delayed(self, signals: Sequence[Array]) -> Sequence[Array]:
+        """Signals (n, t) with the measurement delay of the model."""
+        if not self.late:
+            return signals
+        response: Complex = np.exp(-self.tracks.laplace * self.late)
+        return [through(signal, self.tracks.rate, response) for signal in signals]
 
     def rows(self, term: Term) -> Array:
         """Columns of an effect, filtered and whitened, (n, rows, k). BadInput with sweep and axis if not finite."""
@@ -324,8 +326,8 @@ def _between_periods(tracks: Tracks, left: Array, alone: Array) -> Array | None:
 def _model(tracks: Tracks, load: Array, motor_inertia: float, viscous: float) -> Model:
     """The rigid model from which columns are computed, for a load (3, m)."""
     inertia, torque, slope = load[:, tracks.pose_index]
-    weight = tracks.along(np.stack([0 * load[0], load[1], load[2]]))
-    return Model(inertia, motor_inertia, viscous, weight + tracks.balance, torque, slope)
+    weight = tracks.along(np.stack([0 * load[0], load[1], load[2]])) + tracks.balance
+    return Model(inertia, motor_inertia, viscous, weight, torque, slope, beside=np.zeros_like(tracks.effort))
 
 
 def grouped(tracks: Tracks) -> tuple[Group, ...]:
@@ -370,7 +372,35 @@ def _same_motion(motion: Array, usable: Mask, one: int, other: int) -> bool:
 def remodelled(given: Equations, terms: Sequence[Term]) -> Equations:
     """The equations with load and friction from a fit with these terms; some columns are computed from them."""
     values = solve(given.system_with(terms).sum(axis=0), given.precision(terms))[0]
-    return reshaped(_delayed(with_base(given, values[: given.width_of_base]), terms, values), terms)
+    return with_values(given, terms, values)
+
+
+def with_values(given: Equations, terms: Sequence[Term], values: Array) -> Equations:
+    """The equations with load, friction, delay and torque beside the gear of the coefficients `values`."""
+    moved = _delayed(with_base(given, values[: given.width_of_base]), terms, values)
+    return reshaped(_driven(moved, terms, values), terms)
+
+
+def _driven(given: Equations, terms: Sequence[Term], values: Array) -> Equations:
+    """The equations with the torque of the terms that a spring does not transmit; coefficients `values` (k,)."""
+    if not any(CATALOGUE[term.effect].parts for term in terms):
+        return given
+    beside, first = np.zeros_like(given.beyond_nominal), given.width_of_base
+    for term in terms:
+        own = values[first : first + given.width(term)]
+        first += len(own)
+        if not CATALOGUE[term.effect].on_load:
+            beside += sum(value * column for value, column in zip(own.tolist(), given.columns(term), strict=True))
+    # 0.01 of the noise
+    if np.abs(beside - given.model.beside).max() < 0.01 * given.sensor_noise:
+        return given
+    return _with_model(given, replace(given.model, beside=beside))
+
+
+def _with_model(given: Equations, model: Model, **changes: Array) -> Equations:
+    moved = replace(given, model=model, **changes)
+    moved.kept.update({term: rows for term, rows in given.kept.items() if not CATALOGUE[term.effect].of_model})
+    return moved
 
 
 def _delayed(given: Equations, terms: Sequence[Term], values: Array) -> Equations:
@@ -398,6 +428,8 @@ def reshaped(given: Equations, terms: Sequence[Term]) -> Equations:
     bent = [(CATALOGUE[term.effect].parts, term.shape) for term in terms]
     found = [make(given.tracks, given.model, shape) for make, shape in bent if make is not None]
     parts = found[0] if found else given.tracks.parts
+    if given.late:
+        parts = np.stack(given.delayed(list(parts)))
     if parts is given.parts:
         return given
     moved = replace(given, parts=parts)
@@ -419,9 +451,7 @@ def with_base(given: Equations, values: Array) -> Equations:
     model = _model(tracks, load, given.model.motor_inertia, max(viscous, 0.0))
     if _alike(model, given.model, tracks.robot.axis(tracks.joint).rated_effort):
         return given
-    moved = replace(given, model=model, load=load, coefficients=values)
-    moved.kept.update({term: rows for term, rows in given.kept.items() if not CATALOGUE[term.effect].of_model})
-    return moved
+    return _with_model(given, replace(model, beside=given.model.beside), load=load, coefficients=values)
 
 
 def _alike(one: Model, other: Model, rated: float) -> bool:

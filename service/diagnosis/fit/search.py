@@ -1,8 +1,8 @@
 """The cost of sets of effects: shapes are scanned on grids and refined; all other products are computed once.
 
-If the load acts through a spring, an effect and the load are fitted together (`together`). If the spring, the load
-inertia and the motor inertia were fitted in turn, convergence would be very slow, because they are strongly
-correlated.
+The load and the shapes of all chosen effects are fitted together (`together`). If a spring, the load inertia and the
+motor inertia, or two laws of the same speed, were fitted in turn, convergence would be very slow, because they are
+strongly correlated.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ import numpy as np
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Shape, ShapeParameter
 from service.diagnosis.fit.cross_products import Ended, Gathered, solve, symmetric
-from service.diagnosis.fit.equations import Equations, Term, remodelled, reshaped, with_base
+from service.diagnosis.fit.equations import Equations, Term, remodelled, with_values
 from service.diagnosis.fit.gap import over_floor
 from service.model import Array
 
@@ -38,9 +38,9 @@ class Explanation:
     def names(self) -> tuple[str, ...]:
         return tuple(term.effect for term in self.terms)
 
-    def searched(self, number: int, ended: Ended) -> "Explanation":
-        """The same; the search of the shape of term `number` ended so."""
-        terms = [replace(term, ended=ended) if k == number else term for k, term in enumerate(self.terms)]
+    def searched(self, first: int, ended: Ended) -> "Explanation":
+        """The same; the search of the shapes from that of term `first` on ended so."""
+        terms = [replace(t, ended=ended) if k >= first and t.shape else t for k, t in enumerate(self.terms)]
         return replace(self, terms=tuple(terms))
 
 
@@ -146,7 +146,10 @@ class CurrentModel:
         return solve(symmetric(products).sum(axis=0), self._given.precision(terms))[0]
 
     def _judged(self, terms: tuple[Term, ...], products: Array) -> Explanation:
-        _, cost, rank = solve(symmetric(products).sum(axis=0), self._given.precision(terms))
+        system = symmetric(products).sum(axis=0)
+        _, cost, rank = solve(system, self._given.precision(terms))
+        if cost < -self._given.pairs.rows:  # of a column that does not repeat: its product with itself is 0 by chance
+            cost = float(system[-1, -1])
         cost -= float(self._given.pairs.alone.sum())
         parameters = rank + self._given.freedom(terms)
         return Explanation(terms, cost, cost + parameters * float(np.log(self._given.pairs.rows)), parameters)
@@ -178,6 +181,7 @@ def from_vector(shapes: Sequence[ShapeParameter], vector: Array) -> Shape:
 DAMPING = (0.0, 0.03, 0.3, 3.0, 30.0)  # times the diagonal product of a derivative
 ELSEWHERE = (0.5, 2.0, 0.25, 4.0)
 NEAR_FLOOR = 1.3  # times the noise floor: below, the fit is good
+STEPS = 15
 
 
 def bends(terms: Sequence[Term]) -> list[int]:
@@ -186,46 +190,49 @@ def bends(terms: Sequence[Term]) -> list[int]:
 
 
 def together(
-    given: Equations, start: Explanation, steps: int = 15, *, again: bool = False
+    given: Equations, start: Explanation, fixed: int = 0, steps: int = STEPS, *, again: bool = False
 ) -> tuple[Equations, Explanation]:
-    """Minimise the cost over the load and the shape of the term that changes its effect, together. `Term.ended` of that
-    term says how it ended.
+    """Minimise the cost over the load and the shapes of the terms from number `fixed` on, together. `Term.ended` of
+    these terms says how it ended.
 
-    With a load that is too light, the cost may have several minima in stiffness. Unless the residual is near the noise
-    floor, the steps start again from other stiffnesses (the first entry of the shape). `again`: that was done before
-    the others were refined, and is only repeated where the first steps do not settle. With the same
-    columns from the same point, as when ripples were added to the robot file and do not matter, the end is known.
+    With a load behind a spring that is too light, the cost may have several minima in stiffness. Unless the residual
+    is near the noise floor, the steps start again from other stiffnesses (the first entry of the shape). `again`: that
+    was done before, and is only repeated where the first steps do not settle. With the same columns from the same
+    point, as when ripples were added to the robot file and do not matter, the end is known.
     """
     system = given.system_with(start.terms)
-    point = (start.terms, given.coefficients.tobytes(), given.late, steps, again, system.tobytes())
+    point = (start.terms, fixed, given.coefficients.tobytes(), given.late, steps, again, system.tobytes())
     if point not in given.ends_of_steps:
-        given.ends_of_steps[point] = _best(given, start, steps, again=again)
+        given.ends_of_steps[point] = _best(given, start, fixed, steps, again=again)
     there, best = given.ends_of_steps[point]
     return (there if there.tracks is given.tracks else replace(there, tracks=given.tracks)), best
 
 
-def _best(given: Equations, start: Explanation, steps: int, *, again: bool) -> tuple[Equations, Explanation]:
-    best = _from(given, start, steps)
-    settled = best[1].terms[bends(start.terms)[0]].ended is Ended.SETTLED
-    for factor in () if again and settled else ELSEWHERE:
-        if over_floor(best[0], best[1].terms) < NEAR_FLOOR:
-            break
-        term = start.terms[(number := bends(start.terms)[0])]
-        plain = [entry.grid[0] for entry in CATALOGUE[term.effect].shape(given.tracks, given.model)]
-        moved = replace(term, shape=(factor * term.shape[0], *plain[1:]))
-        terms = (*start.terms[:number], moved, *start.terms[number + 1 :])
-        other = _from(given, CurrentModel(given, terms).alone(), steps, below=best[1].cost)
-        best = min(best, other, key=lambda found: found[1].cost)
+def _best(
+    given: Equations, start: Explanation, fixed: int, steps: int, *, again: bool
+) -> tuple[Equations, Explanation]:
+    best = _from(given, start, fixed, steps)
+    for number in [number for number in bends(start.terms) if number >= fixed]:
+        term, settled = start.terms[number], best[1].terms[number].ended is Ended.SETTLED
+        for factor in () if again and settled else ELSEWHERE:
+            if over_floor(best[0], best[1].terms) < NEAR_FLOOR:
+                break
+            plain = [entry.grid[0] for entry in CATALOGUE[term.effect].shape(given.tracks, given.model)]
+            moved = replace(term, shape=(factor * term.shape[0], *plain[1:]))
+            terms = (*start.terms[:number], moved, *start.terms[number + 1 :])
+            other = _from(given, CurrentModel(given, terms).alone(), fixed, steps, below=best[1].cost)
+            best = min(best, other, key=lambda found: found[1].cost)
     return best
 
 
-def _from(given: Equations, start: Explanation, steps: int, below: float = np.inf) -> tuple[Equations, Explanation]:
+def _from(
+    given: Equations, start: Explanation, fixed: int, steps: int, below: float = np.inf
+) -> tuple[Equations, Explanation]:
     """Steps from a point until they gain little; given up if the cost will stay above `below`."""
-    number = bends(start.terms)[0]
     given = remodelled(given, start.terms)
     best, ended = CurrentModel(given, start.terms).alone(), Ended.UNFINISHED
     for count in range(1, steps + 1):
-        further = _step(given, best, number)
+        further = _step(given, best, fixed)
         if further is None:
             ended = Ended.AT_REST
             break
@@ -237,26 +244,38 @@ def _from(given: Equations, start: Explanation, steps: int, below: float = np.in
         # 3.0 of the gains of the steps still left over that of the last one, at most
         if count > steps / 4 and best.cost - 3.0 * gain * (steps - count) > below:
             break
-    return given, best.searched(number, ended)
+    return given, best.searched(fixed, ended)
 
 
-def _step(given: Equations, best: Explanation, number: int) -> tuple[Equations, Explanation] | None:
+def _step(given: Equations, best: Explanation, fixed: int) -> tuple[Equations, Explanation] | None:
     """A Gauss-Newton step, with increasing damping (Levenberg-Marquardt) until the cost decreases; else None."""
-    term = best.terms[number]
-    shapes = CATALOGUE[term.effect].shape(given.tracks, given.model)
-    at = to_vector(shapes, term.shape)
-    low, high = (to_vector(shapes, [getattr(entry, end) for entry in shapes]) for end in ("low", "high"))
-    values = solve(given.system_with(best.terms).sum(axis=0), given.precision(best.terms))[0]
-    first = given.width_of_base + sum(given.width(other) for other in best.terms[:number])
-    bent = derivatives(given, term, shapes, values[first : first + given.width(term)])
-    others = best.terms[:number] + best.terms[number + 1 :]
-    system = given.system_with(others, given.gathered(term, keep=False), bent).sum(axis=0)
+    terms, width = best.terms, given.width_of_base
+    values = solve(given.system_with(terms).sum(axis=0), given.precision(terms))[0]
+    own = np.split(values, np.cumsum([width, *(given.width(term) for term in terms)]))[1:]
+    shapes = [
+        CATALOGUE[term.effect].shape(given.tracks, given.model)
+        if k >= fixed and CATALOGUE[term.effect].scan is None
+        else ()
+        for k, term in enumerate(terms)
+    ]
+    bent = [
+        derivatives(given, term, entries, coefficients)
+        for term, entries, coefficients in zip(terms, shapes, own, strict=False)
+        if entries
+    ]
+    every = [entry for entries in shapes for entry in entries]
+    at = to_vector(every, [x for term, entries in zip(terms, shapes, strict=True) for x in term.shape[: len(entries)]])
+    low, high = (to_vector(every, [getattr(entry, end) for entry in every]) for end in ("low", "high"))
+    system = given.system_with(terms, *bent).sum(axis=0)
     for damping in DAMPING:
-        found, step = _solved(system, given.precision(best.terms), damping, at, low, high)
-        moved = replace(term, shape=from_vector(shapes, at + step))
-        terms = (*best.terms[:number], moved, *best.terms[number + 1 :])
-        tried = reshaped(with_base(given, found[: given.width_of_base]), terms)
-        explanation = CurrentModel(tried, terms).alone()
+        found, step = _solved(system, given.precision(terms), damping, at, low, high)
+        left = iter(from_vector(every, at + step))
+        moved = tuple(
+            replace(term, shape=tuple(next(left) for _ in entries)) if entries else term
+            for term, entries in zip(terms, shapes, strict=True)
+        )
+        tried = with_values(given, moved, found)
+        explanation = CurrentModel(tried, moved).alone()
         if explanation.cost < best.cost:
             return tried, explanation
     return None

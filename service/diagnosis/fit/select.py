@@ -23,7 +23,7 @@ from service.diagnosis.fit.cross_products import ORDER, Ended, Group, given_rest
 from service.diagnosis.fit.equations import Equations, Term, remodelled, with_base
 from service.diagnosis.fit.fitted import by_name, of_load
 from service.diagnosis.fit.gap import over_floor
-from service.diagnosis.fit.search import LITTLE, NEAR_FLOOR, CurrentModel, Explanation, bends, together
+from service.diagnosis.fit.search import NEAR_FLOOR, STEPS, CurrentModel, Explanation, bends, together
 from service.model import Array
 
 CHANCE = 1e-4  # probability that an effect is named although there is none
@@ -116,10 +116,10 @@ def _grown(start: Selection, table: list[Explanation], candidates: Sequence[str]
             if over_floor(given, chosen.terms) < NEAR_FLOOR:
                 break  # the small residual is probably due to simplified effects
             table = _table(given, chosen.terms, [c for c in candidates if c not in chosen.names])
-        step = _step(given, chosen, table, rigid.cost, chance, first=chosen is rigid)
+        step = _step(given, chosen, table, rigid.cost, chance, fixed)
         if step is None:
             break
-        given, chosen, ended = _consistent(*step, fixed, again=_of_model(step[1]))
+        given, chosen, ended = step
         chosen = _without_needless(given, chosen, rigid.cost, chance, fixed)
         tried = _exchanges(given, chosen, candidates, fixed) if len(chosen.terms) - fixed > 1 else []
         if (better := _exchange(given, chosen, tried, rigid.cost)) is not chosen:
@@ -156,12 +156,12 @@ def with_groups(selection: Selection, groups: Sequence[Group]) -> Selection:
     )
 
 
-def settled(selection: Selection, known: Sequence[str], rounds: int = ROUNDS) -> Selection:
-    """The same explanation with the shapes fitted to all sweeps, in at most `rounds`."""
+def settled(selection: Selection, known: Sequence[str], steps: int = STEPS) -> Selection:
+    """The same explanation with the shapes fitted to all sweeps, in at most so many steps."""
     fixed = sum(term.effect in known for term in selection.chosen.terms)
     if len(selection.chosen.terms) == fixed:
         return selection
-    given, chosen, ended = _consistent(selection.given, selection.chosen, fixed, rounds, again=True)
+    given, chosen, ended = _consistent(selection.given, selection.chosen, fixed, steps, again=True)
     return replace(selection, given=given, chosen=chosen, ended=ended)
 
 
@@ -250,20 +250,24 @@ def _table(given: Equations, terms: Sequence[Term], names: Sequence[str]) -> lis
 
 
 def _step(
-    given: Equations, before: Explanation, table: Sequence[Explanation], excess: float, chance: float, *, first: bool
-) -> tuple[Equations, Explanation] | None:
-    """The best candidate of a table that is accepted, with the load fitted for it. If other poses or its physics reject
-    it, the next one is tried.
+    given: Equations, before: Explanation, table: Sequence[Explanation], excess: float, chance: float, fixed: int
+) -> tuple[Equations, Explanation, Ended] | None:
+    """The best candidate of a table that is accepted, with load and shapes fitted for it. If other poses or its physics
+    reject it, the next one is tried.
     """
-    wanted = list(table)
+    wanted, first = list(table), len(before.terms) == fixed
     for _ in range(REFINED):
         step = _simplest(given, wanted, excess)
-        if step is None or not _gains(given, before, step, excess, chance, first=first):
+        if step is None:
             return None
-        # columns that depend on the load are only correct with the load fitted for them
-        there, settled = _consistent(given, step, len(before.terms))[:2] if _of_model(step) else (given, step)
+        # columns that depend on the load are only correct with the load fitted for them: their gain is judged then
+        if not _of_model(step) and not _gains(given, before, step, excess, chance, first=first):
+            return None
+        there, settled, ended = _consistent(given, step, fixed, again=bool(bends(before.terms)))
+        if not _gains(given, before, settled, excess, chance, first=first):
+            return None
         if _holds(given, before, there, settled) and allowed_by_physics(there, settled):
-            return there, settled
+            return there, settled, ended
         wanted.remove(step)
     return None
 
@@ -321,43 +325,20 @@ def _of_model(explanation: Explanation) -> bool:
 
 
 def _consistent(
-    given: Equations, chosen: Explanation, fixed: int, rounds: int = ROUNDS, *, again: bool = False
+    given: Equations, chosen: Explanation, fixed: int, steps: int = STEPS, *, again: bool = False
 ) -> tuple[Equations, Explanation, Ended]:
-    """Load and shapes fitted in turn until both converge; together if the load is behind a spring, with one round of
-    the shapes of the other effects. `again`: see `together`.
+    """Load and shapes fitted together. Other inertias may change the last effect much, so it is scanned again; not
+    with a load behind a spring. `again`: see `together`.
     """
-    if any(number >= fixed for number in bends(chosen.terms)):
-        given, chosen = together(given, chosen, again=again)
-        if len(chosen.terms) - fixed == 1:
-            return given, chosen, Ended.SETTLED
-        cost = chosen.cost
-        given, chosen = together(given, _settled(given, chosen, fixed, anew=False), again=True)
-        return given, chosen, Ended.SETTLED if cost - chosen.cost < LITTLE else Ended.UNFINISHED
-    for count in range(rounds):
+    if not any(number >= fixed for number in bends(chosen.terms)):
         before, given = given, remodelled(given, chosen.terms)
-        if given is before:
-            return given, chosen, Ended.SETTLED
-        chosen = _settled(given, chosen, fixed, anew=count == 0)
-    return given, chosen, Ended.UNFINISHED
-
-
-def _settled(given: Equations, start: Explanation, fixed: int, *, anew: bool) -> Explanation:
-    """All shapes refined in turn, because they depend on each other. `anew`: scan for the last one again, because other
-    inertias may have changed it much.
-    """
-    current, last = CurrentModel(given, start.terms[:-1]), start.terms[-1]
-    result = current.explanation(last)
-    if anew:
-        result = min(result, current.best(last.effect), key=lambda one: one.cost)
-    if len(start.terms) - fixed == 1:
-        return current.refined(result)
-    for number in range(fixed, len(start.terms)):
-        term = result.terms[number]
-        others = (*result.terms[:number], *result.terms[number + 1 :])
-        current = CurrentModel(given, others)
-        moved = current.refined(current.explanation(term))
-        result = replace(moved, terms=(*others[:number], moved.terms[-1], *others[number:]))
-    return result
+        if given is not before and len(chosen.terms) > fixed:
+            current, last = CurrentModel(given, chosen.terms[:-1]), chosen.terms[-1]
+            anew = min(current.explanation(last), current.best(last.effect), key=lambda one: one.cost)
+            chosen = current.refined(anew)
+    given, chosen = together(given, chosen, fixed, steps, again=again)
+    unfinished = any(term.ended is Ended.UNFINISHED for term in chosen.terms[fixed:])
+    return given, chosen, Ended.UNFINISHED if unfinished else Ended.SETTLED
 
 
 def _without_needless(given: Equations, chosen: Explanation, excess: float, chance: float, fixed: int) -> Explanation:

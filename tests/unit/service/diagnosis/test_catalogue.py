@@ -30,7 +30,7 @@ def motion() -> Tracks:
 def model_of(motion: Tracks, inertia: float = 300.0, viscous: float = 200.0, *, weight: float = 1.0) -> Model:
     """A motor of 66 kg m^2 that carries so much of CAD's weight."""
     none = np.zeros(len(motion.specs))
-    return Model(none + inertia, 66.0, viscous, weight * motion.gravity, none, none)
+    return Model(none + inertia, 66.0, viscous, weight * motion.gravity, none, none, np.zeros_like(motion.effort))
 
 
 @pytest.mark.parametrize("name", list(CATALOGUE))

@@ -160,9 +160,9 @@ def chosen() -> Selection:
     return Selection(given, found, current.alone(), ())
 
 
-def test_the_fits_of_load_and_shapes_in_turn_say_how_they_ended() -> None:
-    assert settled(chosen(), (), rounds=1).ended is Ended.UNFINISHED
-    assert settled(chosen(), ()).ended is Ended.SETTLED
+def test_the_fit_of_load_and_shapes_says_how_it_ended() -> None:
+    assert settled(chosen(), (), steps=1).ended is Ended.UNFINISHED
+    assert settled(chosen(), (), steps=60).ended is Ended.SETTLED
 
 
 def offset(sweeps: Sequence[Sweep], seed: int) -> list[Sweep]:

@@ -88,7 +88,9 @@ def model(joint: str = JOINT) -> Model:
     axis = robot.axis(joint)
     inertia, torque, slope = nominal_load(robot, joint, motion.poses)[:, motion.pose_index]
     motor = axis.reflected_motor_inertia or 0.0
-    return Model(inertia, motor, axis.viscous_friction or 0.0, motion.gravity, torque, slope)
+    return Model(
+        inertia, motor, axis.viscous_friction or 0.0, motion.gravity, torque, slope, np.zeros_like(motion.effort)
+    )
 
 
 def simulated(patches: Sequence[Patch], joint: str = JOINT) -> Array:
