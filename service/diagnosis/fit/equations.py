@@ -186,7 +186,8 @@ class Equations:
 
     def width(self, term: Term) -> int:
         """Number of columns of an effect."""
-        return len(self.gathered(term)[0])
+        known = self.kept.get(term) or self.recent.get(term)  # a weight has fewer columns than its effect
+        return len(known[0] if known else CATALOGUE[term.effect].coefficients(self.tracks))
 
     @cached_property
     def ends(self) -> tuple[Gathered, Gathered]:

@@ -23,6 +23,7 @@ LONGEST = 0.7  # largest step of the logarithm of a shape parameter
 NUDGE = 1e-3  # step for numerical derivatives
 WIDTHS = (1.0, 0.3)  # of the step of the grid, for costs that are not smooth
 LITTLE = 0.5  # decrease of the cost below which refinement ends
+PART = 1e-4  # of the cost: the steps that fit load and shapes end below it as well
 
 
 @dataclass(frozen=True)
@@ -238,7 +239,7 @@ def _from(
             break
         gain = best.cost - further[1].cost
         given, best = further
-        if gain < LITTLE:
+        if gain < max(LITTLE, PART * best.cost):
             ended = Ended.SETTLED
             break
         # 3.0 of the gains of the steps still left over that of the last one, at most
