@@ -53,6 +53,7 @@ class _Contacts:
 class MjData:
     qpos: _Array
     qvel: _Array
+    qfrc_spring: _Array
     geom_xpos: _Array  # (n, 3)
     geom_xmat: _Array  # (n, 9)
     ncon: int
@@ -93,6 +94,7 @@ class mjtJoint:
     mjJNT_SLIDE: int
     mjJNT_HINGE: int
 
+def mj_forward(m: MjModel, d: MjData) -> None: ...
 def mj_kinematics(m: MjModel, d: MjData) -> None: ...
 def mj_collision(m: MjModel, d: MjData) -> None: ...
 def mj_geomDistance(m: MjModel, d: MjData, geom1: int, geom2: int, distmax: float, fromto: _Array | None) -> float: ...

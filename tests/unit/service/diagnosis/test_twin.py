@@ -21,6 +21,7 @@ from service.diagnosis.rows.rigid import load_rows, nominal_load, nominal_parame
 from service.diagnosis.rows.signals import Tracks, laid_out, tracks
 from service.identification.design.diagnosis_sweeps import DesignedSweep, full_design
 from service.model import Recording, Robot, Sweep
+from service.model.counterbalance import Counterbalance
 from service.model.results.diagnosis import DiagnosedModel
 from simulator import Measurement, Motion, SweepRun, load_scenario, replay, run_sweeps
 from simulator.rigid_body import RigidBody, moving_axis
@@ -61,7 +62,9 @@ CASES: dict[str, tuple[dict[str, float], float]] = {  # parameters, and how far 
     # impacts without rebound against soft flanks
     "backlash": ({"ratio": 1.0, "play": 1e-4, "load_friction_share": 0.5}, 0.5),
     "effort_offset": ({"offset": -20.0}, 0.01),
+    "counterbalance": ({"share": -0.2, "rate": 2e3}, 0.01),
 }
+JOINTS = {"backlash": "joint_1", "counterbalance": "joint_3"}  # weight keeps a gear on one flank; has one in its file
 
 
 @cache
@@ -69,6 +72,10 @@ def measured(joint: str = JOINT) -> tuple[Robot, tuple[Sweep, ...], Tracks]:
     """The full design once, run by a rigid machine without noise: its motion is what counts."""
     robot = max100()
     designs = full_design(robot, joint, POSES, repeats=1)
+    if joint == JOINTS["counterbalance"]:
+        own = Counterbalance(anchor=(0.4, 0.0, -0.3), attachment=(0.0, 0.0, 0.5), force=4e3, length=0.6, rate=1e4)
+        axes = [a.model_copy(update={"counterbalance": own}) if a.joint == joint else a for a in robot.axes]
+        robot = replace(robot, description=robot.description.model_copy(update={"axes": tuple(axes)}))
     machine = scenario_named("max100-rigid").model_copy(update={"measurement": Measurement()})
     columns = run_sweeps(machine, [run_of(design) for design in designs], seed=1)
     names = ("time", "effort", "velocity", "position")
@@ -117,9 +124,9 @@ def column(name: str, parameters: dict[str, float], joint: str = JOINT, motion: 
     return motion.rows(np.sum([value * one for value, one in zip(coefficients, columns, strict=True)], axis=0))
 
 
-def whole(name: str, parameters: dict[str, float]) -> dict[str, float]:
+def whole(name: str, parameters: dict[str, float], joint: str = JOINT) -> dict[str, float]:
     """With zero for every coefficient that is not told."""
-    return {key: 0.0 for key, _ in CATALOGUE[name].coefficients(measured()[2])} | parameters
+    return {key: 0.0 for key, _ in CATALOGUE[name].coefficients(measured(joint)[2])} | parameters
 
 
 def rms(values: Array, joint: str = JOINT) -> float:
@@ -134,9 +141,9 @@ def test_every_effect_with_columns_has_a_case() -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_a_column_is_what_the_simulator_does(name: str) -> None:
     parameters, part = CASES[name]
-    joint = "joint_1" if name == "backlash" else JOINT  # weight keeps a gear on one flank
+    joint = JOINTS.get(name, JOINT)
     expected, rigid = column(name, parameters, joint), simulated([], joint)
-    patch = CATALOGUE[name].scenario(whole(name, parameters), measured(joint)[2], model(joint))
+    patch = CATALOGUE[name].scenario(whole(name, parameters, joint), measured(joint)[2], model(joint))
     size, apart = rms(expected, joint), rms(simulated([patch], joint) - rigid - expected, joint)
     print(f"{name}: {size:.3g} N m, {apart / size:.4f} of it apart")
     assert size > 5.0
