@@ -15,7 +15,7 @@ from math import sin
 import numpy as np
 
 from simulator.rigid_body import MovingAxis
-from simulator.scenario import Appendage, Cogging, Counterbalance, DriveTrain, Friction, GearError, LuGre
+from simulator.scenario import Appendage, Cogging, DriveTrain, Friction, GearError, LuGre, Strut
 from simulator.waveform import Array
 
 
@@ -115,7 +115,7 @@ def friction_law(trains: Sequence[DriveTrain], warmth: Sequence[float], step: fl
 class Counterbalances:
     """The torque of all counterbalances of many rows: -dE/dq of springs and gas between two points (virtual work)."""
 
-    def __init__(self, rows: Sequence[Sequence[Counterbalance]]) -> None:
+    def __init__(self, rows: Sequence[Sequence[Strut]]) -> None:
         self._all = [(row, one) for row, some in enumerate(rows) for one in some]
 
     def torque(self, load: Array) -> Array:

@@ -135,7 +135,7 @@ class Hose(FileModel):
     damping: NotNegative = 0.0
 
 
-class Counterbalance(FileModel):
+class Strut(FileModel):
     """A spring or gas cylinder between two points, `crank` and `arm` m from the axis, `apart` m along it, and nearest
     to each other at `zero` rad. It pulls with ``force (1 - x / column)^-exponent + rate x`` N, x its length past
     `length`.
@@ -172,7 +172,7 @@ class DriveTrain(FileModel):
     cogging: tuple[Cogging, ...] = ()
     lugre: LuGre | None = None  # on the motor side, instead of motor_friction.coulomb
     hose: Hose | None = None
-    counterbalance: tuple[Counterbalance, ...] = ()
+    counterbalance: tuple[Strut, ...] = ()
     appendage: Appendage | None = None
     effort_gain: Positive = 1.0  # recorded effort = gain * true + offset: error of the torque constant,
     effort_offset: float = 0.0  # N m, and of the current's zero

@@ -98,7 +98,7 @@ def _finer(grid: Sequence[float], times: int) -> list[float]:
 
 
 @dataclass(frozen=True)
-class _Entry:
+class _Member:
     """A family at one shape; `steps`: distances of neighbouring values of its parameters (one value: 0)."""
 
     family: _Family
@@ -204,8 +204,8 @@ def _of_position(q: Array, inside: Mask, *, prismatic: bool) -> Iterator[_Family
         yield _Family("lever", FORCE, lever, shape, (around, (0.5, 0.8, 0.95)))
 
 
-def _entries(families: Sequence[_Family], finer: int = 1) -> list[_Entry]:
-    result: list[_Entry] = []
+def _entries(families: Sequence[_Family], finer: int = 1) -> list[_Member]:
+    result: list[_Member] = []
     for family in families:
         shapes = family.shapes(finer)
         values = [sorted(set(grid)) for grid in zip(*shapes, strict=True)]
@@ -214,7 +214,7 @@ def _entries(families: Sequence[_Family], finer: int = 1) -> list[_Entry]:
                 min((abs(other - value) for other in grid if other != value), default=0.0)
                 for value, grid in zip(shape, values, strict=True)
             ]
-            result.append(_Entry(family, shape, family.columns(shape), tuple(steps)))
+            result.append(_Member(family, shape, family.columns(shape), tuple(steps)))
     return result
 
 
@@ -224,7 +224,7 @@ Chosen = tuple[int, ...]
 class _Dictionary:
     """Products of the columns of entries on the equations of an axis, and selections from them."""
 
-    def __init__(self, given: Equations, fixed: Sequence[Term], entries: Sequence[_Entry]) -> None:
+    def __init__(self, given: Equations, fixed: Sequence[Term], entries: Sequence[_Member]) -> None:
         self.entries, self._given = entries, given
         signals = np.concatenate([column for entry in entries for column in entry.columns])
         rows = given.tracks.whitened(signals, given.whitening.taps).reshape(-1, *given.right.shape)
@@ -367,7 +367,7 @@ def proposed_law(given: Equations, fixed: Sequence[Term]) -> Law | None:
     )
 
 
-def _physical(given: Equations, chosen: Sequence[_Entry], values: Array) -> bool:
+def _physical(given: Equations, chosen: Sequence[_Member], values: Array) -> bool:
     """Whether friction takes energy in each sweep, and a mass is positive."""
     tracks, rest = given.tracks, values.tolist()
     friction = np.zeros_like(tracks.velocity)
