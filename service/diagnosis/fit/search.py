@@ -149,8 +149,9 @@ class CurrentModel:
     def _judged(self, terms: tuple[Term, ...], products: Array) -> Explanation:
         system = symmetric(products).sum(axis=0)
         _, cost, rank = solve(system, self._given.precision(terms))
-        if cost < -self._given.pairs.rows:  # of a column that does not repeat: its product with itself is 0 by chance
-            cost = float(system[-1, -1])
+        whole = float(system[-1, -1])
+        if cost < -max(whole, self._given.pairs.rows):
+            cost = whole  # of a column that does not repeat: its product with itself is 0 by chance
         cost -= float(self._given.pairs.alone.sum())
         parameters = rank + self._given.freedom(terms)
         return Explanation(terms, cost, cost + parameters * float(np.log(self._given.pairs.rows)), parameters)
