@@ -22,7 +22,7 @@ from service.diagnosis.fit.equations import Equations, Term, applies, equations,
 from service.diagnosis.fit.fitted import Parameter
 from service.diagnosis.fit.gap import gap, noise, noise_floor, residual
 from service.diagnosis.fit.search import CurrentModel
-from service.diagnosis.fit.select import Selection, allowed_by_physics, select, settled, with_groups
+from service.diagnosis.fit.select import TOLERANCE, Selection, allowed_by_physics, select, settled, with_groups
 from service.diagnosis.law import Law, proposed_law
 from service.diagnosis.localisation.locate import cells, example, lines, sentences
 from service.diagnosis.localisation.repeatability import unrepeated
@@ -187,10 +187,9 @@ def _diagnosed(
         (base if GAIN in known else named).insert(0, _weighed(gain))
         if verdict in (Verdict.NONE, Verdict.UNTESTABLE) and GAIN not in known:
             verdict = Verdict.NAMED
-    play, law = None, None
-    if trusted and verdict is Verdict.UNKNOWN:
-        play = measured_play(robot, joint, own)
-        law = proposed_law(selection.given, selection.rigid.terms) if play is None else None
+    law = None
+    if trusted and verdict is Verdict.UNKNOWN and found.play is None:
+        law = proposed_law(selection.given, selection.rigid.terms)
     wanted, ended = None, "its data cannot be trusted"
     if trusted:
         rivals = tuple(sorted({*ties, *chain(*ties.values())}))
@@ -229,7 +228,7 @@ def _diagnosed(
         untestable=(*hidden, *(name for name in CATALOGUE if name not in known and not applies(selection.given, name))),
         biasing=_biasing(hidden),
     )
-    return result if play is None else _with_play(result, play, selection)
+    return result if found.play is None else _with_play(result, found.play, selection)
 
 
 def _with_play(found: AxisResult, play: Play, selection: Selection) -> AxisResult:
@@ -268,15 +267,20 @@ class _Explained:
     hidden: dict[str, UntestableEffect]
     unseen: int | None
     said: tuple[DataFinding, ...] = ()
+    play: Play | None = None
 
 
 def _explained(
     robot: Robot, joint: str, sweeps: Sequence[Sweep], known: Known, *, calibrated: bool, trusted: bool, twin: bool
 ) -> _Explained:
-    """The explanation. If there is none, search the residual for torque ripples that are not in the robot file."""
+    """The explanation. If there is none, measure play, else search the residual for torque ripples that are not in the
+    robot file.
+    """
     found = _tried(robot, joint, sweeps, known, calibrated=calibrated, trusted=trusted, twin=twin)
     if found.verdict is not Verdict.UNKNOWN or not trusted:
         return found
+    if (play := measured_play(robot, joint, sweeps)) is not None:
+        return replace(found, play=play)
     left = residual(found.selection.given, found.selection.chosen.terms)
     other, said = with_ripples(robot, joint, ripples(found.selection.given, left))
     if other is robot:
@@ -287,7 +291,22 @@ def _explained(
     return found if again.verdict is Verdict.UNKNOWN else replace(again, said=said)
 
 
-def _sticking(given: Equations, sweeps: Sequence[Sweep]) -> Equations:
+def _selected(given: Equations, sweeps: Sequence[Sweep], known: Sequence[str], candidates: Sequence[str]) -> Selection:
+    """The selection with the best reversal distance of dry friction. The distance that is best beside the effects found
+    may be another one than that of Coulomb friction alone: then it is selected again.
+    """
+    dry = Term("coulomb_friction")
+    found = select(_sticking(given, sweeps, (dry,)), known, candidates)
+    # presliding imitates dry friction that reverses within another distance
+    terms = tuple(dry if term.effect == "presliding_hysteresis" else term for term in found.chosen.terms)
+    beside = _sticking(replace(found.given, tracks=given.tracks), sweeps, terms)
+    gain = CurrentModel(found.given, terms).alone().cost - CurrentModel(beside, terms).alone().cost
+    if gain <= TOLERANCE * found.rigid.cost:
+        return found
+    return select(replace(given, tracks=beside.tracks), known, candidates)
+
+
+def _sticking(given: Equations, sweeps: Sequence[Sweep], terms: Sequence[Term]) -> Equations:
     """The equations with the best of several reversal distances of dry friction, all too short for presliding."""
     longer = 2.0  # factor between the reversal distances of dry friction that are tried
     ways = [given.tracks.sticking]
@@ -297,7 +316,7 @@ def _sticking(given: Equations, sweeps: Sequence[Sweep]) -> Equations:
     best, least = given, np.inf
     for way in ways:
         tried = given if way == ways[0] else replace(given, tracks=sticking_within(given.tracks, sweeps, way))
-        cost = CurrentModel(tried, [Term("coulomb_friction")]).alone().cost
+        cost = CurrentModel(tried, terms).alone().cost
         if cost < least - CHANGED**2:
             best, least = tried, cost
     return best
@@ -324,11 +343,10 @@ def _tried(
         raise BadInput(joint, "its sweeps have no sample off standstill and the first way from there: record longer")
     if before is not None:
         given = replace(given, ends_of_steps=before.ends_of_steps)
-    naming = _sticking(given, sweeps)
-    possible = [name for name in CATALOGUE if applies(naming, name) and not (calibrated and name == GAIN)]
+    possible = [name for name in CATALOGUE if applies(given, name) and not (calibrated and name == GAIN)]
     modelled = [name for name in known if name in possible]
     applying = [name for name in possible if name not in modelled] if trusted else []
-    selection = select(naming, modelled, applying)
+    selection = _selected(given, sweeps, modelled, applying)
     hidden = untestable(selection.given, [name for name in applying if name not in selection.chosen.names], sweeps)
     testable = [name for name in applying if name not in hidden]
     named = with_groups(selection, groups)

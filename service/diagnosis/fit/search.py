@@ -199,8 +199,8 @@ def together(
 
     With a load behind a spring that is too light, the cost may have several minima in stiffness. Unless the residual
     is near the noise floor, the steps start again from other stiffnesses (the first entry of the shape). `again`: that
-    was done before, and is only repeated where the first steps do not settle. With the same columns from the same
-    point, as when ripples were added to the robot file and do not matter, the end is known.
+    was done before. With the same columns from the same point, as when ripples were added to the robot file and do not
+    matter, the end is known.
     """
     system = given.system_with(start.terms)
     point = (start.terms, fixed, given.coefficients.tobytes(), given.late, steps, again, system.tobytes())
@@ -215,8 +215,8 @@ def _best(
 ) -> tuple[Equations, Explanation]:
     best = _from(given, start, fixed, steps)
     for number in [number for number in bends(start.terms) if number >= fixed]:
-        term, settled = start.terms[number], best[1].terms[number].ended is Ended.SETTLED
-        for factor in () if again and settled else ELSEWHERE:
+        term = start.terms[number]
+        for factor in () if again else ELSEWHERE:
             if over_floor(best[0], best[1].terms) < NEAR_FLOOR:
                 break
             plain = [entry.grid[0] for entry in CATALOGUE[term.effect].shape(given.tracks, given.model)]
