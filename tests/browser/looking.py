@@ -11,6 +11,7 @@ const bytes = (colour) => {
   canvas.clearRect(0, 0, 1, 1); canvas.fillStyle = colour; canvas.fillRect(0, 0, 1, 1);
   return [...canvas.getImageData(0, 0, 1, 1).data];
 };
+const written = (one) => [...one.childNodes].some((node) => node.nodeType === 3 && node.textContent.trim());
 const seen = [...document.querySelectorAll("body *")].filter((one) => one.checkVisibility() && !one.closest("svg"));
 """
 _GREEN = (
@@ -29,6 +30,17 @@ _GREEN = (
   }).map((one) => one.id || `${one.tagName} ${one.textContent.slice(0, 40)}`);
 }"""
 )
+_ALARMS = (
+    "() => {"
+    + _COLOURS
+    + """
+  const alarm = ([r, g, b, alpha]) => alpha > 60 && r > 1.35 * Math.max(g, b);
+  return seen.filter((one) => one.id !== "stop").filter((one) => {
+    const { color, backgroundColor } = getComputedStyle(one);
+    return alarm(bytes(backgroundColor)) || (written(one) && alarm(bytes(color)));
+  }).map((one) => one.textContent.trim().replace(/\\s+/g, " ") || one.tagName);
+}"""
+)
 _FAINT = (
     "() => {"
     + _COLOURS
@@ -43,7 +55,6 @@ _FAINT = (
     const [r, g, b] = rgb.map((c) => (c / 255 <= 0.04045 ? c / 255 / 12.92 : ((c / 255 + 0.055) / 1.055) ** 2.4));
     return 0.2126 * r + 0.7152 * g + 0.0722 * b;
   };
-  const written = (one) => [...one.childNodes].some((node) => node.nodeType === 3 && node.textContent.trim());
   return seen.filter((one) => written(one) && !one.closest("[disabled], option")).map((one) => {
     const style = getComputedStyle(one), ground = behind(one);
     const [high, low] = [light(over(bytes(style.color), ground)), light(ground)].sort((x, y) => y - x);
@@ -91,6 +102,11 @@ def unlike_ink(page: Page) -> list[str]:
 def green(page: Page) -> list[str]:
     """Everything on the page that is painted green."""
     return cast("list[str]", page.evaluate(_GREEN))
+
+
+def alarms(page: Page) -> list[str]:
+    """Texts in red or amber, of any shade, and what is painted so behind them or without any."""
+    return cast("list[str]", page.evaluate(_ALARMS))
 
 
 def faint(page: Page) -> list[str]:

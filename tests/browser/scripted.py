@@ -125,6 +125,9 @@ class Scripted:
             "drives": drives(),
             "me": _LOCAL,
             "robots/1": robot(),
+            "cells": {"names": []},
+            "fleet": {"types": []},
+            "machines": EMPTY | {"missing": []},
         }.items():
             self.answers.setdefault(path, answer)
 

@@ -1,7 +1,7 @@
 """Each view in its main states is as the stored one, accessible, and fits: what it says, its controls, its alarms.
 
-The tree that a screen reader gets, not pixels: those differ with the fonts and the load of a computer. Texts in the
-colours of warnings are listed under it, so that no red appears unseen. To renew: delete a state's file, run its test.
+The tree that a screen reader gets, not pixels: those differ with the fonts and the load of a computer. What is red or
+amber, in light or dark, is listed under it, so that none appears unseen. To renew: delete a state's file, run its test.
 """
 
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ from playwright.sync_api import Page, expect
 
 from tests.browser.accessible import both_schemes
 from tests.browser.browsing import window
-from tests.browser.looking import cut, faint, settled, small, too_wide
+from tests.browser.looking import alarms, cut, faint, settled, small, too_wide
 from tests.browser.scripted import HELD, Json, axis, campaign, cause, drives, scripted, statement
 from tests.browser.test_german import everything
 from tests.programs import needs
@@ -99,20 +99,12 @@ STATES: dict[str, tuple[str, dict[str, Json], str]] = {
     "diagnosis-filled": ("diagnosis#1", FILLED, "all axes stand without energy"),
     "fleet-filled": ("fleet", FILLED, "all axes stand without energy"),
 }
-_ALARMS = """() => {
-  const alarm = new Set(["rgb(185, 14, 42)", "rgb(200, 16, 46)", "rgb(143, 82, 0)"]);
-  return [...document.querySelectorAll("body *")].filter((one) => one.checkVisibility() && one.id !== "stop")
-    .filter((one) => [...one.childNodes].some((node) => node.nodeType === 3 && node.textContent.trim()))
-    .filter((one) => [getComputedStyle(one).color, getComputedStyle(one).backgroundColor].some((own) => alarm.has(own)))
-    .map((one) => one.textContent.trim());
-}"""
 
 
 def seen(page: Page) -> str:
-    """The tree of the page and its texts in the colours of warnings and alarms."""
+    """The tree of the page and what is painted in the colours of warnings and alarms."""
     settled(page)
-    alarms: list[str] = page.evaluate(_ALARMS)
-    return "\n".join([page.locator("body").aria_snapshot(), *(f"alarm: {one}" for one in alarms), ""])
+    return "\n".join([page.locator("body").aria_snapshot(), *(f"alarm: {one}" for one in alarms(page)), ""])
 
 
 def matches(page: Page, name: str) -> None:
@@ -157,7 +149,9 @@ def opened(name: str, locale: str) -> Iterator[Page]:
 def test_a_view_is_the_stored_one(name: str, locale: str) -> None:
     with opened(name, locale) as page:
         matches(page, f"{name}-{locale[:2]}")
-        assert both_schemes(page) == []  # dark is the last
+        expect(page.locator("#error")).to_be_hidden()  # of no state: an error is not stored either
+        assert both_schemes(page) == []
+        matches(page, f"{name}-{locale[:2]}")  # in dark, the last
         page.emulate_media(color_scheme="light")
         for width in (768, 1280, 1920):
             page.set_viewport_size({"width": width, "height": 800})
@@ -192,9 +186,11 @@ def test_what_moves_what_follows_and_stop_are_on_one_screen(locale: str) -> None
         "{className: 'banner', textContent: 'Overheated'}))",
         "document.querySelector('main').append(Object.assign(document.createElement('p'), "
         "{className: 'state bad', textContent: 'stands'}))",  # no script draws it again
-        "document.querySelector('main h2').style.background = '#c8102e'",
+        "document.querySelector('main h2').style.background = '#a00000'",
+        "document.querySelector('main').style.background = '#c8102e'",
+        "document.querySelector('main').append(Object.assign(document.createElement('hr'), {className: 'banner'}))",
     ],
-    ids=["banner", "text", "ground"],
+    ids=["banner", "text", "ground", "frame", "wordless"],
 )
 def test_a_planted_red_is_seen(plant: str) -> None:
     with opened("operator-rest", "en-GB") as page:
