@@ -5,8 +5,9 @@ the original, in real time.
 """
 
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from _pytest.runner import runtestprotocol
@@ -14,9 +15,11 @@ from _pytest.runner import runtestprotocol
 from tests.virtual_time import primitives, world
 from tests.virtual_time.clock import Clock
 from tests.virtual_time.explore import Explorer
-from tests.virtual_time.factory import Factory, open_factory
-from tests.virtual_time.machine import VirtualMachine
-from tests.virtual_time.service import VirtualService
+
+if TYPE_CHECKING:  # the product, which a process that runs no test in virtual time does not load
+    from tests.virtual_time.factory import Factory
+    from tests.virtual_time.machine import VirtualMachine
+    from tests.virtual_time.service import VirtualService
 
 _COPY = pytest.StashKey[bool]()
 
@@ -36,6 +39,7 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
     """In a copy; what it reports is reported here."""
     if not in_virtual_time(item):
         return None
+    import_module("tests.virtual_time.factory")  # a copy must not load for itself
     config = item.config
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
 
@@ -86,23 +90,29 @@ def explore(clock: Clock, request: pytest.FixtureRequest) -> Explorer:
 
 
 @pytest.fixture
-def machine(clock: Clock, tmp_path: Path, request: pytest.FixtureRequest) -> VirtualMachine:
+def machine(clock: Clock, tmp_path: Path, request: pytest.FixtureRequest) -> "VirtualMachine":
     """The virtual machine of the house, its power on; with an indirect parameter on "modbus"."""
+    from tests.virtual_time.machine import VirtualMachine
+
     del clock
     return VirtualMachine(tmp_path, getattr(request, "param", "canopen"))
 
 
 @pytest.fixture
-def factory(clock: Clock, tmp_path: Path) -> Iterator[Factory]:
+def factory(clock: Clock, tmp_path: Path) -> "Iterator[Factory]":
     """Where random sequences begin."""
+    from tests.virtual_time.factory import open_factory
+
     factory, close = open_factory(tmp_path, clock)
     yield factory
     close()
 
 
 @pytest.fixture
-def service(machine: VirtualMachine, clock: Clock, tmp_path: Path) -> Iterator[VirtualService]:
+def service(machine: "VirtualMachine", clock: Clock, tmp_path: Path) -> "Iterator[VirtualService]":
     """A service that owns the machine, ready."""
+    from tests.virtual_time.service import VirtualService
+
     service = VirtualService(tmp_path, machine, clock)
     service.start()
     yield service
