@@ -20,7 +20,8 @@ from simulator import true_inertia
 from tests.numeric.campaign import AXES, CONFIG, max100, measure_at, run_plan, scenario_named
 
 CELL = read_cell(CONFIG / "cells/workshop.yaml")
-FINE = {"step": 2.5}  # deg: on a coarser grid the greedy orders differ by which poses at an obstacle are free
+# on a coarser grid the greedy orders differ by which poses at an obstacle are free
+FINE: dict[str, Any] = {"step": 2.5}  # deg
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +29,7 @@ def plan() -> PlanDocument:
     return build_plan(max100(), PlanRequest(robot_id=1, axes=AXES, varied=AXES[1:], poses=24), CELL)
 
 
-def until(confidence: float, criterion: Criterion, **grid: float) -> PlanDocument:
+def until(confidence: float, criterion: Criterion, **grid: Any) -> PlanDocument:
     """The plan that reaches a confidence, percent."""
     request = PlanRequest(robot_id=1, axes=AXES, varied=AXES[1:], criterion=criterion, confidence=confidence, **grid)
     return build_plan(max100(), request, CELL)
