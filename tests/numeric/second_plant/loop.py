@@ -120,7 +120,8 @@ def broken(axis: AxisDiagnosis) -> Iterator[str]:
     shown = Diagnosis(axes={"axis": axis}, model=DiagnosedModel(robot="hidden", effects={})).shown()
     for line in (line for part in shown if isinstance(part, str) for line in part.splitlines()):
         name, _, words = line.partition(" = ")
-        value, std = map(float, words.split()[:3:2]) if words else (1.0, 0.0)
+        given, _, left = words.partition(" ± ")  # the formula of a law has none
+        value, std = (float(given), float(left.split()[0])) if left else (1.0, 0.0)
         if std > abs(value) / 1.9:  # of rounded figures
             yield f"{name.strip()} is not significant: {words}"
 

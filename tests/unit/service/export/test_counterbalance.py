@@ -14,7 +14,7 @@ from service.formats.export.model import IdentifiedModel, identified_model
 from service.model import Array, Recording, Robot, RobotDescription, Sweep, SweepSpec, build_robot
 from service.model.counterbalance import positions
 from simulator.effects import Counterbalances
-from simulator.scenario import Counterbalance
+from simulator.scenario import Strut
 from tests.unit.service.export.conftest import estimate_of
 
 JOINT, INDEX = "joint_2", 1
@@ -96,7 +96,7 @@ def test_the_simulator_has_the_same_by_its_own_formula(max100: Robot) -> None:
     robot = balanced(max100, GAS)
     own = robot.axes[INDEX].counterbalance
     assert own is not None
-    entry = Counterbalance.model_validate(own.entry(own.lever(robot.chain.joints[INDEX])))
+    entry = Strut.model_validate(own.entry(own.lever(robot.chain.joints[INDEX])))
     load = np.linspace(-1.0, 1.4, 50)[:, None] * [0.0, 1.0]
     torque = Counterbalances([(), (entry, entry)]).torque(load)
     assert not torque[:, 0].any()

@@ -31,6 +31,7 @@ from service.model import (
     build_robot,
     robot_from_outside,
 )
+from service.model.counterbalance import Counterbalance
 from service.store.files.bundle import Bundle, read_bundle, read_from, write_bundle
 from tests.recorded_bundle import bundle
 
@@ -371,7 +372,10 @@ ABSURD = ("NaN", "Infinity", "-Infinity", "1e308", "-1e308", "1e14", "-1e14")
 def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bundle with a value in every numeric field of the schema."""
     full = tmp_path_factory.mktemp("absurd") / "bundle"
-    write_bundle(full, build_robot(ROBOT, FULL_URDF), [one_sweep()])
+    strut = Counterbalance(anchor=(0.3, 0, 0.9), attachment=(0.1, 0, 0.2), force=500, length=0.4, rate=1e3, column=0.9)
+    axes = (AXES[0].model_copy(update={"counterbalance": strut}), *AXES[1:])
+    robot = ROBOT.model_copy(update={"axes": axes})
+    write_bundle(full, build_robot(robot, FULL_URDF), [one_sweep()])
     return full
 
 
