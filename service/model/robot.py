@@ -165,6 +165,10 @@ class Robot:
         own = self.axes[index].counterbalance
         return np.zeros_like(position) if own is None else own.effort(own.lever(self.chain.joints[index]), position)
 
+    def counterbalance_efforts(self, positions: Array) -> Array:
+        """The same of all joints, (m, n), at positions (m, n)."""
+        return np.stack([self.counterbalance_effort(k, at) for k, at in enumerate(positions.T)], -1)
+
     def without_counterbalance(self, sweep: Sweep) -> Sweep:
         """The sweep with the effort that its axis would need without counterbalance; the same object if it has none."""
         index, record = self.index(sweep.spec.axis), sweep.recording

@@ -189,7 +189,7 @@ def nominal_effort(robot: Robot, motion: JointMotion, breakaway: float = BREAKAW
     rows = dynamics_rows(robot.chain, robot.gravity, motion)
     links = rows[..., : inertial.size] @ inertial
     drives = rows[..., inertial.size :] @ np.concatenate([motors, viscous, dry, np.zeros(len(motors))])
-    carried = np.stack([robot.counterbalance_effort(k, at) for k, at in enumerate(motion.position.T)], -1)
+    carried = robot.counterbalance_efforts(motion.position)
     spread = 2 * max(prior.inertia, prior.gravity)
     most, least = ((1 + way * spread) * links + drives + carried for way in (1, -1))
     # lighter links need more where a counterbalance carries them

@@ -160,7 +160,7 @@ def feed_forward(robot: Robot, sweeps: Sequence[Sweep], place: str = "recordings
     motion = path_between(*_ends(robot, estimate.poses, moved), [joint.velocity for joint in robot.chain.joints])
     rows = dynamics_rows(robot.chain, robot.gravity, motion)
     friction = _friction(robot, estimate, identified, used, spectra)
-    carried = np.stack([robot.counterbalance_effort(k, place) for k, place in enumerate(motion.position.T)], -1)
+    carried = robot.counterbalance_efforts(motion.position)
     cad, own = (rows @ np.concatenate([parameters, friction]) + carried for parameters in (nominal, identified))
     return FeedForward(motion, cad, own)
 
