@@ -24,6 +24,7 @@ from typing import Any, NoReturn, Protocol, cast
 import serial
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException
+from pymodbus.framer import FramerRTU
 from pymodbus.pdu import ModbusPDU
 
 from drivers.cia402.connection import StopFirst
@@ -161,19 +162,55 @@ class TcpClient(_PatientClient, ModbusTcpClient):
 
 
 class SerialClient(_PatientClient, ModbusSerialClient):
-    """A serial line."""
+    """A serial line. An answer shows neither its request nor its register: those that cannot belong to the running
+    request are passed over, as the late ones to a stop, which nobody awaited. pymodbus would take one of another
+    function, and drops with one of another unit all that came behind it.
+    """
+
+    _asked = b""  # the running request
+
+    def send(self, request: bytes, addr: tuple[Any, ...] | None = None) -> int:
+        self._asked = request
+        return int(cast(Any, super()).send(request, addr))
 
     def recv(self, size: int | None) -> bytes:
-        """As `TcpClient.recv`."""
-        port = cast(Any, self.socket)
+        """As `TcpClient.recv`. Raises ModbusException too, if only answers to other requests came in time."""
+        port, data, others = cast(Any, self.socket), b"", b""
         if port is None:
             raise ConnectionException(str(self))
         try:
-            return bytes(port.read(size or max(1, port.in_waiting))) if self._bytes_come(port) else b""
+            while self._bytes_come(port):
+                data += port.read(max(1, port.in_waiting))
+                while 0 < (length := _length(data)) <= len(data) and not _belongs(data[:length], self._asked):
+                    others, data = others + data[:length], data[length:]
+                if length <= len(data):
+                    break
         except OSError as error:
             with suppress(OSError):
                 self.close()
             raise ConnectionException(f"{self}: {error}") from None
+        if others and not data:
+            self.garbled = False
+            raise ModbusException(f"received the answer to another request, {others.hex(' ')}")
+        return data
+
+
+def _length(data: bytes) -> int:
+    """Bytes of the RTU answer that begins here; more than there are while they do not tell it, 0 if none begins."""
+    if len(data) < 3:
+        return 3
+    return {READ: 5 + data[2], WRITE: 8, READ | 0x80: 5, WRITE | 0x80: 5}.get(data[1], 0)
+
+
+def _belongs(answer: bytes, request: bytes) -> bool:
+    """Whether an RTU answer may be that to a request of `READ` or `WRITE`. A damaged one may."""
+    body, crc = answer[:-2], int.from_bytes(answer[-2:], "big")
+    if not FramerRTU.check_CRC(body, crc):
+        return True
+    same = (body[0], body[1] & 0x7F) == (request[0], request[1])
+    if not same or body[1] & 0x80:
+        return same
+    return body[2:] == request[2:6] if body[1] == WRITE else body[2] == 2 * int.from_bytes(request[4:6], "big")
 
 
 class Clock(Protocol):

@@ -160,6 +160,39 @@ def answer(bank: Bank, unit: int, pdu: bytes) -> None:
         bank.spoil = lambda _r, frame: frame[:4] + (len(pdu) + 1).to_bytes(2, "big") + bytes([unit]) + pdu
 
 
+LATE = [  # what comes before the answer to a read of one register of unit 1
+    [(1, b"\x10\x05\x00\x00\x01")],  # to its stop
+    [(2, b"\x10\x05\x00\x00\x01"), (1, b"\x10\x05\x00\x00\x01")],
+    [(2, b"\x03\x02\x00\x07"), (1, b"\x03\x04\x00\x07\x00\x07"), (1, b"\x90\x04")],
+]
+
+
+@pytest.mark.parametrize("bank", ["rtu"], indirect=True)
+@pytest.mark.parametrize("pause", [0.0, 0.1])
+@pytest.mark.parametrize("late", LATE)
+def test_late_answers_to_a_stop_are_passed_over(
+    late: list[tuple[int, bytes]], pause: float, bank: Bank, line: MasterLine
+) -> None:
+    """At once with the answer that is awaited, or before it; in pieces too."""
+    frames = b"".join(rtu_frame(unit, pdu) for unit, pdu in late)
+
+    def spoil(_: Request, frame: bytes) -> bytes:
+        if not pause:
+            return frames + frame
+        for at in range(0, len(frames), 5):
+            bank.send(frames[at : at + 5])
+            time.sleep(pause)
+        bank.send(frame[:4])
+        time.sleep(pause)
+        return frame[4:]
+
+    bank.spoil = spoil
+    assert line.read(1, 0x10, 1, "statusword") == [0x1111]
+    bank.spoil = lambda _, frame: rtu_frame(*late[0]) + frame
+    line.write(1, 0x11, [7], "word")
+    assert len(bank.requests) == 2
+
+
 def test_answers_of_somebody_else_are_no_answers(
     bank: Bank, hasty: MasterLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
