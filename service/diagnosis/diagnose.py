@@ -296,14 +296,15 @@ def _selected(given: Equations, sweeps: Sequence[Sweep], known: Sequence[str], c
     may be another one than that of Coulomb friction alone: then it is selected again.
     """
     dry = Term("coulomb_friction")
-    found = select(_sticking(given, sweeps, (dry,)), known, candidates)
-    # presliding imitates dry friction that reverses within another distance
-    terms = tuple(dry if term.effect == "presliding_hysteresis" else term for term in found.chosen.terms)
-    beside = _sticking(replace(found.given, tracks=given.tracks), sweeps, terms)
-    gain = CurrentModel(found.given, terms).alone().cost - CurrentModel(beside, terms).alone().cost
-    if gain <= TOLERANCE * found.rigid.cost:
-        return found
-    return select(replace(given, tracks=beside.tracks), known, candidates)
+
+    def with_better(found: Selection) -> Equations | None:
+        # presliding imitates dry friction that reverses within another distance
+        terms = tuple(dry if term.effect == "presliding_hysteresis" else term for term in found.chosen.terms)
+        beside = _sticking(replace(found.given, tracks=given.tracks), sweeps, terms)
+        gain = CurrentModel(found.given, terms).alone().cost - CurrentModel(beside, terms).alone().cost
+        return replace(given, tracks=beside.tracks) if gain > TOLERANCE * found.rigid.cost else None
+
+    return select(_sticking(given, sweeps, (dry,)), known, candidates, with_better)
 
 
 def _sticking(given: Equations, sweeps: Sequence[Sweep], terms: Sequence[Term]) -> Equations:
@@ -333,7 +334,9 @@ def _tried(
     twin: bool,
     before: Equations | None = None,
 ) -> _Explained:
-    """`before`: equations of another attempt on these sweeps, whose searches need not be repeated."""
+    """`before`: equations of another attempt on these sweeps, whose searches, and that for the reversal distance of dry
+    friction, need not be repeated.
+    """
     motion = tracks(robot, joint, sweeps)
     groups = grouped(motion)
     unseen = held_back(motion, groups)
@@ -341,12 +344,14 @@ def _tried(
     given = equations(motion, seen)
     if not given.pairs.rows:
         raise BadInput(joint, "its sweeps have no sample off standstill and the first way from there: record longer")
-    if before is not None:
-        given = replace(given, ends_of_steps=before.ends_of_steps)
     possible = [name for name in CATALOGUE if applies(given, name) and not (calibrated and name == GAIN)]
     modelled = [name for name in known if name in possible]
     applying = [name for name in possible if name not in modelled] if trusted else []
-    selection = _selected(given, sweeps, modelled, applying)
+    if before is None:
+        selection = _selected(given, sweeps, modelled, applying)
+    else:
+        at = sticking_within(motion, sweeps, before.tracks.sticking)
+        selection = select(replace(given, tracks=at, ends_of_steps=before.ends_of_steps), modelled, applying)
     hidden = untestable(selection.given, [name for name in applying if name not in selection.chosen.names], sweeps)
     testable = [name for name in applying if name not in hidden]
     named = with_groups(selection, groups)

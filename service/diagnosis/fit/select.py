@@ -12,7 +12,7 @@ with one degree of freedom, and  cost + k ln n  is Schwarz's criterion. An effec
 Of explanations with equal cost within `TOLERANCE` the simplest is chosen.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,8 +57,15 @@ class Selection:
         return max(self.chosen.cost, 0.0) / max(self.rigid.cost, 1e-300)
 
 
-def select(given: Equations, known: Sequence[str], candidates: Sequence[str]) -> Selection:
-    """The explanation of an axis. `known` effects belong to the base; `candidates` may be added."""
+def select(
+    given: Equations,
+    known: Sequence[str],
+    candidates: Sequence[str],
+    with_better: Callable[[Selection], Equations | None] = lambda _: None,
+) -> Selection:
+    """The explanation of an axis. `known` effects belong to the base; `candidates` may be added. `with_better`: the
+    equations to begin again with, once, if others than the given ones suit what was found.
+    """
     fixed: tuple[Term, ...] = ()
     for name in known:
         current = CurrentModel(given, fixed)
@@ -68,6 +75,8 @@ def select(given: Equations, known: Sequence[str], candidates: Sequence[str]) ->
     rigid = CurrentModel(given, fixed).alone()
     start, table = Selection(given, rigid, rigid, ()), _table(given, fixed, [c for c in candidates if c not in known])
     found = _grown(start, table, candidates)
+    if (better := with_better(found)) is not None:
+        return select(better, known, candidates)
     if not (_at_floor(found) or found.chosen is rigid or bends(found.chosen.terms)):
         found = _from_another(found, start, table, candidates)
     return replace(found, tried=tuple(table)) if found.chosen is rigid else _compared(found, candidates)
@@ -363,14 +372,15 @@ def _exchanges(given: Equations, chosen: Explanation, candidates: Sequence[str],
 
 
 def _exchange(given: Equations, chosen: Explanation, tried: Sequence[Explanation], excess: float) -> Explanation:
-    """The best exchange of one of several terms, if it is better by more than the tolerance, or as good and simpler."""
-    if not tried:
-        return chosen
+    """The best exchange of one of several terms that is physically possible, if it is better by more than the tolerance,
+    or as good and simpler.
+    """
     tolerance = max(RIVAL, TOLERANCE * excess)
-    best = min(tried, key=lambda one: one.criterion)
+    near = [one for one in tried if one.criterion < chosen.criterion + tolerance and allowed_by_physics(given, one)]
+    best = min(near, key=lambda one: one.criterion, default=chosen)
     if best.criterion < chosen.criterion - tolerance or (_leaves(given, chosen) and not _leaves(given, best)):
         return best
-    near = [one for one in tried if one.parameters < chosen.parameters and one.criterion < chosen.criterion + tolerance]
+    near = [one for one in near if one.parameters < chosen.parameters]
     if not _leaves(given, chosen):
         near = [one for one in near if not _leaves(given, one)]
     return min(near, key=lambda one: (one.parameters, one.criterion), default=chosen)

@@ -100,20 +100,21 @@ class HeldOutCheck:
 def check_held_out(
     given: Equations, sweeps: Sequence[Sweep], fixed: Sequence[Term], added: Sequence[Term], *, twin: bool
 ) -> HeldOutCheck:
-    """Test the terms `added`, in this order, after the terms `fixed`."""
+    """Test the terms `added`, each beside the fixed terms and the others that are left, the last one first."""
     # an effect visible in one pose only: other poses cannot predict its size, so use its repeats
     by_repeat = bool(added) and local(given, fixed, [*fixed, *added])
-    terms, rolled_back = [*fixed], list[str]()
-    by_load = any(CATALOGUE[term.effect].by_load for term in added)
-    before = residual(given, terms, by_repeat=by_repeat, as_cad=by_load)
-    after = residual(given, terms, by_repeat=by_repeat) if by_load else before
-    for term in added:
-        further = residual(given, [*terms, term], by_repeat=by_repeat)
+    terms, rolled_back = [*fixed, *added], list[str]()
+    before = residual(given, fixed, by_repeat=by_repeat, as_cad=any(CATALOGUE[term.effect].by_load for term in added))
+    after = residual(given, terms, by_repeat=by_repeat) if added else before
+    for term in reversed(added):
+        fewer = [other for other in terms if other is not term]
         # a gain that comes from the prior alone cannot reduce the residual
-        if CATALOGUE[term.effect].by_load or by_prior(given, terms, [*terms, term]) or improves(given, after, further):
-            terms, after = [*terms, term], further
-        else:
-            rolled_back.append(term.effect)
+        if CATALOGUE[term.effect].by_load or by_prior(given, fewer, terms):
+            continue
+        without = residual(given, fewer, by_repeat=by_repeat)
+        if not improves(given, without, after):
+            terms, after = fewer, without
+            rolled_back.insert(0, term.effect)
     point = of_columns(given, terms)
     twin_rms, said = _twin(given, sweeps, point) if twin else (None, ())
     return HeldOutCheck(
