@@ -372,8 +372,8 @@ def _exchanges(given: Equations, chosen: Explanation, candidates: Sequence[str],
 
 
 def _exchange(given: Equations, chosen: Explanation, tried: Sequence[Explanation], excess: float) -> Explanation:
-    """The best exchange of one of several terms that is physically possible, if it is better by more than the tolerance,
-    or as good and simpler.
+    """The best physically possible exchange of one of several terms, if it is better by more than the tolerance, or as
+    good and simpler.
     """
     tolerance = max(RIVAL, TOLERANCE * excess)
     near = [one for one in tried if one.criterion < chosen.criterion + tolerance and allowed_by_physics(given, one)]
