@@ -2,27 +2,35 @@
 
 import pytest
 
-from service.diagnosis.diagnose import diagnose_axis
-from service.diagnosis.document import axis_document
+from service.diagnosis.diagnose import AxisResult, diagnose_axis
+from service.diagnosis.verdict import Verdict
 from tests.numeric.second_plant.cases import Case, Kind, make
 
 
-@pytest.mark.parametrize(("number", "friction"), [(50_000, "asymmetric_friction"), (50_020, "coulomb_friction")])
-def test_dry_friction_is_named_beside_cogging(number: int, friction: str) -> None:
-    hidden = (friction, "cogging_torque")
-    robot, joint, sweeps, _ = make(Case(8301, number, Kind.PAIR, hidden, "medium"))
-    found = axis_document(diagnose_axis(robot, joint, sweeps))
-    assert (found.verdict, {effect.effect for effect in found.effects}) == ("named", set(hidden))
+def diagnosed(case: Case) -> AxisResult:
+    robot, joint, sweeps, _ = make(case)
+    return diagnose_axis(robot, joint, sweeps, twin=False)
 
 
 @pytest.mark.parametrize(
-    ("number", "kind", "hidden"),
+    "case",
     [
-        (50_005, Kind.PAIR, ("hose_spring", "nonlinear_viscous_friction")),
-        (60_010, Kind.TRIPLE, ("measurement_delay", "asymmetric_friction", "effort_offset")),
+        Case(8301, 50_000, Kind.PAIR, ("asymmetric_friction", "cogging_torque"), "medium"),
+        Case(8301, 50_020, Kind.PAIR, ("coulomb_friction", "cogging_torque"), "medium"),
+        Case(8301, 50_005, Kind.PAIR, ("hose_spring", "nonlinear_viscous_friction"), "large"),
+        # asymmetric friction contains the offset
+        Case(8301, 60_010, Kind.TRIPLE, ("measurement_delay", "asymmetric_friction", "effort_offset"), "medium"),
     ],
+    ids=lambda case: str(case.number),
 )
-def test_an_effect_is_confirmed_beside_the_others(number: int, kind: Kind, hidden: tuple[str, ...]) -> None:
-    robot, joint, sweeps, _ = make(Case(8301, number, kind, hidden, "large" if kind is Kind.PAIR else "medium"))
-    found = axis_document(diagnose_axis(robot, joint, sweeps))
-    assert (found.verdict, {effect.effect for effect in found.effects}) == ("named", set(hidden[:2]))
+def test_each_is_named(case: Case) -> None:
+    found = diagnosed(case)
+    assert (found.verdict, {one.name for one in found.effects}) == (Verdict.NAMED, set(case.names[:2]))
+
+
+def test_no_effect_is_exchanged_for_one_that_physics_forbids() -> None:
+    """Friction that drives in one direction would explain all; the part that is known remains, and is told."""
+    hidden = ("transmission_error", "asymmetric_friction", "effort_offset")
+    found = diagnosed(Case(8301, 60_001, Kind.TRIPLE, hidden, "large"))
+    told = {"transmission_error", "coulomb_friction", "effort_offset"}
+    assert (found.verdict, {one.name for one in found.part}) == (Verdict.UNKNOWN, told)
