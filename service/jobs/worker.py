@@ -139,7 +139,8 @@ class WorkerProcess(Worker):
         while True:
             await self._alive()
             try:
-                waiting = await asyncio.wait_for(self._waiting.get(), 1.0)  # s; an idle process is monitored, too
+                async with asyncio.timeout(1.0):  # s; an idle process is monitored, too
+                    waiting = await self._waiting.get()
             except TimeoutError:
                 continue
             if not waiting.answer.done():  # the caller may have cancelled

@@ -91,7 +91,8 @@ async def child_process(
     finally:
         process.stdin.close()
         with suppress(TimeoutError):
-            await asyncio.wait_for(process.wait(), patience)
+            async with asyncio.timeout(patience):
+                await process.wait()
         if process.returncode is None:
             with suppress(ProcessLookupError):
                 process.kill()

@@ -61,8 +61,7 @@ class Broker:
                         with suppress(MqttError, asyncio.CancelledError):
                             await self._send(client, "status", "offline", retain=True)
             except (MqttError, OSError) as error:
-                if (own := asyncio.current_task()) is not None and own.cancelling():
-                    # aiomqtt failed to disconnect from a broker that is gone: its error replaced the cancellation
+                if _cancelled():  # aiomqtt failed to disconnect from a broker that is gone: its error replaced it
                     raise asyncio.CancelledError from error
                 self._tell(f"{self._settings.host}:{self._settings.connects_at}: {error}")
             await asyncio.sleep(pause)
@@ -105,6 +104,8 @@ class Broker:
 
     async def _send(self, client: Client, topic: str, content: str, *, retain: bool = False) -> None:
         await client.publish(f"{self._stem}/{topic}", content, qos=1, retain=retain, timeout=10.0)
+        if _cancelled():  # together with the broker's answer: on Python 3.11, wait_for in aiomqtt loses it
+            raise asyncio.CancelledError
 
     def _client(self) -> Client:
         settings = self._settings
@@ -143,3 +144,9 @@ async def _lost(client: Client) -> None:
     """MqttError when the connection is lost; nothing is subscribed, so no message arrives."""
     async for _ in client.messages:
         pass
+
+
+def _cancelled() -> bool:
+    """Whether this task was cancelled, even if a library has suppressed the exception."""
+    task = asyncio.current_task()
+    return task is not None and task.cancelling() > 0

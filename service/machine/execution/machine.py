@@ -195,7 +195,8 @@ class Machine:
                 self._answered = asyncio.Event()
                 self._background.begin("ask the drives", self._refresh(self._answered))
             with suppress(TimeoutError):
-                await asyncio.wait_for(self._answered.wait(), 0.5)
+                async with asyncio.timeout(0.5):
+                    await self._answered.wait()
         return self.statement
 
     async def _refresh(self, answered: asyncio.Event) -> None:

@@ -171,7 +171,8 @@ class LatchedStops:
                 _log.error("stop_not_noted", by=hold.document.by, why=hold.document.why, until="the service ends")
                 return
             with suppress(TimeoutError):
-                await asyncio.wait_for(self._ending.wait(), self.again)
+                async with asyncio.timeout(self.again):
+                    await self._ending.wait()
 
     async def _noted(self, hold: Hold) -> bool:
         async with self._writing:

@@ -161,7 +161,8 @@ class EventFeed:
                 except SQLAlchemyError as refused:
                     _log.warning("events_not_read", after=after, reason=refusal(refused))
                     with suppress(TimeoutError):
-                        await asyncio.wait_for(news.wait(), self.retry)
+                        async with asyncio.timeout(self.retry):
+                            await news.wait()
                     continue
                 for event in events:
                     yield event

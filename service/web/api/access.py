@@ -103,7 +103,8 @@ def put(scope: Scope, entry: Entry) -> "Future[int]":
 async def written(future: "Future[int]") -> int:
     """The number of the entry when it is on disk. NotAudited if it is not written in time."""
     try:
-        return await asyncio.wait_for(asyncio.wrap_future(future), _PATIENCE)
+        async with asyncio.timeout(_PATIENCE):
+            return await asyncio.wrap_future(future)
     except TimeoutError:
         raise NotAudited(f"the audit entry was not written within {_PATIENCE:g} s") from None
 

@@ -7,6 +7,7 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -60,6 +61,33 @@ class _LosesItsBroker(Client):
     async def __aexit__(self, *exit_of_the_body: object) -> None:
         await super().__aexit__(None, None, None)
         raise MqttError("Disconnected during message iteration")
+
+
+class _LosesACancellation(Client):
+    """The cancellation comes together with the broker's answer: `asyncio.wait_for` of Python 3.11 returns normally."""
+
+    async def publish(self, *args: Any, **kwargs: Any) -> None:
+        await super().publish(*args, **kwargs)
+        task, answer = asyncio.current_task(), asyncio.get_running_loop().create_future()
+        answer.set_result(None)
+        if task is not None and args[0] == f"{STEM}/event":
+            task.cancel()
+            await asyncio.wait_for(answer, 1.0)
+
+
+async def test_it_ends_though_its_cancellation_came_with_an_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mqtt, "Client", _LosesACancellation)
+    with broker(tmp_path) as server:
+        client = Broker(settings(server.port), "cell 7", lambda report: None)
+        client.notice(notice(1))
+        running = asyncio.create_task(client.run(), name="mqtt")
+        await asyncio.wait([running], timeout=PATIENCE)
+        assert running.cancelled(), "it does not end"
+        with server.subscribed() as after:
+            await until(lambda: after.of("/status"), "the status is retained")
+    assert after.of("/status")[0].content == "offline"
 
 
 async def test_it_ends_though_the_broker_is_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
