@@ -131,7 +131,7 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/system/test_any_order.py": 22,
     # what parts show by themselves, shown again by all processes together, or for a second way, drive or database
     "tests/system/test_attack.py": 30,
-    "tests/system/test_campaign_in_process.py::test_axes_that_move_at_once_are_identified_together": 12,
+    "tests/virtual_time/test_axes_at_once.py::test_a_trajectory_is_identified_with_sweeps_and_alone": 40,
     "tests/system/test_demo.py::test_interrupted_demo_stops_the_machine_first": 18,
     "tests/system/test_diagnosis_campaign.py::test_the_other_blocks_run_and_none_spoils_the_inertia": 8,
     "tests/system/test_diagnosis_campaign.py::test_the_loop_runs_alone_on_a_virtual_machine": 12,
