@@ -46,7 +46,7 @@ _REPLACED: dict[Any, Any] = {
     queue.SimpleQueue: primitives.SimpleQueue,
     os.urandom: primitives.urandom,
 }
-LONGEST = float(os.environ.get("VT", "120"))  # s of real time until a copy that hangs says where it does, and ends
+LONGEST = 600.0  # s of real time until a copy that hangs says where it does, and ends
 _OURS = ("service", "drivers", "simulator")
 _STAY_REAL = (
     "_pytest",
