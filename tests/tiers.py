@@ -169,6 +169,7 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/numeric/test_data_check.py::test_a_fault_of_the_second_plant_is_told": 9,
     "tests/numeric/second_plant/test_cases.py::test_a_large_effect_is_seen_and_no_monster": 20,
     **{f"tests/numeric/second_plant/test_loop.py::test_a_hundred_diagnoses_end[{part}": 65 for part in range(12)},
+    **{f"tests/numeric/second_plant/test_loop_by_api.py[{machine}": 60 for machine in range(6)},
     "tests/numeric/second_plant/test_play.py::test_backlash_is_named_with_its_width": 15,
     "tests/numeric/second_plant/test_play.py::test_no_other_machine_has_play": 20,
     "tests/numeric/second_plant/test_scoring.py::test_a_fair_sample_goes_through": 26,

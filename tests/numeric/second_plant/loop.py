@@ -85,7 +85,7 @@ def course(one: Case) -> Course:
         if axis.verdict not in OPEN or wanted is None:
             told.end = f"{axis.verdict}, cannot" if axis.verdict in OPEN else axis.verdict
             return told
-        mass = _bolted(robot, joint, sweeps, 1 if weighed is None else 2) if wanted.weighs else None
+        mass = bolted(robot, joint, sweeps, 1 if weighed is None else 2) if wanted.weighs else None
         what = (wanted.kind, mass, *((s.spec.pose, s.spec.offset_velocity, s.spec.sines) for s in wanted.sweeps))
         told.broken += [f"{wanted.kind} is proposed again"] if what in asked else []
         asked.append(what)
@@ -95,7 +95,7 @@ def course(one: Case) -> Course:
             told.broken.append(f"{wanted.kind} cannot be run: {error}")
             return told
         body = None if mass is None else Body(mass.mass, np.array(mass.center), np.zeros((3, 3)))
-        later += [(_of_campaign(spec, number, measured), body) for spec in specs]
+        later += [(of_campaign(spec, number, measured), body) for spec in specs]
         measured = make(one, small=True, later=later)[2]
         new = measured[-len(specs) :]
         sweeps += new if mass is None else ()
@@ -133,7 +133,7 @@ def _planned(robot: Robot, wanted: Experiment, cell: Cell, mass: BoltedMass | No
     return [sweep.spec for sweep in plan.sweeps]
 
 
-def _of_campaign(spec: SweepSpec, number: int, before: Sequence[Sweep]) -> SweepSpec:
+def of_campaign(spec: SweepSpec, number: int, before: Sequence[Sweep]) -> SweepSpec:
     """The sweep of a campaign that starts five minutes after those `before`, as the service names it among them."""
     visits = {(sweep.spec.block, sweep.spec.pose) for sweep in before}
     again = f" of campaign {number}" if (spec.block, spec.pose) in visits else ""
@@ -142,7 +142,7 @@ def _of_campaign(spec: SweepSpec, number: int, before: Sequence[Sweep]) -> Sweep
     return spec.model_copy(update=change)
 
 
-def _bolted(robot: Robot, joint: str, sweeps: Sequence[Sweep], times: int) -> BoltedMass:
+def bolted(robot: Robot, joint: str, sweeps: Sequence[Sweep], times: int) -> BoltedMass:
     """A mass beside the last link that pulls with a tenth of the rated effort; from 5 to 80 kg, or so many `times`."""
     last = robot.chain.inertial[-1]
     place = (float(last[1] / last[0]) + 0.1, float(last[2] / last[0]) + 0.05, float(last[3] / last[0]))
