@@ -43,12 +43,12 @@ test: test-computing check-and-vcan test-machines  ## the first tier and all che
 check-and-vcan: $(READY)  # the guest takes one core, the checks the other; after tests, since a guest compiles slowly
 	@$(MAKE) --no-print-directory --output-sync=target --jobs=2 test-vcan $(CHECKS)
 
-# What computes, the longest first, then what moves a machine in real time: such a test starves beside one that computes.
+# What computes, the longest first, then what moves a machine in real time, which starves beside a third process.
 test-computing: $(READY)
 	$(TIER) tests/virtual_time tests/numeric tests/architecture tests/benchmarks tests/fuzz tests/unit
 
 test-machines: $(READY)
-	$(TIER) -m "not alone" tests/browser tests/contract tests/system
+	$(TIER) -n 2 -m "not alone" tests/browser tests/contract tests/system
 	$(BIN)/python -m pytest -m alone tests/system
 
 test-long: $(READY)  ## the second tier, all ten parts; with PART=k, from 1 to 10, one of them

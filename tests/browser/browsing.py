@@ -7,7 +7,7 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_play
 
 from tests.programs import path_of
 
-PATIENCE = 60_000  # ms, for whatever the page is to do or to show
+PATIENCE = 180_000  # ms, for whatever the page is to do or to show
 CHROMIUM = path_of("chromium")
 QUIET = ("--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run", "--disable-sync")
 

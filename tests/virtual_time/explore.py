@@ -86,17 +86,15 @@ class Explorer:
         self,
         step: Step,
         seeds: int,
-        budget: float = float("inf"),
         restore: Callable[[], None] | None = None,
         among: Callable[[int], bool] = lambda _: True,
     ) -> Exploration:
-        """`step` for seeds 1 to `seeds`, until the copies have taken `budget` s of processor time. AssertionError if
-        one fails. `restore` is called before each copy: puts back what lies outside of memory. `among`: which of the
-        seeds belong to this snapshot.
+        """`step` for seeds 1 to `seeds`. AssertionError if one fails. `restore` is called before each copy: puts back
+        what lies outside of memory. `among`: which of the seeds belong to this snapshot.
         """
         new = range(1, max(1, round(seeds * self._factor)) + 1)
         wanted = [self._only] if self._only else [*self.stored, *(seed for seed in new if seed not in self.stored)]
-        found = await explored(step, filter(among, wanted), budget * self._factor, restore, self._note)
+        found = await explored(step, filter(among, wanted), restore, self._note)
         if self._factor > 1 and found.failed:
             SEEDS.mkdir(exist_ok=True)
             every = sorted({*self.stored, *(outcome.seed for outcome in found.failed)})
@@ -123,7 +121,6 @@ def at_once(work: Coroutine[object, None, Exploration]) -> Exploration:
 async def explored(
     step: Step,
     seeds: Iterable[int],
-    budget: float = float("inf"),
     restore: Callable[[], None] | None = None,
     enough: Callable[[Outcome], bool] = lambda _: False,
 ) -> Exploration:
@@ -131,8 +128,6 @@ async def explored(
     found = Exploration()
     loop = asyncio._get_running_loop()
     for seed in seeds:
-        if found.cpu > budget:
-            break
         if restore is not None:
             restore()
         faulthandler.cancel_dump_traceback_later()  # its thread does not come along into the copy

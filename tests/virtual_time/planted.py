@@ -1,7 +1,7 @@
 """Planted faults: small changes of the product, made in a copy of this process, that the exploration must find.
 
-Each has a budget, s of processor time, and what of a sequence it is searched with: the whole distribution finds it as
-well, later. Not in the list, because nothing that anybody could observe changes:
+Each has what of a sequence it is searched with: the whole distribution finds it as well, later. Not in the list,
+because nothing that anybody could observe changes:
 
 - one of the checks of the epoch removed while another follows before the energy (before the drives are connected; in
   the transaction of a start; before or after enabling): a later one refuses. All of one kind together are in the list.
@@ -40,11 +40,10 @@ Plant = Callable[[], None]
 
 @dataclass(frozen=True)
 class Fault:
-    """`budget`: s of processor time. `only`: what happens in the sequences; (): everything. `steps`: how many times."""
+    """`only`: what happens in the sequences; (): everything. `steps`: how many times."""
 
     plant: Plant
     only: Sequence[s.Action] = ()
-    budget: float = 10.0
     steps: tuple[int, int] = s.STEPS
 
 
@@ -160,51 +159,48 @@ PENDING = (s.approved_again,)
 
 SERVICE: dict[str, Fault] = {
     "the gate forgets lease, latch and epoch": Fault(
-        _set(MotionAccess, "_may_move", _nothing), (s.start, s.stop_by_port, s.abort), 20.0
+        _set(MotionAccess, "_may_move", _nothing), (s.start, s.stop_by_port, s.abort)
     ),
-    "the machine never refuses": Fault(_set(Machine, "check_may_move", _nothing), (s.start, s.stop_by_port), 20.0),
-    "no epoch is ever checked": Fault(_set(Epochs, "check", _nothing), PENDING, 10.0, ONCE),
+    "the machine never refuses": Fault(_set(Machine, "check_may_move", _nothing), (s.start, s.stop_by_port)),
+    "no epoch is ever checked": Fault(_set(Epochs, "check", _nothing), PENDING, ONCE),
     "a command takes the epoch of its execution": Fault(
-        _set(Runner, "_check_machine", _takes_the_present_epoch), PENDING, 10.0, ONCE
+        _set(Runner, "_check_machine", _takes_the_present_epoch), PENDING, ONCE
     ),
-    "a stop begins no epoch": Fault(_set(Epochs, "begin", _nothing), PENDING, 10.0, ONCE),
-    "stops are not latched": Fault(_set(LatchedStops, "latch", _not_latched), (s.start, s.stop_by_port), 10.0),
+    "a stop begins no epoch": Fault(_set(Epochs, "begin", _nothing), PENDING, ONCE),
+    "stops are not latched": Fault(_set(LatchedStops, "latch", _not_latched), (s.start, s.stop_by_port)),
     "a gap of the host is not noticed": Fault(
-        _all(_set(HostWatch, "look", _nothing), _set(HostWatch, "reason", "")), (s.start, s.connect, s.host_gap), 20.0
+        _all(_set(HostWatch, "look", _nothing), _set(HostWatch, "reason", "")), (s.start, s.connect, s.host_gap)
     ),
-    "the end of motion is empty": Fault(_set(MotionAccess, "end", _nothing_async), (s.broken_off,), 20.0, ONCE),
+    "the end of motion is empty": Fault(_set(MotionAccess, "end", _nothing_async), (s.broken_off,), ONCE),
     "an abort does not end what runs": Fault(
-        _set(Runner, "_end_task", _does_not_end), (s.start, s.abort, s.acknowledge), 30.0
+        _set(Runner, "_end_task", _does_not_end), (s.start, s.abort, s.acknowledge)
     ),
     "the port confirms what it did not hear": Fault(
         _set(CanopenStopSender, "confirm", lambda self, _: dict.fromkeys(self._joints.values(), "")),
         (s.start, s.stop_by_port),
-        10.0,
     ),
     "the API confirms what it did not wait for": Fault(
-        _set(StopSequences, "confirmed", _confirms_at_once), (s.start, s.stop_by_api), 20.0
+        _set(StopSequences, "confirmed", _confirms_at_once), (s.start, s.stop_by_api)
     ),
     "a lease that another has counts as renewed": Fault(
-        _all(_set(MachineLease, "renew", _nothing)), (s.start, s.second_service), 60.0
+        _all(_set(MachineLease, "renew", _nothing)), (s.start, s.second_service)
     ),
-    "what gets energy is stated to stand": Fault(_set(Reports, "gets_energy", _nothing), RUNS, 10.0),
-    "plans need no approval": Fault(_set(Approvals, "check", _nothing), (s.start,), 10.0),
+    "what gets energy is stated to stand": Fault(_set(Reports, "gets_energy", _nothing), RUNS),
+    "plans need no approval": Fault(_set(Approvals, "check", _nothing), (s.start,)),
     "an approval outlives a stop": Fault(
-        _set(lease_and_latch, "_last_stop", lambda *_: 0), (s.start, s.stop_by_port, s.release), 20.0
+        _set(lease_and_latch, "_last_stop", lambda *_: 0), (s.start, s.stop_by_port, s.release)
     ),
-    "the lease is never missed": Fault(_set(stops, "_passed", lambda _: 0.0), (s.start, s.second_service), 20.0),
-    "the stop process sends nothing": Fault(_set(CanopenStopSender, "_send", _nothing), (s.stop_in_a_gap,), 20.0, ONCE),
-    "a stop is not stored": Fault(_set(LatchedStops, "note", _nothing), (s.stop_outlives_a_kill,), 20.0, ONCE),
-    "a release releases what nobody saw": Fault(
-        _set(LatchedStops, "reset", _releases_all), (s.late_release,), 20.0, ONCE
-    ),
-    "an old report counts": Fault(_set(Reports, "stale", float("inf")), (s.start, s.let_run, s.stop_by_port), 10.0),
-    "a missed sign of life stops nothing": Fault(_set(Runner, "_missed", _nothing), (s.attended,), 20.0, ONCE),
+    "the lease is never missed": Fault(_set(stops, "_passed", lambda _: 0.0), (s.start, s.second_service)),
+    "the stop process sends nothing": Fault(_set(CanopenStopSender, "_send", _nothing), (s.stop_in_a_gap,), ONCE),
+    "a stop is not stored": Fault(_set(LatchedStops, "note", _nothing), (s.stop_outlives_a_kill,), ONCE),
+    "a release releases what nobody saw": Fault(_set(LatchedStops, "reset", _releases_all), (s.late_release,), ONCE),
+    "an old report counts": Fault(_set(Reports, "stale", float("inf")), (s.start, s.let_run, s.stop_by_port)),
+    "a missed sign of life stops nothing": Fault(_set(Runner, "_missed", _nothing), (s.attended,), ONCE),
     "a pause that is taken back asks for no sign of life": Fault(
-        _set(Runner, "_take_back_pause", _take_back_unattended), (s.start, s.pause_taken_back), 20.0
+        _set(Runner, "_take_back_pause", _take_back_unattended), (s.start, s.pause_taken_back)
     ),
-    "a sweep is counted twice": Fault(_set(Store, "end_sweep", _recorded_twice), (s.start, s.let_run), 60.0),
-    "a recording is lost": Fault(_set(Store, "end_sweep", _lost), (s.start, s.let_run), 60.0),
+    "a sweep is counted twice": Fault(_set(Store, "end_sweep", _recorded_twice), (s.start, s.let_run)),
+    "a recording is lost": Fault(_set(Store, "end_sweep", _lost), (s.start, s.let_run)),
     "no stop is sent": Fault(
         _all(
             _set(Cia402Machine, "halt", _nothing),
@@ -212,7 +208,6 @@ SERVICE: dict[str, Fault] = {
             _set(StopBus, "stop", _silent),
         ),
         (s.start, s.stop_by_api, s.stop_by_port),
-        10.0,
     ),
 }
 """Found by random sequences."""
