@@ -210,7 +210,7 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/virtual_time/test_determinism.py::test_another_process_repeats_each_seed[sequences-100": 200,
     # that the search finds what is planted; on CANopen the first tier shows it
     "tests/virtual_time/test_planted_faults.py::test_a_fault_of_the_drivers_is_found[modbus": 50,
-    "tests/virtual_time/test_planted_faults.py::test_faults_of_the_service_are_found": 66,
+    "tests/virtual_time/test_planted_faults.py::test_faults_of_the_service_are_found": 200,
     # how much, not whether
     "tests/benchmarks/test_ratios.py::test_no_ratio_is_much_worse": 40,
 }

@@ -84,7 +84,9 @@ class ModbusStopSender:
                 while any(doubts.values()) and time.monotonic() < deadline:
                     open_ones = [axis for axis in self._axes if doubts[axis.joint]]
                     for axis in sorted(open_ones, key=lambda axis: doubts[axis.joint] == _SILENT):
-                        doubts[axis.joint] = _doubt(readings, axis)
+                        found = _doubt(readings, axis)
+                        if found != _SILENT or time.monotonic() < deadline:  # else there was no time to answer
+                            doubts[axis.joint] = found
                     time.sleep(max(0.0, min(0.01, deadline - time.monotonic())))
         except OSError as error:
             why = f"Modbus {self._line.place}: {error}"
