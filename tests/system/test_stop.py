@@ -218,10 +218,10 @@ def test_a_flood_at_the_open_port_is_bounded_and_delays_no_other_stop(
     if child == 0:
         tell(pipe, lambda: flood(3) or b"flooded")
     begun = time.monotonic()
-    status = stopped(urlsplit(service.url).port, "/api/v1/stop?", "Ada", 1)
+    status = stopped(urlsplit(service.url).port, "/api/v1/stop?", "Ada", 0)  # a slow computer confirms it later
     took = time.monotonic() - begun
     assert heard(child, pipe) == (b"flooded", 0)
-    assert status in (200, 503)  # a busy computer may confirm it later, and says so in time
+    assert status == 202
     assert took <= ANSWERED
     memory.append([each.memory_info().rss for each in processes])
     grown = np.diff(memory, axis=0).min(axis=0)  # what stops leave grows with each flood, what a new service needs once
