@@ -311,6 +311,7 @@ class _Client:
     connection: socket.socket
     received: bytearray = field(default_factory=bytearray)
     unsent: bytearray = field(default_factory=bytearray)
+    full: bool = False  # it does not read: nothing is sent until it can be written to
     opened: bool = False
     raw: bool = False
     joining: float = 0.0
@@ -359,12 +360,14 @@ class SocketcandServer:
 
     def due(self, now: float) -> float:
         """Seconds until buffered frames must be sent; infinity if there are none."""
-        return max(min((c.joining for c in self._clients if c.joining), default=float("inf")) - now, 0.0)
+        waiting = (client.joining for client in self._clients if client.unsent and not client.full)
+        return max(min(waiting, default=float("inf")) - now, 0.0)
 
     def run(self, now: float) -> None:
+        """Send what was written since the last call: one packet for many frames."""
         for client in list(self._clients):
-            if client.joining and now >= client.joining:
-                self._join(client)
+            if client.unsent and not client.full and now >= client.joining:
+                self._flush(client)
 
     def _accept(self, _: int) -> None:
         connection, address = self._listener.accept()
@@ -413,13 +416,13 @@ class SocketcandServer:
                 self._write(client, b"< error no channel " + channel.encode("ascii", "replace") + b" here >")
             case ["rawmode"] if client.opened:
                 client.raw = True
+                self._write(client, b"< ok >")
+                self._flush(client)
                 client.joining = time.monotonic() + 0.02
-                self._transmit(client, b"< ok >")
             case ["echo"]:
                 self._write(client, b"< echo >")
             case ["send", identifier, length, *data] if client.raw:
-                if client.joining:
-                    self._join(client)
+                client.joining = 0.0
                 self._take(client, identifier, length, data)
             case _:
                 self._write(client, b"< error unknown command >")
@@ -442,36 +445,24 @@ class SocketcandServer:
             if client.raw and client is not sender:
                 self._write(client, line.encode())
 
-    def _join(self, client: _Client) -> None:
-        client.joining = 0.0
-        self._flush(client)
-
     def _write(self, client: _Client, data: bytes) -> None:
-        if client.unsent or client.joining:
-            client.unsent += data
-            if len(client.unsent) > 1 << 20:  # bytes a client may leave unread
-                self._drop(client, "does not read")
-        else:
-            self._transmit(client, data)
+        client.unsent += data
+        if len(client.unsent) > 1 << 20:  # bytes a client may leave unread
+            self._drop(client, "does not read")
 
     def _flush(self, client: _Client) -> None:
-        data, client.unsent = bytes(client.unsent), bytearray()
-        if data:
-            self._transmit(client, data)
-        if client in self._clients and not client.unsent:
-            self._listen(client, selectors.EVENT_READ)
-
-    def _transmit(self, client: _Client, data: bytes) -> None:
         try:
-            sent = client.connection.send(data)
+            sent = client.connection.send(client.unsent)
         except BlockingIOError:
             sent = 0
         except OSError as error:
             self._drop(client, str(error))
             return
-        if sent < len(data):
-            client.unsent += data[sent:]
-            self._listen(client, selectors.EVENT_READ | selectors.EVENT_WRITE)
+        del client.unsent[:sent]
+        full = bool(client.unsent)
+        if full is not client.full:
+            client.full = full
+            self._listen(client, selectors.EVENT_READ | (selectors.EVENT_WRITE if full else 0))
 
     def _listen(self, client: _Client, events: int) -> None:
         self._selector.modify(client.connection, events, partial(self._serve, client))

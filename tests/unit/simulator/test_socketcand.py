@@ -2,6 +2,7 @@
 
 import selectors
 import socket
+import time
 from collections.abc import Iterator
 
 import pytest
@@ -64,6 +65,7 @@ class Wire:
         for _ in range(events):
             for key, mask in self.selector.select(timeout):
                 key.data(mask)
+            self.server.run(time.monotonic())
             timeout = 0.01
 
 
@@ -109,6 +111,7 @@ def test_bus_off_keeps_every_frame_back(wire: Wire) -> None:
     wire.turn(2)
     wire.server.switch_off(off=False)
     wire.server.send(Frame(0x182, b"\2"))
+    wire.server.run(time.monotonic())
     data = b""
     while b"182" not in data:
         data += client.recv(4096)
