@@ -20,9 +20,10 @@ from service.model.configuration import read_cell
 from service.model.results.diagnosis import AxisDiagnosis, Experiment
 from service.model.results.effect import RevisedAxis
 from service.planning.campaigns.live import EventFeed
+from service.planning.campaigns.stored_results import move_velocities
 from service.planning.compiled_plan import Range
 from service.planning.diagnosis import ExperimentPlace, build_experiment_plan
-from service.planning.documents import ExperimentPlan, ExperimentRequest
+from service.planning.documents import MOVE_VELOCITY, ExperimentPlan, ExperimentRequest
 from service.planning.machine_setup import MachineSetup, NeedsConfirmation, on_machine
 from service.process.settings import Settings
 from service.process.tasks import Background
@@ -60,16 +61,18 @@ class ExperimentPlanner:
         typed: Mapping[str, str | None],
         by: str,
         test_mass: BoltedMass | None = None,
+        campaigns: Sequence[int] = (),
     ) -> ExperimentPlan:
         """BadInput if none of its sweeps can be run.
 
         `cell`: None means that of the machine. `typed`, `by`: as in `MachineSetup.confirmed`. `test_mass`: its weight
-        adds effort.
+        adds effort. `campaigns`: those that were diagnosed; it moves between poses as fast as the slowest of them.
         """
         designed = [DesignedSweep(sweep.spec, sweep.ramp, sweep.settle) for sweep in experiment.sweeps]
         origin, name = self.store.robot(robot_id), self.setup.own_cell(cell)
         made_for = self.setup.confirmed(origin, name, typed, by)
-        request = ExperimentRequest(robot_id=robot_id, cell=name, test_mass=test_mass)
+        velocity = min(move_velocities(self.store, campaigns), default=MOVE_VELOCITY)
+        request = ExperimentRequest(robot_id=robot_id, cell=name, test_mass=test_mass, move_velocity=velocity)
         robot = on_machine(origin.build(), self.setup.axes)
         plan = build_experiment_plan(robot, request, designed, read_cell(self.settings.cells_dir / f"{name}.yaml"))
         return plan.model_copy(update={"made_for": made_for})
@@ -123,7 +126,8 @@ class Experiments:
     ) -> ExperimentPlan:
         """The plan of the next experiment of an axis (blocking), as `ExperimentPlanner`. Conflict if there is none."""
         diagnosis = self._diagnoses.diagnosis(diagnosis_id)
-        return self._planner.plan(diagnosis.robot_id, proposed(diagnosis, axis), cell, typed, by, test_mass)
+        experiment = proposed(diagnosis, axis)
+        return self._planner.plan(diagnosis.robot_id, experiment, cell, typed, by, test_mass, diagnosis.campaigns)
 
     def permit(self, diagnosis_id: int, intention: Intention) -> None:
         """The experiments of an unattended diagnosis and of those that follow from it are wanted."""

@@ -7,6 +7,7 @@ A page of a list is what has an id (number, revision) above `after`, in that ord
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from types import MappingProxyType
+from typing import cast
 
 from pydantic import JsonValue
 from sqlalchemy import func, select
@@ -79,6 +80,12 @@ class Store(rows.Transactions):
 
     def plan(self, plan_id: int) -> PlanRecord:
         return self._one(PlanRecord, t.PlanRow, plan_id, "plan")
+
+    def plan_request(self, plan_id: int) -> Mapping[str, JsonValue]:
+        """The request of a plan, without its sweeps; {} if there is none."""
+        with self._database.read() as session:
+            found = session.scalar(select(t.PlanRow.document["request"]).where(t.PlanRow.id == plan_id))
+        return cast("Mapping[str, JsonValue] | None", found) or {}
 
     def plans(self, after: int = 0, limit: int = 100) -> tuple[PlanRecord, ...]:
         return self._all(PlanRecord, rows.page(t.PlanRow, after, limit))

@@ -29,8 +29,13 @@ from service.store.store import Store
 
 def _request(store: Store, campaign: CampaignDocument) -> Mapping[str, object]:
     """The request of a campaign's plan; {} without a plan."""
-    request = None if campaign.plan_id is None else store.plan(campaign.plan_id).document.get("request")
-    return request if isinstance(request, dict) else {}
+    return {} if campaign.plan_id is None else store.plan_request(campaign.plan_id)
+
+
+def move_velocities(store: Store, campaigns: Sequence[int]) -> list[float]:
+    """The velocities between poses that the plans of these campaigns ask for, rad/s (m/s)."""
+    requests = [_request(store, store.campaign(campaign)) for campaign in campaigns]
+    return [cast(float, request["move_velocity"]) for request in requests if "move_velocity" in request]
 
 
 def _named(store: Store, campaign: CampaignDocument, field: Literal["analysis", "sweeps"]) -> int | None:

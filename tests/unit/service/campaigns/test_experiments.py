@@ -91,6 +91,16 @@ def test_an_experiment_keeps_the_lower_limits_of_the_drive(loop: Loop, robot: Ro
         assert {(sweep.velocity_limit, sweep.effort_limit) for sweep in plan.sweeps} == {limits}
 
 
+def test_an_experiment_travels_as_fast_as_the_slowest_diagnosed_campaign(loop: Loop) -> None:
+    store, new = loop.bench.store, loop.new
+    for velocities, expected in (((), 0.1), ((0.3,), 0.3), ((0.4, 0.2), 0.2)):
+        plans = [store.add_plan(new.robot_id, {"request": {"move_velocity": velocity}}) for velocity in velocities]
+        campaigns = tuple(store.add_campaign(plan.id, []).id for plan in plans) or new.campaigns
+        proposed = loop.done("reversal", new.model_copy(update={"campaigns": campaigns}), sweeps=True)
+        plan = loop.experiments.plan(proposed.id, "joint_1", None, {}, "Ada")
+        assert plan.request.move_velocity == expected
+
+
 def test_an_experiment_that_the_machine_cannot_run_is_refused_when_it_is_planned(loop: Loop) -> None:
     """As of an axis whose drive permits less than every sweep needs."""
     wanted = loop.done("reversal", sweeps=True).found().axes["joint_1"].next_experiment
