@@ -194,6 +194,7 @@ def run_demo(out: Path, seed: int, poses: int, screen: Screen) -> DemoOutcome:
         # known from a frequency-response measurement of the CNC before a campaign (the paper's section 4.2), Hz
         "locked_rotor": {"joint_1": 5.0, "joint_2": 9.5, "joint_3": 13.0},
         "poses": poses,
+        "move_velocity": 0.5,
     }
     for path in (SCENARIO, HIDING, ROBOT, CELL, PROFILE):
         if not path.is_file():
@@ -451,8 +452,11 @@ def compare(content: Content, axes: Sequence[ReportedAxis], scenario: Path, scra
     "sweeps": each measured inertia; "workspace": the resulting models, over all collision-free poses. The
     paper's formula (8) becomes a model by standard least squares, as in the paper.
     """
-    workspace = read_truth(scenario, content.workspace, scratch)
-    in_sweeps = {axis.joint: read_truth(scenario, axis.poses, scratch)[axis.joint] for axis in axes}
+    sets = [content.workspace, *(axis.poses for axis in axes)]
+    true = read_truth(scenario, np.concatenate(sets), scratch)
+    parts = np.split(np.arange(sum(map(len, sets))), np.cumsum([len(poses) for poses in sets])[:-1])
+    workspace = {joint: values[parts[0]] for joint, values in true.items()}
+    in_sweeps = {axis.joint: true[axis.joint][part] for axis, part in zip(axes, parts[1:], strict=True)}
     from_paper = _paper_model(content, axes)
     lines = (
         (ERRORS[0], [(axis.paper, in_sweeps[axis.joint]) for axis in axes]),

@@ -34,7 +34,7 @@ def demo(
         int | None,
         typer.Option(min=0, help="Of the virtual machines' noise and of what is hidden; else another a run."),
     ] = None,
-    poses: Annotated[int, typer.Option(min=1, max=300, help="How many poses to measure.")] = 24,
+    poses: Annotated[int, typer.Option(min=1, max=300, help="How many poses to measure.")] = 20,
 ) -> None:
     """Start a virtual machine and the service, measure a campaign, and show what came of it. Needs no hardware.
 
